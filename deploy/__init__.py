@@ -1,0 +1,1 @@
+"""The laboratory: scenarios, launching, recording and the command line."""

@@ -1,0 +1,1 @@
+"""What is said: cells, packets, messages, keys and the bus that carries them."""

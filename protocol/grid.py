@@ -1,0 +1,102 @@
+"""What all must mean alike by a cell, a frame and a beam.
+
+Grids are ``uint8`` arrays of shape (height, width), indexed ``grid[y, x]``: x to the right, y down, row 0
+on top, cell centres at whole numbers. A cell is unknown, free or occupied (thesis, section 3.2).
+
+A beam is a walk over cells. `fan` lays the walks of all beams out once, in exact integer arithmetic, as
+offsets from the cell that the robot stands in; the laser that casts a scan and the robot that draws it
+follow the same table, so both mean the same cells by the same reading on every machine.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+UNKNOWN = 0
+FREE = 1
+OCCUPIED = 2
+
+MAX_SIDE = 2048
+"""The widest and highest grid, in cells, that the packets can speak of."""
+
+MAX_ROBOTS = 64
+"""The largest team that the packets can speak of."""
+
+Grid = NDArray[np.uint8]
+
+_DIRECTION_UNIT = 1 << 20
+"""Beam directions are whole numbers of this length, so that no platform's cosine decides a cell."""
+
+
+@dataclass(frozen=True)
+class Fan:
+    """The cells that each beam crosses, nearest first, relative to the robot's own cell.
+
+    Attributes
+    ----------
+    cells : int32 array of shape (n, 2)
+        Offsets (dx, dy) in cells, all beams behind each other; the robot's own cell is left out.
+    start : int32 array of shape (beams + 1,)
+        Beam ``b`` crosses ``cells[start[b]:start[b + 1]]``.
+    """
+
+    cells: NDArray[np.int32]
+    start: NDArray[np.int32]
+
+    @property
+    def beams(self) -> int:
+        """How many beams a full turn has."""
+        return len(self.start) - 1
+
+
+@lru_cache(maxsize=16)
+def fan(range_cells: float, beams: int = 360) -> Fan:
+    """Lay out the walks of `beams` beams over the grid.
+
+    Parameters
+    ----------
+    range_cells : float
+        Sensor range in cells; a walk ends before the first cell whose centre lies beyond it.
+    beams : int
+        Beams a full turn. Beam 0 points along +x, the angle grows towards +y (clockwise on a picture).
+
+    Notes
+    -----
+    A walk steps between 4-neighbours only, so no beam slips between two cells that touch at a corner. Where
+    a beam runs exactly through a corner it takes the cell beside it in x first.
+    """
+    if not range_cells >= 1:
+        raise ValueError(f"sensor range of {range_cells:g} cells: a robot must see at least its neighbours (1)")
+    if beams < 4 or beams % 4:
+        raise ValueError(f"{beams} beams: give a multiple of 4, so that the four neighbours are always seen")
+    cells: list[tuple[int, int]] = []
+    start = [0]
+    for beam in range(beams):
+        angle = 2 * math.pi * beam / beams
+        cells += _walk(
+            round(math.cos(angle) * _DIRECTION_UNIT), round(math.sin(angle) * _DIRECTION_UNIT), range_cells
+        )
+        start.append(len(cells))
+    return Fan(np.array(cells, np.int32).reshape(-1, 2), np.array(start, np.int32))
+
+
+def _walk(direction_x: int, direction_y: int, range_cells: float) -> list[tuple[int, int]]:
+    """Cells along one direction from the centre of (0, 0), that cell left out."""
+    step_x, step_y = (1 if direction_x > 0 else -1), (1 if direction_y > 0 else -1)
+    along_x, along_y = abs(direction_x), abs(direction_y)
+    x = y = 0
+    walk: list[tuple[int, int]] = []
+    while True:
+        # The next border in x is crossed at (2 |x| + 1) / (2 along_x), in y likewise: cross-multiplied.
+        if along_y == 0 or (along_x and (2 * abs(x) + 1) * along_y <= (2 * abs(y) + 1) * along_x):
+            x += step_x
+        else:
+            y += step_y
+        if x * x + y * y > range_cells * range_cells:
+            return walk
+        walk.append((x, y))

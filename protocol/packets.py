@@ -1,0 +1,319 @@
+"""The packets of the radio, bit for bit (thesis, Table 6.1; docs/protocol.md draws them).
+
+Every packet opens with a code that no other begins with; fields follow, most significant bit first; what is
+left of the last byte is zero. The code alone tells a packet's length, so packets need no framing: a stream
+of them may be cut anywhere and taken up again (`Decoder`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields
+from typing import ClassVar, Union
+
+from protocol.errors import ProtocolError
+
+MAX_VERTICES = 4096
+"""Vertices an object may have; `Insert`, `Replace` and `Delete` count them from 0."""
+
+MAX_OBJECTS = 4096
+"""Objects an approximation may have."""
+
+INDEX_WINDOW = 4096
+"""Units of a log that one `Answer` can tell apart; the block says which window is meant."""
+
+BLOCKS = 64
+"""Blocks that an `Offer` can tell apart; a longer log begins again at block 0."""
+
+
+@dataclass(frozen=True, slots=True)
+class Packet:
+    """What all packets share: a code, and fields in the order in which they are sent."""
+
+    name: ClassVar[str]
+    size: ClassVar[int]
+    """Bytes on the air (Table 6.1)."""
+    code: ClassVar[int]
+    code_bits: ClassVar[int]
+    bits: ClassVar[tuple[int, ...]]
+    """Width of each field, in bits, in the order of the dataclass."""
+
+
+@dataclass(frozen=True, slots=True)
+class Insert(Packet):
+    """A vertex enters the current object before the one that has `index` now.
+
+    The vertex is the contour point of cell (x, y) on its side `side` (`agent.contour`); cells run from -1,
+    the unknown rim around the grid. `occupied` speaks of the edge from this vertex to the next.
+    """
+
+    name, size, code, code_bits, bits = "ins", 6, 0b010, 3, (12, 12, 12, 2, 1)
+    index: int
+    x: int
+    y: int
+    side: int
+    occupied: int
+
+
+@dataclass(frozen=True, slots=True)
+class Replace(Packet):
+    """The vertex at `index` of the current object becomes another."""
+
+    name, size, code, code_bits, bits = "rep", 6, 0b011, 3, (12, 12, 12, 2, 1)
+    index: int
+    x: int
+    y: int
+    side: int
+    occupied: int
+
+
+@dataclass(frozen=True, slots=True)
+class Delete(Packet):
+    """The vertex at `index` of the current object goes."""
+
+    name, size, code, code_bits, bits = "del", 2, 0b100, 3, (12,)
+    index: int
+
+
+@dataclass(frozen=True, slots=True)
+class Emerge(Packet):
+    """A new object takes the free number `object`; `count` inserts follow. `inside`: it encloses the free space."""
+
+    name, size, code, code_bits, bits = "em", 5, 0b1101, 4, (12, 13, 1)
+    object: int
+    count: int
+    inside: int
+
+
+@dataclass(frozen=True, slots=True)
+class Change(Packet):
+    """The vertex packets that follow speak of `object`, which will have `count` vertices after them."""
+
+    name, size, code, code_bits, bits = "chg", 5, 0b1110, 4, (12, 13, 1)
+    object: int
+    count: int
+    inside: int
+
+
+@dataclass(frozen=True, slots=True)
+class Remove(Packet):
+    """`object` is gone; its number may be given again."""
+
+    name, size, code, code_bits, bits = "rm", 2, 0b1010, 4, (12,)
+    object: int
+
+
+@dataclass(frozen=True, slots=True)
+class Offer(Packet):
+    """Handshake: the sender has news of robot `map`, from `block` of its log on."""
+
+    name, size, code, code_bits, bits = "conn", 2, 0b1100, 4, (6, 6)
+    map: int
+    block: int
+
+
+@dataclass(frozen=True, slots=True)
+class Answer(Packet):
+    """Handshake: the receiver holds the units before `index` (within the block) of the map that was offered."""
+
+    name, size, code, code_bits, bits = "conn", 2, 0b1011, 4, (12,)
+    index: int
+
+
+@dataclass(frozen=True, slots=True)
+class Block(Packet):
+    """Handshake: the answer that follows counts from `block`, not from the one that the offer assumed."""
+
+    name, size, code, code_bits, bits = "conn", 2, 0b1111100000, 10, (6,)
+    block: int
+
+
+@dataclass(frozen=True, slots=True)
+class Decline(Packet):
+    """Handshake: nothing is wanted, for another robot is sending this map in the same exchange."""
+
+    name, size, code, code_bits, bits = "conn", 2, 0b1111110000000000, 16, ()
+
+
+@dataclass(frozen=True, slots=True)
+class Target(Packet):
+    """Broadcast: the sender moves to cell (x, y) next."""
+
+    name, size, code, code_bits, bits = "targ", 3, 0b00, 2, (11, 11)
+    x: int
+    y: int
+
+
+@dataclass(frozen=True, slots=True)
+class Save(Packet):
+    """A step's edits are complete: what was said up to here may be drawn."""
+
+    name, size, code, code_bits, bits = "save", 1, 0b11110000, 8, ()
+
+
+VertexEdit = Union[Insert, Replace, Delete]
+Edit = Union[Insert, Replace, Delete, Emerge, Change, Remove, Save]
+Handshake = Union[Offer, Answer, Block, Decline]
+AnyPacket = Union[Edit, Handshake, Target]
+
+_TYPES: tuple[type[Packet], ...] = (
+    Insert, Replace, Delete, Emerge, Change, Remove, Offer, Answer, Block, Decline, Target, Save,
+)  # fmt: skip
+
+KINDS = ("ins", "rep", "del", "em", "chg", "rm", "conn", "targ", "save")
+"""The nine kinds of Table 6.1."""
+
+_RIM = 1
+"""Vertex cells are sent with this added, for the rim of the grid lies at -1."""
+
+
+def _by_first_byte() -> list[tuple[type[Packet], ...]]:
+    """For each possible first byte, the packets that may begin with it."""
+    table: list[tuple[type[Packet], ...]] = []
+    for byte in range(256):
+        fits = []
+        for kind in _TYPES:
+            known = min(kind.code_bits, 8)
+            if byte >> (8 - known) == kind.code >> (kind.code_bits - known):
+                fits.append(kind)
+        table.append(tuple(fits))
+    return table
+
+
+_FIRST_BYTE = _by_first_byte()
+_FIELDS = {kind: tuple(field.name for field in fields(kind)) for kind in _TYPES}
+_SHIFTED = {kind: tuple(name in "xy" and kind is not Target for name in _FIELDS[kind]) for kind in _TYPES}
+
+
+def encode(packets: Iterable[Packet]) -> bytes:
+    """Write packets behind each other.
+
+    Raises
+    ------
+    ProtocolError
+        A field does not fit its bits.
+    """
+    out = bytearray()
+    for packet in packets:
+        kind = type(packet)
+        word, used = packet.code, packet.code_bits
+        for name, width, shifted in zip(_FIELDS[kind], packet.bits, _SHIFTED[kind], strict=True):
+            value = getattr(packet, name) + (_RIM if shifted else 0)
+            if not 0 <= value < 1 << width:
+                low = -_RIM if shifted else 0
+                high = (1 << width) - 1 + low
+                raise ProtocolError(packet.name, len(out), f"{name} {value + low} is outside {low} to {high}")
+            word = word << width | value
+            used += width
+        out += (word << (8 * packet.size - used)).to_bytes(packet.size, "big")
+    return bytes(out)
+
+
+def length(buffer: bytes, offset: int = 0) -> int:
+    """Return the length of the packet that begins at `offset`, in bytes.
+
+    Raises
+    ------
+    ProtocolError
+        No packet begins like this.
+    """
+    fits = _FIRST_BYTE[buffer[offset]]
+    if not fits:
+        raise ProtocolError("packet", offset, f"no packet begins with {buffer[offset]:#04x}")
+    return fits[0].size
+
+
+def name(buffer: bytes, offset: int = 0) -> str:
+    """Return the kind, as Table 6.1 names it, of the packet that begins at `offset`."""
+    length(buffer, offset)
+    return _FIRST_BYTE[buffer[offset]][0].name
+
+
+def split(buffer: bytes) -> list[bytes]:
+    """Cut a buffer of whole packets into one piece a packet, without reading their fields.
+
+    Raises
+    ------
+    ProtocolError
+        No packet begins where one should, or the last one is cut off.
+    """
+    pieces = []
+    offset = 0
+    while offset < len(buffer):
+        end = offset + length(buffer, offset)
+        if end > len(buffer):
+            raise _cut_off(buffer, offset)
+        pieces.append(buffer[offset:end])
+        offset = end
+    return pieces
+
+
+def decode(buffer: bytes) -> list[AnyPacket]:
+    """Read a buffer of whole packets.
+
+    Raises
+    ------
+    ProtocolError
+        A packet is unknown, cut off, or has bits set that must be zero.
+    """
+    decoder = Decoder()
+    packets = list(decoder.feed(buffer))
+    if decoder.pending:
+        raise _cut_off(buffer, len(buffer) - len(decoder.pending))
+    return packets
+
+
+class Decoder:
+    """Reads packets from a stream that arrives in pieces, cut anywhere."""
+
+    def __init__(self) -> None:
+        self.pending = b""
+        """The beginning of a packet whose end has not come yet."""
+        self._read = 0
+
+    def feed(self, data: bytes) -> Iterator[AnyPacket]:
+        """Yield the packets that `data` completes, as they are read.
+
+        Raises
+        ------
+        ProtocolError
+            The stream is broken here; packets before this one have been yielded.
+        """
+        buffer = self.pending + data
+        offset = 0
+        while offset < len(buffer):
+            size = length(buffer, offset)
+            if offset + size > len(buffer):
+                break
+            try:
+                packet = _read(buffer, offset, size)
+            except ProtocolError as error:
+                raise ProtocolError(error.packet, self._read + offset, error.reason) from None
+            offset += size
+            self.pending = buffer[offset:]
+            yield packet
+        self._read += offset
+        self.pending = buffer[offset:]
+
+
+def _read(buffer: bytes, offset: int, size: int) -> AnyPacket:
+    word = int.from_bytes(buffer[offset : offset + size], "big")
+    total = 8 * size
+    for kind in _FIRST_BYTE[buffer[offset]]:
+        if word >> (total - kind.code_bits) == kind.code:
+            break
+    else:
+        raise ProtocolError("packet", offset, f"no packet begins with {word >> (total - 16):#06x}")
+    left = total - kind.code_bits
+    values = []
+    for width, shifted in zip(kind.bits, _SHIFTED[kind], strict=True):
+        left -= width
+        values.append((word >> left & ((1 << width) - 1)) - (_RIM if shifted else 0))
+    if word & ((1 << left) - 1):
+        raise ProtocolError(kind.name, offset, f"the last {left} bits must be zero")
+    return kind(*values)  # type: ignore[return-value]
+
+
+def _cut_off(buffer: bytes, offset: int) -> ProtocolError:
+    have = len(buffer) - offset
+    return ProtocolError(name(buffer, offset), offset, f"cut off after {have} of {length(buffer, offset)} bytes")

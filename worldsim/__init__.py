@@ -1,0 +1,1 @@
+"""The physical world: maps, laser, motion and the clock."""
