@@ -1,0 +1,304 @@
+"""Maps of the world: what is wall, what is floor; read and written as ROS' map_server does.
+
+A map on disk is a YAML file and the picture that it names. map_server's frame is metric, with y up and its
+origin at the lower left corner of the picture; ours is in cells, with y down (`protocol.grid`). The two meet
+in `to_world` and `to_cell` and nowhere else.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from PIL import Image
+
+from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid
+
+_OCCUPIED_THRESH = 0.65
+_FREE_THRESH = 0.196
+_SHADES = np.array([205, 254, 0], np.uint8)
+"""Grey values that are written for unknown, free and occupied."""
+
+_FORMATS = {".png": "PNG", ".pgm": "PPM"}
+"""The picture's format by the suffix of its name, as Pillow calls it."""
+
+
+class MapError(ValueError):
+    """A map that cannot be used: the message says where, what is wrong and what would be right."""
+
+
+@dataclass(frozen=True, eq=False)
+class Map:
+    """A world of cells.
+
+    Attributes
+    ----------
+    name : str
+        What the map is called in results.
+    cells : uint8 array of shape (height, width)
+        `protocol.grid` states, row 0 on top; what is unknown can be neither seen nor entered.
+    resolution : float
+        Side of a cell in metres.
+    origin : tuple of three floats
+        Pose of the lower left corner of the lower left cell in the world's frame: metres, metres, radians
+        (always 0).
+
+    Raises
+    ------
+    MapError
+        The cells, the resolution or the origin are not as said, or no cell is free.
+    """
+
+    name: str
+    cells: Grid
+    resolution: float
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if self.cells.ndim != 2 or self.cells.dtype != np.uint8:
+            raise MapError(
+                f"cells are {self.cells.dtype} of shape {self.cells.shape}, not uint8 rows and columns"
+            )
+        if max(self.cells.shape) > MAX_SIDE:
+            raise MapError(_too_large(self.width, self.height))
+        if not (math.isfinite(self.resolution) and self.resolution > 0):
+            raise MapError(f"resolution is {self.resolution}, not a number of metres a cell above 0")
+        if not all(math.isfinite(value) for value in self.origin):
+            raise MapError(f"origin is {list(self.origin)}, not three finite numbers")
+        if self.origin[2] != 0:
+            raise MapError(
+                f"origin is turned by {self.origin[2]} rad; turn the picture instead and give a yaw of 0"
+            )
+        if not np.isin(self.cells, (UNKNOWN, FREE, OCCUPIED)).all():
+            raise MapError(
+                f"a cell has state {self.cells.max()}; the states are 0 unknown, 1 free, 2 occupied"
+            )
+        if not (self.cells == FREE).any():
+            raise MapError("no cell is free; check negate and the thresholds, or draw free space in white")
+
+    @property
+    def width(self) -> int:
+        """Cells from left to right."""
+        return int(self.cells.shape[1])
+
+    @property
+    def height(self) -> int:
+        """Cells from top to bottom."""
+        return int(self.cells.shape[0])
+
+    @property
+    def diagonal_m(self) -> float:
+        """Length of the map's diagonal in metres: the range at which all hear each other everywhere."""
+        return math.hypot(self.width, self.height) * self.resolution
+
+
+def to_world(map_: Map, x: float, y: float) -> tuple[float, float]:
+    """Return where a point of the cell frame (y down, centres at whole numbers) lies in metres, y up."""
+    return (
+        map_.origin[0] + (x + 0.5) * map_.resolution,
+        map_.origin[1] + (map_.height - 0.5 - y) * map_.resolution,
+    )
+
+
+def to_cell(map_: Map, mx: float, my: float) -> tuple[float, float]:
+    """Return where a point of the metric frame lies in the cell frame; rounded, that is the cell's index."""
+    return (
+        (mx - map_.origin[0]) / map_.resolution - 0.5,
+        map_.height - 0.5 - (my - map_.origin[1]) / map_.resolution,
+    )
+
+
+def load(path: str | os.PathLike[str]) -> Map:
+    """Read a map from map_server's YAML file and the PGM or PNG picture that it names.
+
+    A picture's darkness p runs from 0 (white) to 1 (black), the other way round with `negate`. A cell is
+    occupied where p > occupied_thresh, free where p < free_thresh, unknown between. Colours are averaged, and
+    opacity with them, as map_server does in its trinary mode. The map is called as the YAML file is.
+
+    Raises
+    ------
+    MapError
+        The YAML file or the picture is missing, broken, or says what cannot be.
+    """
+    path = Path(path)
+    entries = _read_yaml(path)
+    image = path.parent / _text(path, entries, "image")
+    resolution = _number(path, entries, "resolution")
+    origin = _origin(path, entries)
+    occupied = _share(path, entries, "occupied_thresh")
+    free = _share(path, entries, "free_thresh")
+    if free > occupied:
+        raise MapError(f"{path}: free_thresh {free} is above occupied_thresh {occupied}; it must not be")
+    negate = _entry(path, entries, "negate")
+    if negate not in (0, 1):
+        raise MapError(f"{path}: negate is {negate!r}; give 0 (white is free) or 1 (black is free)")
+    mode = entries.get("mode", "trinary")
+    if mode != "trinary":
+        raise MapError(f"{path}: mode is {mode!r}; only trinary is read (free, occupied, unknown)")
+
+    shade, white = _read_picture(image)
+    darkness = (shade if negate else white - shade) / white
+    cells = np.full(shade.shape, UNKNOWN, np.uint8)
+    cells[darkness < free] = FREE
+    cells[darkness > occupied] = OCCUPIED
+    try:
+        return Map(path.stem, cells, resolution, origin)
+    except MapError as error:
+        raise MapError(f"{path}: {error}") from None
+
+
+def save(map_: Map, yaml_path: str | os.PathLike[str], image: str | None = None) -> None:
+    """Write a map as map_server's YAML file and, beside it, a picture.
+
+    Each file appears whole or not at all, the YAML file last: a map that can be found can be read.
+
+    Parameters
+    ----------
+    map_ : Map
+        What to write. Its name is not kept: a map is called as its file is.
+    yaml_path : path
+        Where the YAML file goes.
+    image : str, optional
+        File name of the picture, ending in .png or .pgm. By default the YAML file's, with .png.
+
+    Raises
+    ------
+    MapError
+        The picture's name has another suffix.
+    """
+    yaml_path = Path(yaml_path)
+    image = yaml_path.with_suffix(".png").name if image is None else image
+    image_format = _FORMATS.get(Path(image).suffix.lower())
+    if image_format is None:
+        raise MapError(f"{image}: a map's picture is written as .png or .pgm")
+    entries = {
+        "image": image,
+        "resolution": float(map_.resolution),
+        "origin": [float(value) for value in map_.origin],
+        "negate": 0,
+        "occupied_thresh": _OCCUPIED_THRESH,
+        "free_thresh": _FREE_THRESH,
+    }
+    picture = Image.fromarray(_SHADES[map_.cells])
+    _replace(yaml_path.parent / image, lambda file: picture.save(file, image_format))
+    _replace(yaml_path, lambda file: file.write(yaml.safe_dump(entries, sort_keys=False).encode()))
+
+
+def _replace(path: Path, write: Callable[[BinaryIO], object]) -> None:
+    """Write a file under another name, then give it its own in one stroke."""
+    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            write(file)
+        Path(temporary).chmod(0o644)
+        Path(temporary).replace(path)
+    except BaseException:
+        Path(temporary).unlink()
+        raise
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        entries = yaml.safe_load(path.read_bytes())
+    except OSError as error:
+        raise MapError(f"{path}: cannot be read ({error.strerror}); give a map_server YAML file") from None
+    except yaml.YAMLError as error:
+        raise MapError(f"{path}: is not YAML ({' '.join(str(error).split())})") from None
+    if not isinstance(entries, dict):
+        raise MapError(
+            f"{path}: holds no `key: value` lines; a map_server YAML file names image, resolution, origin"
+        )
+    return entries
+
+
+def _entry(path: Path, entries: dict[str, Any], key: str) -> Any:
+    if key not in entries:
+        raise MapError(f"{path}: {key} is missing")
+    return entries[key]
+
+
+def _text(path: Path, entries: dict[str, Any], key: str) -> str:
+    value = _entry(path, entries, key)
+    if not isinstance(value, str) or not value:
+        raise MapError(f"{path}: {key} is {value!r}, not the name of a file")
+    return value
+
+
+def _number(path: Path, entries: dict[str, Any], key: str) -> float:
+    return _as_number(path, key, _entry(path, entries, key))
+
+
+def _as_number(path: Path, key: str, value: Any) -> float:
+    """Read a number; YAML takes 1e-1 for a text, ROS does not, so neither do we."""
+    try:
+        if isinstance(value, int | float | str) and not isinstance(value, bool):
+            return float(value)
+    except (ValueError, OverflowError):
+        pass
+    raise MapError(f"{path}: {key} is {value!r}, not a number")
+
+
+def _share(path: Path, entries: dict[str, Any], key: str) -> float:
+    value = _number(path, entries, key)
+    if not 0 <= value <= 1:
+        raise MapError(f"{path}: {key} is {value}; it must lie between 0 and 1")
+    return value
+
+
+def _origin(path: Path, entries: dict[str, Any]) -> tuple[float, float, float]:
+    value = _entry(path, entries, "origin")
+    if not isinstance(value, list) or len(value) != 3:
+        raise MapError(f"{path}: origin is {value!r}, not [x in metres, y in metres, yaw in radians]")
+    x, y, yaw = (_as_number(path, "origin", part) for part in value)
+    return x, y, yaw
+
+
+def _read_picture(path: Path) -> tuple[NDArray[np.float64], int]:
+    """Read a picture's shades, of shape (height, width), and the shade that is white."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise MapError(
+            f"{path}: cannot be read ({error.strerror}); `image` must name a PGM or PNG file"
+        ) from None
+    try:
+        with Image.open(io.BytesIO(data), formats=("PNG", "PPM")) as picture:
+            picture.verify()
+        with Image.open(io.BytesIO(data), formats=("PNG", "PPM")) as picture:
+            if max(picture.size) <= MAX_SIDE:
+                return _shades(picture)
+            reason = _too_large(*picture.size)
+    except Image.DecompressionBombError:
+        reason = f"has more than {MAX_SIDE} x {MAX_SIDE} cells; crop it or use larger cells"
+    except (OSError, ValueError, SyntaxError) as error:
+        reason = (
+            f"is not a whole PGM or PNG picture ({error})" if data else "is empty; give a PGM or PNG picture"
+        )
+    raise MapError(f"{path}: {reason}")
+
+
+def _shades(picture: Image.Image) -> tuple[NDArray[np.float64], int]:
+    if picture.mode == "F":
+        raise ValueError("its shades are fractions; give whole numbers of 8 or 16 bits")
+    if picture.mode.startswith("I"):
+        return np.array(picture, np.float64), 65535
+    if picture.mode in ("1", "L"):
+        return np.array(picture.convert("L"), np.float64), 255
+    colours = np.array(picture.convert("RGBA" if picture.has_transparency_data else "RGB"), np.float64)
+    mean: NDArray[np.float64] = colours.sum(axis=2) / colours.shape[2]
+    return mean, 255
+
+
+def _too_large(width: int, height: int) -> str:
+    return (
+        f"is {width} x {height} cells, and {MAX_SIDE} x {MAX_SIDE} is the most; crop it or use larger cells"
+    )
