@@ -10,7 +10,6 @@ from __future__ import annotations
 import io
 import math
 import os
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -188,22 +187,21 @@ def save(map_: Map, yaml_path: str | os.PathLike[str], image: str | None = None)
         "occupied_thresh": _OCCUPIED_THRESH,
         "free_thresh": _FREE_THRESH,
     }
+    text = yaml.safe_dump(entries, sort_keys=False, default_flow_style=None)
     picture = Image.fromarray(_SHADES[map_.cells])
     _replace(yaml_path.parent / image, lambda file: picture.save(file, image_format))
-    _replace(yaml_path, lambda file: file.write(yaml.safe_dump(entries, sort_keys=False).encode()))
+    _replace(yaml_path, lambda file: file.write(text.encode()))
 
 
 def _replace(path: Path, write: Callable[[BinaryIO], object]) -> None:
     """Write a file under another name, then give it its own in one stroke."""
-    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        with os.fdopen(handle, "wb") as file:
+        with temporary.open("wb") as file:
             write(file)
-        Path(temporary).chmod(0o644)
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink()
-        raise
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:
