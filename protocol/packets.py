@@ -151,10 +151,22 @@ class Save(Packet):
     name, size, code, code_bits, bits = "save", 1, 0b11110000, 8, ()
 
 
+@dataclass(frozen=True, slots=True)
+class Fragment(Packet):
+    """A piece of a raw scan (`protocol.scans`) of at most `FRAGMENT_DATA` bytes; a full piece needs no length."""
+
+    name, size, code, code_bits, bits = "scan", 64, 0xF1, 8, ()
+    data: bytes
+
+
+FRAGMENT_DATA = Fragment.size - 1
+"""Bytes of content in a full fragment."""
+_FULL, _SHORT = 0xF1, 0xF2
+
 VertexEdit = Union[Insert, Replace, Delete]
 Edit = Union[Insert, Replace, Delete, Emerge, Change, Remove, Save]
 Handshake = Union[Offer, Answer, Block, Decline]
-AnyPacket = Union[Edit, Handshake, Target]
+AnyPacket = Union[Edit, Handshake, Target, Fragment]
 
 _TYPES: tuple[type[Packet], ...] = (
     Insert, Replace, Delete, Emerge, Change, Remove, Offer, Answer, Block, Decline, Target, Save,
@@ -162,6 +174,9 @@ _TYPES: tuple[type[Packet], ...] = (
 
 KINDS = ("ins", "rep", "del", "em", "chg", "rm", "conn", "targ", "save")
 """The nine kinds of Table 6.1."""
+
+ALL_KINDS = (*KINDS, Fragment.name)
+"""All kinds that may be on the air, in the order of reports."""
 
 _RIM = 1
 """Vertex cells are sent with this added, for the rim of the grid lies at -1."""
@@ -177,6 +192,7 @@ def _by_first_byte() -> list[tuple[type[Packet], ...]]:
             if byte >> (8 - known) == kind.code >> (kind.code_bits - known):
                 fits.append(kind)
         table.append(tuple(fits))
+    table[_FULL] = table[_SHORT] = (Fragment,)
     return table
 
 
@@ -195,6 +211,9 @@ def encode(packets: Iterable[Packet]) -> bytes:
     """
     out = bytearray()
     for packet in packets:
+        if isinstance(packet, Fragment):
+            out += _write_fragment(packet, len(out))
+            continue
         kind = type(packet)
         word, used = packet.code, packet.code_bits
         for name, width, shifted in zip(_FIELDS[kind], packet.bits, _SHIFTED[kind], strict=True):
@@ -220,6 +239,8 @@ def length(buffer: bytes, offset: int = 0) -> int:
     fits = _FIRST_BYTE[buffer[offset]]
     if not fits:
         raise ProtocolError("packet", offset, f"no packet begins with {buffer[offset]:#04x}")
+    if buffer[offset] == _SHORT:
+        return 2 + (buffer[offset + 1] if offset + 1 < len(buffer) else 0)
     return fits[0].size
 
 
@@ -296,7 +317,47 @@ class Decoder:
         self.pending = buffer[offset:]
 
 
+def tally(buffer: bytes) -> dict[str, tuple[int, int]]:
+    """Count the packets and bytes of each kind in a buffer of whole packets.
+
+    Raises
+    ------
+    ProtocolError
+        As `split`.
+    """
+    counts: dict[str, tuple[int, int]] = {}
+    for piece in split(buffer):
+        packets, size = counts.get(name(piece), (0, 0))
+        counts[name(piece)] = (packets + 1, size + len(piece))
+    return {kind: counts[kind] for kind in ALL_KINDS if kind in counts}
+
+
+def fitting(buffer: bytes, room: int) -> int:
+    """Return how many bytes of a buffer of whole packets fit into `room` bytes without cutting a packet."""
+    offset = 0
+    while offset < len(buffer):
+        end = offset + length(buffer, offset)
+        if end > room:
+            break
+        offset = end
+    return offset
+
+
+def _write_fragment(packet: Fragment, offset: int) -> bytes:
+    size = len(packet.data)
+    if not 1 <= size <= FRAGMENT_DATA:
+        raise ProtocolError(packet.name, offset, f"{size} bytes of content are outside 1 to {FRAGMENT_DATA}")
+    head = bytes([_FULL]) if size == FRAGMENT_DATA else bytes([_SHORT, size])
+    return head + packet.data
+
+
 def _read(buffer: bytes, offset: int, size: int) -> AnyPacket:
+    if buffer[offset] in (_FULL, _SHORT):
+        data = buffer[offset + 1 + (buffer[offset] == _SHORT) : offset + size]
+        if buffer[offset] == _SHORT and not 1 <= len(data) < FRAGMENT_DATA:
+            reason = f"a short fragment of {len(data)} bytes is outside 1 to {FRAGMENT_DATA - 1}"
+            raise ProtocolError(Fragment.name, offset, reason)
+        return Fragment(data)
     word = int.from_bytes(buffer[offset : offset + size], "big")
     total = 8 * size
     for kind in _FIRST_BYTE[buffer[offset]]:

@@ -1,0 +1,75 @@
+"""Who may put and hear what: one credential a participant, all else refused by the hub.
+
+Made anew for each run. A robot may put under its own name only and hear only what is addressed to it; it
+learns of no subscription but those of relay, world and laboratory, so that it cannot even see whom it might
+bypass the relay to.
+"""
+
+from __future__ import annotations
+
+import secrets
+from typing import Any
+
+from protocol import keys as names
+from protocol.keys import Keys
+from protocol.zenoh_bus import Credential
+
+
+def participants(robots: int) -> list[str]:
+    """Names of all clients of a run with so many robots."""
+    return [names.WORLD, names.LAB, *(names.robot(number) for number in range(robots))]
+
+
+def issue(run: str, hub: str, robots: int) -> dict[str, Credential]:
+    """Make fresh credentials for all clients of a run, by name."""
+    return {
+        name: Credential(run, name, hub, secrets.token_urlsafe(18)) for name in participants(robots)
+    }
+
+
+def rules(keys: Keys, robots: int) -> dict[str, Any]:
+    """Access control of the hub, in zenoh's form: deny by default, five rules a participant."""
+    everyone = participants(robots)
+    config: dict[str, Any] = {"enabled": True, "default_permission": "deny"}
+    config["rules"], config["subjects"], config["policies"] = [], [], []
+    for name in everyone:
+        inbox = keys.inbox(name)
+        allowed = {
+            "put": ("put", "ingress", _may_put(keys, name)),
+            "hear": ("put", "egress", [inbox]),
+            "listen": ("declare_subscriber", "ingress", [inbox]),
+            "live": ("liveliness_token", "ingress", [keys.alive(name)]),
+            "see": ("declare_subscriber", "egress", _may_see(keys, name, everyone)),
+        }
+        for what, (message, flow, expressions) in allowed.items():
+            config["rules"].append(
+                {
+                    "id": f"{name}-{what}",
+                    "permission": "allow",
+                    "messages": [message],
+                    "flows": [flow],
+                    "key_exprs": expressions,
+                }
+            )
+        config["subjects"].append({"id": name, "usernames": [name]})
+        config["policies"].append({"rules": [f"{name}-{what}" for what in allowed], "subjects": [name]})
+    return config
+
+
+def _may_put(keys: Keys, name: str) -> list[str]:
+    to_lab = [keys.control_tx(name), keys.control(names.LAB, name)]
+    if name == names.LAB:
+        return to_lab[:1]
+    if name == names.WORLD:
+        return [*to_lab, keys.body("*", name)]
+    return [*to_lab, keys.radio_tx(name, "*"), keys.body(names.WORLD, name)]
+
+
+def _may_see(keys: Keys, name: str, everyone: list[str]) -> list[str]:
+    """Subscriptions that a participant is told of: without that, its client sends nothing."""
+    relay = keys.inbox(names.RELAY)
+    if name == names.LAB:
+        return [relay]
+    if name == names.WORLD:
+        return [relay, *(keys.inbox(other) for other in everyone if other != name)]
+    return [relay, keys.inbox(names.WORLD), keys.inbox(names.LAB)]

@@ -1,0 +1,39 @@
+"""The hub of the bus: the relay's own zenoh session, with access control."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import zenoh
+
+from netshaper import access
+from protocol import keys as names
+from protocol.keys import Keys
+from protocol.zenoh_bus import Credential, ZenohBus, insert, plain_config
+
+
+def open_hub(run: str, endpoint: str, credentials: Mapping[str, Credential]) -> ZenohBus:
+    """Listen at `endpoint` (``tcp/HOST:PORT``) for the holders of `credentials`.
+
+    Raises
+    ------
+    ConnectionError
+        Nobody can listen there.
+    """
+    keys = Keys(run)
+    robots = sum(1 for name in credentials if name not in (names.WORLD, names.LAB))
+    config = plain_config("router")
+    insert(config, "listen/endpoints", [endpoint])
+    insert(config, "access_control", access.rules(keys, robots))
+    with tempfile.TemporaryDirectory() as folder:
+        dictionary = Path(folder) / "passwords"
+        dictionary.touch(mode=0o600)
+        dictionary.write_text("".join(f"{c.name}:{c.password}\n" for c in credentials.values()))
+        insert(config, "transport/auth/usrpwd/dictionary_file", str(dictionary))
+        try:
+            session = zenoh.open(config)
+        except zenoh.ZError as error:
+            raise ConnectionError(f"the hub cannot listen at {endpoint}: {error}") from None
+    return ZenohBus(session, keys, names.RELAY)

@@ -1,0 +1,58 @@
+"""The ledger: a row for every frame and packet kind that was said, whether or not it was carried."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.packets import ALL_KINDS
+
+CAUSES = ("", "budget", "range", "protocol", "lost")
+"""Why a row was not carried: no room left, receiver too far, frame malformed, a partner died in between."""
+
+BROADCAST = -1
+
+ROW = np.dtype(
+    [
+        ("step", "<i4"),
+        ("exchange", "<i2"),
+        ("connection", "<i4"),
+        ("frame", "<i2"),
+        ("sender", "<i2"),
+        ("receiver", "<i2"),
+        ("map", "<i2"),
+        ("kind", "<i2"),
+        ("packets", "<i4"),
+        ("bytes", "<i4"),
+        ("carried", "<i2"),
+        ("cause", "<i2"),
+        ("heard", "<i2"),
+    ]
+)
+"""One row. `kind` counts in `ALL_KINDS`, `cause` in `CAUSES`; -1 stands for broadcast, or for no map."""
+
+KIND_NUMBER = {kind: number for number, kind in enumerate(ALL_KINDS)}
+MALFORMED = -1
+"""The kind of bytes that are no packets."""
+
+
+def sort_rows(rows: NDArray[np.void]) -> NDArray[np.void]:
+    """Sort rows by all their fields, first to last: the order in which the digest reads them."""
+    return rows[np.lexsort([rows[name] for name in reversed(ROW.names or ())])]
+
+
+def balance(rows: NDArray[np.void]) -> dict[int, tuple[int, int, int, int]]:
+    """Book each step: (said, carried, cut, heard by unicast receivers), in bytes.
+
+    The identity of the medium is said = carried + cut, and what is carried by unicast is heard once.
+    """
+    result: dict[int, tuple[int, int, int, int]] = {}
+    for step in np.unique(rows["step"]):
+        these = rows[rows["step"] == step]
+        said = int(these["bytes"].sum())
+        carried = int(these["bytes"][these["carried"] == 1].sum())
+        cut = int(these["bytes"][these["carried"] == 0].sum())
+        unicast = (these["receiver"] != BROADCAST) & (these["carried"] == 1)
+        heard = int((these["bytes"] * these["heard"])[unicast].sum())
+        result[int(step)] = (said, carried, cut, heard)
+    return result

@@ -1,0 +1,134 @@
+"""The relay's shell: it turns bus messages into calls of `Radio`, and answers into messages.
+
+It also keeps the list of who is here: it tells the world to begin once all are, and to go on without a robot
+that died.
+"""
+
+from __future__ import annotations
+
+from netshaper.radio import EVERYONE, LAB, Frame, Note, Radio, RadioSettings
+from protocol import keys as names
+from protocol.bus import Bus, Message
+from protocol.errors import ProtocolError
+from protocol.keys import Keys
+from protocol.messages import Begin, Bye, End, Fault, Lost, Positions, Said, Stop, pack, unpack
+
+
+class RelayNode:
+    """One run's relay; `done` once everyone has been sent home."""
+
+    def __init__(self, bus: Bus, keys: Keys, settings: RadioSettings) -> None:
+        self.done = False
+        self._bus = bus
+        self._keys = keys
+        self._radio = Radio(settings)
+        self._robots = settings.robots
+        self._expected = {names.WORLD, names.LAB, *(names.robot(r) for r in range(settings.robots))}
+        self._present: set[str] = set()
+        self._begun = False
+        self._ended = False
+
+    def missing(self) -> list[str]:
+        """Who has not come yet; empty once the run has begun."""
+        return [] if self._begun else sorted(self._expected - self._present)
+
+    def waiting_for(self) -> list[int]:
+        """Robots whose words the relay waits for now."""
+        return self._radio.waiting_for()
+
+    def handle(self, message: Message) -> None:
+        """Take one message from the bus."""
+        plane, _, first, second = names.parts(message.key)
+        if plane == "presence":
+            self._presence(first, came=message.payload == b"1")
+        elif plane == "radio":
+            receiver = EVERYONE if second == names.ALL else _robot_or_nobody(second)
+            self._radio.hear(names.number(first), receiver, message.payload)
+        else:
+            self._control(first, message.payload)
+        self._report_faults()
+
+    def give_up_on(self, robot: int, cause: str) -> None:
+        """Go on without a robot."""
+        name = names.robot(robot)
+        if name in self._present:
+            self._present.discard(name)
+            lost = pack(Lost(robot, cause))
+            self._bus.put(self._keys.control(names.WORLD, names.RELAY), lost)
+            self._bus.put(self._keys.control(names.LAB, names.RELAY), lost)
+            self._send(self._radio.lost(robot))
+
+    def _presence(self, who: str, *, came: bool) -> None:
+        if came:
+            self._present.add(who)
+            if not self._begun and self._expected <= self._present:
+                self._begun = True
+                self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Begin()))
+        elif self._ended:
+            self._present.discard(who)
+        elif who == names.WORLD:
+            self._end(End(-1, "the world died", -1))
+        elif who == names.LAB:
+            self._present.discard(who)
+            self._end(End(-1, "the laboratory died", -1))
+            self._go_home()
+        elif self._begun:
+            self.give_up_on(names.number(who), "its process ended")
+        else:
+            self._present.discard(who)
+
+    def _control(self, sender: str, payload: bytes) -> None:
+        try:
+            message = unpack(payload)
+        except ProtocolError as error:
+            self._fault(sender, str(error))
+            return
+        if isinstance(message, Said) and sender[:1] == "r":
+            self._send(self._radio.said(names.number(sender), message))
+        elif isinstance(message, Positions) and sender == names.WORLD:
+            cells = dict(zip(message.robots, zip(message.x, message.y, strict=True), strict=True))
+            self._send(self._radio.begin(message.step, cells))
+        elif isinstance(message, End) and sender == names.WORLD:
+            self._end(message)
+        elif isinstance(message, Stop) and sender == names.LAB:
+            self._bus.put(self._keys.control(names.WORLD, names.RELAY), payload)
+        elif isinstance(message, Bye) and sender == names.LAB:
+            self._go_home()
+        else:
+            self._fault(sender, f"said {type(message).__name__}, which is not its to say")
+
+    def _end(self, end: End) -> None:
+        """Tell the robots and the laboratory that the run is over; their maps follow."""
+        self._ended = True
+        for name in sorted(self._present - {names.WORLD}):
+            self._bus.put(self._keys.control(name, names.RELAY), pack(end))
+
+    def _go_home(self) -> None:
+        for name in sorted(self._present):
+            self._bus.put(self._keys.control(name, names.RELAY), pack(Bye()))
+        self.done = True
+
+    def _send(self, outgoing: list[Frame | Note]) -> None:
+        for item in outgoing:
+            if isinstance(item, Frame):
+                key = self._keys.radio_rx(names.robot(item.receiver), names.robot(item.sender))
+                self._bus.put(key, item.payload)
+            else:
+                name = names.LAB if item.receiver == LAB else names.robot(item.receiver)
+                self._bus.put(self._keys.control(name, names.RELAY), pack(item.message))
+
+    def _report_faults(self) -> None:
+        for robot, reason in self._radio.faults:
+            self._fault(names.robot(robot), reason)
+        self._radio.faults.clear()
+
+    def _fault(self, who: str, reason: str) -> None:
+        self._bus.put(self._keys.control(names.LAB, names.RELAY), pack(Fault(who, reason)))
+
+
+def _robot_or_nobody(name: str) -> int:
+    """The number of a robot, or one that no robot has where a frame is addressed to nobody."""
+    try:
+        return names.number(name)
+    except ValueError:
+        return -99

@@ -1,0 +1,347 @@
+"""The relay's mind: one step of the radio, phase by phase (DESIGN: A step, 3).
+
+    offers    all robots say their targets (first exchange) and offers; targets go on the air first
+    answers   each receiver has heard its offers, in the seeded order, and answers every one
+    data      each sender has heard the answers and sends what is news
+    (played)  the connections go on the air in the seeded order until the budget is spent; both sides are told
+
+A phase ends when all whom it concerns have spoken or are known to be dead. Nothing that robots say is
+believed: a frame that is malformed, out of range or out of turn is booked as such and passed on to nobody.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from netshaper.ledger import BROADCAST, ROW
+from netshaper.medium import ANSWER, DATA, OFFER, TARGET, UNLIMITED, Connection, Medium
+from netshaper.reach import in_range
+from protocol import packets
+from protocol.chance import chance
+from protocol.errors import ProtocolError
+from protocol.messages import Close, Open, Outcome, RadioReport, Said, Turn
+
+LAB = -2
+EVERYONE = BROADCAST
+
+PHASES = ("offers", "answers", "data")
+
+
+@dataclass(frozen=True)
+class RadioSettings:
+    """What the radio is like.
+
+    Attributes
+    ----------
+    robots : int
+    seed : int
+    range_cells : float
+        Communication range in cells; infinite where everyone hears everyone.
+    budget : int
+        Bytes a step that the team shares, `UNLIMITED` for no limit.
+    exchanges : int
+        Exchanges a step (R).
+    """
+
+    robots: int
+    seed: int
+    range_cells: float
+    budget: int = UNLIMITED
+    exchanges: int = 2
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A payload to hand to `receiver` as heard from `sender`."""
+
+    receiver: int
+    sender: int
+    payload: bytes
+
+
+@dataclass(frozen=True)
+class Note:
+    """A control message for a robot, or for the laboratory (`LAB`)."""
+
+    receiver: int
+    message: object
+
+
+Outgoing = Frame | Note
+
+
+@dataclass
+class _Spoken:
+    """What one robot has said in the phase under way."""
+
+    frames: list[tuple[int, bytes]] = field(default_factory=list)
+    said: Said | None = None
+
+
+class Radio:
+    """The radio of one run; feed it positions, frames and `Said` notes, pass on what it returns."""
+
+    def __init__(self, settings: RadioSettings) -> None:
+        self.settings = settings
+        self.faults: list[tuple[int, str]] = []
+        """Who said what that made no sense, since this list was last emptied."""
+        self._dead: set[int] = set()
+        self._step = 0
+        self._exchange = 0
+        self._phase = ""
+        self._reach: dict[int, list[int]] = {}
+        self._medium = Medium(0, 0)
+        self._waiting: set[int] = set()
+        self._spoken: dict[int, _Spoken] = {}
+        self._connections: list[Connection] = []
+        self._numbered = 0
+        self._target_carried: dict[int, bool] = {}
+
+    def begin(self, step: int, cells: Mapping[int, tuple[int, int]]) -> list[Outgoing]:
+        """Open the medium for a step, with the true cell (x, y) of each living robot."""
+        self._step = step
+        self._exchange = 0
+        self._numbered = 0
+        living = {robot: cell for robot, cell in cells.items() if robot not in self._dead}
+        self._reach = in_range(living, self.settings.range_cells)
+        self._medium = Medium(step, self.settings.budget)
+        return self._open()
+
+    def hear(self, sender: int, receiver: int, payload: bytes) -> None:
+        """Take a frame that a robot put; `receiver` is `EVERYONE` for a broadcast."""
+        if sender not in self._waiting or self._spoken[sender].said is not None:
+            self._refuse(sender, receiver, DATA, payload, "protocol", "spoke out of turn")
+            return
+        self._spoken[sender].frames.append((receiver, payload))
+
+    def said(self, sender: int, note: Said) -> list[Outgoing]:
+        """A robot has said all that it has to say in this phase."""
+        if sender not in self._waiting or note.phase != self._phase:
+            self.faults.append((sender, f"ended phase {note.phase!r} of step {note.step} out of turn"))
+            return []
+        self._spoken[sender].said = note
+        self._waiting.discard(sender)
+        return self._advance()
+
+    def lost(self, robot: int) -> list[Outgoing]:
+        """A robot is dead: nobody waits for it any more."""
+        self._dead.add(robot)
+        self._waiting.discard(robot)
+        return self._advance() if self._phase else []
+
+    def waiting_for(self) -> list[int]:
+        """Robots which have not spoken in this phase yet."""
+        return sorted(self._waiting)
+
+    def _advance(self) -> list[Outgoing]:
+        out: list[Outgoing] = []
+        while self._phase and not self._waiting:
+            out += {"offers": self._end_offers, "answers": self._end_answers, "data": self._end_data}[
+                self._phase
+            ]()
+        return out
+
+    def _expect(self, phase: str, robots: Sequence[int]) -> None:
+        self._phase = phase
+        self._waiting = {robot for robot in robots if robot not in self._dead}
+        self._spoken = {robot: _Spoken() for robot in robots}
+
+    def _open(self) -> list[Outgoing]:
+        self._connections = []
+        self._target_carried = {}
+        living = sorted(set(self._reach) - self._dead)
+        self._expect("offers", living)
+        if not living:
+            return self._advance()
+        return [
+            Note(
+                robot,
+                Open(
+                    self._step,
+                    self._exchange,
+                    [peer for peer in self._reach[robot] if peer not in self._dead],
+                    self._medium.left,
+                ),
+            )
+            for robot in living
+        ]
+
+    def _end_offers(self) -> list[Outgoing]:
+        out = self._put_targets_on_air()
+        offers: list[Connection] = []
+        for sender, spoken in sorted(self._spoken.items()):
+            for receiver, payload in spoken.frames:
+                if receiver == EVERYONE:
+                    continue
+                offer = self._read_offer(sender, receiver, payload)
+                if offer is not None:
+                    offers.append(offer)
+        offers.sort(key=lambda offer: (offer.sender, offer.receiver, offer.map))
+        order = chance(self.settings.seed, "contention", self._step, self._exchange).permutation(len(offers))
+        self._connections = [offers[index] for index in order]
+        for connection in self._connections:
+            connection.number = self._numbered
+            self._numbered += 1
+        return out + self._pass_on(OFFER, "answers")
+
+    def _put_targets_on_air(self) -> list[Outgoing]:
+        said = [
+            (sender, payload)
+            for sender, spoken in sorted(self._spoken.items())
+            for receiver, payload in spoken.frames
+            if receiver == EVERYONE
+        ]
+        out: list[Outgoing] = []
+        order = chance(self.settings.seed, "targets", self._step, self._exchange).permutation(len(said))
+        for index in order:
+            sender, payload = said[index]
+            if not _is_target(payload) or self._exchange or sender in self._target_carried:
+                reason = "broadcast something other than one target, at the start of a step"
+                self._refuse(sender, EVERYONE, TARGET, payload, "protocol", reason)
+                continue
+            hearers = [robot for robot in self._reach[sender] if robot not in self._dead]
+            carried = self._medium.broadcast(self._exchange, sender, payload, len(hearers))
+            self._target_carried[sender] = carried
+            if carried:
+                out += [Frame(hearer, sender, payload) for hearer in hearers]
+        return out
+
+    def _read_offer(self, sender: int, receiver: int, payload: bytes) -> Connection | None:
+        if receiver not in self._reach.get(sender, ()) or receiver in self._dead:
+            self._refuse(sender, receiver, OFFER, payload, "range", "")
+            return None
+        try:
+            said = packets.decode(payload)
+        except ProtocolError as error:
+            self._refuse(sender, receiver, OFFER, payload, "protocol", str(error))
+            return None
+        offer = said[0] if len(said) == 1 else None
+        if not isinstance(offer, packets.Offer) or offer.map >= self.settings.robots:
+            self._refuse(sender, receiver, OFFER, payload, "protocol", "an offer frame is one offer of a known map")
+            return None
+        return Connection(-1, sender, receiver, offer.map, [payload, None, None])
+
+    def _pass_on(self, frame: int, phase: str) -> list[Outgoing]:
+        """Hand all frames of one kind to their receivers, in the seeded order, and give these the turn."""
+        out: list[Outgoing] = []
+        heard: dict[int, list[int]] = {}
+        for connection in self._connections:
+            payload = connection.frames[frame]
+            if payload is None:
+                continue
+            sender, receiver = connection.sender, connection.receiver
+            if frame == ANSWER:
+                sender, receiver = receiver, sender
+            if receiver in self._dead:
+                continue
+            out.append(Frame(receiver, sender, payload))
+            heard.setdefault(receiver, []).append(connection.number)
+        for receiver, numbers in sorted(heard.items()):
+            out.append(Note(receiver, Turn(self._step, self._exchange, PHASES[frame], numbers)))
+        self._expect(phase, sorted(heard))
+        return out
+
+    def _end_answers(self) -> list[Outgoing]:
+        self._collect(ANSWER, _is_answer)
+        return self._pass_on(ANSWER, "data")
+
+    def _end_data(self) -> list[Outgoing]:
+        self._collect(DATA, _is_data)
+        out: list[Outgoing] = []
+        heard: dict[int, list[int]] = {}
+        for connection in self._connections:
+            self._medium.connect(self._exchange, connection)
+            size = connection.carried[DATA]
+            payload = connection.frames[DATA]
+            if payload is not None and size and connection.receiver not in self._dead:
+                out.append(Frame(connection.receiver, connection.sender, payload[:size]))
+                heard.setdefault(connection.receiver, []).append(connection.number)
+        concerned = {robot for c in self._connections for robot in (c.sender, c.receiver)}
+        for robot in sorted((concerned | set(self._target_carried)) - self._dead):
+            mine = [c for c in self._connections if robot in (c.sender, c.receiver)]
+            out.append(
+                Note(
+                    robot,
+                    Outcome(
+                        self._step,
+                        self._exchange,
+                        [c.number for c in mine],
+                        *([c.carried[frame] for c in mine] for frame in (OFFER, ANSWER, DATA)),
+                        heard.get(robot, []),
+                        self._target_carried.get(robot, False),
+                    ),
+                )
+            )
+        self._exchange += 1
+        if self._exchange < self.settings.exchanges:
+            return out + self._open()
+        return out + self._close()
+
+    def _close(self) -> list[Outgoing]:
+        self._phase = ""
+        living = sorted(set(self._reach) - self._dead)
+        out: list[Outgoing] = [Note(robot, Close(self._step)) for robot in living]
+        rows = np.array(self._medium.rows, ROW)
+        out.append(Note(LAB, RadioReport(self._step, rows.tobytes(), self._medium.carried)))
+        return out
+
+    def _collect(self, frame: int, valid: Callable[[bytes], str]) -> None:
+        """Match the frames that were said to their connections; refuse those that do not belong."""
+        by_number = {connection.number: connection for connection in self._connections}
+        for sender, spoken in sorted(self._spoken.items()):
+            numbers = spoken.said.connections if spoken.said else []
+            for index, (receiver, payload) in enumerate(spoken.frames):
+                connection = by_number.get(numbers[index]) if index < len(numbers) else None
+                ends = (sender, receiver) if frame == DATA else (receiver, sender)
+                if (
+                    connection is None
+                    or (connection.sender, connection.receiver) != ends
+                    or connection.frames[frame] is not None
+                    or connection.frames[frame - 1] is None
+                ):
+                    reason = "a frame of no connection of its own"
+                    self._refuse(sender, receiver, frame, payload, "protocol", reason)
+                elif not (problem := valid(payload)):
+                    connection.frames[frame] = payload
+                else:
+                    self._refuse(sender, receiver, frame, payload, "protocol", problem)
+
+    def _refuse(
+        self, sender: int, receiver: int, frame: int, payload: bytes, cause: str, reason: str
+    ) -> None:
+        self._medium.refuse(self._exchange, frame, sender, receiver, payload, cause)
+        if reason:
+            self.faults.append((sender, reason))
+
+
+def _is_target(payload: bytes) -> bool:
+    try:
+        said = packets.decode(payload)
+    except ProtocolError:
+        return False
+    return len(said) == 1 and isinstance(said[0], packets.Target)
+
+
+def _is_answer(payload: bytes) -> str:
+    """Say what is wrong with an answer frame; nothing if it is one."""
+    try:
+        said = packets.decode(payload)
+    except ProtocolError as error:
+        return str(error)
+    kinds = [type(packet) for packet in said]
+    if kinds in ([packets.Answer], [packets.Block, packets.Answer], [packets.Decline]):
+        return ""
+    return "an answer frame is an answer, a block and an answer, or a decline"
+
+
+def _is_data(payload: bytes) -> str:
+    """Say what is wrong with a data frame; nothing if it is whole packets that may be data."""
+    try:
+        kinds = packets.tally(payload)
+    except ProtocolError as error:
+        return str(error)
+    strange = [kind for kind in kinds if kind in (packets.Offer.name, packets.Target.name)]
+    return f"a data frame holds no {strange[0]}" if strange else "" if kinds else "an empty data frame"

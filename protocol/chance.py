@@ -1,0 +1,14 @@
+"""Random numbers by purpose: never one shared stream, so that no order of events can change a draw."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+
+
+def chance(seed: int, purpose: str, *numbers: int) -> np.random.Generator:
+    """Return the generator for one purpose, e.g. ``chance(seed, "contention", step, exchange)``."""
+    text = ":".join([purpose, str(seed), *map(str, numbers)])
+    key = np.frombuffer(hashlib.sha256(text.encode()).digest()[:16], "<u8")
+    return np.random.Generator(np.random.Philox(key=key))

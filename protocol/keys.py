@@ -1,0 +1,74 @@
+"""Key expressions: who may say what to whom on the three planes.
+
+``murmur/<run>/<plane>/tx/<from>/...`` goes to the relay, ``murmur/<run>/<plane>/rx/<to>/<from>`` to its
+receiver. Everyone but the relay listens to one expression, all that has its own name behind ``rx``; one
+expression is one queue, so what one sender puts arrives in the order in which it was put.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+RELAY = "relay"
+WORLD = "world"
+LAB = "lab"
+ALL = "all"
+
+
+def robot(number: int) -> str:
+    """Name of robot `number` on the bus."""
+    return f"r{number}"
+
+
+def number(name: str) -> int:
+    """Return the number of the robot called `name`; ValueError for anyone else."""
+    if name[:1] != "r" or not name[1:].isdecimal():
+        raise ValueError(f"{name!r} is not a robot's name, which is r and a number")
+    return int(name[1:])
+
+
+@dataclass(frozen=True)
+class Keys:
+    """The keys of one run."""
+
+    run: str
+
+    def radio_tx(self, sender: str, receiver: str) -> str:
+        """A robot's antenna: packets from `sender` for `receiver` (or `ALL`), not yet on the air."""
+        return f"murmur/{self.run}/radio/tx/{sender}/{receiver}"
+
+    def radio_rx(self, receiver: str, sender: str) -> str:
+        """What `receiver` hears of `sender`."""
+        return f"murmur/{self.run}/radio/rx/{receiver}/{sender}"
+
+    def body(self, receiver: str, sender: str) -> str:
+        """A robot's own wires to its sensors and motors."""
+        return f"murmur/{self.run}/body/rx/{receiver}/{sender}"
+
+    def control(self, receiver: str, sender: str) -> str:
+        """The laboratory's wires."""
+        return f"murmur/{self.run}/control/rx/{receiver}/{sender}"
+
+    def control_tx(self, sender: str) -> str:
+        """The laboratory's wire from `sender` to the relay."""
+        return f"murmur/{self.run}/control/tx/{sender}"
+
+    def inbox(self, name: str) -> str:
+        """All that `name` listens to."""
+        if name == RELAY:
+            return f"murmur/{self.run}/*/tx/**"
+        return f"murmur/{self.run}/*/rx/{name}/**"
+
+    def alive(self, name: str) -> str:
+        """Liveliness token of `name`; `*` stands for all."""
+        return f"murmur/{self.run}/alive/{name}"
+
+    def presence(self, name: str) -> str:
+        """Where the relay's bus reports that `name` came (payload ``1``) or went (``0``)."""
+        return f"murmur/{self.run}/presence/tx/{name}"
+
+
+def parts(key: str) -> tuple[str, str, str, str]:
+    """Split a key into (plane, tx or rx, first name, second name or empty)."""
+    fields = key.split("/")
+    return fields[2], fields[3], fields[4], fields[5] if len(fields) > 5 else ""

@@ -1,0 +1,66 @@
+"""The bus within one process: queues, one a participant."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from protocol import keys as names
+from protocol.bus import BusClosed, Message
+from protocol.keys import Keys
+
+
+class MemoryHub:
+    """Where all ends of one run meet."""
+
+    def __init__(self, run: str) -> None:
+        self.keys = Keys(run)
+        self._inboxes: dict[str, deque[Message]] = {}
+
+    def join(self, name: str) -> MemoryBus:
+        """Open the end of `name`; the relay is told, of those that were here before it as well."""
+        if name in self._inboxes:
+            raise ValueError(f"{name} is on the bus already")
+        present = list(self._inboxes)
+        self._inboxes[name] = deque()
+        for other in present if name == names.RELAY else [name]:
+            self.deliver(self.keys.presence(other), b"1")
+        return MemoryBus(self, name)
+
+    def deliver(self, key: str, payload: bytes) -> None:
+        """Put a message into the inbox that its key belongs to, if its owner is here."""
+        _, direction, owner, _ = names.parts(key)
+        inbox = self._inboxes.get(names.RELAY if direction == "tx" else owner)
+        if inbox is not None:
+            inbox.append(Message(key, payload))
+
+    def leave(self, name: str) -> None:
+        """Close the end of `name` and tell the relay."""
+        if self._inboxes.pop(name, None) is not None and name != names.RELAY:
+            self.deliver(self.keys.presence(name), b"0")
+
+    def inbox(self, name: str) -> deque[Message]:
+        """What waits for `name`; BusClosed when it or the relay has left."""
+        if name not in self._inboxes or names.RELAY not in self._inboxes:
+            raise BusClosed(f"{name}: the bus is closed")
+        return self._inboxes[name]
+
+
+class MemoryBus:
+    """One participant's end of a `MemoryHub`. It never waits: who finds nothing lets others act."""
+
+    def __init__(self, hub: MemoryHub, name: str) -> None:
+        self._hub = hub
+        self._name = name
+
+    def put(self, key: str, payload: bytes) -> None:
+        """Send `payload` to the owner of `key`."""
+        self._hub.deliver(key, payload)
+
+    def receive(self, timeout_s: float | None = None) -> Message | None:  # noqa: ARG002
+        """Return the next message, or None when there is none now."""
+        inbox = self._hub.inbox(self._name)
+        return inbox.popleft() if inbox else None
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._hub.leave(self._name)

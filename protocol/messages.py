@@ -1,0 +1,290 @@
+"""What is said on the body and control planes: frozen records in msgpack.
+
+A message is a msgpack list: its number in `_TYPES`, then its fields in order. Cells go as little-endian
+int16 pairs (`cells_to_bytes`), readings as little-endian uint16 (`protocol.scans`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, TypeVar
+
+import msgpack
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.errors import ProtocolError
+
+NO_FRAMES: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Begin:
+    """Relay to world: everyone is here."""
+
+
+@dataclass(frozen=True, slots=True)
+class Configure:
+    """World to robot, before its first `Sense`: all that a robot is told of its task (`agent.settings`)."""
+
+    settings: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Sense:
+    """World to robot, once a step: where it is, what it drove over, what its laser reads.
+
+    `x`, `y`: cell. `heading`: eighths of a turn from +x towards +y. `driven`: cells entered since the last
+    step. `readings`: one a beam (`protocol.scans`). `blocked`: why the last move stopped short.
+    """
+
+    step: int
+    x: int
+    y: int
+    heading: int
+    driven: bytes
+    readings: bytes
+    blocked: str
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """Robot to world: the cells to drive next, in order; the heading to take if it stays; whether it is done.
+
+    `explored` says that no reachable frontier is left on its planning grid.
+    """
+
+    step: int
+    path: bytes
+    heading: int
+    explored: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Positions:
+    """World to relay, once a step: the cells in which the robots really are."""
+
+    step: int
+    robots: list[int]
+    x: list[int]
+    y: list[int]
+
+
+@dataclass(frozen=True, slots=True)
+class Open:
+    """Relay to robot: the medium is open for exchange `exchange`; these teammates are in range.
+
+    `budget` is what is left of this step's bytes, -1 for no limit. The robot says its target (in exchange
+    0) and its offers.
+    """
+
+    step: int
+    exchange: int
+    peers: list[int]
+    budget: int
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """Relay to robot: all frames of a phase have been passed on; `connections` names them, in that order.
+
+    After ``offers`` the robot answers; after ``answers`` it sends data.
+    """
+
+    step: int
+    exchange: int
+    phase: str
+    connections: list[int]
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """Robot to relay: it has put all its frames of a phase; `connections` names them, in that order.
+
+    Offers are named by the map that they speak of, for the relay has not numbered them yet.
+    """
+
+    step: int
+    exchange: int
+    phase: str
+    targets: int
+    connections: list[int]
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Relay to robot, after the data: what was put on the air; the rest did not happen.
+
+    `connections`, `offers`, `answers`, `data` are parallel: the bytes of each frame that were carried.
+    `heard` names the connections whose data frames were passed on to this robot, in that order. `target`
+    tells whether its broadcast was carried.
+    """
+
+    step: int
+    exchange: int
+    connections: list[int]
+    offers: list[int]
+    answers: list[int]
+    data: list[int]
+    heard: list[int]
+    target: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Close:
+    """Relay to robot: the medium is closed for this step; merge, choose, plan, move."""
+
+    step: int
+
+
+@dataclass(frozen=True, slots=True)
+class Lost:
+    """Relay to world and laboratory: a robot is gone, with what is known of the cause."""
+
+    robot: int
+    cause: str
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """World to all: the run is over after `step`; `first` is the robot that was done first, or -1."""
+
+    step: int
+    reason: str
+    first: int
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """Laboratory to world, by way of the relay: end after this step, for `reason`."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Bye:
+    """Laboratory to all, by way of the relay: everything is recorded, go home."""
+
+
+@dataclass(frozen=True, slots=True)
+class WorldReport:
+    """World to laboratory, once a step: the truth.
+
+    `poses`: int32 rows (robot, x in mm, y in mm, heading in tenths of a degree). `seen`: free cells that the
+    team's lasers have truly seen; `reachable`: all that can be reached. `driven`: mm that each robot drove.
+    """
+
+    step: int
+    poses: bytes
+    driven: list[int]
+    seen: int
+    reachable: int
+
+
+@dataclass(frozen=True, slots=True)
+class MindReport:
+    """Robot to laboratory, once a step: what it is at, and the time that its thinking took (not a result)."""
+
+    step: int
+    target_x: int
+    target_y: int
+    known: int
+    status: str
+    work_us: int
+
+
+@dataclass(frozen=True, slots=True)
+class RadioReport:
+    """Relay to laboratory, once a step: the ledger's new rows (`netshaper.ledger`)."""
+
+    step: int
+    rows: bytes
+    carried: int
+
+
+@dataclass(frozen=True, slots=True)
+class Maps:
+    """Robot to laboratory, at the end: its two grids, row after row."""
+
+    robot: int
+    width: int
+    height: int
+    own: bytes
+    planning: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Relay or robot to laboratory: `who` said what made no sense; the run goes on."""
+
+    who: str
+    what: str
+
+
+_TYPES: tuple[type, ...] = (
+    Begin, Configure, Sense, Move, Positions, Open, Turn, Said, Outcome, Close, Lost, End, Stop, Bye,
+    WorldReport, MindReport, RadioReport, Maps, Fault,
+)  # fmt: skip
+_NUMBER = {kind: number for number, kind in enumerate(_TYPES)}
+_FIELDS = {kind: [(field.name, str(field.type)) for field in fields(kind)] for kind in _TYPES}
+_CHECK: dict[str, Any] = {
+    "int": lambda value: type(value) is int,
+    "bool": lambda value: type(value) is bool,
+    "str": lambda value: type(value) is str,
+    "bytes": lambda value: type(value) is bytes,
+    "list[int]": lambda value: type(value) is list and all(type(item) is int for item in value),
+    "dict[str, Any]": lambda value: type(value) is dict,
+}
+
+Record = TypeVar("Record")
+
+
+def pack(message: object) -> bytes:
+    """Write a message."""
+    kind = type(message)
+    packed: bytes = msgpack.packb([_NUMBER[kind], *(getattr(message, name) for name, _ in _FIELDS[kind])])
+    return packed
+
+
+def unpack(payload: bytes) -> Any:
+    """Read a message.
+
+    Raises
+    ------
+    ProtocolError
+        It is not a message, or a field is missing or of the wrong type.
+    """
+    try:
+        items = msgpack.unpackb(payload)
+    except ValueError as error:
+        raise ProtocolError("message", 0, f"not msgpack ({error})") from None
+    if not isinstance(items, list) or not items or items[0] not in range(len(_TYPES)):
+        raise ProtocolError("message", 0, "not a list that begins with the number of a message")
+    kind = _TYPES[items[0]]
+    wanted = _FIELDS[kind]
+    if len(items) != len(wanted) + 1:
+        raise ProtocolError(kind.__name__, 0, f"{len(items) - 1} fields instead of {len(wanted)}")
+    for (name, annotation), value in zip(wanted, items[1:], strict=True):
+        if not _CHECK[annotation](value):
+            raise ProtocolError(kind.__name__, 0, f"{name} must be {annotation}, not {value!r:.40}")
+    return kind(*items[1:])
+
+
+def unpack_as(kind: type[Record], payload: bytes) -> Record:
+    """Read a message that must be of one kind; ProtocolError otherwise."""
+    message = unpack(payload)
+    if not isinstance(message, kind):
+        raise ProtocolError(type(message).__name__, 0, f"expected {kind.__name__} here")
+    return message
+
+
+def cells_to_bytes(cells: NDArray[np.int32]) -> bytes:
+    """Write cells, shape (n, 2), as little-endian int16 pairs x, y."""
+    return cells.astype("<i2").tobytes()
+
+
+def cells_from_bytes(data: bytes) -> NDArray[np.int32]:
+    """Read what `cells_to_bytes` wrote; ProtocolError if it cannot be pairs."""
+    if len(data) % 4:
+        raise ProtocolError("cells", 0, f"{len(data)} bytes are not pairs of int16")
+    return np.frombuffer(data, "<i2").astype(np.int32).reshape(-1, 2)

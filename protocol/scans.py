@@ -1,0 +1,83 @@
+"""A laser scan: what a reading means, and the binary form in which raw scans travel.
+
+A scan is taken at the centre of the robot's cell. Beam directions are fixed to the map's frame
+(`protocol.grid.fan`), so a scan is a cell and one reading a beam. A reading is a uint16: the number of cells
+that the beam crossed, and on top the bit `HIT` if the next one stopped it. A beam without a reading (outside
+the field of view) is `NONE`. A teammate ends a beam without a hit, and its cell counts as crossed: robots
+know each other, and where one stands the floor is free.
+
+On the air a scan is 2 * (beams + 2) bytes, big-endian: x, y, readings; 724 for 360 beams. It travels in
+fragments of at most 64 bytes (`protocol.packets.Fragment`), so that it can be cut and continued.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.errors import ProtocolError
+from protocol.grid import MAX_SIDE, Fan
+from protocol.packets import FRAGMENT_DATA, Fragment, encode
+
+HIT = 0x8000
+NONE = 0x7FFF
+
+Readings = NDArray[np.uint16]
+
+
+@dataclass(frozen=True)
+class Scan:
+    """One scan: the cell where it was taken, and uint16 readings of shape (beams,)."""
+
+    x: int
+    y: int
+    readings: Readings
+
+
+def scan_size(beams: int) -> int:
+    """Bytes of a scan on the air."""
+    return 2 * (beams + 2)
+
+
+def encode_scan(scan: Scan) -> bytes:
+    """Write a scan in its binary form."""
+    return np.concatenate([[scan.x, scan.y], scan.readings]).astype(">u2").tobytes()
+
+
+def decode_scan(data: bytes, fan: Fan) -> Scan:
+    """Read a scan.
+
+    Raises
+    ------
+    ProtocolError
+        Wrong length, a cell outside any grid, or a reading that is longer than its beam.
+    """
+    if len(data) != scan_size(fan.beams):
+        raise ProtocolError("scan", 0, f"{len(data)} bytes instead of {scan_size(fan.beams)}")
+    values = np.frombuffer(data, ">u2").astype(np.uint16)
+    if values[0] >= MAX_SIDE or values[1] >= MAX_SIDE:
+        raise ProtocolError("scan", 0, f"cell ({values[0]}, {values[1]}) is outside {MAX_SIDE} x {MAX_SIDE}")
+    check_readings(values[2:], fan)
+    return Scan(int(values[0]), int(values[1]), values[2:])
+
+
+def check_readings(readings: Readings, fan: Fan) -> None:
+    """Raise ProtocolError where a reading speaks of cells that its beam does not have."""
+    lengths = np.diff(fan.start)
+    if len(readings) != len(lengths):
+        raise ProtocolError("scan", 0, f"{len(readings)} readings for {len(lengths)} beams")
+    touched = (readings & NONE) + (readings >> 15)
+    wrong = np.flatnonzero((readings != NONE) & (touched > lengths))
+    if len(wrong):
+        beam = int(wrong[0])
+        raise ProtocolError(
+            "scan", 4 + 2 * beam, f"beam {beam} touches {touched[beam]} cells, but its range is {lengths[beam]}"
+        )
+
+
+def fragments(data: bytes) -> list[bytes]:
+    """Cut a scan into the packets in which it travels."""
+    pieces = (data[at : at + FRAGMENT_DATA] for at in range(0, len(data), FRAGMENT_DATA))
+    return [encode([Fragment(piece)]) for piece in pieces]

@@ -1,0 +1,184 @@
+"""The bus between processes and hosts: Eclipse Zenoh, one hub, everyone else a client with a credential.
+
+The hub is the relay's own session: it routes what its access control allows (`netshaper.access`) and nothing
+else. A session has one subscription, read in the main loop. A small thread ticks four times a second, so that
+a wait can end and a client notices that its hub is gone.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+import time
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from protocol import keys as names
+from protocol.bus import BusClosed, Message
+from protocol.keys import Keys
+
+# One executor for all of zenoh's tasks: 1.5 times the lock-step rounds a second. Read when zenoh first opens.
+os.environ.setdefault(
+    "ZENOH_RUNTIME", "(rx: (handover: app), acc: (handover: app), tx: (handover: app), net: (handover: app))"
+)
+import zenoh  # noqa: E402
+
+TICK_S = 0.25
+QUEUE = 1 << 16
+CONNECT_S = 10.0
+
+
+@dataclass(frozen=True)
+class Credential:
+    """What a process needs to join a run: where the hub is, who it is, and its password."""
+
+    run: str
+    name: str
+    hub: str
+    password: str
+
+    def write(self, path: Path) -> None:
+        """Write a JSON file that only its owner can read."""
+        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            json.dump(asdict(self), file, indent=2)
+
+    @classmethod
+    def read(cls, path: Path) -> Credential:
+        """Read a credential file; ValueError says what is wrong with it."""
+        wanted = [field.name for field in fields(cls)]
+        try:
+            data = json.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise ValueError(f"credential {path}: {error.strerror}") from None
+        except ValueError as error:
+            raise ValueError(f"credential {path}: not JSON ({error})") from None
+        if not isinstance(data, dict) or any(not isinstance(data.get(key), str) for key in wanted):
+            raise ValueError(f"credential {path}: needs the texts {', '.join(wanted)}")
+        return cls(**{key: data[key] for key in wanted})
+
+
+class ZenohBus:
+    """One participant's end of the bus; `join` and `netshaper.hub.open_hub` make it."""
+
+    def __init__(self, session: zenoh.Session, keys: Keys, name: str) -> None:
+        self._session = session
+        self._keys = keys
+        self._name = name
+        self._is_hub = name == names.RELAY
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._closing = threading.Event()
+        self._hub_gone = False
+        self._tick_key = keys.presence("tick") if self._is_hub else keys.control(name, "tick")
+        self._subscriber = session.declare_subscriber(keys.inbox(name), zenoh.handlers.FifoChannel(QUEUE))
+        self._inbox = self._subscriber.handler
+        # Behind the subscription: who sees the token can count on being heard.
+        self._watch: Any = None
+        self._token: Any = None
+        if self._is_hub:
+            self._watch = session.liveliness().declare_subscriber(
+                keys.alive("*"), self._report_presence, history=True
+            )
+        else:
+            self._token = session.liveliness().declare_token(keys.alive(name))
+        self._ticker = threading.Thread(target=self._tick, name=f"{name}-ticks", daemon=True)
+        self._ticker.start()
+
+    def put(self, key: str, payload: bytes) -> None:
+        """Send `payload` to all who listen to `key`; waits while the network is congested."""
+        publisher = self._publishers.get(key)
+        if publisher is None:
+            publisher = self._session.declare_publisher(
+                key, congestion_control=zenoh.CongestionControl.BLOCK
+            )
+            self._publishers[key] = publisher
+        publisher.put(payload)
+
+    def receive(self, timeout_s: float | None = None) -> Message | None:
+        """Wait for the next message, about `timeout_s` seconds at most; see `protocol.bus.Bus`."""
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        while True:
+            try:
+                sample = self._inbox.recv() if timeout_s != 0 else self._inbox.try_recv()
+            except zenoh.ZError as error:
+                raise BusClosed(f"{self._name}: the bus is closed ({error})") from None
+            if sample is None:
+                return None
+            key = str(sample.key_expr)
+            if key != self._tick_key:
+                return Message(key, sample.payload.to_bytes())
+            if self._hub_gone:
+                raise BusClosed(f"{self._name}: the connection to the hub was lost")
+            if deadline is not None and time.monotonic() >= deadline:
+                return None
+
+    def close(self) -> None:
+        """Leave the bus."""
+        if not self._closing.is_set():
+            self._closing.set()
+            self._ticker.join()
+            for part in (self._watch, self._token, self._subscriber):
+                if part is not None:
+                    part.undeclare()
+            self._session.close()
+
+    def _report_presence(self, sample: zenoh.Sample) -> None:
+        """Turn a liveliness change into a message, so that one queue has all (runs on zenoh's thread)."""
+        if not self._closing.is_set():
+            who = str(sample.key_expr).rsplit("/", 1)[-1]
+            self._session.put(
+                self._keys.presence(who), b"1" if sample.kind == zenoh.SampleKind.PUT else b"0"
+            )
+
+    def _tick(self) -> None:
+        missing = 0
+        while not self._closing.wait(TICK_S):
+            missing = 0 if self._is_hub or self._session.info.routers_zid() else missing + 1
+            self._hub_gone = self._hub_gone or missing > 1
+            self._session.put(self._tick_key, b"", allowed_destination=zenoh.Locality.SESSION_LOCAL)
+
+
+def join(credential: Credential) -> ZenohBus:
+    """Join a run as a client.
+
+    Raises
+    ------
+    ConnectionError
+        The hub does not answer, or refuses the credential.
+    """
+    config = plain_config("client")
+    insert(config, "connect/endpoints", [credential.hub])
+    insert(config, "connect/timeout_ms", int(1000 * CONNECT_S))
+    insert(config, "connect/exit_on_failure", True)
+    insert(
+        config,
+        "connect/retry",
+        {"period_init_ms": 20, "period_max_ms": 200, "period_increase_factor": 1.5},
+    )
+    insert(config, "transport/auth/usrpwd/user", credential.name)
+    insert(config, "transport/auth/usrpwd/password", credential.password)
+    try:
+        session = zenoh.open(config)
+    except zenoh.ZError:
+        raise ConnectionError(
+            f"{credential.name}: no hub let us in at {credential.hub} within {CONNECT_S:g} s: it is not there, or "
+            f"the password is not of its run ({credential.run})"
+        ) from None
+    return ZenohBus(session, Keys(credential.run), credential.name)
+
+
+def plain_config(mode: str) -> zenoh.Config:
+    """A configuration that speaks to nobody whom it was not told of."""
+    config = zenoh.Config()
+    insert(config, "mode", mode)
+    for key in ("scouting/multicast/enabled", "scouting/gossip/enabled"):
+        insert(config, key, False)
+    insert(config, "scouting/delay", 0)
+    return config
+
+
+def insert(config: zenoh.Config, key: str, value: object) -> None:
+    """Set one key of a zenoh configuration."""
+    config.insert_json5(key, json.dumps(value))

@@ -1,0 +1,77 @@
+"""The laser scanner: exact ray casting on the true grid."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.grid import FREE, Fan, Grid
+from protocol.kernels import kernel
+from protocol.scans import HIT, NONE, Readings
+
+HEADINGS = 8
+"""Headings a full turn; heading 0 looks along +x, 2 along +y."""
+
+FULL_TURN = 360.0
+
+
+def cast(
+    truth: Grid,
+    teammates: NDArray[np.bool_],
+    fan: Fan,
+    x: int,
+    y: int,
+    heading: int = 0,
+    field_of_view: float = FULL_TURN,
+) -> Readings:
+    """Cast one scan from the centre of cell (x, y).
+
+    Parameters
+    ----------
+    truth : uint8 array, shape (h, w)
+        The true map; whatever is not free is solid, and so is all beyond the rim.
+    teammates : bool array, shape (h, w)
+        Where other robots stand. They end a beam but never count as a wall.
+    heading : int
+        Eighths of a turn, the middle of the field of view.
+    field_of_view : float
+        Degrees; beams outside read `NONE`.
+
+    Returns
+    -------
+    uint16 array, shape (beams,)
+        Readings as `protocol.scans` defines them.
+    """
+    readings = np.empty(fan.beams, np.uint16)
+    _cast(truth, teammates.view(np.uint8), fan.cells, fan.start, x, y, readings)
+    if field_of_view < FULL_TURN:
+        angles = np.arange(fan.beams) * (FULL_TURN / fan.beams)
+        off = np.abs((angles - heading * FULL_TURN / HEADINGS + FULL_TURN / 2) % FULL_TURN - FULL_TURN / 2)
+        readings[off > field_of_view / 2] = NONE
+    return readings
+
+
+@kernel("void(uint8[:,::1], uint8[:,::1], int32[:,::1], int32[::1], int64, int64, uint16[::1])")
+def _cast(
+    truth: Grid,
+    teammates: NDArray[np.uint8],
+    cells: NDArray[np.int32],
+    start: NDArray[np.int32],
+    x: int,
+    y: int,
+    readings: Readings,
+) -> None:
+    height, width = truth.shape
+    for beam in range(len(start) - 1):
+        reading = start[beam + 1] - start[beam]
+        for at in range(start[beam], start[beam + 1]):
+            cx = x + cells[at, 0]
+            cy = y + cells[at, 1]
+            crossed = at - start[beam]
+            if cx < 0 or cy < 0 or cx >= width or cy >= height or truth[cy, cx] != FREE:
+                reading = crossed | HIT
+                break
+            if teammates[cy, cx]:
+                reading = crossed + 1
+                break
+        readings[beam] = reading
