@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import ProtocolError
-from protocol.grid import MAX_SIDE, Fan
+from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Fan, Grid
+from protocol.kernels import kernel
 from protocol.packets import FRAGMENT_DATA, Fragment, encode
 
 HIT = 0x8000
@@ -81,3 +82,62 @@ def fragments(data: bytes) -> list[bytes]:
     """Cut a scan into the packets in which it travels."""
     pieces = (data[at : at + FRAGMENT_DATA] for at in range(0, len(data), FRAGMENT_DATA))
     return [encode([Fragment(piece)]) for piece in pieces]
+
+
+@dataclass(frozen=True)
+class Change:
+    """What a drawing changed: how many cells, all within columns x0 to x1 - 1 and rows y0 to y1 - 1."""
+
+    cells: int
+    x0: int
+    y0: int
+    x1: int
+    y1: int
+
+
+def draw(grid: Grid, fan: Fan, x: int, y: int, readings: Readings) -> Change:
+    """Draw a scan taken in cell (x, y) onto a grid: cells crossed are free, the one that stopped a beam occupied.
+
+    Only unknown cells change: lasers of one world do not contradict each other. The robot's own cell is free;
+    readings beyond the rim fall away.
+    """
+    out = np.empty(5, np.int32)
+    _draw(grid, fan.cells, fan.start, x, y, readings, out)
+    return Change(*map(int, out))
+
+
+@kernel("void(uint8[:,::1], int32[:,::1], int32[::1], int64, int64, uint16[::1], int32[::1])")
+def _draw(
+    grid: Grid,
+    cells: NDArray[np.int32],
+    start: NDArray[np.int32],
+    x: int,
+    y: int,
+    readings: Readings,
+    out: NDArray[np.int32],
+) -> None:
+    height, width = grid.shape
+    changed = 0
+    x0, y0, x1, y1 = width, height, 0, 0
+    for beam in range(-1, len(start) - 1):
+        # Beam -1 is the robot's own cell.
+        first = 0 if beam < 0 else start[beam]
+        reading = 0 if beam < 0 else readings[beam]
+        if reading == NONE:
+            continue
+        crossed = reading & NONE
+        for at in range(first - (beam < 0), first + crossed + (reading >> 15)):
+            cx = x + (0 if beam < 0 else cells[at, 0])
+            cy = y + (0 if beam < 0 else cells[at, 1])
+            if cx < 0 or cy < 0 or cx >= width or cy >= height:
+                break
+            if grid[cy, cx] == UNKNOWN:
+                grid[cy, cx] = FREE if at < first + crossed else OCCUPIED
+                changed += 1
+                x0, x1 = min(x0, cx), max(x1, cx + 1)
+                y0, y1 = min(y0, cy), max(y1, cy + 1)
+    out[0] = changed
+    out[1] = x0
+    out[2] = y0
+    out[3] = x1
+    out[4] = y1

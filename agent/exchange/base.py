@@ -1,0 +1,40 @@
+"""The interface of all exchanges."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+from agent.settings import Settings
+from protocol.grid import Grid
+from protocol.scans import Change, Scan
+
+
+class Exchange(ABC):
+    """What a robot tells of its own map, and what it makes of what others tell."""
+
+    name: ClassVar[str]
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+
+    @abstractmethod
+    def record(self, own: Grid, scan: Scan, change: Change) -> list[bytes]:
+        """Return the units (whole packets) that tell of this step's news of the robot's own map.
+
+        `own` is the self-explored grid with `scan` drawn on it; `change` says where it changed.
+        """
+
+    @abstractmethod
+    def take(self, about: int, units: list[bytes]) -> None:
+        """Take the next units of robot `about`'s log, in their order.
+
+        Raises
+        ------
+        ProtocolError
+            They make no sense; nothing has changed.
+        """
+
+    @abstractmethod
+    def merge(self, own: Grid) -> Grid:
+        """Return the planning grid: what all have told, and the robot's own grid, which counts most."""

@@ -1,0 +1,70 @@
+"""The raw-laser exchange: every scan travels as it was read (Burgard et al., section III-B).
+
+It is the exact and expensive way of sharing maps, the one that the thesis compares itself with. A scan is
+logged in every step that shows something the last one did not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from agent.exchange.base import Exchange
+from agent.settings import Settings
+from protocol import packets
+from protocol.errors import ProtocolError
+from protocol.grid import Grid, fan
+from protocol.scans import Change, Scan, decode_scan, draw, encode_scan, fragments, scan_size
+
+
+class LaserExchange(Exchange):
+    """Scans in fragments; what teammates saw is drawn onto one grid as it comes."""
+
+    name = "laser"
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__(settings)
+        self._fans = [fan(cells, settings.beams) for cells in settings.ranges_cells]
+        self._size = scan_size(settings.beams)
+        self._heard = np.zeros((settings.height, settings.width), np.uint8)
+        self._partial: dict[int, bytes] = {}
+        self._last = b""
+
+    def record(self, own: Grid, scan: Scan, change: Change) -> list[bytes]:
+        """Log the scan, unless it is the last one again."""
+        del own, change
+        data = encode_scan(scan)
+        if data == self._last:
+            return []
+        self._last = data
+        return fragments(data)
+
+    def take(self, about: int, units: list[bytes]) -> None:
+        """Put fragments together and draw the scans that are complete."""
+        buffer = self._partial.get(about, b"")
+        scans: list[Scan] = []
+        for unit in units:
+            (packet,) = packets.decode(unit)
+            if not isinstance(packet, packets.Fragment):
+                raise ProtocolError(packet.name, 0, "only fragments of scans travel in this exchange")
+            buffer += packet.data
+            if len(buffer) > self._size:
+                reason = f"a fragment runs beyond its scan's {self._size} bytes"
+                raise ProtocolError(packet.name, self._size, reason)
+            if len(buffer) == self._size:
+                scans.append(self._read(about, buffer))
+                buffer = b""
+        self._partial[about] = buffer
+        for scan in scans:
+            draw(self._heard, self._fans[about], scan.x, scan.y, scan.readings)
+
+    def merge(self, own: Grid) -> Grid:
+        """Lay the robot's own grid over what it heard; the two never contradict each other."""
+        return np.maximum(self._heard, own)
+
+    def _read(self, about: int, data: bytes) -> Scan:
+        scan = decode_scan(data, self._fans[about])
+        height, width = self._heard.shape
+        if scan.x >= width or scan.y >= height:
+            reason = f"cell ({scan.x}, {scan.y}) is outside the {width} x {height} grid"
+            raise ProtocolError("scan", 0, reason)
+        return scan

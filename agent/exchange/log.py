@@ -1,0 +1,46 @@
+"""The log of one robot's map: units in the order in which their maker wrote them."""
+
+from __future__ import annotations
+
+
+class Log:
+    """Units numbered from 0; the oldest may be forgotten once everyone holds them."""
+
+    def __init__(self) -> None:
+        self._units: list[bytes] = []
+        self._forgotten = 0
+
+    def __len__(self) -> int:
+        """All units ever logged, those forgotten included."""
+        return self._forgotten + len(self._units)
+
+    @property
+    def oldest(self) -> int:
+        """Number of the first unit that is still held."""
+        return self._forgotten
+
+    def append(self, units: list[bytes]) -> None:
+        """Add units at the end."""
+        self._units += units
+
+    def since(self, index: int, room: int | None) -> list[bytes]:
+        """Units from `index` on, as many as fit into `room` bytes (None: all).
+
+        `index` must not lie before `oldest`.
+        """
+        units = self._units[index - self._forgotten :]
+        if room is None:
+            return units
+        size = 0
+        for count, unit in enumerate(units):
+            size += len(unit)
+            if size > room:
+                return units[:count]
+        return units
+
+    def forget(self, before: int) -> None:
+        """Drop the units before number `before`."""
+        drop = min(before, len(self)) - self._forgotten
+        if drop > 0:
+            del self._units[:drop]
+            self._forgotten += drop

@@ -1,0 +1,1 @@
+"""From a planning grid to a way: frontier, cost, utility, sight."""

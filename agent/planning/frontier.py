@@ -1,0 +1,54 @@
+"""The frontier: free cells that can be reached and have an unknown 4-neighbour (thesis, Eq. 4.2)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.planning.cost import Field
+from protocol.grid import FREE, UNKNOWN, Grid
+from protocol.kernels import kernel
+
+
+def frontier_cells(grid: Grid, field: Field) -> NDArray[np.int32]:
+    """All frontier cells that `field` (`agent.planning.cost.costs`) reaches, row by row.
+
+    Returns
+    -------
+    int32 array, shape (n, 2)
+        Cells (x, y).
+    """
+    out = np.empty((grid.size, 2), np.int32)
+    return out[: _collect(grid, field, out)].copy()
+
+
+def is_frontier(grid: Grid, x: int, y: int) -> bool:
+    """Whether cell (x, y) is free with an unknown 4-neighbour."""
+    height, width = grid.shape
+    return bool(
+        grid[y, x] == FREE
+        and any(
+            0 <= nx < width and 0 <= ny < height and grid[ny, nx] == UNKNOWN
+            for nx, ny in ((x + 1, y), (x, y + 1), (x - 1, y), (x, y - 1))
+        )
+    )
+
+
+@kernel("int64(uint8[:,::1], float64[:,::1], int32[:,::1])")
+def _collect(grid: Grid, field: Field, out: NDArray[np.int32]) -> int:
+    height, width = grid.shape
+    count = 0
+    for y in range(height):
+        for x in range(width):
+            if grid[y, x] != FREE or not np.isfinite(field[y, x]):
+                continue
+            if (
+                (x + 1 < width and grid[y, x + 1] == UNKNOWN)
+                or (y + 1 < height and grid[y + 1, x] == UNKNOWN)
+                or (x > 0 and grid[y, x - 1] == UNKNOWN)
+                or (y > 0 and grid[y - 1, x] == UNKNOWN)
+            ):
+                out[count, 0] = x
+                out[count, 1] = y
+                count += 1
+    return count

@@ -1,0 +1,92 @@
+"""Utility of a frontier cell: what is left to see there once teammates have been at their targets.
+
+Thesis, section 4.4.2: it starts at 1 and is lowered by P(d) for each teammate's target at distance d that has
+it in sight (Eq. 4.4, 4.5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.grid import OCCUPIED, Grid
+from protocol.kernels import kernel
+
+
+def utilities(
+    grid: Grid,
+    cells: NDArray[np.int32],
+    targets: Sequence[tuple[int, int]],
+    range_cells: float,
+    weights: Sequence[float] | None = None,
+) -> NDArray[np.float64]:
+    """Utility of each of `cells`.
+
+    Parameters
+    ----------
+    grid : uint8 array, shape (h, w)
+        The planning grid; occupied cells on it hide what is behind them.
+    cells : int32 array, shape (n, 2)
+        Frontier cells (x, y).
+    targets : sequence of (x, y)
+        Where teammates are headed.
+    range_cells : float
+        Sensor range: P(d) = max(0, 1 - d / range).
+    weights : sequence of float, optional
+        How much each target counts, 1 if left out.
+
+    Returns
+    -------
+    float64 array, shape (n,)
+    """
+    result = np.ones(len(cells))
+    weighted = np.ones(len(targets)) if weights is None else np.asarray(weights, np.float64)
+    _lower(grid, cells, np.array(targets, np.int32).reshape(-1, 2), weighted, range_cells, result)
+    return result
+
+
+def in_sight(grid: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
+    """Whether no occupied cell lies on the straight line between two cells."""
+    return bool(_in_sight(grid, x0, y0, x1, y1))
+
+
+@kernel("boolean(uint8[:,::1], int64, int64, int64, int64)")
+def _in_sight(grid: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
+    # From the same end whichever way round it is asked, so that two robots agree.
+    if (y1, x1) < (y0, x0):
+        x0, y0, x1, y1 = x1, y1, x0, y0
+    dx, dy = abs(x1 - x0), y1 - y0
+    step = 1 if x1 > x0 else -1
+    error = dx - dy
+    while True:
+        if grid[y0, x0] == OCCUPIED:
+            return False
+        if x0 == x1 and y0 == y1:
+            return True
+        double = 2 * error
+        if double > -dy:
+            error -= dy
+            x0 += step
+        if double < dx:
+            error += dx
+            y0 += 1
+
+
+@kernel("void(uint8[:,::1], int32[:,::1], int32[:,::1], float64[::1], float64, float64[::1])")
+def _lower(
+    grid: Grid,
+    cells: NDArray[np.int32],
+    targets: NDArray[np.int32],
+    weights: NDArray[np.float64],
+    range_cells: float,
+    result: NDArray[np.float64],
+) -> None:
+    for target in range(len(targets)):
+        tx, ty = targets[target]
+        for at in range(len(cells)):
+            x, y = cells[at]
+            distance = np.sqrt(float((x - tx) ** 2 + (y - ty) ** 2))
+            if distance < range_cells and _in_sight(grid, x, y, tx, ty):
+                result[at] -= weights[target] * (1.0 - distance / range_cells)

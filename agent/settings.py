@@ -1,0 +1,68 @@
+"""What a robot is told before its first step (`protocol.messages.Configure`)."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+from protocol.errors import ProtocolError
+
+
+@dataclass(frozen=True)
+class Settings:
+    """One robot's task.
+
+    Attributes
+    ----------
+    robot, robots : int
+        Its number, and how many there are.
+    width, height : int
+        Size of the grid in cells.
+    ranges_cells : list of float
+        Sensor range of every robot, in cells.
+    beams : int
+        Laser beams a full turn.
+    speed_cells : float
+        Cells that the robot can drive in a step.
+    seed : int
+        The run's seed.
+    exchange : str
+        How maps travel (`agent.exchange`).
+    strategy : str
+        Which target comes next (`agent.strategies`).
+    options : dict
+        Options of the strategy and of the exchange, by name.
+    offers : str
+        When maps are offered: ``backoff`` or ``thesis`` (`agent.exchange.session`).
+    """
+
+    robot: int
+    robots: int
+    width: int
+    height: int
+    ranges_cells: list[float]
+    beams: int
+    speed_cells: float
+    seed: int
+    exchange: str
+    strategy: str
+    offers: str
+    options: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def range_cells(self) -> float:
+        """The robot's own sensor range, in cells."""
+        return self.ranges_cells[self.robot]
+
+    def to_message(self) -> dict[str, Any]:
+        """Return the form that `from_message` reads."""
+        return asdict(self)
+
+    @classmethod
+    def from_message(cls, settings: dict[str, Any]) -> Settings:
+        """Read what came over the bus; ProtocolError where keys are missing or unknown."""
+        wanted = {item.name for item in fields(cls)}
+        if set(settings) != wanted:
+            odd = ", ".join(sorted(wanted ^ set(settings)))
+            raise ProtocolError("Configure", 0, f"settings are missing or unknown: {odd}")
+        return cls(**settings)

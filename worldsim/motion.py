@@ -1,0 +1,99 @@
+"""How robots move: along free cells, 8-connected, without cutting corners, never two in one place."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.grid import FREE, Grid
+
+DIAGONAL = math.sqrt(2.0)
+
+WALL, ROBOT, INTERFERENCE, NOT_BLOCKED = "wall", "robot", "interference", ""
+"""Why a robot stopped short."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What became of one robot's move.
+
+    Attributes
+    ----------
+    cells : list of (x, y)
+        Cells entered, in order.
+    length : float
+        Way driven, in cells.
+    carry : float
+        Way that a step left over, too short for the next cell; it is added to the next step's.
+    blocked : str
+        Why it stopped short of its path's end, if not for want of way.
+    """
+
+    cells: list[tuple[int, int]]
+    length: float
+    carry: float
+    blocked: str
+
+
+def drive(
+    truth: Grid,
+    taken: NDArray[np.bool_],
+    start: tuple[int, int],
+    path: list[tuple[int, int]],
+    way: float,
+) -> Drive:
+    """Move one robot along `path` for at most `way` cells.
+
+    Parameters
+    ----------
+    truth : uint8 array, shape (h, w)
+        The true map.
+    taken : bool array, shape (h, w)
+        Cells where other robots stand.
+    start : (x, y)
+        Where the robot stands.
+    path : list of (x, y)
+        Cells to enter, each a neighbour of the one before. A step that is none ends the path like a wall.
+    way : float
+        How far it may drive, in cells: 1 to a 4-neighbour, sqrt 2 to a diagonal one.
+    """
+    height, width = truth.shape
+    x, y = start
+    cells: list[tuple[int, int]] = []
+    length = 0.0
+    for next_x, next_y in path:
+        dx, dy = next_x - x, next_y - y
+        inside = 0 <= next_x < width and 0 <= next_y < height
+        if not inside or max(abs(dx), abs(dy)) != 1 or truth[next_y, next_x] != FREE:
+            return Drive(cells, length, 0.0, WALL)
+        if dx and dy and (truth[y, next_x] != FREE or truth[next_y, x] != FREE):
+            return Drive(cells, length, 0.0, WALL)
+        if taken[next_y, next_x]:
+            return Drive(cells, length, 0.0, ROBOT)
+        cost = DIAGONAL if dx and dy else 1.0
+        if length + cost > way:
+            return Drive(cells, length, way - length, NOT_BLOCKED)
+        length += cost
+        x, y = next_x, next_y
+        cells.append((x, y))
+    return Drive(cells, length, 0.0, NOT_BLOCKED)
+
+
+def swept(start: tuple[int, int], cells: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """All cells that a drive shows to be free: those entered, and both beside each diagonal."""
+    result: list[tuple[int, int]] = []
+    x, y = start
+    for next_x, next_y in cells:
+        if next_x != x and next_y != y:
+            result += [(next_x, y), (x, next_y)]
+        result.append((next_x, next_y))
+        x, y = next_x, next_y
+    return result
+
+
+def heading_of(dx: int, dy: int) -> int:
+    """Eighths of a turn from +x towards +y of a step to a neighbour."""
+    return round(math.atan2(dy, dx) / (math.pi / 4)) % 8

@@ -1,0 +1,150 @@
+"""The world's shell: the step barrier. It opens a step, waits for every living robot's move, opens the next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from protocol import keys as names
+from protocol.bus import Bus, Message
+from protocol.errors import ProtocolError
+from protocol.keys import Keys
+from protocol.messages import (
+    Begin,
+    Bye,
+    Configure,
+    End,
+    Fault,
+    Lost,
+    Move,
+    Positions,
+    Stop,
+    WorldReport,
+    cells_from_bytes,
+    pack,
+    unpack,
+)
+from worldsim.world import World
+
+EXPLORED, OUT_OF_STEPS, ALL_LOST = "explored", "out of steps", "all robots are lost"
+
+
+class WorldNode:
+    """One run's world; `done` once it may go home.
+
+    Parameters
+    ----------
+    minds : mapping
+        What each robot is to be told before its first step (`Configure.settings`).
+    steps : int
+        The last step.
+    cell_mm : float
+        Side of a cell in millimetres, for reports.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        keys: Keys,
+        world: World,
+        minds: Mapping[int, Mapping[str, Any]],
+        steps: int,
+        cell_mm: float,
+    ) -> None:
+        self.done = False
+        self._bus = bus
+        self._keys = keys
+        self._world = world
+        self._minds = minds
+        self._steps = steps
+        self._cell_mm = cell_mm
+        self._moves: dict[int, Move] = {}
+        self._stop = ""
+        self._running = False
+
+    def handle(self, message: Message) -> None:
+        """Take one message from the bus."""
+        plane, _, _, sender = names.parts(message.key)
+        said = unpack(message.payload)
+        if plane == "body":
+            self._take_move(names.number(sender), said)
+        elif isinstance(said, Begin):
+            self._begin()
+        elif isinstance(said, Lost):
+            self._world.lose(said.robot)
+            self._moves.pop(said.robot, None)
+        elif isinstance(said, Stop):
+            self._stop = said.reason
+        elif isinstance(said, Bye):
+            self.done = True
+        while self._running and self._moves.keys() >= self._world.cells.keys():
+            self._end_step()
+
+    def _begin(self) -> None:
+        for robot, settings in sorted(self._minds.items()):
+            self._tell(robot, Configure(dict(settings)))
+        self._running = True
+        self._open_step()
+
+    def _take_move(self, robot: int, move: object) -> None:
+        try:
+            if not isinstance(move, Move) or move.step != self._world.step:
+                raise ProtocolError("Move", 0, f"expected the move of step {self._world.step}, not {move!r:.60}")
+            cells_from_bytes(move.path)
+        except ProtocolError as error:
+            fault = Fault(names.robot(robot), str(error))
+            self._bus.put(self._keys.control(names.LAB, names.WORLD), pack(fault))
+            move = Move(self._world.step, b"", 0, explored=False)
+        if robot in self._world.cells:
+            self._moves[robot] = move
+
+    def _end_step(self) -> None:
+        moves, self._moves = self._moves, {}
+        explored = sorted(robot for robot, move in moves.items() if move.explored)
+        if explored:
+            self._end(EXPLORED, explored[0])
+        elif not self._world.cells:
+            self._end(ALL_LOST, -1)
+        elif self._stop:
+            self._end(self._stop, -1)
+        elif self._world.step >= self._steps:
+            self._end(OUT_OF_STEPS, -1)
+        else:
+            for robot in self._world.doomed():
+                self._world.lose(robot)
+                self._tell(robot, End(self._world.step, "broken down, as the scenario has it", -1))
+            self._open_step(moves)
+
+    def _open_step(self, moves: Mapping[int, Move] | None = None) -> None:
+        world = self._world
+        senses = world.advance(moves or {})
+        for robot, sense in senses.items():
+            self._tell(robot, sense)
+        robots = list(world.cells)
+        positions = Positions(
+            world.step, robots, [world.cells[r][0] for r in robots], [world.cells[r][1] for r in robots]
+        )
+        self._bus.put(self._keys.control_tx(names.WORLD), pack(positions))
+        self._bus.put(self._keys.control(names.LAB, names.WORLD), pack(self._report()))
+
+    def _report(self) -> WorldReport:
+        world = self._world
+        poses = np.array(
+            [
+                (robot, round(x * self._cell_mm), round(y * self._cell_mm), world.headings[robot] * 450)
+                for robot, (x, y) in sorted(world.cells.items())
+            ],
+            "<i4",
+        ).reshape(-1, 4)
+        driven = [round(cells * self._cell_mm) for cells in world.driven]
+        return WorldReport(world.step, poses.tobytes(), driven, world.seen_cells, world.reachable_cells)
+
+    def _end(self, reason: str, first: int) -> None:
+        self._running = False
+        end = pack(End(self._world.step, reason, first))
+        self._bus.put(self._keys.control_tx(names.WORLD), end)
+
+    def _tell(self, robot: int, message: object) -> None:
+        self._bus.put(self._keys.body(names.robot(robot), names.WORLD), pack(message))

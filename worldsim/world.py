@@ -1,0 +1,230 @@
+"""The physical world: where robots really are and what they really see. It owns the clock."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from protocol.chance import chance
+from protocol.grid import FREE, Grid, fan
+from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes
+from protocol.scans import draw
+from worldsim.laser import cast
+from worldsim.motion import INTERFERENCE, NOT_BLOCKED, drive, heading_of, swept
+
+MOVES_AS_PLANNED = 0.7
+"""Probability with which a robot close to another moves as planned (Burgard et al., section IV)."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """One robot's hardware.
+
+    Attributes
+    ----------
+    range_cells : float
+        Sensor range in cells.
+    field_of_view : float
+        Degrees, centred on the heading.
+    speed : float
+        Cells a step.
+    """
+
+    range_cells: float
+    field_of_view: float
+    speed: float
+
+
+@dataclass(frozen=True)
+class WorldSettings:
+    """What the world is like.
+
+    Attributes
+    ----------
+    bodies : tuple of Body
+        One a robot.
+    starts : tuple of (x, y)
+        Cell where each robot starts.
+    beams : int
+        Laser beams a full turn.
+    interference_cells : float
+        Robots nearer to each other than this hinder each other (0: never).
+    deaths : tuple of (robot, step)
+        Robots that break down at the beginning of a step, as the scenario wants it.
+    """
+
+    bodies: tuple[Body, ...]
+    starts: tuple[tuple[int, int], ...]
+    beams: int = 360
+    seed: int = 0
+    interference_cells: float = 0.0
+    deaths: tuple[tuple[int, int], ...] = ()
+
+
+class World:
+    """The world of one run.
+
+    Parameters
+    ----------
+    truth : uint8 array, shape (h, w)
+        The true map. Whatever is not free is solid.
+    """
+
+    def __init__(self, truth: Grid, settings: WorldSettings) -> None:
+        self.truth = truth
+        self.settings = settings
+        self.step = 0
+        self.cells: dict[int, tuple[int, int]] = dict(enumerate(settings.starts))
+        """Where each living robot is."""
+        self.headings = dict.fromkeys(self.cells, 0)
+        self.driven = [0.0] * len(settings.starts)
+        """Way that each robot has driven, in cells."""
+        self.reachable = reachable_from(truth, settings.starts[0])
+        self.seen = np.zeros_like(truth)
+        """What the team's lasers have truly seen, all together."""
+        self._fans = [fan(body.range_cells, settings.beams) for body in settings.bodies]
+        self._carry = [0.0] * len(settings.starts)
+
+    @property
+    def seen_cells(self) -> int:
+        """Reachable free cells that the team has seen."""
+        return int(np.count_nonzero((self.seen == FREE) & self.reachable))
+
+    @property
+    def reachable_cells(self) -> int:
+        """Free cells that robots can get to."""
+        return int(np.count_nonzero(self.reachable))
+
+    def lose(self, robot: int) -> None:
+        """Take a broken robot out of the world: nobody runs into it."""
+        self.cells.pop(robot, None)
+
+    def doomed(self) -> list[int]:
+        """Robots that the scenario wants dead by the next step."""
+        return [r for r, step in self.settings.deaths if step <= self.step + 1 and r in self.cells]
+
+    def advance(self, moves: Mapping[int, Move]) -> dict[int, Sense]:
+        """Begin the next step: move the robots, by ascending number, then cast everyone's scan."""
+        self.step += 1
+        entered: dict[int, list[tuple[int, int]]] = {}
+        blocked: dict[int, str] = {}
+        before = dict(self.cells)
+        for robot in sorted(self.cells):
+            entered[robot], blocked[robot] = [], NOT_BLOCKED
+            move = moves.get(robot)
+            if move is not None:
+                entered[robot], blocked[robot] = self._move(robot, move, before)
+        senses = {}
+        occupied = self._standing()
+        for robot, (x, y) in sorted(self.cells.items()):
+            senses[robot] = self._sense(robot, x, y, occupied, entered[robot], blocked[robot])
+        return senses
+
+    def _move(
+        self, robot: int, move: Move, before: Mapping[int, tuple[int, int]]
+    ) -> tuple[list[tuple[int, int]], str]:
+        """Move one robot; return the cells found free on the way, and what blocked it."""
+        start = self.cells[robot]
+        path = [(int(x), int(y)) for x, y in cells_from_bytes(move.path)]
+        self.headings[robot] = move.heading % 8
+        if path and self._hindered(robot, before):
+            return [], INTERFERENCE
+        taken = self._standing()
+        taken[start[1], start[0]] = False
+        way = self.settings.bodies[robot].speed + self._carry[robot]
+        result = drive(self.truth, taken, start, path, way)
+        self._carry[robot] = result.carry
+        self.driven[robot] += result.length
+        if result.cells:
+            last = result.cells[-2] if len(result.cells) > 1 else start
+            self.cells[robot] = result.cells[-1]
+            self.headings[robot] = heading_of(result.cells[-1][0] - last[0], result.cells[-1][1] - last[1])
+        return swept(start, result.cells), result.blocked
+
+    def _hindered(self, robot: int, before: Mapping[int, tuple[int, int]]) -> bool:
+        limit = self.settings.interference_cells
+        x, y = before[robot]
+        near = any(
+            other != robot and (x - ox) ** 2 + (y - oy) ** 2 < limit * limit
+            for other, (ox, oy) in before.items()
+        )
+        draw_of = chance(self.settings.seed, "interference", robot, self.step)
+        return near and bool(draw_of.random() >= MOVES_AS_PLANNED)
+
+    def _standing(self) -> NDArray[np.bool_]:
+        occupied = np.zeros(self.truth.shape, np.bool_)
+        for x, y in self.cells.values():
+            occupied[y, x] = True
+        return occupied
+
+    def _sense(
+        self,
+        robot: int,
+        x: int,
+        y: int,
+        occupied: NDArray[np.bool_],
+        entered: list[tuple[int, int]],
+        blocked: str,
+    ) -> Sense:
+        body = self.settings.bodies[robot]
+        readings = cast(
+            self.truth, occupied, self._fans[robot], x, y, self.headings[robot], body.field_of_view
+        )
+        for cell_x, cell_y in entered:
+            self.seen[cell_y, cell_x] = FREE
+        draw(self.seen, self._fans[robot], x, y, readings)
+        driven = cells_to_bytes(np.array(entered, np.int32).reshape(-1, 2))
+        return Sense(self.step, x, y, self.headings[robot], driven, readings.tobytes(), blocked)
+
+
+def reachable_from(truth: Grid, start: tuple[int, int]) -> NDArray[np.bool_]:
+    """Free cells that a robot can get to from `start`: without cutting corners, that is its 4-connected part."""
+    labels, _ = ndimage.label(truth == FREE)
+    found: NDArray[np.bool_] = labels == labels[start[1], start[0]]
+    return found & (truth == FREE)
+
+
+def start_cells(truth: Grid, robots: int, seed: int, apart: int, first: tuple[int, int] | None = None) -> list[tuple[int, int]]:
+    """Choose where the robots start: the free cells nearest to one seeded cell, `apart` cells from each other.
+
+    Parameters
+    ----------
+    first : (x, y), optional
+        The cell to start around, instead of a seeded one.
+
+    Raises
+    ------
+    ValueError
+        `first` is not free, or there are more robots than free cells that far apart.
+    """
+    labels, parts = ndimage.label(truth == FREE)
+    if first is None:
+        largest = 1 + int(np.argmax(np.bincount(labels.ravel(), minlength=parts + 1)[1:]))
+        ys, xs = np.nonzero(labels == largest)
+        pick = int(chance(seed, "start").integers(len(xs)))
+        first = int(xs[pick]), int(ys[pick])
+    height, width = truth.shape
+    if not (0 <= first[0] < width and 0 <= first[1] < height) or truth[first[1], first[0]] != FREE:
+        raise ValueError(f"cell {first} is not free: robots cannot start there")
+    chosen: list[tuple[int, int]] = []
+    reached = np.zeros(truth.shape, np.bool_)
+    reached[first[1], first[0]] = True
+    queue = deque([first])
+    while queue and len(chosen) < robots:
+        x, y = queue.popleft()
+        if all(max(abs(x - cx), abs(y - cy)) >= apart for cx, cy in chosen):
+            chosen.append((x, y))
+        for nx, ny in ((x + 1, y), (x, y + 1), (x - 1, y), (x, y - 1)):
+            if 0 <= nx < width and 0 <= ny < height and truth[ny, nx] == FREE and not reached[ny, nx]:
+                reached[ny, nx] = True
+                queue.append((nx, ny))
+    if len(chosen) < robots:
+        raise ValueError(
+            f"{robots} robots do not fit: only {len(chosen)} free cells lie {apart} cells apart around {first}"
+        )
+    return chosen
