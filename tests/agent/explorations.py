@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as arrays
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -38,32 +37,36 @@ def real_map(name: str) -> Grid:
 @st.composite
 def grids(draw: st.DrawFn, max_side: int = 14) -> tuple[Grid, Cell]:
     """Random cells, from nearly empty to diagonals, pockets and one-cell corridors; and a free cell."""
-    shape = draw(arrays.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=max_side))
-    cells = draw(st.sampled_from(([FREE, FREE, FREE, FREE, OCCUPIED, UNKNOWN], [FREE, OCCUPIED, UNKNOWN])))
-    grid = draw(arrays.arrays(np.uint8, shape, elements=st.sampled_from(cells), fill=st.nothing()))
-    x, y = draw(st.integers(0, shape[1] - 1)), draw(st.integers(0, shape[0] - 1))
+    sides = st.integers(1, max_side) | st.just(max_side)
+    height, width = draw(sides), draw(sides)
+    free = draw(st.sampled_from((0.7, 0.8, 0.6, 0.9)))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    chances = (free, (1 - free) / 2, (1 - free) / 2)
+    grid = rng.choice(np.array([FREE, OCCUPIED, UNKNOWN], np.uint8), (height, width), p=chances)
+    x, y = int(rng.integers(width)), int(rng.integers(height))
     grid[y, x] = FREE
     return grid, (x, y)
 
 
 @st.composite
-def growing_maps(draw: st.DrawFn) -> list[tuple[Grid, Cell]]:
+def growing_maps(draw: st.DrawFn, max_side: int = 14) -> list[tuple[Grid, Cell]]:
     """A world that is uncovered patch by patch, in any order, also where the robot cannot see it yet.
 
     Now and then a cell changes its mind. Objects are born, vanish, split and join.
     """
-    world, robot = draw(grids())
+    world, robot = draw(grids(max_side))
     height, width = world.shape
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     known = np.full(world.shape, UNKNOWN, np.uint8)
     known[robot[1], robot[0]] = FREE
     steps = [(known, robot)]
-    for _ in range(draw(st.integers(1, 6))):
+    for _ in range(draw(st.integers(3, 16))):
         known = known.copy()
-        y, x = draw(st.integers(0, height - 1)), draw(st.integers(0, width - 1))
-        patch = slice(y, y + draw(st.integers(1, 6))), slice(x, x + draw(st.integers(1, 6)))
+        y, x = int(rng.integers(-5, height)), int(rng.integers(-5, width))
+        patch = slice(max(0, y), y + 8), slice(max(0, x), x + 8)
         known[patch] = world[patch]
-        if draw(st.integers(0, 4)) == 0:
-            known[y, x] = draw(st.sampled_from([FREE, OCCUPIED]))
+        if rng.random() < 0.3:
+            known[rng.integers(height), rng.integers(width)] = rng.choice([FREE, OCCUPIED])
         known[robot[1], robot[0]] = FREE
         steps.append((known, robot))
     return steps
