@@ -180,8 +180,10 @@ class Session:
             frames.append((number, peer, packets.encode(said)))
         return frames
 
-    def data(self, heard: list[tuple[int, int, bytes]]) -> list[tuple[int, int, bytes]]:
-        """Send what was asked for: answers in, data out, as (connection number, peer, frame).
+    def data(self, heard: list[tuple[int, int, int, bytes]]) -> list[tuple[int, int, bytes]]:
+        """Send what was asked for, given answers as (connection number, peer, map, frame).
+
+        Returns data as (connection number, peer, frame).
 
         Raises
         ------
@@ -189,12 +191,11 @@ class Session:
             A frame is no answer, or not to an offer of one's own.
         """
         frames = []
-        waiting = list(self._said)
-        for number, peer, payload in heard:
-            connection = next((c for c in waiting if c.peer == peer), None)
-            if connection is None:
+        said = {(connection.peer, connection.map): connection for connection in self._said}
+        for number, peer, about, payload in heard:
+            connection = said.get((peer, about))
+            if connection is None or connection.state is not State.OFFERED:
                 raise ProtocolError("conn", 0, f"robot {peer} answers an offer that was not made")
-            waiting.remove(connection)
             self._offered[number] = connection
             if connection.on(self._read_answer(connection, payload)) is State.SENDING:
                 units = self.logs[connection.map].since(connection.index, self._room)

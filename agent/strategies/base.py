@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, TypeVar
 
 from agent.planning.cost import Field
 from protocol.grid import Grid
@@ -44,6 +44,22 @@ class Situation:
     seed: int
 
 
+Options = TypeVar("Options")
+
+
+def read_options(kind: type[Options], options: dict[str, Any], owner: str) -> Options:
+    """Make a dataclass of options; ValueError names what is unknown or of the wrong type."""
+    known = {field.name: field for field in fields(kind)}  # type: ignore[arg-type]
+    for name, value in options.items():
+        if name not in known:
+            there_are = ", ".join(known) or "none"
+            raise ValueError(f"{owner} has no option {name!r}; there are: {there_are}")
+        wanted = type(known[name].default)
+        if type(value) is not wanted and not (wanted is float and type(value) is int):
+            raise ValueError(f"option {name} of {owner} must be {wanted.__name__}, not {value!r}")
+    return kind(**options)
+
+
 class Strategy(ABC):
     """An exploration strategy: a subclass with a name is found by `agent.strategies.strategy`."""
 
@@ -54,7 +70,7 @@ class Strategy(ABC):
     """The paper and section that it builds."""
 
     def __init__(self, options: dict[str, Any]) -> None:
-        """Take options by name; a strategy names those that it knows in `OPTIONS`."""
+        """Take options by name; ValueError names one that the strategy does not know."""
 
     @abstractmethod
     def choose(self, situation: Situation, field: Field) -> tuple[int, int] | None:

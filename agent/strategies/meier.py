@@ -6,7 +6,7 @@ lowered around the targets that it has heard of, and V is the way's length in se
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from agent.planning.cost import Field
 from agent.planning.frontier import frontier_cells
 from agent.planning.utility import in_sight, utilities
-from agent.strategies.base import Situation, Strategy
+from agent.strategies.base import Situation, Strategy, read_options
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,7 @@ class Meier(Strategy):
 
     def __init__(self, options: dict[str, Any]) -> None:
         super().__init__(options)
-        known = {field.name for field in fields(Options)}
-        self._options = Options(**{name: value for name, value in options.items() if name in known})
+        self._options = read_options(Options, options, self.name)
 
     def choose(self, situation: Situation, field: Field) -> tuple[int, int] | None:
         """Take the largest trade-off; of equals the first cell, row by row."""

@@ -1,0 +1,146 @@
+"""A robot's shell: it turns what comes over the bus into calls of `Robot`, and its answers into messages."""
+
+from __future__ import annotations
+
+import time
+
+from agent.robot import Robot
+from agent.settings import Settings
+from protocol import keys as names
+from protocol.bus import Bus, Message
+from protocol.errors import ProtocolError
+from protocol.keys import Keys
+from protocol.messages import (
+    Bye,
+    Close,
+    Configure,
+    End,
+    Fault,
+    Maps,
+    MindReport,
+    Open,
+    Outcome,
+    Said,
+    Sense,
+    Turn,
+    pack,
+    unpack,
+)
+
+UNLIMITED = -1
+
+
+
+class AgentNode:
+    """One robot's process; `done` once it has been sent home."""
+
+    def __init__(self, bus: Bus, keys: Keys, number: int) -> None:
+        self.done = False
+        self._bus = bus
+        self._keys = keys
+        self._number = number
+        self._name = names.robot(number)
+        self._robot: Robot | None = None
+        self._frames: list[tuple[int, bytes]] = []
+        self._early: Message | None = None
+        self._step = 0
+        self._work = 0.0
+
+    def handle(self, message: Message) -> None:
+        """Take one message from the bus."""
+        plane, _, _, sender = names.parts(message.key)
+        if plane == "radio":
+            self._frames.append((names.number(sender), message.payload))
+            return
+        said = unpack(message.payload)
+        if isinstance(said, Configure):
+            self._robot = Robot(Settings.from_message(said.settings))
+        elif isinstance(said, End):
+            self._hand_in_maps()
+        elif isinstance(said, Bye):
+            self.done = True
+        elif self._robot is not None:
+            self._act(self._robot, said, message)
+
+    def _act(self, robot: Robot, said: object, message: Message) -> None:
+        began = time.perf_counter()
+        if isinstance(said, Sense):
+            self._step = said.step
+            self._work = 0.0
+            robot.perceive(said)
+        elif isinstance(said, Open) and said.step > self._step:
+            self._early = message  # the world's word is still on its way
+            return
+        elif isinstance(said, Open):
+            self._offer(robot, said)
+        elif isinstance(said, Turn):
+            self._take_turn(robot, said)
+        elif isinstance(said, Outcome):
+            robot.settle(said, self._take_frames(robot, len(said.heard)))
+        elif isinstance(said, Close):
+            self._decide(robot, began)
+        self._work += time.perf_counter() - began
+        if isinstance(said, Sense) and self._early is not None:
+            early, self._early = self._early, None
+            self.handle(early)
+
+    def _offer(self, robot: Robot, medium: Open) -> None:
+        target = robot.announce() if medium.exchange == 0 else None
+        if target is not None and medium.peers:
+            self._bus.put(self._keys.radio_tx(self._name, names.ALL), target)
+        room = None if medium.budget == UNLIMITED else medium.budget
+        for peer, _, frame in robot.session.offers(medium.exchange, medium.peers, room):
+            self._bus.put(self._keys.radio_tx(self._name, names.robot(peer)), frame)
+        self._say(Said(medium.step, medium.exchange, "offers", []))
+
+    def _take_turn(self, robot: Robot, turn: Turn) -> None:
+        """Answer the offers, or send data for the answers, that were passed on in this phase."""
+        frames = self._take_frames(robot, len(turn.connections))
+        phase = "answers" if turn.phase == "offers" else "data"
+        said: list[tuple[int, int, bytes]] = []
+        try:
+            if turn.phase == "offers":
+                offers = [(n, *frame) for n, frame in zip(turn.connections, frames, strict=True)]
+                said = robot.session.answers(offers)
+            else:
+                named = zip(turn.connections, frames, turn.maps, strict=True)
+                said = robot.session.data([(n, peer, about, load) for n, (peer, load), about in named])
+        except ProtocolError as error:
+            self._fault(str(error))
+        for _, peer, frame in said:
+            self._bus.put(self._keys.radio_tx(self._name, names.robot(peer)), frame)
+        self._say(Said(turn.step, turn.exchange, phase, [number for number, _, _ in said]))
+
+    def _decide(self, robot: Robot, began: float) -> None:
+        self._take_frames(robot, 0)
+        move = robot.decide()
+        for fault in robot.faults:
+            self._fault(f"heard nonsense from {names.robot(fault.peer)}: {fault.reason}")
+        robot.faults.clear()
+        work = round(1e6 * (self._work + time.perf_counter() - began))
+        x, y = robot.target or (-1, -1)
+        report = MindReport(self._step, x, y, robot.known_cells, robot.status, work)
+        self._bus.put(self._keys.control(names.LAB, self._name), pack(report))
+        self._bus.put(self._keys.body(names.WORLD, self._name), pack(move))
+
+    def _take_frames(self, robot: Robot, count: int) -> list[tuple[int, bytes]]:
+        """The last `count` frames that came; those before them are targets, broadcast at a step's beginning."""
+        split = len(self._frames) - count
+        targets, frames = self._frames[:split], self._frames[split:]
+        self._frames = []
+        for peer, payload in targets:
+            robot.hear_target(peer, payload)
+        return frames
+
+    def _hand_in_maps(self) -> None:
+        if self._robot is not None:
+            height, width = self._robot.own.shape
+            own, planning = self._robot.own.tobytes(), self._robot.planning.tobytes()
+            maps = Maps(self._number, width, height, own, planning)
+            self._bus.put(self._keys.control(names.LAB, self._name), pack(maps))
+
+    def _say(self, said: Said) -> None:
+        self._bus.put(self._keys.control_tx(self._name), pack(said))
+
+    def _fault(self, what: str) -> None:
+        self._bus.put(self._keys.control(names.LAB, self._name), pack(Fault(self._name, what)))

@@ -1,0 +1,107 @@
+"""From a scenario to what each process is given: the map, the start cells, the settings of relay, world, minds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from agent.settings import Settings
+from deploy.scenario import UNLIMITED, Scenario, ScenarioError
+from netshaper import medium
+from netshaper.radio import RadioSettings
+from worldsim import generators, maps
+from worldsim.maps import Map, MapError, to_cell
+from worldsim.world import Body, World, WorldSettings, start_cells
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """All that a run needs, worked out."""
+
+    scenario: Scenario
+    map: Map
+    world: WorldSettings
+    radio: RadioSettings
+    minds: dict[int, dict[str, Any]]
+    range_m: float
+
+    def make_world(self) -> World:
+        """The world at its beginning."""
+        return World(self.map.cells, self.world)
+
+
+def make(scenario: Scenario) -> Plan:
+    """Work out a scenario.
+
+    Raises
+    ------
+    ScenarioError
+        The map cannot be loaded or made, the robots do not fit on it, or a range is too small for its cells.
+    """
+    world_map = load_map(scenario)
+    cell = world_map.resolution
+    bodies = []
+    for number in range(scenario.robots):
+        body = scenario.body_of(number)
+        assert body.sensor_range and body.field_of_view and body.speed
+        if body.sensor_range < cell:
+            raise ScenarioError(
+                f"sensor_range = {body.sensor_range:g} m of robot {number} is less than a cell of {cell:g} m"
+            )
+        bodies.append(Body(body.sensor_range / cell, body.field_of_view, body.speed / cell))
+    starts = _starts(scenario, world_map)
+    range_m = scenario.range_m(world_map.diagonal_m)
+    world = WorldSettings(
+        tuple(bodies),
+        tuple(starts),
+        scenario.beams,
+        scenario.seed,
+        scenario.interference / cell,
+        tuple((death.robot, death.step) for death in scenario.death),
+    )
+    budget = medium.UNLIMITED if scenario.bandwidth == UNLIMITED else int(scenario.bandwidth)
+    radio = RadioSettings(scenario.robots, scenario.seed, range_m / cell, budget, scenario.exchanges)
+    minds = {
+        number: Settings(
+            robot=number,
+            robots=scenario.robots,
+            width=world_map.width,
+            height=world_map.height,
+            ranges_cells=[body.range_cells for body in bodies],
+            beams=scenario.beams,
+            speed_cells=bodies[number].speed,
+            seed=scenario.seed,
+            exchange=scenario.exchange,
+            strategy=scenario.strategy,
+            offers=scenario.offers,
+            options=scenario.options,
+        ).to_message()
+        for number in range(scenario.robots)
+    }
+    return Plan(scenario, world_map, world, radio, minds, range_m)
+
+
+def load_map(scenario: Scenario) -> Map:
+    """Load the scenario's map file, or make its generated map; ScenarioError says why not."""
+    is_file = scenario.map.endswith((".yaml", ".yml")) or Path(scenario.map).is_file()
+    try:
+        if is_file:
+            return maps.load(scenario.map)
+        return generators.make(scenario.map, seed=scenario.map_seed)
+    except MapError as error:
+        raise ScenarioError(str(error)) from None
+    except ValueError as error:
+        raise ScenarioError(f"map = {scenario.map!r}: {error}; or give the YAML file of a map") from None
+
+
+def _starts(scenario: Scenario, world_map: Map) -> list[tuple[int, int]]:
+    first = None
+    if scenario.start is not None:
+        x, y = to_cell(world_map, *scenario.start)
+        first = round(x), round(y)
+    apart = max(1, round(scenario.apart / world_map.resolution))
+    try:
+        return start_cells(world_map.cells, scenario.robots, scenario.seed, apart, first)
+    except ValueError as error:
+        raise ScenarioError(f"start on map {world_map.name}: {error}") from None

@@ -1,0 +1,194 @@
+"""A scenario: everything that decides a run's result, as TOML, checked before anything starts."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import tomli_w
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from agent.exchange import EXCHANGES
+from agent.exchange.session import POLICIES
+from agent.strategies import strategy
+from protocol.grid import MAX_ROBOTS
+
+UNLIMITED = "unlimited"
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class ScenarioError(ValueError):
+    """A scenario that cannot be run: the message names each key, its value and what would be right."""
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class RobotOverride(_Table):
+    """What one robot has that differs from the others."""
+
+    robot: int = Field(ge=0, description="the robot's number, from 0")
+    sensor_range: Positive | None = Field(None, description="metres")
+    field_of_view: float | None = Field(None, gt=0, le=360, description="degrees")
+    speed: Positive | None = Field(None, description="metres a step")
+
+
+class Death(_Table):
+    """A robot that breaks down."""
+
+    robot: int = Field(ge=0, description="the robot's number, from 0")
+    step: int = Field(ge=1, description="the step at whose beginning it stops")
+
+
+class Scenario(_Table):
+    """All settings of a run, with their defaults. One step is one second."""
+
+    map: str = Field("office", description="a map's YAML file, or the name of a generator (murmur map list)")
+    map_seed: int = Field(0, ge=0, description="seed of the generator")
+    robots: int = Field(3, ge=1, le=MAX_ROBOTS, description="how many robots explore")
+    range: str = Field("100%", description="communication range: metres, or % of the map's diagonal")
+    bandwidth: int | Literal["unlimited"] = Field(1000, description="bytes a step for the whole team")
+    exchange: str = Field("laser", description="how maps travel")
+    strategy: str = Field("meier", description="how targets are chosen")
+    sensor_range: Positive = Field(5.0, description="metres")
+    field_of_view: float = Field(360.0, gt=0, le=360, description="degrees")
+    beams: int = Field(360, ge=4, le=3600, multiple_of=4, description="laser beams a full turn")
+    speed: Positive = Field(0.5, description="metres a step")
+    seed: int = Field(0, ge=0, description="decides start poses and every draw")
+    bus: Literal["zenoh", "memory"] = Field("zenoh", description="processes on Zenoh, or all in one process")
+    steps: int = Field(10000, ge=1, description="the run ends after this many steps at the latest")
+    start: tuple[float, float] | None = Field(None, description="metres in the map's frame; seeded if left out")
+    apart: Positive = Field(0.3, description="metres between start poses")
+    exchanges: int = Field(2, ge=1, le=16, description="exchanges a step (R)")
+    offers: Literal["backoff", "thesis"] = Field("backoff", description="when maps are offered")
+    interference: float = Field(0.0, ge=0, allow_inf_nan=False, description="metres; nearer robots hinder each other")
+    options: dict[str, Any] = Field(default_factory=dict, description="options of the strategy, by name")
+    robot: tuple[RobotOverride, ...] = Field((), description="robots that differ")
+    death: tuple[Death, ...] = Field((), description="robots that break down")
+
+    @field_validator("range", mode="before")
+    @classmethod
+    def _range_is_text(cls, value: object) -> object:
+        return f"{value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+    @field_validator("range")
+    @classmethod
+    def _range_makes_sense(cls, value: str) -> str:
+        _parse_range(value)
+        return value
+
+    @field_validator("bandwidth", mode="before")
+    @classmethod
+    def _bandwidth_makes_sense(cls, value: object) -> object:
+        if isinstance(value, str) and value.strip().isdecimal():
+            value = int(value)
+        if value != UNLIMITED and (not isinstance(value, int) or isinstance(value, bool) or value < 0):
+            raise ValueError("must be a whole number of bytes a step, 0 or more, or 'unlimited'")
+        return value
+
+    @field_validator("exchange")
+    @classmethod
+    def _exchange_is_known(cls, value: str) -> str:
+        if value not in EXCHANGES:
+            raise ValueError(f"there are: {', '.join(EXCHANGES)}")
+        return value
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        strategy(self.strategy)(self.options)
+        for table, entries in (("robot", self.robot), ("death", self.death)):
+            numbers = [entry.robot for entry in entries]
+            for number in numbers:
+                if number >= self.robots:
+                    raise ValueError(f"[[{table}]] speaks of robot {number}; the last one is {self.robots - 1}")
+            if len(set(numbers)) < len(numbers):
+                raise ValueError(f"[[{table}]] speaks of a robot twice: {numbers}")
+        return self
+
+    def range_m(self, diagonal_m: float) -> float:
+        """Communication range in metres on a map with such a diagonal."""
+        number, is_share = _parse_range(self.range)
+        return diagonal_m * number / 100 if is_share else number
+
+    def body_of(self, number: int) -> RobotOverride:
+        """The hardware of one robot, all values filled in."""
+        own = next((entry for entry in self.robot if entry.robot == number), RobotOverride(robot=number))
+        return RobotOverride(
+            robot=number,
+            sensor_range=own.sensor_range or self.sensor_range,
+            field_of_view=own.field_of_view or self.field_of_view,
+            speed=own.speed or self.speed,
+        )
+
+    def to_toml(self) -> str:
+        """The scenario as TOML, every setting written out."""
+        return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
+
+
+assert set(Scenario.model_fields["offers"].annotation.__args__) == set(POLICIES)  # type: ignore[union-attr]
+
+
+def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
+    """Read a scenario file (None: only defaults) and lay the overrides that are not None over it.
+
+    A map named in a file is looked for beside that file.
+
+    Raises
+    ------
+    ScenarioError
+        The file cannot be read, or a key or value is wrong.
+    """
+    data: dict[str, Any] = {}
+    if path is not None:
+        try:
+            data = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise ScenarioError(f"scenario {path}: {error.strerror or error}") from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise ScenarioError(f"scenario {path}: not TOML: {error}") from None
+        named = data.get("map")
+        if isinstance(named, str) and named.endswith((".yaml", ".yml")):
+            data["map"] = str(path.parent / named)
+    data |= {key: value for key, value in overrides.items() if value is not None}
+    where = f"scenario {path}" if path is not None else "scenario"
+    return parse(data, where)
+
+
+def parse(data: dict[str, Any], where: str = "scenario") -> Scenario:
+    """Check a scenario given as a dictionary.
+
+    Raises
+    ------
+    ScenarioError
+        A key or value is wrong; all that are wrong are named.
+    """
+    try:
+        return Scenario.model_validate(data)
+    except ValidationError as error:
+        lines = [_explain(item) for item in error.errors()]
+        raise ScenarioError("\n".join(f"{where}: {line}" for line in dict.fromkeys(lines))) from None
+
+
+def _explain(item: Any) -> str:
+    key = ".".join(str(part) for part in item["loc"] if part not in ("int", "literal['unlimited']"))
+    message = str(item["msg"]).removeprefix("Value error, ")
+    if item["type"] == "extra_forbidden":
+        table = Scenario if len(item["loc"]) == 1 else {"robot": RobotOverride, "death": Death}[item["loc"][0]]
+        return f"{key} is no setting; there are: {', '.join(table.model_fields)}"
+    return f"{key} = {item['input']!r}: {message}" if key else message
+
+
+def _parse_range(text: str) -> tuple[float, bool]:
+    """Read a range: (number, whether it is a share of the diagonal in %)."""
+    share = text.strip().endswith("%")
+    try:
+        number = float(text.strip().removesuffix("%"))
+    except ValueError:
+        number = math.nan
+    if not (number >= 0 and math.isfinite(number)):
+        raise ValueError("must be a distance of 0 or more: metres, as 12.5, or a share of the diagonal, as 30%")
+    return number, share
