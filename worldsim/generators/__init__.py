@@ -1,0 +1,161 @@
+"""The environments of the papers, drawn from a seed: `make("office", seed=3)`.
+
+The papers show most of them only as pictures. What is drawn here has the size and the character that each
+text gives; a seed chooses rooms, doors and objects. Where nothing is left to chance (`em`, `hilbert-*`,
+`leader-*`) all seeds draw the same.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from protocol.grid import Grid
+from worldsim.generators import alkhawaldah, burgard, faigl, leader, meier
+from worldsim.maps import Map, MapError
+
+
+@dataclass(frozen=True)
+class _Environment:
+    """One line for people, and what draws it: called with a random generator and parameters by name."""
+
+    line: str
+    draw: Callable[..., Grid]
+
+
+_ENVIRONMENTS: dict[str, _Environment] = {
+    "unstructured": _Environment(
+        "outdoors, 25 x 25 m: objects of many shapes scattered over an enclosed field (Meier, Fig. 6.1a)",
+        meier.unstructured,
+    ),
+    "mixed": _Environment(
+        "outdoors and indoors, 25 x 25 m: a building with rooms, objects around it (Meier, Fig. 6.1b)",
+        meier.mixed,
+    ),
+    "office": _Environment(
+        "indoors, 25 x 25 m: rooms along corridors, no obstacles (Meier, Fig. 6.1c)",
+        meier.office,
+    ),
+    "em": _Environment(
+        "21 x 24 m without any obstacle (Faigl and Vanek, section 5)",
+        faigl.em,
+    ),
+    "autolab-like": _Environment(
+        "30 x 30 m: a laboratory hall with screens, rooms on two sides, a wing (Faigl and Vanek, section 5)",
+        faigl.autolab,
+    ),
+    "jh-like": _Environment(
+        "21 x 24 m: an office building with small rooms along a corridor (Faigl and Vanek, section 5)",
+        faigl.jh,
+    ),
+    "potholes": _Environment(
+        "40 x 40 m with many small obstacles (Faigl and Vanek, section 5)",
+        faigl.potholes,
+    ),
+    "office-plain": _Environment(
+        "22 x 16 m: an office of wide rooms without obstacles (Al-khawaldah and Nüchter, section 4.1)",
+        alkhawaldah.office_plain,
+    ),
+    "office-obstacles": _Environment(
+        "22 x 16 m: the same office with obstacles (Al-khawaldah and Nüchter, section 4.1)",
+        alkhawaldah.office_obstacles,
+    ),
+    "campus": _Environment(
+        "outdoors, 120 x 90 m: buildings, courtyards, roads, trees (Al-khawaldah and Nüchter, section 4.2)",
+        alkhawaldah.campus,
+    ),
+    **{
+        f"hilbert-{order}": _Environment(
+            f"26 x 26 m: a corridor along a Hilbert curve of order {order} (Al-khawaldah and Nüchter, 4.3)",
+            partial(alkhawaldah.hilbert, order),
+        )
+        for order in (1, 2, 3, 4)
+    },
+    **{
+        f"hilbert-walls-{order}": _Environment(
+            f"26 x 26 m: one wall along a Hilbert curve of order {order} (Al-khawaldah and Nüchter, 4.3)",
+            partial(alkhawaldah.hilbert_walls, order),
+        )
+        for order in (1, 2, 3, 4)
+    },
+    "leader-trap": _Environment(
+        "10 x 10 m: rooms that hold whoever is drawn straight to the closest frontier (leader paper, Fig. 3)",
+        leader.trap,
+    ),
+    "leader-rooms": _Environment(
+        "10 x 10 m: rooms behind short screens, explored with leaders and without (leader paper, Figs. 4, 5)",
+        leader.rooms,
+    ),
+    "burgard-office": _Environment(
+        "36 x 27 m: an office of two corridors, many rooms with two doorways (Burgard et al., section IV-C)",
+        burgard.office,
+    ),
+    "burgard-corridor": _Environment(
+        "48 x 15 m: a long corridor with rooms on both sides (Burgard et al., section IV-C)",
+        burgard.corridor,
+    ),
+    "burgard-unstructured": _Environment(
+        "30 x 27 m: an irregular outline with objects scattered inside (Burgard et al., section IV-C)",
+        burgard.unstructured,
+    ),
+}
+
+
+def names() -> list[str]:
+    """Return the names of all environments, paper by paper."""
+    return list(_ENVIRONMENTS)
+
+
+def describe(name: str) -> str:
+    """Return one line on an environment: what it is, and which section or figure it stands for.
+
+    Raises
+    ------
+    MapError
+        There is no environment of that name.
+    """
+    return _environment(name).line
+
+
+def make(name: str, seed: int = 0, **parameters: float) -> Map:
+    """Draw an environment.
+
+    Parameters
+    ----------
+    name : str
+        One of `names`.
+    seed : int
+        Not negative. The same seed and parameters give the same cells.
+    **parameters : float
+        What to draw it with instead of what its paper says: `resolution` (metres a cell), and where the size
+        may change `width_m` and `height_m`, or `side_m` (metres).
+
+    Raises
+    ------
+    MapError
+        The name, the seed or a parameter is not known or out of range.
+    """
+    draw = _environment(name).draw
+    if seed < 0:
+        raise MapError(f"seed is {seed}; give 0 or more")
+    known = {
+        parameter.name: parameter.default
+        for parameter in inspect.signature(draw).parameters.values()
+        if parameter.kind is parameter.KEYWORD_ONLY
+    }
+    for parameter in parameters:
+        if parameter not in known:
+            raise MapError(f"{name} has no parameter {parameter!r}; it has {', '.join(known)}")
+    chosen = known | parameters
+    random = np.random.Generator(np.random.Philox(seed))
+    return Map(name, draw(random, **chosen), float(chosen["resolution"]))
+
+
+def _environment(name: str) -> _Environment:
+    if name not in _ENVIRONMENTS:
+        raise MapError(f"no environment is called {name!r}; there are {', '.join(_ENVIRONMENTS)}")
+    return _ENVIRONMENTS[name]

@@ -1,0 +1,167 @@
+"""The environments of the rotating scanner experiments (Al-khawaldah and Nüchter, sections 4.1 to 4.3)."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from worldsim.generators.drawing import (
+    box,
+    canvas,
+    carve,
+    disc,
+    field,
+    keep_connected,
+    length,
+    rock,
+    scatter,
+    wall_in,
+    wall_thickness,
+)
+from worldsim.generators.floorplan import Box, Builder, Style
+
+
+def office_plain(
+    random: np.random.Generator, *, width_m: float = 22.0, height_m: float = 16.0, resolution: float = 0.1
+) -> Grid:
+    """Draw an office: wide rooms on both sides of a wide corridor, nothing in them (Fig. 2, left)."""
+    cells = canvas(width_m, height_m, resolution, least_m=10.0)
+    wall = wall_thickness(resolution)
+    floor = Box(0, 0, cells.shape[1], cells.shape[0]).shrunk(wall)
+    style = Style(corridor_m=2.4, room_m=(3.6, 6.5), door_m=(1.0, 1.4))
+    Builder(cells, random, resolution, style).offices(floor, corridors=1)
+    wall_in(cells, wall)
+    keep_connected(cells)
+    return cells
+
+
+def office_obstacles(
+    random: np.random.Generator, *, width_m: float = 22.0, height_m: float = 16.0, resolution: float = 0.1
+) -> Grid:
+    """Draw the same office, of the same seed, with furniture standing about (Fig. 2, right)."""
+    cells = office_plain(random, width_m=width_m, height_m=height_m, resolution=resolution)
+    count = round(0.12 * width_m * height_m)
+    radii = (0.3 / resolution, 0.8 / resolution)
+    shapes = (box, box, disc, rock)
+    scatter(cells, random, cells == FREE, count=count, radii=radii, gap=0.7 / resolution, shapes=shapes)
+    return cells
+
+
+def campus(
+    random: np.random.Generator, *, width_m: float = 120.0, height_m: float = 90.0, resolution: float = 0.25
+) -> Grid:
+    """Draw a campus: blocks of buildings between roads, with courtyards and trees (Fig. 5)."""
+    cells = canvas(width_m, height_m, resolution, least_m=40.0)
+    wall = wall_thickness(resolution)
+    field(cells, wall)
+    road = round(7.0 / resolution)
+    most = round(40.0 / resolution)
+    floor = Box(0, 0, cells.shape[1], cells.shape[0]).shrunk(wall + road // 2)
+    for block in _blocks(random, floor, most, road):
+        _building(cells, random, block.shrunk(round(random.uniform(1.0, 3.0) / resolution)), resolution)
+    count = round(0.01 * int((cells == FREE).sum()) * resolution**2)
+    radii = (0.5 / resolution, 1.2 / resolution)
+    scatter(cells, random, cells == FREE, count=count, radii=radii, gap=2.0 / resolution, shapes=(disc,))
+    wall_in(cells, wall)
+    keep_connected(cells)
+    return cells
+
+
+def _blocks(random: np.random.Generator, area: Box, most: int, road: int) -> list[Box]:
+    """Divide an area by roads until no side of a block is longer than `most`."""
+    if max(area.width, area.height) <= most:
+        return [area]
+    along = round(max(area.width, area.height) * random.uniform(0.36, 0.64)) - road // 2
+    if area.width >= area.height:
+        first = Box(area.left, area.top, area.left + along, area.bottom)
+        second = Box(first.right + road, area.top, area.right, area.bottom)
+    else:
+        first = Box(area.left, area.top, area.right, area.top + along)
+        second = Box(area.left, first.bottom + road, area.right, area.bottom)
+    return _blocks(random, first, most, road) + _blocks(random, second, most, road)
+
+
+def _building(cells: Grid, random: np.random.Generator, plot: Box, resolution: float) -> None:
+    """Put a building on its plot: a bar, an L, a U, or four wings round a court with a gate."""
+    ground = cells[plot.top : plot.bottom, plot.left : plot.right]
+    deep = round(random.uniform(7.0, 9.0) / resolution)
+    ground = ground[:: 1 - 2 * int(random.integers(2)), :: 1 - 2 * int(random.integers(2))]
+    if random.random() < 0.5:
+        ground = ground.T
+    height, width = ground.shape
+    if min(height, width) < 2.5 * deep:
+        ground[:deep, :] = UNKNOWN
+        if min(height, width) > 1.6 * deep:
+            ground[:, :deep] = UNKNOWN
+        return
+    kind = random.integers(3)
+    ground[:deep, :] = UNKNOWN
+    ground[:, :deep] = UNKNOWN
+    if kind >= 1:
+        ground[-deep:, :] = UNKNOWN
+    if kind == 2:
+        ground[:, -deep:] = UNKNOWN
+        gate = round(4.0 / resolution)
+        ground[:deep, (width - gate) // 2 : (width + gate) // 2] = FREE
+
+
+def hilbert(
+    order: int, _random: np.random.Generator, *, side_m: float = 25.6, resolution: float = 0.1
+) -> Grid:
+    """Draw a corridor that runs along the Hilbert curve, a wall's thickness between its turns."""
+    cells, pitch = _square(order, side_m, resolution)
+    wall = wall_thickness(resolution)
+    curve = hilbert_curve(order)
+    for (x0, y0), (x1, y1) in pairwise(curve):
+        carve(
+            cells,
+            wall + min(x0, x1) * pitch,
+            wall + min(y0, y1) * pitch,
+            (max(x0, x1) + 1) * pitch,
+            (max(y0, y1) + 1) * pitch,
+        )
+    wall_in(cells, wall)
+    return cells
+
+
+def hilbert_walls(
+    order: int, _random: np.random.Generator, *, side_m: float = 25.6, resolution: float = 0.1
+) -> Grid:
+    """Draw a square hall with one wall in it, which follows the Hilbert curve (Fig. 8)."""
+    cells, pitch = _square(order, side_m, resolution)
+    wall = wall_thickness(resolution)
+    field(cells, wall)
+    curve = hilbert_curve(order)
+    for (x0, y0), (x1, y1) in pairwise(curve):
+        left, top = (min(side) * pitch + pitch // 2 for side in ((x0, x1), (y0, y1)))
+        right, bottom = (max(side) * pitch + pitch // 2 + wall for side in ((x0, x1), (y0, y1)))
+        cells[top:bottom, left:right] = OCCUPIED
+    wall_in(cells, wall)
+    return cells
+
+
+def hilbert_curve(order: int) -> list[tuple[int, int]]:
+    """Return the squares of a 2^order by 2^order board in the order in which the Hilbert curve visits them.
+
+    It enters at the lower left and leaves at the lower right; order 1 is a cup that opens downwards.
+    """
+    if order == 0:
+        return [(0, 0)]
+    half = 2 ** (order - 1)
+    last = half - 1
+    cup = hilbert_curve(order - 1)
+    return [
+        *((last - y, 2 * half - 1 - x) for x, y in cup),
+        *((x, y) for x, y in cup),
+        *((x + half, y) for x, y in cup),
+        *((y + half, half + x) for x, y in cup),
+    ]
+
+
+def _square(order: int, side_m: float, resolution: float) -> tuple[Grid, int]:
+    """Return an unknown grid of 2^order squares a side, and the side of such a square in cells."""
+    pitch = length("side_m", side_m, resolution, least_m=6 * 2**order * resolution) // 2**order
+    side = 2**order * pitch + wall_thickness(resolution)
+    return np.full((side, side), UNKNOWN, np.uint8), pitch

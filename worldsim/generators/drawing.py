@@ -1,0 +1,190 @@
+"""What all environments are drawn with: free space is carved out of the unknown, objects are set into it, and
+walls grow last wherever the two meet.
+
+Lengths are in cells here unless a name ends in ``_m``. Corners of shapes are rounded to sixteenths of a cell
+and filled in whole numbers, so that a seed means the same cells on every machine.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid
+from worldsim.maps import MapError
+
+_SIXTEENTHS = 16
+
+Points = NDArray[np.float64]
+"""Corners of a shape: float64 array of shape (n, 2), x and y."""
+
+
+def canvas(width_m: float, height_m: float, resolution: float, least_m: float) -> Grid:
+    """Return an all unknown grid for a world of this size, walls included.
+
+    Raises
+    ------
+    MapError
+        The resolution is not above 0, a side is shorter than `least_m`, or longer than a map may be.
+    """
+    width = length("width_m", width_m, resolution, least_m)
+    height = length("height_m", height_m, resolution, least_m)
+    return np.full((height, width), UNKNOWN, np.uint8)
+
+
+def length(name: str, side_m: float, resolution: float, least_m: float) -> int:
+    """Return the side of a world in cells; `name` is what the person who chose it calls it.
+
+    Raises
+    ------
+    MapError
+        As for `canvas`.
+    """
+    if not (math.isfinite(resolution) and resolution > 0):
+        raise MapError(f"resolution is {resolution}, not a number of metres a cell above 0")
+    most_m = MAX_SIDE * resolution
+    if not least_m <= side_m <= most_m:
+        raise MapError(f"{name} is {side_m}; it must lie between {least_m:g} and {most_m:g}")
+    return round(side_m / resolution)
+
+
+def wall_thickness(resolution: float) -> int:
+    """Return how thick walls are: 0.2 m, but one cell at least and two at most."""
+    return min(max(round(0.2 / resolution), 1), 2)
+
+
+def carve(cells: Grid, left: int, top: int, right: int, bottom: int) -> None:
+    """Free the cells from (left, top) to before (right, bottom)."""
+    cells[top:bottom, left:right] = FREE
+
+
+def field(cells: Grid, wall: int) -> None:
+    """Free everything but a wall round the grid."""
+    height, width = cells.shape
+    carve(cells, wall, wall, width - wall, height - wall)
+
+
+def wall_in(cells: Grid, thickness: int) -> None:
+    """Make walls of the unknown cells next to free ones, corners included."""
+    near = ndimage.binary_dilation(cells == FREE, np.ones((3, 3), bool), iterations=thickness)
+    cells[near & (cells == UNKNOWN)] = OCCUPIED
+
+
+def keep_connected(cells: Grid) -> None:
+    """Fill free cells that cannot be reached, by 4-neighbours, from the largest free area."""
+    areas, _ = ndimage.label(cells == FREE)
+    sizes = np.bincount(areas.ravel())
+    sizes[0] = 0
+    cells[(areas != sizes.argmax()) & (cells == FREE)] = OCCUPIED
+
+
+def fill(cells: Grid, corners: Points, state: int) -> None:
+    """Set the cells whose centres lie inside a polygon (even-odd)."""
+    corner_x, corner_y = np.round(corners * _SIXTEENTHS).astype(np.int64).T
+    low_x, low_y = (max(int(side.min()) // _SIXTEENTHS, 0) for side in (corner_x, corner_y))
+    high_x, high_y = (int(side.max()) // _SIXTEENTHS + 1 for side in (corner_x, corner_y))
+    window = cells[low_y:high_y, low_x:high_x]
+    y, x = np.ogrid[: window.shape[0], : window.shape[1]]
+    y, x = (y + low_y) * _SIXTEENTHS, (x + low_x) * _SIXTEENTHS
+    inside = np.zeros(window.shape, bool)
+    for i in range(len(corner_x)):
+        x0, y0, x1, y1 = corner_x[i - 1], corner_y[i - 1], corner_x[i], corner_y[i]
+        if y0 > y1:
+            x0, y0, x1, y1 = x1, y1, x0, y0
+        inside ^= (y0 <= y) & (y < y1) & ((x - x0) * (y1 - y0) < (y - y0) * (x1 - x0))
+    window[inside] = state
+
+
+def disc(_random: np.random.Generator) -> Points:
+    """Return a circle, of 32 corners."""
+    return _around(np.arange(32) / 32, np.ones(32))
+
+
+def box(random: np.random.Generator) -> Points:
+    """Return a rectangle, from square to four times as long as wide."""
+    half = math.atan(random.uniform(0.25, 1.0)) / (2 * math.pi)
+    return _around(np.array([half, 0.5 - half, 0.5 + half, 1 - half]) + random.random(), np.ones(4))
+
+
+def rock(random: np.random.Generator) -> Points:
+    """Return an irregular polygon of 5 to 9 corners."""
+    return blob(random, int(random.integers(5, 10)), 0.6)
+
+
+def blob(random: np.random.Generator, corners: int, least: float) -> Points:
+    """Return a polygon with its corners all around, none nearer to the middle than `least`."""
+    turns = (np.arange(corners) + random.uniform(-0.3, 0.3, corners)) / corners + random.random()
+    return _around(turns, random.uniform(least, 1.0, corners))
+
+
+def angle(random: np.random.Generator) -> Points:
+    """Return an L of two arms."""
+    thick = random.uniform(0.35, 0.6)
+    corners = np.array([(0, 0), (1.4, 0), (1.4, thick), (thick, thick), (thick, 1.2), (0, 1.2)]) - (0.5, 0.5)
+    corners /= np.hypot(*corners.T).max()
+    return _turned(corners, random.random())
+
+
+Shape = Callable[[np.random.Generator], Points]
+"""Draws the corners of a shape that fits into the unit circle."""
+
+SHAPES: tuple[Shape, ...] = (disc, box, rock, angle)
+
+
+def scatter(
+    cells: Grid,
+    random: np.random.Generator,
+    where: NDArray[np.bool_],
+    *,
+    count: int,
+    radii: tuple[float, float],
+    gap: float,
+    shapes: tuple[Shape, ...] = SHAPES,
+) -> None:
+    """Set objects into free space, no two closer to each other, or to what stands already, than `gap`.
+
+    Parameters
+    ----------
+    cells : uint8 array of shape (height, width)
+        The world; objects become occupied in it.
+    random : numpy.random.Generator
+    where : bool array of shape (height, width)
+        Where centres may lie.
+    count : int
+        How many objects are wanted; where no place is found for one, it is left out.
+    radii : (float, float)
+        Radius of the smallest and the largest object, in cells; small ones are more common.
+    gap : float
+        Least distance between objects, in cells: what may pass between any two.
+    shapes : tuple of Shape
+        What the objects look like, each as likely as the other.
+    """
+    clearance = ndimage.distance_transform_edt(cells == FREE)
+    rows, columns = np.nonzero(where & (clearance > radii[0] + gap))
+    placed: list[tuple[int, int, float]] = []
+    for _ in range(count):
+        shape = shapes[random.integers(len(shapes))]
+        radius = radii[0] + (radii[1] - radii[0]) * random.random() ** 1.5
+        for place in random.integers(max(len(rows), 1), size=40 if len(rows) else 0):
+            x, y = int(columns[place]), int(rows[place])
+            if clearance[y, x] > radius + gap and all(
+                (x - other_x) ** 2 + (y - other_y) ** 2 > (radius + other + gap) ** 2
+                for other_x, other_y, other in placed
+            ):
+                placed.append((x, y, radius))
+                fill(cells, shape(random) * radius + (x, y), OCCUPIED)
+                break
+
+
+def _around(turns: NDArray[np.float64], radii: NDArray[np.float64]) -> Points:
+    return np.stack([np.cos(2 * np.pi * turns) * radii, np.sin(2 * np.pi * turns) * radii], axis=1)
+
+
+def _turned(corners: Points, turn: float) -> Points:
+    cosine, sine = math.cos(2 * math.pi * turn), math.sin(2 * math.pi * turn)
+    x, y = corners.T
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=1)

@@ -1,0 +1,49 @@
+"""The environments of the exploration by potential fields with leaders (its Figs. 3 to 5): ten metres square.
+
+A trooper is drawn straight to its closest frontier. Where a wall stands across that line it stalls, and so
+does a whole team in rooms whose doors do not face what is left to explore; past a short screen it slides.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from protocol.grid import OCCUPIED, Grid
+from worldsim.generators.drawing import canvas, field, wall_in, wall_thickness
+
+_SIDE_M = 10.0
+
+_Walls = tuple[tuple[float, float, float, float], ...]
+"""Middle lines of walls, in metres: from (x, y) to (x, y)."""
+
+_TRAP: _Walls = (
+    *((3.6, 1.2, 3.6, 3.3), (0.0, 3.3, 3.6, 3.3)),  # six rooms off a hall, each a U
+    *((3.6, 3.3, 3.6, 5.5), (0.0, 6.6, 3.6, 6.6)),
+    *((3.6, 7.8, 3.6, 10.0),),
+    *((6.4, 0.0, 6.4, 2.2), (6.4, 3.4, 10.0, 3.4)),
+    *((6.4, 4.5, 6.4, 6.7), (6.4, 6.7, 10.0, 6.7)),
+    *((6.4, 6.7, 6.4, 8.8),),
+)
+
+_ROOMS: _Walls = ((5.0, 1.6, 5.0, 3.6), (5.0, 6.4, 5.0, 8.4), (1.6, 5.0, 3.6, 5.0), (6.4, 5.0, 8.4, 5.0))
+
+
+def trap(_random: np.random.Generator, *, resolution: float = 0.1) -> Grid:
+    """Draw a hall and six rooms, each a U that holds whoever is drawn to the other side of its walls."""
+    return _draw(_TRAP, resolution)
+
+
+def rooms(_random: np.random.Generator, *, resolution: float = 0.1) -> Grid:
+    """Draw four rooms behind short screens that one can slide past."""
+    return _draw(_ROOMS, resolution)
+
+
+def _draw(walls: _Walls, resolution: float) -> Grid:
+    cells = canvas(_SIDE_M, _SIDE_M, resolution, least_m=_SIDE_M)
+    thickness = wall_thickness(resolution)
+    field(cells, thickness)
+    for wall in walls:
+        left, top, right, bottom = (round(end / resolution) - thickness // 2 for end in wall)
+        cells[max(top, 0) : bottom + thickness, max(left, 0) : right + thickness] = OCCUPIED
+    wall_in(cells, thickness)
+    return cells

@@ -1,0 +1,88 @@
+"""The three environments of the thesis' experiments (Meier, Fig. 6.1), as its section 6 describes them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.grid import FREE, UNKNOWN, Grid
+from worldsim.generators.drawing import canvas, carve, field, keep_connected, scatter, wall_in, wall_thickness
+from worldsim.generators.floorplan import Box, Builder, Style
+
+_OBJECTS_PER_M2 = 0.11
+_PASSAGE_M = 0.7
+"""What is left free between any two objects."""
+
+
+def unstructured(
+    random: np.random.Generator, *, width_m: float = 25.0, height_m: float = 25.0, resolution: float = 0.1
+) -> Grid:
+    """Draw an enclosed field with discs, boxes, rocks and angles scattered over it."""
+    cells = canvas(width_m, height_m, resolution, least_m=5.0)
+    field(cells, wall_thickness(resolution))
+    _scatter_outdoors(cells, random, resolution, cells == FREE)
+    wall_in(cells, wall_thickness(resolution))
+    keep_connected(cells)
+    return cells
+
+
+def mixed(
+    random: np.random.Generator, *, width_m: float = 25.0, height_m: float = 25.0, resolution: float = 0.1
+) -> Grid:
+    """Draw an enclosed field, a building in it with rooms on both sides of a corridor, objects around it."""
+    cells = canvas(width_m, height_m, resolution, least_m=18.0)
+    wall = wall_thickness(resolution)
+    field(cells, wall)
+    drawn = cells.T if random.random() < 0.5 else cells
+    house = _site(random, drawn, round(3.0 / resolution))
+    drawn[house.top : house.bottom, house.left : house.right] = UNKNOWN
+    outdoors = cells == FREE
+    builder = Builder(drawn, random, resolution, Style(room_m=(2.8, 4.6), joined=0.2, merged=0.0))
+    (corridor,), rooms = builder.offices(house.shrunk(wall), corridors=1)
+    for left in (house.left, house.right - wall):
+        builder.transposed().door(corridor.top, corridor.bottom, left)
+    _open_porch(drawn, house, (rooms[0], rooms[-1])[random.integers(2)])
+    _scatter_outdoors(cells, random, resolution, outdoors)
+    wall_in(cells, wall)
+    keep_connected(cells)
+    return cells
+
+
+def office(
+    random: np.random.Generator, *, width_m: float = 25.0, height_m: float = 25.0, resolution: float = 0.1
+) -> Grid:
+    """Draw an office floor: parallel corridors with rooms on both sides, joined by corridors across."""
+    cells = canvas(width_m, height_m, resolution, least_m=10.0)
+    drawn = cells.T if random.random() < 0.5 else cells
+    floor = Box(0, 0, drawn.shape[1], drawn.shape[0]).shrunk(wall_thickness(resolution))
+    corridors = max(1, round(floor.height * resolution / 12.5))
+    Builder(drawn, random, resolution, Style()).offices(floor, corridors)
+    wall_in(cells, wall_thickness(resolution))
+    keep_connected(cells)
+    return cells
+
+
+def _site(random: np.random.Generator, cells: Grid, margin: int) -> Box:
+    """Choose where the building stands: about half as wide and as deep as the field."""
+    height, width = cells.shape
+    wide, deep = round(width * random.uniform(0.54, 0.66)), round(height * random.uniform(0.42, 0.5))
+    left = int(random.integers(margin, width - margin - wide + 1))
+    top = int(random.integers(margin, height - margin - deep + 1))
+    return Box(left, top, left + wide, top + deep)
+
+
+def _open_porch(cells: Grid, house: Box, room: Box) -> None:
+    """Take a corner room away: what was its door now leads outdoors."""
+    left = house.left if room.left < (house.left + house.right) // 2 else room.left
+    right = room.right if left == house.left else house.right
+    top = house.top if room.top < (house.top + house.bottom) // 2 else room.top
+    bottom = room.bottom if top == house.top else house.bottom
+    carve(cells, left, top, right, bottom)
+
+
+def _scatter_outdoors(
+    cells: Grid, random: np.random.Generator, resolution: float, where: NDArray[np.bool_]
+) -> None:
+    count = round(_OBJECTS_PER_M2 * int(where.sum()) * resolution**2)
+    radii = (0.35 / resolution, 1.4 / resolution)
+    scatter(cells, random, where, count=count, radii=radii, gap=_PASSAGE_M / resolution)
