@@ -56,7 +56,9 @@ def run(plan: Plan, watch: Callable[[Records], object] | None = None) -> Records
             while (message := _next(buses[name])) is not None:
                 node.handle(message)
                 spoke = True
-        if not spoke:
+            if node.done:
+                buses[name].close()
+        if not spoke and not all(node.done for node in nodes.values()):
             raise RuntimeError("the run stands still: everyone waits for someone")
         if watch is not None and lab.records.step > step:
             step = lab.records.step

@@ -15,10 +15,12 @@ from protocol.messages import Begin, Bye, End, Fault, Lost, Positions, Said, Sto
 
 
 class RelayNode:
-    """One run's relay; `done` once everyone has been sent home."""
+    """One run's relay; `done` once everyone has been sent home and has left."""
 
     def __init__(self, bus: Bus, keys: Keys, settings: RadioSettings) -> None:
         self.done = False
+        self.going_home = False
+        """Whether everyone has been told that the run is over; who stays all the same is not waited for long."""
         self._bus = bus
         self._keys = keys
         self._radio = Radio(settings)
@@ -47,6 +49,7 @@ class RelayNode:
         else:
             self._control(first, message.payload)
         self._report_faults()
+        self.done = self.going_home and not self._present
 
     def give_up_on(self, robot: int, cause: str) -> None:
         """Go on without a robot."""
@@ -106,7 +109,7 @@ class RelayNode:
     def _go_home(self) -> None:
         for name in sorted(self._present):
             self._bus.put(self._keys.control(name, names.RELAY), pack(Bye()))
-        self.done = True
+        self.going_home = True
 
     def _send(self, outgoing: list[Frame | Note]) -> None:
         for item in outgoing:

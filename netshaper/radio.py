@@ -227,7 +227,7 @@ class Radio:
     def _pass_on(self, frame: int, phase: str) -> list[Outgoing]:
         """Hand all frames of one kind to their receivers, in the seeded order, and give these the turn."""
         out: list[Outgoing] = []
-        heard: dict[int, list[int]] = {}
+        heard: dict[int, list[Connection]] = {}
         for connection in self._connections:
             payload = connection.frames[frame]
             if payload is None:
@@ -238,9 +238,10 @@ class Radio:
             if receiver in self._dead:
                 continue
             out.append(Frame(receiver, sender, payload))
-            heard.setdefault(receiver, []).append(connection.number)
-        for receiver, numbers in sorted(heard.items()):
-            out.append(Note(receiver, Turn(self._step, self._exchange, PHASES[frame], numbers)))
+            heard.setdefault(receiver, []).append(connection)
+        for receiver, these in sorted(heard.items()):
+            numbers, maps = [c.number for c in these], [c.map for c in these]
+            out.append(Note(receiver, Turn(self._step, self._exchange, PHASES[frame], numbers, maps)))
         self._expect(phase, sorted(heard))
         return out
 

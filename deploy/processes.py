@@ -1,0 +1,110 @@
+"""What the processes of a run do from their first line to their last: join the bus, serve, leave.
+
+Imported by the fork server before any bus is opened: so each robot starts with code and kernels in memory.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from agent.process import AgentNode
+from netshaper.hub import open_hub
+from netshaper.process import RelayNode
+from netshaper.radio import RadioSettings
+from protocol import keys as names
+from protocol.bus import Bus, BusClosed
+from protocol.keys import Keys
+from protocol.zenoh_bus import Credential, join
+from worldsim.process import WorldNode
+from worldsim.world import World
+
+BROKEN_OFF = 3
+PATIENCE_S = 60.0
+"""A robot that says nothing for so long when it is its turn is given up."""
+FAREWELL_S = 2.0
+"""How long the relay waits for others to leave, once all is recorded."""
+
+
+@dataclass(frozen=True)
+class WorldTask:
+    """What the world's process is given."""
+
+    world: World
+    minds: Mapping[int, Mapping[str, Any]]
+    steps: int
+    cell_mm: float
+
+
+def serve_relay(
+    run: str,
+    endpoint: str,
+    credentials: Mapping[str, Credential],
+    settings: RadioSettings,
+    tell: Callable[[str], object] = lambda _: None,
+) -> None:
+    """Be the hub and relay of a run until everyone has gone home; `tell` hears whom it waits for."""
+    bus = open_hub(run, endpoint, credentials)
+    try:
+        node = RelayNode(bus, Keys(run), settings)
+        told: list[str] = []
+        heard = time.monotonic()
+        while not node.done:
+            message = bus.receive(1.0)
+            if message is not None:
+                heard = time.monotonic()
+                node.handle(message)
+            silent = time.monotonic() - heard
+            if node.going_home and silent > FAREWELL_S:
+                break
+            if silent > PATIENCE_S:
+                for robot in node.waiting_for():
+                    node.give_up_on(robot, f"it said nothing for {PATIENCE_S:g} s")
+                heard = time.monotonic()
+            if node.missing() != told:
+                told = node.missing()
+                tell(f"waiting for {', '.join(told)}" if told else "all are here")
+    finally:
+        bus.close()
+
+
+def serve_world(credential: Credential, task: WorldTask) -> None:
+    """Be the world of a run."""
+    bus = join(credential)
+    node = WorldNode(bus, Keys(credential.run), task.world, task.minds, task.steps, task.cell_mm)
+    _serve(bus, node)
+
+
+def serve_agent(credential: Credential) -> None:
+    """Be one robot of a run."""
+    bus = join(credential)
+    _serve(bus, AgentNode(bus, Keys(credential.run), names.number(credential.name)))
+
+
+def _serve(bus: Bus, node: WorldNode | AgentNode) -> None:
+    try:
+        while not node.done:
+            message = bus.receive()
+            if message is not None:
+                node.handle(message)
+    finally:
+        bus.close()
+
+
+def in_background(log: Path, serve: Callable[..., None], *args: object) -> None:
+    """Run `serve` as a child of the launcher: what it prints goes to `log`; Ctrl-C is the launcher's affair."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    os.dup2(file, 1)
+    os.dup2(file, 2)
+    try:
+        serve(*args)
+    except (BusClosed, ConnectionError) as error:
+        print(error, file=sys.stderr)
+        sys.exit(BROKEN_OFF)
