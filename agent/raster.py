@@ -19,9 +19,7 @@ from agent.polygons import SIDE_X, SIDE_Y
 from protocol.kernels import kernel
 
 
-@kernel(
-    "void(uint8[:,::1], int16[::1], int16[::1], uint8[::1], int64, int64, uint8[:,::1], int64, int64)"
-)
+@kernel("void(uint8[:,::1], int16[::1], int16[::1], uint8[::1], int64, int64, uint8[:,::1], uint8, uint8)")
 def fill(
     layer: NDArray[np.uint8],
     x: NDArray[np.int16],
@@ -43,29 +41,77 @@ def fill(
     a_y = 4 * y[end - 1] + SIDE_Y[side[end - 1]]
     for i in range(first, end):
         b_x, b_y = 4 * x[i] + SIDE_X[side[i]], 4 * y[i] + SIDE_Y[side[i]]
-        # Rows whose middle lies in [low, high) are crossed; to the right of the crossing all cells toggle.
-        low_x, low_y, high_x, high_y = (a_x, a_y, b_x, b_y) if a_y <= b_y else (b_x, b_y, a_x, a_y)
-        row, last = max((low_y + 3) // 4, 0), min((high_y + 3) // 4, height) - 1
-        if row <= last:
-            top, bottom = min(top, row), max(bottom, last)
+        # The edge crosses the columns whose middle lies in [low, high); all cells below it there toggle.
+        low_x, low_y, high_x, high_y = (a_x, a_y, b_x, b_y) if a_x <= b_x else (b_x, b_y, a_x, a_y)
+        column, last = max((low_x + 3) // 4, 0), min((high_x + 3) // 4, width) - 1
+        if column <= last:
+            left, right = min(left, column), max(right, last)
             run, rise = high_x - low_x, high_y - low_y
-            denominator = 4 * rise
-            # The first column whose middle is not left of the crossing: the crossing, rounded up.
-            numerator = low_x * rise + run * (4 * row - low_y) + denominator - 1
-            for at in range(row, last + 1):
-                column = max(numerator // denominator, 0)
-                if column < width:
-                    scratch[at, column] ^= 1
-                    left, right = min(left, column), max(right, column)
-                else:
-                    right = width
-                numerator += 4 * run
+            denominator = 4 * run
+            numerator = low_y * run + rise * (4 * column - low_x) + denominator - 1  # rounds up
+            for at in range(column, last + 1):
+                row = max(numerator // denominator, 0)
+                if row < height:
+                    scratch[row, at] ^= 255
+                    top = min(top, row)
+                bottom = max(bottom, min(row, height - 1))
+                numerator += 4 * rise
         a_x, a_y = b_x, b_y
-    right = min(right, width - 1)
-    for at in range(top, bottom + 1):
-        within = np.uint8(0)
-        for column in range(left, right + 1):
-            within ^= scratch[at, column]
-            scratch[at, column] = 0
-            if within:
-                layer[at, column] = layer[at, column] & ~clear_bits | set_bits
+    for row in range(top, bottom + 1):
+        within = scratch[row, left : right + 1]
+        bits = layer[row, left : right + 1]
+        if row > top:
+            above = scratch[row - 1, left : right + 1]
+            for at in range(len(within)):
+                within[at] ^= above[at]
+        for at in range(len(bits)):
+            bits[at] = bits[at] & ~(clear_bits & within[at]) | set_bits & within[at]
+    for row in range(top, bottom + 1):
+        scratch[row, left : right + 1] = 0
+
+
+@kernel(
+    "void(uint8[:,::1], int16[::1], int16[::1], uint8[::1], uint8[::1], int64, int64, uint8, uint8, uint8)"
+)
+def draw(
+    layer: NDArray[np.uint8],
+    x: NDArray[np.int16],
+    y: NDArray[np.int16],
+    side: NDArray[np.uint8],
+    occupied: NDArray[np.uint8],
+    first: int,
+    end: int,
+    occupied_bits: int,
+    other_bits: int,
+    clear_bits: int,
+) -> None:
+    """Draw the edges of the polygon of the vertices ``first:end``.
+
+    Clears `clear_bits` in all their cells; sets `occupied_bits` on occupied edges, `other_bits` on others.
+    """
+    height, width = layer.shape
+    for i in range(first, end):
+        j = i + 1 if i + 1 < end else first
+        bits = occupied_bits if occupied[i] else other_bits
+        a_x, a_y = 4 * x[i] + SIDE_X[side[i]], 4 * y[i] + SIDE_Y[side[i]]
+        run, rise = 4 * x[j] + SIDE_X[side[j]] - a_x, 4 * y[j] + SIDE_Y[side[j]] - a_y
+        # Along the axis of the longer extent, `at` counts columns (or rows) from the first vertex' own.
+        flat = abs(run) >= abs(rise)
+        at, last = (x[i], x[j]) if flat else (y[i], y[j])
+        step = 1 if last > at else -1
+        if flat:
+            numerator, denominator, slope = a_y * run + rise * (4 * at - a_x), 4 * run, 4 * rise * step
+        else:
+            numerator, denominator, slope = a_x * rise + run * (4 * at - a_y), 4 * rise, 4 * run * step
+        if denominator < 0:
+            numerator, denominator, slope = -numerator, -denominator, -slope
+        numerator += denominator // 2
+        while True:
+            across = numerator // denominator
+            column, row = (at, across) if flat else (across, at)
+            if 0 <= column < width and 0 <= row < height:
+                layer[row, column] = layer[row, column] & ~clear_bits | bits
+            at += step
+            numerator += slope
+            if (last - at) * step <= 0:
+                break

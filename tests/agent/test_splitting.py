@@ -1,0 +1,64 @@
+"""Splitting frequency: Eqs. 5.5 and 5.6 by numbers worked out by hand, and whole splits from fractions."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.splitting import START_BYTES, START_SPLITS, SplitAllowance, Splitting
+
+
+def test_the_frequency_is_what_equation_5_5_says() -> None:
+    team = Splitting(
+        robots=3, bandwidth=1000, reach=10, width=40, height=25, medium_use=0.6, bytes_per_split=12
+    )
+    assert team.touch == pytest.approx(10 / 40 * 10 / 25 * 3)
+    assert team.frequency(12) == pytest.approx(1000 * 0.3 * 0.6 / (6 * 12))
+
+
+def test_robots_that_always_hear_each_other_are_in_touch_with_probability_1() -> None:
+    assert Splitting(robots=8, bandwidth=1000, reach=math.inf, width=30, height=30).touch == 1
+    assert Splitting(robots=8, bandwidth=1000, reach=20, width=30, height=30).touch == 1
+
+
+@pytest.mark.parametrize(("robots", "bandwidth"), [(1, 1000.0), (4, None)])
+def test_where_nothing_limits_refinement_it_goes_on_until_exact(robots: int, bandwidth: float | None) -> None:
+    assert SplitAllowance(Splitting(robots, bandwidth, 10, 30, 30)).next_step() is None
+
+
+@given(st.integers(2, 64), st.floats(1, 1e5), st.floats(0.1, 1e3), st.floats(0.01, 1), st.integers(1, 200))
+def test_fractions_of_splits_are_carried_over(
+    robots: int, bandwidth: float, reach: float, medium_use: float, steps: int
+) -> None:
+    team = Splitting(robots, bandwidth, reach, 30, 20, medium_use, bytes_per_split=15)
+    frequency = team.frequency(15)
+    assert frequency is not None
+    allowance = SplitAllowance(team)
+    total = 0
+    for step in range(1, steps + 1):
+        splits = allowance.next_step()
+        assert splits is not None
+        total += splits
+        assert total == pytest.approx(frequency * step, abs=1, rel=1e-9)
+
+
+def test_bytes_a_split_are_measured_where_they_are_not_given() -> None:
+    allowance = SplitAllowance(Splitting(3, 1000, 10, 30, 30))
+    assert allowance.bytes_per_split == START_BYTES
+    for _ in range(1000):
+        allowance.spent(2, 60)
+    expected = (START_SPLITS * START_BYTES + 60_000) / (START_SPLITS + 2000)
+    assert allowance.bytes_per_split == pytest.approx(expected)
+    assert SplitAllowance(Splitting(3, 1000, 10, 30, 30, bytes_per_split=20)).bytes_per_split == 20
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"robots": 0}, {"bandwidth": 0}, {"medium_use": -1}, {"width": 0}, {"reach": math.nan}]
+)
+def test_parameters_without_meaning_are_refused(wrong: dict[str, float]) -> None:
+    given: dict[str, float] = {"robots": 2, "bandwidth": 100, "reach": 10, "width": 30, "height": 30}
+    with pytest.raises(ValueError, match=r"at least 1|must be above 0"):
+        Splitting(**(given | wrong))  # type: ignore[arg-type]
