@@ -1,1 +1,24 @@
-"""The laboratory: scenarios, launching, recording and the command line."""
+"""The laboratory: scenarios, launching, recording and the command line.
+
+From Python: ``from deploy import Scenario, explore; result = explore(Scenario(robots=5))``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from deploy.mission import Result, explore
+    from deploy.scenario import Scenario
+
+__all__ = ["Result", "Scenario", "explore"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what is asked for when it is: robots import this package too and need none of it."""
+    import importlib  # noqa: PLC0415
+
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = importlib.import_module("deploy.scenario" if name == "Scenario" else "deploy.mission")
+    return getattr(module, name)

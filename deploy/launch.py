@@ -12,6 +12,7 @@ import secrets
 import signal
 import socket
 import sys
+import tempfile
 import time
 import types
 from collections.abc import Callable, Iterator
@@ -64,8 +65,14 @@ class Outcome:
     interrupted: bool = False
 
 
-def run(plan: Plan, logs: Path, watch: Callable[[Records], object] | None = None) -> Outcome:
-    """Run a plan as processes; `watch` is called as records come in, at most a few times a second."""
+def run(plan: Plan, logs: Path | None, watch: Callable[[Records], object] | None = None) -> Outcome:
+    """Run a plan as processes; `watch` is called as records come in, at most a few times a second.
+
+    What the processes print goes to files in `logs`, or is gone after the run if that is None.
+    """
+    if logs is None:
+        with tempfile.TemporaryDirectory() as folder:
+            return run(plan, Path(folder), watch)
     robots = plan.scenario.robots
     run_id = secrets.token_hex(4)
     endpoint = f"tcp/127.0.0.1:{_free_port()}"
@@ -168,6 +175,8 @@ def _end(children: list[Child]) -> None:
     for child in children:
         if child.log.exists() and not child.log.stat().st_size:
             child.log.unlink()
+    if children and not any(children[0].log.parent.iterdir()):
+        children[0].log.parent.rmdir()
 
 
 @contextlib.contextmanager

@@ -1,0 +1,93 @@
+"""Processes started by hand, each in a terminal or on a host of its own (docs/several-terminals.md)."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from deploy import plan as plans
+from deploy import rundir
+from deploy.launch import Outcome
+from deploy.mission import Result, conclude
+from deploy.plan import Plan
+from deploy.processes import WorldTask, serve_agent, serve_relay, serve_world
+from deploy.records import LabNode, Records
+from deploy.scenario import Scenario, ScenarioError
+from netshaper import access
+from protocol import keys as names
+from protocol.bus import BusClosed
+from protocol.keys import Keys
+from protocol.zenoh_bus import Credential, join
+
+
+def serve_netshaper(
+    scenario: Scenario, listen: str, folder: Path, tell: Callable[[str], object]
+) -> None:
+    """Write credentials for a new run into `folder`, then be its hub and relay."""
+    plan = plans.make(scenario)
+    host, _, port = listen.rpartition(":")
+    if not host or not port.isdecimal():
+        raise ScenarioError(f"listen = {listen!r}: must be HOST:PORT, as 127.0.0.1:7447")
+    if folder.exists() and any(folder.iterdir()):
+        raise ScenarioError(f"credentials = {folder}: it is not empty; name a new directory")
+    folder.mkdir(parents=True, exist_ok=True)
+    endpoint = f"tcp/{listen}"
+    run = secrets.token_hex(4)
+    credentials = access.issue(run, endpoint, scenario.robots)
+    for name, credential in credentials.items():
+        credential.write(folder / f"{name}.json")
+    tell(f"run {run} at {endpoint}; credentials in {folder}: {', '.join(credentials)}")
+    serve_relay(run, endpoint, credentials, plan.radio, tell)
+
+
+def serve_worldsim(scenario: Scenario, credential: Path) -> None:
+    """Be the world of the run that the credential belongs to."""
+    plan = plans.make(scenario)
+    task = WorldTask(plan.make_world(), plan.minds, scenario.steps, 1000 * plan.map.resolution)
+    serve_world(_credential(credential, names.WORLD), task)
+
+
+def serve_robot(credential: Path) -> None:
+    """Be the robot that the credential names."""
+    read = Credential.read(credential)
+    names.number(read.name)
+    serve_agent(read)
+
+
+def serve_lab(
+    scenario: Scenario,
+    credential: Path,
+    out: Path | None,
+    watch: Callable[[Plan, Records], object] | None,
+) -> Result:
+    """Be the laboratory: record the run and write its directory."""
+    plan = plans.make(scenario)
+    read = _credential(credential, names.LAB)
+    directory = rundir.create(out, plan)
+    began = time.perf_counter()
+    deaths: dict[str, str] = {}
+    bus = join(read)
+    lab = LabNode(bus, Keys(read.run), scenario.robots)
+    try:
+        while not lab.done:
+            message = bus.receive(0.25)
+            if message is not None:
+                lab.handle(message)
+            if watch is not None:
+                watch(plan, lab.records)
+    except BusClosed as error:
+        deaths[names.RELAY] = str(error)
+    except KeyboardInterrupt:
+        lab.stop("interrupted")
+    finally:
+        bus.close()
+    return conclude(plan, Outcome(lab.records, deaths), directory, time.perf_counter() - began)
+
+
+def _credential(path: Path, name: str) -> Credential:
+    read = Credential.read(path)
+    if read.name != name:
+        raise ScenarioError(f"credential {path} is that of {read.name}; {name}.json is needed here")
+    return read

@@ -1,0 +1,362 @@
+"""The command line: `murmur` and its commands."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+from rich.console import Console
+
+from deploy.scenario import Scenario, ScenarioError, load
+
+BAD_INPUT = 2
+
+app = typer.Typer(
+    name="murmur",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="""Robot swarms that map a building together over a radio of a kilobyte a second.
+
+    Begin with:  murmur explore --robots 5        (an office, seen and shared by five robots)
+    then look at the picture that it names, and at:  murmur map list,  murmur strategies,  murmur doctor
+
+    Exit codes: 0 explored, 1 not finished (or a replay that does not hold), 2 bad input, 3 a process died.""",
+)
+maps_app = typer.Typer(no_args_is_help=True, help="List, make and show maps.")
+run_app = typer.Typer(
+    no_args_is_help=True,
+    help="Start one process of a run by hand (docs/several-terminals.md walks through it).",
+)
+app.add_typer(maps_app, name="map")
+app.add_typer(run_app, name="run")
+
+errors = Console(stderr=True, highlight=False, soft_wrap=True)
+screen = Console(highlight=False, soft_wrap=True)
+
+
+def default(name: str) -> str:
+    """Help text of a scenario setting: what it is, and its default."""
+    info = Scenario.model_fields[name]
+    return f"{info.description} (default {info.default})"
+
+
+ScenarioFile = Annotated[
+    Path | None, typer.Argument(metavar="[SCENARIO.toml]", help="a scenario file; flags override it")
+]
+OutOption = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="run directory (default: a new one under runs/)")
+]
+JsonFlag = Annotated[bool, typer.Option("--json", help="print the summary as JSON and nothing else")]
+
+
+def _setting(name: str, kind: Any, metavar: str | None = None) -> Any:
+    flag = "--" + name.replace("_", "-")
+    return Annotated[kind | None, typer.Option(flag, help=default(name), metavar=metavar)]
+
+
+@app.command()
+def explore(
+    scenario: ScenarioFile = None,
+    map: _setting("map", str, "FILE.yaml|NAME") = None,  # type: ignore[valid-type]  # noqa: A002
+    robots: _setting("robots", int, "N") = None,  # type: ignore[valid-type]
+    range: _setting("range", str, "METRES|P%") = None,  # type: ignore[valid-type]  # noqa: A002
+    bandwidth: _setting("bandwidth", str, "BYTES|unlimited") = None,  # type: ignore[valid-type]
+    exchange: _setting("exchange", str, "NAME") = None,  # type: ignore[valid-type]
+    strategy: _setting("strategy", str, "NAME") = None,  # type: ignore[valid-type]
+    sensor_range: _setting("sensor_range", float, "M") = None,  # type: ignore[valid-type]
+    speed: _setting("speed", float, "M_PER_STEP") = None,  # type: ignore[valid-type]
+    seed: _setting("seed", int, "S") = None,  # type: ignore[valid-type]
+    map_seed: _setting("map_seed", int, "S") = None,  # type: ignore[valid-type]
+    start: Annotated[str | None, typer.Option(metavar="X,Y", help=default("start"))] = None,
+    offers: _setting("offers", str, "NAME") = None,  # type: ignore[valid-type]
+    option: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="an option of the strategy (murmur strategies); repeatable"),
+    ] = None,
+    bus: _setting("bus", str, "zenoh|memory") = None,  # type: ignore[valid-type]
+    steps: _setting("steps", int, "MAX") = None,  # type: ignore[valid-type]
+    out: OutOption = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Explore a building: start a world, a radio relay and N robots as processes, and watch them finish.
+
+    All that comes out is in the run directory: summary.json, steps.parquet, ledger.parquet, maps.png, the
+    maps themselves, and scenario.toml, from which `murmur replay` repeats the run.
+    """
+    overrides: dict[str, Any] = {
+        "map": map, "robots": robots, "range": range, "bandwidth": bandwidth, "exchange": exchange,
+        "strategy": strategy, "sensor_range": sensor_range, "speed": speed, "seed": seed,
+        "map_seed": map_seed, "offers": offers, "bus": bus, "steps": steps,
+    }  # fmt: skip
+    with _speaking_clearly():
+        if start is not None:
+            overrides["start"] = _pair(start)
+        if option:
+            overrides["options"] = dict(_named_value(item) for item in option)
+        chosen = load(scenario, overrides)
+        raise typer.Exit(_explore(chosen, out, as_json=as_json))
+
+
+@app.command()
+def replay(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
+    bus: Annotated[str | None, typer.Option(help="on this bus (default: the run's own)", metavar="zenoh|memory")] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Repeat a run from its directory alone, and check that its digest comes out again."""
+    from deploy import mission, rundir  # noqa: PLC0415
+
+    with _speaking_clearly():
+        scenario = rundir.read_scenario(directory)
+        before = rundir.read_summary(directory)
+        if bus is not None:
+            scenario = load(directory / rundir.SCENARIO, {"bus": bus})
+        with _progress(shown=not as_json) as watch:
+            result = mission.explore(scenario, keep=False, watch=watch)
+        _report_deaths(result.deaths)
+        if result.exit_code == mission.BROKEN_OFF:
+            raise typer.Exit(mission.BROKEN_OFF)
+        same = result.summary["digest"] == before["digest"]
+        if as_json:
+            print(json.dumps({"holds": same, "digest": result.summary["digest"], "before": before["digest"]}))
+        elif same:
+            screen.print(f"The run holds: {result.summary['steps']} steps, digest {before['digest'][:16]}…")
+        else:
+            _explain_difference(before, result.summary)
+        raise typer.Exit(0 if same else 1)
+
+
+@app.command()
+def strategies(as_json: JsonFlag = False) -> None:
+    """List the exploration strategies: what each does, from which paper, with which options."""
+    from agent.strategies import strategies as all_strategies  # noqa: PLC0415
+
+    found = all_strategies()
+    if as_json:
+        print(json.dumps({name: {"summary": s.summary, "source": s.source} for name, s in found.items()}))
+        return
+    for name, kind in found.items():
+        screen.print(f"[bold]{name}[/bold]: {kind.summary}\n    {kind.source}")
+
+
+@maps_app.command("list")
+def map_list() -> None:
+    """List the environments that can be generated; a YAML file of a ROS map does as well."""
+    from worldsim import generators  # noqa: PLC0415
+
+    names = generators.names()
+    for name in names:
+        screen.print(f"[bold]{name:{max(map(len, names))}}[/bold]  {generators.describe(name)}")
+
+
+@maps_app.command("make")
+def map_make(
+    name: Annotated[str, typer.Argument(help="what `murmur map list` names")],
+    seed: Annotated[int, typer.Option(min=0, help="which one of its kind")] = 0,
+    out: Annotated[Path | None, typer.Option(metavar="FILE.yaml", help="default: NAME.yaml here")] = None,
+) -> None:
+    """Make a map and write it as ROS map_server reads it: a YAML file and its picture."""
+    from worldsim import generators, maps  # noqa: PLC0415
+
+    with _speaking_clearly():
+        path = out or Path(f"{name}.yaml")
+        maps.save(generators.make(name, seed=seed), path)
+        screen.print(f"{path}: {generators.describe(name)}, seed {seed}")
+
+
+@maps_app.command("show")
+def map_show(
+    file: Annotated[str, typer.Argument(metavar="FILE.yaml|NAME", help="a map file, or a generator's name")],
+    seed: Annotated[int, typer.Option(min=0, help="the generator's seed")] = 0,
+    png: Annotated[Path | None, typer.Option(metavar="FILE.png", help="draw it there, with metres")] = None,
+) -> None:
+    """Show a map in the terminal, with its figures."""
+    from deploy import plan  # noqa: PLC0415
+    from deploy.terminal import sketch  # noqa: PLC0415
+
+    with _speaking_clearly():
+        world_map = plan.load_map(load(None, {"map": file, "map_seed": seed}))
+        free = int((world_map.cells == 1).sum())
+        screen.print(sketch(world_map.cells, screen.width))
+        screen.print(
+            f"{world_map.name}: {world_map.width} x {world_map.height} cells of {world_map.resolution:g} m, "
+            f"{world_map.width * world_map.resolution:.1f} x {world_map.height * world_map.resolution:.1f} m, "
+            f"{free} free cells ({100 * free / world_map.cells.size:.0f} %), "
+            f"diagonal {world_map.diagonal_m:.1f} m"
+        )
+        if png is not None:
+            from deploy.pictures import draw_map  # noqa: PLC0415
+
+            draw_map(png, world_map)
+            screen.print(f"drawn to {png}")
+
+
+@app.command()
+def doctor() -> None:
+    """Check that this installation works: versions, compiled kernels, the bus on loopback, a tiny swarm."""
+    from deploy.doctor import examine  # noqa: PLC0415
+
+    raise typer.Exit(0 if examine(screen) else 1)
+
+
+@app.command()
+def bench(
+    names: Annotated[list[str] | None, typer.Argument(metavar="[NAME...]", help="bus, swarm; default: all")] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Measure this machine: each figure as a ratio against a yardstick taken in the same run."""
+    from deploy.bench import run_benches  # noqa: PLC0415
+
+    with _speaking_clearly():
+        figures = run_benches(names or [], (lambda _: None) if as_json else screen.print)
+        if as_json:
+            print(json.dumps(figures, indent=2))
+
+
+@run_app.command("netshaper")
+def run_netshaper(
+    scenario: ScenarioFile = None,
+    listen: Annotated[str, typer.Option(metavar="HOST:PORT", help="where the hub listens")] = "127.0.0.1:7447",
+    credentials: Annotated[
+        Path, typer.Option(metavar="DIR", help="new directory for one credential file a participant")
+    ] = Path("credentials"),
+) -> None:
+    """Start the radio relay: the hub that all others join. It writes their credentials, then waits for them."""
+    from deploy.by_hand import serve_netshaper  # noqa: PLC0415
+
+    with _speaking_clearly():
+        serve_netshaper(load(scenario, {}), listen, credentials, screen.print)
+
+
+@run_app.command("worldsim")
+def run_worldsim(
+    credential: Annotated[Path, typer.Option(metavar="FILE", help="world.json of the netshaper's credentials")],
+    scenario: ScenarioFile = None,
+) -> None:
+    """Start the world simulator: it owns the map and the clock, and begins once all are there."""
+    from deploy.by_hand import serve_worldsim  # noqa: PLC0415
+
+    with _speaking_clearly():
+        serve_worldsim(load(scenario, {}), credential)
+
+
+@run_app.command("agent")
+def run_agent(
+    credential: Annotated[Path, typer.Option(metavar="FILE", help="rN.json of the netshaper's credentials")],
+) -> None:
+    """Start one robot. It is told everything else over the bus."""
+    from deploy.by_hand import serve_robot  # noqa: PLC0415
+
+    with _speaking_clearly():
+        serve_robot(credential)
+
+
+@run_app.command("lab")
+def run_lab(
+    credential: Annotated[Path, typer.Option(metavar="FILE", help="lab.json of the netshaper's credentials")],
+    scenario: ScenarioFile = None,
+    out: OutOption = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Start the laboratory: it records the run and writes its directory at the end."""
+    from deploy.by_hand import serve_lab  # noqa: PLC0415
+
+    with _speaking_clearly():
+        with _progress(shown=not as_json) as watch:
+            result = serve_lab(load(scenario, {}), credential, out, watch)
+        raise typer.Exit(_report(result, as_json=as_json))
+
+
+def _explore(scenario: Scenario, out: Path | None, *, as_json: bool) -> int:
+    from deploy import mission  # noqa: PLC0415
+
+    with _progress(shown=not as_json) as watch:
+        result = mission.explore(scenario, out=out, watch=watch)
+    return _report(result, as_json=as_json)
+
+
+def _report(result: Any, *, as_json: bool) -> int:
+    """Print what a run brought; return its exit code."""
+    from deploy.terminal import summary_lines  # noqa: PLC0415
+
+    _report_deaths(result.deaths)
+    for robot, cause in sorted(result.records.lost.items()):
+        errors.print(f"robot {robot} was lost: {cause}")
+    for fault in result.records.faults[:5]:
+        errors.print(f"nonsense on the air: {fault}")
+    if as_json:
+        print(json.dumps(result.summary))
+    else:
+        for line in summary_lines(result.summary, result.directory):
+            screen.print(line)
+    code: int = result.exit_code
+    return code
+
+
+def _report_deaths(deaths: dict[str, str]) -> None:
+    for name, words in deaths.items():
+        errors.print(f"{name} died: {words}")
+
+
+def _explain_difference(before: dict[str, Any], now: dict[str, Any]) -> None:
+    errors.print("The run does not hold: its digest has changed.")
+    for key in ("steps", "coverage", "map_agreement", "bytes", "versions"):
+        if before.get(key) != now[key]:
+            errors.print(f"  {key}: {before.get(key)} then, {now[key]} now")
+
+
+def _progress(*, shown: bool) -> Any:
+    from deploy.terminal import progress  # noqa: PLC0415
+
+    return progress(errors, shown=shown)
+
+
+class _speaking_clearly:  # noqa: N801  reads as the statement that it is
+    """Turn what a person can mend into a message and exit code 2."""
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
+        if isinstance(error, ScenarioError | ValueError):
+            _fail(str(error), BAD_INPUT)
+        if isinstance(error, ConnectionError):
+            _fail(str(error), 3)
+
+
+def _fail(message: str, code: int) -> NoReturn:
+    for line in message.splitlines():
+        errors.print(f"murmur: {line}", markup=False)
+    raise typer.Exit(code)
+
+
+def _pair(text: str) -> tuple[float, float]:
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ScenarioError(f"start = {text!r}: must be two numbers of metres, as 3.5,12") from None
+    return x, y
+
+
+def _named_value(text: str) -> tuple[str, Any]:
+    name, sign, value = text.partition("=")
+    if not sign or not name:
+        raise ScenarioError(f"option = {text!r}: must be NAME=VALUE, as beta=0.5")
+    try:
+        return name, json.loads(value)
+    except ValueError:
+        return name, value
+
+
+def main() -> None:
+    """Entry point of the `murmur` command."""
+    app()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,90 @@
+"""Pictures of a run: the world with the robots' paths, and what each robot knows at the end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from deploy.plan import Plan
+from deploy.records import Records
+from protocol.grid import Grid
+from worldsim.maps import Map
+
+CELLS = ListedColormap(["#c3c7cc", "#ffffff", "#20242a"])
+"""Unknown, free, occupied."""
+COLUMNS = 4
+
+
+def robot_color(robot: int) -> Any:
+    """The colour that stands for a robot in all pictures."""
+    return mpl.colormaps["tab10"](robot % 10)
+
+
+def draw_map(path: Path, world_map: Map) -> None:
+    """Draw a map with metres on its axes."""
+    figure = Figure(figsize=(7, 7 * world_map.height / world_map.width + 0.6), layout="constrained")
+    axes = figure.add_subplot()
+    _show(axes, world_map, world_map.cells)
+    axes.set_title(f"{world_map.name}: {world_map.width} x {world_map.height} cells of {world_map.resolution:g} m")
+    figure.savefig(path, dpi=110)
+
+
+def draw_maps(path: Path, plan: Plan, records: Records, summary: dict[str, Any]) -> None:
+    """Draw the world with all paths, the team's map, and each robot's planning grid, in one picture."""
+    robots = sorted(records.planning)
+    panels = 2 + len(robots)
+    columns = min(COLUMNS, panels)
+    rows = -(-panels // columns)
+    shape = plan.map.height / plan.map.width
+    figure = Figure(figsize=(3.6 * columns, rows * (3.4 * shape + 0.5) + 0.5), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(rows, columns)).ravel()
+    _show(axes[0], plan.map, plan.map.cells)
+    _draw_paths(axes[0], plan, records)
+    axes[0].set_title("the world and the ways driven")
+    team = np.maximum.reduce([records.own[robot] for robot in sorted(records.own)])
+    _show(axes[1], plan.map, team)
+    axes[1].set_title(f"what the team has seen: {100 * summary['coverage']:.1f} %")
+    for panel, robot in zip(axes[2:], robots, strict=False):
+        _show(panel, plan.map, records.planning[robot])
+        first = ", done first" if robot == summary["first_robot"] else ""
+        panel.set_title(f"robot {robot}'s planning map{first}", color=robot_color(robot))
+    for panel in axes[panels:]:
+        panel.set_axis_off()
+    bandwidth = summary["bandwidth"]
+    medium = bandwidth if isinstance(bandwidth, str) else f"{bandwidth} bytes a step"
+    figure.suptitle(
+        f"{plan.map.name}: {summary['robots']} robots, {summary['exchange']}, {medium}; "
+        f"{summary['steps']} steps, {summary['bytes']['total'] / 1000:.0f} kB on the air"
+    )
+    figure.savefig(path, dpi=110)
+
+
+def _show(axes: Axes, world_map: Map, grid: Grid) -> None:
+    cell, (left, bottom, _) = world_map.resolution, world_map.origin
+    extent = (left, left + cell * world_map.width, bottom, bottom + cell * world_map.height)
+    axes.imshow(grid, cmap=CELLS, vmin=0, vmax=2, extent=extent, interpolation="nearest")
+    axes.tick_params(labelsize=7)
+    axes.set_xlabel("m", fontsize=7)
+
+
+def _draw_paths(axes: Axes, plan: Plan, records: Records) -> None:
+    poses: list[NDArray[np.int32]] = [
+        np.frombuffer(report.poses, "<i4").reshape(-1, 4) for report in records.world
+    ]
+    if not poses:
+        return
+    cell, (left, bottom, _) = plan.map.resolution, plan.map.origin
+    track = np.concatenate(poses)
+    for robot in range(records.robots):
+        own = track[track[:, 0] == robot]
+        x = left + own[:, 1] / 1000 + cell / 2
+        y = bottom + cell * (plan.map.height - 0.5) - own[:, 2] / 1000
+        axes.plot(x, y, color=robot_color(robot), linewidth=0.9, label=f"{robot}")
+        axes.plot(x[-1:], y[-1:], "o", color=robot_color(robot), markersize=4)

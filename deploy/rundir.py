@@ -1,0 +1,167 @@
+"""The run directory: all that outlives a run, and all that is needed to repeat it.
+
+Every file is written beside its place and then moved there, so that none is ever half written.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deploy.plan import Plan
+from deploy.records import Records
+from deploy.scenario import Scenario, ScenarioError, load, parse
+from netshaper.ledger import CAUSES, MALFORMED
+from protocol.packets import ALL_KINDS
+from worldsim import maps
+from worldsim.maps import Map, to_world
+
+SCENARIO, SUMMARY, STEPS, LEDGER = "scenario.toml", "summary.json", "steps.parquet", "ledger.parquet"
+MAP = "map.yaml"
+TEAM_MAP = "team.yaml"
+PICTURE = "maps.png"
+LOGS = "logs"
+
+
+def create(out: Path | None, plan: Plan) -> Path:
+    """Make the directory of a new run; without a name, one is found under ``runs``.
+
+    Raises
+    ------
+    ScenarioError
+        The directory exists and is not empty, or cannot be made.
+    """
+    if out is None:
+        scenario = plan.scenario
+        stem = f"{plan.map.name}-{scenario.exchange}-{scenario.robots}robots-seed{scenario.seed}"
+        base = Path("runs")
+        out = base / stem
+        number = 2
+        while out.exists():
+            out = base / f"{stem}-{number}"
+            number += 1
+    elif out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise ScenarioError(f"out = {out}: it exists already; name a new directory, or empty this one")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ScenarioError(f"out = {out}: cannot be made: {error.strerror}") from None
+    write_inputs(out, plan)
+    return out
+
+
+def write_inputs(out: Path, plan: Plan) -> None:
+    """Write what decides the run: its map, and its scenario with every setting, pointing to that map."""
+    maps.save(plan.map, out / MAP)
+    data = plan.scenario.model_dump(mode="json", exclude_none=True) | {"map": MAP}
+    text = f"# {plan.map.name}: everything that decides this run. Repeat it: murmur replay {out}\n"
+    _replace(out / SCENARIO, lambda path: path.write_text(text + parse(data).to_toml(), encoding="utf-8"))
+
+
+def read_scenario(directory: Path) -> Scenario:
+    """Read the scenario of a run directory, its map found in it; ScenarioError if it is none."""
+    if not (directory / SCENARIO).is_file():
+        raise ScenarioError(f"{directory}: no run directory, for it has no {SCENARIO}")
+    return load(directory / SCENARIO, {})
+
+
+def read_summary(directory: Path) -> dict[str, Any]:
+    """Read the summary of a run directory; ScenarioError if it has none."""
+    try:
+        summary: dict[str, Any] = json.loads((directory / SUMMARY).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ScenarioError(f"{directory}: no readable {SUMMARY} ({error})") from None
+    return summary
+
+
+def write_results(out: Path, plan: Plan, records: Records, summary: dict[str, Any]) -> None:
+    """Write summary, tables and maps."""
+    import pyarrow.parquet as parquet  # noqa: PLC0415  half a second that processes need not wait for
+
+    from deploy.pictures import draw_maps  # noqa: PLC0415
+
+    text = json.dumps(summary, indent=2) + "\n"
+    _replace(out / SUMMARY, lambda path: path.write_text(text, encoding="utf-8"))
+    _replace(out / STEPS, lambda path: parquet.write_table(steps_table(plan, records), path))
+    _replace(out / LEDGER, lambda path: parquet.write_table(ledger_table(records), path))
+    if records.own:
+        team = np.maximum.reduce([records.own[robot] for robot in sorted(records.own)])
+        named = {"team": team} | {f"planning-r{robot}": grid for robot, grid in records.planning.items()}
+        for name, grid in named.items():
+            if (grid == 1).any():
+                maps.save(Map(name, grid, plan.map.resolution, plan.map.origin), out / f"{name}.yaml")
+        _replace(out / PICTURE, lambda path: draw_maps(path, plan, records, summary))
+
+
+def steps_table(plan: Plan, records: Records) -> Any:
+    """A row a step and robot: where it was, what it was at; metres in the map's frame."""
+    import pyarrow as pa  # noqa: PLC0415
+
+    cell = plan.map.resolution
+    minds = {(r, report.step): report for r, reports in enumerate(records.minds) for report in reports}
+    rows: list[dict[str, Any]] = []
+    for report in records.world:
+        for robot, x_mm, y_mm, heading in np.frombuffer(report.poses, "<i4").reshape(-1, 4).tolist():
+            x, y = to_world(plan.map, x_mm / 1000 / cell, y_mm / 1000 / cell)
+            row = {
+                "step": report.step,
+                "robot": robot,
+                "x": x,
+                "y": y,
+                "heading": heading / 10,
+                "driven": report.driven[robot] / 1000,
+                "team_seen": report.seen / report.reachable,
+            }
+            mind = minds.get((robot, report.step))
+            if mind is not None:
+                has_target = mind.target_x >= 0
+                target = to_world(plan.map, mind.target_x, mind.target_y) if has_target else (None, None)
+                row |= {
+                    "target_x": target[0],
+                    "target_y": target[1],
+                    "known_cells": mind.known,
+                    "status": mind.status,
+                    "work_us": mind.work_us,
+                }
+            rows.append(row)
+    schema = pa.schema(
+        [(name, pa.int32()) for name in ("step", "robot")]
+        + [(name, pa.float64()) for name in ("x", "y", "heading", "driven", "team_seen")]
+        + [(name, pa.float64()) for name in ("target_x", "target_y")]
+        + [("known_cells", pa.int32()), ("status", pa.string()), ("work_us", pa.int32())]
+    )
+    return pa.Table.from_pylist(rows, schema=schema)
+
+
+def ledger_table(records: Records) -> Any:
+    """A row a frame and packet kind, as the contract names the columns."""
+    import pyarrow as pa  # noqa: PLC0415
+
+    ledger = records.ledger()
+    kinds = np.array([*ALL_KINDS, "malformed"])
+    causes = np.array(CAUSES)
+    columns: dict[str, Any] = {}
+    for name in ledger.dtype.names or ():
+        column = np.ascontiguousarray(ledger[name])
+        if name == "kind":
+            columns[name] = pa.array(kinds[np.where(column == MALFORMED, len(ALL_KINDS), column)])
+        elif name == "cause":
+            columns[name] = pa.array(causes[column])
+        else:
+            columns[name] = pa.array(column == 1 if name == "carried" else column)
+    return pa.table(columns)
+
+
+def _replace(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a file beside its place, then move it there."""
+    beside = path.with_name(f".{path.stem}.part{path.suffix}")
+    try:
+        write(beside)
+        os.replace(beside, path)
+    finally:
+        beside.unlink(missing_ok=True)

@@ -1,0 +1,96 @@
+"""What people see in a terminal: progress while a run goes on, its figures at the end, maps as sketches."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.text import Text
+
+from deploy.plan import Plan
+from deploy.records import Records
+from deploy.rundir import PICTURE
+from deploy.scenario import UNLIMITED
+from protocol.grid import FREE, OCCUPIED, Grid
+
+Watch = Callable[[Plan, Records], object]
+
+
+@contextlib.contextmanager
+def progress(console: Console, *, shown: bool) -> Iterator[Watch | None]:
+    """A live line: step, explored share, bytes of the budget, robots alive."""
+    if not shown:
+        yield None
+        return
+    bar = Progress(
+        TextColumn("step {task.fields[step]:>5}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>5.1f} % explored"),
+        TextColumn("{task.fields[medium]}"),
+        TextColumn("{task.fields[alive]} robots"),
+        TimeElapsedColumn(),
+        console=console,
+        transient=True,
+    )
+    task: TaskID = bar.add_task("explore", total=1.0, step=0, medium="", alive=0)
+    with bar:
+
+        def watch(plan: Plan, records: Records) -> None:
+            budget = plan.scenario.bandwidth
+            of = "" if budget == UNLIMITED else f" of {budget}"
+            bar.update(
+                task,
+                completed=records.explored,
+                step=records.step,
+                medium=f"{records.carried}{of} B on the air",
+                alive=plan.scenario.robots - len(records.lost),
+            )
+
+        yield watch
+
+
+def summary_lines(summary: dict[str, Any], directory: Path | None) -> list[str]:
+    """The figures of a run, for people."""
+    lines = []
+    if summary["finished"]:
+        lines.append(
+            f"Explored in {summary['steps']} steps; robot {summary['first_robot']} was the first to know it all."
+        )
+    else:
+        lines.append(f"Not finished after {summary['steps']} steps: {summary['reason']}.")
+    agreement = summary["map_agreement"]
+    lines.append(
+        f"The team saw {100 * summary['coverage']:.2f} % of what can be reached"
+        + (f"; the planning map has {100 * agreement:.2f} % of it right." if agreement is not None else ".")
+    )
+    total = summary["bytes"]["total"]
+    kinds = [(kind, size) for kind, size in summary["bytes"].items() if kind != "total"]
+    shares = ", ".join(f"{kind} {100 * size / total:.1f} %" for kind, size in kinds) if total else "nothing"
+    lines.append(f"On the air: {total} bytes ({shares}).")
+    lines.append(f"{summary['wall_s']:.1f} s, {summary['steps_per_s']} steps a second on bus {summary['bus']}.")
+    if directory is not None:
+        picture = f"; look at {directory / PICTURE}" if (directory / PICTURE).exists() else ""
+        lines.append(f"Everything is in {directory}{picture}.")
+    return lines
+
+
+def sketch(grid: Grid, width: int) -> Text:
+    """Draw a grid with half-block characters, at most `width` columns wide."""
+    scale = max(1, -(-grid.shape[1] // max(20, width - 1)))
+    rows, columns = grid.shape[0] // (2 * scale) * 2, grid.shape[1] // scale
+    blocks = grid[: rows * scale, : columns * scale].reshape(rows, scale, columns, scale)
+    solid = (blocks == OCCUPIED).any(axis=(1, 3))
+    free = (blocks == FREE).any(axis=(1, 3))
+    shade = np.where(solid, 2, np.where(free, 1, 0))
+    colors = ("grey50", "white", "black")
+    text = Text()
+    for upper, lower in zip(shade[::2], shade[1::2], strict=True):
+        for top, bottom in zip(upper, lower, strict=True):
+            text.append("▀", style=f"{colors[top]} on {colors[bottom]}")
+        text.append("\n")
+    return text
