@@ -12,15 +12,14 @@ from worldsim.generators.drawing import (
     canvas,
     carve,
     disc,
+    enclose,
     field,
-    keep_connected,
     length,
     rock,
     scatter,
-    wall_in,
     wall_thickness,
 )
-from worldsim.generators.floorplan import Box, Builder, Style
+from worldsim.generators.floorplan import Box, Builder, Style, inside
 
 
 def office_plain(
@@ -29,11 +28,10 @@ def office_plain(
     """Draw an office: wide rooms on both sides of a wide corridor, nothing in them (Fig. 2, left)."""
     cells = canvas(width_m, height_m, resolution, least_m=10.0)
     wall = wall_thickness(resolution)
-    floor = Box(0, 0, cells.shape[1], cells.shape[0]).shrunk(wall)
+    floor = inside(cells, wall)
     style = Style(corridor_m=2.4, room_m=(3.6, 6.5), door_m=(1.0, 1.4))
     Builder(cells, random, resolution, style).offices(floor, corridors=1)
-    wall_in(cells, wall)
-    keep_connected(cells)
+    enclose(cells, wall)
     return cells
 
 
@@ -58,14 +56,13 @@ def campus(
     field(cells, wall)
     road = round(7.0 / resolution)
     most = round(40.0 / resolution)
-    floor = Box(0, 0, cells.shape[1], cells.shape[0]).shrunk(wall + road // 2)
+    floor = inside(cells, wall + road // 2)
     for block in _blocks(random, floor, most, road):
         _building(cells, random, block.shrunk(round(random.uniform(1.0, 3.0) / resolution)), resolution)
     count = round(0.01 * int((cells == FREE).sum()) * resolution**2)
     radii = (0.5 / resolution, 1.2 / resolution)
     scatter(cells, random, cells == FREE, count=count, radii=radii, gap=2.0 / resolution, shapes=(disc,))
-    wall_in(cells, wall)
-    keep_connected(cells)
+    enclose(cells, wall)
     return cells
 
 
@@ -122,7 +119,7 @@ def hilbert(
             (max(x0, x1) + 1) * pitch,
             (max(y0, y1) + 1) * pitch,
         )
-    wall_in(cells, wall)
+    enclose(cells, wall)
     return cells
 
 
@@ -138,7 +135,7 @@ def hilbert_walls(
         left, top = (min(side) * pitch + pitch // 2 for side in ((x0, x1), (y0, y1)))
         right, bottom = (max(side) * pitch + pitch // 2 + wall for side in ((x0, x1), (y0, y1)))
         cells[top:bottom, left:right] = OCCUPIED
-    wall_in(cells, wall)
+    enclose(cells, wall)
     return cells
 
 
@@ -162,6 +159,6 @@ def hilbert_curve(order: int) -> list[tuple[int, int]]:
 
 def _square(order: int, side_m: float, resolution: float) -> tuple[Grid, int]:
     """Return an unknown grid of 2^order squares a side, and the side of such a square in cells."""
-    pitch = length("side_m", side_m, resolution, least_m=6 * 2**order * resolution) // 2**order
+    pitch = length("side_m", side_m, resolution, least_m=4 * 2**order * resolution) // 2**order
     side = 2**order * pitch + wall_thickness(resolution)
     return np.full((side, side), UNKNOWN, np.uint8), pitch

@@ -6,16 +6,8 @@ from __future__ import annotations
 import numpy as np
 
 from protocol.grid import FREE, Grid
-from worldsim.generators.drawing import (
-    blob,
-    canvas,
-    fill,
-    keep_connected,
-    scatter,
-    wall_in,
-    wall_thickness,
-)
-from worldsim.generators.floorplan import Box, Builder, Style
+from worldsim.generators.drawing import blob, canvas, enclose, fill, scatter, wall_thickness
+from worldsim.generators.floorplan import Builder, Style, inside
 
 
 def unstructured(
@@ -31,8 +23,7 @@ def unstructured(
     count = round(0.08 * int((cells == FREE).sum()) * resolution**2)
     radii = (0.4 / resolution, 1.8 / resolution)
     scatter(cells, random, cells == FREE, count=count, radii=radii, gap=0.9 / resolution)
-    wall_in(cells, wall)
-    keep_connected(cells)
+    enclose(cells, wall)
     return cells
 
 
@@ -55,8 +46,7 @@ def _floor(
 ) -> Grid:
     cells = canvas(*size_m, resolution, least_m=10.0 * corridors)
     wall = wall_thickness(resolution)
-    floor = Box(0, 0, cells.shape[1], cells.shape[0]).shrunk(wall)
+    floor = inside(cells, wall)
     Builder(cells, random, resolution, style).offices(floor, corridors)
-    wall_in(cells, wall)
-    keep_connected(cells)
+    enclose(cells, wall)
     return cells

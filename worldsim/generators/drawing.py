@@ -19,6 +19,9 @@ from worldsim.maps import MapError
 
 _SIXTEENTHS = 16
 
+_COARSEST = 0.4
+"""Metres a cell, at most: doors and walls are lost in larger cells."""
+
 Points = NDArray[np.float64]
 """Corners of a shape: float64 array of shape (n, 2), x and y."""
 
@@ -29,7 +32,8 @@ def canvas(width_m: float, height_m: float, resolution: float, least_m: float) -
     Raises
     ------
     MapError
-        The resolution is not above 0, a side is shorter than `least_m`, or longer than a map may be.
+        The resolution is not above 0 or too coarse for doors, a side is shorter than `least_m` or longer than
+        a map may be.
     """
     width = length("width_m", width_m, resolution, least_m)
     height = length("height_m", height_m, resolution, least_m)
@@ -44,8 +48,8 @@ def length(name: str, side_m: float, resolution: float, least_m: float) -> int:
     MapError
         As for `canvas`.
     """
-    if not (math.isfinite(resolution) and resolution > 0):
-        raise MapError(f"resolution is {resolution}, not a number of metres a cell above 0")
+    if not 0 < resolution <= _COARSEST:
+        raise MapError(f"resolution is {resolution}; it must lie above 0 and be at most {_COARSEST} m a cell")
     most_m = MAX_SIDE * resolution
     if not least_m <= side_m <= most_m:
         raise MapError(f"{name} is {side_m}; it must lie between {least_m:g} and {most_m:g}")
@@ -68,14 +72,18 @@ def field(cells: Grid, wall: int) -> None:
     carve(cells, wall, wall, width - wall, height - wall)
 
 
-def wall_in(cells: Grid, thickness: int) -> None:
-    """Make walls of the unknown cells next to free ones, corners included."""
-    near = ndimage.binary_dilation(cells == FREE, np.ones((3, 3), bool), iterations=thickness)
+def enclose(cells: Grid, wall: int) -> None:
+    """Make walls of the unknown cells next to free ones, and fill what cannot be reached.
+
+    Parameters
+    ----------
+    cells : uint8 array of shape (height, width)
+        The world; its largest area of free 4-neighbours stays.
+    wall : int
+        How thick walls become; they close diagonally as well.
+    """
+    near = ndimage.binary_dilation(cells == FREE, np.ones((3, 3), bool), iterations=wall)
     cells[near & (cells == UNKNOWN)] = OCCUPIED
-
-
-def keep_connected(cells: Grid) -> None:
-    """Fill free cells that cannot be reached, by 4-neighbours, from the largest free area."""
     areas, _ = ndimage.label(cells == FREE)
     sizes = np.bincount(areas.ravel())
     sizes[0] = 0

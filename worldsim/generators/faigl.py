@@ -8,17 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from protocol.grid import FREE, OCCUPIED, Grid
-from worldsim.generators.drawing import (
-    canvas,
-    carve,
-    field,
-    keep_connected,
-    rock,
-    scatter,
-    wall_in,
-    wall_thickness,
-)
-from worldsim.generators.floorplan import Box, Builder, Style
+from worldsim.generators.drawing import canvas, carve, enclose, field, rock, scatter, wall_thickness
+from worldsim.generators.floorplan import Builder, Style, inside
 
 
 def em(
@@ -26,8 +17,9 @@ def em(
 ) -> Grid:
     """Draw four walls and nothing between them."""
     cells = canvas(width_m, height_m, resolution, least_m=2.0)
-    field(cells, wall_thickness(resolution))
-    wall_in(cells, wall_thickness(resolution))
+    wall = wall_thickness(resolution)
+    field(cells, wall)
+    enclose(cells, wall)
     return cells
 
 
@@ -67,8 +59,7 @@ def autolab(
     drawn[top:bottom, x1 - wall : x1] = OCCUPIED  # the screens, like an I
     for y in (top, bottom):
         drawn[y : y + wall, x1 - wall - bar : x1 + bar] = OCCUPIED
-    wall_in(cells, wall)
-    keep_connected(cells)
+    enclose(cells, wall)
     return cells
 
 
@@ -78,12 +69,11 @@ def jh(
     """Draw an office building: a corridor runs round it, small rooms lie on both its sides."""
     cells = canvas(width_m, height_m, resolution, least_m=18.0)
     wall = wall_thickness(resolution)
-    floor = Box(0, 0, cells.shape[1], cells.shape[0]).shrunk(wall)
+    floor = inside(cells, wall)
     style = Style(corridor_m=1.8, room_m=(2.4, 4.2), door_m=(0.8, 1.0), joined=0.08, merged=0.05)
     depth = round(random.uniform(3.8, 4.6) / resolution)
     Builder(cells, random, resolution, style).ring(floor, depth)
-    wall_in(cells, wall)
-    keep_connected(cells)
+    enclose(cells, wall)
     return cells
 
 
@@ -92,10 +82,10 @@ def potholes(
 ) -> Grid:
     """Draw a field with many small irregular obstacles."""
     cells = canvas(width_m, height_m, resolution, least_m=10.0)
-    field(cells, wall_thickness(resolution))
+    wall = wall_thickness(resolution)
+    field(cells, wall)
     count = round(0.035 * width_m * height_m)
     radii = (0.5 / resolution, 1.8 / resolution)
     scatter(cells, random, cells == FREE, count=count, radii=radii, gap=1.0 / resolution, shapes=(rock,))
-    wall_in(cells, wall_thickness(resolution))
-    keep_connected(cells)
+    enclose(cells, wall)
     return cells

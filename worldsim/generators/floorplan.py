@@ -38,6 +38,12 @@ class Box:
         return Box(self.left + by, self.top + by, self.right - by, self.bottom - by)
 
 
+def inside(cells: Grid, wall: int) -> Box:
+    """Return the box of all cells but a wall round the grid."""
+    height, width = cells.shape
+    return Box(0, 0, width, height).shrunk(wall)
+
+
 @dataclass(frozen=True)
 class Style:
     """How an office is built, in metres.

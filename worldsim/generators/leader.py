@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from protocol.grid import OCCUPIED, Grid
-from worldsim.generators.drawing import canvas, field, wall_in, wall_thickness
+from worldsim.generators.drawing import canvas, enclose, field, wall_thickness
 
 _SIDE_M = 10.0
 
@@ -17,12 +17,14 @@ _Walls = tuple[tuple[float, float, float, float], ...]
 """Middle lines of walls, in metres: from (x, y) to (x, y)."""
 
 _TRAP: _Walls = (
-    *((3.6, 1.2, 3.6, 3.3), (0.0, 3.3, 3.6, 3.3)),  # six rooms off a hall, each a U
-    *((3.6, 3.3, 3.6, 5.5), (0.0, 6.6, 3.6, 6.6)),
-    *((3.6, 7.8, 3.6, 10.0),),
-    *((6.4, 0.0, 6.4, 2.2), (6.4, 3.4, 10.0, 3.4)),
-    *((6.4, 4.5, 6.4, 6.7), (6.4, 6.7, 10.0, 6.7)),
-    *((6.4, 6.7, 6.4, 8.8),),
+    (3.6, 1.2, 3.6, 5.5),  # left of the hall, then what parts the rooms there
+    (3.6, 7.8, 3.6, 10.0),
+    (0.0, 3.3, 3.6, 3.3),
+    (0.0, 6.6, 3.6, 6.6),
+    (6.4, 0.0, 6.4, 2.2),  # right of the hall
+    (6.4, 4.5, 6.4, 8.8),
+    (6.4, 3.4, 10.0, 3.4),
+    (6.4, 6.7, 10.0, 6.7),
 )
 
 _ROOMS: _Walls = ((5.0, 1.6, 5.0, 3.6), (5.0, 6.4, 5.0, 8.4), (1.6, 5.0, 3.6, 5.0), (6.4, 5.0, 8.4, 5.0))
@@ -45,5 +47,5 @@ def _draw(walls: _Walls, resolution: float) -> Grid:
     for wall in walls:
         left, top, right, bottom = (round(end / resolution) - thickness // 2 for end in wall)
         cells[max(top, 0) : bottom + thickness, max(left, 0) : right + thickness] = OCCUPIED
-    wall_in(cells, thickness)
+    enclose(cells, thickness)
     return cells

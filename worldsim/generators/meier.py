@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.grid import FREE, UNKNOWN, Grid
-from worldsim.generators.drawing import canvas, carve, field, keep_connected, scatter, wall_in, wall_thickness
-from worldsim.generators.floorplan import Box, Builder, Style
+from worldsim.generators.drawing import canvas, carve, enclose, field, scatter, wall_thickness
+from worldsim.generators.floorplan import Box, Builder, Style, inside
 
 _OBJECTS_PER_M2 = 0.11
 _PASSAGE_M = 0.7
@@ -19,10 +19,10 @@ def unstructured(
 ) -> Grid:
     """Draw an enclosed field with discs, boxes, rocks and angles scattered over it."""
     cells = canvas(width_m, height_m, resolution, least_m=5.0)
-    field(cells, wall_thickness(resolution))
+    wall = wall_thickness(resolution)
+    field(cells, wall)
     _scatter_outdoors(cells, random, resolution, cells == FREE)
-    wall_in(cells, wall_thickness(resolution))
-    keep_connected(cells)
+    enclose(cells, wall)
     return cells
 
 
@@ -43,8 +43,7 @@ def mixed(
         builder.transposed().door(corridor.top, corridor.bottom, left)
     _open_porch(drawn, house, (rooms[0], rooms[-1])[random.integers(2)])
     _scatter_outdoors(cells, random, resolution, outdoors)
-    wall_in(cells, wall)
-    keep_connected(cells)
+    enclose(cells, wall)
     return cells
 
 
@@ -53,12 +52,12 @@ def office(
 ) -> Grid:
     """Draw an office floor: parallel corridors with rooms on both sides, joined by corridors across."""
     cells = canvas(width_m, height_m, resolution, least_m=10.0)
+    wall = wall_thickness(resolution)
     drawn = cells.T if random.random() < 0.5 else cells
-    floor = Box(0, 0, drawn.shape[1], drawn.shape[0]).shrunk(wall_thickness(resolution))
+    floor = inside(drawn, wall)
     corridors = max(1, round(floor.height * resolution / 12.5))
     Builder(drawn, random, resolution, Style()).offices(floor, corridors)
-    wall_in(cells, wall_thickness(resolution))
-    keep_connected(cells)
+    enclose(cells, wall)
     return cells
 
 

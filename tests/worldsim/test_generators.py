@@ -1,0 +1,492 @@
+"""The environments look like what they are called: measured on the cells, over many seeds."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import ndimage
+
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from worldsim.generators import describe, make, names
+from worldsim.generators.alkhawaldah import hilbert_curve
+from worldsim.maps import Map, MapError
+
+ALIKE_FOR_ALL_SEEDS = {
+    "em",
+    "leader-trap",
+    "leader-rooms",
+    *(name for name in names() if name.startswith("hilbert")),
+}
+WITH_SOLID_OBJECTS = {
+    "unstructured",
+    "mixed",
+    "potholes",
+    "office-obstacles",
+    "campus",
+    "burgard-unstructured",
+}
+SEEDS = range(12)
+ALL_AROUND = np.ones((3, 3), bool)
+
+
+# How a plan is measured. Rooms are what is left of the free space when a square too wide for any door is slid
+# through it; doors are the rest.
+
+
+def rooms_and_doors(world: Map, widest_door_m: float = 1.2) -> tuple[list[Any], list[Any]]:
+    """Return the slices of all rooms and corridors, and the (short, long) sides of all doors in cells."""
+    side = round(widest_door_m / world.resolution) // 2 * 2 + 1
+    free = world.cells == FREE
+    wide = ndimage.binary_opening(free, np.ones((side, side), bool))
+    rooms = ndimage.find_objects(ndimage.label(wide)[0])
+    gaps = ndimage.find_objects(ndimage.label(free & ~wide)[0])
+    doors = [sorted((gap[0].stop - gap[0].start, gap[1].stop - gap[1].start)) for gap in gaps]
+    return [(box, wide) for box in rooms], doors
+
+
+def is_empty_rectangle(room: Any) -> bool:
+    box, wide = room
+    return bool(wide[box].all())
+
+
+def area_m2(world: Map, room: Any) -> float:
+    box, _ = room
+    return float((box[0].stop - box[0].start) * (box[1].stop - box[1].start) * world.resolution**2)
+
+
+def objects(cells: Grid) -> list[Any]:
+    """Return (slices, area in cells) of all that is not free and does not touch the border."""
+    labels, count = ndimage.label(np.pad(cells != FREE, 1, constant_values=True), ALL_AROUND)
+    areas = np.bincount(labels.ravel(), minlength=count + 1)
+    outside = labels[0, 0]
+    boxes = ndimage.find_objects(labels)
+    return [(boxes[label - 1], int(areas[label])) for label in range(1, count + 1) if label != outside]
+
+
+def has_size(world: Map, width_m: float, height_m: float) -> bool:
+    return (world.width, world.height) == (
+        round(width_m / world.resolution),
+        round(height_m / world.resolution),
+    )
+
+
+# All of them
+
+
+@pytest.mark.parametrize("name", names())
+def test_every_environment_is_enclosed_and_connected(name: str) -> None:
+    for seed in range(3):
+        check_enclosed_and_connected(make(name, seed))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.sampled_from(names()), st.integers(0, 2**40), st.sampled_from([0.1, 0.15, 0.25, 0.4]))
+def test_every_seed_and_resolution_gives_an_enclosed_and_connected_world(
+    name: str, seed: int, resolution: float
+) -> None:
+    world = make(name, seed, resolution=resolution)
+    assert world.resolution == resolution
+    check_enclosed_and_connected(world)
+
+
+def check_enclosed_and_connected(world: Map) -> None:
+    free = world.cells == FREE
+    assert ndimage.label(free)[1] == 1
+    assert not (ndimage.binary_dilation(free, ALL_AROUND) & (world.cells == UNKNOWN)).any()
+    border = np.ones(free.shape, bool)
+    border[1:-1, 1:-1] = False
+    assert not (free & border).any()
+    assert world.cells.flags.c_contiguous
+
+
+@pytest.mark.parametrize("name", names())
+def test_a_robot_of_half_a_metre_gets_everywhere(name: str) -> None:
+    """Less than a thousandth of the places where it fits may be niches that it cannot reach."""
+    world = make(name, seed=5, resolution=0.1)
+    fits = ndimage.distance_transform_edt(world.cells == FREE) > 2.5
+    areas = np.bincount(ndimage.label(fits)[0].ravel())[1:]
+    assert areas.max() >= 0.999 * areas.sum()
+
+
+@pytest.mark.parametrize("name", names())
+def test_the_same_seed_draws_the_same_world_and_another_seed_another(name: str) -> None:
+    first, again, other = make(name, 1), make(name, 1), make(name, 2)
+    assert first.cells.tobytes() == again.cells.tobytes()
+    assert (first.cells.tobytes() == other.cells.tobytes()) == (name in ALIKE_FOR_ALL_SEEDS)
+    assert first.name == name
+    assert first.origin == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("name", names())
+def test_every_environment_is_described_in_one_line_with_its_paper(name: str) -> None:
+    line = describe(name)
+    assert "\n" not in line
+    assert len(line) <= 110
+    assert any(paper in line for paper in ("Meier", "Faigl", "Al-khawaldah", "leader paper", "Burgard"))
+
+
+@pytest.mark.parametrize("name", sorted(set(names()) - WITH_SOLID_OBJECTS))
+def test_walls_are_one_or_two_cells_thick(name: str) -> None:
+    for seed in range(3):
+        walls = make(name, seed).cells == OCCUPIED
+        assert not ndimage.binary_erosion(walls, ALL_AROUND).any()
+
+
+def test_an_unknown_name_lists_the_known_ones() -> None:
+    for ask in (make, describe):
+        with pytest.raises(
+            MapError, match=r"no environment is called 'offce'; there are unstructured, mixed"
+        ):
+            ask("offce")
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "message"),
+    [
+        ("office", {"seed": -1}, "seed is -1; give 0 or more"),
+        ("office", {"rooms": 3}, "office has no parameter 'rooms'; it has width_m, height_m, resolution"),
+        ("hilbert-2", {"width_m": 3}, "hilbert-2 has no parameter 'width_m'; it has side_m, resolution"),
+        ("hilbert-2", {"side_m": 1.0}, r"side_m is 1\.0; it must lie between 1\.6 and 204\.8"),
+        (
+            "leader-trap",
+            {"resolution": 0.0},
+            r"resolution is 0\.0; it must lie above 0 and be at most 0\.4 m a cell",
+        ),
+        ("em", {"resolution": float("nan")}, "resolution is nan"),
+        ("office", {"resolution": 0.5}, r"resolution is 0\.5; it must lie above 0 and be at most 0\.4"),
+        ("em", {"resolution": 0.001}, r"width_m is 21\.0; it must lie between 2 and 2\.048"),
+        ("mixed", {"height_m": 5.0}, r"height_m is 5\.0; it must lie between 18 and 204\.8"),
+        ("mixed", {"width_m": float("nan")}, "width_m is nan"),
+    ],
+)
+def test_a_parameter_out_of_range_says_what_would_be_right(
+    name: str, parameters: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(MapError, match=message):
+        make(name, **parameters)
+
+
+def test_parameters_change_the_size() -> None:
+    world = make("unstructured", width_m=30.0, height_m=20.0, resolution=0.2)
+    assert (world.width, world.height, world.resolution) == (150, 100, 0.2)
+
+
+# The thesis
+
+
+def test_unstructured_is_a_field_of_many_objects_of_many_shapes() -> None:
+    for seed in SEEDS:
+        world = make("unstructured", seed)
+        assert has_size(world, 25.0, 25.0)
+        found = objects(world.cells)
+        areas = np.array([area for _, area in found]) * world.resolution**2
+        filled = [area / ((box[0].stop - box[0].start) * (box[1].stop - box[1].start)) for box, area in found]
+        assert 55 <= len(found) <= 75
+        assert areas.max() > 3.0
+        assert areas.min() < 0.3
+        assert np.quantile(filled, 0.1) < 0.5, "angles leave most of their box free"
+        assert np.quantile(filled, 0.9) > 0.75, "discs and boxes do not"
+        assert 0.8 < (world.cells == FREE).mean() < 0.9
+        rooms, _ = rooms_and_doors(world)
+        assert not any(is_empty_rectangle(room) and area_m2(world, room) > 4 for room in rooms)
+
+
+def test_unstructured_fills_all_parts_of_its_field() -> None:
+    for seed in SEEDS:
+        cells = make("unstructured", seed).cells[2:-2, 2:-2]
+        for half in np.array_split(cells, 2):
+            for quarter in np.array_split(half, 2, axis=1):
+                assert 0.03 < (quarter == OCCUPIED).mean() < 0.3
+
+
+def test_mixed_has_a_building_with_rooms_and_objects_around_it() -> None:
+    for seed in SEEDS:
+        world = make("mixed", seed)
+        assert has_size(world, 25.0, 25.0)
+        rooms, _ = rooms_and_doors(world)
+        assert 4 <= sum(is_empty_rectangle(room) and area_m2(world, room) > 5 for room in rooms) <= 14
+        found = [(box, area) for box, area in objects(world.cells) if area > 3]
+        small = [box for box, _ in found if max(side.stop - side.start for side in box) < 40]
+        assert 30 <= len(small) <= 65
+        walls = [side for box, _ in found for side in box if side.stop - side.start > 90]
+        assert walls, "nothing as large as a building"
+
+
+def test_the_building_of_mixed_can_be_entered_from_several_sides() -> None:
+    for seed in SEEDS:
+        world = make("mixed", seed)
+        walls, _ = ndimage.label(world.cells != FREE, ALL_AROUND)
+        sizes = np.bincount(walls.ravel())
+        sizes[[0, walls[0, 0]]] = 0
+        large = np.isin(walls, np.nonzero(sizes > 150)[0])
+        rows, columns = np.nonzero(large)
+        hull = np.zeros_like(large)
+        hull[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1] = True
+        assert ndimage.label(hull & ~large)[1] >= 1
+        assert (world.cells[hull] == FREE).mean() > 0.7
+
+
+def test_office_has_rooms_along_corridors_and_no_obstacles() -> None:
+    for seed in SEEDS:
+        world = make("office", seed)
+        assert has_size(world, 25.0, 25.0)
+        rooms, doors = rooms_and_doors(world)
+        offices = [room for room in rooms if is_empty_rectangle(room)]
+        assert len(rooms) - len(offices) == 1, "one net of corridors, all else empty rectangles"
+        assert 14 <= len(offices) <= 40
+        assert len(doors) >= len(offices)
+        assert all(4 < area_m2(world, room) < 130 for room in offices)
+        assert 0.85 < (world.cells == FREE).mean() < 0.95
+
+
+DOORS_M = {
+    "office": (0.9, 1.2),
+    "jh-like": (0.8, 1.0),
+    "office-plain": (1.0, 1.4),
+    "burgard-office": (0.9, 1.2),
+    "burgard-corridor": (0.9, 1.2),
+}
+
+
+@pytest.mark.parametrize("name", DOORS_M)
+def test_doors_are_wide_enough_and_no_thicker_than_a_wall(name: str) -> None:
+    narrow, wide = DOORS_M[name]
+    for seed in SEEDS:
+        world = make(name, seed)
+        _, doors = rooms_and_doors(world, widest_door_m=wide)
+        assert doors
+        for depth, width in doors:
+            assert depth * world.resolution <= 0.21
+            assert narrow - 1e-9 <= width * world.resolution <= wide + 1e-9
+
+
+# Faigl and Vanek
+
+
+@pytest.mark.parametrize(
+    ("name", "width_m", "height_m"),
+    [("em", 21, 24), ("autolab-like", 30, 30), ("jh-like", 21, 24), ("potholes", 40, 40)],
+)
+def test_faigls_environments_have_the_size_and_the_cells_of_the_paper(
+    name: str, width_m: float, height_m: float
+) -> None:
+    world = make(name)
+    assert has_size(world, width_m, height_m)
+    assert world.resolution == 0.05
+
+
+def test_em_is_empty() -> None:
+    world = make("em")
+    assert (world.cells[2:-2, 2:-2] == FREE).all()
+
+
+def test_autolab_is_a_hall_with_rooms_a_wing_and_screens() -> None:
+    for seed in SEEDS:
+        world = make("autolab-like", seed)
+        rooms, doors = rooms_and_doors(world, widest_door_m=1.8)
+        assert sum(is_empty_rectangle(room) for room in rooms) == 5
+        assert len(rooms) == 6
+        assert len(doors) == 5
+        assert len(objects(world.cells)) == 1
+        assert 0.5 < (world.cells == FREE).mean() < 0.75
+
+
+def test_jh_has_many_small_rooms_on_both_sides_of_a_corridor_that_runs_round() -> None:
+    for seed in SEEDS:
+        world = make("jh-like", seed)
+        rooms, _ = rooms_and_doors(world, widest_door_m=1.0)
+        offices = [room for room in rooms if is_empty_rectangle(room)]
+        (corridor,) = (room for room in rooms if not is_empty_rectangle(room))
+        box, wide = corridor
+        middle = wide[box].shape[0] // 2, wide[box].shape[1] // 2
+        assert area_m2(world, corridor) > 100
+        assert all(
+            wide[box][y, x] for y, x in ((middle[0], 5), (middle[0], -5), (5, middle[1]), (-5, middle[1]))
+        )
+        assert 20 <= len(offices) <= 45
+        assert np.median([area_m2(world, room) for room in offices]) < 20
+
+
+def test_potholes_has_many_small_irregular_obstacles() -> None:
+    for seed in SEEDS:
+        world = make("potholes", seed, resolution=0.1)
+        found = objects(world.cells)
+        assert 45 <= len(found) <= 56
+        assert all(max(side.stop - side.start for side in box) <= 37 for box, _ in found)
+        assert (world.cells == FREE).mean() > 0.9
+
+
+# Al-khawaldah and Nüchter
+
+
+def test_the_office_with_obstacles_is_the_office_without_and_obstacles() -> None:
+    for seed in SEEDS:
+        plain, full = make("office-plain", seed), make("office-obstacles", seed)
+        assert np.array_equal(plain.cells[full.cells == FREE], full.cells[full.cells == FREE])
+        added = (plain.cells == FREE) & (full.cells == OCCUPIED)
+        assert 25 <= ndimage.label(added, ALL_AROUND)[1] <= 50
+        assert not (ndimage.binary_dilation(added, ALL_AROUND, iterations=5) & (plain.cells != FREE)).any()
+
+
+def test_the_plain_office_has_wide_rooms_on_both_sides_of_one_corridor() -> None:
+    for seed in SEEDS:
+        world = make("office-plain", seed)
+        rooms, _ = rooms_and_doors(world, widest_door_m=1.4)
+        assert 5 <= len(rooms) <= 12
+        assert all(is_empty_rectangle(room) for room in rooms)
+        assert min(area_m2(world, room) for room in rooms) > 12
+
+
+def test_campus_is_large_with_buildings_and_trees() -> None:
+    for seed in SEEDS:
+        world = make("campus", seed)
+        assert has_size(world, 120.0, 90.0)
+        areas = np.array([area for _, area in objects(world.cells)]) * world.resolution**2
+        assert 8 <= (areas > 40).sum() <= 30
+        assert (areas < 6).sum() >= 40
+        assert 0.6 < (world.cells == FREE).mean() < 0.85
+        assert areas.max() > 250
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+def test_the_hilbert_curve_visits_every_square_once_from_neighbour_to_neighbour(order: int) -> None:
+    curve = hilbert_curve(order)
+    side = 2**order
+    assert sorted(curve) == [(x, y) for x in range(side) for y in range(side)]
+    assert all(abs(x0 - x1) + abs(y0 - y1) == 1 for (x0, y0), (x1, y1) in pairwise(curve))
+    assert (curve[0], curve[-1]) == ((0, side - 1), (side - 1, side - 1))
+    for level in range(order):  # what makes it Hilbert's: every quarter is done before the next is begun
+        step = 4**level
+        parts = [{(x >> level, y >> level) for x, y in curve[i : i + step]} for i in range(0, 4**order, step)]
+        assert all(len(part) == 1 for part in parts)
+
+
+def test_the_hilbert_curve_of_order_two_is_the_one_that_hilbert_drew() -> None:
+    assert hilbert_curve(1) == [(0, 1), (0, 0), (1, 0), (1, 1)]
+    assert hilbert_curve(2)[:8] == [(0, 3), (1, 3), (1, 2), (0, 2), (0, 1), (0, 0), (1, 0), (1, 1)]
+
+
+def passages(world: Map, order: int) -> set[tuple[tuple[int, int], tuple[int, int]]]:
+    """Return the pairs of neighbouring squares of the board between which the way is free."""
+    side = 2**order
+    pitch = (world.width - 2) // side
+    middle = [1 + i * pitch + pitch // 2 for i in range(side)]
+    pairs = [((x, y), (x + 1, y)) for y in range(side) for x in range(side - 1)]
+    pairs += [((x, y), (x, y + 1)) for y in range(side - 1) for x in range(side)]
+    return {
+        ((x0, y0), (x1, y1))
+        for (x0, y0), (x1, y1) in pairs
+        if (
+            world.cells[
+                middle[y0] : middle[y1] + 1, middle[x0] + 3 : middle[x1] + 4 if x0 != x1 else middle[x0] + 4
+            ]
+            == FREE
+        ).all()
+    }
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+def test_the_hilbert_corridor_is_one_path_that_follows_the_curve(order: int) -> None:
+    world = make(f"hilbert-{order}")
+    path = {(min(pair), max(pair)) for pair in pairwise(hilbert_curve(order))}
+    assert passages(world, order) == path
+    assert len(path) == 4**order - 1
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+def test_the_hilbert_wall_follows_the_curve_and_leaves_all_else_free(order: int) -> None:
+    world = make(f"hilbert-walls-{order}")
+    pitch = (world.width - 2) // 2**order
+    for (x0, y0), (x1, y1) in pairwise(hilbert_curve(order)):
+        y, x = (y0 + y1 + 1) * pitch // 2, (x0 + x1 + 1) * pitch // 2
+        assert world.cells[y, x] == OCCUPIED
+    wall = int((world.cells[2:-2, 2:-2] == OCCUPIED).sum())
+    assert wall == 2 * (4**order - 1) * pitch + 4
+
+
+# The leader paper
+
+
+def arrivals(world: Map) -> float:
+    """Return how often a robot that always steps straight towards a goal, round no wall, gets there."""
+    free = world.cells == FREE
+    places = np.argwhere(free)[::37]
+    goals = places[::40]
+    arrived = total = 0
+    for goal in goals:
+        for start in places[::9]:
+            y, x = start
+            while True:
+                steps = [
+                    (int((y + dy - goal[0]) ** 2 + (x + dx - goal[1]) ** 2), y + dy, x + dx)
+                    for dy in (-1, 0, 1)
+                    for dx in (-1, 0, 1)
+                    if free[y + dy, x] and free[y, x + dx] and free[y + dy, x + dx]
+                ]
+                _, next_y, next_x = min(steps)
+                if (next_y, next_x) == (y, x):
+                    break
+                y, x = next_y, next_x
+            arrived += (y, x) == tuple(goal)
+            total += 1
+    return arrived / total
+
+
+def test_the_trap_holds_who_goes_straight_and_the_rooms_let_pass() -> None:
+    trap, rooms = arrivals(make("leader-trap")), arrivals(make("leader-rooms"))
+    assert trap < 0.35
+    assert rooms > 0.65
+
+
+def test_the_leader_environments_are_ten_metres_square_with_a_convex_border() -> None:
+    for name in ("leader-trap", "leader-rooms"):
+        world = make(name)
+        assert has_size(world, 10.0, 10.0)
+        assert (world.cells != UNKNOWN).all()
+
+
+def test_the_walls_of_the_trap_join_the_border_and_the_screens_stand_free() -> None:
+    trap, rooms = make("leader-trap"), make("leader-rooms")
+    assert len(objects(trap.cells)) == 0
+    assert len(objects(rooms.cells)) == 4
+
+
+# Burgard and others
+
+
+@pytest.mark.parametrize("kind", ["office", "corridor", "unstructured"])
+def test_burgards_environments_have_cells_of_15_centimetres(kind: str) -> None:
+    assert make(f"burgard-{kind}").resolution == 0.15
+
+
+def test_many_rooms_of_burgards_office_have_a_second_doorway() -> None:
+    extra = []
+    for seed in SEEDS:
+        rooms, doors = rooms_and_doors(make("burgard-office", seed))
+        offices = [room for room in rooms if is_empty_rectangle(room)]
+        assert 20 <= len(offices) <= 60
+        extra.append((len(doors) - len(offices)) / len(offices))
+    assert np.mean(extra) > 0.2
+
+
+def test_burgards_corridor_is_long_with_rooms_on_both_sides() -> None:
+    for seed in SEEDS:
+        world = make("burgard-corridor", seed)
+        rooms, _ = rooms_and_doors(world)
+        assert all(is_empty_rectangle(room) for room in rooms)
+        assert 14 <= len(rooms) <= 36
+        (lane,) = ((rows, columns) for (rows, columns), _ in rooms if columns.stop - columns.start > 300)
+        assert any(rows.stop < lane[0].start for (rows, _), _ in rooms)
+        assert any(rows.start > lane[0].stop for (rows, _), _ in rooms)
+
+
+def test_burgards_unstructured_world_has_an_irregular_outline_and_objects() -> None:
+    for seed in SEEDS:
+        world = make("burgard-unstructured", seed)
+        assert 0.05 < (world.cells == UNKNOWN).mean() < 0.45
+        assert 25 <= len(objects(world.cells)) <= 60
