@@ -103,7 +103,9 @@ def draw(
             numerator, denominator, slope = a_y * run + rise * (4 * at - a_x), 4 * run, 4 * rise * step
         else:
             numerator, denominator, slope = a_x * rise + run * (4 * at - a_y), 4 * rise, 4 * run * step
-        if denominator < 0:
+        if denominator == 0:  # both vertices are the same, which only a hostile stream says
+            numerator, denominator = a_y, 4
+        elif denominator < 0:
             numerator, denominator, slope = -numerator, -denominator, -slope
         numerator += denominator // 2
         while True:

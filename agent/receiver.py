@@ -1,10 +1,12 @@
 """The other end of the edit scripts: rebuilding a teammate's approximation from its packets (section 4.2.3).
 
-Packets build up a draft; only a save point commits it. A stream that contradicts itself, or that says what
-cannot be, is refused: the draft is dropped, the last saved state stands.
+Packets build up a draft; only a save point makes it the approximation that is used. A piece of the stream
+that contradicts itself or what came before, or that says what cannot be, is refused as a whole.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +31,7 @@ _Outline = tuple[NDArray[np.int32], bool]
 
 
 class Receiver:
-    """Holds one teammate's approximation and applies the packets that change it.
+    """Holds one teammate's approximation and takes the packets that change it.
 
     Parameters
     ----------
@@ -39,9 +41,10 @@ class Receiver:
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self._shape = shape
+        self._draft = _Draft(shape)
+        self._pending = b""
         self._saved: dict[int, _Outline] = {}
         self._held: Held | None = Held.nothing(shape)
-        self.rollback()
 
     @property
     def held(self) -> Held:
@@ -56,116 +59,117 @@ class Receiver:
             self._held = Held(np.array(numbers, np.int32), unpacked(self._shape, symbols, start, inside))
         return self._held
 
-    def rollback(self) -> None:
-        """Forget everything after the last save point."""
-        self._draft = dict(self._saved)
-        self._decoder = Decoder()
-        self._open: int | None = None
-        self._vertices: list[int] = []
-        self._count = 0
-        self._inside = False
-        self._read = 0
-
-    def feed(self, data: bytes) -> None:
-        """Read a piece of the stream, cut anywhere.
+    def feed(self, data: bytes) -> bool:
+        """Take the next piece of the stream, cut anywhere; say whether a save point was in it.
 
         Raises
         ------
         ProtocolError
-            The stream is broken. It has been rolled back to its last save point, from which it may be sent
-            again. The offset counts from where feeding began, or began again after the last error.
+            The piece makes no sense; nothing has changed. Its offset counts from the first packet of which
+            a part is in this piece.
         """
-        try:
-            for packet in self._decoder.feed(data):
-                self._apply(packet)
-        except ProtocolError:
-            self.rollback()
-            raise
+        decoder = Decoder()
+        decoder.pending = self._pending
+        draft = self._draft.copy()
+        saved = None
+        offset = 0
+        for packet in decoder.feed(data):
+            try:
+                draft.apply(packet)
+            except _RefusedError as refused:
+                raise ProtocolError(packet.name, offset, str(refused)) from None
+            if isinstance(packet, Save):
+                saved = dict(draft.objects)
+            offset += packet.size
+        self._draft, self._pending = draft, decoder.pending
+        if saved is not None:
+            self._saved, self._held = saved, None
+        return saved is not None
+
+
+class _RefusedError(Exception):
+    """What is wrong with a packet."""
+
+
+@dataclass
+class _Draft:
+    """The approximation as far as it has been told, and the object that vertex packets speak of just now."""
+
+    shape: tuple[int, int]
+    objects: dict[int, _Outline] = field(default_factory=dict)
+    open: int | None = None
+    vertices: list[int] = field(default_factory=list)
+    count: int = 0
+    inside: bool = False
+    edited: bool = False
+    """Whether anything has come since the last save point."""
+
+    def copy(self) -> _Draft:
+        return replace(self, objects=dict(self.objects), vertices=self.vertices.copy())
 
     def apply(self, packet: AnyPacket) -> None:
-        """Apply one whole packet.
-
-        Raises
-        ------
-        ProtocolError
-            As `feed` does.
-        """
-        try:
-            self._apply(packet)
-        except ProtocolError:
-            self.rollback()
-            raise
-
-    def _apply(self, packet: AnyPacket) -> None:
         match packet:
             case Insert() | Replace() | Delete():
                 self._edit_vertex(packet)
             case Emerge() | Change():
-                self._close(packet)
+                self._close()
                 self._begin(packet)
             case Remove():
-                self._close(packet)
-                if packet.object not in self._draft:
-                    raise self._error(packet, f"there is no object {packet.object}")
-                del self._draft[packet.object]
+                self._close()
+                if packet.object not in self.objects:
+                    raise _RefusedError(f"there is no object {packet.object}")
+                del self.objects[packet.object]
             case Save():
-                self._close(packet)
-                inside = sum(is_inside for _, is_inside in self._draft.values())
+                self._close()
+                if not self.edited:
+                    raise _RefusedError("nothing has changed since the last one")
+                inside = sum(is_inside for _, is_inside in self.objects.values())
                 if inside != 1:
-                    raise self._error(packet, f"{inside} inside objects: there must be exactly one")
-                self._saved = self._draft
-                self._draft = dict(self._saved)
-                self._held = None
+                    raise _RefusedError(f"{inside} inside objects: there must be exactly one")
             case _:
-                raise self._error(packet, "this packet does not belong in a map's stream")
-        self._read += packet.size
+                raise _RefusedError("this packet does not belong in a map's stream")
+        self.edited = not isinstance(packet, Save)
 
     def _begin(self, packet: Emerge | Change) -> None:
-        known = packet.object in self._draft
+        known = packet.object in self.objects
         if isinstance(packet, Emerge) and known:
-            raise self._error(packet, f"object {packet.object} is there already")
+            raise _RefusedError(f"object {packet.object} is there already")
         if isinstance(packet, Change) and not known:
-            raise self._error(packet, f"there is no object {packet.object}")
+            raise _RefusedError(f"there is no object {packet.object}")
         if not 2 <= packet.count <= MAX_VERTICES:
-            raise self._error(packet, f"{packet.count} vertices: an object has 2 to {MAX_VERTICES}")
-        self._open = packet.object
-        self._count = packet.count
-        self._inside = bool(packet.inside)
-        self._vertices = self._draft[packet.object][0].tolist() if known else []
+            raise _RefusedError(f"{packet.count} vertices: an object has 2 to {MAX_VERTICES}")
+        self.open, self.count, self.inside = packet.object, packet.count, bool(packet.inside)
+        self.vertices = self.objects[packet.object][0].tolist() if known else []
 
     def _edit_vertex(self, packet: Insert | Replace | Delete) -> None:
-        if self._open is None:
-            raise self._error(packet, "no object has been named that it speaks of")
-        last = len(self._vertices) - 1
+        if self.open is None:
+            raise _RefusedError("no object has been named that it speaks of")
+        last = len(self.vertices) - 1
         if isinstance(packet, Insert):
             last += 1
             if last >= MAX_VERTICES:
-                raise self._error(packet, f"object {self._open} is full with {MAX_VERTICES} vertices")
-        if not 0 <= packet.index <= last:
-            raise self._error(packet, f"index {packet.index} is outside 0 to {last}")
+                raise _RefusedError(f"object {self.open} is full with {MAX_VERTICES} vertices")
+        if packet.index > last:
+            raise _RefusedError(f"index {packet.index} of object {self.open}: the last one is {last}")
         if isinstance(packet, Delete):
-            del self._vertices[packet.index]
+            del self.vertices[packet.index]
             return
-        height, width = self._shape
-        if not (-1 <= packet.x <= width and -1 <= packet.y <= height):
-            raise self._error(packet, f"cell ({packet.x}, {packet.y}) is outside the {width} x {height} grid")
+        height, width = self.shape
+        if packet.x > width or packet.y > height:
+            raise _RefusedError(f"cell ({packet.x}, {packet.y}) is outside the {width} x {height} grid")
         symbol = (packet.y + 1) << 15 | (packet.x + 1) << 3 | packet.side << 1 | packet.occupied
         if isinstance(packet, Insert):
-            self._vertices.insert(packet.index, symbol)
+            self.vertices.insert(packet.index, symbol)
         else:
-            self._vertices[packet.index] = symbol
+            self.vertices[packet.index] = symbol
 
-    def _close(self, packet: AnyPacket) -> None:
+    def _close(self) -> None:
         """End the edits of the open object."""
-        if self._open is None:
+        if self.open is None:
             return
-        if len(self._vertices) != self._count:
-            raise self._error(
-                packet,
-                f"object {self._open} has {len(self._vertices)} vertices, {self._count} were announced",
+        if len(self.vertices) != self.count:
+            raise _RefusedError(
+                f"object {self.open} has {len(self.vertices)} vertices, not {self.count} as announced"
             )
-        self._draft[self._open] = np.array(self._vertices, np.int32), self._inside
-        self._open = None
-
-    def _error(self, packet: AnyPacket, reason: str) -> ProtocolError:
-        return ProtocolError(packet.name, self._read, reason)
+        self.objects[self.open] = np.array(self.vertices, np.int32), self.inside
+        self.open = None

@@ -1,0 +1,131 @@
+"""Drawing polygons: the enclosed cells are those of a plain even-odd test, and no boundary leaks."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from agent.polygons import SIDE_X, SIDE_Y
+from agent.raster import draw, fill
+
+quick = settings(deadline=None)
+
+Vertex = tuple[int, int, int]
+SHAPE = (11, 13)
+
+vertices = st.tuples(st.integers(-1, SHAPE[1]), st.integers(-1, SHAPE[0]), st.integers(0, 3))
+polygons = st.lists(vertices, min_size=2, max_size=8, unique=True)
+
+
+def columns(polygon: list[Vertex]) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.uint8]]:
+    x, y, side = zip(*polygon, strict=True)
+    return np.array(x, np.int16), np.array(y, np.int16), np.array(side, np.uint8)
+
+
+def filled(polygon: list[Vertex], shape: tuple[int, int] = SHAPE) -> NDArray[np.bool_]:
+    layer, scratch = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
+    fill(layer, *columns(polygon), 0, len(polygon), scratch, 1, 0)
+    assert not scratch.any()
+    return layer == 1
+
+
+def drawn(polygon: list[Vertex], shape: tuple[int, int] = SHAPE) -> NDArray[np.bool_]:
+    layer = np.zeros(shape, np.uint8)
+    draw(layer, *columns(polygon), np.ones(len(polygon), np.uint8), 0, len(polygon), 1, 0, 0)
+    return layer == 1
+
+
+def place(vertex: Vertex) -> tuple[Fraction, Fraction]:
+    x, y, side = vertex
+    return x + Fraction(int(SIDE_X[side]), 4), y + Fraction(int(SIDE_Y[side]), 4)
+
+
+def encloses(polygon: list[Vertex], x: int, y: int) -> bool:
+    """Even-odd by a ray upwards; an edge counts in the columns from its left end to before its right."""
+    within = False
+    for one, other in zip(polygon, polygon[1:] + polygon[:1], strict=True):
+        (ax, ay), (bx, by) = sorted((place(one), place(other)))
+        if ax <= x < bx and ay + (by - ay) * (x - ax) / (bx - ax) <= y:
+            within = not within
+    return within
+
+
+@quick
+@given(polygons)
+def test_a_polygon_encloses_the_cells_whose_centres_pass_the_even_odd_test(polygon: list[Vertex]) -> None:
+    expected = [[encloses(polygon, x, y) for x in range(SHAPE[1])] for y in range(SHAPE[0])]
+    assert filled(polygon).tolist() == expected
+
+
+@settings(quick, max_examples=4 * quick.max_examples)
+@given(polygons)
+def test_of_two_neighbours_of_which_one_is_enclosed_one_is_boundary(polygon: list[Vertex]) -> None:
+    inside, boundary = filled(polygon), drawn(polygon)
+    for one, other in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
+        leak = (inside[one] != inside[other]) & ~boundary[one] & ~boundary[other]
+        assert not leak.any()
+
+
+@quick
+@given(vertices, vertices)
+def test_an_edge_is_drawn_in_the_cell_nearest_to_it_in_each_column_or_row(one: Vertex, other: Vertex) -> None:
+    (ax, ay), (bx, by) = place(one), place(other)
+    expected = {one[:2]}
+    if abs(bx - ax) >= abs(by - ay):
+        for x in range(min(one[0], other[0]), max(one[0], other[0]) + 1):
+            if x not in (one[0], other[0]):
+                expected.add((x, int((ay + (by - ay) * (x - ax) / (bx - ax) + Fraction(1, 2)) // 1)))
+    else:
+        for y in range(min(one[1], other[1]), max(one[1], other[1]) + 1):
+            if y not in (one[1], other[1]):
+                expected.add((int((ax + (bx - ax) * (y - ay) / (by - ay) + Fraction(1, 2)) // 1), y))
+    layer = np.zeros(SHAPE, np.uint8)
+    # Only the first of the two edges is occupied.
+    draw(layer, *columns([one, other]), np.array([1, 0], np.uint8), 0, 2, 1, 0, 0)
+    cells = {(int(x), int(y)) for y, x in np.argwhere(layer)}
+    assert cells == {(x, y) for x, y in expected if 0 <= x < SHAPE[1] and 0 <= y < SHAPE[0]}
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "cells"),
+    [
+        ((2, 3, 0), (6, 3, 0), [(2, 3), (3, 3), (4, 3), (5, 3)]),
+        ((6, 3, 2), (2, 3, 2), [(3, 3), (4, 3), (5, 3), (6, 3)]),
+        ((2, 2, 0), (5, 5, 3), [(2, 2), (3, 3), (4, 4)]),
+        ((5, 5, 1), (2, 2, 2), [(3, 3), (4, 4), (5, 5)]),
+        ((2, 5, 1), (2, 5, 2), [(2, 5)]),
+    ],
+)
+def test_an_exact_edge_is_drawn_in_the_cells_of_its_points_but_the_last(
+    one: Vertex, other: Vertex, cells: list[tuple[int, int]]
+) -> None:
+    layer = np.zeros(SHAPE, np.uint8)
+    draw(layer, *columns([one, other]), np.array([1, 0], np.uint8), 0, 2, 1, 0, 0)
+    assert sorted((int(x), int(y)) for y, x in np.argwhere(layer)) == cells
+
+
+@quick
+@given(
+    st.lists(st.tuples(*(st.integers(-(2**15), 2**15 - 1),) * 2, st.integers(0, 3)), min_size=2, max_size=4)
+)
+def test_vertices_far_outside_the_grid_are_clipped(polygon: list[Vertex]) -> None:
+    inside = filled(polygon, (3, 5))
+    drawn(polygon, (3, 5))
+    for y, x in ((0, 0), (2, 4)):
+        assert inside[y, x] == encloses(polygon, x, y)
+
+
+def test_bits_are_set_and_cleared_where_they_should_be() -> None:
+    square = [(1, 1, 3), (1, 5, 0), (5, 5, 1), (5, 1, 2)]
+    layer, scratch = np.full(SHAPE, 0b101, np.uint8), np.zeros(SHAPE, np.uint8)
+    fill(layer, *columns(square), 0, 4, scratch, 0b010, 0b100)
+    assert (layer == np.where(filled(square), 0b011, 0b101)).all()
+    draw(layer, *columns(square), np.array([1, 0, 1, 0], np.uint8), 0, 4, 0b1000, 0b10000, 0b1)
+    assert layer[3, 1] == 0b1010, "an occupied edge"
+    assert layer[5, 3] == 0b10010, "another edge"
+    assert layer[3, 3] == 0b011

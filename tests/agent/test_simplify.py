@@ -1,0 +1,127 @@
+"""Douglas-Peucker over all objects: split by split what a plain search finds, until nothing is left."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from explorations import Cell, exploration, grids, real_map
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agent.approximation import Marks, approximation, repair
+from agent.contour import contours
+from agent.polygons import SIDE_X, SIDE_Y, Polygons
+from agent.simplify import ValueFunction, by_distance, mixed_first, refine
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+
+quick = settings(deadline=None)
+
+
+def born(exact: Polygons) -> Marks:
+    return repair(Polygons.nothing(exact.shape), exact)
+
+
+def squared_distance(exact: Polygons, p: int, a: int, b: int) -> Fraction:
+    """From point p to the segment from a to b, in quarters of a cell."""
+    x, y = ((4 * cell + aside[exact.side]).tolist() for cell, aside in ((exact.x, SIDE_X), (exact.y, SIDE_Y)))
+    along = (x[p] - x[a]) * (x[b] - x[a]) + (y[p] - y[a]) * (y[b] - y[a])
+    t = min(max(Fraction(along, (x[b] - x[a]) ** 2 + (y[b] - y[a]) ** 2), Fraction(0)), Fraction(1))
+    return (x[p] - x[a] - t * (x[b] - x[a])) ** 2 + (y[p] - y[a] - t * (y[b] - y[a])) ** 2
+
+
+def plain_next_split(exact: Polygons, marks: list[int], mixed_edges_first: bool) -> int | None:
+    """Look at all points of all edges (Algorithm 6, lines 3 to 12)."""
+    best = None
+    for first, end in pairwise(exact.start.tolist()):
+        own = [mark for mark in marks if first <= mark < end]
+        for a, b in zip(own, own[1:] + own[:1], strict=True):
+            between = list(range(a + 1, b)) if a < b else [*range(a + 1, end), *range(first, b)]
+            occupied = exact.occupied[[a, *between]].tolist()
+            changes = [p for p, (one, other) in zip(between, pairwise(occupied), strict=True) if one != other]
+            distances = [squared_distance(exact, p, a, b) for p in between]
+            longest = max(distances, default=Fraction(0))
+            if longest == 0 and not changes:
+                continue
+            split = between[distances.index(longest)] if longest > 0 else changes[0]
+            value = (bool(changes) and mixed_edges_first, longest)
+            if best is None or value > best[0]:
+                best = value, split
+    return None if best is None else best[1]
+
+
+@quick
+@given(grids(max_side=8), st.booleans())
+def test_each_split_is_the_one_that_a_plain_search_over_all_points_finds(
+    case: tuple[Grid, Cell], mixed_edges_first: bool
+) -> None:
+    exact = contours(*case)
+    value = mixed_first if mixed_edges_first else by_distance
+    marks = born(exact)
+    plain = marks.tolist()
+    for splits in range(1, 12):
+        split = plain_next_split(exact, plain, mixed_edges_first)
+        plain = sorted([*plain, split]) if split is not None else plain
+        assert refine(exact, marks, splits, value).tolist() == plain
+
+
+@quick
+@given(grids(), st.integers(0, 10), st.integers(0, 10), st.sampled_from([by_distance, mixed_first]))
+def test_refining_in_two_goes_is_refining_in_one(
+    case: tuple[Grid, Cell], one: int, other: int, value: ValueFunction
+) -> None:
+    exact = contours(*case)
+    marks = born(exact)
+    both = refine(exact, marks, one + other, value)
+    assert refine(exact, refine(exact, marks, one, value), other, value).tolist() == both.tolist()
+    assert set(marks.tolist()) <= set(both.tolist())
+    assert len(both) <= len(marks) + one + other
+
+
+def assert_exact(exact: Polygons, marks: Marks) -> None:
+    for first, end in pairwise(exact.start.tolist()):
+        own = [mark for mark in marks.tolist() if first <= mark < end]
+        for a, b in zip(own, own[1:] + own[:1], strict=True):
+            between = list(range(a + 1, b)) if a < b else [*range(a + 1, end), *range(first, b)]
+            assert len(set(exact.occupied[[a, *between]].tolist())) == 1
+            assert all(squared_distance(exact, p, a, b) == 0 for p in between)
+
+
+@quick
+@given(grids(), st.sampled_from([by_distance, mixed_first]))
+def test_without_a_limit_it_ends_exact(case: tuple[Grid, Cell], value: ValueFunction) -> None:
+    exact = contours(*case)
+    marks = refine(exact, born(exact), value=value)
+    assert_exact(exact, marks)
+    assert refine(exact, marks, 5, value).tolist() == marks.tolist(), "nothing is left to split"
+
+
+@pytest.mark.parametrize("value", [by_distance, mixed_first])
+def test_without_a_limit_it_ends_exact_on_real_maps_too(value: ValueFunction) -> None:
+    *_, (grid, robot) = exploration(real_map("fr079"), np.random.default_rng(5), 30, 30.0)
+    exact = contours(grid, robot)
+    assert_exact(exact, refine(exact, born(exact), value=value))
+
+
+def test_a_straight_edge_is_split_where_its_occupancy_changes() -> None:
+    grid = np.full((1, 9), FREE, np.uint8)
+    grid = np.vstack([grid, grid, grid])
+    grid[0] = [UNKNOWN] * 4 + [OCCUPIED] * 5
+    exact = contours(grid, (0, 1))
+    coarse = approximation(exact, refine(exact, born(exact)))
+    ((_, cycle),) = coarse.canonical()
+    wall = [(0, 0, 0, 0), (4, 0, 0, 1), (8, 0, 0, 1), (9, 1, 3, 0)]
+    assert [vertex for vertex in cycle if vertex[1] == 0 or vertex in wall] == wall
+
+
+def test_mixed_first_splits_an_edge_of_mixed_occupancy_before_a_longer_way_off() -> None:
+    grid = np.full((12, 12), FREE, np.uint8)
+    grid[0, 2:10] = [OCCUPIED, OCCUPIED, OCCUPIED, UNKNOWN, OCCUPIED, OCCUPIED, OCCUPIED, OCCUPIED]
+    grid[6:11, 3:9] = OCCUPIED
+    exact = contours(grid, (0, 5))
+    marks = refine(exact, born(exact), 3, mixed_first)
+    assert set(marks.tolist()) != set(refine(exact, born(exact), 3, by_distance).tolist())
+    inside_only = marks[marks < exact.start[1]]
+    assert len(inside_only) == 5, "only the inside contour is of mixed occupancy"
