@@ -1,0 +1,210 @@
+"""Merging: Algorithm 9 step by step and in one go, and what comes back from an exact approximation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from explorations import Cell, exploration, grids, growing_maps, real_map
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from agent.approximation import approximation, repair
+from agent.contour import contours
+from agent.merge import (
+    THESIS,
+    UNDEFINED,
+    Drawing,
+    TeamMap,
+    approximation_error,
+    five_stages,
+    layer,
+    rendered,
+)
+from agent.polygons import Polygons
+from agent.simplify import refine
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+
+quick = settings(deadline=None)
+
+drawings = st.builds(Drawing, st.booleans(), st.booleans())
+
+
+def approximated(grid: Grid, robot: Cell, splits: int | None = None) -> Polygons:
+    exact = contours(grid, robot)
+    return approximation(exact, refine(exact, repair(Polygons.nothing(grid.shape), exact), splits))
+
+
+def merged(own: Grid, approximations: list[Polygons], drawing: Drawing = THESIS) -> Grid:
+    team = TeamMap(own.shape, drawing)
+    for robot, polygons in enumerate(approximations):
+        team.update(robot, polygons)
+    return team.merged(own)
+
+
+@st.composite
+def teams(draw: st.DrawFn) -> tuple[Grid, list[Polygons]]:
+    """One's own grid, and approximations of any fineness of what teammates have seen of the same world."""
+    steps = draw(growing_maps())
+    own = steps[0][0]
+    members = draw(st.lists(st.sampled_from(steps), max_size=4))
+    return own, [approximated(*seen, draw(st.sampled_from([0, 1, 4, None]))) for seen in members]
+
+
+@quick
+@given(teams(), drawings)
+def test_layers_merge_to_what_the_five_stages_merge_to(
+    case: tuple[Grid, list[Polygons]], drawing: Drawing
+) -> None:
+    own, approximations = case
+    assert (merged(own, approximations, drawing) == five_stages(own, approximations, drawing).complete).all()
+
+
+def test_layers_merge_to_what_the_five_stages_merge_to_on_a_real_map() -> None:
+    world = real_map("fr079")
+    walks = [list(exploration(world, np.random.default_rng(seed), 20, 40.0))[-1] for seed in range(4)]
+    for splits in (0, 10, 100, None):
+        team = [approximated(grid, robot, splits) for grid, robot in walks[1:]]
+        assert (merged(walks[0][0], team) == five_stages(walks[0][0], team).complete).all()
+
+
+def test_the_five_stages_build_up_the_plan_as_in_figure_5_6() -> None:
+    grid = np.full((7, 9), FREE, np.uint8)
+    grid[0] = grid[-1] = OCCUPIED
+    grid[2:5, 2:5] = UNKNOWN
+    grid[2, 2:5] = OCCUPIED
+    own = np.full(grid.shape, UNKNOWN, np.uint8)
+    own[3, 3] = OCCUPIED
+    stages = five_stages(own, [approximated(grid, (1, 1))])
+    outside = np.s_[2:5, 2:5]
+    assert (stages.outside_filled[outside] == UNKNOWN).all()
+    assert (stages.outside_filled == UNDEFINED).sum() == grid.size - 9
+    assert stages.outside_bounded[outside].tolist() == [[OCCUPIED] * 3, [UNKNOWN] * 3, [UNKNOWN] * 3]
+    assert (stages.inside_filled[grid == FREE] == FREE).all()
+    assert (stages.inside_filled[0] == UNDEFINED).all()
+    assert (stages.inside_bounded[0] == OCCUPIED).all()
+    assert stages.complete[3, 3] == OCCUPIED
+    assert not (stages.complete == UNDEFINED).any()
+
+
+def test_unknown_space_of_one_that_another_has_seen_becomes_free() -> None:
+    seen = np.full((9, 9), FREE, np.uint8)
+    blind = seen.copy()
+    blind[3:6, 3:6] = UNKNOWN
+    nothing = np.full(seen.shape, UNKNOWN, np.uint8)
+    for team in ([seen, blind], [blind, seen]):
+        plan = merged(nothing, [approximated(grid, (0, 0)) for grid in team])
+        assert (plan == FREE).all()
+    assert merged(nothing, [approximated(blind, (0, 0))])[4, 4] == UNKNOWN
+
+
+def test_an_occupied_boundary_stands_against_another_robots_unknown_and_free_area() -> None:
+    free = np.full((9, 9), FREE, np.uint8)
+    pillar = free.copy()
+    pillar[4, 4] = OCCUPIED
+    speck = free.copy()
+    speck[4, 4] = UNKNOWN
+    nothing = np.full(free.shape, UNKNOWN, np.uint8)
+    team = [approximated(grid, (0, 0)) for grid in (pillar, speck, free)]
+    assert merged(nothing, team)[4, 4] == OCCUPIED
+
+
+@quick
+@given(teams())
+def test_the_order_in_which_teammates_are_merged_does_not_matter(case: tuple[Grid, list[Polygons]]) -> None:
+    own, approximations = case
+    assert (merged(own, approximations) == merged(own, approximations[::-1])).all()
+    backwards = five_stages(own, approximations[::-1])
+    assert (backwards.complete == five_stages(own, approximations).complete).all()
+
+
+@quick
+@given(teams())
+def test_what_the_robot_has_seen_itself_stands(case: tuple[Grid, list[Polygons]]) -> None:
+    own, approximations = case
+    plan = merged(own, approximations)
+    assert (plan[own != UNKNOWN] == own[own != UNKNOWN]).all()
+
+
+@quick
+@given(teams())
+def test_a_teammates_new_approximation_takes_the_place_of_its_old_one(
+    case: tuple[Grid, list[Polygons]],
+) -> None:
+    own, approximations = case
+    team = TeamMap(own.shape)
+    for polygons in approximations:
+        team.update(1, polygons)
+        assert (team.merged(own) == merged(own, [polygons])).all()
+
+
+def reachable(grid: Grid, robot: Cell) -> NDArray[np.bool_]:
+    areas, _ = ndimage.label(grid == FREE)
+    return areas == areas[robot[1], robot[0]]
+
+
+def outer(free: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Cells around the free space and not enclosed by it: 8-connected to the rim through non-free cells."""
+    around, _ = ndimage.label(np.pad(~free, 1, constant_values=True), np.ones((3, 3)))
+    return (around == around[0, 0])[1:-1, 1:-1]
+
+
+def what_algorithm_9_can_know(grid: Grid, robot: Cell, drawing: Drawing) -> Grid:
+    """The grid without what no exact approximation can tell: see `agent.merge`."""
+    free = reachable(grid, robot)
+    cross = ndimage.generate_binary_structure(2, 1)
+    beside = ndimage.binary_dilation(free, cross) & ~free
+    known = np.full(grid.shape, UNKNOWN, np.uint8)
+    known[free] = FREE
+    known[beside & (grid == OCCUPIED)] = OCCUPIED
+    if drawing.free_inside_edges:
+        known[beside & outer(free) & (grid != OCCUPIED)] = FREE
+    return known
+
+
+@quick
+@given(grids(), st.booleans())
+def test_an_exact_approximation_gives_the_grid_back_as_far_as_algorithm_9_can_tell(
+    case: tuple[Grid, Cell], free_inside_edges: bool
+) -> None:
+    drawing = Drawing(free_inside_edges=free_inside_edges)
+    expected = what_algorithm_9_can_know(*case, drawing)
+    assert rendered(approximated(*case), drawing).tolist() == expected.tolist()
+
+
+@pytest.mark.parametrize("name", ["intel", "fr079", "aces"])
+@pytest.mark.parametrize("free_inside_edges", [True, False])
+def test_an_exact_approximation_gives_real_maps_back(name: str, free_inside_edges: bool) -> None:
+    drawing = Drawing(free_inside_edges=free_inside_edges)
+    *_, seen = exploration(real_map(name), np.random.default_rng(2), 40, 30.0)
+    y, x = np.argwhere(real_map(name) == FREE)[0].tolist()
+    for grid, robot in (seen, (real_map(name), (x, y))):
+        found = rendered(approximated(grid, robot), drawing)
+        assert (found == what_algorithm_9_can_know(grid, robot, drawing)).all()
+
+
+def test_the_error_counts_the_cells_that_differ() -> None:
+    grid = np.full((9, 9), FREE, np.uint8)
+    grid[3:6, 3:6] = OCCUPIED
+    coarse, exact = (approximated(grid, (0, 0), splits) for splits in (0, None))
+    assert approximation_error(grid, exact) == 1, "the middle of the block is on no contour"
+    assert approximation_error(grid, coarse) == (grid != rendered(coarse)).sum() > 1
+
+
+def test_unknown_specks_are_left_out_if_wished() -> None:
+    grid = np.full((9, 9), FREE, np.uint8)
+    grid[2, 2] = UNKNOWN
+    grid[6, 6] = OCCUPIED
+    specks = approximated(grid, (0, 0), 6)
+    assert np.diff(specks.start).tolist() == [8, 2, 2]
+    assert rendered(specks)[2, 2] == UNKNOWN
+    clean = rendered(specks, Drawing(unknown_pairs=False))
+    assert clean[2, 2] == FREE
+    assert clean[6, 6] == OCCUPIED
+
+
+def test_nothing_heard_claims_nothing() -> None:
+    assert not layer(Polygons.nothing((4, 5))).any()
+    own = np.array([[FREE, UNKNOWN]], np.uint8)
+    assert TeamMap(own.shape).merged(own).tolist() == own.tolist()
