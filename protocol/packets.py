@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
-from typing import ClassVar, Union
+from typing import ClassVar
 
 from protocol.errors import ProtocolError
 
@@ -77,7 +77,10 @@ class Delete(Packet):
 
 @dataclass(frozen=True, slots=True)
 class Emerge(Packet):
-    """A new object takes the free number `object`; `count` inserts follow. `inside`: it encloses the free space."""
+    """A new object takes the free number `object`; `count` inserts follow.
+
+    `inside`: it encloses the free space.
+    """
 
     name, size, code, code_bits, bits = "em", 5, 0b1101, 4, (12, 13, 1)
     object: int
@@ -114,7 +117,7 @@ class Offer(Packet):
 
 @dataclass(frozen=True, slots=True)
 class Answer(Packet):
-    """Handshake: the receiver holds the units before `index` (within the block) of the map that was offered."""
+    """Handshake: the receiver holds the units before `index` (within the block) of the map offered."""
 
     name, size, code, code_bits, bits = "conn", 2, 0b1011, 4, (12,)
     index: int
@@ -153,7 +156,7 @@ class Save(Packet):
 
 @dataclass(frozen=True, slots=True)
 class Fragment(Packet):
-    """A piece of a raw scan (`protocol.scans`) of at most `FRAGMENT_DATA` bytes; a full piece needs no length."""
+    """A piece of a raw scan (`protocol.scans`), at most `FRAGMENT_DATA` bytes; a full one needs no length."""
 
     name, size, code, code_bits, bits = "scan", 64, 0xF1, 8, ()
     data: bytes
@@ -163,10 +166,10 @@ FRAGMENT_DATA = Fragment.size - 1
 """Bytes of content in a full fragment."""
 _FULL, _SHORT = 0xF1, 0xF2
 
-VertexEdit = Union[Insert, Replace, Delete]
-Edit = Union[Insert, Replace, Delete, Emerge, Change, Remove, Save]
-Handshake = Union[Offer, Answer, Block, Decline]
-AnyPacket = Union[Edit, Handshake, Target, Fragment]
+VertexEdit = Insert | Replace | Delete
+Edit = Insert | Replace | Delete | Emerge | Change | Remove | Save
+Handshake = Offer | Answer | Block | Decline
+AnyPacket = Edit | Handshake | Target | Fragment
 
 _TYPES: tuple[type[Packet], ...] = (
     Insert, Replace, Delete, Emerge, Change, Remove, Offer, Answer, Block, Decline, Target, Save,
@@ -182,21 +185,30 @@ _RIM = 1
 """Vertex cells are sent with this added, for the rim of the grid lies at -1."""
 
 
-def _by_first_byte() -> list[tuple[type[Packet], ...]]:
-    """For each possible first byte, the packets that may begin with it."""
-    table: list[tuple[type[Packet], ...]] = []
+def _by_first_byte() -> list[type[Packet] | None]:
+    """For each possible first byte, the packet that begins with it."""
+    table: list[type[Packet] | None] = []
     for byte in range(256):
-        fits = []
-        for kind in _TYPES:
-            known = min(kind.code_bits, 8)
-            if byte >> (8 - known) == kind.code >> (kind.code_bits - known):
-                fits.append(kind)
-        table.append(tuple(fits))
-    table[_FULL] = table[_SHORT] = (Fragment,)
+        fits = [kind for kind in _TYPES if byte >> max(8 - kind.code_bits, 0) == _first_bits(kind)]
+        table.append(fits[0] if fits else None)
+    table[_FULL] = table[_SHORT] = Fragment
     return table
 
 
+def _first_bits(kind: type[Packet]) -> int:
+    """Return as much of a packet's code as lies in its first byte."""
+    return kind.code >> max(kind.code_bits - 8, 0)
+
+
+def _fixed(kind: type[Packet]) -> tuple[int, int]:
+    """Return what is the same in all packets of a kind, its code and the zeros at its end: (mask, bits)."""
+    behind = 8 * kind.size - kind.code_bits
+    code_mask = (1 << kind.code_bits) - 1 << behind
+    return code_mask | (1 << behind - sum(kind.bits)) - 1, kind.code << behind
+
+
 _FIRST_BYTE = _by_first_byte()
+_FIXED = {kind: _fixed(kind) for kind in _TYPES}
 _FIELDS = {kind: tuple(field.name for field in fields(kind)) for kind in _TYPES}
 _SHIFTED = {kind: tuple(name in "xy" and kind is not Target for name in _FIELDS[kind]) for kind in _TYPES}
 
@@ -236,18 +248,21 @@ def length(buffer: bytes, offset: int = 0) -> int:
     ProtocolError
         No packet begins like this.
     """
-    fits = _FIRST_BYTE[buffer[offset]]
-    if not fits:
-        raise ProtocolError("packet", offset, f"no packet begins with {buffer[offset]:#04x}")
-    if buffer[offset] == _SHORT:
-        return 2 + (buffer[offset + 1] if offset + 1 < len(buffer) else 0)
-    return fits[0].size
+    kind = _kind(buffer, offset)
+    if buffer[offset] != _SHORT:
+        return kind.size
+    if offset + 1 == len(buffer):
+        return 2
+    size = buffer[offset + 1]
+    if not 1 <= size < FRAGMENT_DATA:
+        reason = f"a short fragment of {size} bytes is outside 1 to {FRAGMENT_DATA - 1}"
+        raise ProtocolError(kind.name, offset, reason)
+    return 2 + size
 
 
 def name(buffer: bytes, offset: int = 0) -> str:
     """Return the kind, as Table 6.1 names it, of the packet that begins at `offset`."""
-    length(buffer, offset)
-    return _FIRST_BYTE[buffer[offset]][0].name
+    return _kind(buffer, offset).name
 
 
 def split(buffer: bytes) -> list[bytes]:
@@ -256,7 +271,7 @@ def split(buffer: bytes) -> list[bytes]:
     Raises
     ------
     ProtocolError
-        No packet begins where one should, or the last one is cut off.
+        As `decode`.
     """
     pieces = []
     offset = 0
@@ -264,7 +279,10 @@ def split(buffer: bytes) -> list[bytes]:
         end = offset + length(buffer, offset)
         if end > len(buffer):
             raise _cut_off(buffer, offset)
-        pieces.append(buffer[offset:end])
+        piece = buffer[offset:end]
+        if buffer[offset] not in (_FULL, _SHORT):
+            _check(_kind(buffer, offset), int.from_bytes(piece, "big"), offset)
+        pieces.append(piece)
         offset = end
     return pieces
 
@@ -302,19 +320,19 @@ class Decoder:
         """
         buffer = self.pending + data
         offset = 0
-        while offset < len(buffer):
-            size = length(buffer, offset)
-            if offset + size > len(buffer):
-                break
-            try:
+        try:
+            while offset < len(buffer):
+                size = length(buffer, offset)
+                if offset + size > len(buffer):
+                    break
                 packet = _read(buffer, offset, size)
-            except ProtocolError as error:
-                raise ProtocolError(error.packet, self._read + offset, error.reason) from None
-            offset += size
+                offset += size
+                yield packet
+        except ProtocolError as error:
+            raise ProtocolError(error.packet, self._read + offset, error.reason) from None
+        finally:
+            self._read += offset
             self.pending = buffer[offset:]
-            yield packet
-        self._read += offset
-        self.pending = buffer[offset:]
 
 
 def tally(buffer: bytes) -> dict[str, tuple[int, int]]:
@@ -351,30 +369,39 @@ def _write_fragment(packet: Fragment, offset: int) -> bytes:
     return head + packet.data
 
 
+def _kind(buffer: bytes, offset: int) -> type[Packet]:
+    kind = _FIRST_BYTE[buffer[offset]]
+    if kind is None:
+        raise ProtocolError("packet", offset, f"no packet begins with {buffer[offset]:#04x}")
+    return kind
+
+
+def _check(kind: type[Packet], word: int, offset: int) -> None:
+    """Raise ProtocolError unless code and spare bits of a packet are as they must be."""
+    mask, bits = _FIXED[kind]
+    if (wrong := word & mask ^ bits) == 0:
+        return
+    spare = 8 * kind.size - kind.code_bits - sum(kind.bits)
+    if wrong >> spare:
+        begin = word >> 8 * kind.size - 16
+        raise ProtocolError("packet", offset, f"no packet begins with {begin:#06x}")
+    raise ProtocolError(kind.name, offset, f"the last {spare} bits must be zero")
+
+
 def _read(buffer: bytes, offset: int, size: int) -> AnyPacket:
     if buffer[offset] in (_FULL, _SHORT):
-        data = buffer[offset + 1 + (buffer[offset] == _SHORT) : offset + size]
-        if buffer[offset] == _SHORT and not 1 <= len(data) < FRAGMENT_DATA:
-            reason = f"a short fragment of {len(data)} bytes is outside 1 to {FRAGMENT_DATA - 1}"
-            raise ProtocolError(Fragment.name, offset, reason)
-        return Fragment(data)
+        return Fragment(buffer[offset + 1 + (buffer[offset] == _SHORT) : offset + size])
+    kind = _kind(buffer, offset)
     word = int.from_bytes(buffer[offset : offset + size], "big")
-    total = 8 * size
-    for kind in _FIRST_BYTE[buffer[offset]]:
-        if word >> (total - kind.code_bits) == kind.code:
-            break
-    else:
-        raise ProtocolError("packet", offset, f"no packet begins with {word >> (total - 16):#06x}")
-    left = total - kind.code_bits
+    _check(kind, word, offset)
+    left = 8 * size - kind.code_bits
     values = []
     for width, shifted in zip(kind.bits, _SHIFTED[kind], strict=True):
         left -= width
         values.append((word >> left & ((1 << width) - 1)) - (_RIM if shifted else 0))
-    if word & ((1 << left) - 1):
-        raise ProtocolError(kind.name, offset, f"the last {left} bits must be zero")
     return kind(*values)  # type: ignore[return-value]
 
 
 def _cut_off(buffer: bytes, offset: int) -> ProtocolError:
-    have = len(buffer) - offset
-    return ProtocolError(name(buffer, offset), offset, f"cut off after {have} of {length(buffer, offset)} bytes")
+    have, wanted = len(buffer) - offset, length(buffer, offset)
+    return ProtocolError(name(buffer, offset), offset, f"cut off after {have} of {wanted} bytes")

@@ -1,0 +1,372 @@
+"""Packets: the sizes of Table 6.1, every bit in its place, and nothing read that was not written."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from protocol import packets
+from protocol.errors import ProtocolError
+from protocol.packets import (
+    ALL_KINDS,
+    FRAGMENT_DATA,
+    KINDS,
+    Answer,
+    AnyPacket,
+    Block,
+    Change,
+    Decline,
+    Decoder,
+    Delete,
+    Emerge,
+    Fragment,
+    Insert,
+    Offer,
+    Packet,
+    Remove,
+    Replace,
+    Save,
+    Target,
+    decode,
+    encode,
+    fitting,
+    length,
+    split,
+    tally,
+)
+
+GOLDEN = Path(__file__).parent / "golden" / "packets.txt"
+
+SIZES = {"ins": 6, "rep": 6, "del": 2, "em": 5, "chg": 5, "rm": 2, "conn": 2, "targ": 3, "save": 1}
+"""Table 6.1."""
+
+VERTEX = {"index": (0, 4095), "x": (-1, 4094), "y": (-1, 4094), "side": (0, 3), "occupied": (0, 1)}
+OBJECT = {"object": (0, 4095), "count": (0, 8191), "inside": (0, 1)}
+LIMITS: dict[type[Packet], dict[str, tuple[int, int]]] = {
+    Insert: VERTEX,
+    Replace: VERTEX,
+    Delete: {"index": (0, 4095)},
+    Emerge: OBJECT,
+    Change: OBJECT,
+    Remove: {"object": (0, 4095)},
+    Offer: {"map": (0, 63), "block": (0, 63)},
+    Answer: {"index": (0, 4095)},
+    Block: {"block": (0, 63)},
+    Decline: {},
+    Target: {"x": (0, 2047), "y": (0, 2047)},
+    Save: {},
+}
+"""First and last value of each field of each packet."""
+
+EXAMPLES: list[AnyPacket] = [
+    Insert(3, 17, 42, 2, 1),
+    Replace(4095, -1, 2048, 3, 0),
+    Delete(258),
+    Emerge(7, 4096, 0),
+    Change(4095, 2, 1),
+    Remove(100),
+    Offer(5, 63),
+    Answer(4094),
+    Block(33),
+    Decline(),
+    Target(2047, 1000),
+    Save(),
+    Fragment(b"murmur"),
+    Fragment(bytes(range(63))),
+]
+
+
+def packets_of(kind: type[Packet]) -> st.SearchStrategy[Any]:
+    return st.builds(kind, **{name: st.integers(*limits) for name, limits in LIMITS[kind].items()})
+
+
+fragments = st.builds(Fragment, st.binary(min_size=1, max_size=FRAGMENT_DATA))
+streams = st.lists(st.one_of(*map(packets_of, LIMITS), fragments), max_size=12)
+
+
+def bits(buffer: bytes) -> str:
+    return "".join(f"{byte:08b}" for byte in buffer)
+
+
+def by_the_book(packet: AnyPacket) -> str:
+    """The layout that docs/protocol.md draws, as a string of zeros and ones."""
+    match packet:
+        case Insert() | Replace():
+            code = "010" if isinstance(packet, Insert) else "011"
+            said = f"{packet.index:012b}{packet.x + 1:012b}{packet.y + 1:012b}"
+            said = f"{code}{said}{packet.side:02b}{packet.occupied:b}000000"
+        case Delete():
+            said = f"100{packet.index:012b}0"
+        case Emerge() | Change():
+            code = "1101" if isinstance(packet, Emerge) else "1110"
+            said = f"{code}{packet.object:012b}{packet.count:013b}{packet.inside:b}" + 10 * "0"
+        case Remove():
+            said = f"1010{packet.object:012b}"
+        case Offer():
+            said = f"1100{packet.map:06b}{packet.block:06b}"
+        case Answer():
+            said = f"1011{packet.index:012b}"
+        case Block():
+            said = f"1111100000{packet.block:06b}"
+        case Decline():
+            said = "1111110000000000"
+        case Target():
+            said = f"00{packet.x:011b}{packet.y:011b}"
+        case Save():
+            said = "11110000"
+        case Fragment():
+            size = len(packet.data)
+            said = ("11110001" if size == 63 else f"11110010{size:08b}") + bits(packet.data)
+    return said
+
+
+@pytest.mark.parametrize("kind", LIMITS, ids=lambda kind: kind.__name__)
+def test_a_packet_is_as_long_as_table_6_1_says(kind: type[Packet]) -> None:
+    packet = kind(*(low for low, _ in LIMITS[kind].values()))
+    assert len(encode([packet])) == SIZES[kind.name] == kind.size
+
+
+def test_the_nine_kinds_are_those_of_table_6_1_and_scans_come_on_top() -> None:
+    assert set(KINDS) == set(SIZES)
+    assert (*KINDS, "scan") == ALL_KINDS
+
+
+@pytest.mark.parametrize(("size", "on_air"), [(1, 3), (62, 64), (63, 64)])
+def test_a_fragment_is_at_most_64_bytes(size: int, on_air: int) -> None:
+    assert len(encode([Fragment(bytes(size))])) == on_air <= 64
+
+
+@pytest.mark.parametrize("kind", LIMITS, ids=lambda kind: kind.__name__)
+def test_each_field_is_read_back_at_its_limits(kind: type[Packet]) -> None:
+    for name, limits in LIMITS[kind].items():
+        for value in limits:
+            packet = kind(**({other: low for other, (low, _) in LIMITS[kind].items()} | {name: value}))
+            assert decode(encode([packet])) == [packet]
+
+
+@pytest.mark.parametrize(
+    ("kind", "field", "value"),
+    [
+        pytest.param(kind, name, value, id=f"{kind.__name__}.{name}={value}")
+        for kind, ranges in LIMITS.items()
+        for name, (low, high) in ranges.items()
+        for value in (low - 1, high + 1)
+    ],
+)
+def test_a_field_out_of_range_is_refused_by_name_and_place(
+    kind: type[Packet], field: str, value: int
+) -> None:
+    packet = kind(**({name: low for name, (low, _) in LIMITS[kind].items()} | {field: value}))
+    low, high = LIMITS[kind][field]
+    with pytest.raises(ProtocolError) as caught:
+        encode([Save(), Target(1, 2), packet])
+    assert caught.value.packet == kind.name
+    assert caught.value.offset == 4
+    assert caught.value.reason == f"{field} {value} is outside {low} to {high}"
+    assert kind.name in str(caught.value)
+    assert "byte 4" in str(caught.value)
+
+
+@pytest.mark.parametrize("size", [0, 64])
+def test_a_fragment_of_no_bytes_or_of_too_many_is_refused(size: int) -> None:
+    with pytest.raises(ProtocolError, match=r"scan at byte 1: .*1 to 63"):
+        encode([Save(), Fragment(bytes(size))])
+
+
+def test_vertices_reach_the_rim_of_the_largest_grid() -> None:
+    packet = Insert(4095, -1, 2048, 3, 1)
+    assert decode(encode([packet])) == [packet]
+
+
+@given(streams)
+def test_what_is_written_is_read(said: list[AnyPacket]) -> None:
+    assert decode(encode(said)) == said
+
+
+@given(streams)
+def test_every_bit_is_where_the_book_has_it(said: list[AnyPacket]) -> None:
+    assert bits(encode(said)) == "".join(map(by_the_book, said))
+
+
+def test_the_bytes_of_each_packet_are_those_written_down() -> None:
+    lines = [line for line in GOLDEN.read_text().splitlines() if not line.startswith("#")]
+    assert lines == [f"{encode([packet]).hex(' ')}  {packet!r}" for packet in EXAMPLES]
+    assert {type(packet) for packet in EXAMPLES} == {*LIMITS, Fragment}
+
+
+@given(streams, st.lists(st.integers(0, 100), max_size=8))
+def test_a_stream_cut_anywhere_and_taken_up_again_says_the_same(
+    said: list[AnyPacket], cuts: list[int]
+) -> None:
+    buffer = encode(said)
+    decoder = Decoder()
+    heard: list[AnyPacket] = []
+    at = 0
+    for end in [*sorted(cuts), len(buffer)]:
+        heard += decoder.feed(buffer[at:end])
+        at = max(at, end)
+        assert encode(heard) + decoder.pending == buffer[:at]
+    assert heard == said
+    assert decoder.pending == b""
+
+
+@given(streams)
+def test_a_stream_that_arrives_byte_by_byte_says_the_same(said: list[AnyPacket]) -> None:
+    decoder = Decoder()
+    assert [packet for byte in encode(said) for packet in decoder.feed(bytes([byte]))] == said
+
+
+@given(st.binary(max_size=200))
+@example(b"\xf2")
+@example(b"\xf2\x00")
+@example(b"\xf2\x3f" + bytes(63))
+@example(b"\xfc\x01")
+@example(b"\xf8\x40")
+def test_random_bytes_are_packets_or_a_protocol_error_and_nothing_else(noise: bytes) -> None:
+    try:
+        heard = decode(noise)
+    except ProtocolError as error:
+        assert 0 <= error.offset <= len(noise)
+        assert error.reason
+    else:
+        assert encode(heard) == noise
+
+
+@given(st.binary(max_size=200), st.integers(0, 200))
+def test_random_bytes_break_off_at_the_same_place_however_they_are_cut(noise: bytes, cut: int) -> None:
+    def read(pieces: list[bytes]) -> tuple[list[AnyPacket], str]:
+        decoder = Decoder()
+        heard: list[AnyPacket] = []
+        try:
+            for piece in pieces:
+                heard += decoder.feed(piece)
+        except ProtocolError as error:
+            return heard, str(error)
+        return heard, f"{len(decoder.pending)} bytes wait"
+
+    assert read([noise]) == read([noise[:cut], noise[cut:]])
+
+
+@given(st.binary(max_size=100))
+@example(b"\xf2\x00")
+@example(b"\xf2\xff")
+@example(b"\xfc\x01")
+@example(b"\xf8\x40")
+@example(b"\x80\x01")
+def test_splitting_and_counting_accept_what_reading_accepts_and_no_more(noise: bytes) -> None:
+    try:
+        heard = decode(noise)
+    except ProtocolError as error:
+        for read in (split, tally):
+            with pytest.raises(ProtocolError) as caught:
+                read(noise)
+            assert str(caught.value) == str(error)
+    else:
+        assert [encode([packet]) for packet in heard] == split(noise)
+
+
+@pytest.mark.parametrize("packet", EXAMPLES, ids=repr)
+def test_a_packet_with_a_spare_bit_set_is_refused(packet: AnyPacket) -> None:
+    buffer = encode([packet])
+    used = packet.code_bits + sum(packet.bits)
+    spare = 0 if isinstance(packet, Fragment) else 8 * packet.size - used
+    for bit in range(spare):
+        broken = int.from_bytes(buffer, "big") | 1 << bit
+        with pytest.raises(ProtocolError, match=rf"^{packet.name} at byte 1: .*must be zero"):
+            decode(encode([Save()]) + broken.to_bytes(packet.size, "big"))
+
+
+@pytest.mark.parametrize("packet", EXAMPLES, ids=repr)
+def test_a_packet_that_ends_too_early_says_how_much_is_missing(packet: AnyPacket) -> None:
+    buffer = encode([packet])
+    for have in range(1, len(buffer)):
+        with pytest.raises(ProtocolError) as caught:
+            decode(encode([Save()]) + buffer[:have])
+        assert caught.value.packet == packet.name
+        assert caught.value.offset == 1
+        assert f"cut off after {have} of" in caught.value.reason
+
+
+@pytest.mark.parametrize("size", [0, 63, 255])
+def test_a_short_fragment_of_an_impossible_length_is_refused_at_once(size: int) -> None:
+    with pytest.raises(ProtocolError, match=r"scan at byte 0: .*1 to 62"):
+        length(bytes([0xF2, size]))
+    with pytest.raises(ProtocolError, match=r"scan at byte 0: .*1 to 62"):
+        list(Decoder().feed(bytes([0xF2, size])))
+
+
+@pytest.mark.parametrize("first", [*range(0xF3, 0xF8), *range(0xF9, 0xFC), *range(0xFD, 0x100)])
+def test_a_byte_with_which_no_packet_begins_is_named(first: int) -> None:
+    with pytest.raises(ProtocolError, match=rf"packet at byte 3: no packet begins with {first:#04x}"):
+        decode(encode([Target(1, 1)]) + bytes([first, 0, 0]))
+
+
+def test_no_code_begins_another() -> None:
+    codes = [f"{kind.code:0{kind.code_bits}b}" for kind in LIMITS] + ["11110001", "11110010"]
+    assert not [(a, b) for a in codes for b in codes if a != b and b.startswith(a)]
+    assert len(set(codes)) == len(codes)
+
+
+def test_every_field_has_bits() -> None:
+    for kind, limits in LIMITS.items():
+        assert [field.name for field in fields(kind)] == list(limits)
+        assert len(kind.bits) == len(limits)
+
+
+@given(streams)
+def test_counts_add_up_to_what_was_written(said: list[AnyPacket]) -> None:
+    counts = tally(encode(said))
+    assert sum(packets_ for packets_, _ in counts.values()) == len(said)
+    for kind, (number, size) in counts.items():
+        these = [packet for packet in said if packet.name == kind]
+        assert (number, size) == (len(these), len(encode(these)))
+
+
+@given(streams, st.integers(-1, 300))
+def test_what_fits_is_the_longest_run_of_whole_packets(said: list[AnyPacket], room: int) -> None:
+    ends = [len(encode(said[:count])) for count in range(len(said) + 1)]
+    assert fitting(encode(said), room) == max((end for end in ends if end <= room), default=0)
+
+
+@given(streams)
+def test_packets_before_a_broken_one_have_been_read(said: list[AnyPacket]) -> None:
+    stream = Decoder().feed(encode(said) + b"\xff")
+    for packet in said:
+        assert next(stream) == packet
+    with pytest.raises(ProtocolError, match=f"at byte {len(encode(said))}:"):
+        next(stream)
+
+
+def test_a_broken_stream_stays_broken() -> None:
+    decoder = Decoder()
+    for data in (encode([Save()]) + b"\xff", encode([Save()])):
+        with pytest.raises(ProtocolError, match="at byte 1:"):
+            list(decoder.feed(data))
+
+
+def test_a_decoder_counts_bytes_over_all_pieces() -> None:
+    decoder = Decoder()
+    for _ in range(3):
+        list(decoder.feed(encode([Target(1, 2)])))
+    with pytest.raises(ProtocolError, match="packet at byte 9: no packet begins"):
+        list(decoder.feed(b"\xff"))
+
+
+def test_a_long_stream_is_read_in_linear_time() -> None:
+    stream = 300_000 * encode([Save()])
+    began = time.process_time()
+    assert len(decode(stream)) == len(stream)
+    assert time.process_time() - began < 5, "a copy of the rest for each packet would take minutes"
+
+
+def test_the_module_says_how_large_a_grid_and_a_team_may_be() -> None:
+    assert packets.MAX_VERTICES >= 4096
+    assert packets.MAX_OBJECTS >= 4096
+    assert LIMITS[Target]["x"][1] + 1 >= 2048
+    assert LIMITS[Offer]["map"][1] + 1 >= 64
