@@ -93,7 +93,7 @@ def run(plan: Plan, logs: Path | None, watch: Callable[[Records], object] | None
             with _blank_main():
                 for name, (serve, *args) in table.items():
                     log = logs / f"{name}.log"
-                    process = context.Process(target=in_background, args=(log, serve, *args), name=name)
+                    process = context.Process(target=in_background, args=(name, log, serve, *args), name=name)
                     process.start()
                     children.append(Child(name, process, log))
             return _attend(credentials[names.LAB], robots, children, interrupted, watch)

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from setproctitle import setproctitle
+
 from agent.process import AgentNode
 from netshaper.hub import open_hub
 from netshaper.process import RelayNode
@@ -97,8 +99,9 @@ def _serve(bus: Bus, node: WorldNode | AgentNode) -> None:
         bus.close()
 
 
-def in_background(log: Path, serve: Callable[..., None], *args: object) -> None:
+def in_background(name: str, log: Path, serve: Callable[..., None], *args: object) -> None:
     """Run `serve` as a child of the launcher: what it prints goes to `log`; Ctrl-C is the launcher's affair."""
+    setproctitle(f"murmur {name}")
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     os.dup2(file, 1)

@@ -94,7 +94,8 @@ def versions() -> dict[str, str]:
 
 
 def _coverage(records: Records, reachable: Mask) -> float:
-    if not records.own:
+    """What the team has seen, by its own grids; where a robot was lost with its grid, by the world's account."""
+    if not records.own or records.lost:
         return records.explored
     team = np.zeros(reachable.shape, np.bool_)
     for grid in records.own.values():

@@ -1,0 +1,150 @@
+"""Swarms of real processes: what happens when one of them dies, and that none outlives a run."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import psutil
+import pytest
+
+MURMUR = [sys.executable, "-m", "deploy.cli"]
+SWARM = ["explore", "--map", "office", "--robots", "3", "--exchange", "laser", "--bandwidth", "2000"]
+
+
+@contextmanager
+def swarm(out: Path, *more: str) -> Iterator[subprocess.Popen[str]]:
+    """A swarm under way, past its first steps."""
+    process = subprocess.Popen(
+        [*MURMUR, *SWARM, "--out", str(out), *more],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.wait()
+
+
+def child(process: subprocess.Popen[str], name: str, timeout_s: float = 20) -> psutil.Process:
+    """Wait for the child of that name; it has joined the bus once others have as well."""
+    deadline = time.monotonic() + timeout_s
+    while time.monotonic() < deadline:
+        for found in descendants(process):
+            try:
+                if found.cmdline()[:1] == [f"murmur {name}"]:
+                    return found
+            except psutil.NoSuchProcess:
+                continue
+        time.sleep(0.02)
+    raise AssertionError(f"no process of {name} within {timeout_s} s")
+
+
+def descendants(process: subprocess.Popen[str]) -> list[psutil.Process]:
+    try:
+        return psutil.Process(process.pid).children(recursive=True)
+    except psutil.NoSuchProcess:
+        return []
+
+
+def finish(process: subprocess.Popen[str], timeout_s: float) -> tuple[int, str, float]:
+    """Exit code, everything printed, and seconds until the end."""
+    began = time.monotonic()
+    out, err = process.communicate(timeout=timeout_s)
+    return process.returncode, out + err, time.monotonic() - began
+
+
+def summary(out: Path) -> dict[str, object]:
+    read: dict[str, object] = json.loads((out / "summary.json").read_text())
+    return read
+
+
+def wait_for_steps(process: subprocess.Popen[str]) -> None:
+    child(process, "r2")
+    time.sleep(1.5)
+
+
+def test_a_killed_robot_is_reported_and_the_others_finish(tmp_path: Path) -> None:
+    with swarm(tmp_path / "run") as process:
+        wait_for_steps(process)
+        child(process, "r1").kill()
+        code, said, _ = finish(process, 120)
+    assert code == 3
+    assert "r1" in said
+    assert "SIGKILL" in said
+    result = summary(tmp_path / "run")
+    assert result["finished"]
+    assert result["coverage"] == 1.0
+    assert result["lost"] == {"1": "its process ended"}
+
+
+@pytest.mark.parametrize("name", ["relay", "world"])
+def test_a_killed_relay_or_world_ends_the_run_within_five_seconds(tmp_path: Path, name: str) -> None:
+    with swarm(tmp_path / "run") as process:
+        wait_for_steps(process)
+        family = descendants(process)
+        child(process, name).kill()
+        code, said, seconds = finish(process, 30)
+    assert code == 3
+    assert f"{name} died: killed by SIGKILL" in said
+    assert seconds < 5
+    assert not psutil.wait_procs(family, timeout=3)[1]
+    result = summary(tmp_path / "run")
+    assert not result["finished"]
+    assert result["steps"] > 0
+    assert (tmp_path / "run" / "ledger.parquet").exists()
+    assert (tmp_path / "run" / "steps.parquet").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_ends_all_children_and_writes_what_there_is(tmp_path: Path, number: int) -> None:
+    with swarm(tmp_path / "run") as process:
+        wait_for_steps(process)
+        family = descendants(process)
+        os.kill(process.pid, number)
+        code, said, seconds = finish(process, 30)
+    assert code == 1
+    assert "interrupted" in said
+    assert seconds < 5
+    assert not psutil.wait_procs(family, timeout=3)[1]
+    result = summary(tmp_path / "run")
+    assert result["reason"] == "interrupted"
+    assert 0 < result["coverage"] < 1
+    assert (tmp_path / "run" / "maps.png").exists()
+
+
+def test_a_launcher_that_is_killed_leaves_no_process_behind(tmp_path: Path) -> None:
+    with swarm(tmp_path / "run") as process:
+        wait_for_steps(process)
+        family = descendants(process)
+        process.kill()
+        process.wait()
+        gone, alive = psutil.wait_procs(family, timeout=10)
+    assert not alive
+
+
+def test_replay_repeats_a_run_from_its_directory_alone(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    subprocess.run([*MURMUR, *SWARM, "--bus", "memory", "--out", str(out)], check=True, capture_output=True)
+    moved = tmp_path / "elsewhere" / "moved"
+    moved.parent.mkdir()
+    out.rename(moved)
+    again = subprocess.run([*MURMUR, "replay", str(moved)], check=False, capture_output=True, text=True)
+    assert again.returncode == 0, again.stderr
+    tampered = summary(moved) | {"digest": "0" * 64}
+    (moved / "summary.json").write_text(json.dumps(tampered))
+    again = subprocess.run(
+        [*MURMUR, "replay", "--bus", "memory", str(moved)], check=False, capture_output=True, text=True
+    )
+    assert again.returncode == 1
+    assert "does not hold" in again.stderr
