@@ -7,6 +7,7 @@ expression is one queue, so what one sender puts arrives in the order in which i
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 RELAY = "relay"
@@ -22,16 +23,20 @@ def robot(number: int) -> str:
 
 def number(name: str) -> int:
     """Return the number of the robot called `name`; ValueError for anyone else."""
-    if name[:1] != "r" or not name[1:].isdecimal():
+    if not re.fullmatch("r(0|[1-9][0-9]{0,8})", name):
         raise ValueError(f"{name!r} is not a robot's name, which is r and a number")
     return int(name[1:])
 
 
 @dataclass(frozen=True)
 class Keys:
-    """The keys of one run."""
+    """The keys of one run, whose name is made of letters, digits, `-`, `_` and dots."""
 
     run: str
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch("[A-Za-z0-9._-]+", self.run):
+            raise ValueError(f"a run cannot be called {self.run!r}: use letters, digits, '-', '_' and '.'")
 
     def radio_tx(self, sender: str, receiver: str) -> str:
         """A robot's antenna: packets from `sender` for `receiver` (or `ALL`), not yet on the air."""

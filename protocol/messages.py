@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from protocol.errors import ProtocolError
 
-NO_FRAMES: tuple[int, ...] = ()
-
 
 @dataclass(frozen=True, slots=True)
 class Begin:
@@ -86,8 +84,9 @@ class Open:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """Relay to robot: all frames of a phase have been passed on; `connections` names them, in that order.
+    """Relay to robot: all frames of a phase have been passed on.
 
+    `connections` and `maps` say what each is about, in the order in which they were passed on.
     After ``offers`` the robot answers; after ``answers`` it sends data.
     """
 
@@ -95,19 +94,19 @@ class Turn:
     exchange: int
     phase: str
     connections: list[int]
+    maps: list[int]
 
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """Robot to relay: it has put all its frames of a phase; `connections` names them, in that order.
+    """Robot to relay: it has put all its frames of a phase.
 
-    Offers are named by the map that they speak of, for the relay has not numbered them yet.
+    `connections` names them, in that order; it is empty for offers, which the relay has not numbered yet.
     """
 
     step: int
     exchange: int
     phase: str
-    targets: int
     connections: list[int]
 
 
@@ -258,7 +257,12 @@ def unpack(payload: bytes) -> Any:
         items = msgpack.unpackb(payload)
     except ValueError as error:
         raise ProtocolError("message", 0, f"not msgpack ({error})") from None
-    if not isinstance(items, list) or not items or items[0] not in range(len(_TYPES)):
+    if (
+        not isinstance(items, list)
+        or not items
+        or type(items[0]) is not int
+        or not 0 <= items[0] < len(_TYPES)
+    ):
         raise ProtocolError("message", 0, "not a list that begins with the number of a message")
     kind = _TYPES[items[0]]
     wanted = _FIELDS[kind]
