@@ -69,20 +69,21 @@ def serve_lab(
     began = time.perf_counter()
     deaths: dict[str, str] = {}
     bus = join(read)
-    lab = LabNode(bus, Keys(read.run), scenario.robots)
-    try:
-        while not lab.done:
-            message = bus.receive(0.25)
-            if message is not None:
-                lab.handle(message)
-            if watch is not None:
-                watch(plan, lab.records)
-    except BusClosed as error:
-        deaths[names.RELAY] = str(error)
-    except KeyboardInterrupt:
-        lab.stop("interrupted")
-    finally:
-        bus.close()
+    with rundir.open_capture(directory, plan) as capture:
+        lab = LabNode(bus, Keys(read.run), scenario.robots, capture)
+        try:
+            while not lab.done:
+                message = bus.receive(0.25)
+                if message is not None:
+                    lab.handle(message)
+                if watch is not None:
+                    watch(plan, lab.records)
+        except BusClosed as error:
+            deaths[names.RELAY] = str(error)
+        except KeyboardInterrupt:
+            lab.stop("interrupted")
+        finally:
+            bus.close()
     return conclude(plan, Outcome(lab.records, deaths), directory, time.perf_counter() - began)
 
 

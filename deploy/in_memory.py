@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import BinaryIO, Protocol
 
 from agent.process import AgentNode
 from deploy.plan import Plan
@@ -24,15 +24,17 @@ class Node(Protocol):
         """Take one message from the bus."""
 
 
-def run(plan: Plan, watch: Callable[[Records], object] | None = None) -> Records:
-    """Run a plan to its end; `watch` is called once a step."""
+def run(
+    plan: Plan, watch: Callable[[Records], object] | None = None, capture: BinaryIO | None = None
+) -> Records:
+    """Run a plan to its end; `watch` is called once a step, `capture` takes the frames (`deploy.records`)."""
     hub = MemoryHub("memory")
     keys = hub.keys
     robots = plan.scenario.robots
     buses: dict[str, Bus] = {}
     for name in (names.RELAY, names.LAB, names.WORLD, *map(names.robot, range(robots))):
         buses[name] = hub.join(name)
-    lab = LabNode(buses[names.LAB], keys, robots)
+    lab = LabNode(buses[names.LAB], keys, robots, capture)
     world = WorldNode(
         buses[names.WORLD],
         keys,

@@ -77,10 +77,11 @@ def explore(
         if watch is not None:
             watch(plan, records)
 
-    if scenario.bus == "memory":
-        outcome = launch.Outcome(in_memory.run(plan, look), {})
-    else:
-        outcome = launch.run(plan, directory / rundir.LOGS if directory else None, look)
+    with rundir.open_capture(directory, plan) as capture:
+        if scenario.bus == "memory":
+            outcome = launch.Outcome(in_memory.run(plan, look, capture), {})
+        else:
+            outcome = launch.run(plan, directory / rundir.LOGS if directory else None, look, capture)
     return conclude(plan, outcome, directory, time.perf_counter() - began)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,11 +53,15 @@ class Records:
 
 
 class LabNode:
-    """The laboratory's end of the bus; `done` once all has been handed in."""
+    """The laboratory's end of the bus; `done` once all has been handed in.
 
-    def __init__(self, bus: Bus, keys: Keys, robots: int) -> None:
+    What the relay reports for the capture is written to `capture` step by step, and not kept.
+    """
+
+    def __init__(self, bus: Bus, keys: Keys, robots: int, capture: BinaryIO | None = None) -> None:
         self.done = False
         self.records = Records(robots)
+        self._capture = capture
         self._bus = bus
         self._keys = keys
 
@@ -70,6 +75,8 @@ class LabNode:
         elif isinstance(said, RadioReport):
             records.rows.append(said.rows)
             records.carried = said.carried
+            if self._capture is not None:
+                self._capture.write(said.frames)
         elif isinstance(said, MindReport):
             records.minds[names.number(sender)].append(said)
         elif isinstance(said, Lost):

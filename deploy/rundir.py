@@ -1,27 +1,31 @@
 """The run directory: all that outlives a run, and all that is needed to repeat it.
 
-Every file is written beside its place and then moved there, so that none is ever half written.
+Every file is written beside its place and then moved there, so that none is ever half written. Only the
+capture of the radio grows during the run, block by block, and opens up to its last whole one.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from deploy.plan import Plan
 from deploy.records import Records
 from deploy.scenario import Scenario, ScenarioError, load, parse
+from netshaper import capture
 from netshaper.ledger import CAUSES, MALFORMED
 from protocol.packets import ALL_KINDS
 from worldsim import maps
 from worldsim.maps import Map, to_world
 
 SCENARIO, SUMMARY, STEPS, LEDGER = "scenario.toml", "summary.json", "steps.parquet", "ledger.parquet"
+CAPTURE = "radio.pcapng"
 MAP = "map.yaml"
 TEAM_MAP = "team.yaml"
 PICTURE = "maps.png"
@@ -61,6 +65,22 @@ def write_inputs(out: Path, plan: Plan) -> None:
     data = plan.scenario.model_dump(mode="json", exclude_none=True) | {"map": MAP}
     text = f"# {plan.map.name}: everything that decides this run. Repeat it: murmur replay {out}\n"
     _replace(out / SCENARIO, lambda path: path.write_text(text + parse(data).to_toml(), encoding="utf-8"))
+
+
+@contextlib.contextmanager
+def open_capture(directory: Path | None, plan: Plan) -> Iterator[BinaryIO | None]:
+    """Begin ``radio.pcapng``; what is written to it is on the disk at once."""
+    if directory is None:
+        yield None
+        return
+    scenario = plan.scenario
+    about = (
+        f"{scenario.robots} robots on {plan.map.name}, exchange {scenario.exchange}, "
+        f"bandwidth {scenario.bandwidth}, range {plan.range_m:.1f} m, seed {scenario.seed}"
+    )
+    with (directory / CAPTURE).open("wb", buffering=0) as file:
+        file.write(capture.head(about))
+        yield file
 
 
 def read_scenario(directory: Path) -> Scenario:

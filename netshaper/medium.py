@@ -6,9 +6,11 @@ that finds no room closes the medium for the rest of the step.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 
+from netshaper.capture import Sighting
 from netshaper.ledger import BROADCAST, CAUSES, KIND_NUMBER, MALFORMED
 from protocol import packets
 from protocol.errors import ProtocolError
@@ -52,11 +54,13 @@ class Medium:
         self.left = budget
         self.carried = 0
         self.rows: list[Row] = []
+        self.sightings: list[Sighting] = []
+        """The frames that the rows speak of, for the capture."""
 
-    def broadcast(self, exchange: int, sender: int, payload: bytes, heard: int) -> bool:
+    def broadcast(self, exchange: int, sender: int, payload: bytes, hearers: Sequence[int]) -> bool:
         """Put a target on the air, whole or not at all; say whether it was carried."""
         size = self._admit(payload)
-        self._book(exchange, -1, TARGET, sender, BROADCAST, -1, payload, size, heard)
+        self._book(exchange, -1, TARGET, sender, BROADCAST, -1, payload, size, hearers)
         return size > 0
 
     def connect(self, exchange: int, connection: Connection) -> None:
@@ -73,12 +77,15 @@ class Medium:
             if frame == ANSWER:
                 sender, receiver = receiver, sender
             self._book(
-                exchange, connection.number, frame, sender, receiver, connection.map, payload, size, 1
-            )
+                exchange, connection.number, frame, sender, receiver, connection.map, payload, size,
+                [receiver],
+            )  # fmt: skip
 
-    def refuse(self, exchange: int, frame: int, sender: int, receiver: int, payload: bytes, cause: str) -> None:
-        """Book a frame that was never admitted to the air."""
-        self._write(exchange, -1, frame, sender, receiver, -1, payload, False, cause, 0)
+    def refuse(
+        self, exchange: int, frame: int, sender: int, receiver: int, payload: bytes, cause: str, reason: str
+    ) -> None:
+        """Book a frame that was never admitted to the air, and why."""
+        self._write(exchange, -1, frame, sender, receiver, -1, payload, cause, [], reason)
 
     def _admit(self, payload: bytes, *, whole: bool = True) -> int:
         """Spend the budget on as much of a frame as fits, at a packet boundary; return the bytes."""
@@ -93,18 +100,23 @@ class Medium:
 
     def _book(
         self, exchange: int, number: int, frame: int, sender: int, receiver: int, about: int,
-        payload: bytes, size: int, heard: int,
+        payload: bytes, size: int, hearers: Sequence[int],
     ) -> None:  # fmt: skip
         if size:
-            self._write(exchange, number, frame, sender, receiver, about, payload[:size], True, "", heard)
+            self._write(exchange, number, frame, sender, receiver, about, payload[:size], "", hearers)
         if size < len(payload):
-            rest = payload[size:]
-            self._write(exchange, number, frame, sender, receiver, about, rest, False, "budget", 0)
+            self._write(exchange, number, frame, sender, receiver, about, payload[size:], "budget", [])
 
     def _write(
         self, exchange: int, number: int, frame: int, sender: int, receiver: int, about: int,
-        payload: bytes, carried: bool, cause: str, heard: int,
+        payload: bytes, cause: str, hearers: Sequence[int], reason: str = "",
     ) -> None:  # fmt: skip
+        """Book bytes that were carried, if there is no cause why not."""
+        verdict = CAUSES.index(cause)
+        heard = sum(1 << hearer for hearer in hearers)
+        self.sightings.append(
+            Sighting(exchange, number, frame, sender, receiver, about, verdict, heard, payload, reason)
+        )
         try:
             counts = [(KIND_NUMBER[kind], *count) for kind, count in _tally(payload).items()]
         except ProtocolError:
@@ -112,5 +124,5 @@ class Medium:
         for kind, number_of_packets, size in counts:
             self.rows.append(
                 (self.step, exchange, number, frame, sender, receiver, about, kind, number_of_packets, size,
-                 int(carried), CAUSES.index(cause), heard)
+                 int(not cause), verdict, len(hearers))
             )  # fmt: skip

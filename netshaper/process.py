@@ -13,6 +13,8 @@ from protocol.errors import ProtocolError
 from protocol.keys import Keys
 from protocol.messages import Begin, Bye, End, Fault, Lost, Positions, Said, Stop, pack, unpack
 
+NOBODY = -99
+
 
 class RelayNode:
     """One run's relay; `done` once everyone has been sent home and has left."""
@@ -44,7 +46,7 @@ class RelayNode:
         if plane == "presence":
             self._presence(first, came=message.payload == b"1")
         elif plane == "radio":
-            receiver = EVERYONE if second == names.ALL else _robot_or_nobody(second)
+            receiver = EVERYONE if second == names.ALL else self._robot_or_nobody(second)
             self._radio.hear(names.number(first), receiver, message.payload)
         else:
             self._control(first, message.payload)
@@ -128,10 +130,10 @@ class RelayNode:
     def _fault(self, who: str, reason: str) -> None:
         self._bus.put(self._keys.control(names.LAB, names.RELAY), pack(Fault(who, reason)))
 
-
-def _robot_or_nobody(name: str) -> int:
-    """The number of a robot, or one that no robot has where a frame is addressed to nobody."""
-    try:
-        return names.number(name)
-    except ValueError:
-        return -99
+    def _robot_or_nobody(self, name: str) -> int:
+        """The number of a robot, or one that no robot has where a frame is addressed to nobody."""
+        try:
+            number = names.number(name)
+        except ValueError:
+            return NOBODY
+        return number if number < self._robots else NOBODY

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from netshaper import capture
 from netshaper.ledger import BROADCAST, ROW
 from netshaper.medium import ANSWER, DATA, OFFER, TARGET, UNLIMITED, Connection, Medium
 from netshaper.reach import in_range
@@ -44,6 +45,8 @@ class RadioSettings:
         Bytes a step that the team shares, `UNLIMITED` for no limit.
     exchanges : int
         Exchanges a step (R).
+    capture : bool
+        Whether the laboratory is sent the frames themselves (`netshaper.capture`).
     """
 
     robots: int
@@ -51,6 +54,7 @@ class RadioSettings:
     range_cells: float
     budget: int = UNLIMITED
     exchanges: int = 2
+    capture: bool = True
 
 
 @dataclass(frozen=True)
@@ -101,13 +105,19 @@ class Radio:
         self._target_carried: dict[int, bool] = {}
 
     def begin(self, step: int, cells: Mapping[int, tuple[int, int]]) -> list[Outgoing]:
-        """Open the medium for a step, with the true cell (x, y) of each living robot."""
+        """Open the medium for a step, with the true cell (x, y) of each living robot.
+
+        What was said while it was closed is booked here, and refused.
+        """
         self._step = step
         self._exchange = 0
         self._numbered = 0
         living = {robot: cell for robot, cell in cells.items() if robot not in self._dead}
         self._reach = in_range(living, self.settings.range_cells)
+        between = self._medium
         self._medium = Medium(step, self.settings.budget)
+        self._medium.rows += [(step, *row[1:]) for row in between.rows]
+        self._medium.sightings += between.sightings
         return self._open()
 
     def hear(self, sender: int, receiver: int, payload: bytes) -> None:
@@ -203,7 +213,7 @@ class Radio:
                 self._refuse(sender, EVERYONE, TARGET, payload, "protocol", reason)
                 continue
             hearers = [robot for robot in self._reach[sender] if robot not in self._dead]
-            carried = self._medium.broadcast(self._exchange, sender, payload, len(hearers))
+            carried = self._medium.broadcast(self._exchange, sender, payload, hearers)
             self._target_carried[sender] = carried
             if carried:
                 out += [Frame(hearer, sender, payload) for hearer in hearers]
@@ -286,7 +296,9 @@ class Radio:
         living = sorted(set(self._reach) - self._dead)
         out: list[Outgoing] = [Note(robot, Close(self._step)) for robot in living]
         rows = np.array(self._medium.rows, ROW)
-        out.append(Note(LAB, RadioReport(self._step, rows.tobytes(), self._medium.carried)))
+        frames = capture.encode(self._step, self._medium.sightings) if self.settings.capture else b""
+        out.append(Note(LAB, RadioReport(self._step, rows.tobytes(), self._medium.carried, frames)))
+        self._medium = Medium(self._step, 0)
         return out
 
     def _collect(self, frame: int, valid: Callable[[bytes], str]) -> None:
@@ -313,7 +325,7 @@ class Radio:
     def _refuse(
         self, sender: int, receiver: int, frame: int, payload: bytes, cause: str, reason: str
     ) -> None:
-        self._medium.refuse(self._exchange, frame, sender, receiver, payload, cause)
+        self._medium.refuse(self._exchange, frame, sender, receiver, payload, cause, reason)
         if reason:
             self.faults.append((sender, reason))
 

@@ -194,11 +194,15 @@ class MindReport:
 
 @dataclass(frozen=True, slots=True)
 class RadioReport:
-    """Relay to laboratory, once a step: the ledger's new rows (`netshaper.ledger`)."""
+    """Relay to laboratory, once a step: the ledger's new rows (`netshaper.ledger`), and the frames themselves.
+
+    `frames`: as the capture writes them (`netshaper.capture`); empty where none is kept.
+    """
 
     step: int
     rows: bytes
     carried: int
+    frames: bytes
 
 
 @dataclass(frozen=True, slots=True)

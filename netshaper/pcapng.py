@@ -1,0 +1,141 @@
+"""pcapng, the file format of packet captures (draft-ietf-opsawg-pcapng), as far as a radio needs it.
+
+One section, one interface, one enhanced packet block a frame; all little-endian. A block is whole by itself,
+so a file that a killed process left behind opens up to its last whole block.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import BinaryIO
+
+SECTION, INTERFACE, PACKET = 0x0A0D0D0A, 0x00000001, 0x00000006
+COMMENT, APPLICATION, NAME, DESCRIPTION, FLAGS = 1, 4, 2, 3, 2
+"""Codes of options; which means what depends on the block."""
+
+UNICAST, BROADCAST = 1 << 2, 3 << 2
+"""What the flags of a packet say of its receivers."""
+
+_MAGIC = 0x1A2B3C4D
+_BLOCK = struct.Struct("<II")
+_PACKET = struct.Struct("<IIIIIII")
+_OPTION = struct.Struct("<HH")
+_SECOND = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Packet:
+    """One packet of a file: its time in microseconds, its bytes, its comment and its flags."""
+
+    time_us: int
+    data: bytes
+    comment: str
+    flags: int
+
+
+class CaptureError(ValueError):
+    """A file that is no capture of ours; says where and why."""
+
+
+def head(link_type: int, application: str, name: str, description: str) -> bytes:
+    """Begin a file: the section, and its interface, whose packets have `link_type`."""
+    section = struct.pack("<IHHq", _MAGIC, 1, 0, -1) + _options((APPLICATION, application.encode()))
+    options = _options((NAME, name.encode()), (DESCRIPTION, description.encode()))
+    interface = struct.pack("<HHI", link_type, 0, 0) + options
+    return _block(SECTION, section) + _block(INTERFACE, interface)
+
+
+def packet(time_us: int, data: bytes, comment: str, flags: int) -> bytes:
+    """Write one packet as a block."""
+    tail = _tail(comment, flags)
+    padding = -len(data) % 4
+    size = _PACKET.size + len(data) + padding + len(tail) + 4
+    opening = _PACKET.pack(PACKET, size, 0, time_us >> 32, time_us & 0xFFFFFFFF, len(data), len(data))
+    return b"".join((opening, data, bytes(padding), tail, size.to_bytes(4, "little")))
+
+
+class Reader:
+    """The packets of a file that `head` and `packet` wrote, one after the other.
+
+    Raises
+    ------
+    CaptureError
+        While iterating: it is no such file, or a block is broken.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self.torn = 0
+        """Bytes of an unfinished block at the end of the file, which are left out."""
+        self.link_type = -1
+        self._file = file
+        self._offset = 0
+
+    def __iter__(self) -> Iterator[Packet]:
+        first = True
+        while True:
+            opening = self._file.read(_BLOCK.size)
+            if first and (len(opening) < _BLOCK.size or _BLOCK.unpack(opening)[0] != SECTION):
+                raise CaptureError("not a pcapng file")
+            first = False
+            if len(opening) < _BLOCK.size:
+                self.torn = len(opening)
+                return
+            kind, size = _BLOCK.unpack(opening)
+            if size % 4 or size < _BLOCK.size + 4:
+                raise self._broken(f"a block of {size} bytes")
+            body = self._file.read(size - _BLOCK.size)
+            if len(body) < size - _BLOCK.size:
+                self.torn = len(opening) + len(body)
+                return
+            if int.from_bytes(body[-4:], "little") != size:
+                raise self._broken("a block whose two lengths differ")
+            if kind == SECTION and int.from_bytes(body[:4], "little") != _MAGIC:
+                raise self._broken("a big-endian section")
+            if kind == INTERFACE:
+                self.link_type = int.from_bytes(body[:2], "little")
+            if kind == PACKET:
+                yield self._read_packet(body[:-4])
+            self._offset += size
+
+    def _read_packet(self, body: bytes) -> Packet:
+        if len(body) < _PACKET.size - _BLOCK.size:
+            raise self._broken("a packet without a head")
+        _, high, low, size, _ = struct.unpack_from("<5I", body)
+        start = _PACKET.size - _BLOCK.size
+        end = start + size + -size % 4
+        if end > len(body):
+            raise self._broken("a packet longer than its block")
+        comment, flags = "", 0
+        while end + _OPTION.size <= len(body):
+            code, length = _OPTION.unpack_from(body, end)
+            value = body[end + _OPTION.size : end + _OPTION.size + length]
+            end += _OPTION.size + length + -length % 4
+            if code == COMMENT:
+                comment = value.decode(errors="replace")
+            elif code == FLAGS:
+                flags = int.from_bytes(value, "little")
+            elif code == 0:
+                break
+        return Packet(high << 32 | low, body[start : start + size], comment, flags)
+
+    def _broken(self, what: str) -> CaptureError:
+        return CaptureError(f"broken at byte {self._offset}: {what}")
+
+
+def _block(kind: int, body: bytes) -> bytes:
+    size = _BLOCK.size + len(body) + 4
+    return _BLOCK.pack(kind, size) + body + size.to_bytes(4, "little")
+
+
+@lru_cache(maxsize=1024)
+def _tail(comment: str, flags: int) -> bytes:
+    """Options of a packet; there are few different ones."""
+    return _options((COMMENT, comment.encode()), (FLAGS, flags.to_bytes(4, "little")))
+
+
+def _options(*options: tuple[int, bytes]) -> bytes:
+    parts = [_OPTION.pack(code, len(value)) + value + bytes(-len(value) % 4) for code, value in options]
+    return b"".join(parts) + _OPTION.pack(0, 0)
