@@ -61,7 +61,8 @@ def fan(range_cells: float, beams: int = 360) -> Fan:
     Parameters
     ----------
     range_cells : float
-        Sensor range in cells; a walk ends before the first cell whose centre lies beyond it.
+        Sensor range in cells; a walk ends before the first cell whose centre lies beyond it, and at the
+        latest where the largest grid does.
     beams : int
         Beams a full turn. Beam 0 points along +x, the angle grows towards +y (clockwise on a picture).
 
@@ -71,15 +72,16 @@ def fan(range_cells: float, beams: int = 360) -> Fan:
     a beam runs exactly through a corner it takes the cell beside it in x first.
     """
     if not range_cells >= 1:
-        raise ValueError(f"sensor range of {range_cells:g} cells: a robot must see at least its neighbours (1)")
+        raise ValueError(f"sensor range of {range_cells:g} cells: a robot must see at least its neighbours")
     if beams < 4 or beams % 4:
         raise ValueError(f"{beams} beams: give a multiple of 4, so that the four neighbours are always seen")
+    reach = min(range_cells, math.hypot(MAX_SIDE, MAX_SIDE))
     cells: list[tuple[int, int]] = []
     start = [0]
     for beam in range(beams):
         angle = 2 * math.pi * beam / beams
         cells += _walk(
-            round(math.cos(angle) * _DIRECTION_UNIT), round(math.sin(angle) * _DIRECTION_UNIT), range_cells
+            round(math.cos(angle) * _DIRECTION_UNIT), round(math.sin(angle) * _DIRECTION_UNIT), reach
         )
         start.append(len(cells))
     return Fan(np.array(cells, np.int32).reshape(-1, 2), np.array(start, np.int32))

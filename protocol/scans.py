@@ -73,9 +73,8 @@ def check_readings(readings: Readings, fan: Fan) -> None:
     wrong = np.flatnonzero((readings != NONE) & (touched > lengths))
     if len(wrong):
         beam = int(wrong[0])
-        raise ProtocolError(
-            "scan", 4 + 2 * beam, f"beam {beam} touches {touched[beam]} cells, but its range is {lengths[beam]}"
-        )
+        reason = f"beam {beam} touches {touched[beam]} cells, but its range is {lengths[beam]}"
+        raise ProtocolError("scan", 4 + 2 * beam, reason)
 
 
 def fragments(data: bytes) -> list[bytes]:
@@ -96,10 +95,10 @@ class Change:
 
 
 def draw(grid: Grid, fan: Fan, x: int, y: int, readings: Readings) -> Change:
-    """Draw a scan taken in cell (x, y) onto a grid: cells crossed are free, the one that stopped a beam occupied.
+    """Draw a scan taken in cell (x, y) of a grid: cells crossed are free, one that stopped a beam is occupied.
 
-    Only unknown cells change: lasers of one world do not contradict each other. The robot's own cell is free;
-    readings beyond the rim fall away.
+    The readings must be such as the beams can give (`check_readings`). Only unknown cells change: lasers of
+    one world do not contradict each other. The robot's own cell is free; what lies beyond the rim falls away.
     """
     out = np.empty(5, np.int32)
     _draw(grid, fan.cells, fan.start, x, y, readings, out)

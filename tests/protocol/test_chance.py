@@ -20,10 +20,8 @@ def test_another_seed_purpose_or_number_draws_others(other: Any) -> None:
 
 
 def test_numbers_do_not_run_into_each_other() -> None:
-    draws = {
-        chance(*key).random() for key in [(1, "a", 1, 11), (1, "a", 11, 1), (11, "a", 11), (1, "a", 111)]
-    }
-    assert len(draws) == 4
+    near: Any = [(1, "a", 1, 11), (1, "a", 11, 1), (11, "a", 11), (1, "a", 111)]
+    assert len({chance(*key).random() for key in near}) == 4
 
 
 def test_the_draws_are_those_written_down() -> None:
