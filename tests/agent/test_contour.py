@@ -22,7 +22,8 @@ quick = settings(deadline=None)
 def reachable(grid: Grid, robot: Cell) -> NDArray[np.bool_]:
     """Free cells that are 4-connected to the robot."""
     areas, _ = ndimage.label(grid == FREE)
-    return areas == areas[robot[1], robot[0]]
+    free: NDArray[np.bool_] = areas == areas[robot[1], robot[0]]
+    return free
 
 
 def contours_by_the_book(grid: Grid, robot: Cell) -> list[list[tuple[int, int, int]]]:

@@ -58,7 +58,8 @@ def lists(held: Held) -> dict[int, tuple[bool, Cycle]]:
 def applied(objects: dict[int, tuple[bool, Cycle]], packets: list[Edit]) -> dict[int, tuple[bool, Cycle]]:
     """Apply packets to plain lists, as docs and docstrings say."""
     objects = dict(objects)
-    current, announced, longest = [], 0, 0
+    current: Cycle = []
+    announced = longest = 0
     for packet in packets:
         match packet:
             case Emerge(number, count, inside) | Change(number, count, inside):

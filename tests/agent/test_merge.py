@@ -49,7 +49,8 @@ def teams(draw: st.DrawFn) -> tuple[Grid, list[Polygons]]:
     steps = draw(growing_maps())
     own = steps[0][0]
     members = draw(st.lists(st.sampled_from(steps), max_size=4))
-    return own, [approximated(*seen, draw(st.sampled_from([0, 1, 4, None]))) for seen in members]
+    fineness = st.sampled_from([0, 1, 4, None])
+    return own, [approximated(grid, robot, draw(fineness)) for grid, robot in members]
 
 
 @quick
@@ -141,13 +142,15 @@ def test_a_teammates_new_approximation_takes_the_place_of_its_old_one(
 
 def reachable(grid: Grid, robot: Cell) -> NDArray[np.bool_]:
     areas, _ = ndimage.label(grid == FREE)
-    return areas == areas[robot[1], robot[0]]
+    free: NDArray[np.bool_] = areas == areas[robot[1], robot[0]]
+    return free
 
 
 def outer(free: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Cells around the free space and not enclosed by it: 8-connected to the rim through non-free cells."""
     around, _ = ndimage.label(np.pad(~free, 1, constant_values=True), np.ones((3, 3)))
-    return (around == around[0, 0])[1:-1, 1:-1]
+    outside: NDArray[np.bool_] = (around == around[0, 0])[1:-1, 1:-1]
+    return outside
 
 
 def what_algorithm_9_can_know(grid: Grid, robot: Cell, drawing: Drawing) -> Grid:

@@ -31,13 +31,13 @@ def filled(polygon: list[Vertex], shape: tuple[int, int] = SHAPE) -> NDArray[np.
     layer, scratch = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
     fill(layer, *columns(polygon), 0, len(polygon), scratch, 1, 0)
     assert not scratch.any()
-    return layer == 1
+    return layer.astype(np.bool_)
 
 
 def drawn(polygon: list[Vertex], shape: tuple[int, int] = SHAPE) -> NDArray[np.bool_]:
     layer = np.zeros(shape, np.uint8)
     draw(layer, *columns(polygon), np.ones(len(polygon), np.uint8), 0, len(polygon), 1, 0, 0)
-    return layer == 1
+    return layer.astype(np.bool_)
 
 
 def place(vertex: Vertex) -> tuple[Fraction, Fraction]:

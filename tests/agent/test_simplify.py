@@ -29,7 +29,8 @@ def squared_distance(exact: Polygons, p: int, a: int, b: int) -> Fraction:
     x, y = ((4 * cell + aside[exact.side]).tolist() for cell, aside in ((exact.x, SIDE_X), (exact.y, SIDE_Y)))
     along = (x[p] - x[a]) * (x[b] - x[a]) + (y[p] - y[a]) * (y[b] - y[a])
     t = min(max(Fraction(along, (x[b] - x[a]) ** 2 + (y[b] - y[a]) ** 2), Fraction(0)), Fraction(1))
-    return (x[p] - x[a] - t * (x[b] - x[a])) ** 2 + (y[p] - y[a] - t * (y[b] - y[a])) ** 2
+    off_x, off_y = x[p] - x[a] - t * (x[b] - x[a]), y[p] - y[a] - t * (y[b] - y[a])
+    return Fraction(off_x**2 + off_y**2)
 
 
 def plain_next_split(exact: Polygons, marks: list[int], mixed_edges_first: bool) -> int | None:
