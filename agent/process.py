@@ -6,6 +6,7 @@ import time
 
 from agent.robot import Robot
 from agent.settings import Settings
+from agent.showing import SHOWN_EVERY, Showing
 from protocol import keys as names
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
@@ -23,6 +24,7 @@ from protocol.messages import (
     Said,
     Sense,
     Turn,
+    Watched,
     pack,
     unpack,
 )
@@ -43,6 +45,7 @@ class AgentNode:
         self._robot: Robot | None = None
         self._frames: list[tuple[int, bytes]] = []
         self._early: Message | None = None
+        self._showing: Showing | None = None
         self._step = 0
         self._work = 0.0
 
@@ -55,7 +58,10 @@ class AgentNode:
         said = unpack(message.payload)
         if isinstance(said, Configure):
             self._robot = Robot(Settings.from_message(said.settings))
+        elif isinstance(said, Watched):
+            self._showing = Showing() if said.here else None
         elif isinstance(said, End):
+            self._show(said.step)
             self._hand_in_maps()
         elif isinstance(said, Bye):
             self.done = True
@@ -63,7 +69,7 @@ class AgentNode:
             self._act(self._robot, said, message)
 
     def _act(self, robot: Robot, said: object, message: Message) -> None:
-        began = time.perf_counter()
+        began = time.thread_time()
         if isinstance(said, Sense):
             self._step = said.step
             self._work = 0.0
@@ -79,7 +85,7 @@ class AgentNode:
             robot.settle(said, self._take_frames(robot, len(said.heard)))
         elif isinstance(said, Close):
             self._decide(robot, began)
-        self._work += time.perf_counter() - began
+        self._work += time.thread_time() - began
         if isinstance(said, Sense) and self._early is not None:
             early, self._early = self._early, None
             self.handle(early)
@@ -117,11 +123,13 @@ class AgentNode:
         for fault in robot.faults:
             self._fault(f"heard nonsense from {names.robot(fault.peer)}: {fault.reason}")
         robot.faults.clear()
-        work = round(1e6 * (self._work + time.perf_counter() - began))
+        work = round(1e6 * (self._work + time.thread_time() - began))
         x, y = robot.target or (-1, -1)
-        report = MindReport(self._step, x, y, robot.known_cells, robot.status, work)
-        self._bus.put(self._keys.control(names.LAB, self._name), pack(report))
+        backlog = robot.session.undelivered()
+        self._report(MindReport(self._step, x, y, robot.known_cells, backlog, robot.status, work))
         self._bus.put(self._keys.body(names.WORLD, self._name), pack(move))
+        if self._step % SHOWN_EVERY == 0:
+            self._show(self._step)
 
     def _take_frames(self, robot: Robot, count: int) -> list[tuple[int, bytes]]:
         """The last `count` frames that came; those before them are targets, broadcast at a step's beginning."""
@@ -143,4 +151,17 @@ class AgentNode:
         self._bus.put(self._keys.control_tx(self._name), pack(said))
 
     def _fault(self, what: str) -> None:
-        self._bus.put(self._keys.control(names.LAB, self._name), pack(Fault(self._name, what)))
+        self._report(Fault(self._name, what))
+
+    def _report(self, message: object) -> None:
+        """Tell the laboratory, and the viewer if there is one."""
+        payload = pack(message)
+        self._bus.put(self._keys.control(names.LAB, self._name), payload)
+        if self._showing is not None:
+            self._bus.put(self._keys.control(names.VIEW, self._name), payload)
+
+    def _show(self, step: int) -> None:
+        """Tell the viewer, if there is one, what has changed of the robot's maps."""
+        if self._showing is not None and self._robot is not None:
+            for news in self._showing.news(step, self._robot):
+                self._bus.put(self._keys.control(names.VIEW, self._name), pack(news))

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from agent import exchange as exchanges
 from agent.exchange.session import Session
 from agent.planning.frontier import is_frontier
 from agent.planning.route import Route
+from agent.polygons import Polygons
 from agent.settings import Settings
 from agent.strategies import Situation, strategy
 from protocol import packets
@@ -66,6 +68,11 @@ class Robot:
         self._heard_at: dict[int, int] = {}
         self._news: dict[int, tuple[int, int]] = {}
         self._blocked_steps = 0
+
+    @property
+    def polygons(self) -> Mapping[int, Polygons]:
+        """The polygons of each robot's map, its own included, as this robot holds them."""
+        return self._exchange.polygons
 
     def perceive(self, sense: Sense) -> None:
         """Take what the body senses at the beginning of a step.

@@ -145,6 +145,7 @@ def steps_table(plan: Plan, records: Records) -> Any:
                     "target_x": target[0],
                     "target_y": target[1],
                     "known_cells": mind.known,
+                    "backlog": mind.backlog,
                     "status": mind.status,
                     "work_us": mind.work_us,
                 }
@@ -153,7 +154,7 @@ def steps_table(plan: Plan, records: Records) -> Any:
         [(name, pa.int32()) for name in ("step", "robot")]
         + [(name, pa.float64()) for name in ("x", "y", "heading", "driven", "team_seen")]
         + [(name, pa.float64()) for name in ("target_x", "target_y")]
-        + [("known_cells", pa.int32()), ("status", pa.string()), ("work_us", pa.int32())]
+        + [("known_cells", pa.int32()), ("backlog", pa.int32()), ("status", pa.string()), ("work_us", pa.int32())]
     )
     return pa.Table.from_pylist(rows, schema=schema)
 

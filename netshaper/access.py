@@ -1,8 +1,8 @@
 """Who may put and hear what: one credential a participant, all else refused by the hub.
 
 Made anew for each run. A robot may put under its own name only and hear only what is addressed to it; it
-learns of no subscription but those of relay, world and laboratory, so that it cannot even see whom it might
-bypass the relay to.
+learns of no subscription but those of relay, world, laboratory and viewer, so that it cannot even see whom
+it might bypass the relay to.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from protocol.zenoh_bus import Credential
 
 def participants(robots: int) -> list[str]:
     """Names of all clients of a run with so many robots."""
-    return [names.WORLD, names.LAB, *(names.robot(number) for number in range(robots))]
+    return [names.WORLD, names.LAB, names.VIEW, *(names.robot(number) for number in range(robots))]
 
 
 def issue(run: str, hub: str, robots: int) -> dict[str, Credential]:
@@ -28,7 +28,7 @@ def issue(run: str, hub: str, robots: int) -> dict[str, Credential]:
 
 
 def rules(keys: Keys, robots: int) -> dict[str, Any]:
-    """Access control of the hub, in zenoh's form: deny by default, five rules a participant."""
+    """Access control of the hub, in zenoh's form: deny by default, at most five rules a participant."""
     everyone = participants(robots)
     config: dict[str, Any] = {"enabled": True, "default_permission": "deny"}
     config["rules"], config["subjects"], config["policies"] = [], [], []
@@ -41,35 +41,41 @@ def rules(keys: Keys, robots: int) -> dict[str, Any]:
             "live": ("liveliness_token", "ingress", [keys.alive(name)]),
             "see": ("declare_subscriber", "egress", _may_see(keys, name, everyone)),
         }
-        for what, (message, flow, expressions) in allowed.items():
-            config["rules"].append(
-                {
-                    "id": f"{name}-{what}",
-                    "permission": "allow",
-                    "messages": [message],
-                    "flows": [flow],
-                    "key_exprs": expressions,
-                }
-            )
+        rules = [
+            {
+                "id": f"{name}-{what}",
+                "permission": "allow",
+                "messages": [message],
+                "flows": [flow],
+                "key_exprs": expressions,
+            }
+            for what, (message, flow, expressions) in allowed.items()
+            if expressions
+        ]
+        config["rules"] += rules
         config["subjects"].append({"id": name, "usernames": [name]})
-        config["policies"].append({"rules": [f"{name}-{what}" for what in allowed], "subjects": [name]})
+        config["policies"].append({"rules": [rule["id"] for rule in rules], "subjects": [name]})
     return config
 
 
 def _may_put(keys: Keys, name: str) -> list[str]:
-    to_lab = [keys.control_tx(name), keys.control(names.LAB, name)]
+    if name == names.VIEW:
+        return []
     if name == names.LAB:
-        return to_lab[:1]
+        return [keys.control_tx(name)]
+    reports = [keys.control_tx(name), keys.control(names.LAB, name), keys.control(names.VIEW, name)]
     if name == names.WORLD:
-        return [*to_lab, keys.body("*", name)]
-    return [*to_lab, keys.radio_tx(name, "*"), keys.body(names.WORLD, name)]
+        return [*reports, keys.body("*", name)]
+    return [*reports, keys.radio_tx(name, "*"), keys.body(names.WORLD, name)]
 
 
 def _may_see(keys: Keys, name: str, everyone: list[str]) -> list[str]:
     """Subscriptions that a participant is told of: without that, its client sends nothing."""
     relay = keys.inbox(names.RELAY)
+    if name == names.VIEW:
+        return []
     if name == names.LAB:
         return [relay]
     if name == names.WORLD:
         return [relay, *(keys.inbox(other) for other in everyone if other != name)]
-    return [relay, keys.inbox(names.WORLD), keys.inbox(names.LAB)]
+    return [relay, keys.inbox(names.WORLD), keys.inbox(names.LAB), keys.inbox(names.VIEW)]

@@ -1,17 +1,32 @@
 """The relay's shell: it turns bus messages into calls of `Radio`, and answers into messages.
 
 It also keeps the list of who is here: it tells the world to begin once all are, and to go on without a robot
-that died.
+that died. A viewer may come and go; nobody waits for it.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 from netshaper.radio import EVERYONE, LAB, Frame, Note, Radio, RadioSettings
 from protocol import keys as names
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
 from protocol.keys import Keys
-from protocol.messages import Begin, Bye, End, Fault, Lost, Positions, Said, Stop, pack, unpack
+from protocol.messages import (
+    Begin,
+    Bye,
+    End,
+    Fault,
+    Lost,
+    Positions,
+    RadioReport,
+    Said,
+    Stop,
+    Watched,
+    pack,
+    unpack,
+)
 
 NOBODY = -99
 
@@ -29,6 +44,7 @@ class RelayNode:
         self._robots = settings.robots
         self._expected = {names.WORLD, names.LAB, *(names.robot(r) for r in range(settings.robots))}
         self._present: set[str] = set()
+        self._watched = False
         self._begun = False
         self._ended = False
 
@@ -60,12 +76,18 @@ class RelayNode:
             self._present.discard(name)
             lost = pack(Lost(robot, cause))
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), lost)
-            self._bus.put(self._keys.control(names.LAB, names.RELAY), lost)
+            self._report(Lost(robot, cause))
             self._send(self._radio.lost(robot))
 
     def _presence(self, who: str, *, came: bool) -> None:
-        if came:
+        if who == names.VIEW:
+            self._watched = came
+            for name in sorted(self._present - {names.LAB}):
+                self._bus.put(self._keys.control(name, names.RELAY), pack(Watched(came)))
+        elif came:
             self._present.add(who)
+            if self._watched and who != names.LAB:
+                self._bus.put(self._keys.control(who, names.RELAY), pack(Watched(here=True)))
             if not self._begun and self._expected <= self._present:
                 self._begun = True
                 self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Begin()))
@@ -105,11 +127,12 @@ class RelayNode:
     def _end(self, end: End) -> None:
         """Tell the robots and the laboratory that the run is over; their maps follow."""
         self._ended = True
-        for name in sorted(self._present - {names.WORLD}):
+        for name in sorted(self._present - {names.WORLD, names.LAB}):
             self._bus.put(self._keys.control(name, names.RELAY), pack(end))
+        self._report(end)
 
     def _go_home(self) -> None:
-        for name in sorted(self._present):
+        for name in sorted(self._present | ({names.VIEW} if self._watched else set())):
             self._bus.put(self._keys.control(name, names.RELAY), pack(Bye()))
         self.going_home = True
 
@@ -118,9 +141,10 @@ class RelayNode:
             if isinstance(item, Frame):
                 key = self._keys.radio_rx(names.robot(item.receiver), names.robot(item.sender))
                 self._bus.put(key, item.payload)
+            elif item.receiver == LAB:
+                self._report(item.message)
             else:
-                name = names.LAB if item.receiver == LAB else names.robot(item.receiver)
-                self._bus.put(self._keys.control(name, names.RELAY), pack(item.message))
+                self._bus.put(self._keys.control(names.robot(item.receiver), names.RELAY), pack(item.message))
 
     def _report_faults(self) -> None:
         for robot, reason in self._radio.faults:
@@ -128,7 +152,14 @@ class RelayNode:
         self._radio.faults.clear()
 
     def _fault(self, who: str, reason: str) -> None:
-        self._bus.put(self._keys.control(names.LAB, names.RELAY), pack(Fault(who, reason)))
+        self._report(Fault(who, reason))
+
+    def _report(self, message: object) -> None:
+        """Tell the laboratory, and the viewer if there is one; the frames on the air are only for the former."""
+        self._bus.put(self._keys.control(names.LAB, names.RELAY), pack(message))
+        if self._watched:
+            seen = replace(message, frames=b"") if isinstance(message, RadioReport) else message
+            self._bus.put(self._keys.control(names.VIEW, names.RELAY), pack(seen))
 
     def _robot_or_nobody(self, name: str) -> int:
         """The number of a robot, or one that no robot has where a frame is addressed to nobody."""

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 
 RELAY = "relay"
 WORLD = "world"
 LAB = "lab"
+VIEW = "view"
 ALL = "all"
 
 
@@ -21,6 +23,7 @@ def robot(number: int) -> str:
     return f"r{number}"
 
 
+@lru_cache(maxsize=1024)
 def number(name: str) -> int:
     """Return the number of the robot called `name`; ValueError for anyone else."""
     if not re.fullmatch("r(0|[1-9][0-9]{0,8})", name):
@@ -73,7 +76,14 @@ class Keys:
         return f"murmur/{self.run}/presence/tx/{name}"
 
 
+@lru_cache(maxsize=1 << 15)
 def parts(key: str) -> tuple[str, str, str, str]:
     """Split a key into (plane, tx or rx, first name, second name or empty)."""
     fields = key.split("/")
     return fields[2], fields[3], fields[4], fields[5] if len(fields) > 5 else ""
+
+
+def may_be_dropped(key: str) -> bool:
+    """Whether what is put under a key may be lost rather than waited for: all that a viewer is told."""
+    _, direction, receiver, _ = parts(key)
+    return direction == "rx" and receiver == VIEW

@@ -1,7 +1,7 @@
 """What is said on the body and control planes: frozen records in msgpack.
 
 A message is a msgpack list: its number in `_TYPES`, then its fields in order. Cells go as little-endian
-int16 pairs (`cells_to_bytes`), readings as little-endian uint16 (`protocol.scans`).
+int16 pairs (`cells_to_bytes`), readings as little-endian uint16 (`protocol.scans`), grids at two bits a cell.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import ProtocolError
+from protocol.grid import Grid
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +167,13 @@ class Bye:
 
 
 @dataclass(frozen=True, slots=True)
+class Watched:
+    """Relay to all: a viewer has come (or gone); what is reported to the laboratory goes to it as well."""
+
+    here: bool
+
+
+@dataclass(frozen=True, slots=True)
 class WorldReport:
     """World to laboratory, once a step: the truth.
 
@@ -182,12 +190,16 @@ class WorldReport:
 
 @dataclass(frozen=True, slots=True)
 class MindReport:
-    """Robot to laboratory, once a step: what it is at, and the time that its thinking took (not a result)."""
+    """Robot to laboratory, once a step: what it is at, and the time that its thinking took (not a result).
+
+    `backlog`: units of its own map's log that have not reached a teammate yet, all teammates counted.
+    """
 
     step: int
     target_x: int
     target_y: int
     known: int
+    backlog: int
     status: str
     work_us: int
 
@@ -217,6 +229,28 @@ class Maps:
 
 
 @dataclass(frozen=True, slots=True)
+class Snapshot:
+    """Robot to viewer, now and then: its planning grid (`grid_to_bytes`)."""
+
+    step: int
+    width: int
+    height: int
+    planning: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Outlines:
+    """Robot to viewer, where they have changed: the polygons of robot `about`'s map, as this robot holds them.
+
+    `vertices`: int16 rows (object, x and y in quarters of a cell, bit 0 occupied edge, bit 1 inside object).
+    """
+
+    step: int
+    about: int
+    vertices: bytes
+
+
+@dataclass(frozen=True, slots=True)
 class Fault:
     """Relay or robot to laboratory: `who` said what made no sense; the run goes on."""
 
@@ -226,7 +260,7 @@ class Fault:
 
 _TYPES: tuple[type, ...] = (
     Begin, Configure, Sense, Move, Positions, Open, Turn, Said, Outcome, Close, Lost, End, Stop, Bye,
-    WorldReport, MindReport, RadioReport, Maps, Fault,
+    WorldReport, MindReport, RadioReport, Maps, Fault, Watched, Snapshot, Outlines,
 )  # fmt: skip
 _NUMBER = {kind: number for number, kind in enumerate(_TYPES)}
 _FIELDS = {kind: [(field.name, str(field.type)) for field in fields(kind)] for kind in _TYPES}
@@ -296,3 +330,20 @@ def cells_from_bytes(data: bytes) -> NDArray[np.int32]:
     if len(data) % 4:
         raise ProtocolError("cells", 0, f"{len(data)} bytes are not pairs of int16")
     return np.frombuffer(data, "<i2").astype(np.int32).reshape(-1, 2)
+
+
+def grid_to_bytes(grid: Grid) -> bytes:
+    """Write a grid, two bits a cell, the first in the highest; each row filled up to a whole byte."""
+    padded = np.zeros((grid.shape[0], -(-grid.shape[1] // 4) * 4), np.uint8)
+    padded[:, : grid.shape[1]] = grid
+    return (padded[:, ::4] << 6 | padded[:, 1::4] << 4 | padded[:, 2::4] << 2 | padded[:, 3::4]).tobytes()
+
+
+def grid_from_bytes(data: bytes, width: int, height: int) -> Grid:
+    """Read what `grid_to_bytes` wrote; ProtocolError if it is not a grid of that size."""
+    row = -(-width // 4)
+    if width < 1 or height < 1 or len(data) != row * height:
+        raise ProtocolError("grid", 0, f"{len(data)} bytes are not {width} x {height} cells")
+    packed = np.frombuffer(data, np.uint8).reshape(height, row)
+    grid = np.stack([packed >> 6, packed >> 4 & 3, packed >> 2 & 3, packed & 3], axis=2)
+    return np.ascontiguousarray(grid.reshape(height, -1)[:, :width])

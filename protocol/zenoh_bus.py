@@ -86,12 +86,17 @@ class ZenohBus:
         self._ticker.start()
 
     def put(self, key: str, payload: bytes) -> None:
-        """Send `payload` to all who listen to `key`; waits while the network is congested."""
+        """Send `payload` to all who listen to `key`; waits while the network is congested.
+
+        A viewer is not waited for (`protocol.keys.may_be_dropped`).
+        """
         publisher = self._publishers.get(key)
         if publisher is None:
-            publisher = self._session.declare_publisher(
-                key, congestion_control=zenoh.CongestionControl.BLOCK
-            )
+            if names.may_be_dropped(key):
+                control, priority = zenoh.CongestionControl.DROP, zenoh.Priority.DATA_LOW
+            else:
+                control, priority = zenoh.CongestionControl.BLOCK, zenoh.Priority.DATA
+            publisher = self._session.declare_publisher(key, congestion_control=control, priority=priority)
             self._publishers[key] = publisher
         publisher.put(payload)
 

@@ -21,6 +21,7 @@ from protocol.messages import (
     Move,
     Positions,
     Stop,
+    Watched,
     WorldReport,
     cells_from_bytes,
     pack,
@@ -63,6 +64,7 @@ class WorldNode:
         self._moves: dict[int, Move] = {}
         self._stop = ""
         self._running = False
+        self._watched = False
 
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
@@ -77,6 +79,8 @@ class WorldNode:
             self._moves.pop(said.robot, None)
         elif isinstance(said, Stop):
             self._stop = said.reason
+        elif isinstance(said, Watched):
+            self._watched = said.here
         elif isinstance(said, Bye):
             self.done = True
         while self._running and self._moves.keys() >= self._world.cells.keys():
@@ -95,7 +99,7 @@ class WorldNode:
             cells_from_bytes(move.path)
         except ProtocolError as error:
             fault = Fault(names.robot(robot), str(error))
-            self._bus.put(self._keys.control(names.LAB, names.WORLD), pack(fault))
+            self._report(fault)
             move = Move(self._world.step, b"", 0, explored=False)
         if robot in self._world.cells:
             self._moves[robot] = move
@@ -127,9 +131,16 @@ class WorldNode:
             world.step, robots, [world.cells[r][0] for r in robots], [world.cells[r][1] for r in robots]
         )
         self._bus.put(self._keys.control_tx(names.WORLD), pack(positions))
-        self._bus.put(self._keys.control(names.LAB, names.WORLD), pack(self._report()))
+        self._report(self._truth())
 
-    def _report(self) -> WorldReport:
+    def _report(self, message: object) -> None:
+        """Tell the laboratory, and the viewer if there is one."""
+        payload = pack(message)
+        self._bus.put(self._keys.control(names.LAB, names.WORLD), payload)
+        if self._watched:
+            self._bus.put(self._keys.control(names.VIEW, names.WORLD), payload)
+
+    def _truth(self) -> WorldReport:
         world = self._world
         poses = np.array(
             [

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import ClassVar
 
+from agent.polygons import Polygons
 from agent.settings import Settings
 from protocol.grid import Grid
 from protocol.scans import Change, Scan
@@ -17,6 +19,11 @@ class Exchange(ABC):
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
+
+    @property
+    def polygons(self) -> Mapping[int, Polygons]:
+        """What is held of each robot's approximation, one's own too; a new object whenever it changes."""
+        return {}
 
     @abstractmethod
     def record(self, own: Grid, scan: Scan, change: Change) -> list[bytes]:

@@ -34,8 +34,9 @@ MAX_WAIT = 64
 """Exchanges that an offer is put off at most."""
 
 POLICIES = ("backoff", "thesis")
-"""When maps are offered. ``thesis``: in every exchange, to all for whom there is news. ``backoff``: in a
-step's first exchange the robot's own map, in the others any; after a refusal twice as long a wait."""
+"""When maps are offered. ``thesis``: in every exchange all maps, to all for whom they are news. ``backoff``: at
+most one map to each teammate, the robot's own if it is news, else, after a step's first exchange, the one with
+most news; after a refusal twice as long a wait."""
 
 
 class State(Enum):
@@ -142,10 +143,7 @@ class Session:
         self._offered.clear()
         self._taken.clear()
         self._said = [
-            Connection(peer, about)
-            for peer in peers
-            for about in self._in_order()
-            if self._is_news(peer, about) and self._is_due(exchange, peer, about)
+            Connection(peer, about) for peer in peers for about in self._worth_offering(exchange, peer)
         ]
         frames = []
         for connection in self._said:
@@ -165,7 +163,7 @@ class Session:
         """
         frames = []
         for number, peer, payload in heard:
-            offer = _only(payload, packets.Offer)
+            offer = _only_offer(payload)
             if offer.map >= len(self.logs):
                 raise ProtocolError(offer.name, 0, f"map {offer.map} of {len(self.logs)} robots")
             connection = Connection(peer, offer.map)
@@ -229,6 +227,13 @@ class Session:
         self.logs[about].append(units)
         self.known[peer][about] = max(self.known[peer][about], len(self.logs[about]))
 
+    def undelivered(self) -> int:
+        """Units of one's own map that have not reached a teammate yet, all teammates counted."""
+        held = len(self.logs[self._robot])
+        return sum(
+            held - known[self._robot] for peer, known in enumerate(self.known) if peer != self._robot
+        )
+
     def forget(self) -> None:
         """Drop what all teammates hold."""
         for about, log in enumerate(self.logs):
@@ -236,24 +241,29 @@ class Session:
             if holders:
                 log.forget(min(holders))
 
-    def _in_order(self) -> list[int]:
-        """All maps, one's own first."""
-        return [self._robot, *(about for about in range(len(self.logs)) if about != self._robot)]
-
-    def _is_news(self, peer: int, about: int) -> bool:
-        return about != peer and len(self.logs[about]) > self.known[peer][about]
-
-    def _is_due(self, exchange: int, peer: int, about: int) -> bool:
+    def _worth_offering(self, exchange: int, peer: int) -> list[int]:
+        """Maps to offer a peer now, as the policy has it."""
+        others = [about for about in range(len(self.logs)) if about not in (self._robot, peer)]
+        news = [about for about in (self._robot, *others) if self._news_of(peer, about) > 0]
         if self._policy == "thesis":
-            return True
-        if exchange == 0 and about != self._robot:
-            return False
-        backoff = self._backoff.get((peer, about))
-        return backoff is None or self._now >= backoff.due
+            return news
+        due = [about for about in news if self._now >= self._put_off(peer, about).due]
+        if self._robot in due:
+            return [self._robot]
+        if exchange == 0 or not due:
+            return []
+        return [max(due, key=lambda about: self._news_of(peer, about))]
+
+    def _news_of(self, peer: int, about: int) -> int:
+        """Units of a map that have not reached a peer, as far as one can know."""
+        return len(self.logs[about]) - self.known[peer][about]
+
+    def _put_off(self, peer: int, about: int) -> _Backoff:
+        return self._backoff.setdefault((peer, about), _Backoff())
 
     def _read_answer(self, connection: Connection, payload: bytes) -> Event:
         """Resolve the index of an answer: the first that fits at or above what the table says."""
-        said = packets.decode(payload)
+        said = packets.handshake(payload)
         if len(said) == 1 and isinstance(said[0], packets.Decline):
             return Event.DECLINED
         known = self.known[connection.peer][connection.map]
@@ -269,7 +279,7 @@ class Session:
     def _settle(self, connection: Connection, sent: int) -> None:
         """An answer was carried, and so many bytes of data after it."""
         peer, about = connection.peer, connection.map
-        backoff = self._backoff.setdefault((peer, about), _Backoff())
+        backoff = self._put_off(peer, about)
         if connection.state is State.REFUSED:
             backoff.refused(self._now)
             if connection.index:
@@ -285,9 +295,9 @@ class Session:
             self.known[peer][about] = max(self.known[peer][about], connection.index + units)
 
 
-def _only(payload: bytes, kind: type[packets.Offer]) -> packets.Offer:
-    said = packets.decode(payload)
-    if len(said) != 1 or not isinstance(said[0], kind):
+def _only_offer(payload: bytes) -> packets.Offer:
+    said = packets.handshake(payload)
+    if len(said) != 1 or not isinstance(said[0], packets.Offer):
         raise ProtocolError("conn", 0, "expected one offer")
     return said[0]
 
