@@ -25,15 +25,22 @@ class Node(Protocol):
 
 
 def run(
-    plan: Plan, watch: Callable[[Records], object] | None = None, capture: BinaryIO | None = None
+    plan: Plan,
+    watch: Callable[[Records], object] | None = None,
+    capture: BinaryIO | None = None,
+    wrap: Callable[[str, Bus], Bus] = lambda _, bus: bus,
 ) -> Records:
-    """Run a plan to its end; `watch` is called once a step, `capture` takes the frames (`deploy.records`)."""
+    """Run a plan to its end.
+
+    `watch` is called once a step, `capture` takes the frames (`deploy.records`), `wrap` may lay something
+    around each participant's end of the bus.
+    """
     hub = MemoryHub("memory")
     keys = hub.keys
     robots = plan.scenario.robots
     buses: dict[str, Bus] = {}
     for name in (names.RELAY, names.LAB, names.WORLD, *map(names.robot, range(robots))):
-        buses[name] = hub.join(name)
+        buses[name] = wrap(name, hub.join(name))
     lab = LabNode(buses[names.LAB], keys, robots, capture)
     world = WorldNode(
         buses[names.WORLD],

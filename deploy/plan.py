@@ -31,15 +31,15 @@ class Plan:
         return World(self.map.cells, self.world)
 
 
-def make(scenario: Scenario) -> Plan:
-    """Work out a scenario.
+def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
+    """Work out a scenario, on `world_map` instead of the map that it names if one is given.
 
     Raises
     ------
     ScenarioError
         The map cannot be loaded or made, the robots do not fit on it, or a range is too small for its cells.
     """
-    world_map = load_map(scenario)
+    world_map = world_map or load_map(scenario)
     cell = world_map.resolution
     bodies = []
     for number in range(scenario.robots):

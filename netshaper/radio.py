@@ -224,7 +224,7 @@ class Radio:
             self._refuse(sender, receiver, OFFER, payload, "range", "")
             return None
         try:
-            said = packets.decode(payload)
+            said = packets.handshake(payload)
         except ProtocolError as error:
             self._refuse(sender, receiver, OFFER, payload, "protocol", str(error))
             return None
@@ -341,7 +341,7 @@ def _is_target(payload: bytes) -> bool:
 def _is_answer(payload: bytes) -> str:
     """Say what is wrong with an answer frame; nothing if it is one."""
     try:
-        said = packets.decode(payload)
+        said = packets.handshake(payload)
     except ProtocolError as error:
         return str(error)
     kinds = [type(packet) for packet in said]

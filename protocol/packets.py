@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from typing import ClassVar
 
 from protocol.errors import ProtocolError
@@ -300,6 +301,18 @@ def decode(buffer: bytes) -> list[AnyPacket]:
     if decoder.pending:
         raise _cut_off(buffer, len(buffer) - len(decoder.pending))
     return packets
+
+
+@lru_cache(maxsize=1 << 14)
+def handshake(frame: bytes) -> tuple[AnyPacket, ...]:
+    """Read a short frame of whole packets, of which the same few come again and again.
+
+    Raises
+    ------
+    ProtocolError
+        As `decode`.
+    """
+    return tuple(decode(frame))
 
 
 class Decoder:
