@@ -95,7 +95,7 @@ class Change:
 
 
 def draw(grid: Grid, fan: Fan, x: int, y: int, readings: Readings) -> Change:
-    """Draw a scan taken in cell (x, y) of a grid: cells crossed are free, one that stopped a beam is occupied.
+    """Draw a scan taken in cell (x, y) of a grid: cells crossed are free, the next if it was hit is not.
 
     The readings must be such as the beams can give (`check_readings`). Only unknown cells change: lasers of
     one world do not contradict each other. The robot's own cell is free; what lies beyond the rim falls away.

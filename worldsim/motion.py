@@ -12,6 +12,9 @@ from protocol.grid import FREE, Grid
 
 DIAGONAL = math.sqrt(2.0)
 
+ROUNDING = 1e-9
+"""Way, in cells, that a robot may find itself short of by rounding: 0.3 m a step are 3 cells of 0.1 m."""
+
 WALL, ROBOT, INTERFERENCE, NOT_BLOCKED = "wall", "robot", "interference", ""
 """Why a robot stopped short."""
 
@@ -74,8 +77,8 @@ def drive(
         if taken[next_y, next_x]:
             return Drive(cells, length, 0.0, ROBOT)
         cost = DIAGONAL if dx and dy else 1.0
-        if length + cost > way:
-            return Drive(cells, length, way - length, NOT_BLOCKED)
+        if length + cost > way + ROUNDING:
+            return Drive(cells, length, max(0.0, way - length), NOT_BLOCKED)
         length += cost
         x, y = next_x, next_y
         cells.append((x, y))
