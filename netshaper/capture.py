@@ -4,36 +4,44 @@ A packet is a head of 24 bytes, big-endian, and behind it the frame's bytes as t
 
     version   u8   1
     frame     u8   offer, answer, data, target (`FRAMES`)
-    verdict   u8   carried, budget, range, protocol, lost (`netshaper.ledger.CAUSES`, 0 stands for carried)
+    verdict   u8   carried, budget, range, protocol, lost (`VERDICTS`)
     exchange  u8
     sender    i8
     receiver  i8   -1 for all; another negative number is a name that no robot has
     map       i8   -1 for none
-    zero      u8
+    part      u8   counts the packets of a frame that is too long for one, from 0
     step      u32
     connection i32 -1 for none
     hearers   u64  bit r is set where robot r heard it
 
-A data frame that was cut is two packets: what was carried, and the rest. Its time is its step in seconds, and
-its place within the step in microseconds, so that two equal runs leave equal files.
+A data frame that was cut is two packets, what was carried and the rest; of what was not carried the first
+64 bytes are kept, and its size. The time is the step in seconds, and the place within the step in
+microseconds, so that two equal runs leave equal files.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from netshaper import pcapng
 from netshaper.ledger import BROADCAST, CAUSES
 from netshaper.pcapng import CaptureError
+from protocol import packets
 from protocol.grid import MAX_ROBOTS
 
 LINK_TYPE = 147
 """LINKTYPE_USER0, which the dissector takes."""
 
 VERSION = 1
-HEAD = struct.Struct(">BBBBbbbxIiQ")
+HEAD = struct.Struct(">BBBBbbbBIiQ")
+
+KEPT = 64
+"""Bytes that are kept of what was not carried."""
+
+PART = 200_000
+"""Bytes of a frame in one packet at most: Wireshark takes no packet of more than 256 KiB."""
 
 FRAMES = ("offer", "answer", "data", "target")
 
@@ -67,6 +75,26 @@ class Sighting:
     reason: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class Captured:
+    """One packet of a capture, read back.
+
+    `seen` has the bytes that were kept of a frame's `part`, `size` is how many there were; `words` says what
+    became of it.
+    """
+
+    step: int
+    part: int
+    size: int
+    words: str
+    seen: Sighting
+
+    @property
+    def verdict(self) -> str:
+        """One of `VERDICTS`."""
+        return VERDICTS[self.seen.verdict]
+
+
 def head(description: str) -> bytes:
     """Begin the file of a run; `description` is shown as that of its interface."""
     return pcapng.head(LINK_TYPE, "Murmur", "radio", description)
@@ -74,35 +102,43 @@ def head(description: str) -> bytes:
 
 def encode(step: int, sightings: Iterable[Sighting]) -> bytes:
     """Write the frames of a step, in the order in which they were booked, as blocks of the file."""
-    blocks = []
-    for place, seen in enumerate(sightings):
-        prefix = HEAD.pack(
-            VERSION, seen.frame, seen.verdict, seen.exchange, seen.sender, seen.receiver, seen.map,
-            step, seen.connection, seen.hearers,
-        )  # fmt: skip
-        flags = pcapng.BROADCAST if seen.receiver == BROADCAST else pcapng.UNICAST
-        time = step * _SECOND + min(place, _SECOND - 1)
-        blocks.append(pcapng.packet(time, prefix + seen.payload, in_words(seen), flags))
+    blocks: list[bytes] = []
+    for seen in sightings:
+        words = in_words(seen)
+        for part, (kept, size) in enumerate(_parts(seen)):
+            prefix = HEAD.pack(
+                VERSION, seen.frame, seen.verdict, seen.exchange, seen.sender, seen.receiver, seen.map, part,
+                step, seen.connection, seen.hearers,
+            )  # fmt: skip
+            time = step * _SECOND + min(len(blocks), _SECOND - 1)
+            blocks.append(pcapng.packet(time, prefix + kept, HEAD.size + size, words))
     return b"".join(blocks)
 
 
-def decode(packet: pcapng.Packet) -> tuple[int, Sighting]:
-    """Read a packet of the file: its step and the frame (why it was refused is in the packet's comment).
+def read(reader: pcapng.Reader) -> Iterator[Captured]:
+    """Read the packets of a capture.
 
     Raises
     ------
     CaptureError
-        It has no head of ours.
+        It is no capture of ours, or a packet has no head of ours.
     """
-    if len(packet.data) < HEAD.size or packet.data[0] != VERSION:
-        raise CaptureError(f"a packet without a head of version {VERSION}: {packet.data[: HEAD.size].hex()}")
-    _, frame, verdict, exchange, sender, receiver, about, step, connection, heard = HEAD.unpack_from(
-        packet.data
-    )
-    if frame >= len(FRAMES) or verdict >= len(VERDICTS):
-        raise CaptureError(f"a packet with frame {frame} and verdict {verdict}, which mean nothing")
-    payload = packet.data[HEAD.size :]
-    return step, Sighting(exchange, connection, frame, sender, receiver, about, verdict, heard, payload)
+    for packet in reader:
+        if reader.link_type != LINK_TYPE:
+            raise CaptureError(
+                f"link type {reader.link_type} instead of {LINK_TYPE}: another program's capture"
+            )
+        if len(packet.data) < HEAD.size or packet.data[0] != VERSION:
+            found = packet.data[: HEAD.size].hex()
+            raise CaptureError(f"a packet without a head of version {VERSION}: {found}")
+        _, frame, verdict, exchange, sender, receiver, about, part, step, connection, heard = (
+            HEAD.unpack_from(packet.data)
+        )
+        if frame >= len(FRAMES) or verdict >= len(VERDICTS):
+            raise CaptureError(f"a packet with frame {frame} and verdict {verdict}, which mean nothing")
+        kept = packet.data[HEAD.size :]
+        seen = Sighting(exchange, connection, frame, sender, receiver, about, verdict, heard, kept)
+        yield Captured(step, part, packet.size - HEAD.size, packet.comment, seen)
 
 
 def in_words(seen: Sighting) -> str:
@@ -119,3 +155,16 @@ def in_words(seen: Sighting) -> str:
 def hearers(seen: Sighting) -> list[int]:
     """The robots that heard a frame."""
     return [robot for robot in range(MAX_ROBOTS) if seen.hearers >> robot & 1]
+
+
+def _parts(seen: Sighting) -> Iterator[tuple[bytes, int]]:
+    """What is kept of a frame, packet by packet, and the size of each."""
+    rest = seen.payload
+    if seen.verdict:
+        yield rest[:KEPT], len(rest)
+        return
+    while len(rest) > PART:
+        end = packets.fitting(rest, PART)
+        yield rest[:end], end
+        rest = rest[end:]
+    yield rest, len(rest)

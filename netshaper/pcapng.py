@@ -13,27 +13,23 @@ from functools import lru_cache
 from typing import BinaryIO
 
 SECTION, INTERFACE, PACKET = 0x0A0D0D0A, 0x00000001, 0x00000006
-COMMENT, APPLICATION, NAME, DESCRIPTION, FLAGS = 1, 4, 2, 3, 2
-"""Codes of options; which means what depends on the block."""
-
-UNICAST, BROADCAST = 1 << 2, 3 << 2
-"""What the flags of a packet say of its receivers."""
+COMMENT, NAME, DESCRIPTION, APPLICATION = 1, 2, 3, 4
+"""Codes of options: the first of any block, two of an interface, one of a section."""
 
 _MAGIC = 0x1A2B3C4D
 _BLOCK = struct.Struct("<II")
 _PACKET = struct.Struct("<IIIIIII")
 _OPTION = struct.Struct("<HH")
-_SECOND = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """One packet of a file: its time in microseconds, its bytes, its comment and its flags."""
+    """One packet of a file: its time in microseconds, the bytes kept of it, its true size, its comment."""
 
     time_us: int
     data: bytes
+    size: int
     comment: str
-    flags: int
 
 
 class CaptureError(ValueError):
@@ -48,13 +44,13 @@ def head(link_type: int, application: str, name: str, description: str) -> bytes
     return _block(SECTION, section) + _block(INTERFACE, interface)
 
 
-def packet(time_us: int, data: bytes, comment: str, flags: int) -> bytes:
-    """Write one packet as a block."""
-    tail = _tail(comment, flags)
+def packet(time_us: int, data: bytes, size: int, comment: str) -> bytes:
+    """Write one packet of `size` bytes, of which `data` is kept, as a block."""
+    tail = _tail(comment)
     padding = -len(data) % 4
-    size = _PACKET.size + len(data) + padding + len(tail) + 4
-    opening = _PACKET.pack(PACKET, size, 0, time_us >> 32, time_us & 0xFFFFFFFF, len(data), len(data))
-    return b"".join((opening, data, bytes(padding), tail, size.to_bytes(4, "little")))
+    block = _PACKET.size + len(data) + padding + len(tail) + 4
+    opening = _PACKET.pack(PACKET, block, 0, time_us >> 32, time_us & 0xFFFFFFFF, len(data), size)
+    return b"".join((opening, data, bytes(padding), tail, block.to_bytes(4, "little")))
 
 
 class Reader:
@@ -103,23 +99,21 @@ class Reader:
     def _read_packet(self, body: bytes) -> Packet:
         if len(body) < _PACKET.size - _BLOCK.size:
             raise self._broken("a packet without a head")
-        _, high, low, size, _ = struct.unpack_from("<5I", body)
+        _, high, low, kept, size = struct.unpack_from("<5I", body)
         start = _PACKET.size - _BLOCK.size
-        end = start + size + -size % 4
+        end = start + kept + -kept % 4
         if end > len(body):
             raise self._broken("a packet longer than its block")
-        comment, flags = "", 0
+        comment = ""
         while end + _OPTION.size <= len(body):
             code, length = _OPTION.unpack_from(body, end)
             value = body[end + _OPTION.size : end + _OPTION.size + length]
             end += _OPTION.size + length + -length % 4
             if code == COMMENT:
                 comment = value.decode(errors="replace")
-            elif code == FLAGS:
-                flags = int.from_bytes(value, "little")
             elif code == 0:
                 break
-        return Packet(high << 32 | low, body[start : start + size], comment, flags)
+        return Packet(high << 32 | low, body[start : start + kept], size, comment)
 
     def _broken(self, what: str) -> CaptureError:
         return CaptureError(f"broken at byte {self._offset}: {what}")
@@ -131,9 +125,9 @@ def _block(kind: int, body: bytes) -> bytes:
 
 
 @lru_cache(maxsize=1024)
-def _tail(comment: str, flags: int) -> bytes:
+def _tail(comment: str) -> bytes:
     """Options of a packet; there are few different ones."""
-    return _options((COMMENT, comment.encode()), (FLAGS, flags.to_bytes(4, "little")))
+    return _options((COMMENT, comment.encode()))
 
 
 def _options(*options: tuple[int, bytes]) -> bytes:

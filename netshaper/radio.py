@@ -5,6 +5,8 @@
     data      each sender has heard the answers and sends what is news
     (played)  the connections go on the air in the seeded order until the budget is spent; both sides are told
 
+A further exchange is opened while something is left of the budget.
+
 A phase ends when all whom it concerns have spoken or are known to be dead. Nothing that robots say is
 believed: a frame that is malformed, out of range or out of turn is booked as such and passed on to nobody.
 """
@@ -287,7 +289,7 @@ class Radio:
                 )
             )
         self._exchange += 1
-        if self._exchange < self.settings.exchanges:
+        if self._exchange < self.settings.exchanges and self._medium.left:
             return out + self._open()
         return out + self._close()
 
