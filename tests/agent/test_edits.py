@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import pairwise, permutations
 
 import numpy as np
 import pytest
@@ -164,6 +164,16 @@ def test_turning_and_reordering_the_polygons_costs_nothing(step: Polygons, data:
     packets, after = edit_script(held, polygons(turned, [inside for inside, _ in rows]))
     assert packets == []
     assert lists(after) == lists(held)
+
+
+@pytest.mark.parametrize("length", [2, 4, 6])
+def test_no_shorter_script_leads_to_any_order_of_the_same_vertices(length: int) -> None:
+    old: Cycle = [(*vertex, 0) for vertex in POOL[:length]]
+    held = Held(np.zeros(1, np.int32), polygons([old]))
+    for order in permutations(old):
+        packets, _ = edit_script(held, polygons([list(order)]))
+        fewest = fewest_bytes(old, list(order))
+        assert size(packets) == (Change.size + fewest + Save.size if fewest else 0)
 
 
 def test_where_all_vertices_on_one_side_go_and_come_on_the_other_a_vertex_between_is_replaced_too() -> None:
