@@ -117,14 +117,17 @@ def test_a_straight_edge_is_split_where_its_occupancy_changes() -> None:
     assert [vertex for vertex in cycle if vertex[1] == 0 or vertex in wall] == wall
 
 
-def test_distances_are_to_the_segment_not_to_the_line_through_it() -> None:
+@pytest.mark.parametrize(("columns", "far_end"), [((2, 4), (10, 1, 1)), ((7, 9), (1, 1, 3))])
+def test_distances_are_to_the_segment_not_to_the_line_through_it(
+    columns: tuple[int, int], far_end: tuple[int, int, int]
+) -> None:
     grid = np.full((3, 12), FREE, np.uint8)
     grid[1, 1:11] = OCCUPIED
     exact = contours(grid, (0, 0))
     places = list(zip(exact.x.tolist(), exact.y.tolist(), exact.side.tolist(), strict=True))
-    below = [places.index((x, 1, 0)) for x in (2, 4)]
+    below = [places.index((x, 1, 0)) for x in columns]
     (split,) = set(refine(exact, np.array(below, np.int32), 1).tolist()) - set(below)
-    assert places[split] == (10, 1, 1), "by the line, any point above the bar is farther"
+    assert places[split] == far_end, "by the line, any point above the bar is farther"
 
 
 def test_mixed_first_splits_an_edge_of_mixed_occupancy_before_a_longer_way_off() -> None:
