@@ -91,7 +91,9 @@ class Robot:
         self.known_cells += change.cells + len(np.unique(driven[fresh], axis=0))
         self._sense = sense
         self._route.drive_to(sense.x, sense.y)
-        self.session.record(self._exchange.record(self.own, Scan(sense.x, sense.y, readings), change))
+        scan = Scan(sense.x, sense.y, readings)
+        delivered = self.session.delivered()
+        self.session.record(self._exchange.record(self.own, scan, change, delivered=delivered))
 
     def announce(self) -> bytes | None:
         """Return the packet that tells of a target chosen in the last step; None if there is none to tell."""

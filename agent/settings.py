@@ -30,10 +30,16 @@ class Settings:
         How maps travel (`agent.exchange`).
     strategy : str
         Which target comes next (`agent.strategies`).
-    options : dict
-        Options of the strategy and of the exchange, by name.
     offers : str
         When maps are offered: ``backoff`` or ``thesis`` (`agent.exchange.session`).
+    bandwidth : float or None
+        Bytes a step that the team shares; None: unlimited.
+    reach_cells : float
+        Communication range in cells.
+    polygon : dict
+        Options of the polygon exchange, by name (`agent.exchange.polygon`).
+    options : dict
+        Options of the strategy, by name.
     """
 
     robot: int
@@ -47,6 +53,9 @@ class Settings:
     exchange: str
     strategy: str
     offers: str
+    bandwidth: float | None
+    reach_cells: float
+    polygon: dict[str, Any] = field(default_factory=dict)
     options: dict[str, Any] = field(default_factory=dict)
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +75,9 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
             exchange=scenario.exchange,
             strategy=scenario.strategy,
             offers=scenario.offers,
+            bandwidth=None if scenario.bandwidth == UNLIMITED else float(scenario.bandwidth),
+            reach_cells=range_m / cell,
+            polygon=asdict(scenario.polygon),
             options=scenario.options,
         ).to_message()
         for number in range(scenario.robots)

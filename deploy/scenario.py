@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, Self
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from agent.exchange import EXCHANGES
+from agent.exchange import EXCHANGES, PolygonOptions
 from agent.exchange.session import POLICIES
 from agent.strategies import strategy
 from protocol.grid import MAX_ROBOTS
@@ -52,7 +52,7 @@ class Scenario(_Table):
     robots: int = Field(3, ge=1, le=MAX_ROBOTS, description="how many robots explore")
     range: str = Field("100%", description="communication range: metres, or % of the map's diagonal")
     bandwidth: int | Literal["unlimited"] = Field(1000, description="bytes a step for the whole team")
-    exchange: str = Field("laser", description="how maps travel")
+    exchange: str = Field("polygon", description="how maps travel")
     strategy: str = Field("meier", description="how targets are chosen")
     sensor_range: Positive = Field(5.0, description="metres")
     field_of_view: float = Field(360.0, gt=0, le=360, description="degrees")
@@ -66,6 +66,9 @@ class Scenario(_Table):
     exchanges: int = Field(2, ge=1, le=16, description="exchanges a step (R)")
     offers: Literal["backoff", "thesis"] = Field("backoff", description="when maps are offered")
     interference: float = Field(0.0, ge=0, allow_inf_nan=False, description="metres; nearer robots hinder each other")
+    polygon: PolygonOptions = Field(
+        default_factory=PolygonOptions, description="options of the polygon exchange"
+    )
     options: dict[str, Any] = Field(default_factory=dict, description="options of the strategy, by name")
     robot: tuple[RobotOverride, ...] = Field((), description="robots that differ")
     death: tuple[Death, ...] = Field((), description="robots that break down")

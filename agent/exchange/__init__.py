@@ -5,11 +5,21 @@ from __future__ import annotations
 from agent.exchange.base import Exchange
 from agent.exchange.laser import LaserExchange
 from agent.exchange.none import NoExchange
+from agent.exchange.polygon import THESIS_OPTIONS, PolygonExchange, PolygonOptions
 from agent.settings import Settings
 
-__all__ = ["EXCHANGES", "Exchange", "LaserExchange", "NoExchange", "exchange"]
+__all__ = [
+    "EXCHANGES",
+    "THESIS_OPTIONS",
+    "Exchange",
+    "LaserExchange",
+    "NoExchange",
+    "PolygonExchange",
+    "PolygonOptions",
+    "exchange",
+]
 
-EXCHANGES: dict[str, type[Exchange]] = {kind.name: kind for kind in (LaserExchange, NoExchange)}
+EXCHANGES: dict[str, type[Exchange]] = {kind.name: kind for kind in (PolygonExchange, LaserExchange, NoExchange)}
 
 
 def exchange(settings: Settings) -> Exchange:

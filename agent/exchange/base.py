@@ -26,10 +26,11 @@ class Exchange(ABC):
         return {}
 
     @abstractmethod
-    def record(self, own: Grid, scan: Scan, change: Change) -> list[bytes]:
+    def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
         """Return the units (whole packets) that tell of this step's news of the robot's own map.
 
         `own` is the self-explored grid with `scan` drawn on it; `change` says where it changed.
+        `delivered` tells whether there are teammates in range who all hold what was logged before.
         """
 
     @abstractmethod
@@ -45,3 +46,8 @@ class Exchange(ABC):
     @abstractmethod
     def merge(self, own: Grid) -> Grid:
         """Return the planning grid: what all have told, and the robot's own grid, which counts most."""
+
+    def error(self, own: Grid) -> int:
+        """Cells in which `own` and what one has told of it differ (d(t) of Eq. 6.1); none where scans travel."""
+        del own
+        return 0

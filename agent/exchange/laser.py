@@ -29,9 +29,9 @@ class LaserExchange(Exchange):
         self._partial: dict[int, bytes] = {}
         self._last = b""
 
-    def record(self, own: Grid, scan: Scan, change: Change) -> list[bytes]:
+    def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
         """Log the scan, unless it is the last one again."""
-        del own, change
+        del own, change, delivered
         data = encode_scan(scan)
         if data == self._last:
             return []

@@ -13,9 +13,9 @@ class NoExchange(Exchange):
 
     name = "none"
 
-    def record(self, own: Grid, scan: Scan, change: Change) -> list[bytes]:
+    def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
         """Tell nothing."""
-        del own, scan, change
+        del own, scan, change, delivered
         return []
 
     def take(self, about: int, units: list[bytes]) -> None:

@@ -125,6 +125,7 @@ class Session:
         self._now = 0
         self._backoff: dict[tuple[int, int], _Backoff] = {}
         self._room: int | None = None
+        self._peers: list[int] = []
         self._said: list[Connection] = []
         self._offered: dict[int, Connection] = {}
         self._taken: dict[int, Connection] = {}
@@ -140,6 +141,7 @@ class Session:
         """
         self._now += 1
         self._room = room
+        self._peers = peers
         self._offered.clear()
         self._taken.clear()
         self._said = [
@@ -226,6 +228,12 @@ class Session:
         """Append units of a map that a peer sent; the peer holds them too."""
         self.logs[about].append(units)
         self.known[peer][about] = max(self.known[peer][about], len(self.logs[about]))
+
+    def delivered(self) -> bool:
+        """Whether teammates were in range when the medium last opened, and all hold one's own log."""
+        return bool(self._peers) and all(
+            self.known[peer][self._robot] == len(self.logs[self._robot]) for peer in self._peers
+        )
 
     def undelivered(self) -> int:
         """Units of one's own map that have not reached a teammate yet, all teammates counted."""

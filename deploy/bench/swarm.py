@@ -101,7 +101,8 @@ def _floor(plan: Plan) -> float:
     """Steps a second with empty minds."""
     scripts, steps = record(plan)
     with tempfile.TemporaryDirectory() as folder, Family(Path(folder), plan.scenario.robots) as family:
-        family.start(names.RELAY, play_hub, family.run, family.endpoint, family.credentials, scripts[names.RELAY])
+        meeting = family.run, family.endpoint, family.credentials
+        family.start(names.RELAY, play_hub, *meeting, len(scripts) - 1, scripts[names.RELAY])
         for name, script in scripts.items():
             if name not in (names.RELAY, names.LAB):
                 family.start(name, play, family.credentials[name], script)

@@ -65,12 +65,14 @@ def record(plan: Plan) -> tuple[dict[str, Script], int]:
     return {name: recorder.script for name, recorder in recorders.items()}, records.step
 
 
-def play_hub(run: str, endpoint: str, credentials: dict[str, Credential], script: Script) -> None:
-    """Be the relay without a mind: wait for everyone, then play."""
+def play_hub(
+    run: str, endpoint: str, credentials: dict[str, Credential], clients: int, script: Script
+) -> None:
+    """Be the relay without a mind: wait for so many clients, then play."""
     bus = open_hub(run, endpoint, credentials)
     try:
         here: set[str] = set()
-        while len(here) < len(credentials):
+        while len(here) < clients:
             message = bus.receive()
             if message is not None and names.parts(message.key)[0] == "presence":
                 here.add(message.key)

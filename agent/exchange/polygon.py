@@ -1,0 +1,138 @@
+"""The polygon exchange: incremental approximations, edits only (thesis, chapters 4 and 5).
+
+A robot approximates its self-explored grid by polygons, keeps what teammates already hold of it, and logs the
+edits that lead from there to the newest approximation. Teammates rebuild it at every save point, draw it, and
+merge all drawings with their own grid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from agent.approximation import approximation, repair
+from agent.contour import contours
+from agent.edits import Held, edit_script
+from agent.exchange.base import Exchange
+from agent.merge import Drawing, TeamMap, approximation_error
+from agent.polygons import Polygons
+from agent.receiver import Receiver
+from agent.settings import Settings
+from agent.simplify import by_distance, mixed_first, refine
+from agent.splitting import SplitAllowance, Splitting
+from protocol.grid import Grid
+from protocol.packets import encode
+from protocol.scans import Change, Scan
+
+
+@dataclass(frozen=True)
+class PolygonOptions:
+    """Options of the polygon exchange; `THESIS_OPTIONS` are the thesis' plain rules.
+
+    Attributes
+    ----------
+    medium_use : float
+        Part u of the medium that the splitting frequency plans with (Eq. 5.5).
+    bytes_per_split : float
+        Mean bytes d that a split causes; 0: measured as the run goes.
+    lazy : bool
+        Log an edit script only once the teammates in range hold the one before, so that what changes twice
+        is sent once.
+    mixed_first : bool
+        Refine edges of mixed occupancy before all others: they send teammates to walls that are known.
+    free_inside_edges : bool
+        Draw inside edges that are labelled free. They claim cells free which nobody has seen.
+    unknown_pairs : bool
+        Draw outside objects of two vertices without a wall: the unseen specks between beams.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
+
+    medium_use: float = 0.5
+    bytes_per_split: float = 0.0
+    lazy: bool = True
+    mixed_first: bool = True
+    free_inside_edges: bool = False
+    unknown_pairs: bool = False
+
+
+THESIS_OPTIONS = PolygonOptions(lazy=False, mixed_first=False, free_inside_edges=True, unknown_pairs=True)
+
+
+class PolygonExchange(Exchange):
+    """One robot's approximation of its own map, and what it holds of its teammates'."""
+
+    name = "polygon"
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__(settings)
+        options = PolygonOptions(**settings.polygon)
+        shape = settings.height, settings.width
+        self._options = options
+        self._value = mixed_first if options.mixed_first else by_distance
+        self._drawing = Drawing(options.free_inside_edges, options.unknown_pairs)
+        self._allowance = SplitAllowance(
+            Splitting(
+                settings.robots,
+                settings.bandwidth,
+                settings.reach_cells,
+                settings.width,
+                settings.height,
+                options.medium_use,
+                options.bytes_per_split or None,
+            )
+        )
+        self._held = Held.nothing(shape)
+        self._outdated = True
+        self._receivers = {
+            robot: Receiver(shape) for robot in range(settings.robots) if robot != settings.robot
+        }
+        self._team = TeamMap(shape, self._drawing)
+        self._polygons: dict[int, Polygons] = {}
+
+    @property
+    def polygons(self) -> Mapping[int, Polygons]:
+        """One's own approximation as far as it has been logged, and teammates' as far as they came."""
+        return self._polygons
+
+    def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
+        """Repair, refine, and log the edits (Algorithm 10, lines 6 to 13)."""
+        self._outdated = self._outdated or change.cells > 0
+        if self._options.lazy and not delivered:
+            return []
+        splits = self._allowance.next_step()
+        if not self._outdated and not splits:
+            return []
+        exact = contours(own, (scan.x, scan.y))
+        repaired = repair(self._held.polygons, exact)
+        refined = refine(exact, repaired, splits, self._value)
+        packets, held = edit_script(self._held, approximation(exact, refined))
+        if splits and len(refined) > len(repaired):
+            plain, _ = edit_script(self._held, approximation(exact, repaired))
+            extra = sum(p.size for p in packets) - sum(p.size for p in plain)
+            self._allowance.spent(len(refined) - len(repaired), max(0, extra))
+        self._outdated = False
+        self._held = held
+        self._polygons[self.settings.robot] = held.polygons
+        return [encode([packet]) for packet in packets]
+
+    def take(self, about: int, units: list[bytes]) -> None:
+        """Rebuild a teammate's approximation; draw it anew if a save point came."""
+        receiver = self._receivers[about]
+        if receiver.feed(b"".join(units)):
+            self._polygons[about] = receiver.held.polygons
+            self._team.update(about, receiver.held.polygons)
+
+    def merge(self, own: Grid) -> Grid:
+        """Merge all approximations with the robot's own grid (Algorithm 9)."""
+        return self._team.merged(own)
+
+    def error(self, own: Grid) -> int:
+        """Cells in which one's own grid and the drawing of its approximation differ: d(t) of Eq. 6.1."""
+        mine = self._polygons.get(self.settings.robot)
+        if mine is None:
+            return int(np.count_nonzero(own))
+        return approximation_error(own, mine, self._drawing)
