@@ -32,7 +32,6 @@ from protocol.messages import (
 UNLIMITED = -1
 
 
-
 class AgentNode:
     """One robot's process; `done` once it has been sent home."""
 
@@ -91,9 +90,9 @@ class AgentNode:
             self.handle(early)
 
     def _offer(self, robot: Robot, medium: Open) -> None:
-        target = robot.announce() if medium.exchange == 0 else None
-        if target is not None and medium.peers:
-            self._bus.put(self._keys.radio_tx(self._name, names.ALL), target)
+        said = robot.announce(medium.peers) if medium.exchange == 0 else None
+        if said is not None and medium.peers:
+            self._bus.put(self._keys.radio_tx(self._name, names.ALL), said)
         room = None if medium.budget == UNLIMITED else medium.budget
         for peer, _, frame in robot.session.offers(medium.exchange, medium.peers, room):
             self._bus.put(self._keys.radio_tx(self._name, names.robot(peer)), frame)
@@ -132,12 +131,12 @@ class AgentNode:
             self._show(self._step)
 
     def _take_frames(self, robot: Robot, count: int) -> list[tuple[int, bytes]]:
-        """The last `count` frames that came; those before them are targets, broadcast at a step's beginning."""
+        """The last `count` frames that came; those before them are the broadcasts of a step's beginning."""
         split = len(self._frames) - count
-        targets, frames = self._frames[:split], self._frames[split:]
+        broadcasts, frames = self._frames[:split], self._frames[split:]
         self._frames = []
-        for peer, payload in targets:
-            robot.hear_target(peer, payload)
+        for peer, payload in broadcasts:
+            robot.hear_broadcast(peer, payload)
         return frames
 
     def _hand_in_maps(self) -> None:

@@ -1,12 +1,13 @@
 """A robot's mind, without sockets or clocks: one pass of the thesis' Algorithm 10 a step.
 
-    perceive   lines 5 to 13: draw the scan on the self-explored grid, log the news
-    (exchange) line 14: targets, offers, answers, data, driven by the relay's phases
-    decide     lines 15 to 21: merge into the planning grid, choose a target if need be, move
+perceive   lines 5 to 13: draw the scan on the self-explored grid, log the news
+(exchange) line 14: targets and poses, offers, answers, data, driven by the relay's phases
+decide     lines 15 to 21: merge into the planning grid; the strategy says where to go
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -14,22 +15,17 @@ import numpy as np
 
 from agent import exchange as exchanges
 from agent.exchange.session import Session
-from agent.planning.frontier import is_frontier
-from agent.planning.route import Route
 from agent.polygons import Polygons
 from agent.settings import Settings
-from agent.strategies import Situation, strategy
+from agent.strategies import Cell, Decision, Pose, Situation, strategy
 from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, UNKNOWN, Grid, fan
-from protocol.messages import Move, Outcome, Sense, cells_from_bytes, cells_to_bytes
+from protocol.messages import Move, Outcome, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
 from protocol.scans import Scan, check_readings, draw
 
-WAIT_FOR_TEAMMATE = 2
-"""Steps for which a robot waits when a teammate stands in its way, before it looks for another."""
-
-_FACES = ((1, 0, 0), (0, 1, 2), (-1, 0, 4), (0, -1, 6))
-"""The four neighbours (dx, dy) and the heading that looks at each."""
+REPEAT_POSE = 10
+"""Steps after which a robot that stands still says again where it is."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +46,7 @@ class Robot:
         self.planning: Grid = self.own.copy()
         """The planning grid: the own one and what teammates told."""
         self.session = Session(settings.robot, settings.robots, settings.offers)
-        self.target: tuple[int, int] | None = None
+        self.target: Cell | None = None
         self.status = ""
         """What it is at, for people."""
         self.faults: list[Fault] = []
@@ -60,14 +56,21 @@ class Robot:
         """Cells of the self-explored grid that are known."""
         self._fan = fan(settings.range_cells, settings.beams)
         self._exchange = exchanges.exchange(settings)
-        self._strategy = strategy(settings.strategy)(settings.options)
-        self._route = Route()
+        self._strategy = strategy(settings.strategy)(settings.options, settings)
         self._sense: Sense | None = None
-        self._announce: tuple[int, int] | None = None
-        self._heard_targets: dict[int, tuple[int, int]] = {}
-        self._heard_at: dict[int, int] = {}
-        self._news: dict[int, tuple[int, int]] = {}
-        self._blocked_steps = 0
+        self._home: Cell = (0, 0)
+        self._leads = False
+        self._withheld: list[bytes] = []
+        self._publishes = True
+        self._peers: tuple[int, ...] = ()
+        self._target_news: Cell | None = None
+        self._pose_news: packets.Pose | None = None
+        self._told: tuple[packets.Pose | None, tuple[int, ...], int] = (None, (), 0)
+        self._targets: dict[int, Cell] = {}
+        self._heard: dict[int, int] = {}
+        self._news: dict[int, Cell] = {}
+        self._poses: dict[int, Pose] = {}
+        self._travelled: dict[int, float] = {}
 
     @property
     def polygons(self) -> Mapping[int, Polygons]:
@@ -89,23 +92,38 @@ class Robot:
         self.own[driven[:, 1], driven[:, 0]] = FREE
         change = draw(self.own, self._fan, sense.x, sense.y, readings)
         self.known_cells += change.cells + len(np.unique(driven[fresh], axis=0))
+        if self._sense is None:
+            self._home = sense.x, sense.y
+        else:
+            self._travel(self.settings.robot, (self._sense.x, self._sense.y), (sense.x, sense.y))
         self._sense = sense
-        self._route.drive_to(sense.x, sense.y)
         scan = Scan(sense.x, sense.y, readings)
-        delivered = self.session.delivered()
-        self.session.record(self._exchange.record(self.own, scan, change, delivered=delivered))
+        delivered = self.session.delivered() and not self._withheld
+        self._withheld += self._exchange.record(self.own, scan, change, delivered=delivered)
+        if self._publishes:
+            self.session.record(self._withheld)
+            self._withheld = []
+        if self._strategy.tells_pose:
+            self._pose_news = packets.Pose(sense.x, sense.y, int(self._leads))
 
-    def announce(self) -> bytes | None:
-        """Return the packet that tells of a target chosen in the last step; None if there is none to tell."""
-        if self._announce is None:
-            return None
-        return packets.encode([packets.Target(*self._announce)])
+    def announce(self, peers: list[int]) -> bytes | None:
+        """Return the packets to broadcast to the `peers` in range: a target chosen in the last step, a pose.
 
-    def announced(self) -> None:
-        """The target has been on the air."""
-        self._announce = None
+        A pose that all have heard is said again only after a while. None if there is nothing to say.
+        """
+        assert self._sense is not None
+        self._peers = tuple(peers)
+        said: list[packets.Packet] = []
+        if self._pose_news is not None:
+            last, audience, step = self._told
+            known = last == self._pose_news and set(peers) <= set(audience)
+            if not known or self._sense.step >= step + REPEAT_POSE:
+                said.append(self._pose_news)
+        if self._target_news is not None:
+            said.append(packets.Target(*self._target_news))
+        return packets.encode(said) if said else None
 
-    def hear_target(self, peer: int, payload: bytes) -> None:
+    def hear_broadcast(self, peer: int, payload: bytes) -> None:
         """Take a teammate's broadcast."""
         try:
             said = packets.decode(payload)
@@ -114,10 +132,20 @@ class Robot:
             return
         height, width = self.own.shape
         for packet in said:
-            if isinstance(packet, packets.Target) and packet.x < width and packet.y < height:
+            if (
+                not isinstance(packet, packets.Target | packets.Pose)
+                or packet.x >= width
+                or packet.y >= height
+            ):
+                reason = f"{packet} is no target or pose on a {width} x {height} grid"
+                self.faults.append(Fault(peer, reason))
+            elif isinstance(packet, packets.Target):
                 self._news[peer] = packet.x, packet.y
             else:
-                self.faults.append(Fault(peer, f"{packet} is no target on a {width} x {height} grid"))
+                before = self._poses.get(peer)
+                if before is not None:
+                    self._travel(peer, before[:2], (packet.x, packet.y))
+                self._poses[peer] = Pose(packet.x, packet.y, bool(packet.leads))
 
     def settle(self, outcome: Outcome, heard: list[tuple[int, bytes]]) -> None:
         """Take the outcome of an exchange, and the data that came as (peer, frame)."""
@@ -132,99 +160,62 @@ class Robot:
             else:
                 self.session.accept(peer, about, units)
         if outcome.target:
-            self.announced()
+            self._target_news = None
+            self._told = self._pose_news, self._peers, outcome.step
 
     def decide(self) -> Move:
-        """End a step: merge, choose a target if need be, and say where to drive."""
+        """End a step: merge, and let the strategy say where to go."""
         sense = self._sense
         if sense is None:
             raise RuntimeError("decide before the first perceive")
         self.session.forget()
         self.planning = self._exchange.merge(self.own)
-        situation = self._situation(sense)
-        explored = False
-        heading = sense.heading
-        self._blocked_steps = self._blocked_steps + 1 if sense.blocked == "robot" else 0
-        if self._should_choose(situation):
-            explored = not self._choose(situation)
-        elif not self._route.is_open(self.planning):
-            explored = not self._route_again(situation) and not self._choose(situation)
-        if self._blocked_steps >= WAIT_FOR_TEAMMATE:
-            self._step_aside(situation)
-        if self.target == (sense.x, sense.y):
-            heading = self._face_the_unknown(sense)
-        self._report(sense, explored)
-        path = self._route.next_cells(int(self.settings.speed_cells) + 2)
-        return Move(sense.step, cells_to_bytes(path), heading, explored)
-
-    def _situation(self, sense: Sense) -> Situation:
-        for peer, target in self._news.items():
-            self._heard_targets[peer] = target
-            self._heard_at[peer] = sense.step
-        return Situation(
-            self.settings.robot,
+        decision = self._strategy.decide(self._situation(sense))
+        self._take(decision)
+        return Move(
             sense.step,
-            self.planning,
-            sense.x,
-            sense.y,
-            self.settings.range_cells,
-            {peer: self._heard_targets[peer] for peer in sorted(self._heard_targets)},
-            {peer: self._heard_at[peer] for peer in sorted(self._heard_at)},
-            self.settings.seed,
+            cells_to_bytes(decision.path),
+            decision.heading,
+            decision.explored,
+            decision.look,
+            decision.stalled,
+            points_to_bytes(decision.points),
         )
 
-    def _should_choose(self, situation: Situation) -> bool:
+    def _take(self, decision: Decision) -> None:
+        """Note what the strategy decided, and what of it teammates are to hear."""
+        if self._strategy.tells_target and decision.target is not None and decision.target != self.target:
+            self._target_news = decision.target
+        self.target = decision.target
+        self.status = decision.status
+        self._leads = decision.leads
+        self._publishes = decision.publish
+        if decision.publish:
+            self.session.record(self._withheld)
+            self._withheld = []
+
+    def _situation(self, sense: Sense) -> Situation:
         news, self._news = self._news, {}
-        if self.target is None or not is_frontier(self.planning, *self.target):
-            return True
-        return bool(news) and self._strategy.reconsiders(situation, self.target, news)
+        for peer, target in news.items():
+            self._targets[peer] = target
+            self._heard[peer] = sense.step
+        return Situation(
+            step=sense.step,
+            grid=self.planning,
+            x=sense.x,
+            y=sense.y,
+            offset=(sense.offset_x, sense.offset_y),
+            heading=sense.heading,
+            blocked=sense.blocked,
+            home=self._home,
+            peers=self._peers,
+            poses=dict(sorted(self._poses.items())),
+            travelled=dict(sorted(self._travelled.items())),
+            targets=dict(sorted(self._targets.items())),
+            heard=dict(sorted(self._heard.items())),
+            news=news,
+        )
 
-    def _choose(self, situation: Situation) -> bool:
-        """Choose a target and a way there; whether there was one to choose."""
-        field = self._route.plan(self.planning, situation.x, situation.y)
-        target = self._strategy.choose(situation, field)
-        if target is not None and target != self.target:
-            self._announce = target
-        self.target = target
-        if target is None:
-            self._route.clear()
-            return False
-        self._route.lead_to(*target)
-        return True
-
-    def _route_again(self, situation: Situation) -> bool:
-        """Find a new way to the same target; whether there is one."""
-        if self.target is None:
-            return False
-        self._route.plan(self.planning, situation.x, situation.y)
-        return self._route.lead_to(*self.target)
-
-    def _step_aside(self, situation: Situation) -> None:
-        """Get out of a teammate's way: drive around it, or to a random place near by until it is gone."""
-        if self.target is not None:
-            self._route.detour(
-                self.planning,
-                (situation.x, situation.y),
-                self.target,
-                situation.range_cells,
-                (self.settings.seed, self.settings.robot, situation.step),
-            )
-
-    def _face_the_unknown(self, sense: Sense) -> int:
-        """Heading that looks at the target's unknown neighbour, for a laser that does not look everywhere."""
-        height, width = self.planning.shape
-        for dx, dy, heading in _FACES:
-            x, y = sense.x + dx, sense.y + dy
-            if 0 <= x < width and 0 <= y < height and self.planning[y, x] == UNKNOWN:
-                return heading
-        return sense.heading
-
-    def _report(self, sense: Sense, explored: bool) -> None:
-        if explored:
-            self.status = "idle: no reachable frontier is left on its planning grid"
-        elif self._blocked_steps:
-            self.status = "waits: a teammate stands in the way"
-        elif self.target == (sense.x, sense.y):
-            self.status = "looks around at its target"
-        else:
-            self.status = "drives to its target"
+    def _travel(self, robot: int, start: Cell, end: Cell) -> None:
+        way = math.hypot(end[0] - start[0], end[1] - start[1])
+        self._travelled[robot] = self._travelled.get(robot, 0.0) + way

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
@@ -30,6 +31,12 @@ class Settings:
         How maps travel (`agent.exchange`).
     strategy : str
         Which target comes next (`agent.strategies`).
+    resolution : float
+        Side of a cell in metres.
+    radius_cells : float
+        Radius of the robot, in cells; 0 for a point.
+    scanner_turn : float
+        Degrees that the scanner turns and sees a step; 0 if it looks everywhere at once.
     offers : str
         When maps are offered: ``backoff`` or ``thesis`` (`agent.exchange.session`).
     bandwidth : float or None
@@ -57,11 +64,19 @@ class Settings:
     reach_cells: float
     polygon: dict[str, Any] = field(default_factory=dict)
     options: dict[str, Any] = field(default_factory=dict)
+    resolution: float = 0.1
+    radius_cells: float = 0.0
+    scanner_turn: float = 0.0
 
     @property
     def range_cells(self) -> float:
         """The robot's own sensor range, in cells."""
         return self.ranges_cells[self.robot]
+
+    @property
+    def turn_steps(self) -> int:
+        """Steps in which the scanner makes a full turn."""
+        return math.ceil(360 / self.scanner_turn) if self.scanner_turn else 1
 
     def to_message(self) -> dict[str, Any]:
         """Return the form that `from_message` reads."""

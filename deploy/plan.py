@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from agent.settings import Settings
+from agent.strategies import strategy
 from deploy.scenario import UNLIMITED, Scenario, ScenarioError
 from netshaper import medium
 from netshaper.radio import RadioSettings
+from protocol.grid import enlarge
 from worldsim import generators, maps
 from worldsim.maps import Map, MapError, to_cell
 from worldsim.world import Body, World, WorldSettings, start_cells
@@ -49,7 +52,15 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
             raise ScenarioError(
                 f"sensor_range = {body.sensor_range:g} m of robot {number} is less than a cell of {cell:g} m"
             )
-        bodies.append(Body(body.sensor_range / cell, body.field_of_view, body.speed / cell))
+        bodies.append(
+            Body(
+                body.sensor_range / cell,
+                body.field_of_view,
+                body.speed / cell,
+                scenario.scanner_turn,
+                scenario.radius / cell,
+            )
+        )
     starts = _starts(scenario, world_map)
     range_m = scenario.range_m(world_map.diagonal_m)
     world = WorldSettings(
@@ -59,6 +70,7 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
         scenario.seed,
         scenario.interference / cell,
         tuple((death.robot, death.step) for death in scenario.death),
+        strategy(scenario.strategy).returns(scenario.options),
     )
     budget = medium.UNLIMITED if scenario.bandwidth == UNLIMITED else int(scenario.bandwidth)
     radio = RadioSettings(scenario.robots, scenario.seed, range_m / cell, budget, scenario.exchanges)
@@ -79,6 +91,9 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
             reach_cells=range_m / cell,
             polygon=asdict(scenario.polygon),
             options=scenario.options,
+            resolution=cell,
+            radius_cells=bodies[number].radius_cells,
+            scanner_turn=bodies[number].scanner_turn,
         ).to_message()
         for number in range(scenario.robots)
     }
@@ -103,8 +118,9 @@ def _starts(scenario: Scenario, world_map: Map) -> list[tuple[int, int]]:
     if scenario.start is not None:
         x, y = to_cell(world_map, *scenario.start)
         first = round(x), round(y)
-    apart = max(1, round(scenario.apart / world_map.resolution))
+    radius_cells = scenario.radius / world_map.resolution
+    apart = max(1, round(scenario.apart / world_map.resolution), math.ceil(2 * radius_cells))
     try:
-        return start_cells(world_map.cells, scenario.robots, scenario.seed, apart, first)
+        return start_cells(enlarge(world_map.cells, radius_cells), scenario.robots, scenario.seed, apart, first)
     except ValueError as error:
         raise ScenarioError(f"start on map {world_map.name}: {error}") from None

@@ -56,12 +56,14 @@ class Scenario(_Table):
     strategy: str = Field("meier", description="how targets are chosen")
     sensor_range: Positive = Field(5.0, description="metres")
     field_of_view: float = Field(360.0, gt=0, le=360, description="degrees")
+    scanner_turn: float = Field(0.0, ge=0, le=360, description="degrees that scanners turn a step; 0: all")
     beams: int = Field(360, ge=4, le=3600, multiple_of=4, description="laser beams a full turn")
     speed: Positive = Field(0.5, description="metres a step")
     seed: int = Field(0, ge=0, description="decides start poses and every draw")
     bus: Literal["zenoh", "memory"] = Field("zenoh", description="processes on Zenoh, or all in one process")
     steps: int = Field(10000, ge=1, description="the run ends after this many steps at the latest")
     start: tuple[float, float] | None = Field(None, description="metres in the map's frame; seeded if left out")
+    radius: float = Field(0.0, ge=0, allow_inf_nan=False, description="metres; robots are discs, 0: points")
     apart: Positive = Field(0.3, description="metres between start poses")
     exchanges: int = Field(2, ge=1, le=16, description="exchanges a step (R)")
     offers: Literal["backoff", "thesis"] = Field("backoff", description="when maps are offered")
@@ -102,7 +104,7 @@ class Scenario(_Table):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
-        strategy(self.strategy)(self.options)
+        strategy(self.strategy).check(self.options)
         for table, entries in (("robot", self.robot), ("death", self.death)):
             numbers = [entry.robot for entry in entries]
             for number in numbers:

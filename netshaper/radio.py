@@ -210,8 +210,8 @@ class Radio:
         order = chance(self.settings.seed, "targets", self._step, self._exchange).permutation(len(said))
         for index in order:
             sender, payload = said[index]
-            if not _is_target(payload) or self._exchange or sender in self._target_carried:
-                reason = "broadcast something other than one target, at the start of a step"
+            if not _is_broadcast(payload) or self._exchange or sender in self._target_carried:
+                reason = "broadcast something other than a target or a pose, at the start of a step"
                 self._refuse(sender, EVERYONE, TARGET, payload, "protocol", reason)
                 continue
             hearers = [robot for robot in self._reach[sender] if robot not in self._dead]
@@ -332,12 +332,13 @@ class Radio:
             self.faults.append((sender, reason))
 
 
-def _is_target(payload: bytes) -> bool:
+def _is_broadcast(payload: bytes) -> bool:
+    """Whether a frame says a target, a pose, or a pose and a target."""
     try:
-        said = packets.decode(payload)
+        kinds = [type(packet) for packet in packets.decode(payload)]
     except ProtocolError:
         return False
-    return len(said) == 1 and isinstance(said[0], packets.Target)
+    return kinds in ([packets.Target], [packets.Pose], [packets.Pose, packets.Target])
 
 
 def _is_answer(payload: bytes) -> str:
@@ -358,5 +359,5 @@ def _is_data(payload: bytes) -> str:
         kinds = packets.tally(payload)
     except ProtocolError as error:
         return str(error)
-    strange = [kind for kind in kinds if kind in (packets.Offer.name, packets.Target.name)]
+    strange = [kind for kind in kinds if kind in (packets.Offer.name, packets.Target.name, packets.Pose.name)]
     return f"a data frame holds no {strange[0]}" if strange else "" if kinds else "an empty data frame"

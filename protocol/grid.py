@@ -16,6 +16,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 UNKNOWN = 0
 FREE = 1
@@ -28,6 +29,9 @@ MAX_ROBOTS = 64
 """The largest team that the packets can speak of."""
 
 Grid = NDArray[np.uint8]
+
+_REACH = 0.5
+"""A cell reaches half a cell from its centre."""
 
 _DIRECTION_UNIT = 1 << 20
 """Beam directions are whole numbers of this length, so that no platform's cosine decides a cell."""
@@ -102,3 +106,22 @@ def _walk(direction_x: int, direction_y: int, range_cells: float) -> list[tuple[
         if x * x + y * y > range_cells * range_cells:
             return walk
         walk.append((x, y))
+
+
+def disc(radius_cells: float) -> NDArray[np.bool_]:
+    """Return the cells that a round robot touches when it stands on the middle one, as a square mask."""
+    side = np.arange(-int(radius_cells + _REACH), int(radius_cells + _REACH) + 1)
+    touched: NDArray[np.bool_] = side[:, None] ** 2 + side[None, :] ** 2 < (radius_cells + _REACH) ** 2
+    return touched
+
+
+def enlarge(grid: Grid, radius_cells: float) -> Grid:
+    """Return the grid with obstacles grown by a robot's radius: free is where its centre may be.
+
+    With a radius of half a cell or less nothing changes, and the grid itself is returned.
+    """
+    if radius_cells <= _REACH:
+        return grid
+    grown = grid.copy()
+    grown[ndimage.binary_dilation(grid == OCCUPIED, disc(radius_cells)) & (grid == FREE)] = OCCUPIED
+    return grown

@@ -34,7 +34,8 @@ class Sense:
     """World to robot, once a step: where it is, what it drove over, what its laser reads.
 
     `x`, `y`: cell. `heading`: eighths of a turn from +x towards +y. `driven`: cells entered since the last
-    step. `readings`: one a beam (`protocol.scans`). `blocked`: why the last move stopped short.
+    step. `readings`: one a beam (`protocol.scans`). `blocked`: why the last move stopped short. `offset_x`,
+    `offset_y`: where in its cell it is, in thousandths of a cell from the centre.
     """
 
     step: int
@@ -44,19 +45,26 @@ class Sense:
     driven: bytes
     readings: bytes
     blocked: str
+    offset_x: int = 0
+    offset_y: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class Move:
     """Robot to world: the cells to drive next, in order; the heading to take if it stays; whether it is done.
 
-    `explored` says that no reachable frontier is left on its planning grid.
+    `explored` says that no reachable frontier is left on its planning grid, and that it is where its mission
+    ends; `stalled`, that it sees no way on. `look`: whether its scanner works on the way. `points`, where
+    there are any, are way points to drive along instead of cells (`points_to_bytes`).
     """
 
     step: int
     path: bytes
     heading: int
     explored: bool
+    look: bool = True
+    stalled: bool = False
+    points: bytes = b""
 
 
 @dataclass(frozen=True, slots=True)
@@ -347,3 +355,15 @@ def grid_from_bytes(data: bytes, width: int, height: int) -> Grid:
     packed = np.frombuffer(data, np.uint8).reshape(height, row)
     grid = np.stack([packed >> 6, packed >> 4 & 3, packed >> 2 & 3, packed & 3], axis=2)
     return np.ascontiguousarray(grid.reshape(height, -1)[:, :width])
+
+
+def points_to_bytes(points: NDArray[np.int32]) -> bytes:
+    """Write way points, shape (n, 2), in thousandths of a cell, as little-endian int32 pairs x, y."""
+    return points.astype("<i4").tobytes()
+
+
+def points_from_bytes(data: bytes) -> NDArray[np.int32]:
+    """Read what `points_to_bytes` wrote; ProtocolError if it cannot be pairs."""
+    if len(data) % 8:
+        raise ProtocolError("points", 0, f"{len(data)} bytes are not pairs of int32")
+    return np.frombuffer(data, "<i4").astype(np.int32).reshape(-1, 2)

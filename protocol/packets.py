@@ -149,6 +149,19 @@ class Target(Packet):
 
 
 @dataclass(frozen=True, slots=True)
+class Pose(Packet):
+    """Broadcast: the sender is in cell (x, y), and leads if `leads` is 1.
+
+    It is not in Table 6.1: strategies need it whose robots assign targets together, or follow leaders.
+    """
+
+    name, size, code, code_bits, bits = "pose", 4, 0xF3, 8, (11, 11, 1)
+    x: int
+    y: int
+    leads: int
+
+
+@dataclass(frozen=True, slots=True)
 class Save(Packet):
     """A step's edits are complete: what was said up to here may be drawn."""
 
@@ -170,16 +183,16 @@ _FULL, _SHORT = 0xF1, 0xF2
 VertexEdit = Insert | Replace | Delete
 Edit = Insert | Replace | Delete | Emerge | Change | Remove | Save
 Handshake = Offer | Answer | Block | Decline
-AnyPacket = Edit | Handshake | Target | Fragment
+AnyPacket = Edit | Handshake | Target | Pose | Fragment
 
 _TYPES: tuple[type[Packet], ...] = (
-    Insert, Replace, Delete, Emerge, Change, Remove, Offer, Answer, Block, Decline, Target, Save,
+    Insert, Replace, Delete, Emerge, Change, Remove, Offer, Answer, Block, Decline, Target, Save, Pose,
 )  # fmt: skip
 
 KINDS = ("ins", "rep", "del", "em", "chg", "rm", "conn", "targ", "save")
 """The nine kinds of Table 6.1."""
 
-ALL_KINDS = (*KINDS, Fragment.name)
+ALL_KINDS = (*KINDS, Fragment.name, Pose.name)
 """All kinds that may be on the air, in the order of reports."""
 
 _RIM = 1
@@ -211,7 +224,9 @@ def _fixed(kind: type[Packet]) -> tuple[int, int]:
 _FIRST_BYTE = _by_first_byte()
 _FIXED = {kind: _fixed(kind) for kind in _TYPES}
 _FIELDS = {kind: tuple(field.name for field in fields(kind)) for kind in _TYPES}
-_SHIFTED = {kind: tuple(name in "xy" and kind is not Target for name in _FIELDS[kind]) for kind in _TYPES}
+_SHIFTED = {
+    kind: tuple(name in "xy" and kind not in (Target, Pose) for name in _FIELDS[kind]) for kind in _TYPES
+}
 
 
 def encode(packets: Iterable[Packet]) -> bytes:

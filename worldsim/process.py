@@ -25,11 +25,14 @@ from protocol.messages import (
     WorldReport,
     cells_from_bytes,
     pack,
+    points_from_bytes,
     unpack,
 )
+from worldsim.glide import FINE
 from worldsim.world import World
 
 EXPLORED, OUT_OF_STEPS, ALL_LOST = "explored", "out of steps", "all robots are lost"
+STALLED = "stalled: there is a frontier left, and no robot gets nearer to it"
 
 
 class WorldNode:
@@ -95,8 +98,11 @@ class WorldNode:
     def _take_move(self, robot: int, move: object) -> None:
         try:
             if not isinstance(move, Move) or move.step != self._world.step:
-                raise ProtocolError("Move", 0, f"expected the move of step {self._world.step}, not {move!r:.60}")
+                raise ProtocolError(
+                    "Move", 0, f"expected the move of step {self._world.step}, not {move!r:.60}"
+                )
             cells_from_bytes(move.path)
+            points_from_bytes(move.points)
         except ProtocolError as error:
             fault = Fault(names.robot(robot), str(error))
             self._report(fault)
@@ -107,10 +113,13 @@ class WorldNode:
     def _end_step(self) -> None:
         moves, self._moves = self._moves, {}
         explored = sorted(robot for robot, move in moves.items() if move.explored)
-        if explored:
+        wanted = len(moves) if self._world.settings.ends_with_all else 1
+        if explored and len(explored) >= wanted:
             self._end(EXPLORED, explored[0])
         elif not self._world.cells:
             self._end(ALL_LOST, -1)
+        elif all(move.stalled for move in moves.values()):
+            self._end(STALLED, -1)
         elif self._stop:
             self._end(self._stop, -1)
         elif self._world.step >= self._steps:
@@ -144,13 +153,19 @@ class WorldNode:
         world = self._world
         poses = np.array(
             [
-                (robot, round(x * self._cell_mm), round(y * self._cell_mm), world.headings[robot] * 450)
-                for robot, (x, y) in sorted(world.cells.items())
+                (robot, *self._millimetres(robot), world.headings[robot] * 450)
+                for robot in sorted(world.cells)
             ],
             "<i4",
         ).reshape(-1, 4)
         driven = [round(cells * self._cell_mm) for cells in world.driven]
         return WorldReport(world.step, poses.tobytes(), driven, world.seen_cells, world.reachable_cells)
+
+    def _millimetres(self, robot: int) -> tuple[int, int]:
+        """Where a robot is."""
+        (x, y), (offset_x, offset_y) = self._world.cells[robot], self._world.offsets[robot]
+        scale = self._cell_mm / FINE
+        return round((x * FINE + offset_x) * scale), round((y * FINE + offset_y) * scale)
 
     def _end(self, reason: str, first: int) -> None:
         self._running = False

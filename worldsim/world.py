@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from protocol.chance import chance
-from protocol.grid import FREE, Grid, fan
-from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes
-from protocol.scans import draw
-from worldsim.laser import cast
+from protocol.grid import FREE, Grid, disc, enlarge, fan
+from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes, points_from_bytes
+from protocol.scans import NONE, draw
+from worldsim.glide import FINE, cell_of, glide
+from worldsim.laser import FULL_TURN, HEADINGS, cast
 from worldsim.motion import INTERFERENCE, NOT_BLOCKED, drive, heading_of, swept
 
 MOVES_AS_PLANNED = 0.7
@@ -33,11 +34,17 @@ class Body:
         Degrees, centred on the heading.
     speed : float
         Cells a step.
+    scanner_turn : float
+        Degrees that its scanner turns and sees a step; 0 if it looks everywhere in the field of view at once.
+    radius_cells : float
+        The robot is a disc; 0 for a point.
     """
 
     range_cells: float
     field_of_view: float
     speed: float
+    scanner_turn: float = 0.0
+    radius_cells: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -56,6 +63,8 @@ class WorldSettings:
         Robots nearer to each other than this hinder each other (0: never).
     deaths : tuple of (robot, step)
         Robots that break down at the beginning of a step, as the scenario wants it.
+    ends_with_all : bool
+        Whether the run ends when all robots say that they are done, not when the first does.
     """
 
     bodies: tuple[Body, ...]
@@ -64,6 +73,7 @@ class WorldSettings:
     seed: int = 0
     interference_cells: float = 0.0
     deaths: tuple[tuple[int, int], ...] = ()
+    ends_with_all: bool = False
 
 
 class World:
@@ -81,14 +91,19 @@ class World:
         self.step = 0
         self.cells: dict[int, tuple[int, int]] = dict(enumerate(settings.starts))
         """Where each living robot is."""
+        self.offsets = dict.fromkeys(self.cells, (0, 0))
+        """Where in its cell each is, in thousandths of a cell from the centre."""
         self.headings = dict.fromkeys(self.cells, 0)
         self.driven = [0.0] * len(settings.starts)
         """Way that each robot has driven, in cells."""
-        self.reachable = reachable_from(truth, settings.starts[0])
+        self.floors = {body.radius_cells: enlarge(truth, body.radius_cells) for body in settings.bodies}
+        """Where the centre of a robot of each radius may be."""
+        self.reachable = reachable_by(truth, settings.starts[0], settings.bodies[0].radius_cells)
         self.seen = np.zeros_like(truth)
         """What the team's lasers have truly seen, all together."""
         self._fans = [fan(body.range_cells, settings.beams) for body in settings.bodies]
         self._carry = [0.0] * len(settings.starts)
+        self._scanner_angle = [0.0] * len(settings.starts)
 
     @property
     def seen_cells(self) -> int:
@@ -122,7 +137,8 @@ class World:
         senses = {}
         occupied = self._standing()
         for robot, (x, y) in sorted(self.cells.items()):
-            senses[robot] = self._sense(robot, x, y, occupied, entered[robot], blocked[robot])
+            look = robot not in moves or moves[robot].look
+            senses[robot] = self._sense(robot, x, y, occupied, entered[robot], blocked[robot], look)
         return senses
 
     def _move(
@@ -131,13 +147,16 @@ class World:
         """Move one robot; return the cells found free on the way, and what blocked it."""
         start = self.cells[robot]
         path = [(int(x), int(y)) for x, y in cells_from_bytes(move.path)]
-        self.headings[robot] = move.heading % 8
-        if path and self._hindered(robot, before):
+        points = [(int(x), int(y)) for x, y in points_from_bytes(move.points)]
+        self.headings[robot] = move.heading % HEADINGS
+        if (path or points) and self._hindered(robot, before):
             return [], INTERFERENCE
-        taken = self._standing()
-        taken[start[1], start[0]] = False
-        way = self.settings.bodies[robot].speed + self._carry[robot]
-        result = drive(self.truth, taken, start, path, way)
+        body = self.settings.bodies[robot]
+        taken = self._taken_for(robot)
+        if points:
+            return self._glide(robot, points, taken)
+        result = drive(self.floors[body.radius_cells], taken, start, path, body.speed + self._carry[robot])
+        self.offsets[robot] = (0, 0) if result.cells else self.offsets[robot]
         self._carry[robot] = result.carry
         self.driven[robot] += result.length
         if result.cells:
@@ -145,6 +164,37 @@ class World:
             self.cells[robot] = result.cells[-1]
             self.headings[robot] = heading_of(result.cells[-1][0] - last[0], result.cells[-1][1] - last[1])
         return swept(start, result.cells), result.blocked
+
+    def _glide(
+        self, robot: int, points: list[tuple[int, int]], taken: NDArray[np.bool_]
+    ) -> tuple[list[tuple[int, int]], str]:
+        body = self.settings.bodies[robot]
+        start, offset = self.cells[robot], self.offsets[robot]
+        point = start[0] * FINE + offset[0], start[1] * FINE + offset[1]
+        result = glide(self.floors[body.radius_cells], taken, point, points, body.speed)
+        x, y = self.cells[robot] = cell_of(result.point)
+        self.offsets[robot] = result.point[0] - x * FINE, result.point[1] - y * FINE
+        self.driven[robot] += result.length
+        dx, dy = result.point[0] - point[0], result.point[1] - point[1]
+        if dx or dy:
+            self.headings[robot] = heading_of(dx, dy)
+        return swept(start, result.cells), result.blocked
+
+    def _taken_for(self, robot: int) -> NDArray[np.bool_]:
+        """Cells that a robot's centre may not enter, for the others' sake."""
+        own = self.settings.bodies[robot].radius_cells
+        taken = np.zeros(self.truth.shape, np.bool_)
+        height, width = self.truth.shape
+        for other, (x, y) in self.cells.items():
+            if other == robot:
+                continue
+            reach = own + self.settings.bodies[other].radius_cells
+            x0, y0 = max(0, x - int(reach)), max(0, y - int(reach))
+            xs = np.arange(x0, min(width, x + int(reach) + 1))
+            ys = np.arange(y0, min(height, y + int(reach) + 1))
+            near = (xs[None, :] - x) ** 2 + (ys[:, None] - y) ** 2 < max(reach, 1.0) ** 2
+            taken[y0 : y0 + near.shape[0], x0 : x0 + near.shape[1]] |= near
+        return taken
 
     def _hindered(self, robot: int, before: Mapping[int, tuple[int, int]]) -> bool:
         limit = self.settings.interference_cells
@@ -170,27 +220,55 @@ class World:
         occupied: NDArray[np.bool_],
         entered: list[tuple[int, int]],
         blocked: str,
+        look: bool,
     ) -> Sense:
         body = self.settings.bodies[robot]
-        readings = cast(
-            self.truth, occupied, self._fans[robot], x, y, self.headings[robot], body.field_of_view
-        )
+        heading = self.headings[robot]
+        readings = cast(self.truth, occupied, self._fans[robot], x, y, heading, body.field_of_view)
+        if not look:
+            readings[:] = NONE
+        elif body.scanner_turn:
+            angle = self._scanner_angle[robot]
+            readings[beams_outside(len(readings), angle, body.scanner_turn)] = NONE
+            self._scanner_angle[robot] = (angle + body.scanner_turn) % FULL_TURN
         for cell_x, cell_y in entered:
             self.seen[cell_y, cell_x] = FREE
         draw(self.seen, self._fans[robot], x, y, readings)
         driven = cells_to_bytes(np.array(entered, np.int32).reshape(-1, 2))
-        return Sense(self.step, x, y, self.headings[robot], driven, readings.tobytes(), blocked)
+        offset_x, offset_y = self.offsets[robot]
+        return Sense(self.step, x, y, heading, driven, readings.tobytes(), blocked, offset_x, offset_y)
+
+
+def beams_outside(beams: int, angle: float, width: float) -> NDArray[np.bool_]:
+    """Beams that a turning scanner does not send while it turns from `angle` on by `width` degrees."""
+    degrees = np.arange(beams) * (FULL_TURN / beams)
+    outside: NDArray[np.bool_] = (degrees - angle) % FULL_TURN >= min(width, FULL_TURN)
+    return outside
+
+
+def reachable_by(truth: Grid, start: tuple[int, int], radius_cells: float) -> NDArray[np.bool_]:
+    """Free cells that a disc which starts at `start` can get to, or cover from where it gets."""
+    floor = enlarge(truth, radius_cells)
+    found = reachable_from(floor, start)
+    if floor is truth:
+        return found
+    covered: NDArray[np.bool_] = ndimage.binary_dilation(found, disc(radius_cells))
+    covered &= truth == FREE
+    return covered
 
 
 def reachable_from(truth: Grid, start: tuple[int, int]) -> NDArray[np.bool_]:
     """Free cells that a robot can get to from `start`: without cutting corners, that is its 4-connected part."""
     labels, _ = ndimage.label(truth == FREE)
     found: NDArray[np.bool_] = labels == labels[start[1], start[0]]
-    return found & (truth == FREE)
+    found &= truth == FREE
+    return found
 
 
-def start_cells(truth: Grid, robots: int, seed: int, apart: int, first: tuple[int, int] | None = None) -> list[tuple[int, int]]:
-    """Choose where the robots start: the free cells nearest to one seeded cell, `apart` cells from each other.
+def start_cells(
+    truth: Grid, robots: int, seed: int, apart: int, first: tuple[int, int] | None = None
+) -> list[tuple[int, int]]:
+    """Choose where the robots start: the free cells nearest to one seeded cell, `apart` cells apart.
 
     Parameters
     ----------
@@ -225,6 +303,6 @@ def start_cells(truth: Grid, robots: int, seed: int, apart: int, first: tuple[in
                 queue.append((nx, ny))
     if len(chosen) < robots:
         raise ValueError(
-            f"{robots} robots do not fit: only {len(chosen)} free cells lie {apart} cells apart around {first}"
+            f"{robots} robots do not fit: {len(chosen)} free cells lie {apart} cells apart around {first}"
         )
     return chosen

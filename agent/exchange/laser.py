@@ -13,7 +13,7 @@ from agent.settings import Settings
 from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.grid import Grid, fan
-from protocol.scans import Change, Scan, decode_scan, draw, encode_scan, fragments, scan_size
+from protocol.scans import NONE, Change, Scan, decode_scan, draw, encode_scan, fragments, scan_size
 
 
 class LaserExchange(Exchange):
@@ -30,10 +30,10 @@ class LaserExchange(Exchange):
         self._last = b""
 
     def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
-        """Log the scan, unless it is the last one again."""
+        """Log the scan, unless it is the last one again or the scanner did not work."""
         del own, change, delivered
         data = encode_scan(scan)
-        if data == self._last:
+        if data == self._last or (scan.readings == NONE).all():
             return []
         self._last = data
         return fragments(data)

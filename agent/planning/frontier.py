@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.planning.cost import Field
 from protocol.grid import FREE, UNKNOWN, Grid
 from protocol.kernels import kernel
 
 
-def frontier_cells(grid: Grid, field: Field) -> NDArray[np.int32]:
+def frontier_cells(grid: Grid, field: NDArray[np.float64]) -> NDArray[np.int32]:
     """All frontier cells that `field` (`agent.planning.cost.costs`) reaches, row by row.
 
     Returns
@@ -24,30 +23,28 @@ def frontier_cells(grid: Grid, field: Field) -> NDArray[np.int32]:
 
 def is_frontier(grid: Grid, x: int, y: int) -> bool:
     """Whether cell (x, y) is free with an unknown 4-neighbour."""
+    return bool(frontier_at(grid, x, y))
+
+
+@kernel("boolean(uint8[:,::1], int64, int64)")
+def frontier_at(grid: Grid, x: int, y: int) -> bool:
+    """`is_frontier`, for other kernels."""
     height, width = grid.shape
-    return bool(
-        grid[y, x] == FREE
-        and any(
-            0 <= nx < width and 0 <= ny < height and grid[ny, nx] == UNKNOWN
-            for nx, ny in ((x + 1, y), (x, y + 1), (x - 1, y), (x, y - 1))
-        )
+    return grid[y, x] == FREE and (
+        (x + 1 < width and grid[y, x + 1] == UNKNOWN)
+        or (y + 1 < height and grid[y + 1, x] == UNKNOWN)
+        or (x > 0 and grid[y, x - 1] == UNKNOWN)
+        or (y > 0 and grid[y - 1, x] == UNKNOWN)
     )
 
 
 @kernel("int64(uint8[:,::1], float64[:,::1], int32[:,::1])")
-def _collect(grid: Grid, field: Field, out: NDArray[np.int32]) -> int:
+def _collect(grid: Grid, field: NDArray[np.float64], out: NDArray[np.int32]) -> int:
     height, width = grid.shape
     count = 0
     for y in range(height):
         for x in range(width):
-            if grid[y, x] != FREE or not np.isfinite(field[y, x]):
-                continue
-            if (
-                (x + 1 < width and grid[y, x + 1] == UNKNOWN)
-                or (y + 1 < height and grid[y + 1, x] == UNKNOWN)
-                or (x > 0 and grid[y, x - 1] == UNKNOWN)
-                or (y > 0 and grid[y - 1, x] == UNKNOWN)
-            ):
+            if frontier_at(grid, x, y) and np.isfinite(field[y, x]):
                 out[count, 0] = x
                 out[count, 1] = y
                 count += 1

@@ -1,17 +1,38 @@
-"""Exploration strategies, one file a paper's idea; found by name among the subclasses of `Strategy`."""
+"""Exploration strategies, one file a paper; found by name among the subclasses of `Strategy`.
+
+A new strategy is one new file here, or a class in any importable module, named ``package.module:Class``.
+"""
 
 from __future__ import annotations
 
-from agent.strategies.base import Situation, Strategy
-from agent.strategies.meier import Meier
+import importlib
+import pkgutil
+from typing import Any
 
-__all__ = ["Meier", "Situation", "Strategy", "strategies", "strategy"]
+from agent.strategies.base import Cell, Decision, Pose, Situation, Strategy
+from agent.strategies.options import OptionLine, option, option_lines
+
+__all__ = [
+    "Cell",
+    "Decision",
+    "OptionLine",
+    "Pose",
+    "Situation",
+    "Strategy",
+    "option",
+    "option_lines",
+    "strategies",
+    "strategy",
+]
+
+for _module in pkgutil.iter_modules(__path__):
+    importlib.import_module(f"{__name__}.{_module.name}")
 
 
 def strategies() -> dict[str, type[Strategy]]:
     """All strategies that have been imported, by name."""
     found: dict[str, type[Strategy]] = {}
-    queue = [Strategy]
+    queue: list[Any] = [Strategy]
     while queue:
         for kind in queue.pop().__subclasses__():
             queue.append(kind)
@@ -21,8 +42,35 @@ def strategies() -> dict[str, type[Strategy]]:
 
 
 def strategy(name: str) -> type[Strategy]:
-    """Return the strategy called `name`; ValueError lists the names there are."""
+    """Return the strategy called `name`, or the class that ``package.module:Class`` names.
+
+    Raises
+    ------
+    ValueError
+        There is none of that name (the names there are follow), or the class cannot be imported.
+    """
+    if ":" in name:
+        return _imported(name)
     known = strategies()
     if name not in known:
-        raise ValueError(f"no strategy is called {name!r}; there are: {', '.join(known)}")
+        there_are = ", ".join(known)
+        raise ValueError(
+            f"no strategy is called {name!r}; there are: {there_are}; or give one as package.module:Class"
+        )
     return known[name]
+
+
+def _imported(name: str) -> type[Strategy]:
+    module_name, _, class_name = name.partition(":")
+    try:
+        module = importlib.import_module(module_name)
+    except ImportError as error:
+        raise ValueError(
+            f"strategy {name!r}: {error}; is the folder of {module_name} on PYTHONPATH?"
+        ) from None
+    kind = getattr(module, class_name, None)
+    if not isinstance(kind, type) or not issubclass(kind, Strategy) or "name" not in vars(kind):
+        raise ValueError(
+            f"strategy {name!r}: {class_name} is no subclass of agent.strategies.Strategy with a name"
+        )
+    return kind

@@ -3,85 +3,174 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields
-from typing import Any, ClassVar, TypeVar
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, NamedTuple
 
-from agent.planning.cost import Field
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.settings import Settings
+from agent.strategies.options import read_options
 from protocol.grid import Grid
+
+Cell = tuple[int, int]
+
+NO_CELLS = np.empty((0, 2), np.int32)
+
+
+class Pose(NamedTuple):
+    """Where a teammate said to be, and whether it leads."""
+
+    x: int
+    y: int
+    leads: bool
 
 
 @dataclass(frozen=True)
 class Situation:
-    """What one robot knows when it has to choose.
+    """What one robot knows when it has to decide.
 
     Attributes
     ----------
-    robot : int
-        Its number.
     step : int
     grid : uint8 array, shape (h, w)
         Its planning grid.
     x, y : int
         Its cell.
-    range_cells : float
-        Its sensor range.
+    offset : (x, y)
+        Where in that cell it is, in thousandths of a cell from the centre.
+    heading : int
+        Eighths of a turn.
+    blocked : str
+        Why its last move stopped short (`worldsim.motion`); empty if it did not.
+    home : (x, y)
+        The cell in which it started, its depot.
+    peers : tuple of int
+        Teammates in radio range, ascending.
+    poses : dict of robot to Pose
+        The last pose heard of each teammate that tells it, by ascending number.
+    travelled : dict of robot to float
+        Way in cells between all poses heard of it; its own exactly.
     targets : dict of robot to (x, y)
         The last target heard of each teammate that has one, by ascending number.
     heard : dict of robot to step
         When each of these was heard.
-    seed : int
-        The run's seed; draw by `protocol.chance` with the robot's number.
+    news : dict of robot to (x, y)
+        Those heard since the last decision.
     """
 
-    robot: int
     step: int
     grid: Grid
     x: int
     y: int
-    range_cells: float
-    targets: dict[int, tuple[int, int]]
-    heard: dict[int, int]
-    seed: int
+    offset: Cell = (0, 0)
+    heading: int = 0
+    blocked: str = ""
+    home: Cell = (0, 0)
+    peers: tuple[int, ...] = ()
+    poses: Mapping[int, Pose] = field(default_factory=dict)
+    travelled: Mapping[int, float] = field(default_factory=dict)
+    targets: Mapping[int, Cell] = field(default_factory=dict)
+    heard: Mapping[int, int] = field(default_factory=dict)
+    news: Mapping[int, Cell] = field(default_factory=dict)
+
+    @property
+    def here(self) -> Cell:
+        """The robot's cell."""
+        return self.x, self.y
 
 
-Options = TypeVar("Options")
+@dataclass(frozen=True)
+class Decision:
+    """What a robot does until the next step.
+
+    Attributes
+    ----------
+    target : (x, y), optional
+        The cell that it is headed for.
+    path : int32 array, shape (n, 2)
+        Cells to drive over.
+    points : int32 array, shape (n, 2)
+        Way points instead of cells, in thousandths of a cell.
+    heading : int
+        The heading to take if it stays.
+    explored : bool
+        It has nothing left to do.
+    stalled : bool
+        It sees no way on, though there is something left to do.
+    look : bool
+        Whether its scanner works on the way.
+    publish : bool
+        Whether teammates may have all that it has seen by now.
+    leads : bool
+        Whether it leads.
+    status : str
+        What it is at, for people.
+    """
+
+    target: Cell | None = None
+    path: NDArray[np.int32] = field(default_factory=lambda: NO_CELLS)
+    points: NDArray[np.int32] = field(default_factory=lambda: NO_CELLS)
+    heading: int = 0
+    explored: bool = False
+    stalled: bool = False
+    look: bool = True
+    publish: bool = True
+    leads: bool = False
+    status: str = ""
 
 
-def read_options(kind: type[Options], options: dict[str, Any], owner: str) -> Options:
-    """Make a dataclass of options; ValueError names what is unknown or of the wrong type."""
-    known = {field.name: field for field in fields(kind)}  # type: ignore[arg-type]
-    for name, value in options.items():
-        if name not in known:
-            there_are = ", ".join(known) or "none"
-            raise ValueError(f"{owner} has no option {name!r}; there are: {there_are}")
-        wanted = type(known[name].default)
-        if type(value) is not wanted and not (wanted is float and type(value) is int):
-            raise ValueError(f"option {name} of {owner} must be {wanted.__name__}, not {value!r}")
-    return kind(**options)
+@dataclass(frozen=True)
+class NoOptions:
+    """For strategies without options."""
 
 
 class Strategy(ABC):
-    """An exploration strategy: a subclass with a name is found by `agent.strategies.strategy`."""
+    """An exploration strategy: a subclass with a name is found by `agent.strategies.strategy`.
+
+    Parameters
+    ----------
+    options : mapping
+        By name, as a scenario gives them.
+    settings : Settings
+        The robot's task.
+
+    Raises
+    ------
+    ValueError
+        As `check`.
+    """
 
     name: ClassVar[str]
     summary: ClassVar[str]
     """One line for people who choose among strategies."""
     source: ClassVar[str]
     """The paper and section that it builds."""
+    options_type: ClassVar[type] = NoOptions
+    """The dataclass of its options (`agent.strategies.options`)."""
+    refused: ClassVar[Mapping[str, str]] = {}
+    """Options of other strategies that make no sense here, and why."""
+    tells_target: ClassVar[bool] = True
+    """Whether its robots tell each other their targets."""
+    tells_pose: ClassVar[bool] = False
+    """Whether its robots tell each other where they are."""
 
-    def __init__(self, options: dict[str, Any]) -> None:
-        """Take options by name; ValueError names one that the strategy does not know."""
+    def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
+        self.options: Any = self.check(options)
+        self.settings = settings
+
+    @classmethod
+    def check(cls, options: Mapping[str, Any]) -> Any:
+        """Read the options; ValueError says which is unknown, wrong, or does not go with another, and why."""
+        return read_options(cls.options_type, options, cls.name, cls.refused)
+
+    @classmethod
+    def returns(cls, options: Mapping[str, Any]) -> bool:
+        """Whether the run ends when all robots are home, not when the first has nothing left to do."""
+        del options
+        return False
 
     @abstractmethod
-    def choose(self, situation: Situation, field: Field) -> tuple[int, int] | None:
-        """Choose the next target among the reachable frontier cells; None if there is none left.
-
-        `field` holds the cost of every cell from the robot's own (`agent.planning.cost.costs`).
-        """
-
-    def reconsiders(
-        self, situation: Situation, target: tuple[int, int], news: dict[int, tuple[int, int]]
-    ) -> bool:
-        """Whether targets just heard (`news`, by robot) make the robot give up its own and choose again."""
-        del situation, target, news
-        return False
+    def decide(self, situation: Situation) -> Decision:
+        """Decide what to do until the next step; called once a step."""

@@ -10,63 +10,75 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from agent.planning.cost import Field
-from agent.planning.frontier import frontier_cells
 from agent.planning.utility import in_sight, utilities
-from agent.strategies.base import Situation, Strategy, read_options
+from agent.planning.ways import Ways
+from agent.strategies.base import Cell, Situation
+from agent.strategies.options import option
+from agent.strategies.targets import Parts, TargetStrategy
+
+BREADTH_FIRST_IS_ONE = "breadth-first search ends at one cell, so there is nothing left to weigh"
 
 
 @dataclass(frozen=True)
-class Options:
-    """Options of the strategy.
+class Options(Parts):
+    """Options of the strategy."""
 
-    Attributes
-    ----------
-    beta : float
-        Weight of cost against utility.
-    herding : bool
-        Whether a robot chooses again when it hears that a lower-numbered one is headed for the same place.
-    """
-
-    beta: float = 1.0
-    herding: bool = True
+    beta: float = option(1.0, "weight of cost against utility")
+    half_life: float = option(0.0, "steps after which a target heard of counts half; 0: it never ages")
+    herding: bool = option(True, "choose again when a lower-numbered robot is headed for the same place")
 
 
-class Meier(Strategy):
+class Meier(TargetStrategy):
     """Utility against cost, each robot for itself."""
 
     name = "meier"
     summary = "each robot takes the frontier of best utility minus cost, and tells the others its target"
     source = "Meier 2005, sections 4.4 and 4.5"
+    options_type = Options
 
-    def __init__(self, options: dict[str, Any]) -> None:
-        super().__init__(options)
-        self._options = read_options(Options, options, self.name)
+    @classmethod
+    def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
+        """All that clash, and a single candidate."""
+        found = super().clashes(parts)
+        if parts.candidates == "breadth-first":
+            found.append((("candidates",), BREADTH_FIRST_IS_ONE))
+        return found
 
-    def choose(self, situation: Situation, field: Field) -> tuple[int, int] | None:
+    def is_due(self, situation: Situation) -> bool:
+        """As the parts say, and once for each target heard that the rule against herding speaks of."""
+        return super().is_due(situation) or self._herds(situation)
+
+    def choose(self, situation: Situation, goals: NDArray[np.int32], ways: Ways) -> Cell | None:
         """Take the largest trade-off; of equals the first cell, row by row."""
-        cells = frontier_cells(situation.grid, field)
-        if not len(cells):
-            return None
+        range_cells = self.settings.range_cells
         worth = utilities(
-            situation.grid, cells, list(situation.targets.values()), situation.range_cells
+            situation.grid, goals, list(situation.targets.values()), range_cells, self._weights(situation)
         )
-        cost = field[cells[:, 1], cells[:, 0]] / situation.range_cells
-        best = int(np.argmax(worth - self._options.beta * cost))
-        return int(cells[best, 0]), int(cells[best, 1])
+        cost = ways.costs(*situation.here)[goals[:, 1], goals[:, 0]] / range_cells
+        best = int(np.argmax(worth - self.options.beta * cost))
+        return int(goals[best, 0]), int(goals[best, 1])
 
-    def reconsiders(
-        self, situation: Situation, target: tuple[int, int], news: dict[int, tuple[int, int]]
-    ) -> bool:
+    def _weights(self, situation: Situation) -> list[float] | None:
+        """How much each teammate's target counts: less with age, as section 7.2 wishes."""
+        if not self.options.half_life:
+            return None
+        ages = (situation.step - situation.heard[peer] for peer in situation.targets)
+        return [float(0.5 ** (age / self.options.half_life)) for age in ages]
+
+    def _herds(self, situation: Situation) -> bool:
         """The rule against herding: robots that choose at once from the same map choose alike.
 
         A target of a lower-numbered teammate within sensor range and in sight of one's own makes one choose
         again, once for each that is heard.
         """
-        return self._options.herding and any(
-            other < situation.robot
-            and (x - target[0]) ** 2 + (y - target[1]) ** 2 < situation.range_cells**2
-            and in_sight(situation.grid, x, y, *target)
-            for other, (x, y) in news.items()
+        if not self.options.herding or self.target is None:
+            return False
+        own_x, own_y = self.target
+        return any(
+            other < self.settings.robot
+            and (x - own_x) ** 2 + (y - own_y) ** 2 < self.settings.range_cells**2
+            and in_sight(situation.grid, x, y, own_x, own_y)
+            for other, (x, y) in situation.news.items()
         )

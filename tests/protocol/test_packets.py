@@ -132,9 +132,9 @@ def test_a_packet_is_as_long_as_table_6_1_says(kind: type[Packet]) -> None:
     assert len(encode([packet])) == SIZES[kind.name] == kind.size
 
 
-def test_the_nine_kinds_are_those_of_table_6_1_and_scans_come_on_top() -> None:
+def test_the_nine_kinds_are_those_of_table_6_1_and_scans_and_poses_come_on_top() -> None:
     assert set(KINDS) == set(SIZES)
-    assert (*KINDS, "scan") == ALL_KINDS
+    assert (*KINDS, "scan", "pose") == ALL_KINDS
 
 
 @pytest.mark.parametrize(("size", "on_air"), [(1, 3), (62, 64), (63, 64)])
@@ -301,7 +301,7 @@ def test_a_short_fragment_of_an_impossible_length_is_refused_at_once(size: int) 
         list(Decoder().feed(bytes([0xF2, size])))
 
 
-@pytest.mark.parametrize("first", [*range(0xF3, 0xF8), *range(0xF9, 0xFC), *range(0xFD, 0x100)])
+@pytest.mark.parametrize("first", [*range(0xF4, 0xF8), *range(0xF9, 0xFC), *range(0xFD, 0x100)])
 def test_a_byte_with_which_no_packet_begins_is_named(first: int) -> None:
     with pytest.raises(ProtocolError, match=rf"packet at byte 3: no packet begins with {first:#04x}"):
         decode(encode([Target(1, 1)]) + bytes([first, 0, 0]))

@@ -1,0 +1,89 @@
+"""Ways on one planning grid: what they cost from a cell, each computed when first asked for."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.planning.cost import Field, costs, nearest_first, way, weighted_costs, weighted_way
+from agent.planning.frontier import frontier_cells
+from agent.planning.occupancy import occupancy_weights
+from protocol.grid import OCCUPIED, Grid, enlarge
+
+COSTS = ("shortest", "weighted")
+"""How ways are counted. ``shortest``: by their length. ``weighted``: by length times the occupancy of a
+smoothed map, so that they keep away from walls (Burgard et al., section II-A)."""
+
+
+class Ways:
+    """The ways that a robot may take.
+
+    Parameters
+    ----------
+    grid : uint8 array, shape (h, w)
+        A planning grid.
+    kind : str
+        One of `COSTS`.
+    radius_cells : float
+        The robot's radius: obstacles are enlarged by it.
+
+    Attributes
+    ----------
+    grid : uint8 array, shape (h, w)
+        As given.
+    floor : uint8 array, shape (h, w)
+        The same with obstacles enlarged: where a robot's centre may be.
+    """
+
+    def __init__(self, grid: Grid, kind: str = "shortest", radius_cells: float = 0.0) -> None:
+        self.grid = grid
+        self.floor = enlarge(grid, radius_cells)
+        self._kind = kind
+        self._weights = occupancy_weights(self.floor, grid) if kind == "weighted" else None
+        self._fields: dict[tuple[int, int], Field] = {}
+        self._near: dict[tuple[int, int], Field] = {}
+
+    def costs(self, x: int, y: int) -> Field:
+        """Cost of the best way from cell (x, y) to every cell; infinite where none leads."""
+        if (x, y) not in self._fields:
+            if self._weights is None:
+                self._fields[x, y] = costs(self.floor, x, y)
+            else:
+                self._fields[x, y] = weighted_costs(self.floor, self._weights, x, y)
+        return self._fields[x, y]
+
+    def way(self, start: tuple[int, int], end: tuple[int, int]) -> NDArray[np.int32] | None:
+        """Cells of a best way, without its start; None if there is none."""
+        field = self._near.get(start)
+        if field is None or not np.isfinite(field[end[1], end[0]]):
+            field = self.costs(*start)
+        if not np.isfinite(field[end[1], end[0]]):
+            return None
+        if self._weights is None:
+            return way(self.floor, field, *end)
+        return weighted_way(self.floor, self._weights, field, *end)
+
+    def frontier(self, x: int, y: int) -> NDArray[np.int32]:
+        """All frontier cells that can be reached from (x, y), row by row, shape (n, 2)."""
+        return frontier_cells(self.grid, self.costs(x, y))
+
+    def first_frontier(
+        self, x: int, y: int, taken: NDArray[np.int32], range_cells: float
+    ) -> tuple[int, int] | None:
+        """The frontier cell nearest to (x, y) that is not within `range_cells` of a `taken` cell.
+
+        Where all are, the nearest of all; None where there is no frontier. Cells are looked at in the order
+        of their distance, and those behind the one that is found are not looked at.
+        """
+        field, cell = nearest_first(self.floor, self.grid, x, y, taken, range_cells)
+        self._near[x, y] = field
+        return cell
+
+    def without(self, x: int, y: int) -> Ways:
+        """The same ways with cell (x, y) barred."""
+        grid = self.grid.copy()
+        grid[y, x] = OCCUPIED
+        barred = Ways(grid, self._kind)
+        barred.floor = self.floor.copy()
+        barred.floor[y, x] = OCCUPIED
+        return barred

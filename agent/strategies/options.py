@@ -1,0 +1,67 @@
+"""Options of strategies: dataclasses with a line of help a field, read from a scenario and checked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any, TypeVar
+
+Options = TypeVar("Options")
+
+
+def option(default: Any, help_line: str, choices: Iterable[str] = ()) -> Any:
+    """Declare a field of an options dataclass: its default, a line for people, and what a text may be."""
+    return field(default=default, metadata={"help": help_line, "choices": tuple(choices)})
+
+
+@dataclass(frozen=True)
+class OptionLine:
+    """What people are told of an option."""
+
+    name: str
+    default: Any
+    help: str
+    choices: tuple[str, ...]
+
+
+def option_lines(kind: type) -> list[OptionLine]:
+    """All options that a dataclass declares, in its order."""
+    return [
+        OptionLine(item.name, item.default, item.metadata["help"], item.metadata["choices"])
+        for item in fields(kind)
+    ]
+
+
+def read_options(
+    kind: type[Options], options: Mapping[str, Any], owner: str, refused: Mapping[str, str] | None = None
+) -> Options:
+    """Make a dataclass of options given by name.
+
+    Parameters
+    ----------
+    kind : type
+        A dataclass whose fields are made by `option`.
+    owner : str
+        Whose options they are, for messages.
+    refused : mapping of name to reason, optional
+        Options that others have and this owner cannot have, and why.
+
+    Raises
+    ------
+    ValueError
+        An option is unknown, refused, of the wrong type or none of its choices.
+    """
+    known = {line.name: line for line in option_lines(kind)}
+    for name, value in options.items():
+        if refused and name in refused:
+            raise ValueError(f"{owner} takes no option {name!r}: {refused[name]}")
+        if name not in known:
+            there_are = ", ".join(known) or "none"
+            raise ValueError(f"{owner} has no option {name!r}; there are: {there_are}")
+        wanted = type(known[name].default)
+        if type(value) is not wanted and not (wanted is float and type(value) is int):
+            raise ValueError(f"option {name} of {owner} must be {wanted.__name__}, not {value!r}")
+        choices = known[name].choices
+        if choices and value not in choices:
+            raise ValueError(f"option {name} of {owner} is one of {', '.join(choices)}; not {value!r}")
+    return kind(**options)

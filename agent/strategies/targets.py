@@ -1,0 +1,221 @@
+"""Strategies that choose a target, drive to it, and choose again: all but the potential field.
+
+Such a strategy is made of parts that vary independently, as the papers vary them. It names its own and
+writes down how it picks one of the goals; every part can be exchanged by an option.
+
+    candidates  which cells are worth going to (`agent.planning.candidates`)
+    costs       how ways are counted (`agent.planning.ways`)
+    replan      when a new target is chosen
+    mission     what comes after the last one
+    scan        when the scanner works
+    share       when teammates get what has been seen
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.planning.candidates import CANDIDATES, goal_candidates
+from agent.planning.frontier import is_frontier
+from agent.planning.route import Route
+from agent.planning.ways import COSTS, Ways
+from agent.settings import Settings
+from agent.strategies.base import Cell, Decision, Situation, Strategy
+from agent.strategies.options import option
+from protocol.grid import UNKNOWN
+
+REPLANNING = ("at-goal", "at-once", "after-turn")
+"""When a robot chooses again. ``at-goal``: at its target. ``at-once``: as soon as its target is no frontier
+any more, whoever has opened it. ``after-turn``: at its target, after the scanner's full turn. Robots that
+assign targets together choose again when this is so for any of them."""
+
+MISSIONS = ("open", "return")
+"""What comes when nothing is left. ``open``: the run ends. ``return``: all drive home, then it ends."""
+
+SCANNING = ("always", "at-target")
+"""When the scanner works. ``at-target``: not on the way."""
+
+SHARING = ("always", "at-target")
+"""When teammates may have what was seen. ``at-target``: when a target has been reached or is replaced."""
+
+WAIT_FOR_TEAMMATE = 2
+"""Steps for which a robot waits when a teammate stands in its way, before it looks for another."""
+
+_FACES = ((1, 0, 0), (0, 1, 2), (-1, 0, 4), (0, -1, 6))
+"""The four neighbours (dx, dy) and the heading that looks at each."""
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The parts of a strategy, as options."""
+
+    candidates: str = option("cells", "which cells are worth going to", CANDIDATES)
+    costs: str = option("shortest", "how ways are counted", COSTS)
+    replan: str = option("at-once", "when a new target is chosen", REPLANNING)
+    mission: str = option("open", "what comes after the last target", MISSIONS)
+    scan: str = option("always", "when the scanner works", SCANNING)
+    share: str = option("always", "when teammates get what was seen", SHARING)
+
+
+class TargetStrategy(Strategy):
+    """A strategy made of parts; a subclass says in `choose` which goal it takes."""
+
+    options_type: ClassVar[type] = Parts
+
+    def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
+        super().__init__(options, settings)
+        self.target: Cell | None = None
+        self._route = Route()
+        self._goal: Cell | None = None
+        self._blocked_steps = 0
+        self._turned = 0
+        self._at: Cell | None = None
+        self._looked = True
+
+    @classmethod
+    def check(cls, options: Mapping[str, Any]) -> Any:
+        """Read the options; ValueError says which is wrong, or which two do not go together, and why."""
+        chosen = super().check(options)
+        for names, reason in cls.clashes(chosen):
+            said = ", ".join(f"{name} = {getattr(chosen, name)}" for name in names)
+            raise ValueError(f"{cls.name} cannot have {said}: {reason}")
+        return chosen
+
+    @classmethod
+    def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
+        """Options that do not go together, as (names, reason)."""
+        found: list[tuple[tuple[str, ...], str]] = []
+        if parts.scan == "at-target" and parts.replan != "after-turn":
+            reason = "a robot that looks only at its target must stay for a turn before it chooses again"
+            found.append((("scan", "replan"), reason))
+        if parts.candidates == "breadth-first" and parts.costs != "shortest":
+            reason = "breadth-first search meets cells in the order of their distance, not of weighted costs"
+            found.append((("candidates", "costs"), reason))
+        return found
+
+    @classmethod
+    def returns(cls, options: Mapping[str, Any]) -> bool:
+        """Whether all robots must come home."""
+        return bool(cls.check(options).mission == "return")
+
+    @abstractmethod
+    def choose(self, situation: Situation, goals: NDArray[np.int32], ways: Ways) -> Cell | None:
+        """Choose one of `goals`, at least one cell (x, y), shape (n, 2); None leaves them to others."""
+
+    def is_due(self, situation: Situation) -> bool:
+        """Whether it is time to choose; at all times while there is no target."""
+        if self.options.replan == "after-turn":
+            return self.target in (None, situation.here) and self._turned >= self.settings.turn_steps
+        return self.target is None or self.is_spent(situation, self.target, situation.here)
+
+    def is_spent(self, situation: Situation, target: Cell, at: Cell) -> bool:
+        """Whether a robot which is `at` some cell is done with its target."""
+        if self.options.replan == "at-once":
+            return not is_frontier(situation.grid, *target)
+        return target == at
+
+    def team_size(self, situation: Situation) -> int:
+        """How many robots choose together."""
+        del situation
+        return 1
+
+    def decide(self, situation: Situation) -> Decision:
+        """Choose a target if it is time, mend the way if it is barred, and drive on."""
+        here = situation.here
+        self._count_turn(here)
+        self._route.drive_to(*here)
+        self._blocked_steps = self._blocked_steps + 1 if situation.blocked == "robot" else 0
+        ways = Ways(situation.grid, self.options.costs, self.settings.radius_cells)
+        before, left = self.target, True
+        if self.is_due(situation):
+            left = self._renew(situation, ways)
+        elif not self._route.is_open(ways.floor) or self._is_stranded(here):
+            left = self._drive(situation, ways, self.target) or self._renew(situation, ways)
+        if self._blocked_steps >= WAIT_FOR_TEAMMATE:
+            left = self._step_aside(situation, ways) and left
+        at_rest = not len(self._route.cells)
+        self._looked = self.options.scan == "always" or at_rest
+        return Decision(
+            target=self.target,
+            path=self._route.next_cells(int(self.settings.speed_cells) + 2),
+            heading=self._face_the_unknown(situation) if self.target == here else situation.heading,
+            explored=not left and (self.options.mission == "open" or here == situation.home),
+            look=self._looked,
+            publish=self.options.share == "always" or self.target is None or self.target != before,
+            status=self._status(here, left),
+        )
+
+    def goals(self, situation: Situation, ways: Ways) -> NDArray[np.int32]:
+        """The cells that are worth going to, shape (n, 2)."""
+        return goal_candidates(
+            self.options.candidates,
+            ways,
+            situation.here,
+            self.settings.range_cells,
+            self.team_size(situation),
+            list(situation.targets.values()),
+        )
+
+    def _count_turn(self, here: Cell) -> None:
+        """Count the sectors that the scanner has seen from this cell."""
+        self._turned = (self._turned if here == self._at else 0) + self._looked
+        self._at = here
+
+    def _renew(self, situation: Situation, ways: Ways) -> bool:
+        """Choose a target; whether there was any goal."""
+        goals = self.goals(situation, ways)
+        self.target = self.choose(situation, goals, ways) if len(goals) else None
+        goal = situation.home if self.target is None and self.options.mission == "return" else self.target
+        self._drive(situation, ways, goal)
+        return len(goals) > 0
+
+    def _drive(self, situation: Situation, ways: Ways, goal: Cell | None) -> bool:
+        """Take a way to a cell, or stay where that is none; whether there is one."""
+        self._goal = goal
+        if goal is None:
+            self._route.clear()
+            return False
+        return self._route.lead(ways, situation.here, goal)
+
+    def _is_stranded(self, here: Cell) -> bool:
+        """Whether a detour has led the robot elsewhere."""
+        return self.target is not None and self.target != here and not len(self._route.cells)
+
+    def _step_aside(self, situation: Situation, ways: Ways) -> bool:
+        """Get out of a teammate's way: drive around it, or to a random place near by until it is gone.
+
+        A target on which a teammate stands is given up. Returns whether there is a goal left.
+        """
+        left = True
+        if self.target is not None and len(self._route.cells) == 1:
+            left = self._renew(situation, ways)
+        if self._goal is not None:
+            key = (self.settings.seed, self.settings.robot, situation.step)
+            self._route.detour(ways, situation.here, self._goal, self.settings.range_cells, key)
+        return left
+
+    def _face_the_unknown(self, situation: Situation) -> int:
+        """Heading that looks at the target's unknown neighbour, for a laser that does not look everywhere."""
+        height, width = situation.grid.shape
+        for dx, dy, heading in _FACES:
+            x, y = situation.x + dx, situation.y + dy
+            if 0 <= x < width and 0 <= y < height and situation.grid[y, x] == UNKNOWN:
+                return heading
+        return situation.heading
+
+    def _status(self, here: Cell, left: bool) -> str:
+        if self._blocked_steps:
+            return "waits: a teammate stands in the way"
+        if self.target is None and len(self._route.cells):
+            return "drives home"
+        if not left:
+            return "idle: no reachable frontier is left on its planning grid"
+        if self.target is None:
+            return "waits: its teammates have taken all goals"
+        return "looks around at its target" if self.target == here else "drives to its target"
