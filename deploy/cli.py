@@ -131,6 +131,45 @@ def replay(
         raise typer.Exit(0 if same else 1)
 
 
+@app.command("capture")
+def show_capture(
+    directory: Annotated[
+        Path | None, typer.Argument(metavar="DIR", help="a run directory, or its radio.pcapng")
+    ] = None,
+    robot: Annotated[int | None, typer.Option(min=0, help="only what this robot said or heard")] = None,
+    kind: Annotated[str | None, typer.Option(help="only frames with packets of this kind, as em")] = None,
+    step: Annotated[str | None, typer.Option(metavar="S|S-T", help="only these steps")] = None,
+    refused: Annotated[bool, typer.Option("--refused", help="only what was not carried")] = False,
+    packets: Annotated[bool, typer.Option("--packets", help="every packet by name and field")] = False,
+    install_dissector: Annotated[
+        bool, typer.Option("--install-dissector", help="teach Wireshark and tshark to read radio.pcapng")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="print JSON: all frames with their packets")] = False,
+) -> None:
+    """Show what was said on the radio of a run, frame by frame, and why what was refused was.
+
+    The same opens in Wireshark: murmur capture --install-dissector, then wireshark DIR/radio.pcapng
+    """
+    from deploy import capture, wireshark  # noqa: PLC0415
+
+    with _speaking_clearly():
+        if install_dissector:
+            screen.print(f"installed: {wireshark.install()}", markup=False)
+        elif directory is None:
+            raise ValueError("name a run directory, or use --install-dissector")
+        if directory is None:
+            return
+        wanted = capture.Filter(
+            robot,
+            capture.check_kind(kind) if kind is not None else None,
+            capture.parse_steps(step) if step is not None else None,
+            refused,
+        )
+        table = capture.lines(directory, wanted, every_packet=packets)
+        for line in capture.json_lines(directory, wanted) if as_json else table:
+            print(line)
+
+
 @app.command()
 def strategies(as_json: JsonFlag = False) -> None:
     """List the exploration strategies: what each does, from which paper, with which options."""
@@ -325,7 +364,7 @@ class _speaking_clearly:  # noqa: N801  reads as the statement that it is
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
         if isinstance(error, ScenarioError | ValueError):
             _fail(str(error), BAD_INPUT)
-        if isinstance(error, ConnectionError):
+        if isinstance(error, ConnectionError) and not isinstance(error, BrokenPipeError):
             _fail(str(error), 3)
 
 

@@ -3,7 +3,7 @@
 A packet is a head of 24 bytes, big-endian, and behind it the frame's bytes as they were said, nothing else:
 
     version   u8   1
-    frame     u8   offer, answer, data, target (`FRAMES`)
+    frame     u8   offer, answer, data, broadcast (`FRAMES`)
     verdict   u8   carried, budget, range, protocol, lost (`VERDICTS`)
     exchange  u8
     sender    i8
@@ -43,7 +43,7 @@ KEPT = 64
 PART = 200_000
 """Bytes of a frame in one packet at most: Wireshark takes no packet of more than 256 KiB."""
 
-FRAMES = ("offer", "answer", "data", "target")
+FRAMES = ("offer", "answer", "data", "broadcast")
 
 VERDICTS = ("carried", *CAUSES[1:])
 
