@@ -22,7 +22,7 @@ UNLIMITED = -1
 
 Row = tuple[int, int, int, int, int, int, int, int, int, int, int, int, int]
 
-_tally = lru_cache(maxsize=4096)(packets.tally)
+_tally = lru_cache(maxsize=256)(packets.tally)
 
 
 @dataclass
@@ -36,6 +36,8 @@ class Connection:
     frames: list[bytes | None] = field(default_factory=lambda: [None, None, None])
     carried: list[int] = field(default_factory=lambda: [0, 0, 0])
     """Bytes of each frame that went on the air."""
+    lost: int | None = None
+    """The frame whose receiver was dead when it came."""
 
 
 class Medium:
@@ -64,18 +66,23 @@ class Medium:
         return size > 0
 
     def connect(self, exchange: int, connection: Connection) -> None:
-        """Put the frames of a connection on the air until one of them is cut."""
+        """Put the frames of a connection on the air until one of them is cut or lost."""
         for frame, payload in enumerate(connection.frames):
             if payload is None:
+                break
+            sender, receiver = connection.sender, connection.receiver
+            if frame == ANSWER:
+                sender, receiver = receiver, sender
+            if frame == connection.lost:
+                self._write(
+                    exchange, connection.number, frame, sender, receiver, connection.map, payload, "lost", []
+                )
                 break
             cut_before = any(
                 connection.carried[before] < len(connection.frames[before] or b"") for before in range(frame)
             )
             size = 0 if cut_before else self._admit(payload, whole=frame != DATA)
             connection.carried[frame] = size
-            sender, receiver = connection.sender, connection.receiver
-            if frame == ANSWER:
-                sender, receiver = receiver, sender
             self._book(
                 exchange, connection.number, frame, sender, receiver, connection.map, payload, size,
                 [receiver],

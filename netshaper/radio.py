@@ -222,7 +222,7 @@ class Radio:
         return out
 
     def _read_offer(self, sender: int, receiver: int, payload: bytes) -> Connection | None:
-        if receiver not in self._reach.get(sender, ()) or receiver in self._dead:
+        if receiver not in self._reach.get(sender, ()):
             self._refuse(sender, receiver, OFFER, payload, "range", "")
             return None
         try:
@@ -232,7 +232,9 @@ class Radio:
             return None
         offer = said[0] if len(said) == 1 else None
         if not isinstance(offer, packets.Offer) or offer.map >= self.settings.robots:
-            self._refuse(sender, receiver, OFFER, payload, "protocol", "an offer frame is one offer of a known map")
+            self._refuse(
+                sender, receiver, OFFER, payload, "protocol", "an offer frame is one offer of a known map"
+            )
             return None
         return Connection(-1, sender, receiver, offer.map, [payload, None, None])
 
@@ -248,6 +250,7 @@ class Radio:
             if frame == ANSWER:
                 sender, receiver = receiver, sender
             if receiver in self._dead:
+                connection.lost = frame
                 continue
             out.append(Frame(receiver, sender, payload))
             heard.setdefault(receiver, []).append(connection)
@@ -266,10 +269,12 @@ class Radio:
         out: list[Outgoing] = []
         heard: dict[int, list[int]] = {}
         for connection in self._connections:
+            payload = connection.frames[DATA]
+            if payload is not None and connection.receiver in self._dead:
+                connection.lost = DATA
             self._medium.connect(self._exchange, connection)
             size = connection.carried[DATA]
-            payload = connection.frames[DATA]
-            if payload is not None and size and connection.receiver not in self._dead:
+            if payload is not None and size:
                 out.append(Frame(connection.receiver, connection.sender, payload[:size]))
                 heard.setdefault(connection.receiver, []).append(connection.number)
         concerned = {robot for c in self._connections for robot in (c.sender, c.receiver)}
@@ -282,7 +287,9 @@ class Radio:
                         self._step,
                         self._exchange,
                         [c.number for c in mine],
-                        *([c.carried[frame] for c in mine] for frame in (OFFER, ANSWER, DATA)),
+                        [c.carried[OFFER] for c in mine],
+                        [c.carried[ANSWER] for c in mine],
+                        [c.carried[DATA] for c in mine],
                         heard.get(robot, []),
                         self._target_carried.get(robot, False),
                     ),
@@ -304,14 +311,19 @@ class Radio:
         return out
 
     def _collect(self, frame: int, valid: Callable[[bytes], str]) -> None:
-        """Match the frames that were said to their connections; refuse those that do not belong."""
+        """Match the frames that were said to their connections; refuse those that do not belong.
+
+        What a robot said that died before it could name its connections is lost.
+        """
         by_number = {connection.number: connection for connection in self._connections}
         for sender, spoken in sorted(self._spoken.items()):
             numbers = spoken.said.connections if spoken.said else []
             for index, (receiver, payload) in enumerate(spoken.frames):
                 connection = by_number.get(numbers[index]) if index < len(numbers) else None
                 ends = (sender, receiver) if frame == DATA else (receiver, sender)
-                if (
+                if spoken.said is None:
+                    self._refuse(sender, receiver, frame, payload, "lost", "")
+                elif (
                     connection is None
                     or (connection.sender, connection.receiver) != ends
                     or connection.frames[frame] is not None

@@ -189,6 +189,9 @@ _TYPES: tuple[type[Packet], ...] = (
     Insert, Replace, Delete, Emerge, Change, Remove, Offer, Answer, Block, Decline, Target, Save, Pose,
 )  # fmt: skip
 
+HANDSHAKE_SIZE = 2 * Answer.size
+"""Bytes of the longest frame of a handshake: a block and an answer."""
+
 KINDS = ("ins", "rep", "del", "em", "chg", "rm", "conn", "targ", "save")
 """The nine kinds of Table 6.1."""
 
@@ -318,15 +321,21 @@ def decode(buffer: bytes) -> list[AnyPacket]:
     return packets
 
 
-@lru_cache(maxsize=1 << 14)
 def handshake(frame: bytes) -> tuple[AnyPacket, ...]:
-    """Read a short frame of whole packets, of which the same few come again and again.
+    """Read a frame of `conn` packets, of which the same few come again and again.
 
     Raises
     ------
     ProtocolError
-        As `decode`.
+        As `decode`, or the frame is longer than any handshake.
     """
+    if len(frame) > HANDSHAKE_SIZE:
+        raise ProtocolError(Offer.name, 0, f"{len(frame)} bytes instead of {HANDSHAKE_SIZE} at most")
+    return _read_handshake(frame)
+
+
+@lru_cache(maxsize=1 << 14)
+def _read_handshake(frame: bytes) -> tuple[AnyPacket, ...]:
     return tuple(decode(frame))
 
 
