@@ -29,6 +29,7 @@ from protocol.packets import (
     Insert,
     Offer,
     Packet,
+    Pose,
     Remove,
     Replace,
     Save,
@@ -36,6 +37,7 @@ from protocol.packets import (
     decode,
     encode,
     fitting,
+    handshake,
     length,
     split,
     tally,
@@ -60,6 +62,7 @@ LIMITS: dict[type[Packet], dict[str, tuple[int, int]]] = {
     Block: {"block": (0, 63)},
     Decline: {},
     Target: {"x": (0, 2047), "y": (0, 2047)},
+    Pose: {"x": (0, 2047), "y": (0, 2047), "leads": (0, 1)},
     Save: {},
 }
 """First and last value of each field of each packet."""
@@ -76,6 +79,7 @@ EXAMPLES: list[AnyPacket] = [
     Block(33),
     Decline(),
     Target(2047, 1000),
+    Pose(1000, 2047, 1),
     Save(),
     Fragment(b"murmur"),
     Fragment(bytes(range(63))),
@@ -118,6 +122,8 @@ def by_the_book(packet: AnyPacket) -> str:
             said = "1111110000000000"
         case Target():
             said = f"00{packet.x:011b}{packet.y:011b}"
+        case Pose():
+            said = f"11110011{packet.x:011b}{packet.y:011b}{packet.leads:b}0"
         case Save():
             said = "11110000"
         case Fragment():
@@ -129,7 +135,7 @@ def by_the_book(packet: AnyPacket) -> str:
 @pytest.mark.parametrize("kind", LIMITS, ids=lambda kind: kind.__name__)
 def test_a_packet_is_as_long_as_table_6_1_says(kind: type[Packet]) -> None:
     packet = kind(*(low for low, _ in LIMITS[kind].values()))
-    assert len(encode([packet])) == SIZES[kind.name] == kind.size
+    assert len(encode([packet])) == (SIZES | {"pose": 4})[kind.name] == kind.size
 
 
 def test_the_nine_kinds_are_those_of_table_6_1_and_scans_and_poses_come_on_top() -> None:
@@ -370,3 +376,12 @@ def test_the_module_says_how_large_a_grid_and_a_team_may_be() -> None:
     assert packets.MAX_OBJECTS >= 4096
     assert LIMITS[Target]["x"][1] + 1 >= 2048
     assert LIMITS[Offer]["map"][1] + 1 >= 64
+
+
+def test_a_handshake_is_read_as_any_packets_are_but_never_longer_than_one() -> None:
+    for said in ([Answer(7)], [Block(3), Answer(4095)], [Decline()], [Offer(1, 2)]):
+        assert list(handshake(encode(said))) == said
+    with pytest.raises(ProtocolError, match="conn at byte 0: 6 bytes instead of 4"):
+        handshake(encode([Block(1), Block(2), Answer(3)]))
+    with pytest.raises(ProtocolError, match="cut off"):
+        handshake(encode([Answer(7)])[:1])
