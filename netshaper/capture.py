@@ -40,8 +40,11 @@ HEAD = struct.Struct(">BBBBbbbBIiQ")
 KEPT = 64
 """Bytes that are kept of what was not carried."""
 
+CAPTURED_AT_MOST = 262_144
+"""Bytes of a packet that Wireshark takes."""
+
 PART = 200_000
-"""Bytes of a frame in one packet at most: Wireshark takes no packet of more than 256 KiB."""
+"""Bytes of a frame in one packet at most."""
 
 FRAMES = ("offer", "answer", "data", "broadcast")
 

@@ -1,0 +1,208 @@
+"""The dissector: every packet by name and field, the ledger's sums, and nonsense without Lua errors."""
+
+from __future__ import annotations
+
+import dataclasses
+import random
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tshark as tsharks
+from tshark import Tshark
+
+from agent.exchange import EXCHANGES
+from deploy import in_memory, rundir
+from deploy import plan as plans
+from deploy.scenario import parse
+from netshaper import capture, pcapng
+from netshaper.capture import HEAD, KEPT, VERDICTS, Sighting
+from netshaper.ledger import BROADCAST, CAUSES
+from protocol import packets
+from protocol.errors import ProtocolError
+from protocol.packets import ALL_KINDS, Fragment, Packet
+
+GOLDEN = Path(__file__).parents[1] / "protocol" / "golden" / "packets.txt"
+VALUES = ("index", "x", "y", "side", "occupied", "object", "count", "inside", "block", "leads", "data")
+DATA, BUDGET = 2, 1
+
+
+@pytest.fixture(scope="module")
+def tshark(tmp_path_factory: pytest.TempPathFactory) -> Tshark:
+    return tsharks.find(tmp_path_factory.mktemp("home"))
+
+
+def drawn(kind: type[Packet], chance: random.Random) -> bytes:
+    """A packet of one kind: all bits of its fields set, or none, or drawn."""
+    if kind is Fragment:
+        return packets.encode([Fragment(chance.randbytes(chance.randint(1, packets.FRAGMENT_DATA)))])
+    width = sum(kind.bits)
+    fields = chance.choice((0, (1 << width) - 1, chance.getrandbits(width))) if width else 0
+    spare = 8 * kind.size - kind.code_bits - width
+    return ((kind.code << width | fields) << spare).to_bytes(kind.size, "big")
+
+
+def sighting(payload: bytes, verdict: int = 0) -> Sighting:
+    return Sighting(1, 7, DATA, 3, 5, 2, verdict, 0b100000, payload)
+
+
+def write(file: Path, payloads: list[bytes]) -> Path:
+    file.write_bytes(capture.head("a test") + capture.encode(9, [sighting(payload) for payload in payloads]))
+    return file
+
+
+def test_every_packet_is_shown_by_name_and_field(tshark: Tshark, tmp_path: Path) -> None:
+    chance = random.Random(1)
+    golden = [
+        bytes.fromhex(line.split("  ")[0]) for line in GOLDEN.read_text().splitlines() if line[0] != "#"
+    ]
+    payloads = golden + [drawn(kind, chance) for kind in Packet.__subclasses__() for _ in range(30)]
+    names = [
+        "murmur.packet",
+        "murmur.kind",
+        "murmur.size",
+        "murmur.map",
+        *(f"murmur.{name}" for name in VALUES),
+    ]
+    rows = tshark.fields(write(tmp_path / "all.pcapng", payloads), names)
+    for payload, (layout, kind, size, about, *values) in zip(payloads, rows, strict=True):
+        (packet,) = packets.decode(payload)
+        assert layout == [type(packet).__name__]
+        assert kind == [packet.name]
+        assert size == [str(len(payload))]
+        wanted: dict[str, Any] = dataclasses.asdict(packet)
+        assert about == ["2", str(wanted.pop("map"))] if "map" in wanted else ["2"]
+        found = {name: value[0] for name, value in zip(VALUES, values, strict=True) if value}
+        assert found == {name: v.hex() if isinstance(v, bytes) else str(v) for name, v in wanted.items()}
+
+
+def test_the_head_is_shown_field_by_field(tshark: Tshark, tmp_path: Path) -> None:
+    file = tmp_path / "head.pcapng"
+    said = [
+        Sighting(1, 70000, DATA, 63, 0, 62, 0, 1 << 63 | 1, b"\xf0"),
+        Sighting(0, -1, 3, 4, BROADCAST, -1, 0, 0b101, b"\x00\x00\x00"),
+        Sighting(0, -1, 0, 4, -99, -1, 2, 0, b"\xc0\x00"),
+    ]
+    file.write_bytes(capture.head("a test") + capture.encode(86401, said))
+    names = (
+        "step",
+        "exchange",
+        "connection",
+        "frame",
+        "sender",
+        "receiver",
+        "map",
+        "part",
+        "verdict",
+        "hearer",
+        "bytes",
+    )
+    rows = tshark.fields(file, ["frame.time_epoch", "frame.comment", *(f"murmur.{name}" for name in names)])
+    assert [[",".join(cell) for cell in row] for row in rows] == [
+        ["86401.000000000", "delivered", "86401", "1", "70000", "2", "63", "0", "62", "0", "0", "0,63", "1"],
+        [
+            "86401.000001000",
+            "delivered to r0, r2",
+            "86401",
+            "0",
+            "-1",
+            "3",
+            "4",
+            "-1",
+            "-1",
+            "0",
+            "0",
+            "0,2",
+            "3",
+        ],
+        ["86401.000002000", "out of range", "86401", "0", "-1", "0", "4", "-99", "-1,0", "0", "2", "", "2"],
+    ]
+    columns = tshark.run("-r", file).splitlines()
+    for words in ("r63", "r0", "MURMUR", "data of map 62: 1 save (1 bytes), carried"):
+        assert words in columns[0]
+    assert "r4 " in columns[1]
+    assert " all " in columns[1]
+    assert " nobody " in columns[2]
+
+
+def test_cut_and_hostile_frames_are_told_apart_as_our_own_decoder_does(
+    tshark: Tshark, tmp_path: Path
+) -> None:
+    chance = random.Random(2)
+    whole = [drawn(kind, chance) for kind in Packet.__subclasses__() for _ in range(2)]
+    payloads = [packet[:end] for packet in whole for end in range(len(packet))]
+    payloads += [bytes([first]) for first in range(256)] + [bytes([first, 0]) for first in range(256)]
+    payloads += [chance.randbytes(chance.randint(1, 80)) for _ in range(600)]
+    payloads += [chance.choice(whole) + chance.choice(whole) + chance.randbytes(9) for _ in range(300)]
+    rows = tshark.fields(
+        write(tmp_path / "bad.pcapng", payloads), ["murmur.kind", "murmur.broken", "murmur.spare"]
+    )
+    for payload, (kinds, broken, spare) in zip(payloads, rows, strict=True):
+        said = []
+        error = ""
+        try:
+            said = [packet.name for packet in packets.Decoder().feed(payload)]
+            packets.decode(payload)
+        except ProtocolError as caught:
+            error = str(caught)
+        assert bool(broken or spare) == bool(error), (payload.hex(), error)
+        assert kinds[: len(said)] == said, payload.hex()
+
+
+def test_packets_without_a_head_of_ours_make_no_lua_error(tshark: Tshark, tmp_path: Path) -> None:
+    chance = random.Random(3)
+    head = HEAD.pack(capture.VERSION, 2, 0, 0, 0, 1, 0, 0, 1, 0, 2)
+    blocks = [pcapng.packet(n, head[:n], n, "") for n in range(1, HEAD.size)]
+    blocks += [pcapng.packet(n, chance.randbytes(n), n, "") for n in range(24, 60)]
+    blocks += [pcapng.packet(n, b"\x01" + chance.randbytes(n), n + 1, "") for n in range(23, 400)]
+    blocks += [pcapng.packet(n, head + b"\x40" * 9, 24 + 9 + n, "") for n in range(9)]
+    file = tmp_path / "heads.pcapng"
+    file.write_bytes(capture.head("a test") + b"".join(blocks))
+    assert len(tshark.fields(file, ["murmur.broken"])) == len(blocks)
+    shown = tshark.run("-r", file, "-V")
+    assert "lua" not in shown.lower()
+    assert "no head of version 1" in shown
+
+
+def test_bytes_that_were_not_kept_are_no_error(tshark: Tshark, tmp_path: Path) -> None:
+    payload = packets.encode([Fragment(bytes(50))] * 9)
+    file = tmp_path / "unkept.pcapng"
+    file.write_bytes(capture.head("a test") + capture.encode(1, [sighting(payload, BUDGET)]))
+    names = ["murmur.bytes", "murmur.unkept", "murmur.kind", "murmur.broken", "murmur.refused"]
+    ((said, unkept, kinds, broken, refused),) = tshark.fields(file, names)
+    assert (said, unkept) == ([str(len(payload))], [str(len(payload) - KEPT)])
+    assert (kinds, broken) == (["scan"], [])
+    assert refused
+
+
+@pytest.mark.parametrize("exchange", [name for name in EXCHANGES if name != "none"])
+def test_its_sums_are_those_of_the_ledger(tshark: Tshark, tmp_path: Path, exchange: str) -> None:
+    plan = plans.make(
+        parse({"robots": 4, "exchange": exchange, "bandwidth": 700, "range": "40%", "steps": 60})
+    )
+    with rundir.open_capture(tmp_path, plan) as file:
+        ledger = in_memory.run(plan, None, file).ledger()
+    rows = tshark.fields(
+        tmp_path / rundir.CAPTURE,
+        ["murmur.verdict", "murmur.bytes", "murmur.kind", "murmur.size", "murmur.broken"],
+    )
+    sums: Counter[tuple[str, str]] = Counter()
+    for (verdict,), (said,), kinds, sizes, broken in rows:
+        assert not broken
+        if verdict == "0":
+            for kind, size in zip(kinds, sizes, strict=True):
+                sums[kind, "packets"] += 1
+                sums[kind, "bytes"] += int(size)
+        else:
+            sums[VERDICTS[int(verdict)], "bytes"] += int(said)
+    wanted: Counter[tuple[str, str]] = Counter()
+    for row in ledger:
+        if row["carried"]:
+            wanted[ALL_KINDS[row["kind"]], "packets"] += int(row["packets"])
+            wanted[ALL_KINDS[row["kind"]], "bytes"] += int(row["bytes"])
+        else:
+            wanted[CAUSES[row["cause"]], "bytes"] += int(row["bytes"])
+    assert sums == wanted
+    assert wanted["conn", "bytes"] > 0
+    assert wanted["budget", "bytes"] > 0

@@ -1,0 +1,181 @@
+"""The capture: what the ledger books is in the file, byte for byte, and a file that was cut opens."""
+
+from __future__ import annotations
+
+import io
+from collections import Counter
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scripted_robots import Air, Liar, Robot
+
+from netshaper import capture, pcapng
+from netshaper.capture import CAPTURED_AT_MOST, KEPT, PART, VERDICTS, Captured, Sighting
+from netshaper.ledger import BROADCAST
+from netshaper.pcapng import CaptureError, Reader
+from netshaper.radio import LAB, Note, RadioSettings
+from protocol.messages import RadioReport
+from protocol.packets import Delete, Save, encode
+
+small = st.integers(-1, 63)
+sightings = st.builds(
+    Sighting,
+    exchange=st.integers(0, 15),
+    connection=st.integers(-1, 2**31 - 1),
+    frame=st.integers(0, 3),
+    sender=st.integers(0, 63),
+    receiver=small | st.just(-99),
+    map=small,
+    verdict=st.integers(0, len(VERDICTS) - 1),
+    hearers=st.integers(0, 2**64 - 1),
+    payload=st.binary(max_size=200),
+    reason=st.text(max_size=30),
+)
+steps = st.lists(st.tuples(st.integers(0, 2**32 - 1), st.lists(sightings, max_size=5)), max_size=5)
+
+
+class Listening(Air):
+    """The air of a run, and the capture that comes of it."""
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.file = capture.head("a test")
+
+    def _note(self, result: Any, note: Note) -> None:
+        if note.receiver == LAB:
+            assert isinstance(note.message, RadioReport)
+            self.file += note.message.frames
+        super()._note(result, note)
+
+
+def read(file: bytes) -> list[Captured]:
+    reader = Reader(io.BytesIO(file))
+    frames = list(capture.read(reader))
+    assert reader.torn == 0
+    return frames
+
+
+def write(steps: list[tuple[int, list[Sighting]]]) -> bytes:
+    return capture.head("a test") + b"".join(capture.encode(step, seen) for step, seen in steps)
+
+
+def test_a_file_begins_as_every_pcapng_file_does() -> None:
+    head = capture.head("8 robots")
+    assert head[:4] == bytes.fromhex("0a0d0d0a")
+    assert head[8:12] == bytes.fromhex("4d3c2b1a")
+    assert len(head) % 4 == 0
+    assert b"8 robots" in head
+
+
+@given(steps)
+def test_what_is_written_is_read(said: list[tuple[int, list[Sighting]]]) -> None:
+    wanted = [(step, seen) for step, frames in said for seen in frames]
+    for (step, seen), found in zip(wanted, read(write(said)), strict=True):
+        kept = seen.payload if seen.verdict == 0 else seen.payload[:KEPT]
+        assert (found.step, found.part, found.size) == (step, 0, len(seen.payload))
+        assert found.words == capture.in_words(seen)
+        assert found.seen == Sighting(
+            seen.exchange, seen.connection, seen.frame, seen.sender, seen.receiver, seen.map, seen.verdict,
+            seen.hearers, kept,
+        )  # fmt: skip
+
+
+@given(steps, st.integers(0, 10**6))
+def test_a_file_that_was_cut_anywhere_opens_up_to_its_last_whole_packet(
+    said: list[tuple[int, list[Sighting]]], cut: int
+) -> None:
+    head, whole = len(capture.head("a test")), write(said)
+    cut = head + cut % (len(whole) - head + 1)
+    reader = Reader(io.BytesIO(whole[:cut]))
+    found = list(capture.read(reader))
+    assert found == read(whole)[: len(found)]
+    assert read(whole[: cut - reader.torn]) == found
+
+
+@given(st.integers(1, 4), st.integers(0, 2**32 - 1), st.sampled_from((-1, 0, 7, 60, 500)))
+def test_the_capture_has_every_byte_that_the_ledger_books(robots: int, seed: int, budget: int) -> None:
+    script = {n: (Liar if n == 0 else Robot)(n, robots, seed) for n in range(robots)}
+    air = Listening(RadioSettings(robots, seed, 6.0, budget), script)
+    booked: Counter[tuple[int, ...]] = Counter()
+    said = heard = 0
+    names = ("step", "exchange", "connection", "frame", "sender", "receiver", "map", "cause")
+    for number in range(1, 4):
+        step = air.step(number, {n: (2 * n, number) for n in range(robots)})
+        for row in step.rows:
+            booked[tuple(int(row[name]) for name in names)] += int(row["bytes"])
+        said += sum(len(payload) for _, _, payload in step.said)
+        heard += int((step.rows["bytes"] * step.rows["heard"]).sum())
+    found: Counter[tuple[int, ...]] = Counter()
+    heard_of = 0
+    for frame in read(air.file):
+        seen = frame.seen
+        key = (seen.exchange, seen.connection, seen.frame, seen.sender, seen.receiver, seen.map, seen.verdict)
+        found[(frame.step, *key)] += frame.size
+        heard_of += frame.size * len(capture.hearers(seen))
+    assert +found == +booked
+    assert heard_of == heard
+
+
+def test_what_is_said_between_steps_is_booked_to_the_next_one() -> None:
+    air = Listening(RadioSettings(2, 0, 9.0), {n: Robot(n, 2, 0) for n in range(2)})
+    air.step(1, {0: (0, 0), 1: (1, 1)})
+    before = len(read(air.file))
+    air.radio.hear(0, 1, encode([Save(), Save(), Save()]))
+    rows = air.step(2, {0: (0, 0), 1: (1, 1)}).rows
+    first = read(air.file)[before]
+    assert (first.step, first.seen.sender, first.verdict, first.size) == (2, 0, "protocol", 3)
+    assert first.words == "refused: spoke out of turn"
+    assert int(rows["bytes"][rows["cause"] > 0].sum()) == 3
+
+
+def test_times_tell_the_step_in_seconds_and_the_place_in_it_in_microseconds() -> None:
+    seen = Sighting(0, 0, 2, 0, 1, 0, 0, 2, b"\xf0")
+    reader = Reader(io.BytesIO(write([(7, [seen, seen]), (8, [seen])])))
+    assert [packet.time_us for packet in reader] == [7_000_000, 7_000_001, 8_000_000]
+
+
+def test_a_frame_too_long_for_one_packet_of_wireshark_is_several_that_hold_whole_packets() -> None:
+    payload = encode([Delete(n % 4096) for n in range(PART + 1)])
+    frames = read(write([(1, [Sighting(0, 0, 2, 0, 1, 0, 0, 2, payload)])]))
+    assert [frame.part for frame in frames] == [0, 1, 2]
+    assert b"".join(frame.seen.payload for frame in frames) == payload
+    assert all(capture.HEAD.size + frame.size <= CAPTURED_AT_MOST for frame in frames)
+    assert all(frame.size % 2 == 0 for frame in frames)
+
+
+@pytest.mark.parametrize(
+    ("receiver", "verdict", "hearers", "reason", "words"),
+    [
+        (3, 0, 0b1000, "", "delivered"),
+        (BROADCAST, 0, 0b1011, "", "delivered to r0, r1, r3"),
+        (BROADCAST, 0, 0, "", "on the air, but nobody was in range"),
+        (3, 1, 0, "", "cut by budget"),
+        (3, 2, 0, "", "out of range"),
+        (3, 3, 0, "spoke out of turn", "refused: spoke out of turn"),
+        (3, 4, 0, "", "a partner died"),
+    ],
+)
+def test_the_comment_says_in_words_what_became_of_a_frame(
+    receiver: int, verdict: int, hearers: int, reason: str, words: str
+) -> None:
+    seen = Sighting(0, 0, 0, 1, receiver, 0, verdict, hearers, b"\xc0\x00", reason)
+    assert read(write([(1, [seen])]))[0].words == words
+
+
+@pytest.mark.parametrize(
+    ("file", "reason"),
+    [
+        (b"", "not a pcapng file"),
+        (b"a picture, perhaps", "not a pcapng file"),
+        (pcapng.head(1, "x", "y", "z") + pcapng.packet(0, bytes(40), 40, ""), "link type 1 instead of 147"),
+        (capture.head("") + pcapng.packet(0, b"\x07", 1, ""), "without a head of version 1: 07"),
+        (capture.head("") + pcapng.packet(0, b"\x01\x09" + bytes(22), 24, ""), "frame 9 and verdict 0"),
+        (capture.head("") + b"\x06\x00\x00\x00\x0d\x00\x00\x00" + bytes(8), "a block of 13 bytes"),
+        (capture.head("") + b"\x06\x00\x00\x00\x10\x00\x00\x00" + bytes(8), "whose two lengths differ"),
+    ],
+)
+def test_what_is_no_capture_of_ours_is_refused_with_the_reason(file: bytes, reason: str) -> None:
+    with pytest.raises(CaptureError, match=reason):
+        read(file)
