@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -181,6 +182,31 @@ def strategies(as_json: JsonFlag = False) -> None:
         return
     for name, kind in found.items():
         screen.print(f"[bold]{name}[/bold]: {kind.summary}\n    {kind.source}")
+
+
+@app.command()
+def sweep(
+    experiment: Annotated[Path, typer.Argument(metavar="EXPERIMENT.toml", help="what to run (docs/experiments.md)")],
+    jobs: Annotated[int | None, typer.Option(min=1, help="processes (default: one a core)")] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="replace a list of the grid or a key of the base; repeatable"),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE.json", help="write all summaries there")] = None,
+) -> None:
+    """Run a scenario over a grid of settings, on the memory bus, and print the table that the file asks for."""
+    from deploy import sweep as sweeps  # noqa: PLC0415
+    from deploy.terminal import counting, table  # noqa: PLC0415
+
+    with _speaking_clearly():
+        read = sweeps.read(experiment)
+        todo = sweeps.cases(read, dict(_named_value(item) for item in set_ or []))
+        with counting(errors, read.name, len(todo)) as tell:
+            summaries = sweeps.run(todo, jobs or os.cpu_count() or 1, tell)
+        if out is not None:
+            out.write_text(json.dumps(summaries, indent=1) + "\n", encoding="utf-8")
+        screen.print(f"{read.name}: {' '.join(read.values)}, means of {len(todo)} runs")
+        screen.print(table(sweeps.tabulate(read, summaries)))
 
 
 @maps_app.command("list")

@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.table import Table
 from rich.text import Text
 
 from deploy.plan import Plan
@@ -52,6 +54,26 @@ def progress(console: Console, *, shown: bool) -> Iterator[Watch | None]:
             )
 
         yield watch
+
+
+@contextlib.contextmanager
+def counting(console: Console, what: str, total: int) -> Iterator[Callable[[int, int], object]]:
+    """A live line for work of known size."""
+    bar = Progress(
+        TextColumn(what), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeElapsedColumn(),
+        console=console, transient=True,
+    )  # fmt: skip
+    task = bar.add_task(what, total=total)
+    with bar:
+        yield lambda done, _: bar.update(task, completed=done)
+
+
+def table(lines: list[list[str]]) -> Table:
+    """A table whose first line is its head."""
+    result = Table(*lines[0], box=SIMPLE)
+    for line in lines[1:]:
+        result.add_row(*line)
+    return result
 
 
 def summary_lines(summary: dict[str, Any], directory: Path | None) -> list[str]:
