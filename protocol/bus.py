@@ -14,7 +14,7 @@ class Message:
     payload: bytes
 
 
-class BusClosed(ConnectionError):
+class BusClosed(ConnectionError):  # noqa: N818 - it is how a run ends, not only a fault
     """The hub is gone, or this end was closed."""
 
 
@@ -27,7 +27,13 @@ class Bus(Protocol):
     """
 
     def put(self, key: str, payload: bytes) -> None:
-        """Send `payload` to all who listen to `key`."""
+        """Send `payload` to all who listen to `key`.
+
+        Raises
+        ------
+        BusClosed
+            This end was closed.
+        """
 
     def receive(self, timeout_s: float | None = None) -> Message | None:
         """Wait for the next message, at most `timeout_s` seconds; None when nothing came.
@@ -35,8 +41,8 @@ class Bus(Protocol):
         Raises
         ------
         BusClosed
-            Nothing will ever come again.
+            Nothing will ever come again: this end was closed, or the hub is gone and its last words are read.
         """
 
     def close(self) -> None:
-        """Leave the bus; what was put before is delivered."""
+        """Leave the bus; what was put before is delivered. An end that is closed already stays so."""

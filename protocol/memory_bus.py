@@ -38,11 +38,13 @@ class MemoryHub:
         if self._inboxes.pop(name, None) is not None and name != names.RELAY:
             self.deliver(self.keys.presence(name), b"0")
 
-    def inbox(self, name: str) -> deque[Message]:
-        """What waits for `name`; BusClosed when it or the relay has left."""
-        if name not in self._inboxes or names.RELAY not in self._inboxes:
-            raise BusClosed(f"{name}: the bus is closed")
-        return self._inboxes[name]
+    def next_for(self, name: str) -> Message | None:
+        """What waits for `name`; BusClosed when there is nothing and the relay has left."""
+        if self._inboxes[name]:
+            return self._inboxes[name].popleft()
+        if names.RELAY not in self._inboxes:
+            raise BusClosed(f"{name}: the relay has left")
+        return None
 
 
 class MemoryBus:
@@ -51,16 +53,24 @@ class MemoryBus:
     def __init__(self, hub: MemoryHub, name: str) -> None:
         self._hub = hub
         self._name = name
+        self._closed = False
 
     def put(self, key: str, payload: bytes) -> None:
         """Send `payload` to the owner of `key`."""
+        self._check_open()
         self._hub.deliver(key, payload)
 
     def receive(self, timeout_s: float | None = None) -> Message | None:  # noqa: ARG002
         """Return the next message, or None when there is none now."""
-        inbox = self._hub.inbox(self._name)
-        return inbox.popleft() if inbox else None
+        self._check_open()
+        return self._hub.next_for(self._name)
 
     def close(self) -> None:
         """Leave the bus."""
-        self._hub.leave(self._name)
+        if not self._closed:
+            self._closed = True
+            self._hub.leave(self._name)
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise BusClosed(f"{self._name}: this end of the bus is closed")

@@ -19,10 +19,10 @@ from protocol import keys as names
 from protocol.bus import BusClosed, Message
 from protocol.keys import Keys
 
-# One executor for most of zenoh's tasks is faster. Sending keeps its own: on one executor, a hub that routes to
-# a client which has just been killed waits for itself. Read when zenoh first opens.
+# One executor for most of zenoh's tasks is faster. Sending keeps its own: on one executor, a hub that routes
+# to a client which has just been killed waits for itself. Read when zenoh first opens.
 os.environ.setdefault("ZENOH_RUNTIME", "(rx: (handover: app), acc: (handover: app), net: (handover: app))")
-import zenoh  # noqa: E402
+import zenoh
 
 TICK_S = 0.25
 QUEUE = 1 << 16
@@ -90,6 +90,8 @@ class ZenohBus:
 
         A viewer is not waited for (`protocol.keys.may_be_dropped`).
         """
+        if self._closing.is_set():
+            raise BusClosed(f"{self._name}: this end of the bus is closed")
         publisher = self._publishers.get(key)
         if publisher is None:
             if names.may_be_dropped(key):
@@ -126,15 +128,13 @@ class ZenohBus:
             for part in (self._watch, self._token, self._subscriber):
                 if part is not None:
                     part.undeclare()
-            self._session.close()
+            self._session.close()  # type: ignore[no-untyped-call]
 
     def _report_presence(self, sample: zenoh.Sample) -> None:
         """Turn a liveliness change into a message, so that one queue has all (runs on zenoh's thread)."""
         if not self._closing.is_set():
             who = str(sample.key_expr).rsplit("/", 1)[-1]
-            self._session.put(
-                self._keys.presence(who), b"1" if sample.kind == zenoh.SampleKind.PUT else b"0"
-            )
+            self._session.put(self._keys.presence(who), b"1" if sample.kind == zenoh.SampleKind.PUT else b"0")
 
     def _tick(self) -> None:
         missing = 0
@@ -167,8 +167,8 @@ def join(credential: Credential) -> ZenohBus:
         session = zenoh.open(config)
     except zenoh.ZError:
         raise ConnectionError(
-            f"{credential.name}: no hub let us in at {credential.hub} within {CONNECT_S:g} s: it is not there, or "
-            f"the password is not of its run ({credential.run})"
+            f"{credential.name}: no hub let us in at {credential.hub} within {CONNECT_S:g} s: it is not there, "
+            f"or the password is not of its run ({credential.run})"
         ) from None
     return ZenohBus(session, Keys(credential.run), credential.name)
 

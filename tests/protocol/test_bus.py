@@ -1,0 +1,284 @@
+"""The contract of all buses, run against the one in memory and the one on Zenoh."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+
+import pytest
+
+from netshaper import access
+from netshaper.hub import open_hub
+from protocol import keys as names
+from protocol.bus import Bus, BusClosed, Message
+from protocol.keys import Keys
+from protocol.memory_bus import MemoryHub
+from protocol.zenoh_bus import join
+
+KEYS = Keys("contract")
+RELAY, WORLD, LAB, R0, R1 = names.RELAY, names.WORLD, names.LAB, "r0", "r1"
+SOON_S = 5.0
+"""How long a message may take that must come."""
+
+
+@dataclass
+class Meeting:
+    """All ends of one run, and how to open another."""
+
+    open: Callable[[str], Bus]
+    ends: dict[str, Bus]
+
+    def __getitem__(self, name: str) -> Bus:
+        return self.ends[name]
+
+    def hear(self, name: str) -> Message:
+        """The next message of `name`, which must come."""
+        message = self.ends[name].receive(SOON_S)
+        assert message is not None, f"{name} heard nothing"
+        return message
+
+    def everything_before_a_fence(self) -> dict[str, list[Message]]:
+        """What each end has received, once all that was put so far must have arrived.
+
+        Each participant in turn puts a word for the relay, which then puts one for all.
+        """
+        heard: dict[str, list[Message]] = {name: [] for name in self.ends}
+        for name in self.ends:
+            if name != RELAY:
+                self.ends[name].put(KEYS.control_tx(name), b"fence")
+                while (message := self.hear(RELAY)).payload != b"fence":
+                    heard[RELAY].append(message)
+        for name in self.ends:
+            if name != RELAY:
+                self.ends[RELAY].put(KEYS.control(name, RELAY), b"fence")
+                while (message := self.hear(name)).payload != b"fence":
+                    heard[name].append(message)
+        return heard
+
+
+@pytest.fixture(params=["memory", "zenoh"])
+def meeting(request: pytest.FixtureRequest) -> Iterator[Meeting]:
+    """Relay, world, laboratory and two robots; the relay has read that they came."""
+    with ExitStack() as stack:
+        if request.param == "memory":
+            hub = MemoryHub(KEYS.run)
+            opener: Callable[[str], Bus] = hub.join
+            relay: Bus = hub.join(RELAY)
+        else:
+            endpoint = f"tcp/127.0.0.1:{free_port()}"
+            credentials = access.issue(KEYS.run, endpoint, 2)
+            relay = open_hub(KEYS.run, endpoint, credentials)
+
+            def opener(name: str) -> Bus:
+                return join(credentials[name])
+
+        ends = {RELAY: relay}
+        stack.callback(close_all, ends)
+        for name in (WORLD, LAB, R0, R1):
+            ends[name] = opener(name)
+        meeting = Meeting(opener, ends)
+        came = {meeting.hear(RELAY).key for _ in range(4)}
+        assert came == {KEYS.presence(name) for name in (WORLD, LAB, R0, R1)}
+        yield meeting
+
+
+def close_all(ends: dict[str, Bus]) -> None:
+    for end in reversed(ends.values()):
+        end.close()
+
+
+def free_port() -> int:
+    with closing(socket.socket()) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+ROUTES = [
+    (R0, KEYS.radio_tx(R0, R1), RELAY),
+    (R0, KEYS.radio_tx(R0, names.ALL), RELAY),
+    (R0, KEYS.control_tx(R0), RELAY),
+    (R0, KEYS.body(WORLD, R0), WORLD),
+    (R0, KEYS.control(LAB, R0), LAB),
+    (RELAY, KEYS.radio_rx(R0, R1), R0),
+    (RELAY, KEYS.control(R0, RELAY), R0),
+    (RELAY, KEYS.control(WORLD, RELAY), WORLD),
+    (RELAY, KEYS.control(LAB, RELAY), LAB),
+    (WORLD, KEYS.body(R0, WORLD), R0),
+    (WORLD, KEYS.control_tx(WORLD), RELAY),
+    (WORLD, KEYS.control(LAB, WORLD), LAB),
+    (LAB, KEYS.control_tx(LAB), RELAY),
+]
+
+
+@pytest.mark.parametrize(
+    ("sender", "key", "receiver"), ROUTES, ids=lambda value: value.replace("murmur/", "")
+)
+def test_a_message_reaches_the_addressed_inbox_and_no_other(
+    meeting: Meeting, sender: str, key: str, receiver: str
+) -> None:
+    meeting[sender].put(key, b"hello")
+    heard = meeting.everything_before_a_fence()
+    assert heard.pop(receiver) == [Message(key, b"hello")]
+    assert not any(heard.values())
+
+
+@pytest.mark.parametrize("size", [0, 1, 724, 1 << 20])
+def test_a_payload_arrives_whole_whatever_its_size(meeting: Meeting, size: int) -> None:
+    payload = (b"murmur" * (size // 6 + 1))[:size]
+    meeting[R0].put(KEYS.radio_tx(R0, R1), payload)
+    meeting[RELAY].put(KEYS.radio_rx(R1, R0), payload)
+    assert meeting.hear(RELAY).payload == payload
+    assert meeting.hear(R1).payload == payload
+
+
+@pytest.mark.parametrize(
+    ("sender", "receiver", "routes"),
+    [
+        (RELAY, R0, [KEYS.radio_rx(R0, R1), KEYS.control(R0, RELAY)]),
+        (R0, RELAY, [KEYS.radio_tx(R0, R1), KEYS.control_tx(R0), KEYS.radio_tx(R0, names.ALL)]),
+        (R0, WORLD, [KEYS.body(WORLD, R0)]),
+        (WORLD, R0, [KEYS.body(R0, WORLD)]),
+        (R0, LAB, [KEYS.control(LAB, R0)]),
+    ],
+)
+def test_thousands_of_messages_arrive_once_and_in_order_over_all_planes(
+    meeting: Meeting, sender: str, receiver: str, routes: list[str]
+) -> None:
+    said = [Message(routes[n % len(routes)], b"%d" % n) for n in range(5000)]
+    for message in said:
+        meeting[sender].put(message.key, message.payload)
+    assert [meeting.hear(receiver) for _ in said] == said
+    assert not any(meeting.everything_before_a_fence().values())
+
+
+def test_what_several_put_for_one_arrives_in_the_order_of_each(meeting: Meeting) -> None:
+    senders = {R0: KEYS.control(LAB, R0), R1: KEYS.control(LAB, R1), WORLD: KEYS.control(LAB, WORLD)}
+    for n in range(1000):
+        for name, key in senders.items():
+            meeting[name].put(key, b"%d" % n)
+    heard = [meeting.hear(LAB) for _ in range(3000)]
+    for key in senders.values():
+        assert [message.payload for message in heard if message.key == key] == [
+            b"%d" % n for n in range(1000)
+        ]
+
+
+def test_large_and_small_messages_do_not_overtake_each_other(meeting: Meeting) -> None:
+    sizes = [1 << 20, 0, 1, 300_000, 2, 1 << 20, 3]
+    for size in sizes:
+        meeting[RELAY].put(KEYS.control(R0, RELAY), bytes(size))
+    assert [len(meeting.hear(R0).payload) for _ in sizes] == sizes
+
+
+def test_the_first_words_of_who_has_just_come_are_heard(meeting: Meeting) -> None:
+    for _ in range(20):
+        meeting[R1].close()
+        assert meeting.hear(RELAY) == Message(KEYS.presence(R1), b"0")
+        meeting.ends[R1] = meeting.open(R1)
+        meeting[R1].put(KEYS.radio_tx(R1, R0), b"I am here")
+        heard = {meeting.hear(RELAY), meeting.hear(RELAY)}
+        assert heard == {Message(KEYS.presence(R1), b"1"), Message(KEYS.radio_tx(R1, R0), b"I am here")}
+        meeting[RELAY].put(KEYS.control(R1, RELAY), b"welcome")
+        assert meeting.hear(R1).payload == b"welcome"
+
+
+def test_the_relay_is_told_that_somebody_left_after_all_that_he_had_said(meeting: Meeting) -> None:
+    for n in range(2000):
+        meeting[R0].put(KEYS.radio_tx(R0, R1), b"%d" % n)
+    meeting[R0].close()
+    heard = [meeting.hear(RELAY) for _ in range(2001)]
+    assert [message.payload for message in heard[:-1]] == [b"%d" % n for n in range(2000)]
+    assert heard[-1] == Message(KEYS.presence(R0), b"0")
+
+
+def test_what_was_put_before_leaving_is_delivered_to_everyone(meeting: Meeting) -> None:
+    for n in range(2000):
+        meeting[R0].put(KEYS.control(LAB, R0), b"%d" % n)
+        meeting[R0].put(KEYS.body(WORLD, R0), b"%d" % n)
+    meeting[R0].close()
+    for name in (LAB, WORLD):
+        assert [meeting.hear(name).payload for _ in range(2000)] == [b"%d" % n for n in range(2000)]
+
+
+def test_nothing_comes_where_nothing_was_put(meeting: Meeting) -> None:
+    for name, end in meeting.ends.items():
+        began = time.monotonic()
+        assert end.receive(0) is None, name
+        assert end.receive(0.05) is None, name
+        assert time.monotonic() - began < 2
+
+
+def test_a_word_for_someone_who_is_not_there_is_gone(meeting: Meeting) -> None:
+    meeting[R1].close()
+    meeting.hear(RELAY)
+    meeting[RELAY].put(KEYS.control(R1, RELAY), b"anyone?")
+    meeting[RELAY].put(KEYS.control("r7", RELAY), b"anyone?")
+    meeting.ends[R1] = meeting.open(R1)
+    assert meeting.hear(RELAY).payload == b"1"
+    assert not any(meeting.everything_before_a_fence().values())
+
+
+def test_an_end_that_was_closed_neither_hears_nor_says_anything(meeting: Meeting) -> None:
+    for name, key in ((R0, KEYS.radio_tx(R0, R1)), (WORLD, KEYS.control_tx(WORLD))):
+        meeting[name].put(key, b"before")
+        meeting[name].close()
+        meeting[name].close()
+        with pytest.raises(BusClosed):
+            meeting[name].put(key, b"after")
+        with pytest.raises(BusClosed):
+            meeting[name].put(KEYS.control(LAB, name), b"after")
+        with pytest.raises(BusClosed):
+            meeting[name].receive(0)
+        with pytest.raises(BusClosed):
+            meeting[name].receive(SOON_S)
+        assert [meeting.hear(RELAY).payload, meeting.hear(RELAY).payload] == [b"before", b"0"]
+
+
+def test_who_is_still_there_when_the_hub_goes_hears_its_last_words_and_then_that_it_is_gone(
+    meeting: Meeting,
+) -> None:
+    for n in range(500):
+        meeting[RELAY].put(KEYS.control(R0, RELAY), b"%d" % n)
+    meeting[RELAY].close()
+    heard = []
+    began = time.monotonic()
+    with pytest.raises(BusClosed):
+        while time.monotonic() - began < SOON_S:
+            message = meeting[R0].receive(SOON_S)
+            if message is not None:
+                heard.append(message.payload)
+    assert heard == [b"%d" % n for n in range(500)]
+    assert time.monotonic() - began < SOON_S
+
+
+def test_a_waiting_end_notices_that_the_hub_is_gone(meeting: Meeting) -> None:
+    meeting[RELAY].close()
+    began = time.monotonic()
+    for name in (R0, R1, WORLD, LAB):
+        with pytest.raises(BusClosed, match=name):
+            while time.monotonic() - began < SOON_S:
+                meeting[name].receive()
+
+
+def test_two_ends_of_one_name_cannot_share_an_inbox_in_memory() -> None:
+    hub = MemoryHub("contract")
+    hub.join(RELAY)
+    hub.join(R0)
+    with pytest.raises(ValueError, match="r0 is on the bus already"):
+        hub.join(R0)
+
+
+def test_a_relay_that_comes_last_is_told_of_everyone_in_memory() -> None:
+    hub = MemoryHub("contract")
+    hub.join(WORLD)
+    hub.join(R0)
+    relay = hub.join(RELAY)
+    assert [relay.receive(), relay.receive(), relay.receive()] == [
+        Message(KEYS.presence(WORLD), b"1"),
+        Message(KEYS.presence(R0), b"1"),
+        None,
+    ]
