@@ -47,8 +47,6 @@ class RadioSettings:
         Bytes a step that the team shares, `UNLIMITED` for no limit.
     exchanges : int
         Exchanges a step (R).
-    capture : bool
-        Whether the laboratory is sent the frames themselves (`netshaper.capture`).
     """
 
     robots: int
@@ -56,7 +54,6 @@ class RadioSettings:
     range_cells: float
     budget: int = UNLIMITED
     exchanges: int = 2
-    capture: bool = True
 
 
 @dataclass(frozen=True)
@@ -305,7 +302,7 @@ class Radio:
         living = sorted(set(self._reach) - self._dead)
         out: list[Outgoing] = [Note(robot, Close(self._step)) for robot in living]
         rows = np.array(self._medium.rows, ROW)
-        frames = capture.encode(self._step, self._medium.sightings) if self.settings.capture else b""
+        frames = capture.encode(self._step, self._medium.sightings)
         out.append(Note(LAB, RadioReport(self._step, rows.tobytes(), self._medium.carried, frames)))
         self._medium = Medium(self._step, 0)
         return out

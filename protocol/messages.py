@@ -216,7 +216,7 @@ class MindReport:
 class RadioReport:
     """Relay to laboratory, once a step: the ledger's new rows (`netshaper.ledger`), and the frames themselves.
 
-    `frames`: as the capture writes them (`netshaper.capture`); empty where none is kept.
+    `frames`: as the capture writes them (`netshaper.capture`).
     """
 
     step: int
