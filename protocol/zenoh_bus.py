@@ -174,9 +174,14 @@ def join(credential: Credential) -> ZenohBus:
 
 
 def plain_config(mode: str) -> zenoh.Config:
-    """A configuration that speaks to nobody whom it was not told of."""
+    """A configuration that speaks to nobody whom it was not told of.
+
+    Shared memory is off: with it, what is larger than 3 kB would pass by the network, where nobody can see or
+    count it, and a killed process would leave its segment behind.
+    """
     config = zenoh.Config()
     insert(config, "mode", mode)
+    insert(config, "transport/shared_memory/enabled", False)
     for key in ("scouting/multicast/enabled", "scouting/gossip/enabled"):
         insert(config, key, False)
     insert(config, "scouting/delay", 0)
