@@ -34,6 +34,8 @@ class Child:
     name: str
     process: ForkServerProcess
     log: Path
+    needed: bool = True
+    """Whether the run is broken if it ends before its time."""
 
     def last_words(self) -> str:
         """How it ended and the last line that it wrote."""
@@ -74,7 +76,7 @@ class Family:
     def __exit__(self, *_: object) -> None:
         self.end()
 
-    def start(self, name: str, serve: Callable[..., None], *args: object) -> None:
+    def start(self, name: str, serve: Callable[..., None], *args: object, needed: bool = True) -> None:
         """Start a child that runs ``serve(*args)``; what it prints goes to ``NAME.log``."""
         log = self._logs / f"{name}.log"
         with _blank_main():
@@ -82,14 +84,22 @@ class Family:
                 target=in_background, args=(name, log, serve, *args), name=name
             )
             process.start()
-        self._children.append(Child(name, process, log))
+        self._children.append(Child(name, process, log, needed))
 
     def look(self) -> dict[str, str]:
         """Look after the children; return all deaths so far."""
         for child in self._children:
-            if child.name not in self.deaths and child.process.exitcode not in (None, 0):
+            if child.needed and child.name not in self.deaths and child.process.exitcode not in (None, 0):
                 self.deaths[child.name] = child.last_words()
         return self.deaths
+
+    def await_end(self, name: str, timeout_s: float) -> str:
+        """Wait for a child that ends by itself; say what went wrong with it, nothing if all is well."""
+        (child,) = (child for child in self._children if child.name == name)
+        child.process.join(timeout_s)
+        if child.process.exitcode is None:
+            return f"it did not end within {timeout_s:g} s"
+        return child.last_words() if child.process.exitcode else ""
 
     def end(self) -> None:
         """Wait, terminate, kill; leave no empty logs."""

@@ -28,12 +28,15 @@ def run(
     plan: Plan,
     watch: Callable[[Records], object] | None = None,
     capture: BinaryIO | None = None,
+    *,
     wrap: Callable[[str, Bus], Bus] = lambda _, bus: bus,
+    view: Node | None = None,
+    wait: Callable[[], object] = lambda: None,
 ) -> Records:
     """Run a plan to its end.
 
     `watch` is called once a step, `capture` takes the frames (`deploy.records`), `wrap` may lay something
-    around each participant's end of the bus.
+    around each participant's end of the bus; `view` is a viewer, `wait` the world's pace.
     """
     hub = MemoryHub("memory")
     keys = hub.keys
@@ -49,6 +52,7 @@ def run(
         plan.minds,
         plan.scenario.steps,
         1000 * plan.map.resolution,
+        wait=wait,
     )
     nodes: dict[str, Node] = {
         names.RELAY: RelayNode(buses[names.RELAY], keys, plan.radio),
@@ -58,6 +62,8 @@ def run(
     for number in range(robots):
         name = names.robot(number)
         nodes[name] = AgentNode(buses[name], keys, number)
+    if view is not None:
+        buses[names.VIEW], nodes[names.VIEW] = hub.join(names.VIEW), view
     step = 0
     while not all(node.done for node in nodes.values()):
         spoke = False

@@ -6,6 +6,7 @@ One table says what runs; all of it starts at once and meets at the hub; nothing
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
 import signal
 import tempfile
 import time
@@ -14,16 +15,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+from deploy.dashboard.process import ViewTask
 from deploy.family import Family
 from deploy.plan import Plan
-from deploy.processes import WorldTask, serve_agent, serve_relay, serve_world
+from deploy.processes import WorldTask, serve_agent, serve_relay, serve_view, serve_world
 from deploy.records import LabNode, Records
+from deploy.watch import announced
 from protocol import keys as names
 from protocol.bus import BusClosed
 from protocol.keys import Keys
 from protocol.zenoh_bus import join
 
 POLL_S = 0.25
+VIEWER_S = 10.0
+"""How long the viewer may take to come, and to write what it has at the end."""
 WRAP_UP_S = 3.0
 """How long the others may take to hand in what they have, once the run is over or was interrupted."""
 
@@ -35,6 +40,16 @@ class Outcome:
     records: Records
     deaths: dict[str, str]
     interrupted: bool = False
+    view_fault: str = ""
+    """What went wrong with the viewer, without which the run went on."""
+
+
+@dataclass(frozen=True)
+class Show:
+    """A viewer of the run: what it is to do, and what to call once it is there."""
+
+    task: ViewTask
+    ready: Callable[[], object]
 
 
 def run(
@@ -42,17 +57,22 @@ def run(
     logs: Path | None,
     watch: Callable[[Records], object] | None = None,
     capture: BinaryIO | None = None,
+    *,
+    show: Show | None = None,
+    pace: float | None = None,
+    live: Path | None = None,
 ) -> Outcome:
     """Run a plan as processes; `watch` is called as records come in, at most a few times a second.
 
     What the processes print goes to files in `logs`, or is gone after the run if that is None; `capture`
-    takes the frames (`deploy.records`).
+    takes the frames (`deploy.records`); `show` adds a viewer; `pace` is the steps a second at most;
+    `live` is a directory in which to say how to look at the run (`deploy.watch`).
     """
     if logs is None:
         with tempfile.TemporaryDirectory() as folder:
-            return run(plan, Path(folder), watch, capture)
+            return run(plan, Path(folder), watch, capture, show=show, pace=pace, live=live)
     robots = plan.scenario.robots
-    world = WorldTask(plan.make_world(), plan.minds, plan.scenario.steps, 1000 * plan.map.resolution)
+    world = WorldTask(plan.make_world(), plan.minds, plan.scenario.steps, 1000 * plan.map.resolution, pace)
     with Family(logs, robots) as family:
         table: dict[str, tuple[Callable[..., None], *tuple[object, ...]]] = {
             names.RELAY: (serve_relay, family.run, family.endpoint, family.credentials, plan.radio),
@@ -60,10 +80,26 @@ def run(
         }
         for name in map(names.robot, range(robots)):
             table[name] = (serve_agent, family.credentials[name])
-        with _interrupts() as interrupted:
+        port = show.task.port if show is not None else None
+        with _interrupts() as interrupted, announced(live, family.credentials[names.VIEW], port):
             for name, (serve, *args) in table.items():
                 family.start(name, serve, *args)
-            return _attend(family, robots, interrupted, watch, capture)
+            if show is not None:
+                _start_viewer(family, show)
+            outcome = _attend(family, robots, interrupted, watch, capture)
+            if show is not None:
+                outcome.view_fault = family.await_end(names.VIEW, VIEWER_S)
+            return outcome
+
+
+def _start_viewer(family: Family, show: Show) -> None:
+    """Start the viewer, and wait a little for it, so that it sees the first steps; it is not needed."""
+    here, there = multiprocessing.Pipe(duplex=False)
+    family.start(names.VIEW, serve_view, family.credentials[names.VIEW], show.task, there, needed=False)
+    there.close()
+    with contextlib.suppress(EOFError):
+        if here.poll(VIEWER_S) and here.recv():
+            show.ready()
 
 
 def _attend(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,10 +11,13 @@ from typing import Any
 
 from deploy import in_memory, launch, rundir
 from deploy import plan as plans
+from deploy.dashboard.process import ViewTask, watching
+from deploy.dashboard.windows import Window
 from deploy.plan import Plan
 from deploy.records import Records
 from deploy.scenario import Scenario
 from deploy.summary import summarise
+from worldsim.pace import Pace
 
 EXPLORED, NOT_FINISHED, BAD_INPUT, BROKEN_OFF = range(4)
 """Exit codes of the contract."""
@@ -35,6 +39,8 @@ class Result:
         All that was recorded, in memory.
     deaths : dict
         Processes that ended before their time, with their last words.
+    view_fault : str
+        What went wrong with the viewer, without which the run went on.
     """
 
     summary: dict[str, Any]
@@ -42,6 +48,7 @@ class Result:
     directory: Path | None
     records: Records
     deaths: dict[str, str]
+    view_fault: str = ""
 
 
 def explore(
@@ -50,8 +57,10 @@ def explore(
     out: Path | None = None,
     keep: bool = True,
     watch: Callable[[Plan, Records], object] | None = None,
+    window: Window | None = None,
+    pace: float | None = None,
 ) -> Result:
-    """Run a scenario.
+    """Run a scenario. What is shown of it, and at which pace, changes nothing in its results.
 
     Parameters
     ----------
@@ -63,12 +72,21 @@ def explore(
         Whether to write a run directory at all.
     watch : callable, optional
         Called with the plan and the records while the run goes on.
+    window : Window, optional
+        Shows the run live, and has it recorded in its directory.
+    pace : float, optional
+        Steps a second at most.
 
     Raises
     ------
     ScenarioError
         The scenario cannot be run; nothing has been started.
+    ValueError
+        The pace is too slow, or what is to be shown is not to be kept.
     """
+    if not keep and window is not None:
+        raise ValueError("a run that is shown needs a directory: keep = True")
+    wait: Callable[[], object] = Pace(pace).wait if pace is not None else _nothing
     plan = plans.make(scenario)
     directory = rundir.create(out, plan) if keep else None
     began = time.perf_counter()
@@ -77,11 +95,20 @@ def explore(
         if watch is not None:
             watch(plan, records)
 
+    task = None
+    if directory is not None and window is not None:
+        task = ViewTask(plan, directory.absolute(), port=window.port)
+    ready: Callable[[], object] = window.open if window is not None else _nothing
     with rundir.open_capture(directory, plan) as capture:
         if scenario.bus == "memory":
-            outcome = launch.Outcome(in_memory.run(plan, look, capture), {})
+            with contextlib.ExitStack() as stack:
+                view = stack.enter_context(watching(task)) if task is not None else None
+                ready()
+                outcome = launch.Outcome(in_memory.run(plan, look, capture, view=view, wait=wait), {})
         else:
-            outcome = launch.run(plan, directory / rundir.LOGS if directory else None, look, capture)
+            show = launch.Show(task, ready) if task is not None else None
+            logs = directory / rundir.LOGS if directory else None
+            outcome = launch.run(plan, logs, look, capture, show=show, pace=pace, live=directory)
     return conclude(plan, outcome, directory, time.perf_counter() - began)
 
 
@@ -90,10 +117,15 @@ def conclude(plan: Plan, outcome: launch.Outcome, directory: Path | None, wall_s
     summary = summarise(plan, outcome.records, wall_s)
     if directory is not None:
         rundir.write_results(directory, plan, outcome.records, summary)
-    return Result(summary, _exit_code(outcome, summary), directory, outcome.records, outcome.deaths)
+    code = _exit_code(outcome, summary)
+    return Result(summary, code, directory, outcome.records, outcome.deaths, outcome.view_fault)
 
 
 def _exit_code(outcome: launch.Outcome, summary: dict[str, Any]) -> int:
     if outcome.deaths or outcome.records.lost or outcome.records.end is None:
         return BROKEN_OFF
     return EXPLORED if summary["finished"] else NOT_FINISHED
+
+
+def _nothing() -> None:
+    """Nobody waits, nobody looks."""

@@ -11,8 +11,9 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from setproctitle import setproctitle
 
@@ -24,8 +25,12 @@ from protocol import keys as names
 from protocol.bus import Bus, BusClosed
 from protocol.keys import Keys
 from protocol.zenoh_bus import Credential, join
+from worldsim.pace import Pace
 from worldsim.process import WorldNode
 from worldsim.world import World
+
+if TYPE_CHECKING:
+    from deploy.dashboard.process import ViewTask
 
 BROKEN_OFF = 3
 PATIENCE_S = 60.0
@@ -42,6 +47,13 @@ class WorldTask:
     minds: Mapping[int, Mapping[str, Any]]
     steps: int
     cell_mm: float
+    pace: float | None = None
+    """Steps a second at most, for people who watch."""
+
+    @property
+    def wait(self) -> Callable[[], object]:
+        """What the world does before it opens a step."""
+        return Pace(self.pace).wait if self.pace else lambda: None
 
 
 def serve_relay(
@@ -79,7 +91,8 @@ def serve_relay(
 def serve_world(credential: Credential, task: WorldTask) -> None:
     """Be the world of a run."""
     bus = join(credential)
-    node = WorldNode(bus, Keys(credential.run), task.world, task.minds, task.steps, task.cell_mm)
+    keys = Keys(credential.run)
+    node = WorldNode(bus, keys, task.world, task.minds, task.steps, task.cell_mm, wait=task.wait)
     _serve(bus, node)
 
 
@@ -87,6 +100,13 @@ def serve_agent(credential: Credential) -> None:
     """Be one robot of a run."""
     bus = join(credential)
     _serve(bus, AgentNode(bus, Keys(credential.run), names.number(credential.name)))
+
+
+def serve_view(credential: Credential, task: ViewTask, ready: Connection) -> None:
+    """Be the viewer of a run, which only listens; say so at `ready` once it does."""
+    from deploy.dashboard import process  # noqa: PLC0415  nobody else needs what it imports
+
+    process.serve(credential, task, lambda: ready.send(True))
 
 
 def _serve(bus: Bus, node: WorldNode | AgentNode) -> None:

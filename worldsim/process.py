@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -46,6 +46,8 @@ class WorldNode:
         The last step.
     cell_mm : float
         Side of a cell in millimetres, for reports.
+    wait : callable, optional
+        Called before each step is opened: it may wait, so that people can watch (`worldsim.pace`).
     """
 
     def __init__(
@@ -56,6 +58,8 @@ class WorldNode:
         minds: Mapping[int, Mapping[str, Any]],
         steps: int,
         cell_mm: float,
+        *,
+        wait: Callable[[], object] = lambda: None,
     ) -> None:
         self.done = False
         self._bus = bus
@@ -64,6 +68,7 @@ class WorldNode:
         self._minds = minds
         self._steps = steps
         self._cell_mm = cell_mm
+        self._wait = wait
         self._moves: dict[int, Move] = {}
         self._stop = ""
         self._running = False
@@ -131,6 +136,7 @@ class WorldNode:
             self._open_step(moves)
 
     def _open_step(self, moves: Mapping[int, Move] | None = None) -> None:
+        self._wait()
         world = self._world
         senses = world.advance(moves or {})
         for robot, sense in senses.items():

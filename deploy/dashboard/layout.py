@@ -1,0 +1,83 @@
+"""Where the dashboard shows what: the truth, each robot's mind, the radio, what happens."""
+
+from __future__ import annotations
+
+import rerun.blueprint as rrb
+
+from deploy.dashboard.record import SHARES_HEIGHT, TIMELINE
+from deploy.dashboard.shapes import corner
+from deploy.plan import Plan
+
+COLUMNS = 4
+MOST = 8
+"""Minds that are shown at once; more of them go to tabs."""
+
+
+def layout(plan: Plan) -> rrb.Blueprint:
+    """Lay the dashboard of a run out."""
+    robots = range(plan.scenario.robots)
+    world = _map("/world", "The building as it is [m]", plan, ["/world/**", "/ways/**"], margin=0.1)
+    minds = [
+        _map(f"/minds/{robot}", f"Robot {robot} knows", plan, [f"/minds/{robot}/**", f"/ways/{robot}"], 0.13)
+        for robot in robots
+    ]
+    pages = [
+        rrb.Grid(
+            *minds[first : first + MOST],
+            grid_columns=min(COLUMNS, len(minds)),
+            name=f"robots {first}-{min(first + MOST, len(minds)) - 1}",
+        )
+        for first in range(0, len(minds), MOST)
+    ]
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(world, rrb.Tabs(*pages) if len(pages) > 1 else pages[0], column_shares=[33, 67]),
+            rrb.Horizontal(*_radio(), column_shares=[25, 21, 14, 20, 20, 26]),
+            row_shares=[63, 37],
+        ),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE),
+        collapse_panels=True,
+    )
+
+
+def _map(origin: str, name: str, plan: Plan, contents: list[str], margin: float) -> rrb.Spatial2DView:
+    left, top = corner(plan.map)
+    width, height = plan.map.width * plan.map.resolution, plan.map.height * plan.map.resolution
+    pad = margin * max(width, height)
+    bounds = rrb.VisualBounds2D(
+        x_range=[left - pad, left + width + pad / 2], y_range=[top - pad / 2, top + height + pad]
+    )
+    return rrb.Spatial2DView(origin=origin, contents=contents, name=name, visual_bounds=bounds)
+
+
+def _radio() -> list[rrb.View]:
+    no_legend = rrb.PlotLegend(visible=False)
+    return [
+        rrb.TextDocumentView(origin="/about", name="What you see"),
+        rrb.TimeSeriesView(
+            origin="/air",
+            contents=["/air/load", "/air/budget"],
+            name="On the air [bytes/step]",
+            plot_legend=no_legend,
+        ),
+        rrb.Spatial2DView(
+            origin="/air/shares",
+            name="What for",
+            visual_bounds=rrb.VisualBounds2D(x_range=[-5, 105], y_range=[0, SHARES_HEIGHT]),
+        ),
+        rrb.TimeSeriesView(
+            origin="/explored",
+            name="Explored [%]",
+            plot_legend=no_legend,
+            axis_y=rrb.ScalarAxis(range=(0, 102)),
+        ),
+        rrb.TimeSeriesView(origin="/backlog", name="Untold news [packets]", plot_legend=no_legend),
+        rrb.TextLogView(
+            origin="/events",
+            name="What happens, step by step",
+            columns=rrb.TextLogColumns(
+                timeline_columns=[rrb.encodings.TimelineColumn(TIMELINE, visible=False)],
+                text_log_columns=["Body"],
+            ),
+        ),
+    ]

@@ -1,0 +1,114 @@
+"""The viewer's shell: one more end of the bus, which only listens. It records, and serves what it records.
+
+Nobody waits for it: what it cannot take in time is dropped (`protocol.keys.may_be_dropped`), and when it
+hangs or dies, the run goes on as if it had never been.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from deploy.plan import Plan
+from deploy.snapshots import SNAPSHOTS, Snapshots
+from protocol import keys as names
+from protocol.bus import BusClosed, Message
+from protocol.messages import Bye, unpack
+from protocol.zenoh_bus import Credential, join
+
+RECORDING = "run.rrd"
+TICK_S = 0.25
+"""How often a viewer that hears nothing looks whether it was asked to stop."""
+
+
+class Watcher(Protocol):
+    """What makes something of a run that it is told of."""
+
+    def take(self, sender: str, said: object) -> None:
+        """Take what `sender` reports."""
+
+
+@dataclass(frozen=True)
+class ViewTask:
+    """What a viewer is to do.
+
+    Attributes
+    ----------
+    plan : Plan
+        The run's scenario, worked out.
+    directory : Path
+        The run directory, where recording and snapshots go.
+    records : bool
+        Whether to record for the dashboard; snapshots of robots' maps are kept in any case.
+    port : int or None
+        Port on the loopback at which viewers get the recording while it is made.
+    """
+
+    plan: Plan
+    directory: Path
+    records: bool = True
+    port: int | None = None
+
+
+class ViewNode:
+    """The viewer's end of the bus; `done` once the run is over."""
+
+    def __init__(self, watchers: Sequence[Watcher]) -> None:
+        self.done = False
+        self._watchers = watchers
+
+    def handle(self, message: Message) -> None:
+        """Take one message from the bus."""
+        said = unpack(message.payload)
+        if isinstance(said, Bye):
+            self.done = True
+        for watcher in self._watchers:
+            watcher.take(names.parts(message.key)[3], said)
+
+
+@contextlib.contextmanager
+def watching(task: ViewTask) -> Iterator[ViewNode]:
+    """Open recording and snapshots; write what came of them at the end, however that comes."""
+    snapshots = Snapshots()
+    with contextlib.ExitStack() as stack:
+        stack.callback(lambda: snapshots.write(task.directory / SNAPSHOTS))
+        watchers: list[Watcher] = [snapshots]
+        if task.records:
+            from deploy.dashboard.record import recording  # noqa: PLC0415  only who records needs Rerun
+
+            path = free_name(task.directory / RECORDING)
+            watchers.append(stack.enter_context(recording(task.plan, path, task.port)))
+        yield ViewNode(watchers)
+
+
+def serve(credential: Credential, task: ViewTask, ready: Callable[[], object] = lambda: None) -> None:
+    """Watch a run until it is over, the hub is gone, or SIGTERM or Ctrl-C; call `ready` once on the bus."""
+    asked: list[int] = []
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda signum, _: asked.append(signum))
+    with watching(task) as node:
+        bus = join(credential)
+        try:
+            ready()
+            while not node.done and not asked:
+                message = bus.receive(TICK_S)
+                if message is not None:
+                    node.handle(message)
+        except BusClosed as error:
+            print(f"{error}; what was seen until then is kept", file=sys.stderr)
+        finally:
+            bus.close()
+
+
+def free_name(path: Path) -> Path:
+    """The path itself, or one with a number if there is such a file already."""
+    number, free = 2, path
+    while free.exists():
+        free = path.with_stem(f"{path.stem}-{number}")
+        number += 1
+    return free

@@ -1,0 +1,107 @@
+"""Shapes for the dashboard's maps: places, axes in metres, ways, numbers on robots.
+
+The dashboard's plane is the map's frame in metres with y turned down, as pictures have it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worldsim.maps import Map
+
+Point = tuple[float, float]
+Strip = list[Point]
+
+_STROKES: tuple[tuple[Strip, ...], ...] = (
+    ([(0, 0), (1, 0), (1, 2), (0, 2), (0, 0)],),
+    ([(0.2, 0.3), (0.6, 0), (0.6, 2)],),
+    ([(0, 0), (1, 0), (1, 1), (0, 1), (0, 2), (1, 2)],),
+    ([(0, 0), (1, 0), (1, 2), (0, 2)], [(0, 1), (1, 1)]),
+    ([(0, 0), (0, 1), (1, 1)], [(1, 0), (1, 2)]),
+    ([(1, 0), (0, 0), (0, 1), (1, 1), (1, 2), (0, 2)],),
+    ([(1, 0), (0, 0), (0, 2), (1, 2), (1, 1), (0, 1)],),
+    ([(0, 0), (1, 0), (1, 2)],),
+    ([(0, 0), (1, 0), (1, 2), (0, 2), (0, 0)], [(0, 1), (1, 1)]),
+    ([(1, 1), (0, 1), (0, 0), (1, 0), (1, 2), (0, 2)],),
+)
+"""The strokes of each digit in a box of 1 x 2, y down."""
+
+
+def flip(place: Point) -> Point:
+    """Turn a place of the map's frame into one of the dashboard's plane, or back."""
+    return place[0], -place[1]
+
+
+def number_strips(number: int, centre: Point, height: float) -> list[Strip]:
+    """Write a number as strokes around a place: readable on a disc of any colour, at any zoom."""
+    digits = str(number)
+    unit = height / 2
+    width = unit * (1.6 * len(digits) - 0.6)
+    return [
+        [(centre[0] - width / 2 + unit * (1.6 * place + x), centre[1] + unit * (y - 1)) for x, y in stroke]
+        for place, digit in enumerate(digits)
+        for stroke in _STROKES[int(digit)]
+    ]
+
+
+def corner(map_: Map) -> Point:
+    """The upper left corner of a map in the dashboard's plane."""
+    return map_.origin[0], -(map_.origin[1] + map_.height * map_.resolution)
+
+
+def tick_values(first: float, last: float, most: int) -> list[float]:
+    """Round numbers from `first` to `last`, at most about `most` of them."""
+    rough = max((last - first) / most, 1e-9)
+    unit = 10.0 ** math.floor(math.log10(rough))
+    step = next(unit * factor for factor in (1, 2, 5, 10) if unit * factor >= rough * 0.999)
+    return [step * k for k in range(math.ceil(first / step - 1e-9), math.floor(last / step + 1e-9) + 1)]
+
+
+def axes(map_: Map, most: int) -> tuple[list[Strip], list[Point], list[str]]:
+    """Axes along a map's left and lower side: lines, and where which label stands."""
+    left, top = corner(map_)
+    right, bottom = left + map_.width * map_.resolution, top + map_.height * map_.resolution
+    tick = 0.012 * max(right - left, bottom - top)
+    strips: list[Strip] = [[(left, top), (left, bottom), (right, bottom)]]
+    places: list[Point] = []
+    labels: list[str] = []
+    across = tick_values(left, right, most)
+    for x in across:
+        strips.append([(x, bottom), (x, bottom + tick)])
+        places.append((x, bottom + 4 * tick))
+        labels.append(f"{x:g} m" if x == across[-1] else f"{x:g}")
+    for y in tick_values(-bottom, -top, most):
+        strips.append([(left, -y), (left - tick, -y)])
+        places.append((left - 4 * tick, -y))
+        labels.append(f"{y:g}")
+    return strips, places, labels
+
+
+def outline_strips(map_: Map, vertices: bytes) -> list[NDArray[np.float64]]:
+    """Closed outlines in the dashboard's plane, of vertices as `protocol.messages.Outlines` has them."""
+    rows = np.frombuffer(vertices, "<i2").reshape(-1, 4)
+    if not len(rows):
+        return []
+    places = np.array(corner(map_)) + (rows[:, 1:3] / 4 + 0.5) * map_.resolution
+    parts = np.split(places, np.flatnonzero(np.diff(rows[:, 0])) + 1)
+    return [np.vstack((part, part[:1])) for part in parts]
+
+
+def extend(way: list[Point], place: Point) -> None:
+    """Add a place to a way; one straight ahead of the last two replaces the last."""
+    if way and way[-1] == place:
+        return
+    if len(way) > 1 and _straight(way[-2], way[-1], place):
+        way[-1] = place
+    else:
+        way.append(place)
+
+
+def _straight(a: Point, b: Point, c: Sequence[float]) -> bool:
+    along, ahead = (b[0] - a[0], b[1] - a[1]), (c[0] - b[0], c[1] - b[1])
+    turn = along[0] * ahead[1] - along[1] * ahead[0]
+    return abs(turn) < 1e-9 and along[0] * ahead[0] + along[1] * ahead[1] > 0

@@ -1,0 +1,172 @@
+"""Windows onto a run: Rerun's own viewer, or its page in a browser; always on the loopback, always apart.
+
+Rerun itself is only looked for here, not imported: the command line stays quick without it, and says what to
+install where it is missing. Its usage statistics stay off.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from urllib.parse import urlencode
+
+LOOPBACK = "127.0.0.1"
+MODES = ("auto", "native", "web", "file")
+"""How a run is shown: as a window, as a page, or recorded only; ``auto`` picks one of the first two."""
+PAGE_S = 10.0
+"""How long the page may take until it answers."""
+
+QUIET = {"CI": "true"}
+"""Environment in which Rerun sends no statistics."""
+
+
+class WindowError(ValueError):
+    """Nothing can be shown: the message says what is missing."""
+
+
+class Window:
+    """One run's window: made before the run, opened once there is something to see.
+
+    Parameters
+    ----------
+    mode : str
+        One of `MODES`.
+    tell : callable
+        Hears where to look, once there is something to see.
+
+    Raises
+    ------
+    WindowError
+        Rerun is not installed, or a window is wanted where there is no display.
+    """
+
+    def __init__(self, mode: str, tell: Callable[[str], object] = lambda _: None) -> None:
+        if mode not in MODES:
+            raise WindowError(f"view = {mode!r}: must be one of {', '.join(MODES)}")
+        binary()
+        if mode == "native" and not has_display():
+            raise WindowError(
+                "view = 'native': there is no display here; try 'web', or 'file' to record only"
+            )
+        self.mode = mode if mode != "auto" else "native" if has_display() else "web"
+        self.port = None if self.mode == "file" else free_port()
+        """Port at which the recording is to be served while it is made."""
+        self._page_port = free_port() if self.mode == "web" else None
+        self._page: subprocess.Popen[bytes] | None = None
+        self._tell = tell
+
+    @property
+    def address(self) -> str:
+        """The page's address, or nothing where there is no page."""
+        query = urlencode({"url": self._source, "hide_welcome_screen": "1"})
+        return f"http://{LOOPBACK}:{self._page_port}/?{query}" if self._page_port else ""
+
+    def open(self, recording: Path | None = None) -> None:
+        """Show what is served at `port`, or a recording, which is then served there by the page itself."""
+        source = self._source if recording is None else str(recording)
+        if self.mode == "native":
+            _start("--port", "auto", "--hide-welcome-screen", source, apart=True)
+        elif self.mode == "web":
+            self.close()
+            flags = ["--serve-web", "--web-viewer-port", str(self._page_port)]
+            self._page = _start(*flags, "--port", str(self.port if recording else free_port()), source)
+            if _answers(self._page, self._page_port or 0):
+                self._tell(f"Look at {self.address}")
+            else:
+                self._tell(
+                    f"Rerun's page did not come up at port {self._page_port}; the run is recorded only"
+                )
+
+    @property
+    def _source(self) -> str:
+        return f"rerun+http://{LOOPBACK}:{self.port}/proxy"
+
+    def wait(self) -> None:
+        """Keep the page until it ends or Ctrl-C."""
+        if self._page is not None:
+            try:
+                self._page.wait()
+            except KeyboardInterrupt:
+                self.close()
+
+    def close(self) -> None:
+        """End the page; Rerun's own window is its user's, and stays."""
+        if self._page is not None and self._page.poll() is None:
+            self._page.terminate()
+            try:
+                self._page.wait(2.0)
+            except subprocess.TimeoutExpired:
+                self._page.kill()
+                self._page.wait()
+        self._page = None
+
+
+def binary() -> Path:
+    """Rerun's program; not its wrapper, which leaves it behind when it is ended."""
+    found = importlib.util.find_spec("rerun_cli")
+    if found is None or found.origin is None:
+        raise WindowError(
+            "the dashboard needs Rerun, which is not installed: pip install 'murmur-swarm[view]'"
+        )
+    name = "rerun.exe" if sys.platform == "win32" else "rerun"
+    return Path(found.origin).parent / name
+
+
+def has_display() -> bool:
+    """Whether a window could be opened."""
+    if sys.platform in ("win32", "darwin"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def optimise(recording: Path) -> None:
+    """Rewrite a recording in larger pieces; it stays as it is if that fails."""
+    beside = recording.with_name(f".{recording.stem}.part.rrd")
+    try:
+        done = subprocess.run(
+            [binary(), "rrd", "optimize", "--output", beside, recording],
+            env=os.environ | QUIET,
+            capture_output=True,
+            check=False,
+        )
+        if done.returncode == 0:
+            beside.replace(recording)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def free_port() -> int:
+    """A port of the loopback that nobody listens to now."""
+    with socket.socket() as probe:
+        probe.bind((LOOPBACK, 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def _start(*arguments: str, apart: bool = False) -> subprocess.Popen[bytes]:
+    """Start Rerun; `apart`: it outlives us and hears no Ctrl-C of ours."""
+    return subprocess.Popen(
+        [binary(), "--bind", LOOPBACK, *arguments],
+        env=os.environ | QUIET,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=apart,
+    )
+
+
+def _answers(page: subprocess.Popen[bytes], port: int) -> bool:
+    deadline = time.monotonic() + PAGE_S
+    while page.poll() is None and time.monotonic() < deadline:
+        try:
+            with socket.create_connection((LOOPBACK, port), timeout=1.0):
+                return True
+        except OSError:
+            time.sleep(0.05)
+    return False

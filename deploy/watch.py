@@ -1,0 +1,102 @@
+"""`murmur watch`: look at a run that is under way, or at the recording of one.
+
+A run under way says in ``live.json`` how to join it as a viewer: its credential (for its owner's eyes only),
+and at which port its own viewer serves the recording from the beginning, if it has one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from deploy import plan as plans
+from deploy import rundir
+from deploy.dashboard.process import RECORDING, ViewTask, serve
+from deploy.dashboard.windows import Window
+from deploy.scenario import ScenarioError
+from protocol.zenoh_bus import Credential
+
+LIVE = "live.json"
+
+
+@dataclass(frozen=True)
+class Live:
+    """How to look at a run under way."""
+
+    credential: Credential
+    port: int | None
+
+
+@contextlib.contextmanager
+def announced(directory: Path | None, credential: Credential, port: int | None) -> Iterator[None]:
+    """Say in a run directory how to look at the run, as long as it is under way."""
+    if directory is None:
+        yield
+        return
+    path = directory / LIVE
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        json.dump(asdict(credential) | {"port": port}, file, indent=2)
+    try:
+        yield
+    finally:
+        path.unlink(missing_ok=True)
+
+
+def read_live(directory: Path) -> Live | None:
+    """Read how to look at a run under way; None if none is under way there.
+
+    Raises
+    ------
+    ValueError
+        The file is damaged.
+    """
+    path = directory / LIVE
+    if not path.is_file():
+        return None
+    credential = Credential.read(path)
+    return Live(credential, json.loads(path.read_text(encoding="utf-8"))["port"])
+
+
+def watch(directory: Path, window: Window) -> None:
+    """Look at a run: under way from now on, or with its own viewer from the beginning; else its recording.
+
+    Comes back when the run is over, or when the page is no longer wanted.
+
+    Raises
+    ------
+    ScenarioError
+        There is nothing to look at.
+    """
+    live = read_live(directory)
+    if live is None:
+        _show(recording_of(directory), window)
+    elif live.port is not None:
+        window.port = live.port
+        window.open()
+        window.wait()
+    else:
+        task = ViewTask(plans.make(rundir.read_scenario(directory)), directory, port=window.port)
+        serve(live.credential, task, window.open)
+        _show(recording_of(directory), window)
+
+
+def recording_of(directory: Path) -> Path:
+    """The newest recording in a run directory; ScenarioError if there is none."""
+    stem, suffix = RECORDING.split(".")
+    found = sorted(directory.glob(f"{stem}*.{suffix}"), key=lambda path: path.stat().st_mtime_ns)
+    if not found:
+        raise ScenarioError(
+            f"{directory}: no recording ({RECORDING}), and no run is under way there; "
+            "murmur explore --view, or --view-as file, makes one"
+        )
+    return found[-1]
+
+
+def _show(recording: Path, window: Window) -> None:
+    window.open(recording)
+    window.wait()

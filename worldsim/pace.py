@@ -1,0 +1,31 @@
+"""The pace at which the world opens its steps, for people who watch. It decides no result."""
+
+from __future__ import annotations
+
+import time
+
+SLOWEST = 0.5
+"""Steps a second; a world that sleeps longer does not hear in time that it is to stop."""
+
+
+class Pace:
+    """At most so many steps a second; a step that takes longer is not made up for.
+
+    Raises
+    ------
+    ValueError
+        Fewer steps a second than `SLOWEST`.
+    """
+
+    def __init__(self, steps_per_s: float) -> None:
+        if not steps_per_s >= SLOWEST:
+            raise ValueError(f"pace = {steps_per_s:g}: must be {SLOWEST:g} steps a second or more")
+        self._period = 1.0 / steps_per_s
+        self._due = 0.0
+
+    def wait(self) -> None:
+        """Wait until the next step may be opened."""
+        now = time.monotonic()
+        if now < self._due:
+            time.sleep(self._due - now)
+        self._due = max(self._due, now) + self._period
