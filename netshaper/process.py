@@ -37,7 +37,7 @@ class RelayNode:
     def __init__(self, bus: Bus, keys: Keys, settings: RadioSettings) -> None:
         self.done = False
         self.going_home = False
-        """Whether everyone has been told that the run is over; who stays all the same is not waited for long."""
+        """Whether everyone has been told that the run is over; who stays all the same is not waited for."""
         self._bus = bus
         self._keys = keys
         self._radio = Radio(settings)
@@ -91,18 +91,17 @@ class RelayNode:
             if not self._begun and self._expected <= self._present:
                 self._begun = True
                 self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Begin()))
-        elif self._ended:
+        elif self.going_home or not (self._begun or who in (names.WORLD, names.LAB)):
             self._present.discard(who)
         elif who == names.WORLD:
-            self._end(End(-1, "the world died", -1))
+            self._present.discard(who)
+            self._break_off("the world died")
         elif who == names.LAB:
             self._present.discard(who)
-            self._end(End(-1, "the laboratory died", -1))
+            self._break_off("the laboratory died")
             self._go_home()
-        elif self._begun:
-            self.give_up_on(names.number(who), "its process ended")
         else:
-            self._present.discard(who)
+            self.give_up_on(names.number(who), "its process ended")
 
     def _control(self, sender: str, payload: bytes) -> None:
         try:
@@ -123,6 +122,10 @@ class RelayNode:
             self._go_home()
         else:
             self._fault(sender, f"said {type(message).__name__}, which is not its to say")
+
+    def _break_off(self, reason: str) -> None:
+        if not self._ended:
+            self._end(End(-1, reason, -1))
 
     def _end(self, end: End) -> None:
         """Tell the robots and the laboratory that the run is over; their maps follow."""
@@ -155,7 +158,7 @@ class RelayNode:
         self._report(Fault(who, reason))
 
     def _report(self, message: object) -> None:
-        """Tell the laboratory, and the viewer if there is one; the frames on the air are only for the former."""
+        """Tell the laboratory, and the viewer if there is one; frames on the air are only for the former."""
         self._bus.put(self._keys.control(names.LAB, names.RELAY), pack(message))
         if self._watched:
             seen = replace(message, frames=b"") if isinstance(message, RadioReport) else message

@@ -1,0 +1,298 @@
+"""The relay's shell on the bus in memory: who has to be there, who may say what, and who died."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from netshaper.ledger import CAUSES, ROW
+from netshaper.process import RelayNode
+from netshaper.radio import RadioSettings
+from protocol import keys as names
+from protocol.bus import Bus
+from protocol.keys import Keys
+from protocol.memory_bus import MemoryHub
+from protocol.messages import (
+    Begin,
+    Bye,
+    Close,
+    End,
+    Fault,
+    Lost,
+    Move,
+    Open,
+    Positions,
+    RadioReport,
+    Said,
+    Stop,
+    pack,
+    unpack,
+)
+from protocol.packets import Offer, Target, encode
+
+KEYS = Keys("relay")
+WORLD, LAB = names.WORLD, names.LAB
+
+
+class Run:
+    """A relay on a bus in memory, and the ends of all others, which the test speaks for."""
+
+    def __init__(self, robots: int = 2, *, begun: bool = True) -> None:
+        self.hub = MemoryHub(KEYS.run)
+        self._relay_bus = self.hub.join(names.RELAY)
+        self.relay = RelayNode(self._relay_bus, KEYS, RadioSettings(robots, 0, 100.0))
+        self.ends: dict[str, Bus] = {}
+        self.robots = [names.robot(number) for number in range(robots)]
+        if begun:
+            for name in (WORLD, LAB, *self.robots):
+                self.join(name)
+            assert self.heard(WORLD) == [Begin()]
+
+    def join(self, name: str) -> None:
+        self.ends[name] = self.hub.join(name)
+        self.work()
+
+    def leave(self, name: str) -> None:
+        self.ends.pop(name).close()
+        self.work()
+
+    def work(self) -> None:
+        while (message := self._relay_bus.receive()) is not None:
+            self.relay.handle(message)
+
+    def say(self, name: str, message: object) -> None:
+        payload = message if isinstance(message, bytes) else pack(message)
+        self.ends[name].put(KEYS.control_tx(name), payload)
+        self.work()
+
+    def radio(self, sender: str, receiver: str, payload: bytes) -> None:
+        self.ends[sender].put(KEYS.radio_tx(sender, receiver), payload)
+        self.work()
+
+    def heard(self, name: str) -> list[Any]:
+        """What has come by control since last time."""
+        found = []
+        while (message := self.ends[name].receive()) is not None:
+            plane, _, _, sender = names.parts(message.key)
+            if plane == "control":
+                assert sender == names.RELAY
+                found.append(unpack(message.payload))
+        return found
+
+    def begin_step(self, step: int = 1) -> None:
+        numbers = [names.number(name) for name in self.robots if name in self.ends]
+        self.say(WORLD, Positions(step, numbers, numbers, numbers))
+
+    def finish_step(self, step: int = 1) -> list[RadioReport]:
+        """Let robots be silent until the medium closes; return what the laboratory is told."""
+        for _ in range(2):
+            for name in self.robots:
+                for message in self.heard(name) if name in self.ends else []:
+                    if isinstance(message, Open):
+                        self.say(name, Said(step, message.exchange, "offers", []))
+        return [message for message in self.heard(LAB) if isinstance(message, RadioReport)]
+
+
+def test_the_run_begins_when_everyone_is_here_and_not_before() -> None:
+    run = Run(begun=False)
+    for name, missing in [(WORLD, [LAB, "r0", "r1"]), ("r1", [LAB, "r0"]), (LAB, ["r0"])]:
+        run.join(name)
+        assert run.relay.missing() == missing
+        assert run.heard(WORLD) == []
+    run.join("r0")
+    assert run.relay.missing() == []
+    assert run.heard(WORLD) == [Begin()]
+
+
+def test_who_leaves_before_the_beginning_is_waited_for_again() -> None:
+    run = Run(begun=False)
+    for name in (WORLD, LAB, "r0"):
+        run.join(name)
+    run.leave("r0")
+    run.join("r1")
+    assert run.heard(WORLD) == []
+    assert run.relay.missing() == ["r0"]
+    run.join("r0")
+    assert run.heard(WORLD) == [Begin()]
+
+
+def test_a_step_opens_the_medium_for_all_and_ends_with_a_report() -> None:
+    run = Run()
+    run.begin_step()
+    assert run.relay.waiting_for() == [0, 1]
+    (report,) = run.finish_step()
+    assert (report.step, report.carried, report.rows) == (1, 0, b"")
+    assert [type(message) for message in run.heard("r0")] == [Close]
+
+
+def test_a_robot_that_dies_is_reported_and_nobody_waits_for_it() -> None:
+    run = Run()
+    run.begin_step()
+    run.leave("r1")
+    assert run.heard(WORLD) == [Lost(1, "its process ended")]
+    assert run.heard(LAB) == [Lost(1, "its process ended")]
+    assert run.relay.waiting_for() == [0]
+    assert len(run.finish_step()) == 1
+
+
+def test_a_robot_that_is_given_up_is_reported_once_also_when_it_leaves_later() -> None:
+    run = Run()
+    run.begin_step()
+    run.relay.give_up_on(1, "it said nothing")
+    run.leave("r1")
+    assert run.heard(WORLD) == [Lost(1, "it said nothing")]
+
+
+def test_a_robot_that_dies_before_it_has_handed_in_its_maps_is_reported_too() -> None:
+    run = Run()
+    run.say(WORLD, End(7, "explored", 0))
+    assert run.heard(LAB) == [End(7, "explored", 0)]
+    run.leave("r1")
+    assert run.heard(LAB) == [Lost(1, "its process ended")]
+
+
+def test_when_the_world_dies_the_run_is_over_for_everyone_once() -> None:
+    run = Run()
+    run.begin_step()
+    run.leave(WORLD)
+    for name in (LAB, "r0", "r1"):
+        assert [m for m in run.heard(name) if isinstance(m, End)] == [End(-1, "the world died", -1)]
+    run.say(LAB, Bye())
+    for name in (LAB, "r0", "r1"):
+        assert run.heard(name) == [Bye()]
+        run.leave(name)
+    assert run.relay.done
+
+
+def test_a_world_that_dies_after_the_end_ends_nothing_again() -> None:
+    run = Run()
+    run.say(WORLD, End(7, "explored", 0))
+    run.leave(WORLD)
+    assert run.heard(LAB) == [End(7, "explored", 0)]
+
+
+@pytest.mark.parametrize("ended", [False, True])
+def test_when_the_laboratory_dies_everyone_goes_home(ended: bool) -> None:
+    run = Run()
+    if ended:
+        run.say(WORLD, End(7, "explored", 0))
+    run.leave(LAB)
+    for name in (WORLD, "r0", "r1"):
+        assert run.heard(name)[-1] == Bye()
+        run.leave(name)
+    assert run.relay.done
+
+
+def test_the_relay_is_done_when_all_have_been_sent_home_and_have_left() -> None:
+    run = Run()
+    run.say(WORLD, End(7, "explored", 0))
+    run.say(LAB, Bye())
+    for name in (WORLD, LAB, "r0", "r1"):
+        assert run.relay.going_home
+        assert not run.relay.done
+        run.leave(name)
+    assert run.relay.done
+
+
+def test_a_stop_of_the_laboratory_is_passed_on_to_the_world() -> None:
+    run = Run()
+    run.say(LAB, Stop("interrupted"))
+    assert run.heard(WORLD) == [Stop("interrupted")]
+
+
+@pytest.mark.parametrize(
+    "lie",
+    [
+        b"",
+        b"\xc1",
+        b"\xff\xff",
+        Positions(1, [0, 1], [0, 0], [0, 0]),
+        End(1, "I am done", 0),
+        Stop("enough"),
+        Bye(),
+        Begin(),
+        Lost(1, "I saw it die"),
+        Move(1, b"", 0, explored=True),
+        RadioReport(1, b"", 0, b""),
+    ],
+    ids=repr,
+)
+def test_what_is_not_a_robots_to_say_is_reported_and_has_no_effect(lie: object) -> None:
+    run = Run()
+    run.begin_step()
+    run.say("r1", lie)
+    (fault,) = run.heard(LAB)
+    assert isinstance(fault, Fault)
+    assert fault.who == "r1"
+    assert run.heard(WORLD) == []
+    assert run.relay.waiting_for() == [0, 1]
+    assert len(run.finish_step()) == 1
+
+
+@given(st.binary(max_size=60))
+def test_noise_on_a_robots_wire_stops_no_run(noise: bytes) -> None:
+    run = Run()
+    run.begin_step()
+    run.say("r1", noise)
+    run.radio("r1", "r0", noise)
+    run.radio("r1", names.ALL, noise)
+    assert len(run.finish_step()) == 1
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        Said(1, 0, "offers", [2**63, -(2**63), 0, 0]),
+        Said(-5, 99, "offers", []),
+        Said(2**64 - 1, 0, "offers", [2**64 - 1]),
+    ],
+)
+def test_strange_numbers_at_the_end_of_a_phase_stop_no_run(said: Said) -> None:
+    run = Run()
+    run.begin_step()
+    run.radio("r1", "r0", encode([Offer(1, 0)]))
+    run.say("r1", said)
+    assert run.relay.waiting_for() == [0]
+
+
+@pytest.mark.parametrize(
+    "receiver", ["r9", "r64", "r99999", "r999999999999", "world", "lab", "relay", "*", "r", "r-1", "r٣", "R0"]
+)
+def test_a_frame_for_a_name_that_no_robot_has_is_booked_as_out_of_range(receiver: str) -> None:
+    run = Run()
+    run.begin_step()
+    run.radio("r1", receiver, encode([Offer(1, 0)]))
+    (report,) = run.finish_step()
+    rows = np.frombuffer(report.rows, ROW)
+    assert [(row["sender"], row["bytes"], CAUSES[row["cause"]]) for row in rows] == [(1, 2, "range")]
+
+
+def test_a_target_is_passed_on_with_its_sender_in_the_key() -> None:
+    run = Run()
+    run.begin_step()
+    run.heard("r0")
+    run.radio("r1", names.ALL, encode([Target(3, 4)]))
+    run.say("r1", Said(1, 0, "offers", []))
+    run.say("r0", Said(1, 0, "offers", []))
+    message = run.ends["r0"].receive()
+    assert message is not None
+    assert (message.key, message.payload) == (KEYS.radio_rx("r0", "r1"), encode([Target(3, 4)]))
+
+
+@pytest.mark.parametrize("moment", ["before positions", "in the offers", "between steps"])
+def test_a_death_at_any_time_lets_the_next_step_run(moment: str) -> None:
+    run = Run(3)
+    if moment == "before positions":
+        run.leave("r1")
+    run.begin_step()
+    if moment == "in the offers":
+        run.leave("r1")
+    run.finish_step()
+    if moment == "between steps":
+        run.leave("r1")
+    run.begin_step(2)
+    assert len(run.finish_step(2)) == 1
