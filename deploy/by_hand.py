@@ -9,6 +9,8 @@ from pathlib import Path
 
 from deploy import plan as plans
 from deploy import rundir
+from deploy.dashboard.process import ViewTask, serve
+from deploy.dashboard.windows import Window
 from deploy.launch import Outcome
 from deploy.mission import Result, conclude
 from deploy.plan import Plan
@@ -85,6 +87,13 @@ def serve_lab(
         finally:
             bus.close()
     return conclude(plan, Outcome(lab.records, deaths), directory, time.perf_counter() - began)
+
+
+def serve_viewer(scenario: Scenario, credential: Path, out: Path, window: Window) -> None:
+    """Watch a run and record it into `out`, from now on until it is over."""
+    out.mkdir(parents=True, exist_ok=True)
+    task = ViewTask(plans.make(scenario), out, port=window.port)
+    serve(_credential(credential, names.VIEW), task, window.open)
 
 
 def _credential(path: Path, name: str) -> Credential:

@@ -81,6 +81,9 @@ def explore(
     ] = None,
     bus: _setting("bus", str, "zenoh|memory") = None,  # type: ignore[valid-type]
     steps: _setting("steps", int, "MAX") = None,  # type: ignore[valid-type]
+    view: Annotated[bool, typer.Option("--view", help="show it live: a window, or a page if there is no display")] = False,
+    view_as: Annotated[str | None, typer.Option(metavar="native|web|file", help="show it so; file: record only")] = None,
+    pace: Annotated[float | None, typer.Option(metavar="STEPS_PER_S", help="no faster than this, for watching")] = None,
     out: OutOption = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -100,7 +103,25 @@ def explore(
         if option:
             overrides["options"] = dict(_named_value(item) for item in option)
         chosen = load(scenario, overrides)
-        raise typer.Exit(_explore(chosen, out, as_json=as_json))
+        show = view_as or ("auto" if view else None)
+        raise typer.Exit(_explore(chosen, out, show, pace, as_json=as_json))
+
+
+@app.command()
+def watch(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
+    view_as: Annotated[str, typer.Option(metavar="native|web|file", help="show it so (default: as there is a display)")] = "auto",
+) -> None:
+    """Look at a run that is under way, or at the recording of one (docs/dashboard.md)."""
+    from deploy import watch as watching  # noqa: PLC0415
+    from deploy.dashboard.windows import Window  # noqa: PLC0415
+
+    with _speaking_clearly():
+        window = Window(view_as, errors.print)
+        try:
+            watching.watch(directory, window)
+        finally:
+            window.close()
 
 
 @app.command()
@@ -321,6 +342,25 @@ def run_agent(
         serve_robot(credential)
 
 
+@run_app.command("view")
+def run_view(
+    credential: Annotated[Path, typer.Option(metavar="FILE", help="view.json of the netshaper's credentials")],
+    scenario: ScenarioFile = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="where the recording goes")] = Path(),
+    view_as: Annotated[str, typer.Option(metavar="native|web|file", help="show it so")] = "auto",
+) -> None:
+    """Start a viewer: it may come and go while the run goes on, and nobody waits for it."""
+    from deploy.by_hand import serve_viewer  # noqa: PLC0415
+    from deploy.dashboard.windows import Window  # noqa: PLC0415
+
+    with _speaking_clearly():
+        window = Window(view_as, errors.print)
+        try:
+            serve_viewer(load(scenario, {}), credential, out, window)
+        finally:
+            window.close()
+
+
 @run_app.command("lab")
 def run_lab(
     credential: Annotated[Path, typer.Option(metavar="FILE", help="lab.json of the netshaper's credentials")],
@@ -337,12 +377,22 @@ def run_lab(
         raise typer.Exit(_report(result, as_json=as_json))
 
 
-def _explore(scenario: Scenario, out: Path | None, *, as_json: bool) -> int:
+def _explore(scenario: Scenario, out: Path | None, show: str | None, pace: float | None, *, as_json: bool) -> int:
     from deploy import mission  # noqa: PLC0415
+    from deploy.dashboard.windows import Window  # noqa: PLC0415
+    from deploy.watch import keep_showing  # noqa: PLC0415
 
-    with _progress(shown=not as_json) as watch:
-        result = mission.explore(scenario, out=out, watch=watch)
-    return _report(result, as_json=as_json)
+    window = Window(show, errors.print) if show else None
+    try:
+        with _progress(shown=not as_json) as watch:
+            result = mission.explore(scenario, out=out, watch=watch, window=window, pace=pace)
+        code = _report(result, as_json=as_json)
+        if window is not None and result.directory is not None and sys.stdout.isatty():
+            keep_showing(result.directory, window)
+    finally:
+        if window is not None:
+            window.close()
+    return code
 
 
 def _report(result: Any, *, as_json: bool) -> int:
@@ -350,6 +400,8 @@ def _report(result: Any, *, as_json: bool) -> int:
     from deploy.terminal import summary_lines  # noqa: PLC0415
 
     _report_deaths(result.deaths)
+    if result.view_fault:
+        errors.print(f"the viewer broke off, the run did not mind: {result.view_fault}", markup=False)
     for robot, cause in sorted(result.records.lost.items()):
         errors.print(f"robot {robot} was lost: {cause}")
     for fault in result.records.faults[:5]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,6 +22,7 @@ from deploy.scenario import ScenarioError
 from protocol.zenoh_bus import Credential
 
 LIVE = "live.json"
+POLL_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -78,10 +80,20 @@ def watch(directory: Path, window: Window) -> None:
     elif live.port is not None:
         window.port = live.port
         window.open()
-        window.wait()
+        if window.mode != "native":
+            while read_live(directory) is not None:
+                time.sleep(POLL_S)
+            _show(recording_of(directory), window)
     else:
         task = ViewTask(plans.make(rundir.read_scenario(directory)), directory, port=window.port)
         serve(live.credential, task, window.open)
+        if window.mode != "native":
+            _show(recording_of(directory), window)
+
+
+def keep_showing(directory: Path, window: Window) -> None:
+    """Once a run is over, serve its recording at the same address until Ctrl-C, so that the page lasts."""
+    if window.mode == "web":
         _show(recording_of(directory), window)
 
 
