@@ -58,7 +58,7 @@ class Robot:
         self._exchange = exchanges.exchange(settings)
         self._strategy = strategy(settings.strategy)(settings.options, settings)
         self._sense: Sense | None = None
-        self._home: Cell = (0, 0)
+        self._homes: dict[int, Cell] = {}
         self._leads = False
         self._withheld: list[bytes] = []
         self._publishes = True
@@ -93,7 +93,7 @@ class Robot:
         change = draw(self.own, self._fan, sense.x, sense.y, readings)
         self.known_cells += change.cells + len(np.unique(driven[fresh], axis=0))
         if self._sense is None:
-            self._home = sense.x, sense.y
+            self._homes[self.settings.robot] = sense.x, sense.y
         else:
             self._travel(self.settings.robot, (self._sense.x, self._sense.y), (sense.x, sense.y))
         self._sense = sense
@@ -142,6 +142,7 @@ class Robot:
             elif isinstance(packet, packets.Target):
                 self._news[peer] = packet.x, packet.y
             else:
+                self._homes.setdefault(peer, (packet.x, packet.y))
                 before = self._poses.get(peer)
                 if before is not None:
                     self._travel(peer, before[:2], (packet.x, packet.y))
@@ -207,7 +208,8 @@ class Robot:
             offset=(sense.offset_x, sense.offset_y),
             heading=sense.heading,
             blocked=sense.blocked,
-            home=self._home,
+            homes=dict(sorted(self._homes.items())),
+            home=self._homes[self.settings.robot],
             peers=self._peers,
             poses=dict(sorted(self._poses.items())),
             travelled=dict(sorted(self._travelled.items())),

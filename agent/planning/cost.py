@@ -29,9 +29,6 @@ _SHIFT = 42
 _ONE = 1 << _SHIFT
 _ROOT = round(DIAGONAL * _ONE)
 _FAR = 1 << 62
-_WIDEST = 16
-"""Buckets in the ring of weighted costs: the longest step, sqrt 2 times the largest weight, must fit."""
-
 _STEPS = np.array([(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)], np.int64)
 """Neighbours (dx, dy). Step 4 + i is the diagonal between steps i and i + 1."""
 
@@ -91,18 +88,8 @@ def way(grid: Grid, field: Field, x: int, y: int) -> NDArray[np.int32]:
     return weighted_way(grid, _NO_WEIGHTS, field, x, y)
 
 
-def weighted_costs(grid: Grid, weights: NDArray[np.float64], x: int, y: int) -> Field:
-    """As `costs`, where each step counts its length times the weight of the cell that it enters.
-
-    `weights`, shape (h, w), lie between 1 and 10.
-    """
-    field = np.full(grid.shape, np.inf)
-    _spread_weighted(grid, weights, x, y, field)
-    return field
-
-
 def weighted_way(grid: Grid, weights: NDArray[np.float64], field: Field, x: int, y: int) -> NDArray[np.int32]:
-    """As `way`, on a field of `weighted_costs`."""
+    """As `way`, on a field of `agent.planning.occupancy.weighted_costs`; `weights` has shape (h, w)."""
     out = np.empty((grid.size, 2), np.int32)
     length = _descend(grid, weights, field, x, y, out)
     return out[:length][::-1].copy()
@@ -229,49 +216,6 @@ def _spread(
     if found < 0:
         found = first
     return -1 if found < 0 else (found // stride - 1) * width + found % stride - 1
-
-
-@kernel("void(uint8[:,::1], float64[:,::1], int64, int64, float64[:,::1])")
-def _spread_weighted(grid: Grid, weights: NDArray[np.float64], x: int, y: int, field: Field) -> None:
-    height, width = grid.shape
-    buckets = np.empty((_WIDEST, 1024), np.int32)
-    fill = np.zeros(_WIDEST, np.int64)
-    field[y, x] = 0.0
-    buckets[0, 0] = y * width + x
-    fill[0] = 1
-    level = 0
-    empty = 0
-    while empty < _WIDEST:
-        ring = level % _WIDEST
-        empty = empty + 1 if fill[ring] == 0 else 0
-        for at in range(fill[ring]):
-            cell = buckets[ring, at]
-            cy = cell // width
-            cx = cell - cy * width
-            base = field[cy, cx]
-            if int(base) != level:
-                continue
-            for number in range(8):
-                nx = cx + _STEPS[number, 0]
-                ny = cy + _STEPS[number, 1]
-                if nx < 0 or ny < 0 or nx >= width or ny >= height or grid[ny, nx] != FREE:
-                    continue
-                new = base + weights[ny, nx]
-                if number >= 4:
-                    if grid[cy, nx] != FREE or grid[ny, cx] != FREE:
-                        continue
-                    new = base + weights[ny, nx] * DIAGONAL
-                if new < field[ny, nx]:
-                    field[ny, nx] = new
-                    to = int(new) % _WIDEST
-                    if fill[to] == buckets.shape[1]:
-                        larger = np.empty((_WIDEST, 2 * fill[to]), np.int32)
-                        larger[:, : fill[to]] = buckets
-                        buckets = larger
-                    buckets[to, fill[to]] = ny * width + nx
-                    fill[to] += 1
-        fill[ring] = 0
-        level += 1
 
 
 @kernel("int64(uint8[:,::1], float64[:,::1], float64[:,::1], int64, int64, int32[:,::1])")

@@ -1,35 +1,185 @@
-"""Costs by occupancy: ways that keep away from walls (Burgard et al., section II-A)."""
+"""Costs by occupancy: ways that keep away from walls (Burgard et al., section II-A).
+
+The paper's cost of a cell is distance times occupancy, on a map smoothed by a Gaussian. Here it is scaled so
+that a cell far from all obstacles costs its length; lengths are counted in 1024ths of a cell. As in
+`agent.planning.cost`, no step is shorter than a cell, so cells are settled in buckets of that width.
+"""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from protocol.grid import FREE, OCCUPIED, Grid
+from agent.planning.cost import Field
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from protocol.kernels import kernel
 
 P_FREE, P_UNKNOWN, P_OCCUPIED = 0.1, 0.5, 0.9
 """Occupancy probability that a cell of each state stands for."""
 
 SMOOTHING = 1.0
-"""Standard deviation of the Gaussian that maps are smoothed by, in cells."""
+"""Standard deviation of the Gaussian, in cells."""
+_TRUNCATE = 3.0
+
+_GRAIN_BITS = 10
+_GRAIN = 1 << _GRAIN_BITS
+_ROOT = math.sqrt(2.0)
+_RING = 16
+"""Buckets in the ring: the longest step, sqrt 2 times P_OCCUPIED / P_FREE, must fit."""
+_FAR = np.int32(np.iinfo(np.int32).max)
+_BARRED = np.int32(-1)
+_DONE = np.uint8(16)
 
 
-def occupancy_weights(floor: Grid, grid: Grid) -> NDArray[np.float64]:
-    """What a cell's width costs on a map smoothed by a Gaussian (Burgard et al., section II-A).
+class Terrain:
+    """What steps into cells cost on one planning grid, laid out for `weighted_costs`.
 
-    The paper's cost is distance times occupancy; here it is scaled so that a cell far from all obstacles
-    costs its length. Only cells that are free on `floor` can be entered at all: that is the paper's occ_max,
-    put where no doorway closes.
+    Only cells that are free on `floor` can be entered at all: that is the paper's occ_max, put where no
+    doorway closes.
+
+    Parameters
+    ----------
+    grid : uint8 array, shape (h, w)
+        The planning grid.
+    floor : uint8 array, shape (h, w)
+        The same with obstacles enlarged by the robot's radius.
+
+    Attributes
+    ----------
+    weights : float64 array, shape (h, w)
+        What entering a cell costs for each cell's width of way; between 1 and P_OCCUPIED / P_FREE.
+    """
+
+    def __init__(self, grid: Grid, floor: Grid) -> None:
+        table = np.zeros(256, np.float32)
+        table[[UNKNOWN, FREE, OCCUPIED]] = P_UNKNOWN, P_FREE, P_OCCUPIED
+        smoothed = ndimage.gaussian_filter(
+            table[grid], SMOOTHING, mode="constant", cval=P_UNKNOWN, truncate=_TRUNCATE
+        )
+        weights = np.clip(smoothed.astype(np.float64) / P_FREE, 1.0, P_OCCUPIED / P_FREE)
+        self.weights = np.rint(weights * _GRAIN) / _GRAIN
+        self.straight = np.zeros((grid.shape[0] + 2, grid.shape[1] + 2), np.int32)
+        self.diagonal = np.zeros_like(self.straight)
+        self.plain = np.zeros(self.straight.shape, np.bool_)
+        _lay_out(floor, self.weights, self.straight, self.diagonal, self.plain)
+
+
+def weighted_costs(terrain: Terrain, x: int, y: int) -> Field:
+    """Cost of the best way from cell (x, y) to every cell, where each step counts by the cell that it enters.
 
     Returns
     -------
     float64 array, shape (h, w)
-        At least 1; P_OCCUPIED / P_FREE at most.
+        In cells of free floor; infinite where no way leads.
     """
-    table = np.zeros(256)
-    table[[0, FREE, OCCUPIED]] = P_UNKNOWN, P_FREE, P_OCCUPIED
-    smoothed = ndimage.gaussian_filter(table[grid], SMOOTHING, mode="constant", cval=P_UNKNOWN, truncate=3.0)
-    weights = np.maximum(smoothed / P_FREE, 1.0)
-    weights[floor != FREE] = P_OCCUPIED / P_FREE
-    return np.ascontiguousarray(weights)
+    height, width = terrain.weights.shape
+    field = np.empty((height, width))
+    _spread(terrain.straight.ravel(), terrain.diagonal.ravel(), terrain.plain.ravel(), x, y, field)
+    return field
+
+
+@kernel("void(uint8[:,::1], float64[:,::1], int32[:,::1], int32[:,::1], boolean[:,::1])")
+def _lay_out(
+    floor: Grid,
+    weights: NDArray[np.float64],
+    straight: NDArray[np.int32],
+    diagonal: NDArray[np.int32],
+    plain: NDArray[np.bool_],
+) -> None:
+    """Costs of a straight and a diagonal step into each cell, 0 where it is barred, with a barred rim.
+
+    A cell is plain if it and all around it cost alike.
+    """
+    height, width = floor.shape
+    for y in range(height):
+        for x in range(width):
+            if floor[y, x] == FREE:
+                straight[y + 1, x + 1] = round(weights[y, x] * _GRAIN)
+                diagonal[y + 1, x + 1] = round(weights[y, x] * _ROOT * _GRAIN)
+    for y in range(1, height + 1):
+        for x in range(1, width + 1):
+            alike = straight[y, x] > 0
+            for ny in range(y - 1, y + 2):
+                for nx in range(x - 1, x + 2):
+                    alike = alike and straight[ny, nx] == straight[y, x]
+            plain[y, x] = alike
+
+
+@kernel("void(int32[::1], int32[::1], boolean[::1], int64, int64, float64[:,::1])")
+def _spread(
+    straight: NDArray[np.int32],
+    diagonal: NDArray[np.int32],
+    plain: NDArray[np.bool_],
+    x: int,
+    y: int,
+    field: Field,
+) -> None:
+    height, width = field.shape
+    stride = width + 2
+    length = np.where(straight > 0, _FAR, _BARRED)
+    came = np.zeros(len(straight), np.uint8)
+    buckets = np.empty((_RING, 1024), np.int32)
+    fill = np.zeros(_RING, np.int64)
+    start = (y + 1) * stride + x + 1
+    length[start] = 0
+    buckets[0, 0] = start
+    fill[0] = 1
+    offset = np.array([1, stride, -1, -stride, 1 + stride, stride - 1, -1 - stride, 1 - stride])
+    # Steps to go on with after each step (canonical ordering, as in agent.planning.cost), or with all eight.
+    onward = np.zeros((9, 8), np.int64)
+    for number in range(8):
+        onward[number, 0] = number
+        onward[number, 1] = (number - 4) & 3
+        onward[number, 2] = (number - 3) & 3
+        onward[8, number] = number
+    level = 0
+    empty = 0
+    while empty < _RING:
+        ring = level & (_RING - 1)
+        empty = empty + 1 if fill[ring] == 0 else 0
+        for ahead in range(1, _RING):
+            # Each cell is put into a bucket eight times at most.
+            to = (level + ahead) & (_RING - 1)
+            if fill[to] + 8 * fill[ring] > buckets.shape[1]:
+                larger = np.empty((_RING, 2 * (fill[to] + 8 * fill[ring])), np.int32)
+                larger[:, : buckets.shape[1]] = buckets
+                buckets = larger
+        for at in range(fill[ring]):
+            cell = buckets[ring, at]
+            base = length[cell]
+            if came[cell] == _DONE:
+                continue  # it was put here twice, or reached on a cheaper way since
+            row = 8
+            count = 8
+            if plain[cell] and cell != start:
+                row = came[cell]
+                count = 1 if row < 4 else 3
+            came[cell] = _DONE
+            for index in range(count):
+                number = onward[row, index]
+                to_cell = cell + offset[number]
+                # Barred cells count as reached; no step is shorter than a cell.
+                if length[to_cell] <= base + _GRAIN:
+                    continue
+                if number < 4:
+                    new = base + straight[to_cell]
+                else:
+                    beside = straight[cell + offset[number - 4]]
+                    if beside == 0 or straight[cell + offset[(number - 3) & 3]] == 0:
+                        continue
+                    new = base + diagonal[to_cell]
+                if new < length[to_cell]:
+                    length[to_cell] = new
+                    came[to_cell] = number
+                    to = (new >> _GRAIN_BITS) & (_RING - 1)
+                    buckets[to, fill[to]] = to_cell
+                    fill[to] += 1
+        fill[ring] = 0
+        level += 1
+    for row in range(height):
+        for column in range(width):
+            whole = length[(row + 1) * stride + column + 1]
+            field[row, column] = np.inf if whole in (_FAR, _BARRED) else whole / _GRAIN

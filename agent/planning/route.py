@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from agent.planning.ways import Ways
 from protocol.chance import chance
 from protocol.grid import FREE, Grid
+from protocol.kernels import kernel
 
 _NOWHERE = np.empty((0, 2), np.int32)
 
@@ -65,3 +66,77 @@ class Route:
         ys, xs = np.nonzero(field <= reach)
         pick = int(chance(key[0], "step aside", *key[1:]).integers(len(xs)))
         self.lead(around, start, (int(xs[pick]), int(ys[pick])))
+
+
+def straighten(floor: Grid, start: tuple[int, int], cells: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Simplify a way by ray shooting: from each corner straight to the farthest cell that is seen.
+
+    What is seen is what a straight line of cells leads to, 8-connected and over free cells, with those beside
+    its diagonal steps free as well; so the new way is no longer than the old one.
+
+    Parameters
+    ----------
+    floor : uint8 array, shape (h, w)
+        Where the robot may drive.
+    start : (x, y)
+        Where the way begins.
+    cells : int32 array, shape (n, 2)
+        The cells of the way behind its start.
+    """
+    if not len(cells):
+        return cells
+    points = np.concatenate([np.array([start], np.int32), cells])
+    out = np.empty((3 * len(points), 2), np.int32)
+    return out[: _shoot(floor, points, out)].copy()
+
+
+@kernel("boolean(uint8[:,::1], int64, int64, int64, int64)")
+def _is_clear(floor: Grid, x: int, y: int, to_x: int, to_y: int) -> bool:
+    dx, dy = abs(to_x - x), abs(to_y - y)
+    step_x = 1 if to_x > x else -1
+    step_y = 1 if to_y > y else -1
+    error = dx - dy
+    while x != to_x or y != to_y:
+        double = 2 * error
+        next_x, next_y = x, y
+        if double > -dy:
+            error -= dy
+            next_x += step_x
+        if double < dx:
+            error += dx
+            next_y += step_y
+        if floor[next_y, next_x] != FREE or floor[y, next_x] != FREE or floor[next_y, x] != FREE:
+            return False
+        x, y = next_x, next_y
+    return True
+
+
+@kernel("int64(uint8[:,::1], int32[:,::1], int32[:,::1])")
+def _shoot(floor: Grid, points: NDArray[np.int32], out: NDArray[np.int32]) -> int:
+    length = 0
+    corner = 0
+    while corner < len(points) - 1:
+        seen = corner + 1
+        while seen + 1 < len(points) and _is_clear(
+            floor, points[corner, 0], points[corner, 1], points[seen + 1, 0], points[seen + 1, 1]
+        ):
+            seen += 1
+        x, y = points[corner]
+        to_x, to_y = points[seen]
+        dx, dy = abs(to_x - x), abs(to_y - y)
+        step_x = 1 if to_x > x else -1
+        step_y = 1 if to_y > y else -1
+        error = dx - dy
+        while x != to_x or y != to_y:
+            double = 2 * error
+            if double > -dy:
+                error -= dy
+                x += step_x
+            if double < dx:
+                error += dx
+                y += step_y
+            out[length, 0] = x
+            out[length, 1] = y
+            length += 1
+        corner = seen
+    return length

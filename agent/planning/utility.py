@@ -47,6 +47,15 @@ def utilities(
     return result
 
 
+def proximity(
+    grid: Grid, cells: NDArray[np.int32], target: NDArray[np.int32], range_cells: float
+) -> NDArray[np.float64]:
+    """P(d) of each of `cells` for one target: by how much it lowers their utilities, shape (n,)."""
+    lowered = np.zeros(len(cells))
+    _lower(grid, cells, target.reshape(1, 2), np.ones(1), range_cells, lowered)
+    return -lowered
+
+
 def in_sight(grid: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
     """Whether no occupied cell lies on the straight line between two cells."""
     return bool(_in_sight(grid, x0, y0, x1, y1))
@@ -74,6 +83,15 @@ def _in_sight(grid: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
             y0 += 1
 
 
+@kernel("float64(uint8[:,::1], int32[::1], int32[::1], float64)")
+def sees(grid: Grid, one: NDArray[np.int32], other: NDArray[np.int32], range_cells: float) -> float:
+    """P(d) of two cells for each other, 0 where an obstacle lies between them; for other kernels."""
+    distance = np.sqrt(float((one[0] - other[0]) ** 2 + (one[1] - other[1]) ** 2))
+    if distance < range_cells and _in_sight(grid, one[0], one[1], other[0], other[1]):
+        return float(1.0 - distance / range_cells)
+    return 0.0
+
+
 @kernel("void(uint8[:,::1], int32[:,::1], int32[:,::1], float64[::1], float64, float64[::1])")
 def _lower(
     grid: Grid,
@@ -84,9 +102,5 @@ def _lower(
     result: NDArray[np.float64],
 ) -> None:
     for target in range(len(targets)):
-        tx, ty = targets[target]
         for at in range(len(cells)):
-            x, y = cells[at]
-            distance = np.sqrt(float((x - tx) ** 2 + (y - ty) ** 2))
-            if distance < range_cells and _in_sight(grid, x, y, tx, ty):
-                result[at] -= weights[target] * (1.0 - distance / range_cells)
+            result[at] -= weights[target] * sees(grid, cells[at], targets[target], range_cells)

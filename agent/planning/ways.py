@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.planning.cost import Field, costs, nearest_first, way, weighted_costs, weighted_way
+from agent.planning.cost import Field, costs, nearest_first, way, weighted_way
 from agent.planning.frontier import frontier_cells
-from agent.planning.occupancy import occupancy_weights
+from agent.planning.occupancy import Terrain, weighted_costs
 from protocol.grid import OCCUPIED, Grid, enlarge
 
 COSTS = ("shortest", "weighted")
@@ -39,17 +39,17 @@ class Ways:
         self.grid = grid
         self.floor = enlarge(grid, radius_cells)
         self._kind = kind
-        self._weights = occupancy_weights(self.floor, grid) if kind == "weighted" else None
+        self._terrain = Terrain(grid, self.floor) if kind == "weighted" else None
         self._fields: dict[tuple[int, int], Field] = {}
         self._near: dict[tuple[int, int], Field] = {}
 
     def costs(self, x: int, y: int) -> Field:
         """Cost of the best way from cell (x, y) to every cell; infinite where none leads."""
         if (x, y) not in self._fields:
-            if self._weights is None:
+            if self._terrain is None:
                 self._fields[x, y] = costs(self.floor, x, y)
             else:
-                self._fields[x, y] = weighted_costs(self.floor, self._weights, x, y)
+                self._fields[x, y] = weighted_costs(self._terrain, x, y)
         return self._fields[x, y]
 
     def way(self, start: tuple[int, int], end: tuple[int, int]) -> NDArray[np.int32] | None:
@@ -59,9 +59,9 @@ class Ways:
             field = self.costs(*start)
         if not np.isfinite(field[end[1], end[0]]):
             return None
-        if self._weights is None:
+        if self._terrain is None:
             return way(self.floor, field, *end)
-        return weighted_way(self.floor, self._weights, field, *end)
+        return weighted_way(self.floor, self._terrain.weights, field, *end)
 
     def frontier(self, x: int, y: int) -> NDArray[np.int32]:
         """All frontier cells that can be reached from (x, y), row by row, shape (n, 2)."""

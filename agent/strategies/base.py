@@ -44,8 +44,10 @@ class Situation:
         Eighths of a turn.
     blocked : str
         Why its last move stopped short (`worldsim.motion`); empty if it did not.
+    homes : dict of robot to (x, y)
+        The depots: the cell in which it started itself, and where each teammate was first heard of.
     home : (x, y)
-        The cell in which it started, its depot.
+        Its own depot.
     peers : tuple of int
         Teammates in radio range, ascending.
     poses : dict of robot to Pose
@@ -67,6 +69,7 @@ class Situation:
     offset: Cell = (0, 0)
     heading: int = 0
     blocked: str = ""
+    homes: Mapping[int, Cell] = field(default_factory=dict)
     home: Cell = (0, 0)
     peers: tuple[int, ...] = ()
     poses: Mapping[int, Pose] = field(default_factory=dict)

@@ -1,0 +1,165 @@
+"""Who goes where: assignments of goals to robots, from what each way costs and each goal is worth.
+
+An assignment is an int64 array with the number of each robot's goal, -1 for a robot without one. Where
+several are equally good, the robot and then the goal that come first count.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from agent.planning.utility import proximity, sees
+from protocol.grid import Grid
+from protocol.kernels import kernel
+
+Costs = NDArray[np.float64]
+"""Shape (robots, goals); infinite where no way leads."""
+
+Assignment = NDArray[np.int64]
+
+STARTS = 8
+"""Random starts of the search for the best assignment."""
+
+
+def greedy(costs: Costs, order: NDArray[np.int64]) -> Assignment:
+    """One robot after the other, in the given order, takes the nearest goal left (Faigl and Vanek, GA)."""
+    left = costs.copy()
+    given = np.full(len(costs), -1)
+    for robot in order:
+        goal = int(np.argmin(left[robot]))
+        if np.isfinite(left[robot, goal]):
+            given[robot] = goal
+            left[:, goal] = np.inf
+    return given
+
+
+def iterative(costs: Costs) -> Assignment:
+    """All pairs by their cost: the cheapest with both robot and goal free is taken (Faigl and Vanek, IA)."""
+    left = costs.copy()
+    given = np.full(len(costs), -1)
+    for _ in range(min(costs.shape)):
+        robot, goal = divmod(int(np.argmin(left)), costs.shape[1])
+        if not np.isfinite(left[robot, goal]):
+            break
+        given[robot] = goal
+        left[robot] = np.inf
+        left[:, goal] = np.inf
+    return given
+
+
+def hungarian(costs: Costs) -> Assignment:
+    """The assignment of least total cost; with fewer goals than robots `iterative` (Faigl and Vanek, HA)."""
+    robots, goals = costs.shape
+    if goals < robots:
+        return iterative(costs)
+    far = 1e6 + 1e3 * np.nanmax(np.where(np.isfinite(costs), costs, 0.0))
+    rows, columns = linear_sum_assignment(np.where(np.isfinite(costs), costs, far))
+    given = np.full(robots, -1)
+    given[rows] = np.where(np.isfinite(costs[rows, columns]), columns, -1)
+    return given
+
+
+def in_turn(
+    grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, range_cells: float
+) -> Assignment:
+    """Assign goals as Algorithm 1 of Burgard et al. (section II-C) does.
+
+    The pair of best utility minus cost is taken; utilities around its goal are lowered; again, until every
+    robot has a goal. Two robots may have the same where there is nothing better.
+
+    Parameters
+    ----------
+    grid : uint8 array, shape (h, w)
+        The planning grid; obstacles hide goals from each other.
+    goals : int32 array, shape (n, 2)
+        Cells (x, y).
+    utility : float64 array, shape (n,)
+        What each goal is worth before anyone takes one.
+    costs : float64 array, shape (m, n)
+        Weighted by beta, in the unit of utilities.
+    range_cells : float
+        Sensor range.
+    """
+    worth = utility.copy()
+    given = np.full(len(costs), -1)
+    for _ in range(len(costs)):
+        value = worth[None, :] - costs
+        value[given >= 0] = -np.inf
+        robot, goal = divmod(int(np.argmax(value)), len(goals))
+        if not np.isfinite(value[robot, goal]):
+            break
+        given[robot] = goal
+        worth -= proximity(grid, goals, goals[goal], range_cells)
+    return given
+
+
+def best_of_all(
+    grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, range_cells: float,
+    random: np.random.Generator,
+) -> Assignment:  # fmt: skip
+    """Search the assignment that `total_value` finds best (Burgard et al., Algorithm 2).
+
+    Hill climbing (one robot takes another goal, or two swap theirs) from what `in_turn` gives and from
+    `STARTS` random assignments. Parameters as `in_turn`, costs squared before they are weighted.
+    """
+    cost = np.where(np.isfinite(costs), costs, 1e9)
+    first = in_turn(grid, goals, utility, cost, range_cells)
+    best, best_value = first, -np.inf
+    for start in [first, *(random.integers(len(goals), size=(STARTS, len(costs))))]:
+        given = start.astype(np.int64)
+        _climb(grid, goals, utility, cost, range_cells, given)
+        value = total_value(grid, goals, utility, cost, range_cells, given)
+        if value > best_value + 1e-9:
+            best, best_value = given, value
+    return np.where(np.isfinite(costs[np.arange(len(costs)), best]), best, -1)
+
+
+def total_value(
+    grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, range_cells: float, given: Assignment
+) -> float:  # fmt: skip
+    """Sum over all robots of the utility of its goal, lowered by all others' goals, minus its cost."""
+    total = 0.0
+    for robot, goal in enumerate(given):
+        others = np.delete(given, robot)
+        lowered = proximity(grid, goals[others], goals[goal], range_cells).sum() if len(others) else 0.0
+        total += float(utility[goal] - lowered - costs[robot, goal])
+    return total
+
+
+@kernel("void(uint8[:,::1], int32[:,::1], float64[::1], float64[:,::1], float64, int64[::1])")
+def _climb(
+    grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, range_cells: float, given: Assignment
+) -> None:  # fmt: skip
+    robots = len(given)
+    improved = True
+    while improved:
+        improved = False
+        for robot in range(robots):
+            best = -1
+            best_value = -np.inf
+            now = -np.inf
+            for goal in range(len(goals)):
+                value = utility[goal] - costs[robot, goal]
+                if value < best_value and goal != given[robot]:
+                    continue
+                for other in range(robots):
+                    if other != robot:
+                        # Each lowers the other's utility.
+                        value -= 2.0 * sees(grid, goals[goal], goals[given[other]], range_cells)
+                if goal == given[robot]:
+                    now = value
+                if value > best_value:
+                    best = goal
+                    best_value = value
+            if best_value > now + 1e-9:
+                given[robot] = best
+                improved = True
+        for one in range(robots):
+            for other in range(one):
+                before = costs[one, given[one]] + costs[other, given[other]]
+                after = costs[one, given[other]] + costs[other, given[one]]
+                if after < before - 1e-9:
+                    given[one], given[other] = given[other], given[one]
+                    improved = True

@@ -1,0 +1,56 @@
+"""Tours through goals: the travelling salesman's open path, for the cost of going to a goal first.
+
+Faigl and Vanek take Chained Lin-Kernighan (section 3.1); the tours of one robot are short enough to be
+solved exactly (fast-tsp, Held and Karp), and so they are the same on every machine.
+"""
+
+from __future__ import annotations
+
+import fast_tsp
+import numpy as np
+from numpy.typing import NDArray
+
+LONGEST = 12
+"""Goals that a tour may have: Held and Karp takes less than a millisecond."""
+
+_LARGEST = 65535
+"""The solver's distances are whole numbers up to this."""
+
+
+def open_tour(
+    from_start: NDArray[np.float64], between: NDArray[np.float64], to_end: NDArray[np.float64]
+) -> list[int]:
+    """Order goals by the shortest path from a start through all of them.
+
+    Parameters
+    ----------
+    from_start : float64 array, shape (n,)
+        Cost of the way from the start to each goal; n at most `LONGEST`.
+    between : float64 array, shape (n, n)
+        Cost of the way from goal to goal, symmetric.
+    to_end : float64 array, shape (n,)
+        Cost of the way from each goal to where the path ends; zeros if it ends at the last goal.
+
+    Returns
+    -------
+    list of int
+        The numbers of the goals, in their order.
+    """
+    count = len(from_start)
+    if count <= 2:
+        both = [(from_start[0], [0])] if count == 1 else [
+            (from_start[one] + between[one, 1 - one] + to_end[1 - one], [one, 1 - one]) for one in (0, 1)
+        ]  # fmt: skip
+        return min(both)[1]
+    # A closed tour through the start, node n, and a way back, node n + 1, which costs nothing from the
+    # start and much from any goal: so it is taken once, and the goals form one path.
+    most = (count + 2) * max(from_start.max(), between.max(), to_end.max(), 1e-9)
+    distance = np.zeros((count + 2, count + 2))
+    distance[:count, :count] = between
+    distance[:count, count] = distance[count, :count] = from_start
+    distance[:count, count + 1] = distance[count + 1, :count] = most + to_end
+    scale = _LARGEST / distance.max()
+    tour = fast_tsp.solve_tsp_exact(np.rint(distance * scale).astype(np.int64).tolist())
+    at = tour.index(count)
+    ring = tour[at + 1 :] + tour[:at]
+    return ring[:0:-1] if ring[0] == count + 1 else ring[:-1]

@@ -1,0 +1,97 @@
+"""Coordinated exploration (Burgard, Moors, Stachniss, Schneider 2005), and what it is compared with.
+
+nearest           each robot drives to its nearest frontier cell; maps are shared, targets are not
+burgard           Algorithm 1: the best pair of robot and frontier cell, utilities lowered, the next
+burgard-optimal   Algorithm 2: the assignment with the largest sum of U - beta V^2, searched at random
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.planning.assignment import Assignment, best_of_all, in_turn
+from agent.planning.candidates import CANDIDATES
+from agent.planning.utility import utilities
+from agent.planning.ways import COSTS, Ways
+from agent.strategies.base import Cell, Situation
+from agent.strategies.options import option
+from agent.strategies.targets import Parts, TargetStrategy
+from agent.strategies.team import Table, TeamStrategy
+
+
+@dataclass(frozen=True)
+class Uncoordinated(Parts):
+    """Options of `nearest`."""
+
+    costs: str = option("weighted", "how ways are counted", COSTS)
+
+
+@dataclass(frozen=True)
+class Coordinated(Parts):
+    """Options of the coordinated ones."""
+
+    candidates: str = option("cells", "which cells are worth going to", CANDIDATES)
+    costs: str = option("weighted", "how ways are counted", COSTS)
+    beta: float = option(1.0, "weight of cost against utility")
+    every: int = option(
+        0, "targets are assigned anew after so many steps at the latest; 0: never for time alone"
+    )
+
+
+class Nearest(TargetStrategy):
+    """Uncoordinated (Yamauchi 1998)."""
+
+    name = "nearest"
+    summary = "each robot drives to its nearest frontier cell, whatever the others do"
+    source = "Burgard et al. 2005, section IV-C: uncoordinated, after Yamauchi 1998"
+    options_type = Uncoordinated
+    tells_target = False
+
+    def choose(self, situation: Situation, goals: NDArray[np.int32], ways: Ways) -> Cell | None:
+        """Take the goal of least cost; of equals the first cell, row by row."""
+        best = goals[np.argmin(ways.costs(*situation.here)[goals[:, 1], goals[:, 0]])]
+        return int(best[0]), int(best[1])
+
+
+class Burgard(TeamStrategy):
+    """Algorithm 1."""
+
+    name = "burgard"
+    summary = "sub-teams give out frontier cells in turn, the best pair of robot and cell first"
+    source = "Burgard et al. 2005, Algorithm 1 (section II-C), sub-teams (II-D)"
+    options_type = Coordinated
+
+    def is_due(self, situation: Situation) -> bool:
+        """As a team's, and after a time."""
+        every = self.options.every
+        return super().is_due(situation) or bool(every and situation.step % every == 0)
+
+    def assign(self, table: Table, situation: Situation, ways: Ways) -> Assignment:
+        """Utilities begin at 1, lowered by the targets remembered of those out of range."""
+        del ways
+        costs = self.options.beta * table.costs / self.settings.range_cells
+        utility = self._utility(table, situation)
+        return in_turn(situation.grid, table.goals, utility, costs, self.settings.range_cells)
+
+    def _utility(self, table: Table, situation: Situation) -> NDArray[np.float64]:
+        return utilities(situation.grid, table.goals, self.remembered(situation), self.settings.range_cells)
+
+
+class BurgardOptimal(Burgard):
+    """Algorithm 2."""
+
+    name = "burgard-optimal"
+    summary = "sub-teams search the assignment with the largest sum of utilities minus squared costs"
+    source = "Burgard et al. 2005, Algorithm 2 (section IV-C)"
+
+    def assign(self, table: Table, situation: Situation, ways: Ways) -> Assignment:
+        """Search from the same random starts in all members."""
+        del ways
+        costs = self.options.beta * (table.costs / self.settings.range_cells) ** 2
+        return best_of_all(
+            situation.grid, table.goals, self._utility(table, situation), costs, self.settings.range_cells,
+            self.draw("assignment", situation),
+        )  # fmt: skip

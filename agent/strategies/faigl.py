@@ -1,0 +1,212 @@
+"""Task allocation with its parameters (Faigl and Vanek, section 3): representatives of frontiers, given out.
+
+    greedy           GA: one robot after the other, in random order, takes the nearest goal left
+    iterative        IA: the nearest pair of robot and goal first
+    hungarian        HA: the assignment of least total distance
+    mtsp             MA: goals clustered around the robots, each goes where its cluster's shortest tour begins
+    hungarian-depot  HAd: distance, way from the goal to the depot, and way travelled so far (Eq. 2)
+    mtsp-depot       MAd: the tour ends at the depot
+
+Goals (rfe or anr), replanning (at-goal is the paper's GR, at-once its IR) and mission (open is OP, return RD)
+are options.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.planning.assignment import Assignment, greedy, hungarian, iterative
+from agent.planning.candidates import CANDIDATES
+from agent.planning.clusters import k_means
+from agent.planning.route import straighten
+from agent.planning.tour import LONGEST, open_tour
+from agent.planning.ways import Ways
+from agent.strategies.base import Cell, Situation
+from agent.strategies.options import option
+from agent.strategies.targets import MISSIONS, Parts
+from agent.strategies.team import Table, TeamStrategy, unclaimed
+
+
+@dataclass(frozen=True)
+class Allocation(Parts):
+    """Options of the six."""
+
+    candidates: str = option("anr", "which cells are worth going to", CANDIDATES)
+
+
+@dataclass(frozen=True)
+class DepotAllocation(Allocation):
+    """Options of those that think of the way back."""
+
+    mission: str = option("return", "what comes after the last target", MISSIONS)
+
+
+class _Allocating(TeamStrategy):
+    """What the six share: goals claimed by those out of range are left to them, ways are straightened."""
+
+    options_type: ClassVar[type] = Allocation
+
+    def goals(self, situation: Situation, ways: Ways) -> NDArray[np.int32]:
+        """The candidates, without those near remembered targets."""
+        found = super().goals(situation, ways)
+        return unclaimed(situation, found, self.remembered(situation), self.settings.range_cells)
+
+    def _drive(self, situation: Situation, ways: Ways, goal: Cell | None) -> bool:
+        found = super()._drive(situation, ways, goal)
+        self._route.cells = straighten(ways.floor, situation.here, self._route.cells)
+        return found
+
+
+class Greedy(_Allocating):
+    """GA."""
+
+    name = "greedy"
+    summary = "robots, in random order, take the nearest goal that is left"
+    source = "Faigl and Vanek 2014, GA (section 3.1)"
+
+    def assign(self, table: Table, situation: Situation, ways: Ways) -> Assignment:
+        """The order is drawn anew each time, the same for all members."""
+        del ways
+        return greedy(table.costs, self.draw("order", situation).permutation(len(table.robots)))
+
+
+class Iterative(_Allocating):
+    """IA."""
+
+    name = "iterative"
+    summary = "the nearest pair of robot and goal first, then the nearest of those left"
+    source = "Faigl and Vanek 2014, IA (section 3.1), after Werger and Mataric"
+
+    def assign(self, table: Table, situation: Situation, ways: Ways) -> Assignment:
+        """All pairs by their cost."""
+        del situation, ways
+        return iterative(table.costs)
+
+
+class Hungarian(_Allocating):
+    """HA."""
+
+    name = "hungarian"
+    summary = "the assignment of least total distance"
+    source = "Faigl and Vanek 2014, HA (section 3.1)"
+
+    def assign(self, table: Table, situation: Situation, ways: Ways) -> Assignment:
+        """The Hungarian method on distances."""
+        del situation, ways
+        return hungarian(table.costs)
+
+
+class HungarianDepot(Hungarian):
+    """HAd."""
+
+    name = "hungarian-depot"
+    summary = "as hungarian, counting the way back to the depot and the way travelled so far"
+    source = "Faigl and Vanek 2014, HAd (section 4.1.1, Eq. 2)"
+    options_type = DepotAllocation
+
+    @classmethod
+    def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
+        """All that clash, and a mission without a way back."""
+        return super().clashes(parts) + _clash_with_open(parts)
+
+    def assign(self, table: Table, situation: Situation, ways: Ways) -> Assignment:
+        """Eq. (2)."""
+        back = np.array(
+            [
+                ways.costs(*situation.homes[robot])[table.goals[:, 1], table.goals[:, 0]]
+                for robot in table.robots
+            ]
+        )
+        travelled = np.array([situation.travelled.get(robot, 0.0) for robot in table.robots])
+        return super().assign(replace(table, costs=table.costs + back + travelled[:, None]), situation, ways)
+
+
+class Mtsp(_Allocating):
+    """MA."""
+
+    name = "mtsp"
+    summary = "goals clustered around the robots; each goes where the shortest tour of its cluster begins"
+    source = "Faigl and Vanek 2014, MA (section 3.1)"
+
+    @classmethod
+    def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
+        """All that clash, and too many goals."""
+        found = super().clashes(parts)
+        if parts.candidates == "cells":
+            reason = "a tour needs the way between every two goals; rfe and anr make few of them"
+            found.append((("candidates",), reason))
+        return found
+
+    def assign(self, table: Table, situation: Situation, ways: Ways) -> Assignment:
+        """Only the robot's own row says where: nobody needs the others' tours."""
+        if len(table.goals) < len(table.robots):
+            return iterative(table.costs)
+        given = np.full(len(table.robots), -1)
+        me = table.robots.index(self.settings.robot)
+        mine = np.flatnonzero(share_out(table) == me)
+        mine = mine[np.isfinite(table.costs[me, mine])]
+        if len(mine):
+            given[me] = self._first_stop(table, mine, situation, ways)
+        return given
+
+    def _first_stop(self, table: Table, mine: NDArray[np.int64], situation: Situation, ways: Ways) -> int:
+        """The goal with which the shortest tour through a cluster begins; far ones may be left out of it."""
+        costs = table.costs[table.robots.index(self.settings.robot)]
+        mine = mine[np.argsort(costs[mine], kind="stable")][:LONGEST]
+        cells = table.goals[mine]
+        between = np.array([ways.costs(int(x), int(y))[cells[:, 1], cells[:, 0]] for x, y in cells])
+        tour = open_tour(costs[mine], (between + between.T) / 2, self._to_end(cells, situation, ways))
+        return int(mine[tour[0]])
+
+    def _to_end(self, cells: NDArray[np.int32], situation: Situation, ways: Ways) -> NDArray[np.float64]:
+        """Cost of the way from each goal to where the tour ends: at that goal."""
+        del situation, ways
+        return np.zeros(len(cells))
+
+
+class MtspDepot(Mtsp):
+    """MAd."""
+
+    name = "mtsp-depot"
+    summary = "as mtsp, with tours that end at the depot"
+    source = "Faigl and Vanek 2014, MAd (section 4.1.1)"
+    options_type = DepotAllocation
+
+    @classmethod
+    def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
+        """All that clash, and a mission without a way back."""
+        return super().clashes(parts) + _clash_with_open(parts)
+
+    def _to_end(self, cells: NDArray[np.int32], situation: Situation, ways: Ways) -> NDArray[np.float64]:
+        return ways.costs(*situation.home)[cells[:, 1], cells[:, 0]]
+
+
+def share_out(table: Table) -> NDArray[np.int64]:
+    """Cluster the goals around the robots by K-means; the number of the robot that each goal falls to.
+
+    A robot whose cluster is empty gets the goal nearest to it of those whose robot has more than one.
+    """
+    _, owner = k_means(table.goals.astype(np.float64), table.cells.astype(np.float64))
+    for robot in range(len(table.robots)):
+        if (owner == robot).any():
+            continue
+        counts = np.bincount(owner, minlength=len(table.robots))
+        costs = np.where(counts[owner] > 1, table.costs[robot], np.inf)
+        if np.isfinite(costs).any():
+            owner[np.argmin(costs)] = robot
+    return owner
+
+
+def _clash_with_open(parts: Any) -> list[tuple[tuple[str, ...], str]]:
+    if parts.mission == "open":
+        return [
+            (
+                ("mission",),
+                "its costs count the way back to the depot, which no robot of an open mission drives",
+            )
+        ]
+    return []

@@ -1,0 +1,153 @@
+"""Strategies whose robots assign targets together: a planner at the centre, without the centre.
+
+Each robot broadcasts its pose, so all members of a sub-team, those who hear each other, have the same table
+of robots and goals and compute the same assignment at the same time; each takes its own share and says so.
+Where maps or words are late they may differ: what a teammate says of its target counts, and of two that
+are headed for one cell the higher-numbered robot chooses again.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.planning.assignment import Assignment
+from agent.planning.utility import in_sight
+from agent.planning.ways import Ways
+from agent.settings import Settings
+from agent.strategies.base import Cell, Situation
+from agent.strategies.targets import TargetStrategy
+from protocol.chance import chance
+
+PATIENCE = 20
+"""Steps after which a robot without a goal no longer trusts that its teammates see to all of them."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """What a sub-team decides on.
+
+    Attributes
+    ----------
+    robots : tuple of int
+        The members, ascending.
+    cells : int32 array, shape (m, 2)
+        Where they are.
+    goals : int32 array, shape (n, 2)
+        Cells (x, y).
+    costs : float64 array, shape (m, n)
+        Cost of each member's way to each goal, in cells; infinite where none leads.
+    """
+
+    robots: tuple[int, ...]
+    cells: NDArray[np.int32]
+    goals: NDArray[np.int32]
+    costs: NDArray[np.float64]
+
+
+class TeamStrategy(TargetStrategy):
+    """A strategy of sub-teams; a subclass says in `assign` who gets which goal."""
+
+    tells_pose = True
+
+    def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
+        super().__init__(options, settings)
+        self._settled: set[tuple[int, Cell]] = set()
+        self._waited = 0
+
+    @classmethod
+    def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
+        """All that clash, and parts that speak of one robot."""
+        found = super().clashes(parts)
+        if parts.candidates == "breadth-first":
+            found.append((("candidates",), "breadth-first search finds one robot's goal, not a team's"))
+        if parts.replan == "after-turn":
+            found.append((("replan",), "a team that assigns together would wait for its last scanner"))
+        return found
+
+    @abstractmethod
+    def assign(self, table: Table, situation: Situation, ways: Ways) -> Assignment:
+        """Give goals to robots: for each row of the table the number of its goal, -1 for none."""
+
+    def team(self, situation: Situation) -> dict[int, Cell]:
+        """The sub-team: the robot and all in range whose pose it has heard, with their cells."""
+        members = {peer: situation.poses[peer][:2] for peer in situation.peers if peer in situation.poses}
+        if self._waited >= PATIENCE:
+            members = {}
+        members[self.settings.robot] = situation.here
+        return dict(sorted(members.items()))
+
+    def team_size(self, situation: Situation) -> int:
+        """Members of the sub-team."""
+        return len(self.team(situation))
+
+    def remembered(self, situation: Situation) -> list[Cell]:
+        """The last targets of those who are out of range."""
+        team = self.team(situation)
+        return [target for peer, target in situation.targets.items() if peer not in team]
+
+    def is_due(self, situation: Situation) -> bool:
+        """When the robot is done with its target, or a member newly is; and once for a target in conflict.
+
+        A robot without a goal waits for such a moment as well, unless it is alone.
+        """
+        spent = self._spent_teammates(situation)
+        news, self._settled = spent - self._settled, spent
+        if self.target is None:
+            self._waited += 1
+            return bool(news) or self._waited == 1 or len(self.team(situation)) == 1
+        return (
+            bool(news) or self.is_spent(situation, self.target, situation.here) or self._collides(situation)
+        )
+
+    def choose(self, situation: Situation, goals: NDArray[np.int32], ways: Ways) -> Cell | None:
+        """Take one's own share of the assignment."""
+        table = self.table(situation, goals, ways)
+        goal = int(self.assign(table, situation, ways)[table.robots.index(self.settings.robot)])
+        if goal < 0:
+            return None
+        self._waited = 0
+        return int(goals[goal, 0]), int(goals[goal, 1])
+
+    def table(self, situation: Situation, goals: NDArray[np.int32], ways: Ways) -> Table:
+        """Lay out who could go where at what cost."""
+        team = self.team(situation)
+        costs = np.array([ways.costs(*cell)[goals[:, 1], goals[:, 0]] for cell in team.values()])
+        return Table(tuple(team), np.array(list(team.values()), np.int32), goals, costs)
+
+    def draw(self, purpose: str, situation: Situation) -> np.random.Generator:
+        """Random numbers that are the same for all members."""
+        return chance(self.settings.seed, purpose, situation.step)
+
+    def _spent_teammates(self, situation: Situation) -> set[tuple[int, Cell]]:
+        """Members that are done with the targets that they told of."""
+        return {
+            (peer, situation.targets[peer])
+            for peer, cell in self.team(situation).items()
+            if peer in situation.targets and self.is_spent(situation, situation.targets[peer], cell)
+        }
+
+    def _collides(self, situation: Situation) -> bool:
+        """Whether a lower-numbered teammate has just said that it is headed for the same cell."""
+        return any(
+            peer < self.settings.robot and target == self.target for peer, target in situation.news.items()
+        )
+
+
+def unclaimed(
+    situation: Situation, goals: NDArray[np.int32], targets: list[Cell], range_cells: float
+) -> NDArray[np.int32]:
+    """Leave out goals within range and in sight of targets; all stay if none would be left."""
+    keep = [
+        all(
+            (x - tx) ** 2 + (y - ty) ** 2 >= range_cells**2 or not in_sight(situation.grid, x, y, tx, ty)
+            for tx, ty in targets
+        )
+        for x, y in goals.tolist()
+    ]
+    return goals[keep] if any(keep) else goals
