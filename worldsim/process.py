@@ -1,4 +1,4 @@
-"""The world's shell: the step barrier. It opens a step, waits for every living robot's move, opens the next."""
+"""The world's shell, the step barrier: it opens a step, waits for every living robot's move, opens the next."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ from protocol.messages import (
     pack,
     points_from_bytes,
     unpack,
+    unpack_as,
 )
 from worldsim.glide import FINE
 from worldsim.world import World
@@ -77,10 +78,15 @@ class WorldNode:
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
         plane, _, _, sender = names.parts(message.key)
-        said = unpack(message.payload)
         if plane == "body":
-            self._take_move(names.number(sender), said)
-        elif isinstance(said, Begin):
+            self._take_move(names.number(sender), message.payload)
+        else:
+            self._take_note(unpack(message.payload))
+        while self._running and self._moves.keys() >= self._world.cells.keys():
+            self._end_step()
+
+    def _take_note(self, said: object) -> None:
+        if isinstance(said, Begin):
             self._begin()
         elif isinstance(said, Lost):
             self._world.lose(said.robot)
@@ -91,28 +97,26 @@ class WorldNode:
             self._watched = said.here
         elif isinstance(said, Bye):
             self.done = True
-        while self._running and self._moves.keys() >= self._world.cells.keys():
-            self._end_step()
 
     def _begin(self) -> None:
         for robot, settings in sorted(self._minds.items()):
             self._tell(robot, Configure(dict(settings)))
         self._running = True
-        self._open_step()
+        self._open_step({})
 
-    def _take_move(self, robot: int, move: object) -> None:
+    def _take_move(self, robot: int, payload: bytes) -> None:
+        """Take a robot's move; one that makes no sense is reported, and the robot stays where it is."""
+        step = self._world.step
         try:
-            if not isinstance(move, Move) or move.step != self._world.step:
-                raise ProtocolError(
-                    "Move", 0, f"expected the move of step {self._world.step}, not {move!r:.60}"
-                )
+            move = unpack_as(Move, payload)
+            if not self._running or move.step != step:
+                raise ProtocolError("Move", 0, f"for step {move.step}, while step {step} is under way")
             cells_from_bytes(move.path)
             points_from_bytes(move.points)
         except ProtocolError as error:
-            fault = Fault(names.robot(robot), str(error))
-            self._report(fault)
-            move = Move(self._world.step, b"", 0, explored=False)
-        if robot in self._world.cells:
+            self._report(Fault(names.robot(robot), str(error)))
+            move = Move(step, b"", 0, explored=False)
+        if self._running and robot in self._world.cells:
             self._moves[robot] = move
 
     def _end_step(self) -> None:
@@ -130,15 +134,15 @@ class WorldNode:
         elif self._world.step >= self._steps:
             self._end(OUT_OF_STEPS, -1)
         else:
-            for robot in self._world.doomed():
-                self._world.lose(robot)
-                self._tell(robot, End(self._world.step, "broken down, as the scenario has it", -1))
             self._open_step(moves)
 
-    def _open_step(self, moves: Mapping[int, Move] | None = None) -> None:
+    def _open_step(self, moves: Mapping[int, Move]) -> None:
         self._wait()
         world = self._world
-        senses = world.advance(moves or {})
+        for robot in world.doomed():
+            world.lose(robot)
+            self._tell(robot, End(world.step, "broken down, as the scenario has it", -1))
+        senses = world.advance(moves)
         for robot, sense in senses.items():
             self._tell(robot, sense)
         robots = list(world.cells)

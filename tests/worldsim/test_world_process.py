@@ -1,0 +1,279 @@
+"""The world's shell on the bus in memory: the barrier of a step, and how a run ends."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol import keys as names
+from protocol.bus import Bus
+from protocol.grid import FREE
+from protocol.keys import Keys
+from protocol.memory_bus import MemoryHub
+from protocol.messages import (
+    Begin,
+    Bye,
+    Configure,
+    End,
+    Fault,
+    Lost,
+    Move,
+    Positions,
+    Sense,
+    Stop,
+    WorldReport,
+    cells_to_bytes,
+    pack,
+    points_to_bytes,
+    unpack,
+)
+from worldsim.process import ALL_LOST, EXPLORED, OUT_OF_STEPS, STALLED, WorldNode
+from worldsim.world import Body, World, WorldSettings
+
+KEYS = Keys("world")
+STARTS = ((2, 2), (4, 2), (6, 2))
+
+
+class Run:
+    """A world on a bus in memory, and the ends of all others, which the test speaks for."""
+
+    def __init__(self, robots: int = 2, steps: int = 9, *, begun: bool = True, **settings: Any) -> None:
+        hub = MemoryHub(KEYS.run)
+        self.ends: dict[str, Bus] = {}
+        for name in (names.RELAY, names.WORLD, names.LAB, *map(names.robot, range(robots))):
+            self.ends[name] = hub.join(name)
+        bodies = tuple(Body(3.0, 360.0, 1.0) for _ in range(robots))
+        world = World(np.full((5, 9), FREE, np.uint8), WorldSettings(bodies, STARTS[:robots], 4, **settings))
+        minds = {number: {"robot": number} for number in range(robots)}
+        self.world = world
+        self.node = WorldNode(self.ends[names.WORLD], KEYS, world, minds, steps, 100.0)
+        self.heard(names.RELAY)
+        if begun:
+            self.control(Begin())
+
+    def work(self) -> None:
+        while (message := self.ends[names.WORLD].receive()) is not None:
+            self.node.handle(message)
+
+    def control(self, message: object) -> None:
+        self.ends[names.RELAY].put(KEYS.control(names.WORLD, names.RELAY), pack(message))
+        self.work()
+
+    def move(self, robot: int, message: object) -> None:
+        payload = message if isinstance(message, bytes) else pack(message)
+        self.ends[names.robot(robot)].put(KEYS.body(names.WORLD, names.robot(robot)), payload)
+        self.work()
+
+    def stay(self, *robots: int, **what: Any) -> None:
+        for robot in robots:
+            self.move(robot, Move(self.world.step, b"", 0, **({"explored": False} | what)))
+
+    def heard(self, name: str) -> list[Any]:
+        found = []
+        while (message := self.ends[name].receive()) is not None:
+            if names.parts(message.key)[0] != "presence":
+                found.append(unpack(message.payload))
+        return found
+
+    def ended(self) -> End | None:
+        return next((message for message in self.heard(names.RELAY) if isinstance(message, End)), None)
+
+
+def test_the_world_waits_for_the_beginning_and_then_tells_everyone_what_he_must_know() -> None:
+    run = Run(begun=False)
+    run.work()
+    assert run.heard("r0") == []
+    run.control(Begin())
+    for number in range(2):
+        configure, sense = run.heard(names.robot(number))
+        assert configure == Configure({"robot": number})
+        assert isinstance(sense, Sense)
+        assert (sense.step, sense.x, sense.y) == (1, *STARTS[number])
+    assert run.heard(names.RELAY) == [Positions(1, [0, 1], [2, 4], [2, 2])]
+    (report,) = run.heard(names.LAB)
+    assert isinstance(report, WorldReport)
+    assert np.frombuffer(report.poses, "<i4").reshape(-1, 4).tolist() == [[0, 200, 200, 0], [1, 400, 200, 0]]
+
+
+def test_a_step_ends_when_the_last_living_robot_has_moved() -> None:
+    run = Run()
+    run.stay(1)
+    assert run.world.step == 1
+    run.move(0, Move(1, cells_to_bytes(np.array([[2, 3]], np.int32)), 0, explored=False))
+    assert run.world.step == 2
+    assert run.world.cells == {0: (2, 3), 1: (4, 2)}
+
+
+def test_a_robot_only_hears_of_itself() -> None:
+    run = Run()
+    run.stay(0, 1)
+    for number in range(2):
+        senses = [message for message in run.heard(names.robot(number)) if isinstance(message, Sense)]
+        assert [(sense.x, sense.y) for sense in senses] == 2 * [STARTS[number]]
+
+
+@pytest.mark.parametrize("early", [True, False])
+def test_nobody_waits_for_a_robot_that_is_lost(early: bool) -> None:
+    run = Run()
+    if early:
+        run.stay(1)
+    run.control(Lost(1, "its process ended"))
+    run.stay(0)
+    assert run.world.step == 2
+    assert list(run.world.cells) == [0]
+    run.stay(0)
+    assert run.world.step == 3
+
+
+def test_the_loss_of_the_last_one_that_was_waited_for_ends_the_step() -> None:
+    run = Run()
+    run.stay(0)
+    run.control(Lost(1, "its process ended"))
+    assert run.world.step == 2
+
+
+def test_the_run_ends_when_the_first_robot_is_done_and_of_several_the_lowest_counts() -> None:
+    run = Run(3)
+    run.stay(0)
+    run.stay(1, 2, explored=True)
+    assert run.ended() == End(1, EXPLORED, 1)
+
+
+def test_a_mission_that_ends_with_all_waits_for_all() -> None:
+    run = Run(ends_with_all=True)
+    run.stay(0)
+    run.stay(1, explored=True)
+    assert run.ended() is None
+    run.stay(0, 1, explored=True)
+    assert run.ended() == End(2, EXPLORED, 0)
+
+
+def test_the_run_ends_when_nobody_gets_on_when_steps_are_over_and_when_it_is_stopped() -> None:
+    stalled, short, stopped = Run(), Run(steps=1), Run()
+    stalled.stay(0, 1, stalled=True)
+    assert stalled.ended() == End(1, STALLED, -1)
+    short.stay(0, 1)
+    assert short.ended() == End(1, OUT_OF_STEPS, -1)
+    stopped.control(Stop("interrupted"))
+    assert stopped.ended() is None
+    stopped.stay(0, 1)
+    assert stopped.ended() == End(1, "interrupted", -1)
+
+
+def test_the_run_ends_when_all_robots_are_lost() -> None:
+    run = Run()
+    run.control(Lost(0, "x"))
+    run.control(Lost(1, "x"))
+    assert run.ended() == End(1, ALL_LOST, -1)
+
+
+def test_the_world_goes_home_when_it_is_told_to() -> None:
+    run = Run()
+    assert not run.node.done
+    run.control(Bye())
+    assert run.node.done
+
+
+@pytest.mark.parametrize("step", [1, 2, 4])
+def test_a_robot_breaks_down_at_the_beginning_of_the_step_that_the_scenario_names(step: int) -> None:
+    run = Run(deaths=((1, step),))
+    for number in range(1, step):
+        assert run.world.step == number
+        assert list(run.world.cells) == [0, 1]
+        run.stay(0, 1)
+    assert run.world.step == step
+    assert list(run.world.cells) == [0]
+    heard = run.heard("r1")
+    assert isinstance(heard[-1], End)
+    assert [message.step for message in heard if isinstance(message, Sense)] == list(range(1, step))
+
+
+def test_a_team_that_breaks_down_altogether_ends_the_run() -> None:
+    run = Run(deaths=((0, 1), (1, 1)))
+    assert run.ended() == End(1, ALL_LOST, -1)
+
+
+NONSENSE = [
+    b"",
+    b"\xc1",
+    b"\xff\xff\xff",
+    Begin(),
+    Sense(1, 0, 0, 0, b"", b"", ""),
+    Lost(0, "I say so"),
+    End(1, "I say so", 1),
+    Bye(),
+    Stop("I say so"),
+    Move(7, b"", 0, explored=False),
+    Move(-1, b"", 0, explored=True),
+    Move(1, b"abc", 0, explored=True),
+    Move(1, b"", 0, explored=True, points=b"abcd"),
+]
+
+
+@pytest.mark.parametrize("lie", NONSENSE, ids=repr)
+def test_a_move_that_makes_no_sense_is_reported_and_the_robot_stays(lie: object) -> None:
+    run = Run()
+    run.heard(names.LAB)
+    run.move(1, lie)
+    (fault,) = run.heard(names.LAB)
+    assert isinstance(fault, Fault)
+    assert fault.who == "r1"
+    assert not run.node.done
+    run.stay(0)
+    assert run.world.step == 2
+    assert run.world.cells == {0: (2, 2), 1: (4, 2)}
+    assert run.ended() is None
+
+
+@given(st.binary(max_size=60))
+def test_noise_on_a_robots_wire_stops_no_run(noise: bytes) -> None:
+    run = Run()
+    run.move(1, noise)
+    run.stay(0)
+    assert run.world.step == 2
+
+
+@pytest.mark.parametrize("when", ["before the beginning", "after the end"])
+def test_a_move_at_the_wrong_time_has_no_effect(when: str) -> None:
+    run = Run(begun=when == "after the end")
+    if when == "after the end":
+        run.stay(0, 1, explored=True)
+    run.move(1, Move(run.world.step, b"", 0, explored=True))
+    step = run.world.step
+    if when == "before the beginning":
+        run.control(Begin())
+        step = 1
+    run.stay(0)
+    assert run.world.step == step
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        [[3000, 0]],
+        [[-1, -1]],
+        [[2, 2]],
+        [[3, 3], [32767, -32768]],
+        500 * [[3, 2], [2, 2]],
+    ],
+)
+def test_a_path_that_cannot_be_driven_moves_a_robot_as_far_as_it_can(path: list[list[int]]) -> None:
+    run = Run(1)
+    run.move(0, Move(1, cells_to_bytes(np.array(path, np.int32)), 2**63, explored=False))
+    assert run.world.step == 2
+    x, y = run.world.cells[0]
+    assert abs(x - 2) <= 1
+    assert abs(y - 2) <= 1
+
+
+@pytest.mark.parametrize("far", [2**31 - 1, -(2**31)])
+def test_way_points_beyond_the_world_move_a_robot_as_far_as_it_can(far: int) -> None:
+    run = Run(1)
+    points = points_to_bytes(np.array([[far, far], [0, far]], np.int32))
+    run.move(0, Move(1, b"", -1, explored=False, points=points))
+    assert run.world.step == 2
+    assert run.world.driven[0] <= 1.0
