@@ -17,6 +17,7 @@ from deploy.plan import Plan
 from deploy.processes import WorldTask, serve_agent, serve_relay, serve_world
 from deploy.records import LabNode, Records
 from deploy.scenario import Scenario, ScenarioError
+from deploy.wire import Meter
 from netshaper import access
 from protocol import keys as names
 from protocol.bus import BusClosed
@@ -72,7 +73,7 @@ def serve_lab(
     deaths: dict[str, str] = {}
     bus = join(read)
     with rundir.open_capture(directory, plan) as capture:
-        lab = LabNode(bus, Keys(read.run), scenario.robots, capture)
+        lab = LabNode(bus, Keys(read.run), scenario.robots, capture, Meter(read.hub))
         try:
             while not lab.done:
                 message = bus.receive(0.25)

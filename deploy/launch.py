@@ -20,6 +20,7 @@ from deploy.family import Family
 from deploy.plan import Plan
 from deploy.processes import WorldTask, serve_agent, serve_relay, serve_view, serve_world
 from deploy.records import LabNode, Records
+from deploy.wire import Meter
 from deploy.watch import announced
 from protocol import keys as names
 from protocol.bus import BusClosed
@@ -116,7 +117,7 @@ def _attend(
     except ConnectionError as error:
         family.look().setdefault(names.RELAY, str(error))
         return Outcome(Records(robots), deaths)
-    lab = LabNode(bus, Keys(family.run), robots, capture)
+    lab = LabNode(bus, Keys(family.run), robots, capture, Meter(family.endpoint))
     deadline = float("inf")
     asked_to_stop = False
     looked = 0.0
@@ -129,6 +130,7 @@ def _attend(
             if now - looked < POLL_S:
                 continue
             looked = now
+            lab.read_meter()
             if watch is not None:
                 watch(lab.records)
             family.look()

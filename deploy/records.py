@@ -8,6 +8,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.wire import Meter
 from netshaper.ledger import ROW
 from protocol import keys as names
 from protocol.bus import Bus, Message
@@ -33,6 +34,8 @@ class Records:
     end: End | None = None
     carried: int = 0
     """Bytes on the air in the last step."""
+    wire_bytes: int | None = None
+    """Bytes that the bus moved to bring all this about (`deploy.wire`); None where that cannot be known."""
 
     def __post_init__(self) -> None:
         self.minds = [[] for _ in range(self.robots)]
@@ -55,13 +58,17 @@ class Records:
 class LabNode:
     """The laboratory's end of the bus; `done` once all has been handed in.
 
-    What the relay reports for the capture is written to `capture` step by step, and not kept.
+    What the relay reports for the capture is written to `capture` step by step, and not kept; `meter` counts
+    what the bus moves.
     """
 
-    def __init__(self, bus: Bus, keys: Keys, robots: int, capture: BinaryIO | None = None) -> None:
+    def __init__(
+        self, bus: Bus, keys: Keys, robots: int, capture: BinaryIO | None = None, meter: Meter | None = None
+    ) -> None:
         self.done = False
         self.records = Records(robots)
         self._capture = capture
+        self._meter = meter
         self._bus = bus
         self._keys = keys
 
@@ -100,7 +107,13 @@ class LabNode:
         """Ask the world to end after this step."""
         self._bus.put(self._keys.control_tx(names.LAB), pack(Stop(reason)))
 
+    def read_meter(self) -> None:
+        """Note what the bus has moved so far."""
+        if self._meter is not None:
+            self.records.wire_bytes = self._meter.read()
+
     def send_home(self) -> None:
         """Tell everyone that all is recorded."""
+        self.read_meter()
         self.done = True
         self._bus.put(self._keys.control_tx(names.LAB), pack(Bye()))

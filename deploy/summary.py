@@ -52,6 +52,7 @@ def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "bytes": kinds,
         "packets": packets,
         "over_budget_steps": _over_budget(ledger, scenario.bandwidth),
+        "wire_bytes": records.wire_bytes,
         "undelivered": _undelivered(ledger),
         "lost": {str(robot): cause for robot, cause in sorted(records.lost.items())},
         "faults": len(records.faults),
