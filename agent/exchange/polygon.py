@@ -17,7 +17,7 @@ from agent.approximation import approximation, repair
 from agent.contour import contours
 from agent.edits import Held, edit_script
 from agent.exchange.base import Exchange
-from agent.merge import Drawing, TeamMap, approximation_error
+from agent.merge import Drawing, TeamMap, approximation_error, without_unknown_pairs
 from agent.polygons import Polygons
 from agent.receiver import Receiver
 from agent.settings import Settings
@@ -46,7 +46,7 @@ class PolygonOptions:
     free_inside_edges : bool
         Draw inside edges that are labelled free. They claim cells free which nobody has seen.
     unknown_pairs : bool
-        Draw outside objects of two vertices without a wall: the unseen specks between beams.
+        Tell of and draw outside objects of two vertices without a wall: the unseen specks between beams.
     """
 
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
@@ -109,15 +109,19 @@ class PolygonExchange(Exchange):
         exact = contours(own, (scan.x, scan.y))
         repaired = repair(self._held.polygons, exact)
         refined = refine(exact, repaired, splits, self._value)
-        packets, held = edit_script(self._held, approximation(exact, refined))
+        packets, held = edit_script(self._held, self._said(approximation(exact, refined)))
         if splits and len(refined) > len(repaired):
-            plain, _ = edit_script(self._held, approximation(exact, repaired))
+            plain, _ = edit_script(self._held, self._said(approximation(exact, repaired)))
             extra = sum(p.size for p in packets) - sum(p.size for p in plain)
             self._allowance.spent(len(refined) - len(repaired), max(0, extra))
         self._outdated = False
         self._held = held
         self._polygons[self.settings.robot] = held.polygons
         return [encode([packet]) for packet in packets]
+
+    def _said(self, polygons: Polygons) -> Polygons:
+        """What of an approximation is told: unless they are drawn, not the objects of two unknown edges."""
+        return polygons if self._options.unknown_pairs else without_unknown_pairs(polygons)
 
     def take(self, about: int, units: list[bytes]) -> None:
         """Rebuild a teammate's approximation; draw it anew if a save point came."""
