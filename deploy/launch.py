@@ -20,8 +20,8 @@ from deploy.family import Family
 from deploy.plan import Plan
 from deploy.processes import WorldTask, serve_agent, serve_relay, serve_view, serve_world
 from deploy.records import LabNode, Records
-from deploy.wire import Meter
 from deploy.watch import announced
+from deploy.wire import Meter
 from protocol import keys as names
 from protocol.bus import BusClosed
 from protocol.keys import Keys

@@ -25,8 +25,8 @@ _MESSAGE = 72
 """Bytes of ``struct inet_diag_msg``, which the attributes follow."""
 _ID_AT = 4
 """Where it has the socket's identity."""
-_BYTES_AT = 120
-"""Where ``struct tcp_info`` has tcpi_bytes_acked and tcpi_bytes_received, two u64."""
+_RECEIVED_AT, _SENT_AT = 128, 200
+"""Where ``struct tcp_info`` has tcpi_bytes_received; tcpi_bytes_sent and _retrans (since Linux 4.19)."""
 
 
 class Meter:
@@ -80,8 +80,9 @@ def _count(attributes: bytes) -> int | None:
     """Bytes moved, as the attribute with ``struct tcp_info`` has them; None if there is none."""
     while len(attributes) >= 4:
         size, kind = struct.unpack_from("<HH", attributes)
-        if kind == _INFO and size >= 4 + _BYTES_AT + 16:
-            acked, received = struct.unpack_from("<QQ", attributes, 4 + _BYTES_AT)
-            return int(acked + received)
+        if kind == _INFO and size >= 4 + _SENT_AT + 16:
+            (received,) = struct.unpack_from("<Q", attributes, 4 + _RECEIVED_AT)
+            sent, sent_again = struct.unpack_from("<QQ", attributes, 4 + _SENT_AT)
+            return int(received + sent - sent_again)
         attributes = attributes[size + -size % 4 :]
     return None
