@@ -1,0 +1,198 @@
+"""What crosses the wire between processes: all that the ledger books as carried, in order, and nothing else.
+
+A raw socket takes every packet of the loopback while a swarm runs; the TCP streams are put together, Zenoh's
+framing is read to the end, and each payload is compared with the capture. Linux, and the right to open raw
+sockets: run as root.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import pyarrow.parquet
+import pytest
+from traffic import DOWN, PHASES, UP, Said, Traffic, frames, in_phases, passed_on
+
+from deploy import rundir
+from netshaper.capture import FRAMES
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+
+OFFER = FRAMES.index("offer")
+
+SWARMS = {
+    "cut by the budget": {"robots": 4, "exchange": "polygon", "bandwidth": 300, "range": "40%", "steps": 50},
+    "long frames": {
+        "robots": 3, "exchange": "laser", "bandwidth": "unlimited", "beams": 3600, "range": "10%", "seed": 2,
+        "steps": 40,
+    },
+}  # fmt: skip
+
+GOODBYE = 400
+"""Bytes a connection at most after the last reading of the meter: bye, and the end of the session."""
+
+
+@pytest.fixture(scope="module", params=SWARMS)
+def traffic(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Traffic:
+    if not hasattr(socket, "AF_PACKET"):
+        pytest.skip("raw packet sockets are Linux's: this system has none")
+    try:
+        socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0).close()
+    except PermissionError:
+        pytest.skip("no right to open a raw socket: run as root to test what crosses the wire")
+    folder = tmp_path_factory.mktemp("watched")
+    done = subprocess.run(
+        [sys.executable, HERE / "watched_swarm.py", folder, json.dumps(SWARMS[request.param])],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    return Traffic(folder)
+
+
+@pytest.fixture(scope="module")
+def said(traffic: Traffic) -> list[Said]:
+    return frames(traffic.run)
+
+
+def test_nothing_was_missed(traffic: Traffic) -> None:
+    assert traffic.dropped == 0
+    assert len(traffic.connections) == len(traffic.processes) - 1
+    for connection in traffic.connections.values():
+        for stream in connection.streams:
+            assert stream.complete
+            assert not stream.missing
+        assert connection.session.pending == 0
+
+
+def test_each_connection_is_that_of_one_process_which_has_no_other_way_out(traffic: Traffic) -> None:
+    assert sorted(c.name for c in traffic.connections.values()) == sorted(set(traffic.processes) - {"relay"})
+    for name in (f"r{robot}" for robot in traffic.robots):
+        held = traffic.processes[name]
+        assert held["tcp"] == [[traffic.of(name).port, traffic.hub]]
+        assert held["other sockets"] == []
+        assert ("token", f"alive/{name}") in traffic.of(name).told[UP]
+
+
+def test_no_pipe_runs_from_robot_to_robot(traffic: Traffic) -> None:
+    pipes = [(n, mode) for robot in traffic.robots for n, mode in traffic.processes[f"r{robot}"]["pipes"]]
+    written = {number for number, mode in pipes if mode != os.O_RDONLY}
+    assert not written & {number for number, mode in pipes if mode != os.O_WRONLY}
+
+
+def test_nobody_speaks_but_to_the_hub(traffic: Traffic) -> None:
+    if not traffic.alone:
+        pytest.skip(
+            "no right to a network namespace: others share this loopback; run as root on a real machine"
+        )
+    assert traffic.strangers.counts == {}
+
+
+def test_no_connection_carries_what_is_not_its_owners(traffic: Traffic) -> None:
+    others = {f"r{robot}" for robot in traffic.robots}
+    for connection in traffic.connections.values():
+        me = connection.name
+        is_robot = me in others
+        said_of = {key for key, _ in connection.puts[UP]}
+        heard_of = {key for key, _ in connection.puts[DOWN]}
+        allowed_up = {f"control/tx/{me}", f"control/rx/lab/{me}"}
+        allowed_down = {f"control/rx/{me}/relay"}
+        if is_robot:
+            allowed_up |= {f"radio/tx/{me}/{peer}" for peer in {*others, "all"} - {me}} | {
+                f"body/rx/world/{me}"
+            }
+            allowed_down |= {f"radio/rx/{me}/{peer}" for peer in others - {me}} | {f"body/rx/{me}/world"}
+        elif me == "world":
+            allowed_up |= {f"body/rx/{robot}/world" for robot in others}
+            allowed_down |= {f"body/rx/world/{robot}" for robot in others}
+        else:
+            allowed_down |= {f"control/rx/lab/{name}" for name in {*others, "world", "relay"}}
+        assert said_of <= allowed_up
+        assert heard_of <= allowed_down
+        if is_robot:
+            listens = {key for kind, key in connection.told[DOWN] if kind == "subscriber"}
+            assert listens == {"*/tx/**", "*/rx/world/**", "*/rx/lab/**"}, "it learns who else listens"
+
+
+def test_the_relay_got_what_each_robot_said_in_order_and_booked_every_byte(
+    traffic: Traffic, said: list[Said]
+) -> None:
+    for robot in traffic.robots:
+        sent = traffic.of(f"r{robot}").radio(UP)
+        at = 0
+        for phase, these in in_phases([frame for frame in said if frame.sender == robot]):
+            group = sent[at : at + len(these)]
+            at += len(these)
+            # The relay has an order of its own for offers.
+            booked = sorted(these, key=_offer) if phase == OFFER else these
+            heard = sorted(group) if phase == OFFER else group
+            for frame, (receiver, payload) in zip(booked, heard, strict=True):
+                assert receiver == ("all" if frame.receiver < 0 else f"r{frame.receiver}")
+                assert frame.is_payload(payload), (frame, payload.hex())
+        assert at == len(sent), f"r{robot} said {len(sent) - at} frames that nobody booked"
+
+
+def _offer(frame: Said) -> tuple[str, bytes]:
+    return f"r{frame.receiver}", frame.known
+
+
+def test_each_robot_got_what_was_carried_to_it_in_order_and_nothing_else(
+    traffic: Traffic, said: list[Said]
+) -> None:
+    for robot in traffic.robots:
+        assert traffic.of(f"r{robot}").radio(DOWN) == passed_on(said, robot)
+
+
+def test_what_the_wire_carried_is_what_the_ledger_books(traffic: Traffic, said: list[Said]) -> None:
+    ledger = pyarrow.parquet.read_table(traffic.run / rundir.LEDGER).to_pylist()
+    up = sum(len(payload) for robot in traffic.robots for _, payload in traffic.of(f"r{robot}").radio(UP))
+    down = sum(len(payload) for robot in traffic.robots for _, payload in traffic.of(f"r{robot}").radio(DOWN))
+    carried = [row for row in ledger if row["carried"]]
+    told = [
+        row
+        for row in ledger
+        if not row["carried"] and row["frame"] in PHASES[1:3] and row["cause"] == "budget"
+    ]
+    assert up == sum(row["bytes"] for row in ledger)
+    assert down == sum(row["bytes"] * row["heard"] for row in carried) + sum(row["bytes"] for row in told)
+    assert sum(frame.carried for frame in said) == sum(row["bytes"] for row in carried) > 0
+
+
+def test_long_messages_travel_in_fragments_and_are_put_together(traffic: Traffic, said: list[Said]) -> None:
+    longest = max(frame.carried for frame in said)
+    fragmented = sum(traffic.of(f"r{robot}").session.fragmented for robot in traffic.robots)
+    maps = len(traffic.robots)
+    if longest > 1 << 16:
+        assert fragmented > maps
+    else:
+        assert fragmented == maps, "only the maps that are handed in at the end are so long"
+
+
+def test_the_meter_reads_what_was_seen_on_the_wire(
+    traffic: Traffic, capsys: pytest.CaptureFixture[str]
+) -> None:
+    summary = rundir.read_summary(traffic.run)
+    bytes_of = traffic.overhead()
+    total = sum(bytes_of.values())
+    if summary["wire_bytes"] is None:
+        pytest.skip("this kernel does not tell of other processes' sockets (sock_diag)")
+    assert 0 <= total - summary["wire_bytes"] <= GOODBYE * len(traffic.connections)
+    with capsys.disabled():
+        print(f"\n{describe(bytes_of, summary['bytes']['total'])}")
+
+
+def describe(bytes_of: Counter[str], on_air: int) -> str:
+    total = sum(bytes_of.values())
+    parts = ", ".join(f"{what} {size}" for what, size in sorted(bytes_of.items()))
+    share = 100 * bytes_of["bus"] / total
+    return f"{total} bytes on TCP: {parts}; {on_air} bytes on the air; the bus itself adds {share:.1f} %"

@@ -1,0 +1,190 @@
+"""What was seen on the wire, connection by connection, and what the capture says should have been there."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from sniffer import Segment, Strangers, Stream, segments
+from zenoh_wire import Session
+
+from deploy import rundir
+from netshaper import capture
+from netshaper.capture import FRAMES, Captured
+from netshaper.ledger import BROADCAST
+from netshaper.pcapng import Reader
+
+UP, DOWN = 0, 1
+PHASES = tuple(FRAMES.index(name) for name in ("broadcast", "offer", "answer", "data"))
+"""The frames of an exchange in the order in which they are said."""
+
+
+@dataclass
+class Connection:
+    """One TCP connection to the hub: what was put on it in each direction, in order."""
+
+    port: int
+    name: str = ""
+    """The process that holds its other end."""
+    streams: tuple[Stream, Stream] = field(default_factory=lambda: (Stream(), Stream()))
+    session: Session = field(default_factory=Session)
+    puts: tuple[list[tuple[str, bytes]], list[tuple[str, bytes]]] = field(default_factory=lambda: ([], []))
+    """(key without ``murmur/<run>/``, payload), up to the hub and down from it."""
+    told: tuple[list[tuple[str, str]], list[tuple[str, str]]] = field(default_factory=lambda: ([], []))
+    """All else that was declared: (kind, key)."""
+
+    def take(self, way: int, segment: Segment) -> None:
+        for message in self.session.feed(way, self.streams[way].take(segment)):
+            key = message.key.split("/", 2)[2]
+            if message.kind == "put":
+                self.puts[way].append((key, message.payload))
+            else:
+                self.told[way].append((message.kind, key))
+
+    def radio(self, way: int) -> list[tuple[str, bytes]]:
+        """What was put under a radio key: (the last name of the key, payload)."""
+        return [(key.split("/")[3], payload) for key, payload in self.puts[way] if key.startswith("radio/")]
+
+    @property
+    def bytes(self) -> int:
+        return sum(stream.bytes for stream in self.streams)
+
+
+class Traffic:
+    """A watched run, read back from the directory that ``watched_swarm.py`` left."""
+
+    def __init__(self, folder: Path) -> None:
+        table: dict[str, Any] = json.loads((folder / "table.json").read_text())
+        self.alone: bool = table["alone"]
+        self.dropped: int = table["dropped"]
+        self.processes: dict[str, Any] = table["processes"]
+        self.run = folder / "run"
+        self.strangers = Strangers()
+        names = {local: name for name, held in self.processes.items() for local, _ in held["tcp"]}
+        self.hub = next(
+            remote for name, held in self.processes.items() if name != "relay" for _, remote in held["tcp"]
+        )
+        self.connections: dict[int, Connection] = {}
+        for segment in segments(_packets(folder / "packets.bin"), self.strangers):
+            if self.hub not in (segment.source, segment.target):
+                self.strangers.add(f"TCP between ports {segment.source} and {segment.target}")
+                continue
+            way = UP if segment.target == self.hub else DOWN
+            port = segment.source if way == UP else segment.target
+            known = self.connections.setdefault(port, Connection(port, names.get(port, "")))
+            known.take(way, segment)
+
+    def of(self, name: str) -> Connection:
+        """The one connection of a process."""
+        (found,) = (connection for connection in self.connections.values() if connection.name == name)
+        return found
+
+    @property
+    def robots(self) -> list[int]:
+        return sorted(int(name[1:]) for name in self.processes if name[0] == "r" and name != "relay")
+
+    def overhead(self) -> Counter[str]:
+        """Bytes on all connections, by what they are: payload of each plane, and what the bus adds."""
+        bytes_of: Counter[str] = Counter()
+        for connection in self.connections.values():
+            bytes_of["bus"] += connection.bytes
+            for key, payload in (*connection.puts[UP], *connection.puts[DOWN]):
+                bytes_of[key.split("/")[0]] += len(payload)
+                bytes_of["bus"] -= len(payload)
+        return bytes_of
+
+
+@dataclass(frozen=True)
+class Said:
+    """A frame as the capture has it, its parts put together.
+
+    `known` is what was kept of its bytes: at least all that was carried.
+    """
+
+    step: int
+    exchange: int
+    frame: int
+    sender: int
+    receiver: int
+    size: int
+    carried: int
+    known: bytes
+    hearers: tuple[int, ...]
+
+    def is_payload(self, payload: bytes) -> bool:
+        """Whether these bytes are this frame's."""
+        return len(payload) == self.size and payload.startswith(self.known)
+
+
+def frames(run: Path) -> list[Said]:
+    """All frames of a capture, in its order."""
+    with (run / rundir.CAPTURE).open("rb") as file:
+        captured = list(capture.read(Reader(file)))
+    return [_together(list(parts)) for _, parts in groupby(captured, _identity(captured))]
+
+
+def _identity(captured: list[Captured]) -> Any:
+    """A key that neighbours share which are one frame; those without a connection are each their own."""
+    number = {id(item): at for at, item in enumerate(captured)}
+
+    def key(item: Captured) -> tuple[int, ...]:
+        seen = item.seen
+        own = number[id(item)] if seen.connection < 0 else -1
+        return item.step, seen.exchange, seen.connection, seen.frame, own
+
+    return key
+
+
+def _together(parts: list[Captured]) -> Said:
+    first = parts[0]
+    heard = {robot for part in parts for robot in capture.hearers(part.seen)}
+    return Said(
+        first.step,
+        first.seen.exchange,
+        first.seen.frame,
+        first.seen.sender,
+        first.seen.receiver,
+        sum(part.size for part in parts),
+        sum(part.size for part in parts if part.verdict == "carried"),
+        b"".join(part.seen.payload for part in parts),
+        tuple(sorted(heard)),
+    )
+
+
+def in_phases(said: list[Said]) -> Iterator[tuple[int, list[Said]]]:
+    """Yield the frames phase by phase, as they are said and passed on: (which frame, those of that phase)."""
+    for _, exchange in groupby(said, lambda frame: (frame.step, frame.exchange)):
+        frames_of = list(exchange)
+        for phase in PHASES:
+            yield phase, [frame for frame in frames_of if frame.frame == phase]
+
+
+def passed_on(said: list[Said], robot: int) -> list[tuple[str, bytes]]:
+    """What a robot must have been handed, in order, as (sender, payload).
+
+    Offers and answers are handed on before the connections are played, so also those that are cut then; of
+    data and broadcasts a robot gets what was carried.
+    """
+    result = []
+    for phase, these in in_phases(said):
+        for frame in these:
+            name = f"r{frame.sender}"
+            if FRAMES[phase] in ("offer", "answer") and frame.receiver == robot:
+                result.append((name, frame.known))
+            elif robot in frame.hearers and frame.carried and frame.receiver in (robot, BROADCAST):
+                result.append((name, frame.known[: frame.carried]))
+    return result
+
+
+def _packets(file: Path) -> Iterator[bytes]:
+    data = file.read_bytes()
+    at = 0
+    while at < len(data):
+        size = int.from_bytes(data[at : at + 4], "little")
+        yield data[at + 4 : at + 4 + size]
+        at += 4 + size
