@@ -1,4 +1,4 @@
-"""The world's shell, the step barrier: it opens a step, waits for every living robot's move, opens the next."""
+"""The world's shell, the step barrier: it opens a step, waits until all robots have moved, opens the next."""
 
 from __future__ import annotations
 

@@ -1,0 +1,383 @@
+"""The world: random teams that drive at random, and what no robot may ever do."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import ndimage
+
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, disc, fan
+from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
+from protocol.scans import NONE, Readings, check_readings, draw
+from worldsim.motion import INTERFERENCE, NOT_BLOCKED, ROBOT, WALL
+from worldsim.world import MOVES_AS_PLANNED, Body, World, WorldSettings, reachable_by, start_cells
+
+Cell = tuple[int, int]
+seeds = st.integers(0, 2**32 - 1)
+NEIGHBOURS = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if dx or dy]
+
+
+def rooms(seed: int, free: float = 0.8) -> Grid:
+    """Random walls, with a free block in the middle for the robots to start in."""
+    rng = np.random.default_rng(seed)
+    truth = rng.choice(
+        np.array([UNKNOWN, FREE, OCCUPIED], np.uint8), (20, 20), p=[(1 - free) / 2, free, (1 - free) / 2]
+    )
+    truth[7:14, 7:14] = FREE
+    return truth
+
+
+@st.composite
+def teams(draw_: st.DrawFn, /) -> World:
+    seed, robots = draw_(seeds), draw_(st.integers(1, 5))
+    rng = np.random.default_rng(seed)
+    truth = rooms(seed)
+    bodies = tuple(
+        Body(float(rng.uniform(1, 8)), float(rng.choice([360.0, 180.0])), float(rng.uniform(0.2, 3.5)))
+        for _ in range(robots)
+    )
+    starts = tuple(start_cells(truth, robots, seed, 1, (10, 10)))
+    return World(truth, WorldSettings(bodies, starts, 36, seed))
+
+
+def random_move(rng: np.random.Generator, world: World, robot: int) -> Move:
+    x, y = world.cells[robot]
+    path = []
+    for _ in range(rng.integers(0, 7)):
+        dx, dy = NEIGHBOURS[rng.integers(8)]
+        x, y = x + dx, y + dy
+        path.append((x, y))
+    return Move(
+        world.step, cells_to_bytes(np.array(path, np.int32).reshape(-1, 2)), int(rng.integers(-9, 9)), False
+    )
+
+
+def random_steps(world: World, seed: int, steps: int = 12) -> list[tuple[dict[int, Cell], dict[int, Sense]]]:
+    """Drive at random; return where everyone was and what he sensed, step by step."""
+    rng = np.random.default_rng(seed)
+    history = []
+    for _ in range(steps):
+        moves = {robot: random_move(rng, world, robot) for robot in world.cells if rng.random() < 0.9}
+        senses = world.advance(moves)
+        history.append((dict(world.cells), senses))
+    return history
+
+
+def readings_of(sense: Sense) -> Readings:
+    return np.frombuffer(sense.readings, np.uint16).copy()
+
+
+@given(teams(), seeds)
+def test_no_robot_ever_stands_in_a_wall_and_never_two_in_one_place(world: World, seed: int) -> None:
+    for cells, _ in random_steps(world, seed):
+        assert all(world.truth[y, x] == FREE for x, y in cells.values())
+        assert len(set(cells.values())) == len(cells)
+
+
+@given(teams(), seeds)
+def test_no_robot_leaves_the_part_of_the_world_that_it_can_reach(world: World, seed: int) -> None:
+    for cells, _ in random_steps(world, seed):
+        assert all(world.reachable[y, x] for x, y in cells.values())
+
+
+@given(teams(), seeds)
+def test_no_robot_drives_further_than_its_speed_allows(world: World, seed: int) -> None:
+    for number in range(1, 13):
+        random_steps(world, seed + number, 1)
+        for body, driven in zip(world.settings.bodies, world.driven, strict=True):
+            assert driven <= number * body.speed + 1e-6
+
+
+@given(teams(), seeds)
+def test_what_a_robot_is_told_of_its_body_is_the_truth(world: World, seed: int) -> None:
+    before = dict(world.cells)
+    for cells, senses in random_steps(world, seed):
+        assert list(senses) == sorted(cells)
+        for robot, sense in senses.items():
+            assert (sense.x, sense.y) == cells[robot]
+            assert 0 <= sense.heading < 8
+            driven = [(int(x), int(y)) for x, y in cells_from_bytes(sense.driven)]
+            assert all(world.truth[y, x] == FREE for x, y in driven)
+            assert driven[-1:] == [cells[robot]] or (not driven and cells[robot] == before[robot])
+            assert all(
+                abs(x0 - x1) + abs(y0 - y1) <= 2 for (x0, y0), (x1, y1) in pairwise([before[robot], *driven])
+            )
+            check_readings(readings_of(sense), fan(world.settings.bodies[robot].range_cells, 36))
+        before = cells
+
+
+@given(teams(), seeds)
+def test_what_robots_draw_of_their_scans_is_the_truth_and_what_the_world_counts_as_seen(
+    world: World, seed: int
+) -> None:
+    told = np.zeros_like(world.truth)
+    for _, senses in random_steps(world, seed):
+        for robot, sense in senses.items():
+            for x, y in cells_from_bytes(sense.driven):
+                told[y, x] = FREE
+            draw(
+                told, fan(world.settings.bodies[robot].range_cells, 36), sense.x, sense.y, readings_of(sense)
+            )
+        assert (world.truth[told == FREE] == FREE).all()
+        assert (world.truth[told == OCCUPIED] != FREE).all()
+    assert (told == world.seen).all()
+    assert world.seen_cells == np.count_nonzero((told == FREE) & world.reachable) <= world.reachable_cells
+
+
+@given(teams(), seeds)
+def test_the_same_moves_give_the_same_world(world: World, seed: int) -> None:
+    other = World(world.truth, world.settings)
+    assert random_steps(world, seed) == random_steps(other, seed)
+
+
+@given(teams(), seeds)
+def test_a_robot_that_is_lost_is_in_nobodys_way(world: World, seed: int) -> None:
+    world.lose(0)
+    for cells, senses in random_steps(world, seed, 3):
+        assert 0 not in cells
+        assert 0 not in senses
+
+
+def corridor(robots: int = 2, length: int = 12, speed: float = 1.0, **settings: Any) -> World:
+    truth = np.full((1, length), FREE, np.uint8)
+    bodies = tuple(Body(3.0, 360.0, speed) for _ in range(robots))
+    return World(truth, WorldSettings(bodies, tuple((3 * n, 0) for n in range(robots)), 4, **settings))
+
+
+def along(*xs: int) -> bytes:
+    return cells_to_bytes(np.array([(x, 0) for x in xs], np.int32))
+
+
+def go(path: bytes, heading: int = 0, **more: Any) -> Move:
+    return Move(1, path, heading, explored=False, **more)
+
+
+def test_robots_move_in_the_order_of_their_numbers() -> None:
+    world = corridor()
+    world.cells = {0: (3, 0), 1: (4, 0)}
+    senses = world.advance({0: go(along(4)), 1: go(along(5))})
+    assert world.cells == {0: (3, 0), 1: (5, 0)}
+    assert (senses[0].blocked, senses[1].blocked) == (ROBOT, NOT_BLOCKED)
+    world.advance({0: go(along(4)), 1: go(along(4))})
+    assert world.cells == {0: (4, 0), 1: (5, 0)}
+
+
+def test_two_robots_cannot_change_places() -> None:
+    world = corridor()
+    world.cells = {0: (3, 0), 1: (4, 0)}
+    world.advance({0: go(along(4)), 1: go(along(3))})
+    assert world.cells == {0: (3, 0), 1: (4, 0)}
+
+
+def test_a_robot_is_told_why_it_stopped() -> None:
+    world = corridor(1, 4, 9.0)
+    assert world.advance({0: go(along(1, 2, 3, 4))})[0].blocked == WALL
+    assert world.cells == {0: (3, 0)}
+    assert world.advance({})[0].blocked == NOT_BLOCKED
+
+
+def test_a_slow_robot_carries_its_way_over() -> None:
+    world = corridor(1, 12, 0.4)
+    where = [0]
+    for _ in range(10):
+        x = where[-1]
+        world.advance({0: go(along(x + 1, x + 2))})
+        where.append(world.cells[0][0])
+    assert where == [0, 0, 0, 1, 1, 2, 2, 2, 3, 3, 4]
+
+
+def test_robots_may_differ_in_speed_and_sensor() -> None:
+    truth = np.full((3, 40), FREE, np.uint8)
+    bodies = (Body(2.0, 360.0, 1.0), Body(9.0, 180.0, 3.0))
+    world = World(truth, WorldSettings(bodies, ((0, 0), (0, 2)), 8))
+    for _ in range(4):
+        moves = {
+            robot: go(
+                cells_to_bytes(
+                    np.array([(world.cells[robot][0] + n, 2 * robot) for n in range(1, 6)], np.int32)
+                )
+            )
+            for robot in range(2)
+        }
+        senses = world.advance(moves)
+    assert world.cells == {0: (4, 0), 1: (12, 2)}
+    slow, fast = readings_of(senses[0]), readings_of(senses[1])
+    assert (slow[0], fast[0]) == (2, 9)
+    assert slow[4] == 2
+    assert fast[4] == NONE
+
+
+def test_a_robot_that_stays_turns_as_it_wants_and_one_that_drives_looks_ahead() -> None:
+    world = corridor(1)
+    assert world.advance({0: go(b"", 3)})[0].heading == 3
+    assert world.advance({0: go(b"", -1)})[0].heading == 7
+    assert world.advance({0: go(along(1), 3)})[0].heading == 0
+    assert world.advance({0: go(along(0), 3)})[0].heading == 4
+
+
+def test_a_scanner_that_is_off_reads_nothing() -> None:
+    world = corridor(1)
+    assert (readings_of(world.advance({0: go(b"", look=False)})[0]) == NONE).all()
+    assert (readings_of(world.advance({0: go(b"", look=True)})[0]) != NONE).all()
+
+
+def test_a_turning_scanner_has_read_every_beam_once_after_a_turn() -> None:
+    truth = np.full((9, 9), FREE, np.uint8)
+    world = World(truth, WorldSettings((Body(3.0, 360.0, 1.0, 72.0),), ((4, 4),), 360))
+    read = [np.flatnonzero(readings_of(world.advance({})[0]) != NONE) for _ in range(6)]
+    assert [len(beams) for beams in read] == 6 * [72]
+    assert sorted(np.concatenate(read[:5]).tolist()) == list(range(360))
+    assert read[5].tolist() == read[0].tolist()
+
+
+@pytest.mark.parametrize(("apart", "hinders"), [(2, True), (5, False)])
+def test_robots_close_to_each_other_move_as_planned_seven_times_in_ten(apart: int, hinders: bool) -> None:
+    moved = 0
+    trials = 1500
+    for seed in range(trials):
+        truth = np.full((3, 12), FREE, np.uint8)
+        bodies = 2 * (Body(1.0, 360.0, 1.0),)
+        starts = ((2, 1), (2 + apart, 1))
+        world = World(truth, WorldSettings(bodies, starts, 4, seed, interference_cells=4.0))
+        sense = world.advance({0: go(cells_to_bytes(np.array([(2, 2)], np.int32)))})[0]
+        assert sense.blocked == (NOT_BLOCKED if world.cells[0] == (2, 2) else INTERFERENCE)
+        moved += world.cells[0] == (2, 2)
+    if hinders:
+        deviation = math.sqrt(trials * MOVES_AS_PLANNED * (1 - MOVES_AS_PLANNED))
+        assert abs(moved - trials * MOVES_AS_PLANNED) < 4 * deviation
+        assert MOVES_AS_PLANNED == 0.7
+    else:
+        assert moved == trials
+
+
+def test_without_interference_nobody_is_hindered() -> None:
+    world = corridor(2)
+    world.cells = {0: (3, 0), 1: (4, 0)}
+    assert all(world.advance({0: go(along(2))})[0].blocked != INTERFERENCE for _ in range(30))
+
+
+def test_robots_are_doomed_at_the_beginning_of_their_step() -> None:
+    world = corridor(2, deaths=((1, 3),))
+    assert world.doomed() == []
+    world.advance({})
+    assert world.doomed() == []
+    world.advance({})
+    assert world.doomed() == [1]
+    world.lose(1)
+    assert world.doomed() == []
+
+
+# Robots with a size, and robots that glide.
+
+
+@given(seeds, st.floats(0.6, 1.9))
+def test_no_disc_ever_overlaps_a_wall_or_another_disc(seed: int, radius: float) -> None:
+    truth = rooms(seed, 0.97)
+    truth[4:17, 4:17] = FREE
+    bodies = 3 * (Body(4.0, 360.0, 2.0, 0.0, radius),)
+    apart = math.ceil(2 * radius)
+    starts = ((10, 10), (10 + apart, 10), (10, 10 + apart))
+    world = World(truth, WorldSettings(bodies, starts, 8, seed))
+    touched = np.argwhere(disc(radius)) - disc(radius).shape[0] // 2
+    for cells, _ in random_steps(world, seed):
+        for x, y in cells.values():
+            for dy, dx in touched:
+                inside = 0 <= y + dy < 20 and 0 <= x + dx < 20
+                assert not inside or truth[y + dy, x + dx] != OCCUPIED
+        places = list(cells.values())
+        for n, (x, y) in enumerate(places):
+            assert all(math.hypot(x - ox, y - oy) >= 2 * radius for ox, oy in places[:n])
+
+
+@given(teams(), seeds)
+def test_robots_that_glide_keep_to_free_cells_of_their_own(world: World, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    for _ in range(12):
+        moves, before = {}, dict(world.cells)
+        for robot, (x, y) in world.cells.items():
+            points = (1000 * np.array([[x, y]]) + rng.integers(-4000, 4000, (3, 2))).astype(np.int32)
+            moves[robot] = go(b"", points=points_to_bytes(points))
+        driven = list(world.driven)
+        senses = world.advance(moves)
+        assert len(set(world.cells.values())) == len(world.cells)
+        for robot, (x, y) in world.cells.items():
+            assert world.truth[y, x] == FREE
+            assert world.reachable[y, x]
+            ox, oy = world.offsets[robot]
+            assert max(abs(ox), abs(oy)) <= 500
+            assert world.driven[robot] - driven[robot] <= world.settings.bodies[robot].speed + 1e-9
+            way = [(int(cx), int(cy)) for cx, cy in cells_from_bytes(senses[robot].driven)]
+            assert all(world.truth[cy, cx] == FREE for cx, cy in way)
+            assert (x, y) == before[robot] or (x, y) in way
+
+
+# Where robots start, and what they can reach.
+
+
+@given(seeds, st.integers(1, 8), st.integers(1, 3))
+def test_robots_start_on_free_cells_apart_from_each_other_and_connected(
+    seed: int, robots: int, apart: int
+) -> None:
+    truth = rooms(seed, 0.9)
+    cells = start_cells(truth, robots, seed, apart)
+    assert len(cells) == robots
+    areas, _ = ndimage.label(truth == FREE)
+    assert len({areas[y, x] for x, y in cells}) == 1
+    assert all(truth[y, x] == FREE for x, y in cells)
+    for n, (x, y) in enumerate(cells):
+        assert all(max(abs(x - ox), abs(y - oy)) >= apart for ox, oy in cells[:n])
+    assert cells == start_cells(truth, robots, seed, apart)
+
+
+def test_robots_start_in_the_largest_part_of_the_world_and_not_always_in_one_place() -> None:
+    truth = np.full((9, 9), OCCUPIED, np.uint8)
+    truth[0, 0] = FREE
+    truth[4:, 4:] = FREE
+    firsts = {start_cells(truth, 1, seed, 1)[0] for seed in range(30)}
+    assert len(firsts) > 5
+    assert all(x >= 4 and y >= 4 for x, y in firsts)
+
+
+def test_robots_start_around_the_cell_that_is_asked_for() -> None:
+    truth = np.full((9, 9), FREE, np.uint8)
+    cells = start_cells(truth, 5, 0, 1, (4, 4))
+    assert cells[0] == (4, 4)
+    assert sorted(cells[1:]) == [(3, 4), (4, 3), (4, 5), (5, 4)]
+
+
+@pytest.mark.parametrize("first", [(0, 0), (-1, 3), (3, -1), (9, 3), (3, 9), (10**9, 0)])
+def test_a_start_that_is_not_free_is_refused(first: Cell) -> None:
+    truth = np.full((9, 9), FREE, np.uint8)
+    truth[0, 0] = OCCUPIED
+    with pytest.raises(ValueError, match=r"cell \(.*\) is not free"):
+        start_cells(truth, 1, 0, 1, first)
+
+
+def test_more_robots_than_places_are_refused_with_the_number_that_fits() -> None:
+    truth = np.full((1, 9), FREE, np.uint8)
+    assert len(start_cells(truth, 5, 0, 2, (0, 0))) == 5
+    with pytest.raises(ValueError, match="6 robots do not fit: 5 free cells"):
+        start_cells(truth, 6, 0, 2, (0, 0))
+
+
+@given(seeds)
+def test_reachable_is_what_a_robot_can_drive_to_without_cutting_corners(seed: int) -> None:
+    truth = rooms(seed, 0.6)
+    found = {(10, 10)}
+    queue = [(10, 10)]
+    while queue:
+        x, y = queue.pop()
+        for dx, dy in NEIGHBOURS:
+            nx, ny = x + dx, y + dy
+            inside = 0 <= nx < 20 and 0 <= ny < 20 and (nx, ny) not in found
+            if inside and truth[ny, nx] == truth[y, nx] == truth[ny, x] == FREE:
+                found.add((nx, ny))
+                queue.append((nx, ny))
+    reachable = reachable_by(truth, (10, 10), 0.0)
+    assert {(int(x), int(y)) for y, x in np.argwhere(reachable)} == found
