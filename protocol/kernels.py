@@ -14,12 +14,25 @@ import numba
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
+_kernels: list[Any] = []
+
 
 def kernel(signature: str) -> Callable[[Function], Function]:
     """Compile the decorated function for `signature` (numba's notation), or load it from the cache."""
 
     def compile_it(function: Function) -> Function:
-        compiled: Function = numba.njit(signature, cache=True, error_model="numpy")(function)
-        return compiled
+        result: Function = numba.njit(signature, cache=True, error_model="numpy")(function)
+        _kernels.append(result)
+        return result
 
     return compile_it
+
+
+def loaded() -> int:
+    """How many kernels this process has read from the cache."""
+    return sum(1 for each in _kernels if sum(each.stats.cache_hits.values()))
+
+
+def compiled() -> int:
+    """How many kernels this process had to compile."""
+    return len(_kernels) - loaded()

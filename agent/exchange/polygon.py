@@ -51,7 +51,7 @@ class PolygonOptions:
 
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
-    medium_use: float = 0.5
+    medium_use: float = 1.0
     bytes_per_split: float = 0.0
     lazy: bool = True
     mixed_first: bool = True
@@ -59,7 +59,9 @@ class PolygonOptions:
     unknown_pairs: bool = False
 
 
-THESIS_OPTIONS = PolygonOptions(lazy=False, mixed_first=False, free_inside_edges=True, unknown_pairs=True)
+THESIS_OPTIONS = PolygonOptions(
+    medium_use=0.5, lazy=False, mixed_first=False, free_inside_edges=True, unknown_pairs=True
+)
 
 
 class PolygonExchange(Exchange):

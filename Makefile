@@ -1,0 +1,45 @@
+# make demo   sets up what it needs and explores an office with five robots
+# make test   sets up what it needs and runs format, lint, types, import rules and tests
+# make bench  prints ratios against named yardsticks
+
+VENV := .venv
+PYTHON ?= python3
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+
+.PHONY: setup demo test check bench clean
+
+setup: $(VENV)/main.stamp
+
+# A bare Debian has Python without venv: fetch it where we may.
+$(BIN)/python:
+	$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); apt-get update && apt-get install -y --no-install-recommends python3-venv && $(PYTHON) -m venv $(VENV); }
+
+# Importing the processes' code compiles all kernels, once, into numba's cache.
+$(VENV)/main.stamp: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) --editable '.[view]'
+	$(BIN)/python -c 'import deploy.processes'
+	touch $@
+
+$(VENV)/dev.stamp: $(VENV)/main.stamp
+	$(PIP) --editable '.[view,dev,bench]'
+	touch $@
+
+demo: setup
+	$(BIN)/murmur explore --map office --robots 5 --bandwidth 10000
+
+test: $(VENV)/dev.stamp check
+	$(BIN)/python -m pytest
+
+check: $(VENV)/dev.stamp
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(VENV)/dev.stamp
+	$(BIN)/murmur bench
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	find . -name __pycache__ -prune -exec rm -rf {} +
