@@ -125,7 +125,8 @@ class AgentNode:
         work = round(1e6 * (self._work + time.thread_time() - began))
         x, y = robot.target or (-1, -1)
         backlog = robot.session.undelivered()
-        self._report(MindReport(self._step, x, y, robot.known_cells, backlog, robot.status, work))
+        report = MindReport(self._step, x, y, robot.known_cells, robot.error(), backlog, robot.status, work)
+        self._report(report)
         self._bus.put(self._keys.body(names.WORLD, self._name), pack(move))
         if self._step % SHOWN_EVERY == 0:
             self._show(self._step)

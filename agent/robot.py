@@ -77,6 +77,10 @@ class Robot:
         """The polygons of each robot's map, its own included, as this robot holds them."""
         return self._exchange.polygons
 
+    def error(self) -> int:
+        """Cells in which its map and what it has told of it differ (thesis, Eq. 6.1)."""
+        return self._exchange.error(self.own)
+
     def perceive(self, sense: Sense) -> None:
         """Take what the body senses at the beginning of a step.
 

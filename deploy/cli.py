@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import os
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
 
+from agent.exchange import THESIS_OPTIONS
 from deploy.scenario import Scenario, ScenarioError, load
 
 BAD_INPUT = 2
@@ -75,15 +77,24 @@ def explore(
     map_seed: _setting("map_seed", int, "S") = None,  # type: ignore[valid-type]
     start: Annotated[str | None, typer.Option(metavar="X,Y", help=default("start"))] = None,
     offers: _setting("offers", str, "NAME") = None,  # type: ignore[valid-type]
+    thesis: Annotated[
+        bool, typer.Option("--thesis", help="the thesis' plain rules of offering, refining and drawing")
+    ] = False,
     option: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="an option of the strategy (murmur strategies); repeatable"),
     ] = None,
     bus: _setting("bus", str, "zenoh|memory") = None,  # type: ignore[valid-type]
     steps: _setting("steps", int, "MAX") = None,  # type: ignore[valid-type]
-    view: Annotated[bool, typer.Option("--view", help="show it live: a window, or a page if there is no display")] = False,
-    view_as: Annotated[str | None, typer.Option(metavar="native|web|file", help="show it so; file: record only")] = None,
-    pace: Annotated[float | None, typer.Option(metavar="STEPS_PER_S", help="no faster than this, for watching")] = None,
+    view: Annotated[
+        bool, typer.Option("--view", help="show it live: a window, or a page if there is no display")
+    ] = False,
+    view_as: Annotated[
+        str | None, typer.Option(metavar="native|web|file", help="show it so; file: record only")
+    ] = None,
+    pace: Annotated[
+        float | None, typer.Option(metavar="STEPS_PER_S", help="no faster than this, for watching")
+    ] = None,
     out: OutOption = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -98,6 +109,8 @@ def explore(
         "map_seed": map_seed, "offers": offers, "bus": bus, "steps": steps,
     }  # fmt: skip
     with _speaking_clearly():
+        if thesis:
+            overrides |= {"offers": offers or "thesis", "polygon": asdict(THESIS_OPTIONS)}
         if start is not None:
             overrides["start"] = _pair(start)
         if option:
@@ -110,7 +123,9 @@ def explore(
 @app.command()
 def watch(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
-    view_as: Annotated[str, typer.Option(metavar="native|web|file", help="show it so (default: as there is a display)")] = "auto",
+    view_as: Annotated[
+        str, typer.Option(metavar="native|web|file", help="show it so (default: as there is a display)")
+    ] = "auto",
 ) -> None:
     """Look at a run that is under way, or at the recording of one (docs/dashboard.md)."""
     from deploy import watch as watching  # noqa: PLC0415
@@ -127,7 +142,9 @@ def watch(
 @app.command()
 def replay(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
-    bus: Annotated[str | None, typer.Option(help="on this bus (default: the run's own)", metavar="zenoh|memory")] = None,
+    bus: Annotated[
+        str | None, typer.Option(help="on this bus (default: the run's own)", metavar="zenoh|memory")
+    ] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Repeat a run from its directory alone, and check that its digest comes out again."""
@@ -166,7 +183,9 @@ def show_capture(
     install_dissector: Annotated[
         bool, typer.Option("--install-dissector", help="teach Wireshark and tshark to read radio.pcapng")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="print JSON: all frames with their packets")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="print JSON: all frames with their packets")
+    ] = False,
 ) -> None:
     """Show what was said on the radio of a run, frame by frame, and why what was refused was.
 
@@ -207,11 +226,15 @@ def strategies(as_json: JsonFlag = False) -> None:
 
 @app.command()
 def sweep(
-    experiment: Annotated[Path, typer.Argument(metavar="EXPERIMENT.toml", help="what to run (docs/experiments.md)")],
+    experiment: Annotated[
+        Path, typer.Argument(metavar="EXPERIMENT.toml", help="what to run (docs/experiments.md)")
+    ],
     jobs: Annotated[int | None, typer.Option(min=1, help="processes (default: one a core)")] = None,
     set_: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="replace a list of the grid or a key of the base; repeatable"),
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="replace a list of the grid or a key of the base; repeatable"
+        ),
     ] = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE.json", help="write all summaries there")] = None,
 ) -> None:
@@ -292,7 +315,9 @@ def doctor() -> None:
 
 @app.command()
 def bench(
-    names: Annotated[list[str] | None, typer.Argument(metavar="[NAME...]", help="bus, swarm; default: all")] = None,
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAME...]", help="bus, swarm; default: all")
+    ] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Measure this machine: each figure as a ratio against a yardstick taken in the same run."""
@@ -307,7 +332,9 @@ def bench(
 @run_app.command("netshaper")
 def run_netshaper(
     scenario: ScenarioFile = None,
-    listen: Annotated[str, typer.Option(metavar="HOST:PORT", help="where the hub listens")] = "127.0.0.1:7447",
+    listen: Annotated[
+        str, typer.Option(metavar="HOST:PORT", help="where the hub listens")
+    ] = "127.0.0.1:7447",
     credentials: Annotated[
         Path, typer.Option(metavar="DIR", help="new directory for one credential file a participant")
     ] = Path("credentials"),
@@ -321,7 +348,9 @@ def run_netshaper(
 
 @run_app.command("worldsim")
 def run_worldsim(
-    credential: Annotated[Path, typer.Option(metavar="FILE", help="world.json of the netshaper's credentials")],
+    credential: Annotated[
+        Path, typer.Option(metavar="FILE", help="world.json of the netshaper's credentials")
+    ],
     scenario: ScenarioFile = None,
 ) -> None:
     """Start the world simulator: it owns the map and the clock, and begins once all are there."""
@@ -344,7 +373,9 @@ def run_agent(
 
 @run_app.command("view")
 def run_view(
-    credential: Annotated[Path, typer.Option(metavar="FILE", help="view.json of the netshaper's credentials")],
+    credential: Annotated[
+        Path, typer.Option(metavar="FILE", help="view.json of the netshaper's credentials")
+    ],
     scenario: ScenarioFile = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="where the recording goes")] = Path(),
     view_as: Annotated[str, typer.Option(metavar="native|web|file", help="show it so")] = "auto",
@@ -377,7 +408,9 @@ def run_lab(
         raise typer.Exit(_report(result, as_json=as_json))
 
 
-def _explore(scenario: Scenario, out: Path | None, show: str | None, pace: float | None, *, as_json: bool) -> int:
+def _explore(
+    scenario: Scenario, out: Path | None, show: str | None, pace: float | None, *, as_json: bool
+) -> int:
     from deploy import mission  # noqa: PLC0415
     from deploy.dashboard.windows import Window  # noqa: PLC0415
     from deploy.watch import keep_showing  # noqa: PLC0415

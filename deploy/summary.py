@@ -37,7 +37,9 @@ def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "steps": end.step if end is not None and end.step >= 0 else records.step,
         "first_robot": end.first if finished and end is not None else None,
         "coverage": _coverage(records, reachable),
-        "map_agreement": _share_free(records.planning[wanted], reachable) if wanted in records.planning else None,
+        "map_agreement": _share_free(records.planning[wanted], reachable)
+        if wanted in records.planning
+        else None,
         "t90": _first_step(records, 0.90),
         "t99": _first_step(records, 0.99),
         "path_length": [mm / 1000 for mm in records.world[-1].driven] if records.world else [],
@@ -51,6 +53,7 @@ def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "range_m": plan.range_m,
         "bytes": kinds,
         "packets": packets,
+        "approximation_error": _approximation_error(records, wanted, int(reachable.sum())),
         "over_budget_steps": _over_budget(ledger, scenario.bandwidth),
         "wire_bytes": records.wire_bytes,
         "undelivered": _undelivered(ledger),
@@ -127,6 +130,13 @@ def _per_kind(ledger: NDArray[np.void]) -> tuple[dict[str, int], dict[str, int]]
     return sizes, counts
 
 
+def _approximation_error(records: Records, robot: int, cells: int) -> float | None:
+    """Mean over the steps of one robot's d(t), as a share of the cells to explore (thesis, Eq. 6.1)."""
+    if not 0 <= robot < len(records.minds) or not records.minds[robot]:
+        return None
+    return float(np.mean([report.error for report in records.minds[robot]]) / cells)
+
+
 def _over_budget(ledger: NDArray[np.void], bandwidth: int | str) -> int:
     """Steps that carried more than the budget: there must be none."""
     if bandwidth == UNLIMITED or not len(ledger):
@@ -150,5 +160,3 @@ def _median_work(records: Records) -> float | None:
     """Microseconds of thinking that a robot needs a step, in the median."""
     work = [report.work_us for reports in records.minds for report in reports]
     return float(np.median(work)) if work else None
-
-
