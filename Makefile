@@ -17,12 +17,12 @@ $(BIN)/python:
 
 # Importing the processes' code compiles all kernels, once, into numba's cache.
 $(VENV)/main.stamp: pyproject.toml constraints.txt | $(BIN)/python
-	$(PIP) --editable '.[view]'
+	$(PIP) --editable '.[view,mcap]'
 	$(BIN)/python -c 'import deploy.processes'
 	touch $@
 
 $(VENV)/dev.stamp: $(VENV)/main.stamp
-	$(PIP) --editable '.[view,dev,bench]'
+	$(PIP) --editable '.[view,mcap,dev,bench]'
 	touch $@
 
 demo: setup
