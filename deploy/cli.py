@@ -95,6 +95,9 @@ def explore(
     pace: Annotated[
         float | None, typer.Option(metavar="STEPS_PER_S", help="no faster than this, for watching")
     ] = None,
+    pictures: Annotated[
+        bool, typer.Option("--pictures", help="draw the maps over time and the channel's load")
+    ] = False,
     out: OutOption = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -117,7 +120,7 @@ def explore(
             overrides["options"] = dict(_named_value(item) for item in option)
         chosen = load(scenario, overrides)
         show = view_as or ("auto" if view else None)
-        raise typer.Exit(_explore(chosen, out, show, pace, as_json=as_json))
+        raise typer.Exit(_explore(chosen, out, show, pictures=pictures, pace=pace, as_json=as_json))
 
 
 @app.command()
@@ -137,6 +140,18 @@ def watch(
             watching.watch(directory, window)
         finally:
             window.close()
+
+
+@app.command()
+def report(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
+) -> None:
+    """Draw a run's maps over time and its traffic, and write one HTML page of it all: report.html."""
+    from deploy.report import write_report  # noqa: PLC0415
+
+    with _speaking_clearly():
+        page = write_report(directory, errors.print)
+        screen.print(f"{page}: the run on one page, pictures and all")
 
 
 @app.command()
@@ -409,7 +424,13 @@ def run_lab(
 
 
 def _explore(
-    scenario: Scenario, out: Path | None, show: str | None, pace: float | None, *, as_json: bool
+    scenario: Scenario,
+    out: Path | None,
+    show: str | None,
+    *,
+    pictures: bool,
+    pace: float | None,
+    as_json: bool,
 ) -> int:
     from deploy import mission  # noqa: PLC0415
     from deploy.dashboard.windows import Window  # noqa: PLC0415
@@ -418,7 +439,9 @@ def _explore(
     window = Window(show, errors.print) if show else None
     try:
         with _progress(shown=not as_json) as watch:
-            result = mission.explore(scenario, out=out, watch=watch, window=window, pace=pace)
+            result = mission.explore(
+                scenario, out=out, watch=watch, window=window, pictures=pictures, pace=pace
+            )
         code = _report(result, as_json=as_json)
         if window is not None and result.directory is not None and sys.stdout.isatty():
             keep_showing(result.directory, window)

@@ -11,8 +11,8 @@ from typing import Any
 
 from deploy import in_memory, launch, rundir
 from deploy import plan as plans
-from deploy.dashboard.process import ViewTask, watching
-from deploy.dashboard.windows import Window
+from deploy.dashboard.process import RECORDING, ViewTask, watching
+from deploy.dashboard.windows import Window, optimise
 from deploy.plan import Plan
 from deploy.records import Records
 from deploy.scenario import Scenario
@@ -58,6 +58,7 @@ def explore(
     keep: bool = True,
     watch: Callable[[Plan, Records], object] | None = None,
     window: Window | None = None,
+    pictures: bool = False,
     pace: float | None = None,
 ) -> Result:
     """Run a scenario. What is shown of it, and at which pace, changes nothing in its results.
@@ -74,6 +75,8 @@ def explore(
         Called with the plan and the records while the run goes on.
     window : Window, optional
         Shows the run live, and has it recorded in its directory.
+    pictures : bool
+        Whether to keep the robots' maps over time, and to draw them and the channel's load at the end.
     pace : float, optional
         Steps a second at most.
 
@@ -84,8 +87,8 @@ def explore(
     ValueError
         The pace is too slow, or what is to be shown is not to be kept.
     """
-    if not keep and window is not None:
-        raise ValueError("a run that is shown needs a directory: keep = True")
+    if not keep and (window is not None or pictures):
+        raise ValueError("a run that is shown or drawn needs a directory: keep = True")
     wait: Callable[[], object] = Pace(pace).wait if pace is not None else _nothing
     plan = plans.make(scenario)
     directory = rundir.create(out, plan) if keep else None
@@ -96,8 +99,9 @@ def explore(
             watch(plan, records)
 
     task = None
-    if directory is not None and window is not None:
-        task = ViewTask(plan, directory.absolute(), port=window.port)
+    if directory is not None and (window is not None or pictures):
+        port = window.port if window is not None else None
+        task = ViewTask(plan, directory.absolute(), records=window is not None, port=port)
     ready: Callable[[], object] = window.open if window is not None else _nothing
     with rundir.open_capture(directory, plan) as capture:
         if scenario.bus == "memory":
@@ -109,7 +113,14 @@ def explore(
             show = launch.Show(task, ready) if task is not None else None
             logs = directory / rundir.LOGS if directory else None
             outcome = launch.run(plan, logs, look, capture, show=show, pace=pace, live=directory)
-    return conclude(plan, outcome, directory, time.perf_counter() - began)
+    result = conclude(plan, outcome, directory, time.perf_counter() - began)
+    if directory is not None and window is not None and outcome.view_fault:
+        optimise(directory / RECORDING)  # closed by nobody
+    if directory is not None and pictures and outcome.records.world:
+        from deploy import archive, figures  # noqa: PLC0415  nobody else needs what they import
+
+        figures.write_figures(archive.read(directory), directory / figures.FOLDER)
+    return result
 
 
 def conclude(plan: Plan, outcome: launch.Outcome, directory: Path | None, wall_s: float) -> Result:

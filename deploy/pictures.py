@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from deploy.dashboard import look
 from deploy.plan import Plan
 from deploy.records import Records
 from protocol.grid import Grid
@@ -22,17 +22,19 @@ CELLS = ListedColormap(["#c3c7cc", "#ffffff", "#20242a"])
 COLUMNS = 4
 
 
-def robot_color(robot: int) -> Any:
+def robot_color(robot: int) -> tuple[float, ...]:
     """The colour that stands for a robot in all pictures."""
-    return mpl.colormaps["tab10"](robot % 10)
+    return tuple(part / 255 for part in look.robot_color(robot))
 
 
 def draw_map(path: Path, world_map: Map) -> None:
     """Draw a map with metres on its axes."""
     figure = Figure(figsize=(7, 7 * world_map.height / world_map.width + 0.6), layout="constrained")
     axes = figure.add_subplot()
-    _show(axes, world_map, world_map.cells)
-    axes.set_title(f"{world_map.name}: {world_map.width} x {world_map.height} cells of {world_map.resolution:g} m")
+    show_grid(axes, world_map, world_map.cells)
+    axes.set_title(
+        f"{world_map.name}: {world_map.width} x {world_map.height} cells of {world_map.resolution:g} m"
+    )
     figure.savefig(path, dpi=110)
 
 
@@ -45,14 +47,14 @@ def draw_maps(path: Path, plan: Plan, records: Records, summary: dict[str, Any])
     shape = plan.map.height / plan.map.width
     figure = Figure(figsize=(3.6 * columns, rows * (3.4 * shape + 0.5) + 0.5), layout="constrained")
     axes = np.atleast_1d(figure.subplots(rows, columns)).ravel()
-    _show(axes[0], plan.map, plan.map.cells)
+    show_grid(axes[0], plan.map, plan.map.cells)
     _draw_paths(axes[0], plan, records)
     axes[0].set_title("the world and the ways driven")
     team = np.maximum.reduce([records.own[robot] for robot in sorted(records.own)])
-    _show(axes[1], plan.map, team)
+    show_grid(axes[1], plan.map, team)
     axes[1].set_title(f"what the team has seen: {100 * summary['coverage']:.1f} %")
     for panel, robot in zip(axes[2:], robots, strict=False):
-        _show(panel, plan.map, records.planning[robot])
+        show_grid(panel, plan.map, records.planning[robot])
         first = ", done first" if robot == summary["first_robot"] else ""
         panel.set_title(f"robot {robot}'s planning map{first}", color=robot_color(robot))
     for panel in axes[panels:]:
@@ -66,7 +68,8 @@ def draw_maps(path: Path, plan: Plan, records: Records, summary: dict[str, Any])
     figure.savefig(path, dpi=110)
 
 
-def _show(axes: Axes, world_map: Map, grid: Grid) -> None:
+def show_grid(axes: Axes, world_map: Map, grid: Grid) -> None:
+    """Show a grid of the world's cells, with metres on the axes."""
     cell, (left, bottom, _) = world_map.resolution, world_map.origin
     extent = (left, left + cell * world_map.width, bottom, bottom + cell * world_map.height)
     axes.imshow(grid, cmap=CELLS, vmin=0, vmax=2, extent=extent, interpolation="nearest")

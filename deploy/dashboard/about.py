@@ -6,20 +6,19 @@ from deploy.plan import Plan
 from netshaper.medium import UNLIMITED
 
 TEXT = """\
-**{robots} robots explore a building that none of them knows.** Each sees {sensor:g} m far with its laser. \
-By radio they tell each other what they have found: {medium}, and over {reach:.0f} m at most. They are done \
-when one of them has nothing left to explore on its map.
+**{robots} robots explore a building that none of them knows.** Each sees {sensor:g} m far. By radio they tell \
+each other what they find: {medium}. They are done when one has nothing left to explore on its map.
 
-**On the left, the truth.** Discs are robots; a line leads from each to where it is heading. {circles}Robots \
-that are joined by a line can hear each other; where the line is green, they talk just now.
+**On the left, the truth.** Discs are robots; a line leads from each to its target. {circles}Grey and green \
+lines join those who can hear each other; green ones carry something just now.
 
-**On the right, what each robot knows.** White is floor, black is wall, grey is unknown yet. {outlines}
+**On the right, what each robot knows.** White is floor, black is wall, grey is unknown. {outlines}
 
-**Below, the radio.** {budget}A white line says how much the team has seen, coloured ones how much of it \
-each robot has on its map. What lies between is news that has not been told.
+**Below, the radio.** {budget}What the team has seen is white, what each robot has on its map is in its \
+colour; between them lies news that is not told yet.
 """
 OUTLINES = (
-    "Thick outlines are what it tells of its own map, thin ones in others' colours are what it was told."
+    "Thick outlines are what it tells of its own map, thin ones are what others have told it of theirs."
 )
 
 
@@ -27,16 +26,15 @@ def about(plan: Plan) -> str:
     """Explain what is seen, in markdown, with the figures of this run."""
     budget = plan.radio.budget
     polygons = plan.scenario.exchange == "polygon"
+    medium = "as much as they like" if budget == UNLIMITED else f"at most {budget} bytes a step (one second)"
+    medium += f", {plan.range_m:.0f} m far"
     return TEXT.format(
         robots=plan.scenario.robots,
         sensor=plan.scenario.sensor_range,
-        reach=plan.range_m,
-        medium="as much as they like"
-        if budget == UNLIMITED
-        else f"at most {budget} bytes a step (one second), all together",
-        circles="Thin circles show how far each is heard. " if shows_range(plan) else "",
-        outlines=OUTLINES if polygons else "What it has not seen itself it was told.",
-        budget="" if budget == UNLIMITED else "No more than the red line fits into a step. ",
+        medium=medium,
+        circles="Circles show how far each is heard. " if shows_range(plan) else "",
+        outlines=OUTLINES if polygons else "What it has not seen itself, others have told it.",
+        budget="" if budget == UNLIMITED else "The red line is the limit. ",
     )
 
 

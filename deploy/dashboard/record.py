@@ -180,9 +180,9 @@ class Recorder:
             self._log(path, series, static=True)
         groups = list(GROUPS.values())
         load = rr.SeriesLines(
-            names=[group.words for group in groups],
-            colors=[group.color for group in groups],
-            widths=[1.5] * len(groups),
+            names=["all together", *(group.words for group in groups)],
+            colors=[PAPER, *(group.color for group in groups)],
+            widths=[1.0, *(1.5 for _ in groups)],
         )
         self._log("air/load", load, static=True)
         self._log("air/budget", rr.SeriesLines(names=["budget"], colors=[ALARM], widths=[2]), static=True)
@@ -239,7 +239,8 @@ class Recorder:
         air = story.air
         assert air is not None
         used = {group for group in GROUPS if any(kind in story.bytes for kind in GROUPS[group].kinds)}
-        self._log("air/load", rr.Scalars([air.groups[group] if group in used else NAN for group in GROUPS]))
+        load = [air.groups[group] if group in used else NAN for group in GROUPS]
+        self._log("air/load", rr.Scalars([air.carried, *load]))
         if self._plan.radio.budget != UNLIMITED:
             self._log("air/budget", rr.Scalars(self._plan.radio.budget))
         here = story.positions
@@ -263,8 +264,8 @@ class Recorder:
         bars, places, labels = [], [], []
         for line, group in enumerate(shown):
             share = 100 * spent[group] / total
-            bars.append([(0.0, row * (line + 0.75)), (share, row * (line + 0.75))])
-            places.append((50.0, row * (line + 0.3)))
+            bars.append([(0.0, row * (line + 0.78)), (share, row * (line + 0.78))])
+            places.append((50.0, row * (line + 0.25)))
             labels.append(f"{GROUPS[group].words}: {share:.1f} %")
         colors = [GROUPS[group].color for group in shown]
         self._log("air/shares/bars", rr.LineStrips2D(bars, colors=colors, radii=[0.16 * row]))

@@ -1,0 +1,98 @@
+"""A run directory, read back: what pictures, pages and exports are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy import in_memory, rundir
+from deploy import plan as plans
+from deploy.dashboard.process import ViewNode
+from deploy.plan import Plan
+from deploy.scenario import ScenarioError
+from deploy.snapshots import SNAPSHOTS, Snapshots
+from deploy.summary import digest
+
+Table = dict[str, NDArray[Any]]
+"""Columns by name."""
+
+
+@dataclass(frozen=True)
+class Archive:
+    """One run, as its directory tells it.
+
+    Attributes
+    ----------
+    directory : Path
+    plan : Plan
+        Its scenario, worked out.
+    summary : dict
+        The figures of ``summary.json``.
+    """
+
+    directory: Path
+    plan: Plan
+    summary: dict[str, Any]
+
+    @cached_property
+    def steps(self) -> Table:
+        """``steps.parquet``: a row a step and robot, metres in the map's frame."""
+        return _read_table(self.directory / rundir.STEPS)
+
+    @cached_property
+    def ledger(self) -> Table:
+        """``ledger.parquet``: a row a frame and packet kind."""
+        return _read_table(self.directory / rundir.LEDGER)
+
+    @property
+    def last_step(self) -> int:
+        """The last step of the run."""
+        return int(self.steps["step"].max(initial=0))
+
+    def of_robot(self, robot: int) -> Table:
+        """The rows of `steps` of one robot, in the order of steps."""
+        mine = self.steps["robot"] == robot
+        return {name: column[mine] for name, column in self.steps.items()}
+
+    def snapshots(self, tell: Callable[[str], object] = lambda _: None) -> Snapshots | None:
+        """Robots' maps over time: those that were kept; else the run is repeated in memory to see them.
+
+        None where the run cannot be repeated: it was interrupted, or does not come out the same here. `tell`
+        hears what is done.
+        """
+        kept = self.directory / SNAPSHOTS
+        if kept.is_file():
+            return Snapshots.read(kept)
+        if self.summary["reason"] == "broken off" or self.summary["reason"] == "interrupted":
+            tell("No maps over time: none were kept (--pictures), and a run cut short cannot be repeated.")
+            return None
+        tell("No maps over time were kept (--pictures); the run is repeated in memory to see them.")
+        snapshots = Snapshots()
+        records = in_memory.run(self.plan, view=ViewNode([snapshots]))
+        if digest(records) != self.summary["digest"]:
+            tell("No maps over time: the run does not come out the same here (murmur replay says more).")
+            return None
+        return snapshots
+
+
+def read(directory: Path) -> Archive:
+    """Read a run directory; ScenarioError says what is missing."""
+    plan = plans.make(rundir.read_scenario(directory))
+    summary = rundir.read_summary(directory)
+    for name in (rundir.STEPS, rundir.LEDGER):
+        if not (directory / name).is_file():
+            raise ScenarioError(f"{directory}: {name} is missing, so there is nothing to tell of this run")
+    return Archive(directory, plan, summary)
+
+
+def _read_table(path: Path) -> Table:
+    from pyarrow import parquet  # noqa: PLC0415  half a second that the command line need not wait for
+
+    table = parquet.read_table(path)
+    return {name: np.asarray(table[name].to_numpy(zero_copy_only=False)) for name in table.column_names}
