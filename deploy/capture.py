@@ -20,7 +20,7 @@ from protocol.packets import ALL_KINDS, AnyPacket, Fragment
 
 CARRIED = 0
 
-_COLUMNS = "{:>6} {:>2} {:>5} {:>6} {:>6} {:>3}  {:<9} {:>8}  {:<28}  {}"
+_COLUMNS = "{:>6} {:>2} {:>5} {:>6} {:>6} {:>3}  {:<9} {:>8}  {:<38}  {}"
 _TITLES = ("step", "ex", "conn", "from", "to", "map", "frame", "bytes", "packets", "verdict")
 
 
