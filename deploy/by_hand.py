@@ -25,9 +25,7 @@ from protocol.keys import Keys
 from protocol.zenoh_bus import Credential, join
 
 
-def serve_netshaper(
-    scenario: Scenario, listen: str, folder: Path, tell: Callable[[str], object]
-) -> None:
+def serve_netshaper(scenario: Scenario, listen: str, folder: Path, tell: Callable[[str], object]) -> None:
     """Write credentials for a new run into `folder`, then be its hub and relay."""
     plan = plans.make(scenario)
     host, _, port = listen.rpartition(":")

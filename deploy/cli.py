@@ -65,9 +65,9 @@ def _setting(name: str, kind: Any, metavar: str | None = None) -> Any:
 @app.command()
 def explore(
     scenario: ScenarioFile = None,
-    map: _setting("map", str, "FILE.yaml|NAME") = None,  # type: ignore[valid-type]  # noqa: A002
+    map: _setting("map", str, "FILE.yaml|NAME") = None,  # type: ignore[valid-type]
     robots: _setting("robots", int, "N") = None,  # type: ignore[valid-type]
-    range: _setting("range", str, "METRES|P%") = None,  # type: ignore[valid-type]  # noqa: A002
+    range: _setting("range", str, "METRES|P%") = None,  # type: ignore[valid-type]
     bandwidth: _setting("bandwidth", str, "BYTES|unlimited") = None,  # type: ignore[valid-type]
     exchange: _setting("exchange", str, "NAME") = None,  # type: ignore[valid-type]
     strategy: _setting("strategy", str, "NAME") = None,  # type: ignore[valid-type]
@@ -532,4 +532,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

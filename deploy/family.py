@@ -80,9 +80,7 @@ class Family:
         """Start a child that runs ``serve(*args)``; what it prints goes to ``NAME.log``."""
         log = self._logs / f"{name}.log"
         with _blank_main():
-            process = self._context.Process(
-                target=in_background, args=(name, log, serve, *args), name=name
-            )
+            process = self._context.Process(target=in_background, args=(name, log, serve, *args), name=name)
             process.start()
         self._children.append(Child(name, process, log, needed))
 

@@ -121,6 +121,8 @@ def _starts(scenario: Scenario, world_map: Map) -> list[tuple[int, int]]:
     radius_cells = scenario.radius / world_map.resolution
     apart = max(1, round(scenario.apart / world_map.resolution), math.ceil(2 * radius_cells))
     try:
-        return start_cells(enlarge(world_map.cells, radius_cells), scenario.robots, scenario.seed, apart, first)
+        return start_cells(
+            enlarge(world_map.cells, radius_cells), scenario.robots, scenario.seed, apart, first
+        )
     except ValueError as error:
         raise ScenarioError(f"start on map {world_map.name}: {error}") from None

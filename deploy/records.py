@@ -14,7 +14,19 @@ from protocol import keys as names
 from protocol.bus import Bus, Message
 from protocol.grid import Grid
 from protocol.keys import Keys
-from protocol.messages import Bye, End, Fault, Lost, Maps, MindReport, RadioReport, Stop, WorldReport, pack, unpack
+from protocol.messages import (
+    Bye,
+    End,
+    Fault,
+    Lost,
+    Maps,
+    MindReport,
+    RadioReport,
+    Stop,
+    WorldReport,
+    pack,
+    unpack,
+)
 
 
 @dataclass
@@ -101,7 +113,9 @@ class LabNode:
 
     def missing(self) -> list[int]:
         """Robots whose maps have not been handed in."""
-        return [r for r in range(self.records.robots) if r not in self.records.own and r not in self.records.lost]
+        return [
+            r for r in range(self.records.robots) if r not in self.records.own and r not in self.records.lost
+        ]
 
     def stop(self, reason: str) -> None:
         """Ask the world to end after this step."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -101,7 +100,7 @@ def read_summary(directory: Path) -> dict[str, Any]:
 
 def write_results(out: Path, plan: Plan, records: Records, summary: dict[str, Any]) -> None:
     """Write summary, tables and maps."""
-    import pyarrow.parquet as parquet  # noqa: PLC0415  half a second that processes need not wait for
+    from pyarrow import parquet  # noqa: PLC0415  half a second that processes need not wait for
 
     from deploy.pictures import draw_maps  # noqa: PLC0415
 
@@ -154,7 +153,12 @@ def steps_table(plan: Plan, records: Records) -> Any:
         [(name, pa.int32()) for name in ("step", "robot")]
         + [(name, pa.float64()) for name in ("x", "y", "heading", "driven", "team_seen")]
         + [(name, pa.float64()) for name in ("target_x", "target_y")]
-        + [("known_cells", pa.int32()), ("backlog", pa.int32()), ("status", pa.string()), ("work_us", pa.int32())]
+        + [
+            ("known_cells", pa.int32()),
+            ("backlog", pa.int32()),
+            ("status", pa.string()),
+            ("work_us", pa.int32()),
+        ]
     )
     return pa.Table.from_pylist(rows, schema=schema)
 
@@ -183,6 +187,6 @@ def _replace(path: Path, write: Callable[[Path], object]) -> None:
     beside = path.with_name(f".{path.stem}.part{path.suffix}")
     try:
         write(beside)
-        os.replace(beside, path)
+        beside.replace(path)
     finally:
         beside.unlink(missing_ok=True)

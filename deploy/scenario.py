@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -62,12 +63,16 @@ class Scenario(_Table):
     seed: int = Field(0, ge=0, description="decides start poses and every draw")
     bus: Literal["zenoh", "memory"] = Field("zenoh", description="processes on Zenoh, or all in one process")
     steps: int = Field(10000, ge=1, description="the run ends after this many steps at the latest")
-    start: tuple[float, float] | None = Field(None, description="metres in the map's frame; seeded if left out")
+    start: tuple[float, float] | None = Field(
+        None, description="metres in the map's frame; seeded if left out"
+    )
     radius: float = Field(0.0, ge=0, allow_inf_nan=False, description="metres; robots are discs, 0: points")
     apart: Positive = Field(0.3, description="metres between start poses")
     exchanges: int = Field(2, ge=1, le=16, description="exchanges a step (R)")
     offers: Literal["backoff", "thesis"] = Field("backoff", description="when maps are offered")
-    interference: float = Field(0.0, ge=0, allow_inf_nan=False, description="metres; nearer robots hinder each other")
+    interference: float = Field(
+        0.0, ge=0, allow_inf_nan=False, description="metres; nearer robots hinder each other"
+    )
     polygon: PolygonOptions = Field(
         default_factory=PolygonOptions, description="options of the polygon exchange"
     )
@@ -109,7 +114,9 @@ class Scenario(_Table):
             numbers = [entry.robot for entry in entries]
             for number in numbers:
                 if number >= self.robots:
-                    raise ValueError(f"[[{table}]] speaks of robot {number}; the last one is {self.robots - 1}")
+                    raise ValueError(
+                        f"[[{table}]] speaks of robot {number}; the last one is {self.robots - 1}"
+                    )
             if len(set(numbers)) < len(numbers):
                 raise ValueError(f"[[{table}]] speaks of a robot twice: {numbers}")
         return self
@@ -178,11 +185,22 @@ def parse(data: dict[str, Any], where: str = "scenario") -> Scenario:
         raise ScenarioError("\n".join(f"{where}: {line}" for line in dict.fromkeys(lines))) from None
 
 
+_KEYS = {
+    "": list(Scenario.model_fields),
+    "robot": list(RobotOverride.model_fields),
+    "death": list(Death.model_fields),
+    "polygon": [field.name for field in fields(PolygonOptions)],
+}
+"""What may be set in each table."""
+
+
 def _explain(item: Any) -> str:
     key = ".".join(str(part) for part in item["loc"] if part not in ("int", "literal['unlimited']"))
     message = str(item["msg"]).removeprefix("Value error, ")
-    if item["type"] == "extra_forbidden":
-        table = Scenario if len(item["loc"]) == 1 else {"robot": RobotOverride, "death": Death}[item["loc"][0]]
+    if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+        table = (
+            Scenario if len(item["loc"]) == 1 else {"robot": RobotOverride, "death": Death}[item["loc"][0]]
+        )
         return f"{key} is no setting; there are: {', '.join(table.model_fields)}"
     return f"{key} = {item['input']!r}: {message}" if key else message
 
@@ -195,5 +213,7 @@ def _parse_range(text: str) -> tuple[float, bool]:
     except ValueError:
         number = math.nan
     if not (number >= 0 and math.isfinite(number)):
-        raise ValueError("must be a distance of 0 or more: metres, as 12.5, or a share of the diagonal, as 30%")
+        raise ValueError(
+            "must be a distance of 0 or more: metres, as 12.5, or a share of the diagonal, as 30%"
+        )
     return number, share

@@ -75,7 +75,9 @@ def read(path: Path) -> Experiment:
         raise ScenarioError(f"{where}: not TOML: {error}") from None
     unknown = sorted(set(data) - {"name", "base", "grid", "variant", "table"})
     if unknown:
-        raise ScenarioError(f"{where}: {unknown[0]} is no table of an experiment; there are: base, grid, variant, table")
+        raise ScenarioError(
+            f"{where}: {unknown[0]} is no table of an experiment; there are: base, grid, variant, table"
+        )
     grid, table = data.get("grid", {}), data.get("table", {})
     for key, values in grid.items():
         if not isinstance(values, list) or not values:
@@ -88,7 +90,9 @@ def read(path: Path) -> Experiment:
     rows, columns = table.get("rows", list(grid)), table.get("columns", [VARIANT])
     for key in [*rows, *columns]:
         if key != VARIANT and key not in grid:
-            raise ScenarioError(f"{where}: table speaks of {key!r}, which is not in the grid: {', '.join(grid)}")
+            raise ScenarioError(
+                f"{where}: table speaks of {key!r}, which is not in the grid: {', '.join(grid)}"
+            )
     values = table.get("values", ["steps", "coverage", "map_agreement"])
     return Experiment(
         str(data.get("name", path.stem)), data.get("base", {}), grid, variants, rows, columns, values
@@ -130,10 +134,10 @@ def run(
 
 def tabulate(experiment: Experiment, summaries: Sequence[dict[str, Any]]) -> list[list[str]]:
     """The table that the experiment asks for: a line of heads, then a line a row, means over all else."""
-    heads = sorted({tuple(s["place"][key] for key in experiment.columns) for s in summaries}, key=_order(summaries, experiment.columns))
-    rows = sorted({tuple(s["place"][key] for key in experiment.rows) for s in summaries}, key=_order(summaries, experiment.rows))
+    heads = _combinations(summaries, experiment.columns)
+    rows = _combinations(summaries, experiment.rows)
     lines = [[*experiment.rows, *("/".join(map(str, head)) for head in heads)]]
-    for row in [*rows, None]:
+    for row in (*rows, None):
         cells = list(map(_short, row)) if row is not None else ["all", *[""] * (len(experiment.rows) - 1)]
         for head in heads:
             chosen = [
@@ -147,12 +151,9 @@ def tabulate(experiment: Experiment, summaries: Sequence[dict[str, Any]]) -> lis
     return lines
 
 
-def _order(summaries: Sequence[dict[str, Any]], keys: list[str]) -> Callable[[tuple[Any, ...]], int]:
-    """Order combinations as they first come in the grid."""
-    seen: dict[tuple[Any, ...], int] = {}
-    for summary in summaries:
-        seen.setdefault(tuple(summary["place"][key] for key in keys), len(seen))
-    return lambda combination: seen[combination]
+def _combinations(summaries: Sequence[dict[str, Any]], keys: list[str]) -> list[tuple[Any, ...]]:
+    """All combinations of some keys' values, in the order of the grid."""
+    return list(dict.fromkeys(tuple(summary["place"][key] for key in keys) for summary in summaries))
 
 
 def _run_one(scenario: Scenario) -> dict[str, Any]:

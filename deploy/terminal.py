@@ -94,7 +94,9 @@ def summary_lines(summary: dict[str, Any], directory: Path | None) -> list[str]:
     kinds = [(kind, size) for kind, size in summary["bytes"].items() if kind != "total"]
     shares = ", ".join(f"{kind} {100 * size / total:.1f} %" for kind, size in kinds) if total else "nothing"
     lines.append(f"On the air: {total} bytes ({shares}).")
-    lines.append(f"{summary['wall_s']:.1f} s, {summary['steps_per_s']} steps a second on bus {summary['bus']}.")
+    lines.append(
+        f"{summary['wall_s']:.1f} s, {summary['steps_per_s']} steps a second on bus {summary['bus']}."
+    )
     if directory is not None:
         picture = f"; look at {directory / PICTURE}" if (directory / PICTURE).exists() else ""
         lines.append(f"Everything is in {directory}{picture}.")

@@ -22,9 +22,7 @@ def participants(robots: int) -> list[str]:
 
 def issue(run: str, hub: str, robots: int) -> dict[str, Credential]:
     """Make fresh credentials for all clients of a run, by name."""
-    return {
-        name: Credential(run, name, hub, secrets.token_urlsafe(18)) for name in participants(robots)
-    }
+    return {name: Credential(run, name, hub, secrets.token_urlsafe(18)) for name in participants(robots)}
 
 
 def rules(keys: Keys, robots: int) -> dict[str, Any]:

@@ -200,7 +200,8 @@ class WorldReport:
 class MindReport:
     """Robot to laboratory, once a step: what it is at, and the time that its thinking took (not a result).
 
-    `error`: cells in which its map and what it has told of it differ (Eq. 6.1). `backlog`: units of its own map's log that have not reached a teammate yet, all teammates counted.
+    `error`: cells in which its map and what it has told of it differ (Eq. 6.1). `backlog`: units of its own
+    map's log that have not reached a teammate yet, all teammates counted.
     """
 
     step: int

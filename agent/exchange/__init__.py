@@ -19,7 +19,9 @@ __all__ = [
     "exchange",
 ]
 
-EXCHANGES: dict[str, type[Exchange]] = {kind.name: kind for kind in (PolygonExchange, LaserExchange, NoExchange)}
+EXCHANGES: dict[str, type[Exchange]] = {
+    kind.name: kind for kind in (PolygonExchange, LaserExchange, NoExchange)
+}
 
 
 def exchange(settings: Settings) -> Exchange:

@@ -58,6 +58,12 @@ class PolygonOptions:
     free_inside_edges: bool = False
     unknown_pairs: bool = False
 
+    def __post_init__(self) -> None:
+        if not self.medium_use > 0:
+            raise ValueError(f"medium_use = {self.medium_use:g}: must be above 0")
+        if not self.bytes_per_split >= 0:
+            raise ValueError(f"bytes_per_split = {self.bytes_per_split:g}: must be 0 (measured) or more")
+
 
 THESIS_OPTIONS = PolygonOptions(
     medium_use=0.5, lazy=False, mixed_first=False, free_inside_edges=True, unknown_pairs=True

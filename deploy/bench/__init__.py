@@ -63,9 +63,7 @@ def compare(
     draws = chance(0, "bootstrap").integers(len(ratios), size=(RESAMPLES, len(ratios)))
     medians = np.median(ratios[draws], axis=1)
     low, high = (float(edge) for edge in np.percentile(medians, [2.5, 97.5]))
-    return Figure(
-        name, unit, float(np.median(values)), yardstick, float(np.median(ratios)), (low, high), aim
-    )
+    return Figure(name, unit, float(np.median(values)), yardstick, float(np.median(ratios)), (low, high), aim)
 
 
 Bench = Callable[[], Iterator[Figure]]

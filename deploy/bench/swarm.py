@@ -52,7 +52,9 @@ def swarm() -> Iterator[Figure]:
     yield Figure("work a robot and step, median", "ms", float(np.median(works)), aim="at most 1")
     yield Figure("start to first step", "s", float(np.median(starts)), aim="at most 2")
     if any(memories):
-        yield Figure("proportional memory a robot process", "MB", float(np.median(memories)), aim="at most 100")
+        yield Figure(
+            "proportional memory a robot process", "MB", float(np.median(memories)), aim="at most 100"
+        )
 
 
 class _Watched:

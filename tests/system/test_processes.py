@@ -129,7 +129,7 @@ def test_a_launcher_that_is_killed_leaves_no_process_behind(tmp_path: Path) -> N
         family = descendants(process)
         process.kill()
         process.wait()
-        gone, alive = psutil.wait_procs(family, timeout=10)
+        _gone, alive = psutil.wait_procs(family, timeout=10)
     assert not alive
 
 
