@@ -59,7 +59,6 @@ class Robot:
         self._strategy = strategy(settings.strategy)(settings.options, settings)
         self._sense: Sense | None = None
         self._homes: dict[int, Cell] = {}
-        self._leads = False
         self._withheld: list[bytes] = []
         self._publishes = True
         self._peers: tuple[int, ...] = ()
@@ -108,7 +107,7 @@ class Robot:
             self.session.record(self._withheld)
             self._withheld = []
         if self._strategy.tells_pose:
-            self._pose_news = packets.Pose(sense.x, sense.y, int(self._leads))
+            self._pose_news = packets.Pose(sense.x, sense.y, int(self._strategy.leads))
 
     def announce(self, peers: list[int]) -> bytes | None:
         """Return the packets to broadcast to the `peers` in range: a target chosen in the last step, a pose.
@@ -193,7 +192,6 @@ class Robot:
             self._target_news = decision.target
         self.target = decision.target
         self.status = decision.status
-        self._leads = decision.leads
         self._publishes = decision.publish
         if decision.publish:
             self.session.record(self._withheld)

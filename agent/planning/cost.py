@@ -27,10 +27,27 @@ DIAGONAL = math.sqrt(2.0)
 
 _SHIFT = 42
 _ONE = 1 << _SHIFT
+_UNIT = 1.0 / _ONE
 _ROOT = round(DIAGONAL * _ONE)
 _FAR = 1 << 62
 _STEPS = np.array([(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)], np.int64)
 """Neighbours (dx, dy). Step 4 + i is the diagonal between steps i and i + 1."""
+
+
+class Floor:
+    """Where a robot may drive, laid out for the search: flat, with a barred rim.
+
+    Parameters
+    ----------
+    grid : uint8 array, shape (h, w)
+        Free cells can be entered, all others not.
+    """
+
+    def __init__(self, grid: Grid) -> None:
+        self.height, self.width = grid.shape
+        padded = np.zeros((self.height + 2, self.width + 2), np.bool_)
+        padded[1:-1, 1:-1] = grid == FREE
+        self.free = padded.ravel()
 
 
 def costs(grid: Grid, x: int, y: int) -> Field:
@@ -41,13 +58,35 @@ def costs(grid: Grid, x: int, y: int) -> Field:
     float64 array, shape (h, w)
         In cells; infinite where no way leads.
     """
-    field = np.empty(grid.shape)
-    _spread(grid, grid, x, y, _NOBODY, -1.0, field)
+    return costs_on(Floor(grid), x, y)
+
+
+def costs_on(floor: Floor, x: int, y: int) -> Field:
+    """As `costs`, on a floor laid out before."""
+    field = np.empty((floor.height, floor.width))
+    _spread(floor.free, x, y, field)
     return field
 
 
+def costs_to(floor: Floor, x: int, y: int, goals: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Length of the shortest way from cell (x, y) to each goal; the search ends when it has reached all.
+
+    Parameters
+    ----------
+    goals : int32 array, shape (n, 2)
+        Cells (x, y).
+
+    Returns
+    -------
+    float64 array, shape (n,)
+    """
+    lengths = np.empty(len(goals))
+    _spread_to(floor.free, floor.width, x, y, goals, lengths)
+    return lengths
+
+
 def nearest_first(
-    floor: Grid, grid: Grid, x: int, y: int, taken: NDArray[np.int32], range_cells: float
+    floor: Floor, grid: Grid, x: int, y: int, taken: NDArray[np.int32], range_cells: float
 ) -> tuple[Field, tuple[int, int] | None]:
     """Find the frontier cell nearest to (x, y) which is farther than `range_cells` from every `taken` cell.
 
@@ -56,7 +95,7 @@ def nearest_first(
 
     Parameters
     ----------
-    floor : uint8 array, shape (h, w)
+    floor : Floor
         Where the robot may drive.
     grid : uint8 array, shape (h, w)
         What is known: a frontier cell is a free one with an unknown 4-neighbour.
@@ -71,7 +110,7 @@ def nearest_first(
         None if no frontier cell can be reached.
     """
     field = np.empty(grid.shape)
-    cell = _spread(floor, grid, x, y, taken, range_cells, field)
+    cell = _spread_to_frontier(floor.free, grid, x, y, taken, range_cells, field)
     return field, None if cell < 0 else (cell % grid.shape[1], cell // grid.shape[1])
 
 
@@ -95,127 +134,196 @@ def weighted_way(grid: Grid, weights: NDArray[np.float64], field: Field, x: int,
     return out[:length][::-1].copy()
 
 
-_NOBODY = np.empty((0, 2), np.int32)
 _NO_WEIGHTS = np.empty((0, 0))
 
+_Lengths = NDArray[np.int64]
+_Buckets = NDArray[np.int32]
 
-@kernel("int64(uint8[:,::1], uint8[:,::1], int64, int64, int32[:,::1], float64, float64[:,::1])")
-def _spread(
-    floor: Grid, grid: Grid, x: int, y: int, taken: NDArray[np.int32], range_cells: float, field: Field
-) -> int:
-    """Settle cells from (x, y) on; a `range_cells` of 0 or more asks for a frontier cell and ends with it."""
-    height, width = floor.shape
-    stride = width + 2
-    # A rim of cells that nobody enters saves all questions about the edge.
-    free = np.zeros((height + 2) * stride, np.uint8)
-    for row in range(height):
-        for column in range(width):
-            free[(row + 1) * stride + column + 1] = floor[row, column] == FREE
-    length = np.full((height + 2) * stride, _FAR, np.int64)
-    came = np.zeros((height + 2) * stride, np.uint8)
+
+@kernel(
+    "int32[:,::1](boolean[::1], int64[::1], uint8[::1], int32[:,::1], int64[::1], int64[::1], int64, int64)"
+)
+def _settle(
+    free: NDArray[np.bool_],
+    length: _Lengths,
+    came: NDArray[np.uint8],
+    buckets: _Buckets,
+    fill: NDArray[np.int64],
+    offset: NDArray[np.int64],
+    level: int,
+    start: int,
+) -> _Buckets:
+    """Settle the cells of one bucket and put their neighbours into the next two; the bucket is left filled.
+
+    `came` has the step by which each cell was reached, 8 once it is settled. Returns the buckets, larger if
+    they had to grow.
+    """
+    ring = level & 3
+    for ahead in range(1, 3):
+        # A cell passes on to eight others at most.
+        to = (level + ahead) & 3
+        if fill[to] + 8 * fill[ring] > buckets.shape[1]:
+            larger = np.empty((4, 2 * (fill[to] + 8 * fill[ring])), np.int32)
+            larger[:, : buckets.shape[1]] = buckets
+            buckets = larger
+    wanted = np.empty(8, np.int64)
+    for at in range(fill[ring]):
+        cell = buckets[ring, at]
+        base = length[cell]
+        if came[cell] == 8 or base >> _SHIFT != level:
+            continue  # it comes twice, or was reached on a shorter way
+        direction = came[cell]
+        came[cell] = 8
+        if cell == start:
+            for number in range(8):
+                wanted[number] = number
+            count = 8
+        elif direction < 4:
+            wanted[0] = direction
+            count = 1
+            behind = cell - offset[direction]
+            for turn in (1, 3):
+                side = (direction + turn) & 3
+                if not free[behind + offset[side]] and free[cell + offset[side]]:
+                    wanted[count] = side
+                    wanted[count + 1] = 4 + direction if turn == 1 else 4 + side
+                    count += 2
+        else:
+            wanted[0] = direction
+            wanted[1] = direction - 4
+            wanted[2] = (direction - 3) & 3
+            count = 3
+        for index in range(count):
+            number = wanted[index]
+            to_cell = cell + offset[number]
+            if not free[to_cell]:
+                continue
+            new = base + _ONE
+            if number >= 4:
+                if not free[cell + offset[number - 4]] or not free[cell + offset[(number - 3) & 3]]:
+                    continue
+                new = base + _ROOT
+            if new < length[to_cell]:
+                length[to_cell] = new
+                came[to_cell] = number
+                to = (new >> _SHIFT) & 3
+                buckets[to, fill[to]] = to_cell
+                fill[to] += 1
+    return buckets
+
+
+@kernel("int64[::1](int64)")
+def _offsets(stride: int) -> NDArray[np.int64]:
     offset = np.empty(8, np.int64)
     for number in range(8):
         offset[number] = _STEPS[number, 1] * stride + _STEPS[number, 0]
-    # Buckets in a ring: what is settled now, and what lies up to sqrt 2 further. No bucket can hold more
-    # than one entry for each of eight neighbours of each cell on its brim; it grows where it must.
-    buckets = np.empty((3, 4096), np.int32)
-    fill = np.zeros(3, np.int64)
+    return offset
+
+
+@kernel("void(int64[::1], float64[:,::1])")
+def _unpad(length: _Lengths, field: Field) -> None:
+    height, width = field.shape
+    for row in range(height):
+        begin = (row + 1) * (width + 2) + 1
+        source = length[begin : begin + width]
+        for column in range(width):
+            field[row, column] = source[column] * _UNIT if source[column] != _FAR else np.inf
+
+
+@kernel("void(boolean[::1], int64, int64, float64[:,::1])")
+def _spread(free: NDArray[np.bool_], x: int, y: int, field: Field) -> None:
+    stride = field.shape[1] + 2
     start = (y + 1) * stride + x + 1
-    length[start] = 0
-    buckets[0, 0] = start
-    fill[0] = 1
-    wanted = np.empty(8, np.uint8)
+    length = np.full(len(free), _FAR, np.int64)
+    came = np.zeros(len(free), np.uint8)
+    buckets = np.empty((4, 4096), np.int32)
+    fill = np.zeros(4, np.int64)
+    offset = _offsets(stride)
+    length[start], buckets[0, 0], fill[0] = 0, start, 1
     level = 0
-    empty = 0
+    while fill.any():
+        buckets = _settle(free, length, came, buckets, fill, offset, level, start)
+        fill[level & 3] = 0
+        level += 1
+    _unpad(length, field)
+
+
+@kernel("void(boolean[::1], int64, int64, int64, int32[:,::1], float64[::1])")
+def _spread_to(
+    free: NDArray[np.bool_],
+    width: int,
+    x: int,
+    y: int,
+    goals: NDArray[np.int32],
+    lengths: NDArray[np.float64],
+) -> None:
+    stride = width + 2
+    start = (y + 1) * stride + x + 1
+    length = np.full(len(free), _FAR, np.int64)
+    came = np.zeros(len(free), np.uint8)
+    buckets = np.empty((4, 4096), np.int32)
+    fill = np.zeros(4, np.int64)
+    offset = _offsets(stride)
+    length[start], buckets[0, 0], fill[0] = 0, start, 1
+    level = 0
+    reached = 0
+    while fill.any() and reached < len(goals):
+        buckets = _settle(free, length, came, buckets, fill, offset, level, start)
+        fill[level & 3] = 0
+        # Goals are looked at in their order, so one that is far may hide others for a while.
+        while reached < len(goals) and came[(goals[reached, 1] + 1) * stride + goals[reached, 0] + 1] == 8:
+            reached += 1
+        level += 1
+    for goal in range(len(goals)):
+        whole = length[(goals[goal, 1] + 1) * stride + goals[goal, 0] + 1]
+        lengths[goal] = np.inf if whole == _FAR else whole * _UNIT
+
+
+@kernel("int64(boolean[::1], uint8[:,::1], int64, int64, int32[:,::1], float64, float64[:,::1])")
+def _spread_to_frontier(
+    free: NDArray[np.bool_],
+    grid: Grid,
+    x: int,
+    y: int,
+    taken: NDArray[np.int32],
+    range_cells: float,
+    field: Field,
+) -> int:
+    stride = field.shape[1] + 2
+    start = (y + 1) * stride + x + 1
+    length = np.full(len(free), _FAR, np.int64)
+    came = np.zeros(len(free), np.uint8)
+    buckets = np.empty((4, 4096), np.int32)
+    fill = np.zeros(4, np.int64)
+    offset = _offsets(stride)
+    length[start], buckets[0, 0], fill[0] = 0, start, 1
+    level = 0
     first = -1
     found = -1
-    while empty < 3 and found < 0:
-        ring = level % 3
-        empty = empty + 1 if fill[ring] == 0 else 0
-        for ring_ahead in range(1, 3):
-            # Eight entries a cell at most.
-            to = (level + ring_ahead) % 3
-            if fill[to] + 8 * fill[ring] > buckets.shape[1]:
-                larger = np.empty((3, 2 * (fill[to] + 8 * fill[ring])), np.int32)
-                larger[:, : buckets.shape[1]] = buckets
-                buckets = larger
-        for at in range(fill[ring]):
-            cell = buckets[ring, at]
-            base = length[cell]
-            if base >> _SHIFT != level or came[cell] & 16:
-                continue  # it was reached on a shorter way, or comes twice
-            direction = came[cell] & 7
-            came[cell] |= 16
-            count = 0
-            if cell == start:
-                for number in range(8):
-                    wanted[number] = number
-                count = 8
-            elif direction < 4:
-                wanted[0] = direction
-                count = 1
-                behind = cell - offset[direction]
-                for turn in (1, 3):
-                    side = (direction + turn) % 4
-                    if not free[behind + offset[side]] and free[cell + offset[side]]:
-                        wanted[count] = side
-                        wanted[count + 1] = 4 + direction if turn == 1 else 4 + side
-                        count += 2
-            else:
-                wanted[0] = direction
-                wanted[1] = direction - 4
-                wanted[2] = (direction - 3) % 4
-                count = 3
-            for index in range(count):
-                number = wanted[index]
-                to_cell = cell + offset[number]
-                if not free[to_cell]:
-                    continue
-                if number < 4:
-                    new = base + _ONE
-                else:
-                    if not free[cell + offset[number - 4]] or not free[cell + offset[(number - 3) % 4]]:
-                        continue
-                    new = base + _ROOT
-                if new < length[to_cell]:
-                    length[to_cell] = new
-                    came[to_cell] = number
-                    to = (new >> _SHIFT) % 3
-                    buckets[to, fill[to]] = to_cell
-                    fill[to] += 1
-        if range_cells >= 0.0:
-            best = -1
-            nearest = -1
-            for at in range(fill[ring]):
-                cell = buckets[ring, at]
-                if length[cell] >> _SHIFT != level:
-                    continue
-                cy = cell // stride - 1
-                cx = cell % stride - 1
-                if not frontier_at(grid, cx, cy):
-                    continue
-                if nearest < 0 or (length[cell], cell) < (length[nearest], nearest):
-                    nearest = cell
-                clear = True
-                for other in range(len(taken)):
-                    dx, dy = cx - taken[other, 0], cy - taken[other, 1]
-                    if dx * dx + dy * dy <= range_cells * range_cells:
-                        clear = False
-                        break
-                if clear and (best < 0 or (length[cell], cell) < (length[best], best)):
-                    best = cell
-            if first < 0:
-                first = nearest
-            found = best
-        fill[ring] = 0
+    while fill.any() and found < 0:
+        buckets = _settle(free, length, came, buckets, fill, offset, level, start)
+        nearest = -1
+        for at in range(fill[level & 3]):
+            cell = buckets[level & 3, at]
+            cx, cy = cell % stride - 1, cell // stride - 1
+            if length[cell] >> _SHIFT != level or not frontier_at(grid, cx, cy):
+                continue
+            if nearest < 0 or (length[cell], cell) < (length[nearest], nearest):
+                nearest = cell
+            clear = True
+            for other in range(len(taken)):
+                dx, dy = cx - taken[other, 0], cy - taken[other, 1]
+                clear = clear and dx * dx + dy * dy > range_cells * range_cells
+            if clear and (found < 0 or (length[cell], cell) < (length[found], found)):
+                found = cell
+        if first < 0:
+            first = nearest
+        fill[level & 3] = 0
         level += 1
-    for row in range(height):
-        for column in range(width):
-            whole = length[(row + 1) * stride + column + 1]
-            field[row, column] = np.inf if whole == _FAR else whole / _ONE
+    _unpad(length, field)
     if found < 0:
         found = first
-    return -1 if found < 0 else (found // stride - 1) * width + found % stride - 1
+    return -1 if found < 0 else (found // stride - 1) * field.shape[1] + found % stride - 1
 
 
 @kernel("int64(uint8[:,::1], float64[:,::1], float64[:,::1], int64, int64, int32[:,::1])")

@@ -26,6 +26,7 @@ _TRUNCATE = 3.0
 
 _GRAIN_BITS = 10
 _GRAIN = 1 << _GRAIN_BITS
+_UNIT = 1.0 / _GRAIN
 _ROOT = math.sqrt(2.0)
 _RING = 16
 """Buckets in the ring: the longest step, sqrt 2 times P_OCCUPIED / P_FREE, must fit."""
@@ -182,4 +183,4 @@ def _spread(
     for row in range(height):
         for column in range(width):
             whole = length[(row + 1) * stride + column + 1]
-            field[row, column] = np.inf if whole in (_FAR, _BARRED) else whole / _GRAIN
+            field[row, column] = np.inf if whole in (_FAR, _BARRED) else whole * _UNIT

@@ -10,6 +10,9 @@ from protocol.chance import chance
 from protocol.grid import FREE, Grid
 from protocol.kernels import kernel
 
+_FINE = 1000
+"""Way points count in thousandths of a cell."""
+
 _NOWHERE = np.empty((0, 2), np.int32)
 
 
@@ -108,6 +111,62 @@ def _is_clear(floor: Grid, x: int, y: int, to_x: int, to_y: int) -> bool:
         if floor[next_y, next_x] != FREE or floor[y, next_x] != FREE or floor[next_y, x] != FREE:
             return False
         x, y = next_x, next_y
+    return True
+
+
+def corners(floor: Grid, start: tuple[int, int], cells: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Way points for a way that need not keep to cells' centres: where it bends, and its end.
+
+    Parameters
+    ----------
+    floor : uint8 array, shape (h, w)
+        Where the robot may be.
+    start : (x, y)
+        Where it is, in thousandths of a cell.
+    cells : int32 array, shape (n, 2)
+        The cells of the way, a neighbour of the robot's cell first.
+
+    Returns
+    -------
+    int32 array, shape (m, 2)
+        In thousandths of a cell. Where the first cell cannot be reached on a straight line, the centre of the
+        robot's own comes first.
+    """
+    points = cells * _FINE
+    found: list[NDArray[np.int32]] = []
+    at = np.array(start, np.int32)
+    if len(points) and not _is_line_clear(floor, *map(int, at), *map(int, points[0])):
+        at = (at + _FINE // 2) // _FINE * _FINE
+        found.append(at)
+    next_one = 0
+    while next_one < len(points):
+        while next_one + 1 < len(points) and _is_line_clear(
+            floor, *map(int, at), *map(int, points[next_one + 1])
+        ):
+            next_one += 1
+        at = points[next_one]
+        found.append(at)
+        next_one += 1
+    return np.array(found, np.int32).reshape(-1, 2)
+
+
+@kernel("boolean(uint8[:,::1], int64, int64, int64, int64)")
+def _is_line_clear(floor: Grid, x: int, y: int, to_x: int, to_y: int) -> bool:
+    """Whether all cells that a line touches are free, looked at every tenth of a cell; in thousandths."""
+    half = _FINE // 2
+    pieces = max(1, max(abs(to_x - x), abs(to_y - y)) // (_FINE // 10))
+    cell_x, cell_y = (x + half) // _FINE, (y + half) // _FINE
+    for piece in range(1, pieces + 1):
+        next_x = (x + (to_x - x) * piece // pieces + half) // _FINE
+        next_y = (y + (to_y - y) * piece // pieces + half) // _FINE
+        if next_x != cell_x or next_y != cell_y:
+            if (
+                floor[next_y, next_x] != FREE
+                or floor[cell_y, next_x] != FREE
+                or floor[next_y, cell_x] != FREE
+            ):
+                return False
+            cell_x, cell_y = next_x, next_y
     return True
 
 

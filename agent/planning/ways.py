@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.planning.cost import Field, costs, nearest_first, way, weighted_way
+from agent.planning.cost import Field, Floor, costs_on, costs_to, nearest_first, way, weighted_way
 from agent.planning.frontier import frontier_cells
 from agent.planning.occupancy import Terrain, weighted_costs
 from protocol.grid import OCCUPIED, Grid, enlarge
@@ -39,6 +39,7 @@ class Ways:
         self.grid = grid
         self.floor = enlarge(grid, radius_cells)
         self._kind = kind
+        self._laid_out = Floor(self.floor)
         self._terrain = Terrain(grid, self.floor) if kind == "weighted" else None
         self._fields: dict[tuple[int, int], Field] = {}
         self._near: dict[tuple[int, int], Field] = {}
@@ -47,10 +48,16 @@ class Ways:
         """Cost of the best way from cell (x, y) to every cell; infinite where none leads."""
         if (x, y) not in self._fields:
             if self._terrain is None:
-                self._fields[x, y] = costs(self.floor, x, y)
+                self._fields[x, y] = costs_on(self._laid_out, x, y)
             else:
                 self._fields[x, y] = weighted_costs(self._terrain, x, y)
         return self._fields[x, y]
+
+    def costs_to(self, x: int, y: int, goals: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Cost of the best way from cell (x, y) to each of `goals`, cells (x, y) of shape (n, 2)."""
+        if self._terrain is None and (x, y) not in self._fields:
+            return costs_to(self._laid_out, x, y, goals)
+        return self.costs(x, y)[goals[:, 1], goals[:, 0]]
 
     def way(self, start: tuple[int, int], end: tuple[int, int]) -> NDArray[np.int32] | None:
         """Cells of a best way, without its start; None if there is none."""
@@ -75,7 +82,7 @@ class Ways:
         Where all are, the nearest of all; None where there is no frontier. Cells are looked at in the order
         of their distance, and those behind the one that is found are not looked at.
         """
-        field, cell = nearest_first(self.floor, self.grid, x, y, taken, range_cells)
+        field, cell = nearest_first(self._laid_out, self.grid, x, y, taken, range_cells)
         self._near[x, y] = field
         return cell
 
@@ -86,4 +93,5 @@ class Ways:
         barred = Ways(grid, self._kind)
         barred.floor = self.floor.copy()
         barred.floor[y, x] = OCCUPIED
+        barred._laid_out = Floor(barred.floor)
         return barred

@@ -106,8 +106,6 @@ class Decision:
         Whether its scanner works on the way.
     publish : bool
         Whether teammates may have all that it has seen by now.
-    leads : bool
-        Whether it leads.
     status : str
         What it is at, for people.
     """
@@ -120,7 +118,6 @@ class Decision:
     stalled: bool = False
     look: bool = True
     publish: bool = True
-    leads: bool = False
     status: str = ""
 
 
@@ -158,6 +155,8 @@ class Strategy(ABC):
     """Whether its robots tell each other their targets."""
     tells_pose: ClassVar[bool] = False
     """Whether its robots tell each other where they are."""
+    leads: bool = False
+    """Whether this robot leads; it is told with its pose."""
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         self.options: Any = self.check(options)

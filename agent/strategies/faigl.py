@@ -115,12 +115,7 @@ class HungarianDepot(Hungarian):
 
     def assign(self, table: Table, situation: Situation, ways: Ways) -> Assignment:
         """Eq. (2)."""
-        back = np.array(
-            [
-                ways.costs(*situation.homes[robot])[table.goals[:, 1], table.goals[:, 0]]
-                for robot in table.robots
-            ]
-        )
+        back = np.array([ways.costs_to(*situation.homes[robot], table.goals) for robot in table.robots])
         travelled = np.array([situation.travelled.get(robot, 0.0) for robot in table.robots])
         return super().assign(replace(table, costs=table.costs + back + travelled[:, None]), situation, ways)
 
@@ -158,7 +153,7 @@ class Mtsp(_Allocating):
         costs = table.costs[table.robots.index(self.settings.robot)]
         mine = mine[np.argsort(costs[mine], kind="stable")][:LONGEST]
         cells = table.goals[mine]
-        between = np.array([ways.costs(int(x), int(y))[cells[:, 1], cells[:, 0]] for x, y in cells])
+        between = np.array([ways.costs_to(int(x), int(y), cells) for x, y in cells])
         tour = open_tour(costs[mine], (between + between.T) / 2, self._to_end(cells, situation, ways))
         return int(mine[tour[0]])
 
@@ -182,7 +177,7 @@ class MtspDepot(Mtsp):
         return super().clashes(parts) + _clash_with_open(parts)
 
     def _to_end(self, cells: NDArray[np.int32], situation: Situation, ways: Ways) -> NDArray[np.float64]:
-        return ways.costs(*situation.home)[cells[:, 1], cells[:, 0]]
+        return ways.costs_to(*situation.home, cells)
 
 
 def share_out(table: Table) -> NDArray[np.int64]:

@@ -117,7 +117,7 @@ class TeamStrategy(TargetStrategy):
     def table(self, situation: Situation, goals: NDArray[np.int32], ways: Ways) -> Table:
         """Lay out who could go where at what cost."""
         team = self.team(situation)
-        costs = np.array([ways.costs(*cell)[goals[:, 1], goals[:, 0]] for cell in team.values()])
+        costs = np.array([ways.costs_to(*cell, goals) for cell in team.values()])
         return Table(tuple(team), np.array(list(team.values()), np.int32), goals, costs)
 
     def draw(self, purpose: str, situation: Situation) -> np.random.Generator:

@@ -1,0 +1,185 @@
+"""Artificial potential field: what pushes and pulls a robot, and where that leads it (leader paper, III-B).
+
+All in metres, seconds and newtons, for a robot of unit mass. The dynamics are integrated by Euler's rule with
+a fixed step of 0.05 s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.grid import FREE, OCCUPIED, Grid
+from protocol.kernels import kernel
+
+TIME_STEP = 0.05
+"""Seconds of one Euler step."""
+
+SUBSTEPS = 20
+"""Euler steps in a step of the world, which is a second."""
+
+_TOUCH = 0.01
+"""Distances below this count as this: forces stay finite."""
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Field:
+    """Gains and ranges of the field.
+
+    Attributes
+    ----------
+    rho_robots, rho_obstacles : float
+        Ranges of repulsion, metres (Eq. 4: that of robots is the larger).
+    gain_robots, gain_obstacles, gain_frontier : float
+        k of Eq. (2) and k_att of Eq. (6).
+    damping : float
+        Newtons for each metre a second.
+    """
+
+    rho_robots: float
+    rho_obstacles: float
+    gain_robots: float
+    gain_obstacles: float
+    gain_frontier: float
+    damping: float
+
+
+@kernel("float64(float64, float64, float64)")
+def repulsion(distance: float, rho: float, gain: float) -> float:
+    """Eq. (2): k (1 / d - 1 / rho) / d^2 within rho, away from what repels; 0 beyond."""
+    if distance > rho:
+        return 0.0
+    near = max(distance, _TOUCH)
+    return gain * (1.0 / near - 1.0 / rho) / (near * near)
+
+
+@kernel("float64(float64, float64)")
+def attraction(distance: float, gain: float) -> float:
+    """Eq. (6): k_att times the distance, towards the frontier point."""
+    return gain * distance
+
+
+def glide(
+    floor: Grid,
+    resolution: float,
+    at: tuple[float, float],
+    velocity: Vector,
+    frontier: NDArray[np.int32],
+    robots: Vector,
+    field: Field,
+    top_speed: float,
+) -> tuple[Vector, Vector]:
+    """Integrate a robot's motion over one step of the world.
+
+    A robot that would leave the free cells of its own map slides along their border.
+
+    Parameters
+    ----------
+    floor : uint8 array, shape (h, w)
+        Where it may be.
+    resolution : float
+        Metres a cell.
+    at : (x, y)
+        Where it is, in cells.
+    velocity : float64 array, shape (2,)
+        Metres a second.
+    frontier : int32 array, shape (n, 2)
+        Frontier cells; the closest attracts it (Eq. 6).
+    robots : float64 array, shape (m, 2)
+        Where teammates are, in cells; all within range repel it (Eq. 3).
+    field : Field
+    top_speed : float
+        Metres a second.
+
+    Returns
+    -------
+    path : float64 array, shape (SUBSTEPS, 2)
+        Where it is after each Euler step, in cells.
+    velocity : float64 array, shape (2,)
+        At the end.
+    """
+    path = np.empty((SUBSTEPS, 2))
+    moving = velocity.copy()
+    numbers = np.array([
+        field.rho_robots, field.rho_obstacles, field.gain_robots, field.gain_obstacles, field.gain_frontier,
+        field.damping, top_speed, resolution,
+    ])  # fmt: skip
+    _integrate(floor, frontier, np.ascontiguousarray(robots), np.array(at, np.float64), moving, numbers, path)
+    return path, moving
+
+
+@kernel("void(uint8[:,::1], float64, float64, float64, float64[::1])")
+def closest_obstacle(floor: Grid, x: float, y: float, reach: float, out: Vector) -> None:
+    """Find the closest point of an occupied cell within `reach` cells of (x, y); NaN if there is none."""
+    height, width = floor.shape
+    out[:] = np.nan
+    best = reach * reach
+    for cy in range(max(0, int(y - reach)), min(height, int(y + reach) + 2)):
+        for cx in range(max(0, int(x - reach)), min(width, int(x + reach) + 2)):
+            if floor[cy, cx] == OCCUPIED:
+                px = min(max(x, cx - 0.5), cx + 0.5)
+                py = min(max(y, cy - 0.5), cy + 0.5)
+                distance = (px - x) ** 2 + (py - y) ** 2
+                if distance < best:
+                    best = distance
+                    out[0] = px
+                    out[1] = py
+
+
+@kernel(
+    "void(uint8[:,::1], int32[:,::1], float64[:,::1],"
+    " float64[::1], float64[::1], float64[::1], float64[:,::1])"
+)
+def _integrate(
+    floor: Grid,
+    frontier: NDArray[np.int32],
+    robots: Vector,
+    at: Vector,
+    velocity: Vector,
+    numbers: Vector,
+    path: Vector,
+) -> None:
+    rho_robots, rho_obstacles, gain_robots, gain_obstacles, gain_frontier, damping, top, size = numbers
+    obstacle = np.empty(2)
+    force = np.empty(2)
+    for step in range(len(path)):
+        force[:] = -damping * velocity
+        best = np.inf
+        goal = -1
+        for point in range(len(frontier)):
+            distance = (frontier[point, 0] - at[0]) ** 2 + (frontier[point, 1] - at[1]) ** 2
+            if distance < best:
+                best = distance
+                goal = point
+        if goal >= 0 and best > 0.0:
+            distance = np.sqrt(best)
+            pull = attraction(distance * size, gain_frontier)
+            for axis in range(2):
+                force[axis] += pull * (frontier[goal, axis] - at[axis]) / distance
+        for robot in range(len(robots)):
+            distance = np.hypot(at[0] - robots[robot, 0], at[1] - robots[robot, 1])
+            push = repulsion(distance * size, rho_robots, gain_robots)
+            if distance > 0.0:
+                for axis in range(2):
+                    force[axis] += push * (at[axis] - robots[robot, axis]) / distance
+        closest_obstacle(floor, at[0], at[1], rho_obstacles / size, obstacle)
+        distance = np.hypot(at[0] - obstacle[0], at[1] - obstacle[1])
+        if distance > 0.0:
+            push = repulsion(distance * size, rho_obstacles, gain_obstacles)
+            for axis in range(2):
+                force[axis] += push * (at[axis] - obstacle[axis]) / distance
+        velocity += force * TIME_STEP
+        speed = np.hypot(velocity[0], velocity[1])
+        if speed > top:
+            velocity *= top / speed
+        for axis in range(2):
+            before = at[axis]
+            at[axis] += velocity[axis] * TIME_STEP / size
+            if floor[int(np.floor(at[1] + 0.5)), int(np.floor(at[0] + 0.5))] != FREE:
+                at[axis] = before
+                velocity[axis] = 0.0
+        path[step] = at
