@@ -198,10 +198,8 @@ def _explain(item: Any) -> str:
     key = ".".join(str(part) for part in item["loc"] if part not in ("int", "literal['unlimited']"))
     message = str(item["msg"]).removeprefix("Value error, ")
     if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-        table = (
-            Scenario if len(item["loc"]) == 1 else {"robot": RobotOverride, "death": Death}[item["loc"][0]]
-        )
-        return f"{key} is no setting; there are: {', '.join(table.model_fields)}"
+        there_are = _KEYS[item["loc"][0] if len(item["loc"]) > 1 else ""]
+        return f"{key} is no setting; there are: {', '.join(there_are)}"
     return f"{key} = {item['input']!r}: {message}" if key else message
 
 
