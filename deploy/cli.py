@@ -155,6 +155,21 @@ def report(
 
 
 @app.command()
+def export(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
+    mcap: Annotated[bool, typer.Option("--mcap", help="a ROS 2 bag in MCAP, for Foxglove and ROS tools")] = False,
+) -> None:
+    """Write a run in a form that other programs open: poses, scans, maps and polygons."""
+    from deploy.export import export_mcap  # noqa: PLC0415
+
+    with _speaking_clearly():
+        if not mcap:
+            raise ScenarioError("export: say into what; there is --mcap")
+        written = export_mcap(directory, errors.print)
+        screen.print(f"{written}: open it in Foxglove, or play {written.parent} with ros2 bag")
+
+
+@app.command()
 def replay(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
     bus: Annotated[
