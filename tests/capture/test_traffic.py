@@ -17,6 +17,7 @@ from pathlib import Path
 
 import pyarrow.parquet
 import pytest
+from sniffer import BUFFER, SO_RCVBUFFORCE
 from traffic import DOWN, PHASES, UP, Said, Traffic, frames, in_phases, passed_on
 
 from deploy import rundir
@@ -44,9 +45,12 @@ def traffic(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     if not hasattr(socket, "AF_PACKET"):
         pytest.skip("raw packet sockets are Linux's: this system has none")
     try:
-        socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0).close()
+        with socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0) as raw:
+            raw.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, BUFFER)
     except PermissionError:
-        pytest.skip("no right to open a raw socket: run as root to test what crosses the wire")
+        pytest.skip(
+            "no right to open a raw socket with a large buffer: run as root to test what crosses the wire"
+        )
     folder = tmp_path_factory.mktemp("watched")
     done = subprocess.run(
         [sys.executable, HERE / "watched_swarm.py", folder, json.dumps(SWARMS[request.param])],
