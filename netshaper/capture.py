@@ -24,6 +24,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from netshaper import pcapng
 from netshaper.ledger import BROADCAST, CAUSES
@@ -59,8 +60,7 @@ _WORDS = {
 _SECOND = 1_000_000
 
 
-@dataclass(frozen=True, slots=True)
-class Sighting:
+class Sighting(NamedTuple):
     """One frame, or the part of it that was carried or not.
 
     `frame` counts in `FRAMES`, `verdict` in `VERDICTS`; `hearers` is a mask; `reason`: why it was refused.
@@ -160,14 +160,14 @@ def hearers(seen: Sighting) -> list[int]:
     return [robot for robot in range(MAX_ROBOTS) if seen.hearers >> robot & 1]
 
 
-def _parts(seen: Sighting) -> Iterator[tuple[bytes, int]]:
+def _parts(seen: Sighting) -> list[tuple[bytes, int]]:
     """What is kept of a frame, packet by packet, and the size of each."""
     rest = seen.payload
     if seen.verdict:
-        yield rest[:KEPT], len(rest)
-        return
+        return [(rest[:KEPT], len(rest))]
+    parts = []
     while len(rest) > PART:
         end = packets.fitting(rest, PART)
-        yield rest[:end], end
+        parts.append((rest[:end], end))
         rest = rest[end:]
-    yield rest, len(rest)
+    return [*parts, (rest, len(rest))]
