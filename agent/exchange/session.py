@@ -1,4 +1,4 @@
-"""The session: logs of all robots' maps, passed on transitively over the medium's rounds (thesis, section 5.1.2).
+"""The session: logs of all robots' maps, passed on transitively over the medium's rounds (section 5.1.2).
 
 Every robot holds a log of each map it has heard of, its own included, and a table of how far each log has
 reached each teammate. It offers what is news to a teammate; the teammate answers how far it is; the rest is
@@ -15,8 +15,14 @@ States and events of one connection; who is in a state that does not list an eve
     offerer   (any)      outcome                        idle         move the table by what was carried
     receiver  idle       offer, first of its map        taking       say answer(index)
     receiver  idle       offer, another of that map     declining    say decline
+    receiver  idle       offer of the receiver's map    declining    say decline
     receiver  taking     data                           taking       append to the log
     receiver  (any)      outcome                        idle         nothing is kept but the log
+
+An answer gives of its index what the offer has not said: the place within the block of 4096 units; before it
+the block, where it is not the one that was offered; and before that the round of 64 blocks, where it is not
+the first. So an index is never guessed at. A peer that says to hold less than it was sent does not want it:
+it counts as level.
 """
 
 from __future__ import annotations
@@ -30,13 +36,16 @@ from protocol.errors import ProtocolError
 from protocol.messages import Outcome
 from protocol.packets import BLOCKS, INDEX_WINDOW
 
+ROUND = BLOCKS * INDEX_WINDOW
+"""Units of a log whose blocks have different numbers."""
+
 MAX_WAIT = 64
 """Exchanges that an offer is put off at most."""
 
 POLICIES = ("backoff", "thesis")
-"""When maps are offered. ``thesis``: in every exchange all maps, to all for whom they are news. ``backoff``: at
-most one map to each teammate, the robot's own if it is news, else, after a step's first exchange, the one with
-most news; after a refusal twice as long a wait."""
+"""When maps are offered. ``thesis``: in every exchange all maps, to all for whom they are news. ``backoff``:
+at most one map to each teammate, the robot's own if it is news, else, after a step's first exchange, the one
+with most news; where steps have only one exchange these take turns; after a refusal twice as long a wait."""
 
 
 class State(Enum):
@@ -55,10 +64,10 @@ class Event(Enum):
 
     NEWS = "the medium opens and there is news"
     BEHIND = "the answer's index is below one's own"
-    LEVEL = "the answer's index is not below one's own"
+    LEVEL = "the answer's index is not below one's own, or the peer does not want what it was sent"
     DECLINED = "the offer is declined"
     FIRST_OFFER = "the first offer of a map in this exchange"
-    OTHER_OFFER = "another offer of a map that is being taken"
+    UNWANTED_OFFER = "another offer of a map that is being taken, or one of the receiver's own map"
 
 
 TRANSITIONS: dict[tuple[State, Event], State] = {
@@ -67,7 +76,7 @@ TRANSITIONS: dict[tuple[State, Event], State] = {
     (State.OFFERED, Event.LEVEL): State.REFUSED,
     (State.OFFERED, Event.DECLINED): State.REFUSED,
     (State.IDLE, Event.FIRST_OFFER): State.TAKING,
-    (State.IDLE, Event.OTHER_OFFER): State.DECLINING,
+    (State.IDLE, Event.UNWANTED_OFFER): State.DECLINING,
 }
 
 
@@ -81,7 +90,7 @@ class Connection:
         The other end, and whose map it is about.
     state : State
     index : int
-        As offerer: how far the peer said to be.
+        As offerer: how far the peer is, as it said.
     """
 
     peer: int
@@ -123,6 +132,7 @@ class Session:
         self._robot = robot
         self._policy = policy
         self._now = 0
+        self._only_first = True
         self._backoff: dict[tuple[int, int], _Backoff] = {}
         self._room: int | None = None
         self._peers: list[int] = []
@@ -140,6 +150,7 @@ class Session:
         `room` is what is left of the step's budget in bytes, None for no limit.
         """
         self._now += 1
+        self._only_first = self._only_first and exchange == 0
         self._room = room
         self._peers = peers
         self._offered.clear()
@@ -170,10 +181,10 @@ class Session:
                 raise ProtocolError(offer.name, 0, f"map {offer.map} of {len(self.logs)} robots")
             connection = Connection(peer, offer.map)
             self._taken[number] = connection
-            busy = any(
+            unwanted = offer.map == self._robot or any(
                 other.map == offer.map and other.state is State.TAKING for other in self._taken.values()
             )
-            if connection.on(Event.OTHER_OFFER if busy else Event.FIRST_OFFER) is State.TAKING:
+            if connection.on(Event.UNWANTED_OFFER if unwanted else Event.FIRST_OFFER) is State.TAKING:
                 said = _answer(len(self.logs[offer.map]), offer.block)
             else:
                 said = [packets.Decline()]
@@ -183,7 +194,8 @@ class Session:
     def data(self, heard: list[tuple[int, int, int, bytes]]) -> list[tuple[int, int, bytes]]:
         """Send what was asked for, given answers as (connection number, peer, map, frame).
 
-        Returns data as (connection number, peer, frame).
+        Returns data as (connection number, peer, frame), in all no more than the medium had room for: connections
+        go on the air by their numbers, so what lies beyond could not be carried.
 
         Raises
         ------
@@ -191,6 +203,7 @@ class Session:
             A frame is no answer, or not to an offer of one's own.
         """
         frames = []
+        room = self._room
         said = {(connection.peer, connection.map): connection for connection in self._said}
         for number, peer, about, payload in heard:
             connection = said.get((peer, about))
@@ -198,22 +211,20 @@ class Session:
                 raise ProtocolError("conn", 0, f"robot {peer} answers an offer that was not made")
             self._offered[number] = connection
             if connection.on(self._read_answer(connection, payload)) is State.SENDING:
-                units = self.logs[connection.map].since(connection.index, self._room)
-                if units:
-                    frames.append((number, peer, b"".join(units)))
+                frame = b"".join(self.logs[connection.map].since(connection.index, room))
+                if frame:
+                    frames.append((number, peer, frame))
+                if room is not None:
+                    room -= len(frame)
         return frames
 
-    def outcome(
-        self, outcome: Outcome, heard: list[tuple[int, bytes]]
-    ) -> list[tuple[int, int, list[bytes]]]:
+    def outcome(self, outcome: Outcome, heard: list[tuple[int, bytes]]) -> list[tuple[int, int, list[bytes]]]:
         """Move the table by what was carried; return the news that came, as (peer, map, units).
 
         `heard` has the data that reached this robot as (peer, frame), in the order of ``outcome.heard``. The
         caller appends the units with `accept` once it has made sense of them.
         """
-        for number, answered, sent in zip(
-            outcome.connections, outcome.answers, outcome.data, strict=True
-        ):
+        for number, answered, sent in zip(outcome.connections, outcome.answers, outcome.data, strict=True):
             connection = self._offered.get(number)
             if connection is not None and answered:
                 self._settle(connection, sent)
@@ -238,16 +249,13 @@ class Session:
     def undelivered(self) -> int:
         """Units of one's own map that have not reached a teammate yet, all teammates counted."""
         held = len(self.logs[self._robot])
-        return sum(
-            held - known[self._robot] for peer, known in enumerate(self.known) if peer != self._robot
-        )
+        return sum(held - known[self._robot] for peer, known in enumerate(self.known) if peer != self._robot)
 
     def forget(self) -> None:
         """Drop what all teammates hold."""
         for about, log in enumerate(self.logs):
-            holders = [self.known[peer][about] for peer in range(len(self.logs)) if peer != self._robot]
-            if holders:
-                log.forget(min(holders))
+            others = (peer for peer in range(len(self.logs)) if peer not in (self._robot, about))
+            log.forget(min((self.known[peer][about] for peer in others), default=len(log)))
 
     def _worth_offering(self, exchange: int, peer: int) -> list[int]:
         """Maps to offer a peer now, as the policy has it."""
@@ -256,11 +264,12 @@ class Session:
         if self._policy == "thesis":
             return news
         due = [about for about in news if self._now >= self._put_off(peer, about).due]
-        if self._robot in due:
+        passed_on = [about for about in due if about != self._robot]
+        if exchange == 0 and not (self._only_first and self._now % 2 == 0):
+            passed_on = []
+        if self._robot in due and not (passed_on and self._only_first):
             return [self._robot]
-        if exchange == 0 or not due:
-            return []
-        return [max(due, key=lambda about: self._news_of(peer, about))]
+        return sorted(passed_on, key=lambda about: -self._news_of(peer, about))[:1]
 
     def _news_of(self, peer: int, about: int) -> int:
         """Units of a map that have not reached a peer, as far as one can know."""
@@ -270,37 +279,32 @@ class Session:
         return self._backoff.setdefault((peer, about), _Backoff())
 
     def _read_answer(self, connection: Connection, payload: bytes) -> Event:
-        """Resolve the index of an answer: the first that fits at or above what the table says."""
+        """Put the index of an answer together, and compare it with what is held."""
         said = packets.handshake(payload)
         if len(said) == 1 and isinstance(said[0], packets.Decline):
             return Event.DECLINED
-        known = self.known[connection.peer][connection.map]
-        block, answer = (said[0], said[1]) if len(said) == 2 else (None, said[0])
-        if not isinstance(answer, packets.Answer) or not isinstance(block, packets.Block | None):
-            raise ProtocolError("conn", 0, "expected an answer, a block and an answer, or a decline")
-        window = BLOCKS * INDEX_WINDOW
-        wanted = (block.block if block else known // INDEX_WINDOW % BLOCKS) * INDEX_WINDOW + answer.index
-        connection.index = known + (wanted - known) % window
-        log = self.logs[connection.map]
-        return Event.BEHIND if log.oldest <= connection.index < len(log) else Event.LEVEL
+        known, held = self.known[connection.peer][connection.map], len(self.logs[connection.map])
+        blocks = [packet.block for packet in said[:-1] if isinstance(packet, packets.Block)]
+        answer = said[-1] if len(said) == len(blocks) + 1 <= 3 else None
+        if not isinstance(answer, packets.Answer):
+            raise ProtocolError("conn", 0, "expected an answer behind at most two blocks, or a decline")
+        offered = known // INDEX_WINDOW % BLOCKS
+        turn, block = (0, *(blocks or [offered]))[-2:]
+        index = turn * ROUND + block * INDEX_WINDOW + answer.index
+        connection.index = index if known <= index < held else held
+        return Event.BEHIND if connection.index < held else Event.LEVEL
 
     def _settle(self, connection: Connection, sent: int) -> None:
         """An answer was carried, and so many bytes of data after it."""
         peer, about = connection.peer, connection.map
         backoff = self._put_off(peer, about)
+        reached = connection.index
         if connection.state is State.REFUSED:
             backoff.refused(self._now)
-            if connection.index:
-                self.known[peer][about] = max(
-                    self.known[peer][about], min(connection.index, len(self.logs[about]))
-                )
         elif connection.state is State.SENDING:
             backoff.accepted()
-            units = 0
-            for unit in self.logs[about].since(connection.index, sent):
-                sent -= len(unit)
-                units += 1
-            self.known[peer][about] = max(self.known[peer][about], connection.index + units)
+            reached += len(self.logs[about].since(connection.index, sent))
+        self.known[peer][about] = max(self.known[peer][about], reached)
 
 
 def _only_offer(payload: bytes) -> packets.Offer:
@@ -311,7 +315,9 @@ def _only_offer(payload: bytes) -> packets.Offer:
 
 
 def _answer(held: int, assumed_block: int) -> list[packets.Packet]:
-    """Say how many units one holds; where the offer assumed another block, name it first."""
-    block = held // INDEX_WINDOW % BLOCKS
+    """Say how many units one holds, in as few packets as that takes."""
+    block = packets.Block(held // INDEX_WINDOW % BLOCKS)
     answer = packets.Answer(held % INDEX_WINDOW)
-    return [answer] if block == assumed_block else [packets.Block(block), answer]
+    if held >= ROUND:
+        return [packets.Block(held // ROUND % BLOCKS), block, answer]
+    return [answer] if block.block == assumed_block else [block, answer]

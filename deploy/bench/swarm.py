@@ -5,14 +5,16 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from deploy import launch
 from deploy import plan as plans
 from deploy.bench import Figure, compare
-from deploy.bench.transcript import play, play_hub, play_lab, record
+from deploy.bench.transcript import Script, play, play_hub, play_lab, record
 from deploy.family import Family
 from deploy.plan import Plan
 from deploy.records import Records
@@ -28,33 +30,52 @@ SIDE_M = 30.0
 FLOOR = "bus with empty minds"
 
 
+@dataclass(frozen=True)
+class Case:
+    """A swarm to measure, and what we would like of it."""
+
+    exchange: str
+    bandwidth: int | Literal["unlimited"]
+    aim_speed: str
+    aim_work: str
+
+
+CASES = (
+    Case("laser", "unlimited", "at least 0.50", "at most 1"),
+    Case("polygon", 1000, "at least 0.33", "at most 2"),
+)
+
+
 def bus() -> Iterator[Figure]:
     """The floor alone: how many steps a second the bus could carry if nobody had to think."""
-    plan = _plan()
-    speeds = [_floor(plan) for _ in range(REPEATS)]
-    yield Figure(f"{FLOOR}, {ROBOTS} robots", "steps/s", float(np.median(speeds)))
+    for case in CASES:
+        plan = _plan(case)
+        scripts, records = record(plan)
+        speeds = [_floor(plan, scripts, records.step) for _ in range(REPEATS)]
+        yield Figure(f"{FLOOR}, {ROBOTS} robots, {case.exchange}", "steps/s", float(np.median(speeds)))
 
 
 def swarm() -> Iterator[Figure]:
     """The real thing against the floor, turn by turn; thinking time, memory and start as well."""
-    plan = _plan()
-    floors, speeds, works, starts, memories = [], [], [], [], []
-    for _ in range(REPEATS):
-        floors.append(_floor(plan))
-        run = _Watched()
-        outcome = _swarm(plan, run)
-        speeds.append(run.speed(outcome))
-        works.append(_median_work(outcome))
-        starts.append(run.first_step_s)
-        memories.append(run.memory_mb)
-    yield Figure(f"{FLOOR}, {ROBOTS} robots", "steps/s", float(np.median(floors)))
-    yield compare(f"swarm of {ROBOTS}", "steps/s", speeds, FLOOR, floors, "at least 0.50")
-    yield Figure("work a robot and step, median", "ms", float(np.median(works)), aim="at most 1")
-    yield Figure("start to first step", "s", float(np.median(starts)), aim="at most 2")
-    if any(memories):
-        yield Figure(
-            "proportional memory a robot process", "MB", float(np.median(memories)), aim="at most 100"
-        )
+    for case in CASES:
+        plan = _plan(case)
+        scripts, records = record(plan)
+        floors, speeds, starts, memories = [], [], [], []
+        for _ in range(REPEATS):
+            floors.append(_floor(plan, scripts, records.step))
+            run = _Watched()
+            _swarm(plan, run)
+            speeds.append(run.speed())
+            starts.append(run.first_step_s)
+            memories.append(run.memory_mb)
+        what = f"swarm of {ROBOTS}, {case.exchange}"
+        yield Figure(f"{FLOOR}, {ROBOTS} robots, {case.exchange}", "steps/s", float(np.median(floors)))
+        yield compare(what, "steps/s", speeds, FLOOR, floors, case.aim_speed)
+        yield Figure(f"{what}: work a robot and step", "ms", _median_work(records), aim=case.aim_work)
+        yield Figure(f"{what}: start to first step", "s", float(np.median(starts)), aim="at most 2")
+        if any(memories):
+            megabytes = float(np.median(memories))
+            yield Figure(f"{what}: memory a robot, proportional", "MB", megabytes, aim="at most 100")
 
 
 class _Watched:
@@ -78,30 +99,26 @@ class _Watched:
         if not self.memory_mb:
             self.memory_mb = _memory_of_robots()
 
-    def speed(self, records: Records) -> float:
+    def speed(self) -> float:
         """Steps a second between the first and the last look."""
-        assert self._first is not None
-        del records
+        if self._first is None or self._last == self._first:
+            raise ConnectionError("the bench's swarm was over before it could be measured")
         return (self._last[1] - self._first[1]) / (self._last[0] - self._first[0])
 
 
-def _plan() -> Plan:
-    scenario = Scenario(robots=ROBOTS, steps=STEPS)
-    world_map = generators.make("office", width_m=SIDE_M, height_m=SIDE_M)
-    return plans.make(scenario, world_map)
+def _plan(case: Case) -> Plan:
+    scenario = Scenario(robots=ROBOTS, steps=STEPS, exchange=case.exchange, bandwidth=case.bandwidth)
+    return plans.make(scenario, generators.make("office", width_m=SIDE_M, height_m=SIDE_M))
 
 
-def _swarm(plan: Plan, run: _Watched) -> Records:
-    with tempfile.TemporaryDirectory() as folder:
-        outcome = launch.run(plan, Path(folder), run.look)
+def _swarm(plan: Plan, run: _Watched) -> None:
+    outcome = launch.run(plan, None, run.look)
     if outcome.deaths:
         raise ConnectionError(f"the bench's swarm broke off: {outcome.deaths}")
-    return outcome.records
 
 
-def _floor(plan: Plan) -> float:
+def _floor(plan: Plan, scripts: dict[str, Script], steps: int) -> float:
     """Steps a second with empty minds."""
-    scripts, steps = record(plan)
     with tempfile.TemporaryDirectory() as folder, Family(Path(folder), plan.scenario.robots) as family:
         meeting = family.run, family.endpoint, family.credentials
         family.start(names.RELAY, play_hub, *meeting, len(scripts) - 1, scripts[names.RELAY])
@@ -123,6 +140,7 @@ def _alarmed(family: Family) -> Callable[[], None]:
 
 
 def _median_work(records: Records) -> float:
+    """Milliseconds of thinking a robot and step, in the median, of a run in one process: on one core."""
     return float(np.median([m.work_us for reports in records.minds for m in reports])) / 1000
 
 

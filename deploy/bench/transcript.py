@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from deploy import in_memory
 from deploy.plan import Plan
 from deploy.processes import FAREWELL_S
+from deploy.records import Records
 from netshaper.hub import open_hub
 from protocol import keys as names
 from protocol.bus import Bus, Message
@@ -53,8 +54,8 @@ class _Recorder:
         self.inner.close()
 
 
-def record(plan: Plan) -> tuple[dict[str, Script], int]:
-    """Run a plan in memory; return everyone's script and the number of steps."""
+def record(plan: Plan) -> tuple[dict[str, Script], Records]:
+    """Run a plan in memory; return everyone's script, and the run's records."""
     recorders: dict[str, _Recorder] = {}
 
     def listen(name: str, bus: Bus) -> Bus:
@@ -62,7 +63,7 @@ def record(plan: Plan) -> tuple[dict[str, Script], int]:
         return recorders[name]
 
     records = in_memory.run(plan, wrap=listen)
-    return {name: recorder.script for name, recorder in recorders.items()}, records.step
+    return {name: recorder.script for name, recorder in recorders.items()}, records
 
 
 def play_hub(
