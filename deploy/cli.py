@@ -346,7 +346,7 @@ def doctor() -> None:
 @app.command()
 def bench(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="[NAME...]", help="bus, swarm; default: all")
+        list[str] | None, typer.Argument(metavar="[NAME...]", help="kernels, bus, swarm; default: all")
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:

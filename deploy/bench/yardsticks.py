@@ -1,0 +1,92 @@
+"""The yardsticks of the kernels: other ways to the same results, by numpy, OpenCV and skimage."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.polygons import Polygons
+from protocol.grid import FREE, OCCUPIED, Fan, Grid
+
+Cell = tuple[int, int]
+
+
+def yardstick(module: str, package: str) -> Any:
+    """Import a module that only benches need; ValueError says which package is missing."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise ValueError(
+            f"bench kernels compares with {package}, which is not installed: "
+            "install it, or murmur-swarm with its extra bench"
+        ) from None
+
+
+def look_in_numpy(truth: Grid, nobody: NDArray[np.bool_], beams: Fan, cell: Cell, known: Grid) -> None:
+    """Cast a scan where no teammate stands, and draw it: all beams at once."""
+    del nobody
+    height, width = truth.shape
+    x, y = beams.cells[:, 0] + cell[0], beams.cells[:, 1] + cell[1]
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    solid = ~inside
+    solid[inside] = truth[y[inside], x[inside]] != FREE
+    stops = np.cumsum(solid)
+    behind = stops - np.repeat(np.concatenate(([0], stops))[beams.start[:-1]], np.diff(beams.start))
+    wall, floor = inside & solid & (behind == 1), behind == 0
+    known[y[wall], x[wall]] = OCCUPIED
+    known[y[floor], x[floor]] = FREE
+    known[cell[1], cell[0]] = FREE
+
+
+def trace_by_opencv(cv2: Any, grid: Grid, solid: Grid) -> Sequence[NDArray[np.int32]]:
+    """Find the contours of a grid; `solid` is an array of ones with a rim around the grid, to write to."""
+    np.not_equal(grid, FREE, out=solid[1:-1, 1:-1].view(np.bool_))
+    found: Sequence[NDArray[np.int32]]
+    found, _ = cv2.findContours(solid, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    return found
+
+
+def cells_along(polygons: Polygons) -> list[list[Cell]]:
+    """The cells that each contour goes along: OpenCV's form."""
+    cycles = []
+    for first, end in zip(polygons.start[:-1].tolist(), polygons.start[1:].tolist(), strict=True):
+        along = list(zip(polygons.x[first:end].tolist(), polygons.y[first:end].tolist(), strict=True))
+        cycle = [cell for before, cell in zip([along[-1], *along], along, strict=False) if cell != before]
+        cycles.append(_turned(cycle or along[:1]))
+    return sorted(cycles)
+
+
+def without_frame(found: Sequence[NDArray[np.int32]]) -> list[list[Cell]]:
+    """OpenCV's contours but the frame of the picture."""
+    cycles = [[(x - 1, y - 1) for x, y in contour[:, 0].tolist()] for contour in found]
+    return sorted(_turned(cycle) for cycle in cycles if (-1, -1) not in cycle)
+
+
+def _turned(cycle: list[Cell]) -> list[Cell]:
+    """The same cycle, beginning where that makes it smallest."""
+    least = min(cycle)
+    return min(cycle[i:] + cycle[:i] for i, cell in enumerate(cycle) if cell == least)
+
+
+def without_corners(graph: Any, grid: Grid, cell: Cell) -> NDArray[np.float64]:
+    """Shortest ways of which diagonal steps need both cells beside them free, by skimage.
+
+    On floor 0 stand the cells, at even places, and the middles between straight neighbours; on floor 1, at no
+    distance above, the corners of which all four cells are free. Diagonal steps change floors, straight ones
+    do not.
+    """
+    free = grid == FREE
+    open_ = np.zeros((2, 2 * grid.shape[0] - 1, 2 * grid.shape[1] - 1), np.bool_)
+    open_[0, ::2, ::2] = free
+    open_[0, 1::2, ::2] = free[1:] & free[:-1]
+    open_[0, ::2, 1::2] = free[:, 1:] & free[:, :-1]
+    open_[1, 1::2, 1::2] = free[1:, 1:] & free[:-1, 1:] & free[1:, :-1] & free[:-1, :-1]
+    steps = [(0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
+    steps += [(up, dy, dx) for up in (-1, 1) for dy in (-1, 1) for dx in (-1, 1)]
+    paths = graph.MCP_Geometric(np.where(open_, 1.0, -1.0), offsets=steps, sampling=(1e-12, 0.5, 0.5))
+    found: NDArray[np.float64] = paths.find_costs([(0, 2 * cell[1], 2 * cell[0])])[0][0, ::2, ::2]
+    return found
