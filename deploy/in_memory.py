@@ -42,7 +42,8 @@ def run(
     keys = hub.keys
     robots = plan.scenario.robots
     buses: dict[str, Bus] = {}
-    for name in (names.RELAY, names.LAB, names.WORLD, *map(names.robot, range(robots))):
+    watching = [names.VIEW] if view is not None else []
+    for name in (names.RELAY, *watching, names.LAB, names.WORLD, *map(names.robot, range(robots))):
         buses[name] = wrap(name, hub.join(name))
     lab = LabNode(buses[names.LAB], keys, robots, capture)
     world = WorldNode(
@@ -63,7 +64,7 @@ def run(
         name = names.robot(number)
         nodes[name] = AgentNode(buses[name], keys, number)
     if view is not None:
-        buses[names.VIEW], nodes[names.VIEW] = hub.join(names.VIEW), view
+        nodes[names.VIEW] = view
     step = 0
     while not all(node.done for node in nodes.values()):
         spoke = False

@@ -1,0 +1,54 @@
+"""What a viewer is shown of a robot: all at first, then only what has changed."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from agent.contour import contours
+from agent.polygons import Polygons
+from agent.showing import Showing, outline_bytes
+from protocol.messages import Outlines, Snapshot, grid_from_bytes
+
+
+def robot(planning: Any, polygons: dict[int, Polygons]) -> Any:
+    return SimpleNamespace(planning=planning, polygons=polygons)
+
+
+def room(width: int = 7) -> Any:
+    grid = np.zeros((5, width), np.uint8)
+    grid[1:4, 1 : width - 1] = 1
+    grid[0] = 2
+    return grid
+
+
+def test_all_is_shown_first_and_then_only_what_has_changed() -> None:
+    showing = Showing()
+    grid = room()
+    mine, other = contours(grid, (2, 2)), contours(room(9), (2, 2))
+    first = showing.news(5, robot(grid, {0: mine, 2: other}))
+    assert [type(said) for said in first] == [Snapshot, Outlines, Outlines]
+    assert showing.news(10, robot(grid.copy(), {0: mine, 2: other})) == []
+    grid = grid.copy()
+    grid[2, 2] = 0
+    (said,) = showing.news(15, robot(grid, {0: mine, 2: other}))
+    assert isinstance(said, Snapshot)
+    assert said.step == 15
+    assert (grid_from_bytes(said.planning, said.width, said.height) == grid).all()
+    (said,) = showing.news(20, robot(grid, {0: mine, 2: mine}))
+    assert isinstance(said, Outlines)
+    assert said.about == 2
+
+
+def test_outlines_tell_place_object_and_kind_of_every_vertex() -> None:
+    polygons = contours(room(), (2, 2))
+    rows = np.frombuffer(outline_bytes(polygons), "<i2").reshape(-1, 4)
+    assert len(rows) == len(polygons.x)
+    assert (rows[:, 0] == 0).all()
+    above = (polygons.y == 0).nonzero()[0]
+    assert (rows[above, 2] == 1).all()  # a quarter of a cell below the centre of row 0, towards the free cell
+    assert ((rows[:, 3] & 1) == polygons.occupied).all()
+    assert (rows[:, 3] >> 1 == 1).all()
+    assert outline_bytes(Polygons.nothing((5, 7))) == b""

@@ -1,0 +1,51 @@
+"""A small run that was watched, shared by the tests of what is shown, drawn and exported."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+
+from deploy import in_memory
+from deploy import plan as plans
+from deploy.dashboard.process import ViewNode
+from deploy.mission import Result, explore
+from deploy.plan import Plan
+from deploy.scenario import parse
+
+SETTINGS = {"map": "office", "robots": 3, "range": "30%", "steps": 40, "bus": "memory"}
+
+
+@cache
+def small_plan(**more: object) -> Plan:
+    return plans.make(parse(SETTINGS | more))
+
+
+class Listener:
+    """A watcher that keeps all that it is told."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[str, object]] = []
+
+    def take(self, sender: str, said: object) -> None:
+        self.told.append((sender, said))
+
+
+@cache
+def told(**more: object) -> list[tuple[str, object]]:
+    """All that a viewer of the small run is told."""
+    listener = Listener()
+    in_memory.run(small_plan(**more), view=ViewNode([listener]))
+    return listener.told
+
+
+@cache
+def small_run() -> Result:
+    """The small run, in a directory, its maps over time kept and drawn."""
+    return explore(parse(SETTINGS), out=Path(mkdtemp(prefix="murmur-")) / "run", pictures=True)
+
+
+def small_directory() -> Path:
+    directory = small_run().directory
+    assert directory is not None
+    return directory

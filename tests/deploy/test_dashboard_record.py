@@ -1,0 +1,146 @@
+"""The recording: what is told of a run is in the file, on the timeline of its steps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deploy.dashboard.process import RECORDING, SNAPSHOTS, ViewTask, free_name, watching
+from deploy.dashboard.windows import Window, WindowError, binary
+from deploy.mission import explore
+from deploy.scenario import parse
+from deploy.snapshots import Snapshots
+from protocol.grid import FREE
+from protocol.messages import Bye, MindReport, Outlines, RadioReport, Snapshot, WorldReport
+from tests.deploy.small_run import SETTINGS, small_plan, small_run, told
+
+rerun = pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'murmur-swarm[view]'")
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("recorded")
+    with watching(ViewTask(small_plan(), folder)) as node:
+        for sender, said in told():
+            for watcher in node._watchers:
+                watcher.take(sender, said)
+    return folder
+
+
+def column(recording: Path, entity: str, component: str) -> dict[int, Any]:
+    """The values of a component by step."""
+    import rerun.chunk  # the reader is not part of the main module
+
+    values: dict[int, Any] = {}
+    for chunk in rerun.chunk.RrdReader(recording).stream().filter(content=entity):
+        batch = chunk.to_record_batch()
+        names = [name for name in batch.schema.names if name.endswith(f":{component}")]
+        if names and "step" in batch.schema.names:
+            values |= dict(zip(batch["step"].to_pylist(), batch[names[0]].to_pylist(), strict=True))
+    return {step: value for step, value in sorted(values.items()) if value is not None}
+
+
+def test_what_the_team_has_seen_is_recorded_step_by_step(recorded: Path) -> None:
+    seen = column(recorded / RECORDING, "/explored/team", "scalars")
+    truth = {
+        said.step: 100 * said.seen / said.reachable for _, said in told() if isinstance(said, WorldReport)
+    }
+    assert {step: value[0] for step, value in seen.items()} == pytest.approx(truth)
+
+
+def test_each_robots_share_is_that_of_its_planning_map(recorded: Path) -> None:
+    shares = column(recorded / RECORDING, "/explored/maps", "scalars")
+    plan = small_plan()
+    reachable = plan.make_world().reachable
+    snapshots = Snapshots.read(recorded / SNAPSHOTS)
+    grid = snapshots.planning(1, 30)
+    assert grid is not None
+    assert shares[31][1] == pytest.approx(100 * (grid[reachable] == FREE).mean())
+
+
+def test_the_load_of_the_air_adds_up_to_what_was_carried(recorded: Path) -> None:
+    load = column(recorded / RECORDING, "/air/load", "scalars")
+    for _, said in told():
+        if isinstance(said, RadioReport):
+            total, *groups = load[said.step]
+            assert total == said.carried == np.nansum(groups)
+    budget = column(recorded / RECORDING, "/air/budget", "scalars")
+    assert set(budget) == set(range(1, 41))
+
+
+def test_maps_outlines_targets_and_events_are_recorded(recorded: Path) -> None:
+    file = recorded / RECORDING
+    for robot in range(3):
+        pictures = column(file, f"/minds/{robot}/map", "blob")
+        assert len(pictures) >= 6
+        assert column(file, f"/minds/{robot}/outlines/{robot}", "strips")
+        assert column(file, f"/minds/{robot}/target", "positions")
+        assert len(column(file, f"/ways/{robot}", "strips")) == 40
+    assert any(strips for strips in column(file, "/world/links/busy", "strips").values())
+    assert any("heads for" in str(text) for text in column(file, "/events", "text").values())
+
+
+def test_a_recording_is_whole(recorded: Path) -> None:
+    import subprocess
+
+    done = subprocess.run(
+        [binary(), "rrd", "verify", recorded / RECORDING], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert [path.name for path in sorted(recorded.iterdir())] == [RECORDING, SNAPSHOTS]
+
+
+def test_snapshots_come_back_as_they_were_told(recorded: Path) -> None:
+    snapshots = Snapshots.read(recorded / SNAPSHOTS)
+    kept = [(said.step, f"r{robot}", said) for (robot, _), shown in snapshots.shown.items() for said in shown]
+    said = [(said.step, sender, said) for sender, said in told() if isinstance(said, Snapshot | Outlines)]
+    assert sorted(kept, key=str) == sorted(said, key=str)
+    assert snapshots.planning(0, 0) is None
+    assert snapshots.outlines(0, 0, 0) == b""
+    first = snapshots.told_steps(0)[0]
+    assert (snapshots.planning(0, first) == snapshots.planning(0, first + 1)).all()  # type: ignore[union-attr]
+
+
+def test_a_second_recording_does_not_overwrite_the_first(tmp_path: Path) -> None:
+    path = tmp_path / RECORDING
+    assert free_name(path) == path
+    path.touch()
+    (tmp_path / "run-2.rrd").touch()
+    assert free_name(path) == tmp_path / "run-3.rrd"
+
+
+def test_being_watched_drawn_and_recorded_changes_no_digest(tmp_path: Path) -> None:
+    plain = explore(parse(SETTINGS), keep=False)
+    shown = explore(parse(SETTINGS), out=tmp_path / "run", window=Window("file"), pace=1000.0)
+    assert plain.summary["digest"] == shown.summary["digest"] == small_run().summary["digest"]
+    assert (tmp_path / "run" / RECORDING).stat().st_size > 10000
+
+
+def test_a_viewer_that_nobody_asked_for_costs_no_word() -> None:
+    kinds = {type(said) for _, said in told()}
+    assert {WorldReport, MindReport, RadioReport, Snapshot, Outlines, Bye} <= kinds
+    assert all(said.frames == b"" for _, said in told() if isinstance(said, RadioReport))
+
+
+def test_a_window_says_what_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert Window("auto").mode == "web"
+    assert Window("file").port is None
+    with pytest.raises(WindowError, match="no display"):
+        Window("native")
+    with pytest.raises(WindowError, match="must be one of auto, native, web, file"):
+        Window("cinema")
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    with pytest.raises(WindowError, match=r"pip install 'murmur-swarm\[view\]'"):
+        Window("file")
+
+
+def test_who_is_shown_or_drawn_needs_a_directory() -> None:
+    with pytest.raises(ValueError, match="needs a directory"):
+        explore(parse(SETTINGS), keep=False, pictures=True)
+    with pytest.raises(ValueError, match=r"pace = 0.1: must be 0.5 steps a second or more"):
+        explore(parse(SETTINGS), keep=False, pace=0.1)

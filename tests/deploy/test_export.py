@@ -1,0 +1,177 @@
+"""Exports: a run's bag, read back by a library that had no part in writing it."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from deploy import archive, in_memory
+from deploy.export import ExportError, export_mcap, occupancy, ranges_of
+from deploy.rescan import Lasers
+from deploy.snapshots import Snapshots
+from protocol.grid import fan
+from protocol.messages import Sense, unpack
+from protocol.scans import HIT, NONE
+from tests.deploy.small_run import small_directory, small_plan
+from worldsim.maps import to_cell, to_world
+
+needs_packages = [
+    pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'murmur-swarm[mcap]'"),
+    pytest.importorskip(
+        "mcap_ros2", reason="mcap-ros2-support is not installed: pip install 'murmur-swarm[dev]'"
+    ),
+]
+
+
+@cache
+def bag() -> dict[str, list[tuple[int, Any]]]:
+    """All messages by topic, as (second, message)."""
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+
+    topics: dict[str, list[tuple[int, Any]]] = {}
+    with export_mcap(small_directory()).open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for _, channel, message, said in reader.iter_decoded_messages():
+            second, rest = divmod(message.log_time, 10**9)
+            assert rest == 0
+            topics.setdefault(channel.topic, []).append((second, said))
+    return topics
+
+
+def steps() -> dict[str, np.ndarray[Any, Any]]:
+    return archive.read(small_directory()).steps
+
+
+def test_every_robot_has_its_topics_every_step() -> None:
+    names = {
+        "/truth",
+        "/tf",
+        *(f"/r{r}/{what}" for r in range(3) for what in ("pose", "scan", "map", "polygons")),
+    }
+    assert set(bag()) == names
+    for robot in range(3):
+        assert [second for second, _ in bag()[f"/r{robot}/scan"]] == list(range(1, 41))
+
+
+def test_poses_are_those_of_the_run_in_the_maps_frame() -> None:
+    table = steps()
+    for row in range(len(table["step"])):
+        second, said = bag()[f"/r{table['robot'][row]}/pose"][table["step"][row] - 1]
+        assert second == said.header.stamp.sec == table["step"][row]
+        assert said.header.frame_id == "map"
+        assert said.pose.position.x == table["x"][row]
+        assert said.pose.position.y == table["y"][row]
+        yaw = 2 * math.atan2(said.pose.orientation.z, said.pose.orientation.w)
+        assert math.cos(yaw + math.radians(table["heading"][row])) == pytest.approx(1.0)
+
+
+def test_a_scan_drawn_in_the_maps_frame_hits_walls_of_the_truth() -> None:
+    world = small_plan().map
+    places = {
+        transform.child_frame_id: transform.transform.translation
+        for transform in bag()["/tf"][20 - 1][1].transforms
+    }
+    for robot in range(3):
+        second, scan = bag()[f"/r{robot}/scan"][20 - 1]
+        assert second == 20
+        place = places[scan.header.frame_id]
+        hits = 0
+        for beam, metres in enumerate(scan.ranges):
+            if math.isfinite(metres):
+                angle = scan.angle_min + beam * scan.angle_increment
+                x, y = to_cell(world, place.x + metres * math.cos(angle), place.y + metres * math.sin(angle))
+                near = world.cells[round(y) - 1 : round(y) + 2, round(x) - 1 : round(x) + 2]
+                assert (near == 2).any()
+                assert scan.range_min <= metres <= scan.range_max
+                hits += 1
+        assert hits > 50
+
+
+def test_maps_are_the_planning_maps_bottom_row_first() -> None:
+    snapshots = Snapshots.read(small_directory() / "snapshots.parquet")
+    for robot in range(3):
+        for second, said in bag()[f"/r{robot}/map"]:
+            grid = snapshots.planning(robot, second)
+            assert grid is not None
+            data = np.array(said.data, np.int8).reshape(said.info.height, said.info.width)
+            assert (data[::-1] == np.array([-1, 0, 100], np.int8)[grid]).all()
+            assert said.info.resolution == pytest.approx(small_plan().map.resolution)
+    truth = np.array(bag()["/truth"][0][1].data, np.int8)
+    assert (truth == occupancy(small_plan().map.cells)).all()
+
+
+def test_polygons_are_closed_and_lie_where_the_snapshots_have_them() -> None:
+    snapshots = Snapshots.read(small_directory() / "snapshots.parquet")
+    world = small_plan().map
+    second, said = bag()["/r0/polygons"][-1]
+    (marker,) = said.markers
+    rows = np.frombuffer(snapshots.outlines(0, marker.id, second), "<i2").reshape(-1, 4)
+    assert len(marker.points) == len(marker.colors) == 2 * len(rows)
+    for row, (here, color) in zip(
+        rows, zip(marker.points[::2], marker.colors[::2], strict=True), strict=True
+    ):
+        assert (here.x, here.y) == pytest.approx(to_world(world, row[1] / 4, row[2] / 4))
+        assert color.a == pytest.approx(1.0 if row[3] & 1 else 0.4)
+    begins = sorted((point.x, point.y) for point in marker.points[::2])
+    ends = sorted((point.x, point.y) for point in marker.points[1::2])
+    assert begins == ends
+
+
+def test_the_bag_has_the_metadata_that_ros_asks_for() -> None:
+    bag()
+    data = yaml.safe_load((small_directory() / "rosbag" / "metadata.yaml").read_text())
+    information = data["rosbag2_bagfile_information"]
+    assert information["storage_identifier"] == "mcap"
+    assert information["relative_file_paths"] == ["rosbag.mcap"]
+    assert information["message_count"] == sum(map(len, bag().values()))
+
+
+def test_scans_cast_again_are_those_of_the_run_bit_for_bit() -> None:
+    sensed: dict[tuple[int, int], Sense] = {}
+
+    def wrap(name: str, bus: Any) -> Any:
+        receive = bus.receive
+
+        def tapped(timeout_s: float | None = None) -> Any:
+            message = receive(timeout_s)
+            if message is not None and name[:1] == "r" and name != "relay" and "/body/" in message.key:
+                said = unpack(message.payload)
+                if isinstance(said, Sense):
+                    sensed[int(name[1:]), said.step] = said
+            return message
+
+        bus.receive = tapped
+        return bus
+
+    in_memory.run(small_plan(), wrap=wrap)
+    compared = 0
+    for step, scans in Lasers(archive.read(small_directory())).scans():
+        for scan in scans:
+            sense = sensed[scan.robot, step]
+            assert (scan.x, scan.y, scan.heading) == (sense.x, sense.y, sense.heading)
+            assert scan.readings.tobytes() == sense.readings
+            compared += 1
+    assert compared == 3 * 40
+
+
+def test_ranges_turn_with_y_up_and_tell_nothing_from_far() -> None:
+    beams = fan(10, 4)  # +x, down, -x, up on the picture
+    readings = np.array([3 | HIT, 9, NONE, 0 | HIT], np.uint16)
+    ranges = ranges_of(readings, beams, 0.5)
+    assert ranges[0] == 2.0
+    assert ranges[1] == 0.5  # up
+    assert math.isnan(ranges[2])
+    assert math.isinf(ranges[3])
+
+
+def test_an_export_names_the_package_that_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    with pytest.raises(ExportError, match=r"pip install 'murmur-swarm\[mcap\]'"):
+        export_mcap(Path())

@@ -1,0 +1,124 @@
+"""Pictures and the page of a run: what they show is what the run directory holds."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from deploy import archive, rundir
+from deploy.cli import app
+from deploy.figures import FOLDER
+from deploy.report import write_report
+from deploy.scenario import ScenarioError
+from deploy.snapshots import SNAPSHOTS
+from tests.deploy.small_run import small_directory, small_run
+
+FIGURES = ["approximation.png", "channel-load.png", "maps-over-time.png"]
+
+
+class Page(HTMLParser):
+    """The page's words, and all that it would fetch."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.words = ""
+        self.sources: list[str] = []
+        self.open: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.sources += [value or "" for name, value in attrs if name in ("src", "href")]
+        if tag not in ("img", "meta"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.words += data + " "
+
+
+@pytest.fixture
+def directory(tmp_path: Path) -> Path:
+    copy = tmp_path / "run"
+    shutil.copytree(small_directory(), copy)
+    return copy
+
+
+def test_a_run_with_pictures_draws_them() -> None:
+    folder = small_directory() / FOLDER
+    assert sorted(path.name for path in folder.iterdir()) == FIGURES
+    for name in FIGURES:
+        assert min(Image.open(folder / name).size) > 500
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    copy = tmp_path_factory.mktemp("report") / "run"
+    shutil.copytree(small_directory(), copy)
+    return write_report(copy)
+
+
+def test_a_page_has_all_in_it_and_fetches_nothing(written: Path) -> None:
+    page = Page(written.read_text(encoding="utf-8"))
+    assert not page.open
+    assert len(page.sources) == len(FIGURES) + 1
+    assert all(source.startswith("data:image/png;base64,") for source in page.sources)
+    assert not re.search(r"https?:|url\(|@import", re.sub(r"base64,[^\"]*", "", written.read_text()))
+
+
+def test_a_page_tells_the_figures_of_the_summary_and_the_shares_of_the_ledger(written: Path) -> None:
+    summary = small_run().summary
+    words = Page(written.read_text(encoding="utf-8")).words
+    assert f"Not finished after {summary['steps']} steps: out of steps" in words
+    assert summary["digest"] in words
+    assert f"{100 * summary['coverage']:.1f} %" in words
+    for kind, size in summary["bytes"].items():
+        assert f"{size:,}" in words
+        assert kind == "total" or f"{100 * size / summary['bytes']['total']:.1f} %" in words
+    ledger = archive.read(written.parent).ledger
+    for robot in range(3):
+        said = int(ledger["bytes"][ledger["carried"] & (ledger["sender"] == robot)].sum())
+        assert f"{said:,}" in words
+
+
+def test_maps_over_time_that_were_not_kept_are_seen_by_repeating_the_run(directory: Path) -> None:
+    kept = archive.read(directory).snapshots()
+    (directory / SNAPSHOTS).unlink()
+    told: list[str] = []
+    again = archive.read(directory).snapshots(told.append)
+    assert again == kept
+    assert "repeated in memory" in told[0]
+
+
+def test_a_run_that_cannot_be_repeated_is_told_of_without_maps_over_time(directory: Path) -> None:
+    (directory / SNAPSHOTS).unlink()
+    shutil.rmtree(directory / FOLDER)
+    summary = directory / rundir.SUMMARY
+    summary.write_text(summary.read_text().replace('"out of steps"', '"interrupted"'))
+    told: list[str] = []
+    page = Page(write_report(directory, told.append).read_text(encoding="utf-8"))
+    assert [path.name for path in (directory / FOLDER).iterdir()] == ["channel-load.png"]
+    assert len(page.sources) == 2
+    assert "cannot be repeated" in told[0]
+
+
+def test_what_is_no_run_is_refused(tmp_path: Path, directory: Path) -> None:
+    with pytest.raises(ScenarioError, match=r"no run directory"):
+        write_report(tmp_path)
+    (directory / rundir.STEPS).unlink()
+    with pytest.raises(ScenarioError, match=r"steps.parquet is missing"):
+        write_report(directory)
+
+
+def test_the_command_names_the_page(directory: Path) -> None:
+    done = CliRunner().invoke(app, ["report", str(directory)])
+    assert done.exit_code == 0, done.output
+    assert done.output.startswith(str(directory / "report.html"))
+    assert CliRunner().invoke(app, ["report", str(directory.parent)]).exit_code == 2
