@@ -279,7 +279,7 @@ _CHECK: dict[str, Any] = {
     "bool": lambda value: type(value) is bool,
     "str": lambda value: type(value) is str,
     "bytes": lambda value: type(value) is bytes,
-    "list[int]": lambda value: type(value) is list and all(type(item) is int for item in value),
+    "list[int]": lambda value: type(value) is list and {*map(type, value)} <= {int},
     "dict[str, Any]": lambda value: type(value) is dict,
 }
 

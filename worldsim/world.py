@@ -203,8 +203,10 @@ class World:
             other != robot and (x - ox) ** 2 + (y - oy) ** 2 < limit * limit
             for other, (ox, oy) in before.items()
         )
+        if not near:
+            return False
         draw_of = chance(self.settings.seed, "interference", robot, self.step)
-        return near and bool(draw_of.random() >= MOVES_AS_PLANNED)
+        return bool(draw_of.random() >= MOVES_AS_PLANNED)
 
     def _standing(self) -> NDArray[np.bool_]:
         occupied = np.zeros(self.truth.shape, np.bool_)
