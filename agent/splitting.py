@@ -51,8 +51,9 @@ class Splitting:
             raise ValueError(f"a team of {self.robots} robots: at least 1")
         for name in ("bandwidth", "reach", "width", "height", "medium_use", "bytes_per_split"):
             value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise ValueError(f"{name} is {value:g}: it must be above 0")
+            if value is None or value > 0 or (value == 0 and name in ("bandwidth", "reach")):
+                continue
+            raise ValueError(f"{name} is {value:g}: it must be above 0")
 
     @property
     def touch(self) -> float:

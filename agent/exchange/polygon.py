@@ -7,6 +7,7 @@ merge all drawings with their own grid.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -59,9 +60,9 @@ class PolygonOptions:
     unknown_pairs: bool = False
 
     def __post_init__(self) -> None:
-        if not self.medium_use > 0:
-            raise ValueError(f"medium_use = {self.medium_use:g}: must be above 0")
-        if not self.bytes_per_split >= 0:
+        if not 0 < self.medium_use < math.inf:
+            raise ValueError(f"medium_use = {self.medium_use:g}: must be a number above 0")
+        if not 0 <= self.bytes_per_split < math.inf:
             raise ValueError(f"bytes_per_split = {self.bytes_per_split:g}: must be 0 (measured) or more")
 
 

@@ -45,6 +45,12 @@ def test_fractions_of_splits_are_carried_over(
         assert total == pytest.approx(frequency * step, abs=1, rel=1e-9)
 
 
+@pytest.mark.parametrize(("bandwidth", "reach"), [(0, 10), (1000, 0)])
+def test_who_can_say_nothing_refines_nothing(bandwidth: float, reach: float) -> None:
+    allowance = SplitAllowance(Splitting(3, bandwidth, reach, 30, 30))
+    assert [allowance.next_step() for _ in range(50)] == [0] * 50
+
+
 def test_bytes_a_split_are_measured_where_they_are_not_given() -> None:
     allowance = SplitAllowance(Splitting(3, 1000, 10, 30, 30))
     assert allowance.bytes_per_split == START_BYTES
@@ -56,7 +62,7 @@ def test_bytes_a_split_are_measured_where_they_are_not_given() -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"robots": 0}, {"bandwidth": 0}, {"medium_use": -1}, {"width": 0}, {"reach": math.nan}]
+    "wrong", [{"robots": 0}, {"bandwidth": -1}, {"medium_use": 0}, {"width": 0}, {"reach": math.nan}]
 )
 def test_parameters_without_meaning_are_refused(wrong: dict[str, float]) -> None:
     given: dict[str, float] = {"robots": 2, "bandwidth": 100, "reach": 10, "width": 30, "height": 30}
