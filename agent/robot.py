@@ -20,9 +20,9 @@ from agent.settings import Settings
 from agent.strategies import Cell, Decision, Pose, Situation, strategy
 from protocol import packets
 from protocol.errors import ProtocolError
-from protocol.grid import FREE, UNKNOWN, Grid, fan
+from protocol.grid import UNKNOWN, Grid, fan
 from protocol.messages import Move, Outcome, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
-from protocol.scans import Scan, check_readings, draw
+from protocol.scans import Scan, check_readings, draw, mark_free
 
 REPEAT_POSE = 10
 """Steps after which a robot that stands still says again where it is."""
@@ -90,11 +90,9 @@ class Robot:
         """
         readings = np.frombuffer(sense.readings, np.uint16).copy()
         check_readings(readings, self._fan)
-        driven = cells_from_bytes(sense.driven)
-        fresh = self.own[driven[:, 1], driven[:, 0]] == UNKNOWN
-        self.own[driven[:, 1], driven[:, 0]] = FREE
-        change = draw(self.own, self._fan, sense.x, sense.y, readings)
-        self.known_cells += change.cells + len(np.unique(driven[fresh], axis=0))
+        change = mark_free(self.own, cells_from_bytes(sense.driven))
+        change += draw(self.own, self._fan, sense.x, sense.y, readings)
+        self.known_cells += change.cells
         if self._sense is None:
             self._homes[self.settings.robot] = sense.x, sense.y
         else:
