@@ -60,7 +60,6 @@ class Robot:
         self._sense: Sense | None = None
         self._homes: dict[int, Cell] = {}
         self._withheld: list[bytes] = []
-        self._publishes = True
         self._peers: tuple[int, ...] = ()
         self._target_news: Cell | None = None
         self._pose_news: packets.Pose | None = None
@@ -101,9 +100,8 @@ class Robot:
         scan = Scan(sense.x, sense.y, readings)
         delivered = self.session.delivered() and not self._withheld
         self._withheld += self._exchange.record(self.own, scan, change, delivered=delivered)
-        if self._publishes:
-            self.session.record(self._withheld)
-            self._withheld = []
+        if not self._strategy.withholds:
+            self._publish()
         if self._strategy.tells_pose:
             self._pose_news = packets.Pose(sense.x, sense.y, int(self._strategy.leads))
 
@@ -190,10 +188,13 @@ class Robot:
             self._target_news = decision.target
         self.target = decision.target
         self.status = decision.status
-        self._publishes = decision.publish
         if decision.publish:
-            self.session.record(self._withheld)
-            self._withheld = []
+            self._publish()
+
+    def _publish(self) -> None:
+        """Offer teammates all that has been seen by now."""
+        self.session.record(self._withheld)
+        self._withheld = []
 
     def _situation(self, sense: Sense) -> Situation:
         news, self._news = self._news, {}

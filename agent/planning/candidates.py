@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from agent.planning.clusters import evenly, k_means
+from agent.planning.clusters import medoids
 from agent.planning.ways import Ways
 
 CANDIDATES = ("cells", "rfe", "anr", "breadth-first")
@@ -113,17 +113,4 @@ def representatives(cells: NDArray[np.int32], range_cells: float, at_least: int 
         if not any(shares):
             break
         counts[int(np.argmax(shares))] += 1
-    goals = [_represent(edge, count) for edge, count in zip(edges, counts, strict=True)]
-    return np.concatenate(goals)
-
-
-def _represent(edge: NDArray[np.int32], count: int) -> NDArray[np.int32]:
-    """One cell for each of `count` clusters of an edge."""
-    means, owner = k_means(edge.astype(np.float64), evenly(edge.astype(np.float64), count))
-    distance = ((edge - means[owner]) ** 2).sum(axis=1)
-    chosen = [
-        edge[mine[np.argmin(distance[mine])]]
-        for number in range(count)
-        if len(mine := np.flatnonzero(owner == number))
-    ]
-    return np.array(chosen, np.int32)
+    return np.concatenate([medoids(edge, count) for edge, count in zip(edges, counts, strict=True)])

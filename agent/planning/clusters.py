@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from protocol.kernels import kernel
 
-_ROUNDS = 100
+_ROUNDS = 30
 """K-means ends when nothing moves, or after so many rounds."""
 
 Points = NDArray[np.float64]
@@ -36,20 +36,25 @@ def k_means(points: Points, seeds: Points) -> tuple[Points, NDArray[np.int64]]:
     return means, owner
 
 
-def evenly(points: Points, count: int) -> Points:
-    """Seeds that lie apart: the first point, then always the one farthest from all before.
+def medoids(points: NDArray[np.int32], count: int) -> NDArray[np.int32]:
+    """Cluster points and return of each cluster the point nearest to its mean.
+
+    The means begin apart: at the first point, then always at the one farthest from all before.
+
+    Parameters
+    ----------
+    points : int32 array, shape (n, 2)
+        No two alike; of equally near ones the first counts.
+    count : int
+        How many clusters, at most n.
 
     Returns
     -------
-    float64 array, shape (count, 2)
-        Points; `count` is at most their number.
+    int32 array, shape (k, 2)
+        k is `count`, less the clusters that ran empty.
     """
-    chosen = [0]
-    gap = ((points - points[0]) ** 2).sum(axis=1)
-    for _ in range(count - 1):
-        chosen.append(int(np.argmax(gap)))
-        gap = np.minimum(gap, ((points - points[chosen[-1]]) ** 2).sum(axis=1))
-    return points[chosen].copy()
+    out = np.empty((count, 2), np.int32)
+    return out[: _medoids(points.astype(np.float64), count, out)]
 
 
 @kernel("void(float64[:,::1], float64[:,::1], int64[::1])")
@@ -81,3 +86,38 @@ def _lloyd(points: Points, means: Points, owner: NDArray[np.int64]) -> None:
                     moved = True
         if not moved:
             break
+
+
+@kernel("int64(float64[:,::1], int64, int32[:,::1])")
+def _medoids(points: Points, count: int, out: NDArray[np.int32]) -> int:
+    gap = np.full(len(points), np.inf)
+    means = np.empty((count, 2))
+    chosen = 0
+    for number in range(count):
+        means[number] = points[chosen]
+        farthest = -1.0
+        for at in range(len(points)):
+            dx = points[at, 0] - means[number, 0]
+            dy = points[at, 1] - means[number, 1]
+            gap[at] = min(gap[at], dx * dx + dy * dy)
+            if gap[at] > farthest:
+                farthest = gap[at]
+                chosen = at
+    owner = np.zeros(len(points), np.int64)
+    _lloyd(points, means, owner)
+    best = np.full(count, np.inf)
+    nearest = np.full(count, -1)
+    for at in range(len(points)):
+        number = owner[at]
+        dx = points[at, 0] - means[number, 0]
+        dy = points[at, 1] - means[number, 1]
+        if dx * dx + dy * dy < best[number]:
+            best[number] = dx * dx + dy * dy
+            nearest[number] = at
+    found = 0
+    for number in range(count):
+        if nearest[number] >= 0:
+            out[found, 0] = int(points[nearest[number], 0])
+            out[found, 1] = int(points[nearest[number], 1])
+            found += 1
+    return found

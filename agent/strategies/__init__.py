@@ -25,9 +25,6 @@ __all__ = [
     "strategy",
 ]
 
-for _module in pkgutil.iter_modules(__path__):
-    importlib.import_module(f"{__name__}.{_module.name}")
-
 
 def strategies() -> dict[str, type[Strategy]]:
     """All strategies that have been imported, by name."""
@@ -74,3 +71,7 @@ def _imported(name: str) -> type[Strategy]:
             f"strategy {name!r}: {class_name} is no subclass of agent.strategies.Strategy with a name"
         )
     return kind
+
+
+for _module in pkgutil.iter_modules(__path__):
+    importlib.import_module(f"{__name__}.{_module.name}")

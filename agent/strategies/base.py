@@ -105,7 +105,7 @@ class Decision:
     look : bool
         Whether its scanner works on the way.
     publish : bool
-        Whether teammates may have all that it has seen by now.
+        Whether teammates may have all that it has seen by now, where the strategy withholds news.
     status : str
         What it is at, for people.
     """
@@ -155,6 +155,8 @@ class Strategy(ABC):
     """Whether its robots tell each other their targets."""
     tells_pose: ClassVar[bool] = False
     """Whether its robots tell each other where they are."""
+    withholds: bool = False
+    """Whether news waits until a decision publishes it."""
     leads: bool = False
     """Whether this robot leads; it is told with its pose."""
 

@@ -3,6 +3,9 @@
 nearest           each robot drives to its nearest frontier cell; maps are shared, targets are not
 burgard           Algorithm 1: the best pair of robot and frontier cell, utilities lowered, the next
 burgard-optimal   Algorithm 2: the assignment with the largest sum of U - beta V^2, searched at random
+
+With ``costs = "weighted"`` ways are counted as in section II-A, by length times occupancy on a smoothed map;
+that takes several times as long as counting their length, which is the default.
 """
 
 from __future__ import annotations
@@ -13,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning.assignment import Assignment, best_of_all, in_turn
-from agent.planning.candidates import CANDIDATES
 from agent.planning.utility import utilities
-from agent.planning.ways import COSTS, Ways
+from agent.planning.ways import Ways
 from agent.strategies.base import Cell, Situation
 from agent.strategies.options import option
 from agent.strategies.targets import Parts, TargetStrategy
@@ -23,18 +25,9 @@ from agent.strategies.team import Table, TeamStrategy
 
 
 @dataclass(frozen=True)
-class Uncoordinated(Parts):
-    """Options of `nearest`."""
-
-    costs: str = option("weighted", "how ways are counted", COSTS)
-
-
-@dataclass(frozen=True)
 class Coordinated(Parts):
     """Options of the coordinated ones."""
 
-    candidates: str = option("cells", "which cells are worth going to", CANDIDATES)
-    costs: str = option("weighted", "how ways are counted", COSTS)
     beta: float = option(1.0, "weight of cost against utility")
     every: int = option(
         0, "targets are assigned anew after so many steps at the latest; 0: never for time alone"
@@ -47,7 +40,6 @@ class Nearest(TargetStrategy):
     name = "nearest"
     summary = "each robot drives to its nearest frontier cell, whatever the others do"
     source = "Burgard et al. 2005, section IV-C: uncoordinated, after Yamauchi 1998"
-    options_type = Uncoordinated
     tells_target = False
 
     def choose(self, situation: Situation, goals: NDArray[np.int32], ways: Ways) -> Cell | None:

@@ -70,6 +70,7 @@ class TargetStrategy(Strategy):
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)
+        self.withholds = self.options.share == "at-target"
         self.target: Cell | None = None
         self._route = Route()
         self._goal: Cell | None = None
@@ -147,7 +148,7 @@ class TargetStrategy(Strategy):
             heading=self._face_the_unknown(situation) if self.target == here else situation.heading,
             explored=not left and (self.options.mission == "open" or here == situation.home),
             look=self._looked,
-            publish=self.options.share == "always" or self.target is None or self.target != before,
+            publish=self.target is None or self.target != before,
             status=self._status(here, left),
         )
 

@@ -1,0 +1,71 @@
+"""Slow, plain counterparts of the planning kernels, and small maps to try them on."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from agent.settings import Settings
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+
+Cell = tuple[int, int]
+
+
+def drawn(*rows: str) -> Grid:
+    """A grid drawn with `.` for free, `#` for occupied and `?` for unknown cells."""
+    meaning = {".": FREE, "#": OCCUPIED, "?": UNKNOWN}
+    return np.array([[meaning[sign] for sign in row] for row in rows], np.uint8)
+
+
+@st.composite
+def grids(draw: st.DrawFn, most: int = 14) -> Grid:
+    """Small grids, from open to cluttered."""
+    height, width = draw(st.integers(1, most)), draw(st.integers(1, most))
+    walls = draw(st.sampled_from([0.0, 0.1, 0.3]))
+    random = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    return random.choice(
+        np.array([UNKNOWN, FREE, OCCUPIED], np.uint8), (height, width), p=[walls / 2, 1 - 1.5 * walls, walls]
+    )
+
+
+def steps_from(grid: Grid, x: int, y: int) -> Iterator[tuple[int, int, float]]:
+    """Cells that a robot can enter next, with the lengths of the steps."""
+    height, width = grid.shape
+    for dx in (-1, 0, 1):
+        for dy in (-1, 0, 1):
+            nx, ny = x + dx, y + dy
+            if (dx, dy) == (0, 0) or not (0 <= nx < width and 0 <= ny < height) or grid[ny, nx] != FREE:
+                continue
+            if dx and dy and (grid[y, nx] != FREE or grid[ny, x] != FREE):
+                continue
+            yield nx, ny, math.hypot(dx, dy)
+
+
+def dijkstra(grid: Grid, x: int, y: int, weights: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
+    """Cost of the best way from (x, y) to every cell."""
+    field = np.full(grid.shape, np.inf)
+    field[y, x] = 0.0
+    queue = [(0.0, x, y)]
+    while queue:
+        base, cx, cy = heapq.heappop(queue)
+        for nx, ny, length in steps_from(grid, cx, cy):
+            new = base + length * (1.0 if weights is None else weights[ny, nx])
+            if new < field[ny, nx] - 1e-12:
+                field[ny, nx] = new
+                heapq.heappush(queue, (new, nx, ny))
+    return field
+
+
+def settings_for(grid: Grid, robot: int = 0, robots: int = 2, **others: object) -> Settings:
+    """A robot's task on a small grid."""
+    given: dict[str, object] = {
+        "robot": robot, "robots": robots, "width": grid.shape[1], "height": grid.shape[0],
+        "ranges_cells": [5.0] * robots, "beams": 360, "speed_cells": 3.0, "seed": 0, "exchange": "none",
+        "strategy": "meier", "offers": "backoff", "bandwidth": None, "reach_cells": 100.0,
+    }  # fmt: skip
+    return Settings(**(given | others))  # type: ignore[arg-type]

@@ -1,0 +1,91 @@
+"""Goal candidates, worked out by hand on small maps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from agent.planning.candidates import count_representatives, free_edges, goal_candidates, representatives
+from agent.planning.clusters import k_means, medoids
+from agent.planning.frontier import is_frontier
+from agent.planning.gain import information_gain
+from agent.planning.ways import Ways
+from protocol.grid import FREE, UNKNOWN
+from tests.agent.planning_references import drawn
+
+
+@pytest.mark.parametrize(
+    ("cells", "range_cells", "count"),
+    [(1, 10.0, 1), (8, 10.0, 1), (9, 10.0, 2), (18, 10.0, 2), (27, 10.0, 3), (60, 60.0, 2), (53, 60.0, 1)],
+)
+def test_the_number_of_representatives_is_that_of_equation_1(
+    cells: int, range_cells: float, count: int
+) -> None:
+    # 1 + floor(|F| / (1.8 rho) + 0.5): 9 / 18 + 0.5 is just 1.
+    assert count_representatives(cells, range_cells) == count
+
+
+def test_free_edges_are_the_8_connected_parts_and_small_ones_wait() -> None:
+    cells = np.array([(0, 0), (1, 0), (2, 1), (9, 1), (0, 5), (1, 5), (2, 5), (3, 6)], np.int32)
+    edges = [edge.tolist() for edge in free_edges(cells)]
+    assert edges == [[[0, 0], [1, 0], [2, 1]], [[0, 5], [1, 5], [2, 5], [3, 6]]]
+    assert [len(edge) for edge in free_edges(cells[[0, 1, 3]])] == [2, 1]
+
+
+def test_a_short_edge_is_represented_by_its_middle_a_long_one_by_several_cells() -> None:
+    row = np.array([(x, 3) for x in range(9)], np.int32)
+    assert representatives(row, 20.0).tolist() == [[4, 3]]
+    # 1 + floor(9 / 5.4 + 0.5) = 3 clusters of three cells.
+    assert representatives(row, 3.0).tolist() == [[1, 3], [7, 3], [4, 3]]
+
+
+def test_anr_makes_as_many_goals_as_there_are_robots_from_the_largest_edges_first() -> None:
+    long = [(x, 0) for x in range(12)]
+    short = [(x, 9) for x in range(4)]
+    cells = np.array(long + short, np.int32)
+    assert len(representatives(cells, 50.0)) == 2
+    four = representatives(cells, 50.0, at_least=4)
+    assert len(four) == 4
+    assert (four[:, 1] == 0).sum() == 3
+    assert len(representatives(cells[-4:], 50.0, at_least=9)) == 4
+
+
+def test_representatives_are_frontier_cells_that_can_be_reached() -> None:
+    grid = np.full((30, 30), UNKNOWN, np.uint8)
+    grid[5:25, 5:25] = FREE
+    goals = goal_candidates("rfe", Ways(grid), (10, 10), 5.0, 1, [])
+    assert len(goals) > 3
+    assert all(is_frontier(grid, x, y) for x, y in goals.tolist())
+
+
+def test_breadth_first_passes_over_cells_near_a_teammates_target() -> None:
+    grid = drawn("?.......??")
+    assert goal_candidates("breadth-first", Ways(grid), (2, 0), 3.0, 1, []).tolist() == [[1, 0]]
+    assert goal_candidates("breadth-first", Ways(grid), (2, 0), 3.0, 1, [(1, 0)]).tolist() == [[7, 0]]
+    both = [(1, 0), (7, 0)]
+    assert goal_candidates("breadth-first", Ways(grid), (2, 0), 3.0, 1, both).tolist() == [[1, 0]]
+
+
+def test_k_means_of_two_heaps_are_their_means() -> None:
+    points = np.array([(0, 0), (0, 2), (10, 0), (10, 2), (12, 1)], np.float64)
+    means, owner = k_means(points, points[[0, 4]])
+    assert owner.tolist() == [0, 0, 1, 1, 1]
+    np.testing.assert_allclose(means, [(0, 1), (32 / 3, 1)])
+    assert medoids(points.astype(np.int32), 2).tolist() == [[0, 0], [10, 0]]
+
+
+def test_information_gain_counts_unknown_cells_in_a_disc_that_no_teammate_will_see() -> None:
+    random = np.random.default_rng(3)
+    grid = random.choice(np.array([UNKNOWN, FREE], np.uint8), (20, 25))
+    cells, others, reach = np.array([(3, 4), (24, 19), (12, 10)], np.int32), [(10, 10)], 6.5
+    slow = [
+        sum(
+            grid[y, x] == UNKNOWN
+            and (x - cx) ** 2 + (y - cy) ** 2 <= reach**2
+            and all((x - ox) ** 2 + (y - oy) ** 2 > reach**2 for ox, oy in others)
+            for y in range(20)
+            for x in range(25)
+        )
+        for cx, cy in cells
+    ]
+    assert information_gain(grid, cells, reach, others).tolist() == slow

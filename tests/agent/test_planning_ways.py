@@ -1,0 +1,139 @@
+"""Ways: costs against a plain Dijkstra search, and the cells that ways lead over."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.planning.cost import Floor, costs, costs_to
+from agent.planning.occupancy import Terrain, weighted_costs
+from agent.planning.route import corners, straighten
+from agent.planning.ways import Ways
+from protocol.grid import FREE, OCCUPIED, Grid
+from tests.agent.planning_references import dijkstra, drawn, grids, steps_from
+
+
+@st.composite
+def grids_with_a_cell(draw: st.DrawFn) -> tuple[Grid, int, int]:
+    grid = draw(grids())
+    return grid, draw(st.integers(0, grid.shape[1] - 1)), draw(st.integers(0, grid.shape[0] - 1))
+
+
+@given(grids_with_a_cell())
+def test_costs_are_those_of_a_plain_search(case: tuple[Grid, int, int]) -> None:
+    grid, x, y = case
+    np.testing.assert_allclose(costs(grid, x, y), dijkstra(grid, x, y), rtol=0, atol=1e-9)
+
+
+@given(grids_with_a_cell(), st.integers(0, 2**32 - 1))
+def test_costs_to_goals_are_those_of_the_full_field(case: tuple[Grid, int, int], seed: int) -> None:
+    grid, x, y = case
+    random = np.random.default_rng(seed)
+    goals = np.stack([random.integers(0, side, 5) for side in (grid.shape[1], grid.shape[0])], axis=1)
+    field = costs(grid, x, y)
+    np.testing.assert_array_equal(
+        costs_to(Floor(grid), x, y, goals.astype(np.int32)), field[goals[:, 1], goals[:, 0]]
+    )
+
+
+@given(grids_with_a_cell())
+def test_weighted_costs_are_those_of_a_plain_search(case: tuple[Grid, int, int]) -> None:
+    grid, x, y = case
+    terrain = Terrain(grid, grid)
+    slow = dijkstra(grid, x, y, terrain.weights)
+    # Each of at most 200 steps is rounded to a 1024th of a cell.
+    np.testing.assert_allclose(weighted_costs(terrain, x, y), slow, rtol=0, atol=0.1)
+
+
+@given(grids_with_a_cell(), st.sampled_from(["shortest", "weighted"]))
+def test_a_way_is_driven_in_steps_and_costs_what_was_promised(case: tuple[Grid, int, int], kind: str) -> None:
+    grid, x, y = case
+    ways = Ways(grid, kind)
+    field = ways.costs(x, y)
+    for end_y, end_x in np.argwhere(np.isfinite(field))[::7]:
+        cells = ways.way((x, y), (int(end_x), int(end_y)))
+        assert cells is not None
+        total = 0.0
+        weights = Terrain(grid, grid).weights
+        for (ax, ay), (bx, by) in pairwise([(x, y), *cells.tolist()]):
+            lengths = {(nx, ny): length for nx, ny, length in steps_from(grid, ax, ay)}
+            total += lengths[bx, by] * (weights[by, bx] if kind == "weighted" else 1.0)
+        assert total == pytest.approx(field[end_y, end_x], abs=0.1 if kind == "weighted" else 1e-9)
+
+
+def test_weighted_ways_keep_away_from_walls() -> None:
+    grid = np.full((9, 30), FREE, np.uint8)
+    grid[0] = OCCUPIED
+    cells = Ways(grid, "weighted").way((1, 1), (28, 1))
+    assert cells is not None
+    assert cells[:, 1].max() >= 2
+    plain = Ways(grid).way((1, 1), (28, 1))
+    assert plain is not None
+    assert plain[:, 1].max() == 1
+
+
+def test_far_from_obstacles_a_weighted_way_costs_its_length() -> None:
+    grid = np.full((31, 31), FREE, np.uint8)
+    field = Ways(grid, "weighted").costs(10, 15)
+    assert field[15, 20] == pytest.approx(10.0)
+
+
+def test_a_disc_does_not_pass_where_a_point_does() -> None:
+    grid = drawn(
+        "..........",
+        "..........",
+        "####..####",
+        "..........",
+        "..........",
+    )
+    assert Ways(grid).way((1, 0), (1, 4)) is not None
+    assert Ways(grid, radius_cells=1.0).way((1, 0), (1, 4)) is None
+
+
+@given(grids_with_a_cell(), st.integers(0, 2**32 - 1))
+def test_the_nearest_frontier_is_the_nearest_of_those_that_nobody_is_near(
+    case: tuple[Grid, int, int], seed: int
+) -> None:
+    grid, x, y = case
+    random = np.random.default_rng(seed)
+    taken = np.stack([random.integers(0, side, 2) for side in (grid.shape[1], grid.shape[0])], axis=1)
+    ways = Ways(grid)
+    found = ways.first_frontier(x, y, taken.astype(np.int32), 4.0)
+    cells = ways.frontier(x, y)
+    if not len(cells):
+        assert found is None
+        return
+    length = dijkstra(grid, x, y)[cells[:, 1], cells[:, 0]]
+    clear = np.array([all(math.dist(cell, other) > 4.0 for other in taken) for cell in cells])
+    best = length[clear].min() if clear.any() else length.min()
+    assert found is not None
+    assert dijkstra(grid, x, y)[found[1], found[0]] == pytest.approx(best)
+    way = ways.way((x, y), found)
+    assert way is not None
+    assert (len(way) == 0) == (found == (x, y))
+
+
+@given(grids_with_a_cell())
+def test_a_straightened_way_is_driven_in_steps_and_is_no_longer(case: tuple[Grid, int, int]) -> None:
+    grid, x, y = case
+    ways = Ways(grid)
+    for end_y, end_x in np.argwhere(np.isfinite(ways.costs(x, y)))[::5]:
+        cells = ways.way((x, y), (int(end_x), int(end_y)))
+        assert cells is not None
+        straight = straighten(grid, (x, y), cells)
+        assert len(straight) <= len(cells)
+        for (ax, ay), (bx, by) in pairwise([(x, y), *straight.tolist()]):
+            assert (bx, by) in {(nx, ny) for nx, ny, _ in steps_from(grid, ax, ay)}
+        assert not len(cells) or tuple(straight[-1]) == (end_x, end_y)
+
+
+def test_a_way_in_the_open_has_one_corner_its_end() -> None:
+    grid = np.full((20, 20), FREE, np.uint8)
+    cells = Ways(grid).way((2, 2), (15, 7))
+    assert cells is not None
+    np.testing.assert_array_equal(corners(grid, (2300, 1800), cells), [(15000, 7000)])

@@ -1,0 +1,227 @@
+"""What strategies decide, worked out by hand on small maps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agent.planning.ways import Ways
+from agent.settings import Settings
+from agent.strategies import Decision, Pose, Situation, Strategy, strategy
+from agent.strategies.leaders import elect
+from agent.strategies.rotating import ShengBid
+from protocol.grid import FREE, UNKNOWN, Grid
+from tests.agent.planning_references import drawn, settings_for
+
+# Two frontier cells, (0, 1) and (14, 1), at the ends of a corridor.
+CORRIDOR = drawn("###############", "..............." , "###############")  # fmt: skip
+CORRIDOR[0, 0] = CORRIDOR[0, 14] = UNKNOWN
+
+
+SHORTEST = {"costs": "shortest"}
+
+
+def robot_at(x: int, y: int = 1, grid: Grid = CORRIDOR, **others: Any) -> Situation:
+    return Situation(step=1, grid=grid, x=x, y=y, home=(x, y), **others)
+
+
+def mind(
+    name: str, options: dict[str, Any] | None = None, grid: Grid = CORRIDOR, **settings: Any
+) -> Strategy:
+    return strategy(name)(options or {}, settings_for(grid, **settings))
+
+
+def decide(
+    name: str, situation: Situation, options: dict[str, Any] | None = None, **settings: Any
+) -> Decision:
+    return mind(name, options, situation.grid, **settings).decide(situation)
+
+
+def test_alone_meier_takes_the_nearest_frontier() -> None:
+    assert decide("meier", robot_at(4)).target == (0, 1)
+    assert decide("meier", robot_at(11)).target == (14, 1)
+
+
+def test_meier_leaves_a_frontier_to_whom_it_has_heard_of_and_beta_says_at_what_price() -> None:
+    # U: 0 and 1; V: 4 / 5 and 10 / 5 sensor ranges.
+    taken = robot_at(4, targets={1: (0, 1)}, heard={1: 1})
+    assert decide("meier", taken, {"beta": 0.5}).target == (14, 1)
+    assert decide("meier", taken, {"beta": 1.0}).target == (0, 1)
+
+
+def test_a_target_heard_long_ago_counts_less_where_targets_age() -> None:
+    old = robot_at(4, targets={1: (0, 1)}, heard={1: -99})
+    assert decide("meier", old, {"beta": 0.5}).target == (14, 1)
+    assert decide("meier", old, {"beta": 0.5, "half_life": 20.0}).target == (0, 1)
+
+
+def test_of_two_that_herd_the_higher_numbered_chooses_again_once() -> None:
+    for robot, other, expected in ((1, 0, (14, 1)), (0, 1, (0, 1))):
+        swarm = mind("meier", {"beta": 0.1}, robot=robot)
+        assert swarm.decide(robot_at(4)).target == (0, 1)
+        heard = {other: (0, 1)}
+        news = robot_at(4, targets=heard, heard={other: 2}, news=heard)
+        assert swarm.decide(news).target == expected
+
+
+def test_nearest_does_not_care_for_others_and_tells_nothing() -> None:
+    kind = strategy("nearest")
+    assert not kind.tells_target
+    assert decide("nearest", robot_at(4, targets={1: (0, 1)}, heard={1: 1})).target == (0, 1)
+
+
+@pytest.mark.parametrize("name", ["burgard", "burgard-optimal", "greedy", "iterative", "hungarian", "mtsp"])
+def test_members_of_a_sub_team_compute_one_assignment(name: str) -> None:
+    cells = {0: (4, 1), 1: (5, 1)}
+    targets = []
+    for robot in (0, 1):
+        peers = {peer: Pose(*cell, leads=False) for peer, cell in cells.items() if peer != robot}
+        situation = robot_at(*cells[robot], peers=tuple(peers), poses=peers)
+        targets.append(decide(name, situation, SHORTEST, robot=robot, ranges_cells=[50.0, 50.0]).target)
+    assert sorted(targets) == [(0, 1), (14, 1)]  # type: ignore[type-var]
+
+
+def test_a_robot_out_of_range_is_no_member_but_its_last_target_is_remembered() -> None:
+    away = robot_at(4, poses={1: Pose(5, 1, False)}, targets={1: (0, 1)}, heard={1: 1})
+    assert decide("burgard", away, SHORTEST | {"beta": 0.5}).target == (14, 1)
+    assert decide("hungarian", away).target == (14, 1)
+
+
+def test_a_robot_without_a_goal_waits_and_is_not_done() -> None:
+    one_frontier = CORRIDOR.copy()
+    one_frontier[0, 14] = 2
+    near = {0: Pose(1, 1, False)}
+    situation = robot_at(6, grid=one_frontier, peers=(0,), poses=near)
+    decision = decide("hungarian", situation, {"candidates": "rfe"}, robot=1)
+    assert decision.target is None
+    assert not decision.explored
+    assert "teammates have taken all goals" in decision.status
+
+
+def test_at_goal_a_team_replans_when_a_member_arrives_and_not_when_a_goal_is_opened() -> None:
+    team = mind("hungarian", {"replan": "at-goal", "candidates": "cells"}, ranges_cells=[50.0, 50.0])
+    there = {1: Pose(10, 1, False)}
+    first = team.decide(robot_at(4, peers=(1,), poses=there))
+    assert first.target == (0, 1)
+    opened = CORRIDOR.copy()
+    opened[0, 0] = 2
+    told: dict[str, Any] = {"targets": {1: (14, 1)}, "heard": {1: 2}, "peers": (1,)}
+    assert team.decide(robot_at(3, grid=opened, poses=there, **told)).target == (0, 1)
+    arrived = {1: Pose(14, 1, False)}
+    assert team.decide(robot_at(3, grid=opened, poses=arrived, **told)).target != (0, 1)
+
+
+def test_a_disc_keeps_off_what_it_would_touch() -> None:
+    grid = np.full((15, 15), FREE, np.uint8)
+    grid[7, 5:10] = 2
+    grid[0, 7] = UNKNOWN
+    path = decide("meier", robot_at(7, 12, grid=grid), radius_cells=2.0, speed_cells=20.0).path
+    assert all(abs(x - 7) > 4 or abs(y - 7) > 2 for x, y in path.tolist())
+
+
+def test_with_nothing_left_an_open_mission_is_done_and_a_returning_robot_drives_home() -> None:
+    known = drawn("#######", ".......", "#######")
+    assert decide("meier", robot_at(5, grid=known)).explored
+    swarm = mind("meier", {"mission": "return"}, known)
+    on_the_way = swarm.decide(replace(robot_at(5, grid=known), home=(1, 1)))
+    assert not on_the_way.explored
+    assert on_the_way.path[-1].tolist() == [1, 1]
+    assert swarm.decide(replace(robot_at(1, grid=known), home=(1, 1))).explored
+
+
+def test_stop_scan_replan_stays_for_a_full_turn_and_then_tells() -> None:
+    settings: dict[str, Any] = {"scanner_turn": 72.0, "speed_cells": 1.0}
+    swarm = mind("stop-scan-replan", **settings)
+    decisions = [swarm.decide(robot_at(4)) for _ in range(5)]
+    assert [decision.target for decision in decisions] == [None] * 4 + [(0, 1)]
+    assert [decision.publish for decision in decisions] == [True] * 5
+    assert not swarm.decide(robot_at(3)).publish
+    assert settings_for(CORRIDOR, **settings).turn_steps == 5
+
+
+def test_classical_does_not_look_on_the_way() -> None:
+    swarm = mind("classical", scanner_turn=0.0)
+    assert swarm.decide(robot_at(4)).target is not None
+    assert not swarm.decide(robot_at(3)).look
+
+
+def test_scan_replan_keeps_an_opened_target_and_continuous_replan_does_not() -> None:
+    opened = CORRIDOR.copy()
+    opened[0, 0] = 2
+    for name, expected in (("scan-replan", (0, 1)), ("continuous-replan", (14, 1))):
+        swarm = mind(name)
+        assert swarm.decide(robot_at(4)).target == (0, 1)
+        after = swarm.decide(robot_at(3, grid=opened))
+        assert after.target == expected
+        assert after.publish == (name == "continuous-replan")
+
+
+def test_a_bid_is_that_of_equation_1() -> None:
+    grid = drawn("??????", "......", "######")
+    bids = mind("sheng-bid", {"gain": 2.0, "distance": 0.5, "nearness": 0.25}, grid, ranges_cells=[2.0, 2.0])
+    assert isinstance(bids, ShengBid)
+    goals = np.array([(0, 1), (3, 1)], np.int32)
+    # In a disc of two cells around (0, 1) lie (0, 0) and (1, 0); around (3, 1) three cells.
+    expected = [
+        2.0 * 2 / (4 * np.pi) - 0.5 * 1 / 2,
+        2.0 * 3 / (4 * np.pi) - 0.5 * 2 / 2,
+    ]
+    situation = robot_at(1, grid=grid)
+    np.testing.assert_allclose(bids.bids(situation, goals, Ways(grid)), expected)
+    # A teammate at (5, 1) will see all that (3, 1) shows but (2, 0) and (3, 0).
+    near = replace(situation, poses={1: Pose(5, 1, False)})
+    seen_by_it = 2.0 * (3 - 1) / (4 * np.pi)
+    np.testing.assert_allclose(bids.bids(near, goals, Ways(grid))[1], seen_by_it - 0.5 * 2 / 2 - 0.25 * 2 / 2)
+
+
+def test_leaders_are_elected_over_a_scripted_sequence_of_meetings() -> None:
+    # Robot 2 of a team in which robot 0 leads throughout: (leaders that it senses, whether it leads then).
+    script: list[tuple[list[int], bool]] = [
+        ([0], False),  # beside the first leader
+        ([], True),  # has lost it
+        ([], True),  # still alone
+        ([3], True),  # meets a leader lower in the hierarchy: that one steps down
+        ([1], False),  # meets a higher one
+        ([1], False),
+        ([], True),  # that one is gone, or dead
+        ([0, 3], False),  # meets two
+    ]
+    leads = False
+    for sensed, expected in script:
+        leads = elect(2, leads, sensed, first=1)
+        assert leads == expected
+    assert elect(0, True, [1, 2], first=1)
+    assert not elect(2, False, [], first=1, dynamic=False)
+
+
+def test_a_leader_takes_the_shortest_way_and_a_trooper_stops_before_the_wall() -> None:
+    grid = drawn(
+        "..........",
+        "..........",
+        "#######...",
+        "..........",
+        "?.........",
+    )
+    settings = {"speed_cells": 30.0, "resolution": 1.0}
+    leader = mind("leaders", {}, grid, **settings).decide(robot_at(0, 0, grid=grid))
+    assert leader.points[-1].tolist() == [0, 3000] or leader.points[-1].tolist() == [1000, 4000]
+    assert max(x for x, _ in leader.points.tolist()) >= 6500
+    trooper = mind("potential-field", {}, grid, **settings).decide(robot_at(0, 0, grid=grid))
+    assert max(y for _, y in trooper.points.tolist()) < 1500
+
+
+def test_a_robot_that_gets_nowhere_says_that_it_is_stalled() -> None:
+    swarm = mind("potential-field", {}, resolution=0.1)
+    # Between two frontier points at the same distance, in a closed corridor.
+    stalled = [swarm.decide(replace(robot_at(7), step=step)).stalled for step in range(1, 70)]
+    assert stalled.index(True) == 60
+
+
+def test_the_settings_say_how_long_a_turn_takes() -> None:
+    turns = {0.0: 1, 72.0: 5, 18.0: 20, 100.0: 4, 360.0: 1}
+    for degrees, steps in turns.items():
+        settings: Settings = settings_for(CORRIDOR, scanner_turn=degrees)
+        assert settings.turn_steps == steps

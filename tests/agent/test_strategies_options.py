@@ -1,0 +1,141 @@
+"""Strategies by name: parts, options, refusals, and one from outside the tree."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from agent.strategies import strategies, strategy
+from agent.strategies.catalogue import COMBINING, catalogue
+from agent.strategies.targets import Parts
+
+NAMES = [
+    "burgard", "burgard-optimal", "classical", "continuous-replan", "greedy", "hungarian", "hungarian-depot",
+    "iterative", "leaders", "meier", "mtsp", "mtsp-depot", "nearest", "potential-field", "scan-replan",
+    "sheng-bid", "stop-scan-replan",
+]  # fmt: skip
+
+
+def test_all_strategies_of_the_papers_are_there_with_a_line_and_a_source() -> None:
+    entries = {entry.name: entry for entry in catalogue()}
+    assert set(NAMES) <= set(entries)
+    for name in NAMES:
+        assert entries[name].summary
+        assert (
+            "section" in entries[name].source or "Eq." in entries[name].source or "(" in entries[name].source
+        )
+        assert all(line.help for line in entries[name].options)
+
+
+def test_the_words_on_combining_name_every_choice_of_every_part() -> None:
+    for part in Parts.__dataclass_fields__.values():
+        assert part.name in COMBINING
+        assert all(choice in COMBINING for choice in part.metadata["choices"])
+
+
+def test_an_unknown_strategy_is_refused_with_the_list_of_those_there_are() -> None:
+    with pytest.raises(ValueError, match=r"no strategy is called 'best'.*burgard, .*stop-scan-replan"):
+        strategy("best")
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("meier", {"gamma": 1}, r"meier has no option 'gamma'; there are: candidates, .*beta"),
+        ("meier", {"beta": "much"}, r"option beta of meier must be float, not 'much'"),
+        ("meier", {"herding": 1}, r"option herding of meier must be bool"),
+        ("hungarian", {"candidates": "all"}, r"candidates of hungarian is one of cells, rfe, anr.*not 'all'"),
+        ("meier", {"candidates": "breadth-first"}, r"candidates = breadth-first: .*nothing left to weigh"),
+        ("nearest", {"scan": "at-target"}, r"scan = at-target, replan = at-once: .*must stay for a turn"),
+        (
+            "scan-replan",
+            {"costs": "weighted"},
+            r"breadth-first search meets cells in the order of their distance",
+        ),
+        ("scan-replan", {"candidates": "cells"}, r"takes the first cell that its search meets"),
+        ("burgard", {"replan": "after-turn"}, r"would wait for its last scanner"),
+        ("greedy", {"candidates": "breadth-first"}, r"one robot's goal, not a team's"),
+        ("mtsp", {"candidates": "cells"}, r"a tour needs the way between every two goals"),
+        ("hungarian-depot", {"mission": "open"}, r"count the way back to the depot"),
+        ("mtsp-depot", {"mission": "open"}, r"count the way back to the depot"),
+        (
+            "leaders",
+            {"candidates": "rfe"},
+            r"leaders takes no option 'candidates': robots are moved by forces",
+        ),
+        ("potential-field", {"rho_lead": 3.0}, r"potential-field has no option 'rho_lead'"),
+        (
+            "leaders",
+            {"rho_robots": 9.0},
+            r"needs 0 < rho_obstacles <= rho_robots <= rho_lead, not .*rho_robots = 9",
+        ),
+    ],
+)
+def test_what_does_not_fit_is_refused_and_the_reason_said(
+    name: str, options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        strategy(name).check(options)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_defaults_of_every_strategy_fit_together(name: str) -> None:
+    kind = strategy(name)
+    assert kind.check({}) == kind.options_type()
+    assert kind.returns({}) == name.endswith("-depot")
+
+
+@pytest.mark.parametrize("candidates", ["cells", "rfe", "anr"])
+@pytest.mark.parametrize("replan", ["at-goal", "at-once"])
+@pytest.mark.parametrize("mission", ["open", "return"])
+@pytest.mark.parametrize("name", ["meier", "burgard", "greedy", "hungarian", "sheng-bid"])
+def test_parts_that_make_sense_together_combine(
+    name: str, candidates: str, replan: str, mission: str
+) -> None:
+    chosen = strategy(name).check({"candidates": candidates, "replan": replan, "mission": mission})
+    assert (chosen.candidates, chosen.replan, chosen.mission) == (candidates, replan, mission)
+
+
+OUTSIDE = '''
+import numpy as np
+from agent.strategies.targets import TargetStrategy
+
+class Farthest(TargetStrategy):
+    """Drives to the farthest frontier cell."""
+
+    name = "farthest"
+    summary = "each robot drives to the frontier cell that is farthest from it"
+    source = "an example"
+
+    def choose(self, situation, goals, ways):
+        costs = ways.costs(*situation.here)[goals[:, 1], goals[:, 0]]
+        x, y = goals[np.argmax(costs)]
+        return int(x), int(y)
+'''
+
+
+def test_a_strategy_from_outside_the_tree_is_one_class_and_explores(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from deploy import in_memory, plan
+    from deploy.scenario import parse
+
+    (tmp_path / "my_swarm.py").write_text(OUTSIDE, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    scenario = parse(
+        {"map": "leader-rooms", "strategy": "my_swarm:Farthest", "bandwidth": "unlimited", "robots": 2}
+    )
+    records = in_memory.run(plan.make(scenario))
+    assert records.end is not None
+    assert records.end.reason == "explored"
+    assert records.explored > 0.99
+    assert "farthest" in strategies()
+
+
+def test_a_class_that_is_no_strategy_or_cannot_be_imported_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"no_such_module.*PYTHONPATH"):
+        strategy("no_such_module:Best")
+    with pytest.raises(ValueError, match=r"Path is no subclass of agent.strategies.Strategy"):
+        strategy("pathlib:Path")
