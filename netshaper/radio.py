@@ -357,9 +357,11 @@ def _is_answer(payload: bytes) -> str:
     except ProtocolError as error:
         return str(error)
     kinds = [type(packet) for packet in said]
-    if kinds in ([packets.Answer], [packets.Block, packets.Answer], [packets.Decline]):
+    if kinds == [packets.Decline]:
         return ""
-    return "an answer frame is an answer, a block and an answer, or a decline"
+    if kinds[-1:] == [packets.Answer] and kinds[:-1] in ([], [packets.Block], 2 * [packets.Block]):
+        return ""
+    return "an answer frame is an answer behind at most two blocks, or a decline"
 
 
 def _is_data(payload: bytes) -> str:

@@ -24,7 +24,7 @@ INDEX_WINDOW = 4096
 """Units of a log that one `Answer` can tell apart; the block says which window is meant."""
 
 BLOCKS = 64
-"""Blocks that an `Offer` can tell apart; a longer log begins again at block 0."""
+"""Blocks that an `Offer` can tell apart; in a longer log they begin again at block 0, in the next round."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +126,10 @@ class Answer(Packet):
 
 @dataclass(frozen=True, slots=True)
 class Block(Packet):
-    """Handshake: the answer that follows counts from `block`, not from the one that the offer assumed."""
+    """Handshake: the answer that follows counts from `block`, not from the one that the offer assumed.
+
+    Before another block it counts rounds of `BLOCKS` blocks.
+    """
 
     name, size, code, code_bits, bits = "conn", 2, 0b1111100000, 10, (6,)
     block: int
@@ -189,8 +192,8 @@ _TYPES: tuple[type[Packet], ...] = (
     Insert, Replace, Delete, Emerge, Change, Remove, Offer, Answer, Block, Decline, Target, Save, Pose,
 )  # fmt: skip
 
-HANDSHAKE_SIZE = 2 * Answer.size
-"""Bytes of the longest frame of a handshake: a block and an answer."""
+HANDSHAKE_SIZE = 3 * Answer.size
+"""Bytes of the longest frame of a handshake: two blocks and an answer."""
 
 KINDS = ("ins", "rep", "del", "em", "chg", "rm", "conn", "targ", "save")
 """The nine kinds of Table 6.1."""

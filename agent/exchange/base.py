@@ -27,7 +27,7 @@ class Exchange(ABC):
 
     @abstractmethod
     def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
-        """Return the units (whole packets) that tell of this step's news of the robot's own map.
+        """Return the units (one packet each) that tell of this step's news of the robot's own map.
 
         `own` is the self-explored grid with `scan` drawn on it; `change` says where it changed.
         `delivered` tells whether there are teammates in range who all hold what was logged before.

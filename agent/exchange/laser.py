@@ -12,7 +12,7 @@ from agent.exchange.base import Exchange
 from agent.settings import Settings
 from protocol import packets
 from protocol.errors import ProtocolError
-from protocol.grid import Grid, fan
+from protocol.grid import UNKNOWN, Grid, fan
 from protocol.scans import NONE, Change, Scan, decode_scan, draw, encode_scan, fragments, scan_size
 
 
@@ -58,8 +58,8 @@ class LaserExchange(Exchange):
             draw(self._heard, self._fans[about], scan.x, scan.y, scan.readings)
 
     def merge(self, own: Grid) -> Grid:
-        """Lay the robot's own grid over what it heard; the two never contradict each other."""
-        return np.maximum(self._heard, own)
+        """Lay the robot's own grid over what it heard."""
+        return np.where(own == UNKNOWN, self._heard, own)
 
     def _read(self, about: int, data: bytes) -> Scan:
         scan = decode_scan(data, self._fans[about])

@@ -28,15 +28,14 @@ class Log:
 
         `index` must not lie before `oldest`.
         """
-        units = self._units[index - self._forgotten :]
+        first = index - self._forgotten
         if room is None:
-            return units
-        size = 0
-        for count, unit in enumerate(units):
-            size += len(unit)
-            if size > room:
-                return units[:count]
-        return units
+            return self._units[first:]
+        end = first
+        while end < len(self._units) and len(self._units[end]) <= room:
+            room -= len(self._units[end])
+            end += 1
+        return self._units[first:end]
 
     def forget(self, before: int) -> None:
         """Drop the units before number `before`."""

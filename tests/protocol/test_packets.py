@@ -379,9 +379,9 @@ def test_the_module_says_how_large_a_grid_and_a_team_may_be() -> None:
 
 
 def test_a_handshake_is_read_as_any_packets_are_but_never_longer_than_one() -> None:
-    for said in ([Answer(7)], [Block(3), Answer(4095)], [Decline()], [Offer(1, 2)]):
+    for said in ([Answer(7)], [Block(3), Answer(4095)], [Block(1), Block(2), Answer(3)], [Decline()]):
         assert list(handshake(encode(said))) == said
-    with pytest.raises(ProtocolError, match="conn at byte 0: 6 bytes instead of 4"):
-        handshake(encode([Block(1), Block(2), Answer(3)]))
+    with pytest.raises(ProtocolError, match="conn at byte 0: 8 bytes instead of 6"):
+        handshake(encode([Block(1), Block(2), Block(2), Answer(3)]))
     with pytest.raises(ProtocolError, match="cut off"):
         handshake(encode([Answer(7)])[:1])
