@@ -29,7 +29,9 @@ from protocol.zenoh_bus import join
 
 POLL_S = 0.25
 VIEWER_S = 10.0
-"""How long the viewer may take to come, and to write what it has at the end."""
+"""How long the viewer may take to come; the run begins without it then."""
+VIEWER_END_S = 5.0
+"""How long the viewer may take to write what it has at the end."""
 WRAP_UP_S = 3.0
 """How long the others may take to hand in what they have, once the run is over or was interrupted."""
 
@@ -89,7 +91,7 @@ def run(
                 _start_viewer(family, show)
             outcome = _attend(family, robots, interrupted, watch, capture)
             if show is not None:
-                outcome.view_fault = family.await_end(names.VIEW, VIEWER_S)
+                outcome.view_fault = family.await_end(names.VIEW, VIEWER_END_S)
             return outcome
 
 

@@ -7,19 +7,17 @@ from netshaper.medium import UNLIMITED
 
 TEXT = """\
 **{robots} robots explore a building that none of them knows.** Each sees {sensor:g} m far. By radio they tell \
-each other what they find: {medium}. They are done when one has nothing left to explore on its map.
+what they find: {medium}. They are done when one has nothing left to explore.
 
-**On the left, the truth.** Discs are robots; a line leads from each to its target. {circles}Grey and green \
-lines join those who can hear each other; green ones carry something just now.
+**Left, the truth.** Discs are robots, a line leads from each to its target. {circles}Grey and green lines \
+join who can hear each other; on green ones they talk.
 
-**On the right, what each robot knows.** White is floor, black is wall, grey is unknown. {outlines}
+**Right, what each robot knows.** White is floor, black is wall, grey is unknown. {outlines}
 
-**Below, the radio.** {budget}What the team has seen is white, what each robot has on its map is in its \
-colour; between them lies news that is not told yet.
+**Below, the radio.** {budget}What the team has seen is white, what each robot's map holds has its colour; \
+between them lies news not told yet.
 """
-OUTLINES = (
-    "Thick outlines are what it tells of its own map, thin ones are what others have told it of theirs."
-)
+OUTLINES = "Thick outlines are what it tells of its map, thin ones are what others told it."
 
 
 def about(plan: Plan) -> str:

@@ -8,7 +8,6 @@ from deploy.dashboard.record import SHARES_HEIGHT, TIMELINE
 from deploy.dashboard.shapes import corner
 from deploy.plan import Plan
 
-COLUMNS = 4
 MOST = 8
 """Minds that are shown at once; more of them go to tabs."""
 
@@ -21,10 +20,11 @@ def layout(plan: Plan) -> rrb.Blueprint:
         _map(f"/minds/{robot}", f"Robot {robot} knows", plan, [f"/minds/{robot}/**", f"/ways/{robot}"], 0.13)
         for robot in robots
     ]
+    columns = len(minds) if len(minds) < 4 else -(-min(len(minds), MOST) // 2)
     pages = [
         rrb.Grid(
             *minds[first : first + MOST],
-            grid_columns=min(COLUMNS, len(minds)),
+            grid_columns=columns,
             name=f"robots {first}-{min(first + MOST, len(minds)) - 1}",
         )
         for first in range(0, len(minds), MOST)
@@ -32,7 +32,7 @@ def layout(plan: Plan) -> rrb.Blueprint:
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(world, rrb.Tabs(*pages) if len(pages) > 1 else pages[0], column_shares=[33, 67]),
-            rrb.Horizontal(*_radio(), column_shares=[25, 21, 14, 20, 20, 26]),
+            rrb.Horizontal(*_radio(), column_shares=[27, 21, 14, 20, 19, 25]),
             row_shares=[63, 37],
         ),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE),
