@@ -84,7 +84,7 @@ def run(
         for name in map(names.robot, range(robots)):
             table[name] = (serve_agent, family.credentials[name])
         port = show.task.port if show is not None else None
-        with _interrupts() as interrupted, announced(live, family.credentials[names.VIEW], port):
+        with interrupts() as interrupted, announced(live, family.credentials[names.VIEW], port):
             for name, (serve, *args) in table.items():
                 family.start(name, serve, *args)
             if show is not None:
@@ -159,7 +159,7 @@ def _can_begin(records: Records, deaths: dict[str, str]) -> bool:
 
 
 @contextlib.contextmanager
-def _interrupts() -> Iterator[list[int]]:
+def interrupts() -> Iterator[list[int]]:
     """Collect Ctrl-C and SIGTERM in a list instead of dying of them (in the main thread)."""
     caught: list[int] = []
     before = {}

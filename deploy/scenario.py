@@ -18,6 +18,9 @@ from protocol.grid import MAX_ROBOTS
 
 UNLIMITED = "unlimited"
 
+SHIPPED = Path(__file__).with_name("scenarios")
+"""Scenarios that are installed with the code; their names do for a path."""
+
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
@@ -147,7 +150,8 @@ assert set(Scenario.model_fields["offers"].annotation.__args__) == set(POLICIES)
 def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
     """Read a scenario file (None: only defaults) and lay the overrides that are not None over it.
 
-    A map named in a file is looked for beside that file.
+    Where there is no such file, a plain name is that of a shipped scenario. A map named in a file is looked
+    for beside that file.
 
     Raises
     ------
@@ -156,8 +160,12 @@ def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
     """
     data: dict[str, Any] = {}
     if path is not None:
+        path = _found(path)
         try:
             data = tomllib.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            names = ", ".join(sorted(file.name for file in SHIPPED.glob("*.toml")))
+            raise ScenarioError(f"scenario {path}: no such file; shipped ones are {names}") from None
         except OSError as error:
             raise ScenarioError(f"scenario {path}: {error.strerror or error}") from None
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -168,6 +176,12 @@ def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
     data |= {key: value for key, value in overrides.items() if value is not None}
     where = f"scenario {path}" if path is not None else "scenario"
     return parse(data, where)
+
+
+def _found(path: Path) -> Path:
+    """Return the path of a scenario: as given, or of the shipped one of that name."""
+    shipped = SHIPPED / path.name
+    return shipped if len(path.parts) == 1 and not path.exists() and shipped.exists() else path
 
 
 def parse(data: dict[str, Any], where: str = "scenario") -> Scenario:

@@ -1,0 +1,367 @@
+"""Documents say what the code does: layouts, limits, tables, defaults and hex are compared with it."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import asdict, fields, is_dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+
+from agent.approximation import approximation, repair
+from agent.contour import contours
+from agent.edits import Held, edit_script
+from agent.exchange import EXCHANGES, THESIS_OPTIONS, PolygonOptions
+from agent.exchange.session import POLICIES, TRANSITIONS, Session, State
+from agent.receiver import Receiver
+from agent.simplify import refine
+from deploy.in_memory import run as run_in_memory
+from deploy.mission import explore
+from deploy.plan import make
+from deploy.scenario import SHIPPED, Death, RobotOverride, Scenario, ScenarioError, load
+from netshaper import access
+from netshaper.ledger import CAUSES, ROW
+from protocol import messages, packets
+from protocol.grid import MAX_ROBOTS, MAX_SIDE, Grid
+from protocol.keys import Keys
+from protocol.scans import Scan, encode_scan, fragments
+
+DOCS = Path(__file__).parents[2] / "docs"
+GOLDEN = Path(__file__).parents[1] / "protocol" / "golden"
+
+LETTERS = {
+    "index": "i", "x": "x", "y": "y", "side": "s", "occupied": "o", "object": "n", "count": "c",
+    "inside": "e", "map": "m", "block": "b", "leads": "l",
+}  # fmt: skip
+
+ROOM = """
+    ######     ######     ######
+    #....#     #....#     #....#
+    #.??.#     #.?..#     #....#
+    #....#     #....#     #....#
+    ######     ######     ######
+"""
+"""What the robot of the worked example knows after each of its three steps."""
+
+
+def fences(document: str) -> dict[str, str]:
+    """The fenced blocks of a document, by what stands behind the backquotes; of several the last."""
+    text = (DOCS / document).read_text(encoding="utf-8")
+    return dict(re.findall(r"^```(\S+)\n(.*?)^```$", text, re.M | re.S))
+
+
+def rows(document: str, heading: str) -> list[list[str]]:
+    """The cells of the first table below a heading, its head left out, code marks taken off."""
+    text = (DOCS / document).read_text(encoding="utf-8").split(f"\n## {heading}\n")[1]
+    table: list[list[str]] = []
+    for line in map(str.strip, text.splitlines()):
+        if line.startswith("|"):
+            table.append([cell.strip() for cell in line.strip("|").split("|")])
+        elif table:
+            break
+    return [[cell.replace("`", "") for cell in row] for row in table[2:]]
+
+
+def drawn(kind: type[packets.Packet]) -> str:
+    names = [field.name for field in fields(kind)]
+    groups = [f"{kind.code:0{kind.code_bits}b}"]
+    groups += [LETTERS[name] * width for name, width in zip(names, kind.bits, strict=True)]
+    spare = 8 * kind.size - kind.code_bits - sum(kind.bits)
+    groups += ["0" * spare] if spare else []
+    return f"{kind.__name__:8}  {kind.name:4}  {kind.size}  {' '.join(groups)}"
+
+
+def knowledge() -> Iterator[Grid]:
+    lines = [line.split() for line in ROOM.split("\n") if line.strip()]
+    for column in zip(*lines, strict=True):
+        yield np.array([["?.#".index(cell) for cell in line] for line in column], np.uint8)
+
+
+def scripts() -> Iterator[tuple[list[packets.Edit], Held]]:
+    """The edit scripts of the worked example, and what is held after each."""
+    held = Held.nothing((5, 6))
+    for grid in knowledge():
+        exact = contours(grid, (1, 1))
+        marks = refine(exact, repair(held.polygons, exact))
+        said, held = edit_script(held, approximation(exact, marks))
+        yield said, held
+
+
+def told(*buffers: bytes) -> list[str]:
+    return [
+        f"{piece.hex(' '):18} {packets.decode(piece)[0]!r}"
+        for buffer in buffers
+        for piece in packets.split(buffer)
+    ]
+
+
+def worked_example() -> str:
+    """An object that emerges, is changed, and is removed; three save points; then how they travel."""
+    lines = []
+    units: list[bytes] = []
+    for step, (said, _) in enumerate(scripts(), 1):
+        lines += [f"# step {step}", *told(packets.encode(said))]
+        units += [packets.encode([packet]) for packet in said]
+    sender, receiver = Session(0, 2), Session(1, 2)
+    sender.record(units)
+    ((_, _, offer),) = sender.offers(0, [1], None)
+    receiver.offers(0, [0], None)
+    ((_, _, answer),) = receiver.answers([(0, 0, offer)])
+    ((_, _, data),) = sender.data([(0, 1, 0, answer)])
+    assert data == b"".join(units)
+    lines += ["# robot 0 to robot 1: news of map 0", *told(offer)]
+    lines += ["# robot 1 to robot 0: I hold nothing of it yet", *told(answer)]
+    lines += [f"# robot 0 to robot 1: the {len(units)} packets above, {len(data)} bytes"]
+    return "\n".join(lines) + "\n"
+
+
+def block_example() -> str:
+    """A receiver that holds more than the sender knows of, and one that is told the same by two."""
+    sender, receiver = Session(0, 3), Session(1, 3)
+    sender.logs[2].append(5000 * [packets.encode([packets.Save()])])
+    receiver.logs[2].append(4200 * [packets.encode([packets.Save()])])
+    sender.offers(0, [1], None)
+    ((_, _, offer),) = sender.offers(1, [1], None)
+    ((_, _, answer), (_, _, decline)) = receiver.answers([(0, 0, offer), (1, 2, offer)])
+    ((_, _, data),) = sender.data([(0, 1, 2, answer)])
+    lines = ["# robot 0 to robot 1: news of map 2, of which I think that you hold nothing", *told(offer)]
+    lines += ["# robot 1 to robot 0: I hold 1 x 4096 + 104 units", *told(answer)]
+    lines += [f"# robot 0 to robot 1: units 4200 to 4999, {len(data)} bytes"]
+    lines += ["# robot 1 to another that offers map 2 in the same exchange", *told(decline)]
+    return "\n".join(lines) + "\n"
+
+
+def plain(value: object) -> str:
+    """A default as the documents write it: as TOML has it."""
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f'"{value}"' if isinstance(value, str) else str(value)
+
+
+def defaults(kind: Any, prefix: str = "") -> dict[str, tuple[str, str]]:
+    """Default and description of each setting of a table."""
+    found: dict[str, tuple[str, str]] = {}
+    for name, info in kind.model_fields.items():
+        if name in ("robot", "death") and not prefix:
+            continue
+        if name == "polygon":
+            found |= {f"polygon.{n}": (plain(value), "") for n, value in asdict(PolygonOptions()).items()}
+            continue
+        default = "required" if info.is_required() else plain(info.get_default(call_default_factory=True))
+        found[prefix + name] = default, info.description
+    return found
+
+
+def test_every_packet_is_drawn_as_it_is_written() -> None:
+    kinds = [
+        kind
+        for kind in vars(packets).values()
+        if isinstance(kind, type) and issubclass(kind, packets.Packet) and kind is not packets.Packet
+    ]
+    fixed = [kind for kind in kinds if kind is not packets.Fragment]
+    lines = fences("protocol.md")["packets"].splitlines()
+    assert sorted(lines) == sorted(
+        [
+            *map(drawn, fixed),
+            "Fragment  scan  64  11110001 63 bytes of content",
+            "Fragment  scan  3 to 64  11110010 nnnnnnnn n bytes of content, 1 to 62",
+        ]
+    )
+
+
+def test_every_letter_of_the_drawings_is_explained() -> None:
+    text = (DOCS / "protocol.md").read_text(encoding="utf-8")
+    for name, letter in LETTERS.items():
+        assert f"\n| `{letter}` | {name} |" in text
+
+
+def test_limits_are_those_of_the_code() -> None:
+    limits = {name: value for name, value, *_ in rows("protocol.md", "Limits")}
+    assert limits == {
+        "cells a side of the grid": str(MAX_SIDE),
+        "robots": str(MAX_ROBOTS),
+        "objects an approximation": str(packets.MAX_OBJECTS),
+        "vertices an object": str(packets.MAX_VERTICES),
+        "units of a log in a block": str(packets.INDEX_WINDOW),
+        "blocks in a round": str(packets.BLOCKS),
+        "rounds": str(packets.BLOCKS),
+        "bytes of a fragment's content": str(packets.FRAGMENT_DATA),
+    }
+
+
+def test_a_scan_takes_the_bytes_that_the_document_says() -> None:
+    scan = encode_scan(Scan(0, 0, np.zeros(360, np.uint16)))
+    on_air = fragments(scan)
+    text = (DOCS / "protocol.md").read_text(encoding="utf-8")
+    assert (
+        f"A scan of 360 beams is {len(scan)} bytes, {len(on_air)} fragments, {sum(map(len, on_air))} bytes "
+        "on the air." in text
+    )
+
+
+@pytest.mark.parametrize(
+    ("fence", "made"), [("example", worked_example()), ("blocks", block_example())], ids=["example", "blocks"]
+)
+def test_the_worked_example_is_what_the_code_says_to_the_byte(fence: str, made: str) -> None:
+    assert fences("protocol.md")[fence] == made
+    assert (GOLDEN / f"{fence}.txt").read_text(encoding="utf-8") == made
+
+
+def test_the_hex_in_the_document_is_read_as_it_is_explained_there() -> None:
+    block = fences("protocol.md")["example"]
+    receiver = Receiver((5, 6))
+    models = [held.polygons.canonical() for _, held in scripts()]
+    for line in block.splitlines():
+        if line.startswith("#"):
+            continue
+        code, explained = line[:18], line[19:]
+        (packet,) = packets.decode(bytes.fromhex(code))
+        assert repr(packet) == explained
+        if not isinstance(packet, packets.Offer | packets.Answer) and receiver.feed(bytes.fromhex(code)):
+            assert receiver.held.polygons.canonical() == models.pop(0)
+    assert not models
+
+
+def test_the_rooms_of_the_worked_example_are_drawn() -> None:
+    assert ROOM.strip("\n") in (DOCS / "protocol.md").read_text(encoding="utf-8")
+
+
+def test_the_table_of_states_and_events_is_the_session_s() -> None:
+    told_of = {
+        (state, event, after)
+        for _, state, event, after, *_ in rows("protocol.md", "The session: states and events")
+    }
+    assert told_of == {
+        (state.value, event.name.lower().replace("_", " "), after.value)
+        for (state, event), after in TRANSITIONS.items()
+    }
+    assert {state for row in told_of for state in (row[0], row[2])} == {state.value for state in State}
+
+
+def test_offer_policies_are_all_described() -> None:
+    assert {row[0] for row in rows("protocol.md", "When maps are offered")} == set(POLICIES)
+
+
+def test_messages_and_their_fields_are_all_there_in_their_order() -> None:
+    told_of = [(name, made_of) for _, name, _, made_of, *_ in rows("protocol.md", "Body and control")]
+    kinds = messages._TYPES
+    assert told_of == [(kind.__name__, ", ".join(field.name for field in fields(kind))) for kind in kinds]
+    assert [int(row[0]) for row in rows("protocol.md", "Body and control")] == list(range(len(kinds)))
+    assert {kind for kind in vars(messages).values() if is_dataclass(kind)} == set(kinds)
+
+
+def test_the_ledger_s_columns_and_causes_are_all_there() -> None:
+    assert [row[0] for row in rows("protocol.md", "The ledger")] == list(ROW.names or ())
+    text = (DOCS / "protocol.md").read_text(encoding="utf-8")
+    for cause in CAUSES[1:]:
+        assert f"\n- `{cause}`: " in text
+
+
+def test_keys_are_what_participants_put_and_hear() -> None:
+    keys = Keys("RUN")
+    there_are = {row[0] for row in rows("protocol.md", "Keys")}
+    assert there_are == {
+        keys.radio_tx("FROM", "TO"),
+        keys.radio_rx("TO", "FROM"),
+        keys.body("TO", "FROM"),
+        keys.control("TO", "FROM"),
+        keys.control_tx("FROM"),
+        keys.alive("NAME"),
+        keys.presence("NAME"),
+    }
+    names = {row[0] for row in rows("protocol.md", "Participants")}
+    assert names == {"relay", *access.participants(0), "r0, r1, ..."}
+
+
+def test_every_setting_stands_in_the_table_with_its_default() -> None:
+    table = {name: (default, about) for name, default, about in rows("protocol.md", "Settings and defaults")}
+    wanted = defaults(Scenario) | defaults(RobotOverride, "robot.") | defaults(Death, "death.")
+    assert list(table) == list(wanted)
+    for name, (default, about) in wanted.items():
+        assert table[name][0] == default, name
+        assert about in table[name][1], name
+    for name, value in asdict(THESIS_OPTIONS).items():
+        if value != asdict(PolygonOptions())[name]:
+            assert f"thesis: {plain(value)}" in table[f"polygon.{name}"][1]
+    for choice in (*EXCHANGES, *get_args(Scenario.model_fields["bus"].annotation)):
+        assert choice in (DOCS / "protocol.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("document", sorted(DOCS.glob("*.md")), ids=lambda path: path.name)
+def test_links_between_documents_lead_somewhere(document: Path) -> None:
+    for target in re.findall(r"\]\((?!https?://)([^)#]+)\)", document.read_text(encoding="utf-8")):
+        assert (DOCS / target).exists(), f"{document.name} links to {target}"
+
+
+@pytest.mark.parametrize("document", ["architecture.md", "protocol.md", "several-terminals.md"])
+def test_files_that_documents_name_are_there(document: str) -> None:
+    text = (DOCS / document).read_text(encoding="utf-8")
+    rooms = "agent|deploy|netshaper|protocol|tests|worldsim"
+    named = re.findall(rf"`((?:{rooms})/[\w/.-]*\w/?)`", text)
+    assert named
+    for path in named:
+        assert (DOCS.parent / path).exists(), f"{document} names {path}"
+
+
+SCENARIOS = sorted(path.name for path in SHIPPED.glob("*.toml"))
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_shipped_scenario_can_be_run_and_says_how(name: str) -> None:
+    scenario = load(Path(name), {})
+    make(scenario)
+    comment = (SHIPPED / name).read_text(encoding="utf-8")
+    assert f"murmur explore {name}\n" in comment
+
+
+@pytest.mark.parametrize("name", ["breakdown.toml", "mixed-team.toml"])
+def test_a_shipped_scenario_runs(name: str) -> None:
+    records = run_in_memory(make(load(Path(name), {"steps": 70})))
+    assert records.end is not None
+    assert records.end.step == 70
+    assert not records.lost
+    assert not records.faults
+    alive = {len(np.frombuffer(report.poses, "<i4")) // 4 for report in records.world}
+    assert alive == ({4, 3} if name == "breakdown.toml" else {4})
+
+
+def test_a_file_of_one_s_own_goes_before_a_shipped_scenario(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert load(Path("office.toml"), {}).robots == 5
+    Path("office.toml").write_text("robots = 2\n")
+    assert load(Path("office.toml"), {}).robots == 2
+    with pytest.raises(ScenarioError, match=r"no such file; shipped ones are .*kilobyte\.toml"):
+        load(Path("elsewhere") / "office.toml", {})
+
+
+def test_the_run_directory_of_the_architecture_is_what_a_run_leaves(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    explore(load(None, {"map": "em", "robots": 2, "bus": "memory", "steps": 5}), out=out)
+    told_of = names("The run directory")
+    left = {re.sub(r"r\d+", "rN", path.name) for path in out.iterdir()}
+    assert left <= told_of
+    assert {"summary.json", "scenario.toml", "ledger.parquet"} <= left
+    assert set(json.loads((out / "summary.json").read_text())) == names("The summary")
+
+
+def names(heading: str) -> set[str]:
+    """What the first column of a table of the architecture names, several in a cell."""
+    return {name for row in rows("architecture.md", heading) for name in row[0].split(", ")}
+
+
+def test_every_purpose_of_a_random_draw_is_named() -> None:
+    table = {row[0] for row in rows("architecture.md", "Why runs repeat")}
+    drawn_for: set[str] = set()
+    for room in ("agent", "netshaper", "worldsim"):
+        for path in (DOCS.parent / room).rglob("*.py"):
+            text = path.read_text(encoding="utf-8")
+            drawn_for.update(re.findall(r'\b(?:chance\([^"()]*|draw\()"([^"]+)"', text))
+    assert table == drawn_for

@@ -1,0 +1,140 @@
+"""docs/several-terminals.md, done: its very commands make the run that `murmur explore` makes."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import signal
+import socket
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from deploy.by_hand import serve_lab, serve_worldsim
+from deploy.scenario import ScenarioError, parse
+from netshaper import access
+
+ROOT = Path(__file__).parents[2]
+TEXT = (ROOT / "docs" / "several-terminals.md").read_text(encoding="utf-8")
+SCENARIO = "".join(re.findall(r"^```toml\n(.*?)^```$", TEXT, re.M | re.S))
+COMMANDS = re.findall(r"^\$ murmur (.*)$", TEXT, re.M)
+ADDRESS = "127.0.0.1:7447"
+PATIENCE_S = 90
+
+
+def free_address() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"127.0.0.1:{probe.getsockname()[1]}"
+
+
+@contextmanager
+def terminals(folder: Path) -> Iterator[dict[str, subprocess.Popen[str]]]:
+    """Terminals in a folder, by what runs in them; what still runs at the end is killed."""
+    running: dict[str, subprocess.Popen[str]] = {}
+    (folder / "hand.toml").write_text(SCENARIO)
+    try:
+        yield running
+    finally:
+        for process in running.values():
+            if process.poll() is None:
+                process.kill()
+            process.communicate()
+
+
+def start(command: str, folder: Path) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "deploy.cli", *shlex.split(command)],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def wait_for(path: Path, process: subprocess.Popen[str], size: int = 0) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not path.exists() or path.stat().st_size < size:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline, f"no {path.name}"
+        time.sleep(0.05)
+
+
+def digest(directory: Path) -> str:
+    read: str = json.loads((directory / "summary.json").read_text())["digest"]
+    return read
+
+
+def test_the_commands_of_the_document_make_the_run_that_explore_makes(tmp_path: Path) -> None:
+    address = free_address()
+    *by_hand, in_memory = [command.replace(ADDRESS, address) for command in COMMANDS]
+    assert [command.split()[1] for command in by_hand] == ["netshaper", "worldsim", "agent", "agent", "lab"]
+    with terminals(tmp_path) as running:
+        for command in by_hand:
+            running[command] = start(command, tmp_path)
+            wait_for(tmp_path / "credentials" / "scenario.toml", running[by_hand[0]])
+        said = {command: process.communicate(timeout=PATIENCE_S) for command, process in running.items()}
+        codes = {command: process.returncode for command, process in running.items()}
+        assert set(codes.values()) == {0}, said
+        relay, world, *agents, lab = (said[command][0] for command in by_hand)
+        assert re.match(
+            rf"run \w+ at tcp/{address}; credentials in credentials: world, lab, view, r0, r1\n", relay
+        )
+        assert "\nwaiting for lab, r0, r1, world\n" in relay
+        assert relay.endswith("\nall are here\n")
+        assert not world
+        assert agents == ["", ""]
+        assert lab.lstrip().startswith("Explored in ")
+        assert "Everything is in by-hand; look at by-hand/maps.png." in lab
+        running["memory"] = start(in_memory, tmp_path)
+        _, faults = running["memory"].communicate(timeout=PATIENCE_S)
+        assert running["memory"].returncode == 0, faults
+    assert digest(tmp_path / "by-hand") == digest(tmp_path / "by-memory")
+
+
+def test_ctrl_c_does_in_each_terminal_what_the_document_says(tmp_path: Path) -> None:
+    address = free_address()
+    netshaper, worldsim, r0, r1, lab = [command.replace(ADDRESS, address) for command in COMMANDS[:-1]]
+    with terminals(tmp_path) as running:
+        for command in (netshaper, worldsim, r0, r1, lab):
+            running[command] = start(command, tmp_path)
+            wait_for(tmp_path / "credentials" / "scenario.toml", running[netshaper])
+        capture = tmp_path / "by-hand" / "radio.pcapng"
+        wait_for(capture, running[lab], size=10_000)
+        running[r1].send_signal(signal.SIGINT)
+        running[r1].wait(PATIENCE_S)
+        running[lab].send_signal(signal.SIGINT)
+        said, faults = running[lab].communicate(timeout=PATIENCE_S)
+        assert running[lab].returncode == 3
+        assert "robot 1 was lost: its process ended" in faults
+        assert "interrupted" in said
+        for others in (netshaper, worldsim, r0):
+            assert running[others].wait(PATIENCE_S) == 0, others
+    assert (tmp_path / "by-hand" / "maps.png").exists()
+
+
+def test_a_scenario_that_is_not_the_relay_s_is_refused_by_name(tmp_path: Path) -> None:
+    credential = access.issue("run", "tcp/127.0.0.1:1", robots=2)
+    for name in ("world", "lab"):
+        credential[name].write(tmp_path / f"{name}.json")
+    theirs = tomllib.loads(SCENARIO)
+    (tmp_path / "scenario.toml").write_text(parse(theirs).to_toml())
+    ours = parse(theirs | {"robots": 3})
+    with pytest.raises(
+        ScenarioError, match=r"^robots = 3 here, but 2 in .*scenario\.toml: give all the same"
+    ):
+        serve_worldsim(ours, tmp_path / "world.json")
+    with pytest.raises(
+        ScenarioError, match=r"^robots = 3 here, but 2 in .*scenario\.toml: give all the same"
+    ):
+        serve_lab(ours, tmp_path / "lab.json", tmp_path / "run", None)
+    assert not (tmp_path / "run").exists()
