@@ -1,0 +1,84 @@
+"""The dashboard as people see it: in Rerun's own viewer, and in a real browser.
+
+With ``MURMUR_PICTURES`` set to a folder, what was seen is kept there.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from deploy.dashboard.look import robot_color
+from deploy.dashboard.process import RECORDING
+from deploy.dashboard.windows import Window
+from deploy.mission import explore
+from deploy.scenario import parse
+from tests.system.browser import Browser
+from tests.system.headless import settled_picture, viewer
+
+pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'murmur-swarm[view]'")
+
+VIEWS = [
+    "The building as it is [m]", "What you see", "On the air [bytes/step]", "What for", "Explored [%]",
+    "Untold news [packets]", "What happens, step by step",
+]  # fmt: skip
+
+
+def recorded(folder: Path, **settings: object) -> Path:
+    """The recording of a run in memory."""
+    explore(parse({"bus": "memory", **settings}), out=folder / "run", window=Window("file"))
+    return folder / "run" / RECORDING
+
+
+def keep(name: str, png: bytes) -> None:
+    folder = os.environ.get("MURMUR_PICTURES")
+    if folder:
+        Path(folder, f"{name}.png").write_bytes(png)
+
+
+def assert_shows_robots(png: bytes, robots: int) -> None:
+    """Every robot's colour is on the dashboard, many times over."""
+    pixels = np.array(Image.open(io.BytesIO(png)).convert("RGB")).reshape(-1, 3).astype(int)
+    for robot in range(robots):
+        near = np.abs(pixels - robot_color(robot)).max(axis=1) <= 6
+        assert near.sum() > 200, f"robot {robot} is hardly to be seen"
+
+
+@pytest.mark.parametrize("name", ["office", "intel"])
+def test_eight_robots_are_shown_and_no_view_reports_an_error(
+    name: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    where = name if name == "office" else str(request.getfixturevalue("real_maps") / "intel.yaml")
+    recording = recorded(tmp_path, map=where, robots=8, range="30%", steps=130)
+    with viewer(recording) as client:
+        png = settled_picture(client, 125)
+        state = client.get_state()
+        logs = client.get_logs()
+    keep(f"dashboard-{name}", png)
+    assert {view.name: view.reports for view in state.views if view.reports} == {}
+    assert {view.name for view in state.views} >= {*VIEWS, *(f"Robot {robot} knows" for robot in range(8))}
+    assert [entry.message for entry in logs if entry.level == "ERROR"] == []
+    assert Image.open(io.BytesIO(png)).size == (1920, 1080)
+    assert_shows_robots(png, 8)
+
+
+def test_a_page_shows_the_dashboard_in_a_real_browser(tmp_path: Path) -> None:
+    recording = recorded(tmp_path, robots=3, range="30%", steps=60)
+    told: list[str] = []
+    window = Window("web", told.append)
+    with Browser(1600, 1000) as browser:
+        window.open(recording)
+        try:
+            assert told == [f"Look at {window.address}"]
+            assert window.address.startswith("http://127.0.0.1:")
+            browser.open(f"{window.address}&persist=0&renderer=webgl&theme=dark")
+            png = browser.settled_picture(120.0, least=100_000)
+        finally:
+            window.close()
+    keep("dashboard-browser", png)
+    assert_shows_robots(png, 3)

@@ -1,0 +1,116 @@
+"""A viewer among real processes: it comes, goes, hangs and dies, and the run is none the worse for it."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from deploy.dashboard.process import RECORDING
+from deploy.dashboard.windows import binary
+from deploy.rundir import CAPTURE
+from deploy.snapshots import SNAPSHOTS, Snapshots
+from deploy.watch import LIVE
+from tests.system.headless import viewer
+from tests.system.test_processes import child, finish, summary, swarm
+
+pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'murmur-swarm[view]'")
+
+
+def verify(recording: Path) -> None:
+    done = subprocess.run([binary(), "rrd", "verify", recording], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_run_that_is_terminated_leaves_a_recording_that_opens(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    with swarm(out, "--view-as", "file") as process:
+        wait_for_steps(out, process)
+        family = [*psutil.Process(process.pid).children(recursive=True)]
+        process.terminate()
+        code, said, _ = finish(process, 30)
+    assert code == 1, said
+    assert not psutil.wait_procs(family, timeout=3)[1]
+    verify(out / RECORDING)
+    assert Snapshots.read(out / SNAPSHOTS).told_steps(0)
+    assert not (out / LIVE).exists()
+    with viewer(out / RECORDING, "800x600") as client:
+        assert not any(view.reports for view in client.get_state().views)
+
+
+def test_a_viewer_that_is_terminated_keeps_what_it_saw(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    with swarm(out, "--view-as", "file") as process:
+        wait_for_steps(out, process)
+        child(process, "view").terminate()
+        code, said, _ = finish(process, 60)
+    assert code == 0, said
+    verify(out / RECORDING)
+    assert Snapshots.read(out / SNAPSHOTS).told_steps(0)
+
+
+@pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
+def test_a_viewer_that_hangs_or_dies_harms_nothing(number: int, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    with swarm(out, "--view-as", "file") as process:
+        wait_for_steps(out, process)
+        victim = child(process, "view")
+        victim.send_signal(number)
+        code, said, _ = finish(process, 60)
+    assert code == 0, said
+    assert "the viewer broke off, the run did not mind" in said
+    assert not victim.is_running()
+    assert summary(out)["finished"]
+    verify(out / RECORDING)
+
+
+def test_watching_changes_no_digest_and_a_pace_is_kept(tmp_path: Path) -> None:
+    short = ["--steps", "40"]
+    with swarm(tmp_path / "plain", *short) as process:
+        finish(process, 60)
+    began = time.monotonic()
+    with swarm(tmp_path / "shown", *short, "--view-as", "file", "--pictures", "--pace", "20") as process:
+        finish(process, 60)
+    assert time.monotonic() - began > 40 / 20
+    assert summary(tmp_path / "plain")["digest"] == summary(tmp_path / "shown")["digest"]
+    assert (tmp_path / "shown" / "pictures" / "maps-over-time.png").exists()
+
+
+def test_one_may_come_late_to_look_at_a_run_that_nobody_shows(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    with swarm(out, "--pace", "10", "--steps", "120") as process:
+        wait_for(out / LIVE, process)
+        assert (out / LIVE).stat().st_mode & 0o077 == 0
+        child(process, "r2")
+        watch = [sys.executable, "-m", "deploy.cli", "watch", str(out), "--view-as", "file"]
+        watched = subprocess.run(watch, capture_output=True, text=True, timeout=60, check=False)
+        finish(process, 60)
+    assert watched.returncode == 0, watched.stderr
+    verify(out / RECORDING)
+    snapshots = Snapshots.read(out / SNAPSHOTS)
+    assert all(len(snapshots.told_steps(robot)) > 0 for robot in range(3))
+
+
+def test_there_is_nothing_to_look_at_where_nothing_was_recorded(tmp_path: Path) -> None:
+    watch = [sys.executable, "-m", "deploy.cli", "watch", str(tmp_path), "--view-as", "file"]
+    done = subprocess.run(watch, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert "no recording (run.rrd)" in done.stderr
+
+
+def wait_for_steps(out: Path, process: subprocess.Popen[str]) -> None:
+    """Wait until some dozens of steps are over, as the growing capture of the radio tells."""
+    wait_for(out / CAPTURE, process, least=60_000)
+
+
+def wait_for(path: Path, process: subprocess.Popen[str], least: int = 1) -> None:
+    deadline = time.monotonic() + 60
+    while not path.exists() or path.stat().st_size < least:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline, f"{path} has not come to {least} bytes within 60 s"
+        time.sleep(0.05)
