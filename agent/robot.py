@@ -149,10 +149,11 @@ class Robot:
 
     def settle(self, outcome: Outcome, heard: list[tuple[int, bytes]]) -> None:
         """Take the outcome of an exchange, and the data that came as (peer, frame)."""
-        for peer, about, units in self.session.outcome(outcome, heard):
+        for peer, about, frame in self.session.outcome(outcome, heard):
             if peer in self.distrusted:
                 continue
             try:
+                units = packets.split(frame)
                 self._exchange.take(about, units)
             except ProtocolError as error:
                 self.distrusted.add(peer)

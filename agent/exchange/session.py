@@ -218,11 +218,11 @@ class Session:
                     room -= len(frame)
         return frames
 
-    def outcome(self, outcome: Outcome, heard: list[tuple[int, bytes]]) -> list[tuple[int, int, list[bytes]]]:
-        """Move the table by what was carried; return the news that came, as (peer, map, units).
+    def outcome(self, outcome: Outcome, heard: list[tuple[int, bytes]]) -> list[tuple[int, int, bytes]]:
+        """Move the table by what was carried; return the news that came, as (peer, map, frame).
 
         `heard` has the data that reached this robot as (peer, frame), in the order of ``outcome.heard``. The
-        caller appends the units with `accept` once it has made sense of them.
+        caller appends the units of a frame with `accept` once it has made sense of them.
         """
         for number, answered, sent in zip(outcome.connections, outcome.answers, outcome.data, strict=True):
             connection = self._offered.get(number)
@@ -232,7 +232,7 @@ class Session:
         for number, (peer, payload) in zip(outcome.heard, heard, strict=True):
             connection = self._taken.get(number)
             if connection is not None and connection.state is State.TAKING:
-                news.append((peer, connection.map, packets.split(payload)))
+                news.append((peer, connection.map, payload))
         return news
 
     def accept(self, peer: int, about: int, units: list[bytes]) -> None:

@@ -11,6 +11,7 @@ from agent.exchange.session import Session
 from deploy.plan import Plan
 from netshaper.medium import UNLIMITED
 from netshaper.radio import Frame, Outgoing, Radio
+from protocol import packets
 from protocol.messages import Open, Outcome, Said, Turn
 
 Result = TypeVar("Result")
@@ -90,8 +91,8 @@ def _speak(
             answers = [(n, peer, about, load) for n, (peer, load), about in named]
             frames, phase = session.data(answers), "data"
         case Outcome():
-            for peer, about, units in session.outcome(note, heard):
-                session.accept(peer, about, units)
+            for peer, about, frame in session.outcome(note, heard):
+                session.accept(peer, about, packets.split(frame))
             return None
         case _:
             session.forget()

@@ -152,9 +152,10 @@ class Link:
         outcome = Outcome(0, 0, mine, offers, answers, sent, heard, False)
         data = [(frames[n][0], frames[n][3][2][: played.connections[n][3][2]]) for n in heard]
         session = self.sessions[robot]
-        for peer, about, units in session.outcome(outcome, data):
+        for peer, about, frame in session.outcome(outcome, data):
             if peer in self.distrusted[robot]:
                 continue
+            units = packets.split(frame)
             if self.understands(robot, about, units):
                 session.accept(peer, about, units)
             else:

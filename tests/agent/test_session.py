@@ -455,7 +455,7 @@ def test_data_on_a_connection_that_was_declined_or_never_offered_is_dropped() ->
     assert [packets.decode(frame) for _, _, frame in answers] == [[Answer(0)], [Decline()]]
     outcome = Outcome(0, 0, [5, 6], [2, 2], [2, 2], [7, 7], [5, 6, 99], False)
     news = session.outcome(outcome, [(1, word(2, 0)), (2, word(2, 0)), (2, word(2, 0))])
-    assert news == [(1, 2, [word(2, 0)])]
+    assert news == [(1, 2, word(2, 0))]
 
 
 @pytest.mark.parametrize(
