@@ -27,7 +27,7 @@ TEXT = (ROOT / "docs" / "several-terminals.md").read_text(encoding="utf-8")
 SCENARIO = "".join(re.findall(r"^```toml\n(.*?)^```$", TEXT, re.M | re.S))
 COMMANDS = re.findall(r"^\$ murmur (.*)$", TEXT, re.M)
 ADDRESS = "127.0.0.1:7447"
-PATIENCE_S = 90
+PATIENCE_S = 180
 
 
 def free_address() -> str:
