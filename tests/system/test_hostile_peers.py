@@ -1,0 +1,289 @@
+"""Neighbours that lie: nothing that is said stops a robot, spoils what it holds, or goes unreported."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from team import Heard, Mind, Put, Team, corridor, plan_on, small_plan
+
+from agent.exchange import PolygonExchange
+from agent.process import AgentNode
+from agent.robot import Robot
+from agent.settings import Settings
+from deploy import in_memory
+from deploy.plan import Plan
+from protocol import keys as names
+from protocol import packets
+from protocol.bus import Bus, Message
+from protocol.errors import ProtocolError
+from protocol.grid import FREE, UNKNOWN, fan
+from protocol.keys import Keys
+from protocol.messages import (
+    Close,
+    Configure,
+    End,
+    Fault,
+    Maps,
+    Move,
+    Open,
+    Outcome,
+    Said,
+    Sense,
+    Turn,
+    pack,
+    unpack,
+)
+from protocol.packets import (
+    Answer,
+    Block,
+    Change,
+    Decline,
+    Delete,
+    Emerge,
+    Fragment,
+    Insert,
+    Offer,
+    Packet,
+    Pose,
+    Remove,
+    Replace,
+    Save,
+    Target,
+    encode,
+)
+from protocol.scans import Scan, draw
+from worldsim.laser import cast
+
+LIAR = 1
+
+LIES: dict[str, list[Packet]] = {
+    "an object that is not there": [Change(77, 2, 0), Delete(0), Save()],
+    "an index beyond the last": [Emerge(4000, 2, 0), Insert(9, 1, 1, 0, 0)],
+    "a cell beyond the map": [Emerge(4000, 2, 0), Insert(0, 4000, 4000, 0, 0)],
+    "another count than announced": [Emerge(4000, 5, 0), Insert(0, 1, 1, 0, 0), Save()],
+    "no inside object": [Emerge(4000, 2, 0), Insert(0, 1, 1, 0, 0), Insert(1, 9, 9, 0, 0), Save()],
+    "two save points in a row": [Save(), Save()],
+    "raw scans": [Fragment(b"noise")],
+}
+
+
+class Liar(Mind):
+    """A robot that sends nonsense wherever it should send data."""
+
+    def __init__(self, settings: Settings, lie: list[Packet]) -> None:
+        super().__init__(settings)
+        self.lie = encode(lie)
+
+    def hear(self, note: Open | Turn | Outcome | Close, heard: Heard) -> tuple[list[Put], Said | None]:
+        puts, said = super().hear(note, heard)
+        if said is not None and said.phase == "data":
+            puts = [(receiver, self.lie) for receiver, _ in puts]
+        return puts, said
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_a_liar_is_distrusted_and_reported_and_the_honest_go_on_with_each_other(lie: str) -> None:
+    plan = small_plan("office", robots=3, bandwidth="unlimited")
+    team = Team(plan, {LIAR: Liar(Settings.from_message(plan.minds[LIAR]), LIES[lie])})
+    team.explore(200)
+    assert any(move.explored for move in team.moves.values())
+    for number in (0, 2):
+        robot = team.minds[number].robot
+        assert robot.distrusted == {LIAR}
+        assert {fault.peer for fault in robot.faults} == {LIAR}
+        assert robot.faults[0].reason
+        assert team.held(number, LIAR) is None
+        assert team.held(number, 2 - number) == team.held(2 - number, 2 - number)
+        assert not (team.truth != FREE)[robot.planning == FREE].any()
+    assert not team.minds[LIAR].robot.distrusted
+
+
+class _Forger:
+    """The end of the bus of a robot whose data frames somebody garbles."""
+
+    def __init__(self, inner: Bus) -> None:
+        self._inner = inner
+        self.receive = inner.receive
+        self.close = inner.close
+
+    def put(self, key: str, payload: bytes) -> None:
+        if names.parts(key)[0] == "radio" and packets.name(payload) in ("em", "chg", "rm"):
+            payload = encode(LIES["two save points in a row"])
+        self._inner.put(key, payload)
+
+
+def test_a_liar_is_named_in_the_laboratorys_records() -> None:
+    def wrap(name: str, bus: Bus) -> Bus:
+        return _Forger(bus) if name == names.robot(LIAR) else bus
+
+    records = in_memory.run(small_plan(robots=3, steps=30), wrap=wrap)
+    assert set(records.faults) >= {
+        f"{names.robot(honest)}: heard nonsense from {names.robot(LIAR)}: "
+        "save at byte 0: nothing has changed since the last one"
+        for honest in (0, 2)
+    }
+    assert records.lost == {}
+
+
+# --- a neighbour that says anything --------------------------------------------------------------------
+
+WIDTH, HEIGHT, STEPS = 32, 9, 8
+side, bit, small = st.integers(0, 3), st.integers(0, 1), st.integers(0, 6)
+vertex = st.integers(-1, WIDTH + 1), st.integers(-1, HEIGHT + 1), side, bit
+edits = st.one_of(
+    st.builds(Insert, small, *vertex),
+    st.builds(Replace, small, *vertex),
+    st.builds(Delete, small),
+    st.builds(Emerge, small, small, bit),
+    st.builds(Change, small, small, bit),
+    st.builds(Remove, small),
+    st.just(Save()),
+)
+others = st.one_of(
+    st.builds(Fragment, st.binary(min_size=1, max_size=63)),
+    st.builds(Offer, st.integers(0, 5), st.integers(0, 63)),
+    st.builds(Answer, st.integers(0, 4095)),
+    st.builds(Block, st.integers(0, 63)),
+    st.just(Decline()),
+    st.builds(Target, st.integers(0, 40) | st.just(2047), st.integers(0, 10)),
+    st.builds(Pose, st.integers(0, 40) | st.just(2047), st.integers(0, 10), bit),
+)
+
+
+def a_frame(*kinds: st.SearchStrategy[Packet]) -> st.SearchStrategy[bytes]:
+    return st.lists(st.one_of(kinds), max_size=8).map(encode)
+
+
+def a_map(draw: st.DrawFn) -> bytes:
+    """What a robot might truly say."""
+    corners = draw(st.lists(st.tuples(*vertex), min_size=2, max_size=6, unique=True))
+    return encode([Emerge(0, len(corners), 1), *(Insert(i, *v) for i, v in enumerate(corners)), Save()])
+
+
+data_frames = st.one_of(a_frame(edits), a_frame(edits, others), st.composite(a_map)(), st.binary(max_size=40))
+any_frames = st.lists(st.one_of(a_frame(edits, others), a_frame(others), st.binary(max_size=9)), max_size=3)
+
+
+@cache
+def a_small_plan() -> Plan:
+    plan = plan_on(corridor(WIDTH - 2, HEIGHT - 4), robots=3, sensor_range=1.0)
+    assert plan.map.cells.shape == (HEIGHT, WIDTH)
+    return plan
+
+
+@cache
+def sensed(step: int) -> Sense:
+    """What a robot senses that drives along the corridor."""
+    plan = a_small_plan()
+    truth, (x, y) = plan.map.cells, (3 + step, 4)
+    readings = cast(truth, np.zeros(truth.shape, np.bool_), fan(plan.world.bodies[0].range_cells), x, y)
+    return Sense(step, x, y, 0, b"", readings.tobytes(), "", 0, 0)
+
+
+@cache
+def honest_words() -> list[tuple[bytes, object]]:
+    """What robot 2 says of its map in each step, and what it means."""
+    settings = Settings.from_message(a_small_plan().minds[2])
+    exchange = PolygonExchange(settings)
+    own = np.full((HEIGHT, WIDTH), UNKNOWN, np.uint8)
+    said = []
+    for step in range(1, 1 + STEPS):
+        sense = sensed(step)
+        scan = Scan(sense.x, sense.y, np.frombuffer(sense.readings, np.uint16).copy())
+        change = draw(own, fan(settings.range_cells), scan.x, scan.y, scan.readings)
+        units = exchange.record(own, scan, change, delivered=True)
+        said.append((b"".join(units), exchange.polygons[2].canonical()))
+    return said
+
+
+@given(st.lists(data_frames, min_size=1, max_size=STEPS))
+def test_hostile_data_never_stops_a_robot_nor_changes_a_saved_state(lies: list[bytes]) -> None:
+    robot = Robot(Settings.from_message(a_small_plan().minds[0]))
+    for step, lie in enumerate(lies, 1):
+        robot.perceive(sensed(step))
+        robot.session.offers(0, [LIAR, 2], 1000)
+        robot.session.answers([(0, LIAR, encode([Offer(LIAR, 0)])), (1, 2, encode([Offer(2, 0)]))])
+        before = robot.polygons.get(LIAR)
+        words, meant = honest_words()[step - 1]
+        carried = [len(lie), len(words)]
+        robot.settle(
+            Outcome(step, 0, [0, 1], [2, 2], [2, 2], carried, [0, 1], False), [(LIAR, lie), (2, words)]
+        )
+        now = robot.polygons.get(LIAR)
+        if now is not before:
+            assert now is not None
+            assert now.inside.sum() == 1
+            assert encode([Save()]) in packets.split(lie)
+            assert LIAR not in robot.distrusted
+        assert robot.distrusted <= {LIAR}
+        assert {fault.peer for fault in robot.faults} == robot.distrusted
+        assert robot.polygons[2].canonical() == meant
+        assert robot.decide().step == step
+
+
+class Antenna:
+    """A bus end that keeps what is put on it."""
+
+    def __init__(self) -> None:
+        self.said: list[object] = []
+
+    def put(self, key: str, payload: bytes) -> None:
+        if "/radio/" not in key:
+            self.said.append(unpack(payload))
+
+    def receive(self, timeout_s: float | None = None) -> Message | None:
+        del timeout_s
+        return None
+
+    def close(self) -> None:
+        """Nobody listens."""
+
+
+@given(st.lists(st.tuples(any_frames, any_frames, any_frames, any_frames), min_size=1, max_size=STEPS))
+def test_no_frame_stops_a_robots_process(steps: list[tuple[list[bytes], ...]]) -> None:
+    antenna, keys = Antenna(), Keys("lies")
+    node = AgentNode(antenna, keys, 0)
+
+    def tell(message: object, frames: list[bytes]) -> None:
+        for payload in frames:
+            node.handle(Message(keys.radio_rx("r0", names.robot(LIAR)), payload))
+        node.handle(Message(keys.control("r0", names.RELAY), pack(message)))
+
+    tell(Configure(a_small_plan().minds[0]), [])
+    for step, (broadcasts, offers, answers, more) in enumerate(steps, 1):
+        antenna.said.clear()
+        tell(sensed(step), broadcasts)
+        tell(Open(step, 0, [LIAR, 2], 1000), [])
+        numbers = list(range(len(offers)))
+        tell(Turn(step, 0, "offers", numbers, [LIAR] * len(offers)), offers)
+        tell(Turn(step, 0, "data", list(range(90, 90 + len(answers))), [0] * len(answers)), answers)
+        data = more[: len(offers)]
+        short = [2] * len(offers)
+        sizes = [len(data[number]) if number < len(data) else 0 for number in numbers]
+        tell(Outcome(step, 0, numbers, short, short, sizes, numbers[: len(data)], False), data)
+        tell(Close(step), [])
+        assert [said.phase for said in antenna.said if isinstance(said, Said)] == [
+            "offers",
+            "answers",
+            "data",
+        ]
+        assert [said.step for said in antenna.said if isinstance(said, Move)] == [step]
+        faults = [said.what for said in antenna.said if isinstance(said, Fault)]
+        assert faults or all(_is_a_broadcast(frame) for frame in broadcasts)
+    tell(End(len(steps), "enough", -1), [])
+    maps = antenna.said[-1]
+    assert isinstance(maps, Maps)
+    known, plan = np.frombuffer(maps.own, np.uint8), np.frombuffer(maps.planning, np.uint8)
+    assert (plan[known != UNKNOWN] == known[known != UNKNOWN]).all()
+
+
+def _is_a_broadcast(frame: bytes) -> bool:
+    try:
+        said = packets.decode(frame)
+    except ProtocolError:
+        return False
+    return all(isinstance(p, Target | Pose) and p.x < WIDTH and p.y < HEIGHT for p in said)
