@@ -48,7 +48,7 @@ def draw_maps(path: Path, plan: Plan, records: Records, summary: dict[str, Any])
     figure = Figure(figsize=(3.6 * columns, rows * (3.4 * shape + 0.5) + 0.5), layout="constrained")
     axes = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     show_grid(axes[0], plan.map, plan.map.cells)
-    _draw_paths(axes[0], plan, records)
+    draw_paths(axes[0], plan, records)
     axes[0].set_title("the world and the ways driven")
     team = np.maximum.reduce([records.own[robot] for robot in sorted(records.own)])
     show_grid(axes[1], plan.map, team)
@@ -77,7 +77,8 @@ def show_grid(axes: Axes, world_map: Map, grid: Grid) -> None:
     axes.set_xlabel("m", fontsize=7)
 
 
-def _draw_paths(axes: Axes, plan: Plan, records: Records) -> None:
+def draw_paths(axes: Axes, plan: Plan, records: Records) -> None:
+    """Draw the ways that the robots have driven, in metres."""
     poses: list[NDArray[np.int32]] = [
         np.frombuffer(report.poses, "<i4").reshape(-1, 4) for report in records.world
     ]

@@ -1,0 +1,213 @@
+"""First looks at what the papers of the strategies claim: few seeds, small environments, one table.
+
+``python -m deploy.claims [CLAIM ...] [--seeds 5] [--jobs 2]`` prints it (docs/strategies.md). Each claim is
+a set of scenarios, run on the memory bus without a limit of bandwidth, and a comparison of their means. With
+five seeds a difference is a hint, not a proof: the interval beside each mean is of 95 % (Student's t).
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from scipy import stats
+
+from deploy import in_memory, plan
+from deploy.scenario import parse
+from worldsim import generators
+
+UNLIMITED: dict[str, Any] = {"bandwidth": "unlimited", "exchange": "laser", "bus": "memory"}
+
+LEAST_COVERAGE = 0.99
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A claim to look at.
+
+    Attributes
+    ----------
+    name : str
+        As in the papers' list.
+    says : str
+        In one line.
+    scenario : dict
+        What all runs share.
+    variants : dict of label to settings
+        What is compared.
+    environments : tuple of (name, parameters)
+        Generated maps (`worldsim.generators`).
+    robots : tuple of int
+    """
+
+    name: str
+    says: str
+    scenario: dict[str, Any]
+    variants: dict[str, dict[str, Any]]
+    environments: tuple[tuple[str, dict[str, float]], ...]
+    robots: tuple[int, ...]
+
+
+_ROTATING = {
+    label: {"strategy": label}
+    for label in ("continuous-replan", "scan-replan", "stop-scan-replan", "classical")
+}
+_COARSE = {"resolution": 0.25}
+_CELL_A_STEP = {"sensor_range": 5.0, "speed": 0.25}
+
+CLAIMS = (
+    Claim(
+        "B1",
+        "coordinated beats uncoordinated, for 2 robots and more (Burgard et al., Fig. 9)",
+        {"sensor_range": 5.0, "speed": 0.5},
+        {label: {"strategy": label} for label in ("burgard", "burgard-optimal", "nearest")},
+        (("burgard-office", {}), ("burgard-corridor", {}), ("burgard-unstructured", {})),
+        (2, 4),
+    ),
+    Claim(
+        "L1",
+        "without leaders the team stalls where with leaders it finishes (leader paper, Fig. 3)",
+        {"sensor_range": 2.5, "speed": 1.0},
+        {label: {"strategy": label} for label in ("leaders", "potential-field")},
+        (("leader-trap", {}),),
+        (3,),
+    ),
+    Claim(
+        "L2",
+        "where both finish, leaders are faster (leader paper, Figs. 4 and 5)",
+        {"sensor_range": 1.5, "speed": 1.0},
+        {label: {"strategy": label} for label in ("leaders", "potential-field")},
+        (("leader-rooms", {}),),
+        (4,),
+    ),
+    Claim(
+        "F1",
+        "replanning at once beats replanning at the goal (Faigl and Vanek, Figs. 7 and 8)",
+        {"sensor_range": 5.0, "speed": 0.3},
+        {
+            f"{label} {short}": {"strategy": label, "options": {"replan": replan}}
+            for label in ("greedy", "hungarian")
+            for short, replan in (("IR", "at-once"), ("GR", "at-goal"))
+        },
+        (("jh-like", {"resolution": 0.15}), ("potholes", {"resolution": 0.2})),
+        (3, 5),
+    ),
+    Claim(
+        "A1",
+        "continuous <= scan-replan <= stop-scan-replan < classical (Al-khawaldah, Figs. 3 and 4)",
+        _CELL_A_STEP,
+        {
+            f"{label} {turn}": {**settings, "scanner_turn": turn}
+            for turn in (72, 18)
+            for label, settings in _ROTATING.items()
+        },
+        (("office-plain", _COARSE), ("office-obstacles", _COARSE)),
+        (1, 3, 5),
+    ),
+    Claim(
+        "A2",
+        "more robots, less time, and less and less gain (Al-khawaldah, Fig. 6)",
+        _CELL_A_STEP | {"scanner_turn": 72},
+        {label: {"strategy": label} for label in ("continuous-replan", "stop-scan-replan")},
+        (("office-plain", _COARSE), ("hilbert-2", _COARSE)),
+        (1, 2, 3, 4, 5, 6, 8),
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of a claim, and its outcome."""
+
+    claim: str
+    environment: str
+    robots: int
+    variant: str
+    seed: int
+    steps: int
+    finished: bool
+
+
+def runs_of(claim: Claim, seeds: int) -> list[tuple[str, dict[str, float], int, str, int]]:
+    """All runs of a claim: environment, its parameters, robots, variant, seed."""
+    return [
+        (environment, parameters, robots, variant, seed)
+        for environment, parameters in claim.environments
+        for robots in claim.robots
+        for variant in claim.variants
+        for seed in range(seeds)
+    ]
+
+
+def run(claim: Claim, case: tuple[str, dict[str, float], int, str, int]) -> Run:
+    """Run one scenario in this process."""
+    environment, parameters, robots, variant, seed = case
+    world_map = generators.make(environment, seed=seed, **parameters)
+    settings = UNLIMITED | claim.scenario | claim.variants[variant]
+    scenario = parse(settings | {"map": environment, "map_seed": seed, "robots": robots, "seed": seed})
+    records = in_memory.run(plan.make(scenario, world_map))
+    end = records.end
+    finished = end is not None and end.first >= 0 and records.explored >= LEAST_COVERAGE
+    return Run(claim.name, environment, robots, variant, seed, records.step, finished)
+
+
+def table(claim: Claim, runs: Iterable[Run]) -> Table:
+    """Mean steps of the runs that finished, with intervals, and how many did."""
+    shown = Table(title=f"{claim.name}: {claim.says}", title_justify="left")
+    for column in ("environment", "robots", *claim.variants):
+        shown.add_column(column)
+    done = list(runs)
+    for environment, _ in claim.environments:
+        for robots in claim.robots:
+            cells = []
+            for variant in claim.variants:
+                these = [
+                    run for run in done if (run.environment, run.robots, run.variant) == (environment, robots, variant)
+                ]  # fmt: skip
+                cells.append(_mean([run.steps for run in these if run.finished], len(these)))
+            shown.add_row(environment, str(robots), *cells)
+    return shown
+
+
+def _mean(steps: list[int], runs: int) -> str:
+    """Mean and half its 95 % interval; how many finished, where not all did."""
+    share = "" if len(steps) == runs else f" ({len(steps)} of {runs})"
+    if not steps:
+        return f"none{share}"
+    if len(steps) == 1:
+        return f"{steps[0]}{share}"
+    half = stats.t.ppf(0.975, len(steps) - 1) * np.std(steps, ddof=1) / math.sqrt(len(steps))
+    return f"{np.mean(steps):.0f} ± {half:.0f}{share}"
+
+
+def main() -> None:
+    """Run the claims named on the command line, or all, and print a table of each."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    known = {claim.name: claim for claim in CLAIMS}
+    parser.add_argument("claims", nargs="*", metavar="CLAIM", help=f"of {', '.join(known)}; default: all")
+    parser.add_argument("--seeds", type=int, default=5, help="runs a point")
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    asked = parser.parse_args()
+    unknown = [name for name in asked.claims if name not in known]
+    if unknown:
+        parser.error(f"no claim is called {unknown[0]}; there are {', '.join(known)}")
+    screen = Console(width=140)
+    with ProcessPoolExecutor(asked.jobs) as pool:
+        for claim in (known[name] for name in asked.claims or known):
+            cases = runs_of(claim, asked.seeds)
+            results = pool.map(partial(run, claim), cases, chunksize=1)
+            progress = Console(stderr=True)
+            screen.print(table(claim, track(results, claim.name, len(cases), console=progress)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,58 @@
+"""All strategies in one picture: the ways that a team drives in the same environment.
+
+``python -m deploy.gallery FILE.png [--map NAME] [--robots N] [--seed S]`` draws it (docs/strategies.md).
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.progress import track
+
+from agent.strategies import strategies
+from deploy import in_memory, plan
+from deploy.pictures import draw_paths, show_grid
+from deploy.scenario import parse
+
+COLUMNS = 4
+
+
+def draw(path: Path, names: list[str], scenario: dict[str, Any]) -> None:
+    """Run a scenario under each strategy and draw one panel a strategy."""
+    rows = -(-len(names) // COLUMNS)
+    figure = Figure(figsize=(3.6 * COLUMNS, 3.7 * rows), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(rows, COLUMNS)).ravel()
+    for panel, name in zip(panels, track(names, "strategies"), strict=False):
+        made = plan.make(parse(scenario | {"strategy": name}))
+        records = in_memory.run(made)
+        show_grid(panel, made.map, made.map.cells)
+        draw_paths(panel, made, records)
+        end = records.end
+        done = end is not None and end.first >= 0
+        panel.set_title(f"{name}: {records.step} steps" + ("" if done else ", stalled"), fontsize=10)
+    for panel in panels[len(names) :]:
+        panel.set_axis_off()
+    figure.savefig(path, dpi=80)
+
+
+def main() -> None:
+    """Draw the gallery that the command line asks for."""
+    parser = argparse.ArgumentParser(description="Draw the ways driven under each strategy.")
+    parser.add_argument("file", type=Path, metavar="FILE.png")
+    parser.add_argument("--map", default="office-obstacles", help="a generated environment")
+    parser.add_argument("--robots", type=int, default=3)
+    parser.add_argument("--seed", type=int, default=2)
+    asked = parser.parse_args()
+    scenario = {
+        "map": asked.map, "robots": asked.robots, "seed": asked.seed, "bandwidth": "unlimited", "bus": "memory",
+        "sensor_range": 3.0, "speed": 0.5, "scanner_turn": 72,
+    }  # fmt: skip
+    draw(asked.file, list(strategies()), scenario)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+"""Whole swarms under every strategy: they finish, differ from each other, and are the same on both buses."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cache
+from typing import Any
+
+import pytest
+
+from agent.exchange import EXCHANGES
+from deploy import explore
+from deploy.mission import EXPLORED, NOT_FINISHED, Result
+from deploy.scenario import parse
+from worldsim.process import STALLED
+
+NAMES = [
+    "burgard", "burgard-optimal", "classical", "continuous-replan", "greedy", "hungarian", "hungarian-depot",
+    "iterative", "leaders", "meier", "mtsp", "mtsp-depot", "nearest", "potential-field", "scan-replan",
+    "sheng-bid", "stop-scan-replan",
+]  # fmt: skip
+
+STALLS = "potential-field"
+
+
+@cache
+def run(strategy: str, bus: str = "memory", exchange: str = "polygon") -> Result:
+    """Three robots with turning scanners in rooms off a hall."""
+    scenario: dict[str, Any] = {
+        "map": "leader-trap", "robots": 3, "strategy": strategy, "bus": bus, "exchange": exchange,
+        "bandwidth": "unlimited", "sensor_range": 2.5, "speed": 0.5, "scanner_turn": 120, "seed": 1, "steps": 900,
+    }  # fmt: skip
+    return explore(parse(scenario), keep=False)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_strategy_sees_all_there_is_or_says_that_it_has_stalled(name: str) -> None:
+    result = run(name)
+    assert not result.records.faults
+    if name == STALLS:
+        assert result.exit_code == NOT_FINISHED
+        assert result.summary["reason"] == STALLED
+        assert result.summary["coverage"] < 0.9
+    else:
+        assert result.exit_code == EXPLORED, result.summary["reason"]
+        assert result.summary["coverage"] >= 0.99
+
+
+def test_no_two_strategies_drive_the_same_ways() -> None:
+    ways = {
+        name: hashlib.sha256(b"".join(report.poses for report in run(name).records.world)).hexdigest()
+        for name in NAMES
+    }
+    assert len(set(ways.values())) == len(NAMES), ways
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_strategy_gives_the_same_digest_on_both_buses(name: str) -> None:
+    assert run(name, "zenoh").summary["digest"] == run(name).summary["digest"]
+
+
+@pytest.mark.parametrize("exchange", [name for name in EXCHANGES if name != "polygon"])
+def test_a_strategy_of_sub_teams_goes_with_every_exchange_alike_on_both_buses(exchange: str) -> None:
+    memory = run("burgard", exchange=exchange)
+    assert memory.summary["coverage"] >= 0.99
+    assert run("burgard", "zenoh", exchange).summary["digest"] == memory.summary["digest"]
+
+
+def test_poses_and_targets_stand_on_the_ledger() -> None:
+    kinds = run("hungarian").summary["bytes"]
+    assert kinds["pose"] > kinds["targ"] > 0
+    assert "targ" not in run("nearest").summary["bytes"]
+    assert "pose" not in run("meier").summary["bytes"]
+
+
+def test_robots_that_return_end_where_they_began() -> None:
+    import numpy as np
+
+    world = run("mtsp-depot").records.world
+    first, last = (
+        np.frombuffer(report.poses, "<i4").reshape(-1, 4)[:, :3] for report in (world[0], world[-1])
+    )
+    assert np.array_equal(first, last)
