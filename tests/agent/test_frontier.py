@@ -1,0 +1,107 @@
+"""The frontier of random grids, compared with its definition, cell by cell."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from planning_references import dijkstra, drawn
+
+from agent.planning.cost import Floor, costs, nearest_first, way
+from agent.planning.frontier import frontier_cells, is_frontier
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@st.composite
+def known_parts(draw: st.DrawFn) -> tuple[Grid, int, int]:
+    """A random world of which a random part is known, and a free cell of it."""
+    rng = np.random.default_rng(draw(seeds))
+    height, width = rng.integers(1, 20, 2)
+    unknown = draw(st.sampled_from((0.02, 0.1, 0.4)))
+    grid = rng.choice(
+        np.array([UNKNOWN, FREE, OCCUPIED], np.uint8), (height, width), p=[unknown, 0.85 - unknown, 0.15]
+    )
+    x, y = int(rng.integers(width)), int(rng.integers(height))
+    grid[y, x] = FREE
+    return grid, x, y
+
+
+def by_definition(grid: Grid, x: int, y: int) -> bool:
+    height, width = grid.shape
+    around = [(x + 1, y), (x - 1, y), (x, y + 1), (x, y - 1)]
+    return grid[y, x] == FREE and any(
+        grid[ny, nx] == UNKNOWN for nx, ny in around if 0 <= nx < width and 0 <= ny < height
+    )
+
+
+@given(known_parts())
+def test_frontier_cells_are_free_reachable_and_beside_the_unknown_row_by_row(
+    case: tuple[Grid, int, int],
+) -> None:
+    grid, x, y = case
+    field = dijkstra(grid, x, y)
+    height, width = grid.shape
+    wanted = [
+        [cx, cy]
+        for cy in range(height)
+        for cx in range(width)
+        if by_definition(grid, cx, cy) and field[cy, cx] < math.inf
+    ]
+    found = frontier_cells(grid, costs(grid, x, y))
+    assert found.dtype == np.int32
+    assert found.tolist() == wanted
+
+
+@given(known_parts())
+def test_a_cell_is_told_apart_one_by_one_as_well(case: tuple[Grid, int, int]) -> None:
+    grid, _, _ = case
+    height, width = grid.shape
+    for cy in range(height):
+        for cx in range(width):
+            assert is_frontier(grid, cx, cy) == by_definition(grid, cx, cy)
+
+
+def test_the_rim_of_the_grid_is_no_frontier_and_a_diagonal_neighbour_does_not_count() -> None:
+    assert not frontier_cells(drawn("...", "..."), costs(drawn("...", "..."), 0, 0)).size
+    grid = drawn("..#", "..#", "##?")
+    assert not is_frontier(grid, 1, 1)
+    assert is_frontier(drawn("..", ".?"), 1, 0)
+
+
+def test_a_frontier_behind_a_wall_does_not_count() -> None:
+    grid = drawn(".#.?")
+    assert is_frontier(grid, 2, 0)
+    assert not frontier_cells(grid, costs(grid, 0, 0)).size
+
+
+@given(
+    known_parts(), st.lists(st.tuples(st.integers(0, 19), st.integers(0, 19)), max_size=4), st.floats(0, 8)
+)
+def test_the_nearest_frontier_is_found_in_the_order_of_distance(
+    case: tuple[Grid, int, int], targets: list[tuple[int, int]], range_cells: float
+) -> None:
+    grid, x, y = case
+    whole = costs(grid, x, y)
+    cells = frontier_cells(grid, whole).tolist()
+    cells.sort(key=lambda cell: (whole[cell[1], cell[0]], cell[1], cell[0]))
+    clear = [
+        cell for cell in cells if all(math.dist(cell, target) > range_cells + 1e-9 for target in targets)
+    ]
+    unsure = [c for c in cells if any(abs(math.dist(c, t) - range_cells) < 1e-6 for t in targets)]
+    taken = np.array(targets, np.int32).reshape(-1, 2)
+    field, found = nearest_first(Floor(grid), grid, x, y, taken, range_cells)
+    if not cells:
+        assert found is None
+        return
+    assert found is not None
+    if not unsure:
+        assert list(found) == (clear or cells)[0]
+    near = whole <= whole[found[1], found[0]]
+    assert (field[near] == whole[near]).all()
+    assert (field[~near] >= whole[~near]).all()
+    drawn_way = way(grid, field, *found)
+    assert len(drawn_way) == len(way(grid, whole, *found))
