@@ -1,0 +1,107 @@
+"""The backbone: a run gives the same digest as processes on Zenoh and in one process in memory."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from agent.exchange import EXCHANGES, THESIS_OPTIONS
+from deploy import mission
+from deploy.scenario import parse
+from worldsim import generators, maps
+
+BUSY_S = 60
+"""Who keeps a core busy gives up after so many seconds at the latest."""
+
+
+@pytest.fixture(scope="module")
+def floor(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A map of 120 x 120 cells, in a file."""
+    path = tmp_path_factory.mktemp("map") / "office.yaml"
+    maps.save(generators.make("office", width_m=12, height_m=12), path)
+    return str(path)
+
+
+def explore(bus: str, **settings: Any) -> dict[str, Any]:
+    """Run a scenario; return its summary."""
+    result = mission.explore(parse({"bus": bus, "sensor_range": 3.0} | settings), keep=False)
+    assert not result.deaths
+    assert not result.records.lost
+    return result.summary
+
+
+def check_both_buses(**settings: Any) -> None:
+    """Run a scenario on both buses; whatever is a result must be the same."""
+    memory, zenoh = (explore(bus, **settings) for bus in ("memory", "zenoh"))
+    assert zenoh["digest"] == memory["digest"]
+    for name in ("steps", "first_robot", "coverage", "map_agreement", "path_length", "bytes", "undelivered"):
+        assert zenoh[name] == memory[name], name
+
+
+QUICK = [
+    {"exchange": "polygon", "robots": 3, "bandwidth": 1000},
+    {"exchange": "polygon", "robots": 8, "bandwidth": 150, "range": "30%"},
+    {"exchange": "polygon", "robots": 5, "bandwidth": "unlimited", "offers": "thesis"},
+    {"exchange": "laser", "robots": 2, "bandwidth": "unlimited", "range": 4},
+    {"exchange": "laser", "robots": 5, "bandwidth": 1000},
+    {"exchange": "none", "robots": 2, "range": "20%"},
+    {"exchange": "polygon", "robots": 1},
+]
+
+
+@pytest.mark.parametrize("settings", QUICK, ids=lambda case: "-".join(str(value) for value in case.values()))
+def test_the_digest_is_the_same_on_both_buses(floor: str, settings: dict[str, Any]) -> None:
+    polygon = asdict(THESIS_OPTIONS) if settings.get("offers") == "thesis" else {}
+    check_both_buses(map=floor, steps=40, seed=7, polygon=polygon, **settings)
+
+
+@contextmanager
+def busy_machine(processes: int) -> Iterator[None]:
+    """Keep cores busy for a while."""
+    count = f"import time\nend = time.monotonic() + {BUSY_S}\nwhile time.monotonic() < end: pass"
+    crowd = [subprocess.Popen([sys.executable, "-c", count]) for _ in range(processes)]
+    try:
+        yield
+    finally:
+        for process in crowd:
+            process.kill()
+            process.wait()
+
+
+def test_the_digest_does_not_depend_on_how_busy_the_machine_is(floor: str) -> None:
+    settings = {"map": floor, "robots": 4, "bandwidth": 300, "range": "50%", "steps": 30, "seed": 3}
+    quiet = explore("memory", **settings)
+    with busy_machine(3):
+        assert explore("zenoh", **settings)["digest"] == quiet["digest"]
+
+
+def test_another_seed_gives_another_digest(floor: str) -> None:
+    digests = {explore("memory", map=floor, steps=10, seed=seed)["digest"] for seed in range(3)}
+    assert len(digests) == 3
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize(
+    ("exchange", "robots", "bandwidth", "reach"),
+    list(product(EXCHANGES, [1, 2, 5, 8], [200, "unlimited"], ["15%", "100%"])),
+)
+def test_the_digest_is_the_same_on_both_buses_for_every_team(
+    floor: str, exchange: str, robots: int, bandwidth: int | str, reach: str, seed: int
+) -> None:
+    settings = {"exchange": exchange, "robots": robots, "bandwidth": bandwidth, "range": reach, "seed": seed}
+    check_both_buses(map=floor, steps=150, **settings)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["intel", "fr079"])
+def test_the_digest_is_the_same_on_both_buses_on_real_maps(real_maps: Path, name: str) -> None:
+    check_both_buses(map=str(real_maps / f"{name}.yaml"), robots=5, bandwidth=1000, sensor_range=5.0, seed=1)
