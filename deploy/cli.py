@@ -25,6 +25,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="""Robot swarms that map a building together over a radio of a kilobyte a second.
 
+    \b
     Begin with:  murmur explore --robots 5        (an office, seen and shared by five robots)
     then look at the picture that it names, and at:  murmur map list,  murmur strategies,  murmur doctor
 
@@ -45,11 +46,11 @@ screen = Console(highlight=False, soft_wrap=True)
 def default(name: str) -> str:
     """Help text of a scenario setting: what it is, and its default."""
     info = Scenario.model_fields[name]
-    return f"{info.description} (default {info.default})"
+    return f"{info.description}" + ("" if info.default is None else f" (default {info.default})")
 
 
 ScenarioFile = Annotated[
-    Path | None, typer.Argument(metavar="[SCENARIO.toml]", help="a scenario file; flags override it")
+    Path | None, typer.Argument(metavar="SCENARIO.toml", help="a scenario file; flags override it")
 ]
 OutOption = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="run directory (default: a new one under runs/)")
@@ -157,7 +158,9 @@ def report(
 @app.command()
 def export(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
-    mcap: Annotated[bool, typer.Option("--mcap", help="a ROS 2 bag in MCAP, for Foxglove and ROS tools")] = False,
+    mcap: Annotated[
+        bool, typer.Option("--mcap", help="a ROS 2 bag in MCAP, for Foxglove and ROS tools")
+    ] = False,
 ) -> None:
     """Write a run in a form that other programs open: poses, scans, maps and polygons."""
     from deploy.export import export_mcap  # noqa: PLC0415
@@ -304,6 +307,8 @@ def map_make(
 
     with _speaking_clearly():
         path = out or Path(f"{name}.yaml")
+        if path.suffix not in (".yaml", ".yml"):
+            raise ValueError(f"out = {path}: must end in .yaml; the picture is written beside it")
         maps.save(generators.make(name, seed=seed), path)
         screen.print(f"{path}: {generators.describe(name)}, seed {seed}")
 
@@ -346,7 +351,7 @@ def doctor() -> None:
 @app.command()
 def bench(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="[NAME...]", help="kernels, bus, swarm; default: all")
+        list[str] | None, typer.Argument(metavar="NAME", help="kernels, bus, swarm; default: all")
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -515,6 +520,8 @@ class _speaking_clearly:  # noqa: N801  reads as the statement that it is
             _fail(str(error), BAD_INPUT)
         if isinstance(error, ConnectionError) and not isinstance(error, BrokenPipeError):
             _fail(str(error), 3)
+        if isinstance(error, OSError) and error.filename is not None:
+            _fail(f"{error.filename}: {error.strerror}", BAD_INPUT)
 
 
 def _fail(message: str, code: int) -> NoReturn:
