@@ -21,7 +21,16 @@ UNLIMITED = "unlimited"
 SHIPPED = Path(__file__).with_name("scenarios")
 """Scenarios that are installed with the code; their names do for a path."""
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+MOST_INTEGER = 2**31 - 1
+"""The largest whole number that a ledger's columns hold."""
+
+MOST_METRES = 1e6
+
+Whole = Annotated[int, Field(strict=True)]
+Metres = Annotated[float, Field(strict=True, ge=-MOST_METRES, le=MOST_METRES)]
+Positive = Annotated[float, Field(strict=True, gt=0, le=MOST_METRES)]
+NotNegative = Annotated[float, Field(strict=True, ge=0, le=MOST_METRES)]
+Degrees = Annotated[float, Field(strict=True, le=360)]
 
 
 class ScenarioError(ValueError):
@@ -35,47 +44,47 @@ class _Table(BaseModel):
 class RobotOverride(_Table):
     """What one robot has that differs from the others."""
 
-    robot: int = Field(ge=0, description="the robot's number, from 0")
+    robot: Whole = Field(ge=0, description="the robot's number, from 0")
     sensor_range: Positive | None = Field(None, description="metres")
-    field_of_view: float | None = Field(None, gt=0, le=360, description="degrees")
+    field_of_view: Degrees | None = Field(None, gt=0, description="degrees")
     speed: Positive | None = Field(None, description="metres a step")
 
 
 class Death(_Table):
     """A robot that breaks down."""
 
-    robot: int = Field(ge=0, description="the robot's number, from 0")
-    step: int = Field(ge=1, description="the step at whose beginning it stops")
+    robot: Whole = Field(ge=0, description="the robot's number, from 0")
+    step: Whole = Field(ge=1, le=MOST_INTEGER, description="the step at whose beginning it stops")
 
 
 class Scenario(_Table):
     """All settings of a run, with their defaults. One step is one second."""
 
     map: str = Field("office", description="a map's YAML file, or the name of a generator (murmur map list)")
-    map_seed: int = Field(0, ge=0, description="seed of the generator")
-    robots: int = Field(3, ge=1, le=MAX_ROBOTS, description="how many robots explore")
+    map_seed: Whole = Field(0, ge=0, le=MOST_INTEGER, description="seed of the generator")
+    robots: Whole = Field(3, ge=1, le=MAX_ROBOTS, description="how many robots explore")
     range: str = Field("100%", description="communication range: metres, or % of the map's diagonal")
     bandwidth: int | Literal["unlimited"] = Field(1000, description="bytes a step for the whole team")
     exchange: str = Field("polygon", description="how maps travel")
     strategy: str = Field("meier", description="how targets are chosen")
     sensor_range: Positive = Field(5.0, description="metres")
-    field_of_view: float = Field(360.0, gt=0, le=360, description="degrees")
-    scanner_turn: float = Field(0.0, ge=0, le=360, description="degrees that scanners turn a step; 0: all")
-    beams: int = Field(360, ge=4, le=3600, multiple_of=4, description="laser beams a full turn")
+    field_of_view: Degrees = Field(360.0, gt=0, description="degrees")
+    scanner_turn: Degrees = Field(0.0, ge=0, description="degrees that scanners turn a step; 0: all")
+    beams: Whole = Field(360, ge=4, le=3600, multiple_of=4, description="laser beams a full turn")
     speed: Positive = Field(0.5, description="metres a step")
-    seed: int = Field(0, ge=0, description="decides start poses and every draw")
+    seed: Whole = Field(0, ge=0, le=MOST_INTEGER, description="decides start poses and every draw")
     bus: Literal["zenoh", "memory"] = Field("zenoh", description="processes on Zenoh, or all in one process")
-    steps: int = Field(10000, ge=1, description="the run ends after this many steps at the latest")
-    start: tuple[float, float] | None = Field(
+    steps: Whole = Field(
+        10000, ge=1, le=MOST_INTEGER, description="the run ends after this many steps at the latest"
+    )
+    start: tuple[Metres, Metres] | None = Field(
         None, description="metres in the map's frame; seeded if left out"
     )
-    radius: float = Field(0.0, ge=0, allow_inf_nan=False, description="metres; robots are discs, 0: points")
+    radius: NotNegative = Field(0.0, description="metres; robots are discs, 0: points")
     apart: Positive = Field(0.3, description="metres between start poses")
-    exchanges: int = Field(2, ge=1, le=16, description="exchanges a step (R)")
+    exchanges: Whole = Field(2, ge=1, le=16, description="exchanges a step (R)")
     offers: Literal["backoff", "thesis"] = Field("backoff", description="when maps are offered")
-    interference: float = Field(
-        0.0, ge=0, allow_inf_nan=False, description="metres; nearer robots hinder each other"
-    )
+    interference: NotNegative = Field(0.0, description="metres; nearer robots hinder each other")
     polygon: PolygonOptions = Field(
         default_factory=PolygonOptions, description="options of the polygon exchange"
     )
@@ -86,7 +95,7 @@ class Scenario(_Table):
     @field_validator("range", mode="before")
     @classmethod
     def _range_is_text(cls, value: object) -> object:
-        return f"{value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else value
+        return str(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
 
     @field_validator("range")
     @classmethod
@@ -99,8 +108,8 @@ class Scenario(_Table):
     def _bandwidth_makes_sense(cls, value: object) -> object:
         if isinstance(value, str) and value.strip().isdecimal():
             value = int(value)
-        if value != UNLIMITED and (not isinstance(value, int) or isinstance(value, bool) or value < 0):
-            raise ValueError("must be a whole number of bytes a step, 0 or more, or 'unlimited'")
+        if value != UNLIMITED and (type(value) is not int or not 0 <= value <= MOST_INTEGER):
+            raise ValueError(f"must be a whole number of bytes a step, 0 to {MOST_INTEGER}, or 'unlimited'")
         return value
 
     @field_validator("exchange")
@@ -108,6 +117,14 @@ class Scenario(_Table):
     def _exchange_is_known(cls, value: str) -> str:
         if value not in EXCHANGES:
             raise ValueError(f"there are: {', '.join(EXCHANGES)}")
+        return value
+
+    @field_validator("options")
+    @classmethod
+    def _options_are_plain(cls, value: dict[str, Any]) -> dict[str, Any]:
+        for name, option in value.items():
+            if isinstance(option, int | float) and not abs(option) <= MOST_INTEGER:
+                raise ValueError(f"{name} must lie between -{MOST_INTEGER} and {MOST_INTEGER}")
         return value
 
     @model_validator(mode="after")
@@ -214,6 +231,8 @@ def _explain(item: Any) -> str:
     if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         there_are = _KEYS[item["loc"][0] if len(item["loc"]) > 1 else ""]
         return f"{key} is no setting; there are: {', '.join(there_are)}"
+    if item["type"] == "missing":
+        return f"{key} is missing"
     return f"{key} = {item['input']!r}: {message}" if key else message
 
 

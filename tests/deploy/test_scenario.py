@@ -1,0 +1,265 @@
+"""Scenarios: what is written is read, and whatever is wrong names itself, its place and what would be right."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.exchange import EXCHANGES
+from deploy.scenario import SHIPPED, UNLIMITED, Scenario, ScenarioError, load, parse
+from protocol.grid import MAX_ROBOTS
+
+MOST = 2**31 - 1
+
+metres = st.floats(0.001, 1e6)
+
+
+@st.composite
+def scenarios(draw: st.DrawFn) -> dict[str, Any]:
+    """Any settings that make sense, with some of them left out."""
+    robots = draw(st.integers(1, MAX_ROBOTS))
+    number = st.integers(0, robots - 1)
+    override = st.fixed_dictionaries(
+        {"robot": number},
+        optional={"sensor_range": metres, "field_of_view": st.floats(0.1, 360), "speed": metres},
+    )
+    death = st.fixed_dictionaries({"robot": number, "step": st.integers(1, MOST)})
+    whole = st.integers(0, MOST)
+    settings: dict[str, st.SearchStrategy[Any]] = {
+        "map": st.text(st.characters(codec="utf-8", exclude_characters="\x00"), max_size=20),
+        "map_seed": whole,
+        "range": metres.map(str) | metres.map(lambda share: f"{share}%") | metres | st.integers(0, 10**6),
+        "bandwidth": whole | st.just(UNLIMITED),
+        "exchange": st.sampled_from(sorted(EXCHANGES)),
+        "sensor_range": metres,
+        "field_of_view": st.floats(0.1, 360),
+        "beams": st.integers(1, 900).map(lambda quarter: 4 * quarter),
+        "speed": metres,
+        "seed": whole,
+        "bus": st.sampled_from(("zenoh", "memory")),
+        "steps": st.integers(1, MOST),
+        "start": st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6)).map(list),
+        "radius": st.floats(0, 1e6),
+        "apart": metres,
+        "exchanges": st.integers(1, 16),
+        "offers": st.sampled_from(("backoff", "thesis")),
+        "interference": st.floats(0, 1e6),
+        "options": st.fixed_dictionaries({}, optional={"beta": st.floats(0, 100)}),
+        "robot": st.lists(override, max_size=3, unique_by=lambda entry: entry["robot"]),
+        "death": st.lists(death, max_size=3, unique_by=lambda entry: entry["robot"]),
+    }
+    return {"robots": robots, **draw(st.fixed_dictionaries({}, optional=settings))}
+
+
+@given(scenarios())
+def test_a_scenario_written_out_is_read_back_the_same(settings: dict[str, Any]) -> None:
+    scenario = parse(settings)
+    assert parse(tomllib.loads(scenario.to_toml())) == scenario
+
+
+@given(scenarios())
+def test_every_setting_is_as_it_was_given(settings: dict[str, Any]) -> None:
+    scenario = parse(settings)
+    for key in ("robots", "seed", "sensor_range", "speed", "bandwidth", "beams", "map", "steps"):
+        if key in settings:
+            assert getattr(scenario, key) == settings[key]
+
+
+def test_all_settings_have_defaults_that_make_sense_and_a_line_for_people() -> None:
+    scenario = parse({})
+    assert scenario == Scenario()
+    assert scenario.robots == 3
+    assert all(field.description for field in Scenario.model_fields.values())
+
+
+WRONG = [
+    ({"robots": 0}, "robots = 0: .*greater than or equal to 1"),
+    ({"robots": 65}, "robots = 65: .*less than or equal to 64"),
+    ({"robots": True}, "robots = True: .*integer"),
+    ({"robots": 2.5}, "robots = 2.5: .*integer"),
+    ({"robots": "three"}, "robots = 'three': .*integer"),
+    ({"robots": -(10**30)}, "robots = -10+: .*greater than or equal to 1"),
+    ({"seed": -1}, "seed = -1: "),
+    ({"seed": 2**70}, "seed = .*less than or equal to 2147483647"),
+    ({"map_seed": 2**70}, "map_seed = "),
+    ({"steps": 0}, "steps = 0: "),
+    ({"steps": 2**31}, "steps = .*less than or equal to 2147483647"),
+    ({"beams": 6}, "beams = 6: .*multiple of 4"),
+    ({"beams": 0}, "beams = 0: "),
+    ({"beams": 3604}, "beams = 3604: .*less than or equal to 3600"),
+    ({"exchanges": 0}, "exchanges = 0: "),
+    ({"exchanges": 17}, "exchanges = 17: "),
+    ({"speed": 0}, "speed = 0: .*greater than 0"),
+    ({"speed": math.nan}, "speed = nan: "),
+    ({"speed": math.inf}, "speed = inf: "),
+    ({"speed": 1e308}, "speed = 1e.308: .*less than or equal to 1000000"),
+    ({"speed": True}, "speed = True: .*number"),
+    ({"speed": "fast"}, "speed = 'fast': .*number"),
+    ({"sensor_range": -1.0}, "sensor_range = -1.0: "),
+    ({"field_of_view": 361}, "field_of_view = 361: .*360"),
+    ({"field_of_view": 0}, "field_of_view = 0: "),
+    ({"apart": 0}, "apart = 0: "),
+    ({"radius": -0.1}, "radius = -0.1: "),
+    ({"radius": math.nan}, "radius = nan: "),
+    ({"interference": math.inf}, "interference = inf: "),
+    ({"start": [1.0]}, "start.1 is missing"),
+    ({"start": [1.0, math.nan]}, "start.1 = nan: "),
+    ({"start": [1.0, 1e300]}, "start.1 = 1e.300: "),
+    ({"start": "here"}, "start = 'here': "),
+    ({"bandwidth": -1}, "bandwidth = -1: must be a whole number of bytes .*'unlimited'"),
+    ({"bandwidth": 2**31}, "bandwidth = 2147483648: must be a whole number"),
+    ({"bandwidth": 1000.5}, "bandwidth = 1000.5: must be a whole number"),
+    ({"bandwidth": True}, "bandwidth = True: must be a whole number"),
+    ({"bandwidth": "lots"}, "bandwidth = 'lots': must be .*'unlimited'"),
+    ({"bandwidth": "-5"}, "bandwidth = '-5': must be"),
+    ({"bandwidth": None}, "bandwidth = None: must be"),
+    ({"range": "far"}, "range = 'far': must be a distance .*30%"),
+    ({"range": "-1"}, "range = '-1': must be"),
+    ({"range": "%"}, "range = '%': must be"),
+    ({"range": "nan"}, "range = 'nan': must be"),
+    ({"range": "inf"}, "range = 'inf': must be"),
+    ({"range": math.inf}, "range = inf: must be"),
+    ({"range": True}, "range = True: "),
+    ({"exchange": "smoke"}, "exchange = 'smoke': there are: .*laser"),
+    ({"strategy": "best"}, "no strategy is called 'best'; there are: .*meier"),
+    ({"offers": "never"}, "offers = 'never': .*'backoff' or 'thesis'"),
+    ({"bus": "tram"}, "bus = 'tram': .*'zenoh' or 'memory'"),
+    ({"map": 3}, "map = 3: .*string"),
+    ({"options": {"gamma": 1.0}}, "meier has no option 'gamma'; there are: .*beta"),
+    ({"options": {"beta": "big"}}, "option beta of meier must be float, not 'big'"),
+    ({"options": {"beta": math.nan}}, "options = .*beta must lie between"),
+    ({"options": 3}, "options = 3: "),
+    ({"colour": "red"}, "colour is no setting; there are: map, .*death"),
+    ({"polygon": {"colour": "red"}}, "polygon.colour is no setting; there are: medium_use"),
+    ({"robot": [{"robot": 3}]}, r"\[\[robot\]\] speaks of robot 3; the last one is 2"),
+    ({"robot": [{"robot": 1}, {"robot": 1}]}, r"\[\[robot\]\] speaks of a robot twice"),
+    ({"robot": [{"robot": 1, "colour": "red"}]}, "robot.0.colour is no setting; there are: robot, "),
+    ({"robot": [{"speed": 1.0}]}, "robot.0.robot is missing"),
+    ({"robot": [{"robot": 0, "speed": -1.0}]}, "robot.0.speed = -1.0: "),
+    ({"robot": {"robot": 0}}, "robot = "),
+    ({"death": [{"robot": 0, "step": 0}]}, "death.0.step = 0: .*greater than or equal to 1"),
+    ({"death": [{"robot": 9, "step": 1}]}, r"\[\[death\]\] speaks of robot 9"),
+    ({"death": [{"robot": 0}]}, "death.0.step is missing"),
+    ({"death": 3}, "death = 3: "),
+]
+
+
+@pytest.mark.parametrize(("settings", "complaint"), WRONG, ids=lambda value: str(value)[:60])
+def test_what_is_wrong_names_itself_and_what_would_be_right(settings: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(ScenarioError, match=rf"^scenario: {complaint}"):
+        parse(settings)
+
+
+@given(st.dictionaries(st.sampled_from([*Scenario.model_fields, "colour"]), st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+), max_size=4))  # fmt: skip
+def test_nonsense_of_any_kind_is_a_scenario_error(settings: dict[str, Any]) -> None:
+    try:
+        scenario = parse(settings)
+    except ScenarioError as error:
+        assert str(error).startswith("scenario: ")
+    else:
+        assert parse(tomllib.loads(scenario.to_toml())) == scenario
+
+
+def test_all_that_is_wrong_is_said_at_once() -> None:
+    with pytest.raises(ScenarioError) as caught:
+        parse({"robots": 0, "speed": -1.0, "colour": "red"})
+    assert [line.split()[1] for line in str(caught.value).splitlines()] == ["robots", "speed", "colour"]
+
+
+@pytest.mark.parametrize(
+    ("range_", "wanted"),
+    [
+        ("100%", 50.0),
+        ("30%", 15.0),
+        (" 30 % ", 15.0),
+        ("12.5", 12.5),
+        (0, 0.0),
+        (7, 7.0),
+        (12.3456789, 12.3456789),
+    ],
+)
+def test_a_range_is_metres_or_a_share_of_the_diagonal(range_: object, wanted: float) -> None:
+    assert parse({"range": range_}).range_m(50.0) == pytest.approx(wanted, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("given_", "wanted"), [("1000", 1000), (" 250 ", 250), (0, 0), (UNLIMITED, UNLIMITED)]
+)
+def test_a_bandwidth_is_a_number_of_bytes_or_unlimited(given_: object, wanted: object) -> None:
+    assert parse({"bandwidth": given_}).bandwidth == wanted
+
+
+def test_a_robot_that_differs_keeps_what_is_not_said_of_it() -> None:
+    scenario = parse({"speed": 0.4, "sensor_range": 3.0, "robot": [{"robot": 1, "speed": 1.0}]})
+    assert [(body.sensor_range, body.speed) for body in map(scenario.body_of, range(3))] == [
+        (3.0, 0.4),
+        (3.0, 1.0),
+        (3.0, 0.4),
+    ]
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "mine.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_overrides_lie_over_the_file_and_the_file_over_the_defaults(tmp_path: Path) -> None:
+    path = write(tmp_path, 'robots = 5\nspeed = 0.25\nmap = "office"')
+    scenario = load(path, {"robots": 2, "seed": None, "range": "10%"})
+    assert (scenario.robots, scenario.speed, scenario.range, scenario.seed) == (2, 0.25, "10%", 0)
+
+
+def test_a_map_file_is_looked_for_beside_the_scenario(tmp_path: Path) -> None:
+    path = write(tmp_path, 'map = "maps/house.yaml"')
+    assert Path(load(path, {}).map) == tmp_path / "maps" / "house.yaml"
+    assert load(path, {"map": "elsewhere.yaml"}).map == "elsewhere.yaml"
+    assert load(write(tmp_path, 'map = "/maps/house.yaml"'), {}).map == "/maps/house.yaml"
+    assert load(write(tmp_path, 'map = "office"'), {}).map == "office"
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("robots = ", "not TOML"),
+        ("robots = 3\nrobots = 4", "not TOML"),
+        ("[robots", "not TOML"),
+        ("robots = 0", "robots = 0"),
+        ("start = 1979-05-27", "start = "),
+        ("speed = nan", "speed = nan"),
+    ],
+)
+def test_a_file_that_makes_no_sense_is_named(tmp_path: Path, text: str, complaint: str) -> None:
+    path = write(tmp_path, text)
+    with pytest.raises(ScenarioError, match=rf"^scenario {path}: {complaint}"):
+        load(path, {})
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match=r"none.toml: no such file; shipped ones are .*office.toml"):
+        load(tmp_path / "none.toml", {})
+    with pytest.raises(ScenarioError, match=rf"scenario {tmp_path}: "):
+        load(tmp_path, {})
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ScenarioError, match=r"binary.toml: not TOML"):
+        load(binary, {})
+
+
+@pytest.mark.parametrize("path", sorted(SHIPPED.glob("*.toml")), ids=lambda path: path.stem)
+def test_shipped_scenarios_are_found_by_name_and_make_sense(path: Path) -> None:
+    assert load(Path(path.name), {}) == load(path, {})
+
+
+def test_wrong_flags_without_a_file_are_explained_as_well() -> None:
+    with pytest.raises(ScenarioError, match=r"^scenario: robots = 0"):
+        load(None, {"robots": 0})
