@@ -71,7 +71,7 @@ def _radio() -> list[rrb.View]:
             plot_legend=no_legend,
             axis_y=rrb.ScalarAxis(range=(0, 102)),
         ),
-        rrb.TimeSeriesView(origin="/backlog", name="Untold news [packets]", plot_legend=no_legend),
+        rrb.TimeSeriesView(origin="/backlog", name="Untold [packets]", plot_legend=no_legend),
         rrb.TextLogView(
             origin="/events",
             name="What happens, step by step",

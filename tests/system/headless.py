@@ -47,7 +47,9 @@ def _connect(process: subprocess.Popen[bytes], port: int) -> Any:
     while True:
         try:
             client = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
-            if client.get_state().views:
+            state = client.get_state()
+            lines = [line.name for recording in state.recordings for line in recording.timelines]
+            if state.views and "step" in lines and not state.loading:
                 return client
         except Exception as error:  # whatever it raises while it starts
             assert process.poll() is None, f"the viewer has ended ({process.returncode}): {error}"

@@ -25,7 +25,7 @@ pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'murmur
 
 VIEWS = [
     "The building as it is [m]", "What you see", "On the air [bytes/step]", "What for", "Explored [%]",
-    "Untold news [packets]", "What happens, step by step",
+    "Untold [packets]", "What happens, step by step",
 ]  # fmt: skip
 
 

@@ -1,0 +1,181 @@
+"""The viewer, as the relay and the bus treat it: told of, never waited for, never listened to."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import secrets
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from netshaper import access
+from netshaper.hub import open_hub
+from netshaper.process import RelayNode
+from netshaper.radio import RadioSettings
+from protocol import keys as names
+from protocol.keys import Keys, may_be_dropped
+from protocol.memory_bus import MemoryBus, MemoryHub
+from protocol.messages import Begin, Bye, End, Lost, Stop, Watched, pack, unpack
+from protocol.zenoh_bus import join
+
+
+class Team:
+    """A relay on the memory bus, and everyone whom it may hear of."""
+
+    def __init__(self, *order: str) -> None:
+        self.hub = MemoryHub("test")
+        self.bus = self.hub.join(names.RELAY)
+        self.relay = RelayNode(self.bus, self.hub.keys, RadioSettings(1, 0, 100.0))
+        self.ends = {name: self.come(name) for name in order}
+
+    def come(self, name: str) -> MemoryBus:
+        end = self.hub.join(name)
+        self.work()
+        return end
+
+    def work(self) -> None:
+        while (message := self.bus.receive()) is not None:
+            self.relay.handle(message)
+
+    def heard(self, name: str) -> list[Any]:
+        said = []
+        while (message := self.ends[name].receive()) is not None:
+            said.append(unpack(message.payload))
+        return said
+
+
+def test_a_run_begins_without_a_viewer_and_tells_one_that_comes_late() -> None:
+    team = Team(names.LAB, names.WORLD, "r0")
+    assert team.heard(names.WORLD) == [Begin()]
+    team.ends[names.VIEW] = team.come(names.VIEW)
+    assert team.heard(names.WORLD) == team.heard("r0") == [Watched(here=True)]
+    assert team.heard(names.LAB) == []
+    team.ends[names.VIEW].close()
+    team.work()
+    assert team.heard(names.WORLD) == team.heard("r0") == [Watched(here=False)]
+
+
+def test_who_comes_after_the_viewer_is_told_of_it() -> None:
+    team = Team(names.VIEW, names.WORLD, "r0", names.LAB)
+    assert team.heard(names.WORLD) == [Watched(here=True), Begin()]
+    assert team.heard("r0") == [Watched(here=True)]
+    assert team.heard(names.LAB) == []
+
+
+def test_the_viewer_hears_what_the_laboratory_hears() -> None:
+    team = Team(names.VIEW, names.WORLD, "r0", names.LAB)
+    team.ends["r0"].close()
+    team.work()
+    lost = Lost(0, "its process ended")
+    assert team.heard(names.LAB) == team.heard(names.VIEW) == [lost]
+    team.ends[names.WORLD].put(team.hub.keys.control_tx(names.WORLD), pack(End(3, "explored", 0)))
+    team.work()
+    assert team.heard(names.LAB) == team.heard(names.VIEW) == [End(3, "explored", 0)]
+
+
+def test_the_relay_goes_home_though_the_viewer_stays() -> None:
+    team = Team(names.VIEW, names.WORLD, "r0", names.LAB)
+    team.ends[names.LAB].put(team.hub.keys.control_tx(names.LAB), pack(Bye()))
+    team.work()
+    assert team.heard(names.VIEW) == [Bye()]
+    for name in (names.WORLD, "r0", names.LAB):
+        assert not team.relay.done
+        team.ends[name].close()
+        team.work()
+    assert team.relay.done
+
+
+def test_what_a_viewer_says_is_none_of_its_business() -> None:
+    team = Team(names.VIEW, names.WORLD, "r0", names.LAB)
+    team.heard(names.WORLD)
+    team.ends[names.VIEW].put(team.hub.keys.control_tx(names.VIEW), pack(Stop("I am bored")))
+    team.work()
+    assert team.heard(names.WORLD) == []
+    (fault,) = team.heard(names.LAB)
+    assert fault.what == "said Stop, which is not its to say"
+
+
+def test_only_what_goes_to_the_viewer_may_be_dropped() -> None:
+    keys = Keys("run")
+    assert may_be_dropped(keys.control(names.VIEW, "r0"))
+    for key in (
+        keys.control(names.LAB, "r0"), keys.control("r1", names.RELAY), keys.body("r1", names.WORLD),
+        keys.radio_rx("r1", "r0"), keys.radio_tx("r1", "r0"), keys.control_tx(names.VIEW),
+    ):  # fmt: skip
+        assert not may_be_dropped(key)
+
+
+def test_a_viewer_may_say_nothing_by_the_hubs_own_rules() -> None:
+    rules = access.rules(Keys("run"), robots=2)
+    (policy,) = (policy for policy in rules["policies"] if policy["subjects"] == [names.VIEW])
+    allowed = [rule for rule in rules["rules"] if rule["id"] in policy["rules"]]
+    assert {(rule["messages"][0], rule["flows"][0]) for rule in allowed} == {
+        ("put", "egress"),
+        ("declare_subscriber", "ingress"),
+        ("liveliness_token", "ingress"),
+    }
+    assert {key for rule in allowed for key in rule["key_exprs"]} == {
+        "murmur/run/*/rx/view/**",
+        "murmur/run/alive/view",
+    }
+
+
+def be_viewer(credential: access.Credential, ready: Any) -> None:
+    bus = join(credential)
+    ready.send(True)
+    while bus.receive() is not None:
+        pass
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_reports_to_a_viewer_that_hangs_hold_nobody_up(stopped: bool) -> None:
+    run, endpoint = secrets.token_hex(4), f"tcp/127.0.0.1:{free_port()}"
+    keys, credentials = Keys(run), access.issue(run, endpoint, 1)
+    hub = open_hub(run, endpoint, credentials)
+    robot = join(credentials["r0"])
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe(duplex=False)
+    process = context.Process(target=be_viewer, args=(credentials[names.VIEW], there))
+    process.start()
+    try:
+        assert here.poll(30)
+        pid = process.pid
+        assert pid is not None
+        if stopped:
+            os.kill(pid, signal.SIGSTOP)
+        began = time.monotonic()
+        for round_ in range(200):
+            robot.put(keys.control(names.VIEW, "r0"), os.urandom(200_000))
+            robot.put(keys.control_tx("r0"), str(round_).encode())
+        heard = []
+        while len(heard) < 200:
+            message = hub.receive(10)
+            assert message is not None
+            if "/control/tx/" in message.key:
+                heard.append(int(message.payload))
+        took = time.monotonic() - began
+    finally:
+        process.kill()
+        process.join()
+        robot.close()
+        hub.close()
+    assert heard == list(range(200))
+    assert took < 10
+
+
+def free_port() -> int:
+    import socket
+
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def test_credentials_are_for_the_viewer_as_well(tmp_path: Path) -> None:
+    assert names.VIEW in access.issue("run", "tcp/127.0.0.1:1", 3)
+    assert access.participants(0) == [names.WORLD, names.LAB, names.VIEW]
