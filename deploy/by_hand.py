@@ -34,8 +34,8 @@ def serve_netshaper(scenario: Scenario, listen: str, folder: Path, tell: Callabl
     host, _, port = listen.rpartition(":")
     if not host or not port.isdecimal():
         raise ScenarioError(f"listen = {listen!r}: must be HOST:PORT, as 127.0.0.1:7447")
-    if folder.exists() and any(folder.iterdir()):
-        raise ScenarioError(f"credentials = {folder}: it is not empty; name a new directory")
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise ScenarioError(f"credentials = {folder}: it exists already; name a new directory")
     folder.mkdir(parents=True, exist_ok=True)
     endpoint = f"tcp/{listen}"
     run = secrets.token_hex(4)

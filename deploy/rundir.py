@@ -92,10 +92,13 @@ def read_scenario(directory: Path) -> Scenario:
 def read_summary(directory: Path) -> dict[str, Any]:
     """Read the summary of a run directory; ScenarioError if it has none."""
     try:
-        summary: dict[str, Any] = json.loads((directory / SUMMARY).read_text(encoding="utf-8"))
+        summary = json.loads((directory / SUMMARY).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise ScenarioError(f"{directory}: no readable {SUMMARY} ({error})") from None
-    return summary
+    if not isinstance(summary, dict) or "digest" not in summary:
+        raise ScenarioError(f"{directory}: {SUMMARY} is not that of a run, for it has no digest")
+    found: dict[str, Any] = summary
+    return found
 
 
 def write_results(out: Path, plan: Plan, records: Records, summary: dict[str, Any]) -> None:

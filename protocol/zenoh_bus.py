@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import threading
 import time
 from dataclasses import asdict, dataclass, fields
@@ -56,6 +57,8 @@ class Credential:
             raise ValueError(f"credential {path}: not JSON ({error})") from None
         if not isinstance(data, dict) or any(not isinstance(data.get(key), str) for key in wanted):
             raise ValueError(f"credential {path}: needs the texts {', '.join(wanted)}")
+        if not re.fullmatch(r"(tcp|tls)/\S+:\d{1,5}", data["hub"]):
+            raise ValueError(f"credential {path}: hub = {data['hub']!r}: must be as tcp/127.0.0.1:7447")
         return cls(**{key: data[key] for key in wanted})
 
 

@@ -18,7 +18,7 @@ from typing import Any, BinaryIO
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid
 
@@ -277,10 +277,10 @@ def _read_picture(path: Path) -> tuple[NDArray[np.float64], int]:
             reason = _too_large(*picture.size)
     except Image.DecompressionBombError:
         reason = f"has more than {MAX_SIDE} x {MAX_SIDE} cells; crop it or use larger cells"
+    except UnidentifiedImageError:
+        reason = "is not a whole PGM or PNG picture" if data else "is empty; give a PGM or PNG picture"
     except (OSError, ValueError, SyntaxError) as error:
-        reason = (
-            f"is not a whole PGM or PNG picture ({error})" if data else "is empty; give a PGM or PNG picture"
-        )
+        reason = f"is not a whole PGM or PNG picture ({error})"
     raise MapError(f"{path}: {reason}")
 
 
