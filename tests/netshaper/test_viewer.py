@@ -164,7 +164,7 @@ def test_reports_to_a_viewer_that_hangs_hold_nobody_up(stopped: bool) -> None:
         robot.close()
         hub.close()
     assert heard == list(range(200))
-    assert took < 10
+    assert took < 4  # where it waits, zenoh gives a stopped peer up after 5 s
 
 
 def free_port() -> int:
