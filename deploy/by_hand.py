@@ -100,6 +100,7 @@ def serve_lab(
 
 def serve_viewer(scenario: Scenario, credential: Path, out: Path, window: Window) -> None:
     """Watch a run and record it into `out`, from now on until it is over."""
+    _check_same(scenario, credential)
     out.mkdir(parents=True, exist_ok=True)
     task = ViewTask(plans.make(scenario), out, port=window.port)
     serve(_credential(credential, names.VIEW), task, window.open)
