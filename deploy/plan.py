@@ -125,4 +125,5 @@ def _starts(scenario: Scenario, world_map: Map) -> list[tuple[int, int]]:
             enlarge(world_map.cells, radius_cells), scenario.robots, scenario.seed, apart, first
         )
     except ValueError as error:
-        raise ScenarioError(f"start on map {world_map.name}: {error}") from None
+        hint = "" if first is None else f"; murmur map show {scenario.map} draws where they can"
+        raise ScenarioError(f"start on map {world_map.name}: {error}{hint}") from None

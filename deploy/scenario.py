@@ -65,13 +65,13 @@ class Scenario(_Table):
     robots: Whole = Field(3, ge=1, le=MAX_ROBOTS, description="how many robots explore")
     range: str = Field("100%", description="communication range: metres, or % of the map's diagonal")
     bandwidth: int | Literal["unlimited"] = Field(1000, description="bytes a step for the whole team")
-    exchange: str = Field("polygon", description="how maps travel")
+    exchange: str = Field("polygon", description=f"how maps travel: {', '.join(EXCHANGES)}")
     strategy: str = Field("meier", description="how targets are chosen")
-    sensor_range: Positive = Field(5.0, description="metres")
+    sensor_range: Positive = Field(5.0, description="metres that lasers see")
     field_of_view: Degrees = Field(360.0, gt=0, description="degrees")
     scanner_turn: Degrees = Field(0.0, ge=0, description="degrees that scanners turn a step; 0: all")
     beams: Whole = Field(360, ge=4, le=3600, multiple_of=4, description="laser beams a full turn")
-    speed: Positive = Field(0.5, description="metres a step")
+    speed: Positive = Field(0.5, description="metres that robots drive a step")
     seed: Whole = Field(0, ge=0, le=MOST_INTEGER, description="decides start poses and every draw")
     bus: Literal["zenoh", "memory"] = Field("zenoh", description="processes on Zenoh, or all in one process")
     steps: Whole = Field(
@@ -83,7 +83,9 @@ class Scenario(_Table):
     radius: NotNegative = Field(0.0, description="metres; robots are discs, 0: points")
     apart: Positive = Field(0.3, description="metres between start poses")
     exchanges: Whole = Field(2, ge=1, le=16, description="exchanges a step (R)")
-    offers: Literal["backoff", "thesis"] = Field("backoff", description="when maps are offered")
+    offers: Literal["backoff", "thesis"] = Field(
+        "backoff", description="when maps are offered: backoff, thesis"
+    )
     interference: NotNegative = Field(0.0, description="metres; nearer robots hinder each other")
     polygon: PolygonOptions = Field(
         default_factory=PolygonOptions, description="options of the polygon exchange"
