@@ -1,0 +1,359 @@
+"""Whole runs in one process, and two robots that walk apart and back over the real radio."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from agent.exchange.session import Session
+from deploy import in_memory
+from deploy import plan as plans
+from deploy.plan import Plan
+from deploy.records import Records
+from deploy.scenario import parse
+from deploy.summary import digest
+from netshaper.ledger import CAUSES, ROW, balance
+from netshaper.medium import DATA, UNLIMITED
+from netshaper.radio import LAB, Frame, Outgoing, Radio, RadioSettings
+from protocol import packets
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from protocol.messages import Open, Outcome, Said, Turn
+from worldsim import generators
+from worldsim.maps import Map
+
+SMALL = {
+    "map": "office", "robots": 3, "exchange": "laser", "bandwidth": "unlimited", "range": "100%", "sensor_range": 4.0,
+    "bus": "memory", "steps": 3000,
+}  # fmt: skip
+
+
+@cache
+def small_map(name: str, seed: int = 1) -> Map:
+    return generators.make(name, seed=seed, resolution=0.25)
+
+
+def small_plan(**more: Any) -> Plan:
+    scenario = parse(SMALL | more)
+    return plans.make(scenario, small_map(scenario.map))
+
+
+@cache
+def small_run(**more: Any) -> tuple[Plan, Records]:
+    plan = small_plan(**more)
+    return plan, in_memory.run(plan)
+
+
+def poses(records: Records) -> list[NDArray[np.int32]]:
+    """Rows (robot, x mm, y mm, heading) of each step."""
+    return [np.frombuffer(report.poses, "<i4").reshape(-1, 4) for report in records.world]
+
+
+def check_finished(plan: Plan, records: Records) -> None:
+    """All that can be reached has been seen, and the first robot knows it and nothing wrong."""
+    assert records.end is not None
+    assert records.end.first >= 0, records.end.reason
+    reachable = plan.make_world().reachable
+    assert records.world[-1].seen == records.world[-1].reachable == np.count_nonzero(reachable)
+    known = records.planning[records.end.first]
+    assert (known[reachable] == FREE).all()
+    for grid in (*records.own.values(), *records.planning.values()):
+        assert (plan.map.cells[grid == FREE] == FREE).all()
+        assert (plan.map.cells[grid == OCCUPIED] != FREE).all()
+    assert records.faults == []
+    assert records.lost == {}
+
+
+def check_bodies(plan: Plan, records: Records) -> None:
+    """Nobody stands in a wall, nobody in another, nobody drives faster than he can."""
+    cell = 1000 * plan.map.resolution
+    speed = max(body.speed for body in plan.world.bodies)
+    for before, now in zip([None, *poses(records)], poses(records), strict=False):
+        cells = [(round(x / cell), round(y / cell)) for _, x, y, _ in now]
+        assert all(plan.map.cells[y, x] == FREE for x, y in cells)
+        assert len(set(cells)) == len(cells)
+        if before is not None:
+            places = {int(robot): (x, y) for robot, x, y, _ in before}
+            for robot, x, y, _ in now:
+                assert math.dist(places[int(robot)], (x, y)) / cell <= speed + math.sqrt(2) + 1e-6
+
+
+def check_books(plan: Plan, records: Records) -> None:
+    """Within the budget, and to the byte, in every step."""
+    budget = plan.radio.budget
+    for said, carried, cut, heard in balance(records.ledger()).values():
+        assert said == carried + cut
+        assert budget == UNLIMITED or carried <= budget
+        assert heard <= carried
+    ledger = records.ledger()
+    unicast = (ledger["receiver"] >= 0) & (ledger["carried"] == 1)
+    assert (ledger["heard"][unicast] == 1).all()
+    assert not (ledger["cause"] == CAUSES.index("protocol")).any()
+
+
+RUNS = [
+    {"robots": 1},
+    {"robots": 2, "map": "leader-rooms", "sensor_range": 1.5},
+    {"robots": 4, "bandwidth": 1000},
+    {"robots": 3, "bandwidth": 0},
+    {"robots": 3, "range": "20%", "bandwidth": 1000, "map": "mixed"},
+    {"robots": 3, "range": 0},
+    {"robots": 3, "exchange": "none"},
+    {"robots": 2, "exchanges": 1, "bandwidth": 5000},
+    {"robots": 3, "offers": "thesis", "bandwidth": 1000, "map": "leader-rooms", "sensor_range": 2.0},
+    {"robots": 2, "field_of_view": 180.0, "map": "leader-rooms"},
+    {"robots": 2, "speed": 0.1, "map": "leader-rooms"},
+    {"robots": 4, "interference": 1.5, "map": "leader-rooms"},
+]
+
+
+@pytest.mark.parametrize("more", RUNS, ids=str)
+def test_a_team_sees_all_there_is_and_its_first_robot_knows_it(more: dict[str, Any]) -> None:
+    plan, records = small_run(**more)
+    check_finished(plan, records)
+    check_bodies(plan, records)
+    check_books(plan, records)
+
+
+def test_robots_that_differ_explore_together() -> None:
+    plan = small_plan()
+    scenario = parse(
+        SMALL | {"robot": [{"robot": 1, "speed": 1.0, "sensor_range": 1.0}, {"robot": 2, "speed": 0.2}]}
+    )
+    plan = plans.make(scenario, plan.map)
+    records = in_memory.run(plan)
+    check_finished(plan, records)
+    check_bodies(plan, records)
+    slow, fast = records.world[-1].driven[2], records.world[-1].driven[1]
+    assert slow <= 200 * records.step + 1
+    assert fast > slow
+
+
+def test_three_robots_are_faster_than_one() -> None:
+    assert small_run(robots=3)[1].step < 0.75 * small_run(robots=1)[1].step
+
+
+def test_at_a_kilobyte_a_step_no_step_carries_more() -> None:
+    _, records = small_run(robots=4, bandwidth=1000)
+    carried = [carried for _, carried, _, _ in balance(records.ledger()).values()]
+    assert max(carried) <= 1000
+    assert max(carried) > 900
+
+
+def test_without_a_budget_nothing_is_cut() -> None:
+    _, records = small_run(robots=3)
+    assert records.ledger()["carried"].all()
+
+
+def test_without_reach_or_bandwidth_nothing_arrives() -> None:
+    for more in ({"robots": 3, "range": 0}, {"robots": 3, "bandwidth": 0}, {"robots": 3, "exchange": "none"}):
+        _, records = small_run(**more)
+        ledger = records.ledger()
+        assert not ((ledger["carried"] == 1) & (ledger["frame"] == DATA)).any()
+        for robot in range(3):
+            assert (records.planning[robot] == records.own[robot]).all()
+    assert not (small_run(robots=3, range=0)[1].ledger()["heard"] > 0).any()
+
+
+def test_two_runs_of_one_scenario_are_equal_in_all_but_the_time_they_took() -> None:
+    more = {"robots": 4, "bandwidth": 1000}
+    _, first = small_run(**more)
+    second = in_memory.run(small_plan(**more))
+    assert first.rows == second.rows
+    assert first.world == second.world
+    assert first.end == second.end
+    for one, other in zip(first.minds, second.minds, strict=True):
+        assert [replace(report, work_us=0) for report in one] == [
+            replace(report, work_us=0) for report in other
+        ]
+    assert digest(first) == digest(second)
+    assert digest(small_run(robots=2, map="leader-rooms", sensor_range=1.5, seed=1)[1]) != digest(
+        small_run(robots=2, map="leader-rooms", sensor_range=1.5)[1]
+    )
+
+
+def test_watching_a_run_does_not_change_it() -> None:
+    steps: list[int] = []
+    more = {"robots": 2, "map": "leader-rooms", "sensor_range": 1.5}
+    watched = in_memory.run(small_plan(**more), watch=lambda records: steps.append(records.step))
+    assert digest(watched) == digest(small_run(**more)[1])
+    assert steps == list(range(1, watched.step + 1))
+
+
+def test_a_robot_that_breaks_down_leaves_the_rest_to_the_others() -> None:
+    deaths = [{"robot": 0, "step": 5}, {"robot": 2, "step": 1}]
+    plan = plans.make(parse(SMALL | {"death": deaths}), small_map("leader-rooms"))
+    records = in_memory.run(plan)
+    check_bodies(plan, records)
+    check_books(plan, records)
+    assert records.end is not None
+    assert records.end.first == 1
+    assert records.world[-1].seen == records.world[-1].reachable
+    alive = [[int(robot) for robot in rows[:, 0]] for rows in poses(records)]
+    assert alive == 4 * [[0, 1]] + (records.step - 4) * [[1]]
+    assert set(records.own) == {0, 1, 2}
+    assert records.lost == {}
+
+
+def test_a_team_that_breaks_down_altogether_ends_the_run() -> None:
+    plan = plans.make(parse(SMALL | {"robots": 1, "death": [{"robot": 0, "step": 5}]}), small_map("office"))
+    records = in_memory.run(plan)
+    assert records.end is not None
+    assert (records.end.reason, records.end.first) == ("all robots are lost", -1)
+
+
+@st.composite
+def floors(draw: st.DrawFn) -> Map:
+    """Random floors of all kinds, with their free cells in one or in many parts."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    height, width = rng.integers(3, 26, 2)
+    walls = draw(st.sampled_from((0.0, 0.15, 0.35)))
+    cells: Grid = rng.choice(
+        np.array([UNKNOWN, FREE, OCCUPIED], np.uint8),
+        (height, width),
+        p=[walls / 3, 1 - walls, 2 * walls / 3],
+    )
+    cells[height // 2 - 1 : height // 2 + 2, width // 2 - 1 : width // 2 + 2] = FREE
+    return Map("floor", cells, 0.5)
+
+
+@settings(max_examples=max(10, settings().max_examples // 10))
+@given(
+    floors(),
+    st.integers(1, 4),
+    st.sampled_from(("unlimited", 0, 200, 3000)),
+    st.sampled_from(("0", "25%", "100%")),
+    st.sampled_from((1.0, 2.5, 20.0)),
+    st.integers(0, 1000),
+)
+def test_any_floor_is_explored_by_any_team(
+    floor: Map, robots: int, bandwidth: Any, reach: str, sensor_range: float, seed: int
+) -> None:
+    scenario = parse(SMALL | {
+        "robots": robots, "bandwidth": bandwidth, "range": reach, "sensor_range": sensor_range, "seed": seed,
+        "start": [floor.width / 4, floor.height / 4], "apart": 0.5, "steps": 4000,
+    })  # fmt: skip
+    reachable = int(np.count_nonzero(floor.cells == FREE))
+    if reachable < 9 + robots:
+        return
+    plan = plans.make(scenario, floor)
+    records = in_memory.run(plan)
+    check_finished(plan, records)
+    check_bodies(plan, records)
+    check_books(plan, records)
+
+
+# Two robots, two sessions and the real radio, without bodies.
+
+
+class Pair:
+    """Sessions of two robots that log a word a step each, wherever they are told to be."""
+
+    def __init__(self, range_cells: float, budget: int) -> None:
+        self.radio = Radio(RadioSettings(2, 0, range_cells, budget))
+        self.sessions = [Session(robot, 2) for robot in range(2)]
+        self.logged = [0, 0]
+        self._frames: list[list[tuple[int, bytes]]] = [[], []]
+        self._rows = np.empty(0, ROW)
+
+    def step(self, number: int, cells: dict[int, tuple[int, int]]) -> NDArray[np.void]:
+        """Play one step; return its ledger."""
+        for robot, session in enumerate(self.sessions):
+            session.record([self.word(robot, self.logged[robot])])
+            self.logged[robot] += 1
+        self._deliver(self.radio.begin(number, cells))
+        return self._rows
+
+    def word(self, robot: int, number: int) -> bytes:
+        return packets.encode([packets.Fragment(bytes([robot, number % 256, number // 256]))])
+
+    def holds(self, robot: int, about: int) -> int:
+        """How much of a log a robot holds; what it holds is right."""
+        log = self.sessions[robot].logs[about]
+        assert log.since(log.oldest, None) == [self.word(about, n) for n in range(log.oldest, len(log))]
+        return len(log)
+
+    def _deliver(self, outgoing: list[Outgoing]) -> None:
+        for item in outgoing:
+            if isinstance(item, Frame):
+                self._frames[item.receiver].append((item.sender, item.payload))
+            elif item.receiver == LAB:
+                report: Any = item.message
+                self._rows = np.frombuffer(report.rows, ROW)
+            else:
+                self._hear(item.receiver, item.message)
+
+    def _hear(self, robot: int, message: object) -> None:
+        session, heard = self.sessions[robot], self._frames[robot]
+        if isinstance(message, Open):
+            room = None if message.budget == UNLIMITED else message.budget
+            said = [
+                (0, peer, frame) for peer, _, frame in session.offers(message.exchange, message.peers, room)
+            ]
+            self._say(robot, message.step, message.exchange, "offers", said)
+            return
+        self._frames[robot] = []
+        if isinstance(message, Turn) and message.phase == "offers":
+            offers = [(n, *frame) for n, frame in zip(message.connections, heard, strict=True)]
+            self._say(robot, message.step, message.exchange, "answers", session.answers(offers))
+        elif isinstance(message, Turn):
+            named = zip(message.connections, heard, message.maps, strict=True)
+            answers = [(n, peer, about, frame) for n, (peer, frame), about in named]
+            self._say(robot, message.step, message.exchange, "data", session.data(answers))
+        elif isinstance(message, Outcome):
+            for peer, about, frame in session.outcome(message, heard):
+                session.accept(peer, about, packets.split(frame))
+
+    def _say(
+        self, robot: int, step: int, exchange: int, phase: str, said: list[tuple[int, int, bytes]]
+    ) -> None:
+        for _, peer, frame in said:
+            self.radio.hear(robot, peer, frame)
+        numbers = [] if phase == "offers" else [number for number, _, _ in said]
+        self._deliver(self.radio.said(robot, Said(step, exchange, phase, numbers)))
+
+
+@pytest.mark.parametrize("budget", [UNLIMITED, 40])
+def test_two_robots_that_walk_apart_and_back_hear_each_other_in_range_and_only_there(budget: int) -> None:
+    pair = Pair(10.0, budget)
+    distances = [*range(21), *range(20, 0, -1), *20 * [1]]
+    together = 0
+    for number, distance in enumerate(distances, 1):
+        before = pair.holds(0, 1), pair.holds(1, 0)
+        rows = pair.step(number, {0: (0, 0), 1: (distance, 0)})
+        now = pair.holds(0, 1), pair.holds(1, 0)
+        assert not pair.radio.faults
+        if distance > 10:
+            assert now == before
+            assert len(rows) == 0
+        else:
+            together += 1
+            assert now > before
+        if budget != UNLIMITED:
+            assert rows["bytes"][rows["carried"] == 1].sum() <= budget
+        elif distance <= 10:
+            assert now == (number, number)
+    # What was logged out of range has arrived, and nothing twice.
+    assert together == 41
+    assert (pair.holds(0, 1), pair.holds(1, 0)) == (len(distances), len(distances))
+
+
+def test_a_robot_that_says_something_to_one_out_of_range_is_not_heard() -> None:
+    pair = Pair(10.0, UNLIMITED)
+    opened: list[Any] = pair.radio.begin(1, {0: (0, 0), 1: (11, 0)})
+    assert [note.message.peers for note in opened] == [[], []]
+    pair.radio.hear(0, 1, packets.encode([packets.Offer(0, 0)]))
+    pair._say(0, 1, 0, "offers", [])
+    pair._say(1, 1, 0, "offers", [])
+    for _ in range(3):
+        for robot in pair.radio.waiting_for():
+            pair._say(robot, 1, 1, "offers", [])
+    assert pair._frames == [[], []]
+    assert [CAUSES[row["cause"]] for row in pair._rows] == ["range"]
