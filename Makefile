@@ -29,7 +29,7 @@ demo: setup
 	$(BIN)/murmur explore --map office --robots 5 --bandwidth 10000
 
 test: $(VENV)/dev.stamp check
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 check: $(VENV)/dev.stamp
 	$(BIN)/ruff format --check .
