@@ -77,7 +77,8 @@ class Window:
             flags = ["--serve-web", "--web-viewer-port", str(self._page_port)]
             self._page = _start(*flags, "--port", str(self.port if recording else free_port()), source)
             if _answers(self._page, self._page_port or 0):
-                self._tell(f"Look at {self.address}")
+                until = "" if recording is None else "  (until Ctrl-C)"
+                self._tell(f"Look at {self.address}{until}")
             else:
                 self._tell(
                     f"Rerun's page did not come up at port {self._page_port}; the run is recorded only"

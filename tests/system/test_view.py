@@ -6,6 +6,7 @@ With ``MURMUR_PICTURES`` set to a folder, what was seen is kept there.
 from __future__ import annotations
 
 import io
+import json
 import os
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from deploy.dashboard.look import robot_color
 from deploy.dashboard.process import RECORDING
 from deploy.dashboard.windows import Window
 from deploy.mission import explore
+from deploy.rundir import SUMMARY
 from deploy.scenario import parse
 from tests.system.browser import Browser
 from tests.system.headless import settled_picture, viewer
@@ -74,7 +76,7 @@ def test_a_page_shows_the_dashboard_in_a_real_browser(tmp_path: Path) -> None:
     with Browser(1600, 1000) as browser:
         window.open(recording)
         try:
-            assert told == [f"Look at {window.address}"]
+            assert told == [f"Look at {window.address}  (until Ctrl-C)"]
             assert window.address.startswith("http://127.0.0.1:")
             browser.open(f"{window.address}&persist=0&renderer=webgl&theme=dark")
             png = browser.settled_picture(120.0, least=100_000)
@@ -82,3 +84,14 @@ def test_a_page_shows_the_dashboard_in_a_real_browser(tmp_path: Path) -> None:
             window.close()
     keep("dashboard-browser", png)
     assert_shows_robots(png, 3)
+
+
+@pytest.mark.long
+def test_a_thousand_steps_of_eight_robots_are_less_than_thirty_megabytes(
+    tmp_path: Path, real_maps: Path
+) -> None:
+    where = str(real_maps / "intel.yaml")
+    slow = {"speed": 0.1, "sensor_range": 2.0}
+    recording = recorded(tmp_path, map=where, robots=8, range="30%", steps=1000, **slow)
+    assert json.loads((recording.parent / SUMMARY).read_text())["steps"] == 1000
+    assert recording.stat().st_size < 30e6
