@@ -25,8 +25,8 @@ Watch = Callable[[Plan, Records], object]
 
 @contextlib.contextmanager
 def progress(console: Console, *, shown: bool) -> Iterator[Watch | None]:
-    """A live line: step, explored share, bytes of the budget, robots alive."""
-    if not shown:
+    """A live line, if `console` is a terminal: step, explored share, bytes of the budget, robots alive."""
+    if not shown or not console.is_terminal:
         yield None
         return
     bar = Progress(
@@ -61,7 +61,7 @@ def counting(console: Console, what: str, total: int) -> Iterator[Callable[[int,
     """A live line for work of known size."""
     bar = Progress(
         TextColumn(what), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeElapsedColumn(),
-        console=console, transient=True,
+        console=console, transient=True, disable=not console.is_terminal,
     )  # fmt: skip
     task = bar.add_task(what, total=total)
     with bar:
