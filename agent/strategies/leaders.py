@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning import forces
-from agent.planning.route import corners
+from agent.planning.route import Route, corners
 from agent.planning.ways import Ways
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Situation, Strategy
@@ -33,7 +33,7 @@ STALL_METRES = 1.0
 """How far it has to get."""
 
 WAIT_FOR_TEAMMATE = 2
-"""Steps for which a leader waits for a teammate to get out of its way, before it looks for another."""
+"""Steps for which a leader waits for a teammate to get out of its way, before it drives around it."""
 
 NOT_HERE = "robots are moved by forces, there are no targets to choose among"
 
@@ -142,18 +142,16 @@ class PotentialField(Strategy):
         self, situation: Situation, ways: Ways, frontier: NDArray[np.int32]
     ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """The closest frontier cell, and way points along the shortest way to it."""
-        if self._blocked_steps >= WAIT_FOR_TEAMMATE:
-            near = [situation.poses[peer][:2] for peer in situation.peers if peer in situation.poses]
-            for x, y in near:
-                if max(abs(x - situation.x), abs(y - situation.y)) <= 1 and (x, y) != situation.here:
-                    ways = ways.without(x, y)
         costs = ways.costs(*situation.here)[frontier[:, 1], frontier[:, 0]]
         target = frontier[np.argmin(costs)]
-        cells = ways.way(situation.here, (int(target[0]), int(target[1])))
-        if cells is None:
-            return target, np.empty((0, 2), np.int32)
+        goal = int(target[0]), int(target[1])
+        route = Route()
+        route.lead(ways, situation.here, goal)
+        if self._blocked_steps >= WAIT_FOR_TEAMMATE:
+            key = (self.settings.seed, self.settings.robot, situation.step)
+            route.detour(ways, situation.here, goal, self.settings.range_cells, key)
         start = situation.x * FINE + situation.offset[0], situation.y * FINE + situation.offset[1]
-        return target, corners(ways.floor, start, cells)
+        return target, corners(ways.floor, start, route.cells)
 
     def _is_stalled(self, situation: Situation, at: tuple[float, float]) -> bool:
         """Whether it has stayed where it is, and its map as well."""
