@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Callable, Iterator
+from itertools import count
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -29,6 +30,8 @@ MAP = "map.yaml"
 TEAM_MAP = "team.yaml"
 PICTURE = "maps.png"
 LOGS = "logs"
+RUNS = Path("runs")
+"""Where runs go for which no directory was named."""
 
 
 def create(out: Path | None, plan: Plan) -> Path:
@@ -39,23 +42,28 @@ def create(out: Path | None, plan: Plan) -> Path:
     ScenarioError
         The directory exists and is not empty, or cannot be made.
     """
-    if out is None:
-        scenario = plan.scenario
-        stem = f"{plan.map.name}-{scenario.exchange}-{scenario.robots}robots-seed{scenario.seed}"
-        base = Path("runs")
-        out = base / stem
-        number = 2
-        while out.exists():
-            out = base / f"{stem}-{number}"
-            number += 1
-    elif out.exists() and (not out.is_dir() or any(out.iterdir())):
+    if out is not None and out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ScenarioError(f"out = {out}: it exists already; name a new directory, or empty this one")
     try:
+        out = out or _next_free(plan)
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ScenarioError(f"out = {out}: cannot be made: {error.strerror}") from None
+        raise ScenarioError(f"out = {out or RUNS}: cannot be made: {error.strerror}") from None
     write_inputs(out, plan)
     return out
+
+
+def _next_free(plan: Plan) -> Path:
+    """Make a directory that no other run has taken, not even one that begins at the same time."""
+    scenario = plan.scenario
+    stem = f"{plan.map.name}-{scenario.exchange}-{scenario.robots}robots-seed{scenario.seed}"
+    RUNS.mkdir(exist_ok=True)
+    for number in count(1):
+        directory = RUNS / (stem if number == 1 else f"{stem}-{number}")
+        with contextlib.suppress(FileExistsError):
+            directory.mkdir()
+            break
+    return directory
 
 
 def write_inputs(out: Path, plan: Plan) -> None:
