@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import socket
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -50,7 +51,7 @@ def announced(directory: Path | None, credential: Credential, port: int | None) 
 
 
 def read_live(directory: Path) -> Live | None:
-    """Read how to look at a run under way; None if none is under way there.
+    """Read how to look at a run under way; None if there is none (a file alone may be left over).
 
     Raises
     ------
@@ -61,6 +62,11 @@ def read_live(directory: Path) -> Live | None:
     if not path.is_file():
         return None
     credential = Credential.read(path)
+    host, _, hub_port = credential.hub.partition("/")[2].rpartition(":")
+    try:
+        socket.create_connection((host, int(hub_port)), timeout=1.0).close()
+    except OSError:
+        return None
     return Live(credential, json.loads(path.read_text(encoding="utf-8"))["port"])
 
 
@@ -86,8 +92,8 @@ def watch(directory: Path, window: Window) -> None:
             _show(recording_of(directory), window)
     else:
         task = ViewTask(plans.make(rundir.read_scenario(directory)), directory, port=window.port)
-        serve(live.credential, task, window.open)
-        if window.mode != "native":
+        ended = serve(live.credential, task, window.open)
+        if ended and window.mode != "native":
             _show(recording_of(directory), window)
 
 

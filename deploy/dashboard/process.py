@@ -79,19 +79,19 @@ def watching(task: ViewTask) -> Iterator[ViewNode]:
         stack.callback(lambda: snapshots.write(task.directory / SNAPSHOTS))
         watchers: list[Watcher] = [snapshots]
         if task.records:
-            from deploy.dashboard.record import recording  # noqa: PLC0415  only who records needs Rerun
+            from deploy.dashboard.recording import recording  # noqa: PLC0415  only who records needs Rerun
 
             path = free_name(task.directory / RECORDING)
             watchers.append(stack.enter_context(recording(task.plan, path, task.port)))
         yield ViewNode(watchers)
 
 
-def serve(credential: Credential, task: ViewTask, ready: Callable[[], object] = lambda: None) -> None:
-    """Watch a run until it is over, the hub is gone, or SIGTERM or Ctrl-C; call `ready` once on the bus."""
-    asked: list[int] = []
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda signum, _: asked.append(signum))
-    with watching(task) as node:
+def serve(credential: Credential, task: ViewTask, ready: Callable[[], object] = lambda: None) -> bool:
+    """Watch a run until it is over, the hub is gone, or SIGTERM or Ctrl-C; call `ready` once on the bus.
+
+    Say whether it ended by itself.
+    """
+    with _requests() as asked, watching(task) as node:
         bus = join(credential)
         try:
             ready()
@@ -103,6 +103,22 @@ def serve(credential: Credential, task: ViewTask, ready: Callable[[], object] = 
             print(f"{error}; what was seen until then is kept", file=sys.stderr)
         finally:
             bus.close()
+    return not asked
+
+
+@contextlib.contextmanager
+def _requests() -> Iterator[list[int]]:
+    """Collect SIGTERM and Ctrl-C instead of dying of them."""
+    asked: list[int] = []
+    before = {
+        number: signal.signal(number, lambda signum, _: asked.append(signum))
+        for number in (signal.SIGTERM, signal.SIGINT)
+    }
+    try:
+        yield asked
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def free_name(path: Path) -> Path:

@@ -7,15 +7,11 @@ puts into views.
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rerun as rr
 
-from deploy.dashboard import windows
 from deploy.dashboard.about import about, shows_range
 from deploy.dashboard.look import (
     ALARM,
@@ -45,10 +41,6 @@ from protocol.messages import (
 )
 
 TIMELINE = "step"
-LOOPBACK = "127.0.0.1"
-FLUSH_S = 1.0
-"""How long rows are gathered before they are written and sent: fewer, larger pieces make smaller files."""
-SERVER_MEMORY = "1GiB"
 NAN = float("nan")
 SHARES_EVERY = 5
 """Steps from one drawing of the traffic shares to the next."""
@@ -56,27 +48,6 @@ SHARES_HEIGHT = 150.0
 """Height of the picture of the traffic shares, whose width is 100."""
 MAP_ORDER, RANGE_ORDER, WAY_ORDER, OUTLINE_ORDER, LINK_ORDER, TARGET_ORDER, ROBOT_ORDER = range(0, 70, 10)
 """What lies over what."""
-
-
-@contextlib.contextmanager
-def recording(plan: Plan, path: Path, port: int | None) -> Iterator[Recorder]:
-    """Record a run to a file, and serve it on the loopback while it is made if a port is given.
-
-    At the end the file is put into good order: a quarter less, and faster to open.
-    """
-    from deploy.dashboard.layout import layout  # noqa: PLC0415  it names entities of this module
-
-    stream = rr.RecordingStream("murmur", batcher_config=rr.ChunkBatcherConfig(flush_tick=FLUSH_S))
-    sinks: list[Any] = [rr.FileSink(path)]
-    if port is not None:
-        sinks.append(rr.GrpcServerSink(bind_ip=LOOPBACK, port=port, server_memory_limit=SERVER_MEMORY))
-    stream.set_sinks(*sinks, default_blueprint=layout(plan))
-    try:
-        yield Recorder(stream, plan)
-    finally:
-        stream.flush(timeout_sec=5.0)
-        stream.disconnect()
-        windows.optimise(path)
 
 
 class Recorder:

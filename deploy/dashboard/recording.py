@@ -1,0 +1,40 @@
+"""A run's recording: a file that grows while it goes on, and a server on the loopback for those who look on."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import rerun as rr
+
+from deploy.dashboard.layout import layout
+from deploy.dashboard.record import Recorder
+from deploy.dashboard.windows import LOOPBACK, optimise
+from deploy.plan import Plan
+
+FLUSH_S = 1.0
+"""How long rows are gathered before they are written and sent: fewer, larger pieces make smaller files."""
+SERVER_MEMORY = "1GiB"
+LAST_S = 5.0
+"""How long the last rows may take to be written and sent."""
+
+
+@contextlib.contextmanager
+def recording(plan: Plan, path: Path, port: int | None) -> Iterator[Recorder]:
+    """Record a run to a file, and serve it while it is made if a port is given.
+
+    At the end the file is put into good order: a quarter less, and faster to open.
+    """
+    stream = rr.RecordingStream("murmur", batcher_config=rr.ChunkBatcherConfig(flush_tick=FLUSH_S))
+    sinks: list[Any] = [rr.FileSink(path)]
+    if port is not None:
+        sinks.append(rr.GrpcServerSink(bind_ip=LOOPBACK, port=port, server_memory_limit=SERVER_MEMORY))
+    stream.set_sinks(*sinks, default_blueprint=layout(plan))
+    try:
+        yield Recorder(stream, plan)
+    finally:
+        stream.flush(timeout_sec=LAST_S)
+        stream.disconnect()
+        optimise(path)
