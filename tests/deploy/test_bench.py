@@ -1,0 +1,134 @@
+"""Benches: figures as ratios against yardsticks of the same run, and yardsticks that find the same results."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from agent.contour import contours
+from agent.planning.cost import costs
+from deploy import bench
+from deploy.bench import Figure, compare, kernels, run_benches, yardsticks
+from deploy.cli import app
+from protocol.grid import FREE, OCCUPIED, Grid, fan
+from protocol.scans import draw
+from worldsim import generators
+from worldsim.laser import cast
+
+
+def test_a_ratio_is_the_median_of_paired_repeats_with_its_interval() -> None:
+    figure = compare("work", "ms", [1.0, 2.0, 3.0, 40.0], "rest", [2.0, 4.0, 6.0, 2.0], "at most 1")
+    assert (figure.value, figure.ratio) == (2.5, 0.5)
+    assert figure.interval is not None
+    low, high = figure.interval
+    assert low == 0.5 <= high <= 20
+    assert figure == compare("work", "ms", [1.0, 2.0, 3.0, 40.0], "rest", [2.0, 4.0, 6.0, 2.0], "at most 1")
+
+
+def test_a_figure_for_people_names_its_yardstick_and_its_aim() -> None:
+    line = compare("work", "ms", [1.0, 1.0], "rest", [2.0, 2.0], "at most 1").line()
+    assert " ".join(line.split()) == "work 1.00 ms 0.50 x rest [0.50, 0.50] (aim: at most 1)"
+    assert Figure("memory", "MB", 44).line().split() == ["memory", "44.00", "MB"]
+
+
+def test_a_bench_that_is_not_there_is_refused_with_those_that_are() -> None:
+    with pytest.raises(ValueError, match=r"no bench is called 'speed'; there are: kernels, bus, swarm"):
+        run_benches(["bus", "speed"], lambda _: None)
+
+
+def _one_figure() -> Iterator[Figure]:
+    yield compare("work", "ms", [1.0], "rest", [2.0])
+
+
+def test_figures_come_as_text_for_people_and_as_json_for_machines(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench, "benches", lambda: {"small": _one_figure})
+    said = CliRunner().invoke(app, ["bench"]).stdout.splitlines()
+    assert said[0] == "small:"
+    assert said[1].split()[:3] == ["work", "1.00", "ms"]
+    (figure,) = json.loads(CliRunner().invoke(app, ["bench", "small", "--json"]).stdout)
+    assert figure["bench"] == "small"
+    assert (figure["yardstick"], figure["ratio"]) == ("rest", 0.5)
+
+
+@pytest.mark.parametrize(
+    ("module", "package"), [("cv2", "opencv-python-headless"), ("skimage.graph", "scikit-image")]
+)
+def test_a_yardstick_that_is_not_installed_is_named(
+    monkeypatch: pytest.MonkeyPatch, module: str, package: str
+) -> None:
+    if module != "cv2":
+        pytest.importorskip("cv2")
+    monkeypatch.setitem(sys.modules, module, None)
+    result = CliRunner().invoke(app, ["bench", "kernels"])
+    assert result.exit_code == 2
+    assert f"bench kernels compares with {package}, which is not installed" in result.stderr
+    assert "extra bench" in result.stderr
+
+
+def test_kernels_are_measured_against_yardsticks_that_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("cv2", reason="OpenCV is in the extra bench")
+    pytest.importorskip("skimage", reason="scikit-image is in the extra bench")
+    monkeypatch.delenv("MURMUR_MAPS", raising=False)
+    monkeypatch.setattr(kernels, "ROBOTS", 3)
+    monkeypatch.setattr(kernels, "SIDE_M", 10.0)
+    figures = list(kernels.kernels())
+    assert [(figure.name, figure.yardstick) for figure in figures] == [
+        ("scan, cast and drawn", "the same beams in numpy"),
+        ("contours of a robot's map", "OpenCV's findContours"),
+        ("contours, repair, refinement and edits", "the whole map approximated and told anew"),
+        ("merging 2 teammates, all changed", "Algorithm 9 line by line"),
+        ("merging 2 teammates, one changed", "all changed"),
+        ("merging 2 teammates, none changed", "all changed"),
+        ("costs to all cells", "skimage's MCP_Geometric"),
+        ("session of 3 robots a step", "the relay's work in it"),
+    ]
+    for figure in figures:
+        assert figure.unit == "ms"
+        assert figure.value > 0
+        assert figure.ratio is not None
+        assert figure.interval is not None
+        assert 0 < figure.interval[0] <= figure.ratio <= figure.interval[1]
+
+
+# --- yardsticks ----------------------------------------------------------------------------------------
+
+
+def some_floor(seed: int) -> tuple[Grid, tuple[int, int]]:
+    """Free space in one piece, with walls and pillars, and a cell of it."""
+    grid = generators.make("unstructured", seed=seed, width_m=8, height_m=8).cells
+    y, x = np.argwhere(grid == FREE)[seed * 97].tolist()
+    known = np.where(np.isfinite(costs(grid, x, y)), FREE, OCCUPIED).astype(np.uint8)
+    return known, (x, y)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_opencv_goes_along_the_same_cells(seed: int) -> None:
+    cv2 = pytest.importorskip("cv2", reason="OpenCV is in the extra bench")
+    grid, cell = some_floor(seed)
+    solid = np.ones((grid.shape[0] + 2, grid.shape[1] + 2), np.uint8)
+    theirs = yardsticks.without_frame(yardsticks.trace_by_opencv(cv2, grid, solid))
+    assert yardsticks.cells_along(contours(grid, cell)) == theirs
+    assert len(theirs) > 3
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_skimage_finds_the_same_ways_if_it_may_not_cut_corners(seed: int) -> None:
+    graph = pytest.importorskip("skimage.graph", reason="scikit-image is in the extra bench")
+    grid, (x, y) = some_floor(seed)
+    theirs = yardsticks.without_corners(graph, grid, (x, y))
+    assert np.allclose(costs(grid, x, y), theirs, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_numpy_sees_the_same_cells(seed: int) -> None:
+    grid, cell = some_floor(seed)
+    nobody, beams = np.zeros(grid.shape, np.bool_), fan(25.0)
+    mine, theirs = np.zeros_like(grid), np.zeros_like(grid)
+    draw(mine, beams, *cell, cast(grid, nobody, beams, *cell))
+    yardsticks.look_in_numpy(grid, nobody, beams, cell, theirs)
+    assert (mine == theirs).all()
