@@ -111,7 +111,8 @@ def channel_load(archive: Archive, snapshots: Snapshots | None) -> Figure:
     }
     shown = {words: values for words, values in carried.items() if values.any()}
     colors = [tuple(part / 255 for part in group.color) for group in GROUPS.values() if group.words in shown]
-    load.stackplot(steps, *shown.values(), labels=list(shown), colors=colors, step="mid", linewidth=0)
+    if shown:
+        load.stackplot(steps, *shown.values(), labels=list(shown), colors=colors, step="mid", linewidth=0)
     budget = archive.plan.scenario.bandwidth
     if budget != UNLIMITED:
         load.axhline(float(budget), color=RED, linewidth=1.2, label=f"budget: {budget} bytes a step")

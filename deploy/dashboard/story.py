@@ -102,6 +102,7 @@ class Story:
         self.step = report.step
         self.seen = report.seen / report.reachable
         cell_mm = 1000 * self.plan.map.resolution
+        here = set(self.positions)
         poses = np.frombuffer(report.poses, "<i4").reshape(-1, 4).tolist()
         self.positions = {
             robot: to_world(self.plan.map, x / cell_mm, y / cell_mm) for robot, x, y, _ in poses
@@ -110,13 +111,15 @@ class Story:
             extend(self.ways.setdefault(robot, []), place)
         for robot in sorted(self.targets.keys() - self.positions.keys()):
             del self.targets[robot]
+        gone = sorted(here - self.positions.keys())
         before = self.in_range
         self.in_range = {
             (a, b)
             for (a, p), (b, q) in combinations(sorted(self.positions.items()), 2)
             if math.dist(p, q) <= self.plan.range_m
         }
-        return [
+        events = [Event(self.step, f"robot {robot} has broken down", 2) for robot in gone]
+        return events + [
             Event(self.step, f"robots {a} and {b} can hear each other")
             if (a, b) in self.in_range
             else Event(self.step, f"robots {a} and {b} have lost each other", 1)

@@ -78,6 +78,10 @@ class Traffic:
             port = segment.source if way == UP else segment.target
             known = self.connections.setdefault(port, Connection(port, names.get(port, "")))
             known.take(way, segment)
+        # A client whom the hub did not let in at once has tried again: what said nothing was no link.
+        for port, known in list(self.connections.items()):
+            if not (known.name or any(known.puts) or any(known.told)):
+                del self.connections[port]
 
     def of(self, name: str) -> Connection:
         """The one connection of a process."""

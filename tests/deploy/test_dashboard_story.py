@@ -122,6 +122,12 @@ def test_losses_faults_and_the_end_are_told(story: Story) -> None:
     assert texts(story, "relay", End(9, "out of steps", -1)) == ["the run is over: out of steps"]
 
 
+def test_a_robot_that_breaks_down_is_told_once(story: Story) -> None:
+    story.take("world", where(1, (10, 10), (20, 10)))
+    assert texts(story, "world", where(2, (10, 10), None)) == ["robot 1 has broken down"]
+    assert texts(story, "world", where(3, (10, 10), None)) == []
+
+
 def test_a_viewer_that_comes_late_can_make_sense_of_any_first_word() -> None:
     heard = told()
     for first in range(0, 60, 7):

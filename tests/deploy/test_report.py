@@ -14,8 +14,9 @@ from typer.testing import CliRunner
 from deploy import archive, rundir
 from deploy.cli import app
 from deploy.figures import FOLDER
+from deploy.mission import explore
 from deploy.report import write_report
-from deploy.scenario import ScenarioError
+from deploy.scenario import ScenarioError, parse
 from deploy.snapshots import SNAPSHOTS
 from tests.deploy.small_run import small_directory, small_run
 
@@ -107,6 +108,12 @@ def test_a_run_that_cannot_be_repeated_is_told_of_without_maps_over_time(directo
     assert [path.name for path in (directory / FOLDER).iterdir()] == ["channel-load.png"]
     assert len(page.sources) == 2
     assert "cannot be repeated" in told[0]
+
+
+def test_a_robot_that_had_nobody_to_talk_to_is_told_of_as_well(tmp_path: Path) -> None:
+    alone = parse({"bus": "memory", "robots": 1, "steps": 3, "bandwidth": "unlimited"})
+    explore(alone, out=tmp_path / "run", pictures=True)
+    assert "0 bytes in 0 packets" in write_report(tmp_path / "run").read_text(encoding="utf-8")
 
 
 def test_what_is_no_run_is_refused(tmp_path: Path, directory: Path) -> None:

@@ -105,7 +105,7 @@ def test_ctrl_c_does_in_each_terminal_what_the_document_says(tmp_path: Path) -> 
     address = free_address()
     netshaper, worldsim, r0, r1, lab = [command.replace(ADDRESS, address) for command in COMMANDS[:-1]]
     with terminals(tmp_path) as running:
-        (tmp_path / "hand.toml").write_text(SCENARIO + "speed = 0.1\n")  # not over before Ctrl-C
+        (tmp_path / "hand.toml").write_text(SCENARIO + "speed = 0.005\n")  # not over before Ctrl-C
         for command in (netshaper, worldsim, r0, r1, lab):
             running[command] = start(command, tmp_path)
             wait_for(tmp_path / "credentials" / "scenario.toml", running[netshaper])
