@@ -1,4 +1,4 @@
-"""One step's shared medium: a budget of bytes, a seeded order, and what is put on the air (DESIGN: A step).
+"""One step's shared medium: a budget of bytes, a seeded order, and what is put on the air (docs/architecture.md, A step).
 
 What is carried counts, whoever hears it; a broadcast counts once; unused budget lapses. The first packet
 that finds no room closes the medium for the rest of the step.
@@ -66,7 +66,7 @@ class Medium:
         return size > 0
 
     def connect(self, exchange: int, connection: Connection) -> None:
-        """Put the frames of a connection on the air until one of them is cut or lost."""
+        """Put the frames of a connection on the air, as far as there is room; one that is lost is the last."""
         for frame, payload in enumerate(connection.frames):
             if payload is None:
                 break
@@ -78,10 +78,7 @@ class Medium:
                     exchange, connection.number, frame, sender, receiver, connection.map, payload, "lost", []
                 )
                 break
-            cut_before = any(
-                connection.carried[before] < len(connection.frames[before] or b"") for before in range(frame)
-            )
-            size = 0 if cut_before else self._admit(payload, whole=frame != DATA)
+            size = self._admit(payload, whole=frame != DATA)
             connection.carried[frame] = size
             self._book(
                 exchange, connection.number, frame, sender, receiver, connection.map, payload, size,

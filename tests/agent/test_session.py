@@ -134,6 +134,27 @@ def test_what_was_not_put_on_the_air_did_not_happen() -> None:
         assert link.sessions[0].known[1][0] == 0
 
 
+def test_an_answer_that_was_not_put_on_the_air_moves_nothing() -> None:
+    session = Session(0, 2)
+    session.record(words(0, 0, 5))
+    for number in range(3):
+        assert session.offers(0, [1], None), "an answer that nobody heard is no refusal"
+        session.data([(number, 1, 0, encode([Answer(3 + number)]))])
+        session.outcome(Outcome(0, 0, [number], [2], [0], [0], [], False), [])
+        assert session.known[1][0] == 0
+
+
+def test_who_declines_is_not_forgotten_to_hold_what_he_was_sent() -> None:
+    link = Link(2, "thesis")
+    link.record(0, 4)
+    link.exchange(0, everyone(2))
+    session: Any = link.sessions[1]
+    session.answers = lambda heard: [(number, peer, encode([Decline()])) for number, peer, _ in heard]
+    link.record(0, 1)
+    link.exchange(0, everyone(2))
+    assert link.sessions[0].known[1][0] == 4
+
+
 def test_only_what_the_other_lacks_is_sent() -> None:
     link = Link(2, "thesis")
     link.record(0, 10)

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scripted_robots import Air, Liar, Mute, Put, Robot, Step
+from scripted_robots import Air, Heard, Liar, Mute, Put, Robot, Step
 
 from netshaper.ledger import BROADCAST, CAUSES, KIND_NUMBER, MALFORMED, ROW, balance
 from netshaper.medium import ANSWER, DATA, OFFER, TARGET, UNLIMITED
 from netshaper.radio import EVERYONE, LAB, RadioSettings
 from protocol import packets
-from protocol.messages import Open, Outcome, Said
+from protocol.messages import Open, Outcome, Said, Turn
 from protocol.packets import Answer, Decline, Delete, Offer, Save, Target, encode
 
 seeds = st.integers(0, 2**32 - 1)
@@ -418,6 +418,39 @@ def test_data_that_is_malformed_or_no_data_is_booked_and_passed_on_to_nobody(dat
     assert {CAUSES[cause] for cause in refused["cause"]} == {"protocol"}
     assert [kind for kind, _ in step.delivered if kind == "data"] == []
     assert air.radio.faults
+
+
+def test_data_for_an_offer_that_was_not_answered_is_refused_and_booked() -> None:
+    class Impatient(Says):
+        def takes_turn(self, note: Turn, heard: Heard) -> list[Put | Said]:
+            (number,) = note.connections
+            return [(1, encode([Save()])), Said(note.step, note.exchange, "data", [1 - number])]
+
+    class Choosy(Says):
+        def takes_turn(self, note: Turn, heard: Heard) -> list[Put | Said]:
+            return super().takes_turn(note, heard)[1:-1] + [Said(note.step, note.exchange, "answers", [1])]
+
+    air = air_of(Impatient(0, (1, OFFER_0), (1, encode([Offer(1, 0)]))), Choosy(1))
+    step = air.step(1, TOGETHER)
+    assert sorted(booked(step)) == [
+        ("answer", 1, 0, 2, True, ""),
+        ("data", 0, 1, 1, False, "protocol"),
+        ("offer", 0, 1, 2, True, ""),
+        ("offer", 0, 1, 2, True, ""),
+    ]
+    assert [reason for _, reason in air.radio.faults] == ["a frame of no connection of its own"]
+
+
+@given(seeds, st.permutations([(peer, about) for peer in (1, 2) for about in (0, 1, 2)]))
+def test_the_order_in_which_a_robot_says_its_offers_changes_nothing(seed: int, order: list[Put]) -> None:
+    def played(pairs: list[Any]) -> list[Any]:
+        offers = [(peer, encode([Offer(about, 0)])) for peer, about in pairs]
+        robots = {0: Says(0, *offers, data=encode(3 * [Delete(1)])), 1: Says(1), 2: Says(2)}
+        air = Air(RadioSettings(3, seed, 10.0, 20), robots)
+        rows: list[Any] = air.step(1, TOGETHER | {2: (1, 1)}).rows.tolist()
+        return rows
+
+    assert played(order) == played(sorted(order))
 
 
 def test_what_is_said_while_the_medium_is_closed_is_booked_in_the_next_step() -> None:

@@ -136,6 +136,15 @@ def test_the_loss_of_the_last_one_that_was_waited_for_ends_the_step() -> None:
     assert run.world.step == 2
 
 
+def test_what_a_robot_said_that_is_lost_since_does_not_count() -> None:
+    run = Run()
+    run.stay(1, explored=True)
+    run.control(Lost(1, "its process ended"))
+    run.stay(0)
+    assert run.ended() is None
+    assert run.world.step == 2
+
+
 def test_the_run_ends_when_the_first_robot_is_done_and_of_several_the_lowest_counts() -> None:
     run = Run(3)
     run.stay(0)
