@@ -1,4 +1,4 @@
-"""The way that a robot is on: followed cell by cell, led around a teammate that stands on it."""
+"""The way that a robot is on: followed cell by cell, led around teammates that stand on it."""
 
 from __future__ import annotations
 
@@ -15,12 +15,16 @@ _FINE = 1000
 
 _NOWHERE = np.empty((0, 2), np.int32)
 
+MEMORY = 20
+"""Steps for which a robot keeps away from a cell that it could not enter for a teammate."""
+
 
 class Route:
-    """Cells still to be driven."""
+    """Cells still to be driven, and those that teammates lately held."""
 
     def __init__(self) -> None:
         self.cells: NDArray[np.int32] = _NOWHERE
+        self._held: dict[tuple[int, int], int] = {}
 
     def lead(self, ways: Ways, start: tuple[int, int], end: tuple[int, int]) -> bool:
         """Take a best way from `start` to `end`; whether there is one. Without one, the way is empty."""
@@ -54,14 +58,21 @@ class Route:
         reach: float,
         key: tuple[int, int, int],
     ) -> None:
-        """Lead around the cell in front, which a teammate holds.
+        """Lead around the cell in front, which a teammate holds, and around those lately found held.
 
-        Where no other way leads to `end`, or it is much longer, lead to a random cell at most `reach`
-        cells away instead; `key` (seed, robot, step) decides which.
+        Without the memory a robot between two teammates would turn from one to the other for good. Where no
+        other way leads to `end`, or it is much longer, lead to a random cell at most `reach` cells away
+        instead; `key` (seed, robot, step) decides which.
         """
         if not len(self.cells):
             return
-        around = ways.without(int(self.cells[0][0]), int(self.cells[0][1]))
+        step = key[2]
+        self._held = {cell: since for cell, since in self._held.items() if step - since < MEMORY}
+        self._held[int(self.cells[0][0]), int(self.cells[0][1])] = step
+        around = ways
+        for x, y in self._held:
+            if (x, y) != start:
+                around = around.without(x, y)
         field = around.costs(*start)
         if field[end[1], end[0]] < len(self.cells) + reach:
             self.lead(around, start, end)

@@ -78,6 +78,7 @@ class PotentialField(Strategy):
             chosen.gain_frontier, chosen.damping,
         )  # fmt: skip
         self._velocity = np.zeros(2)
+        self._route = Route()
         self._blocked_steps = 0
         self._anchor: tuple[float, float] = (0.0, 0.0)
         self._anchor_step = 0
@@ -145,13 +146,12 @@ class PotentialField(Strategy):
         costs = ways.costs(*situation.here)[frontier[:, 1], frontier[:, 0]]
         target = frontier[np.argmin(costs)]
         goal = int(target[0]), int(target[1])
-        route = Route()
-        route.lead(ways, situation.here, goal)
+        self._route.lead(ways, situation.here, goal)
         if self._blocked_steps >= WAIT_FOR_TEAMMATE:
             key = (self.settings.seed, self.settings.robot, situation.step)
-            route.detour(ways, situation.here, goal, self.settings.range_cells, key)
+            self._route.detour(ways, situation.here, goal, self.settings.range_cells, key)
         start = situation.x * FINE + situation.offset[0], situation.y * FINE + situation.offset[1]
-        return target, corners(ways.floor, start, route.cells)
+        return target, corners(ways.floor, start, self._route.cells)
 
     def _is_stalled(self, situation: Situation, at: tuple[float, float]) -> bool:
         """Whether it has stayed where it is, and its map as well."""

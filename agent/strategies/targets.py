@@ -217,6 +217,8 @@ class TargetStrategy(Strategy):
             return "drives home"
         if not left:
             return "idle: no reachable frontier is left on its planning grid"
+        if self.target is None and self.options.replan == "after-turn":
+            return "looks around before it chooses"
         if self.target is None:
             return "waits: its teammates have taken all goals"
         return "looks around at its target" if self.target == here else "drives to its target"

@@ -9,9 +9,11 @@ from typing import Any
 import pytest
 
 from agent.exchange import EXCHANGES
-from deploy import explore
+from deploy import explore, in_memory, plan
 from deploy.mission import EXPLORED, NOT_FINISHED, Result
 from deploy.scenario import parse
+from worldsim import generators
+from worldsim.process import EXPLORED as EXPLORED_ALL
 from worldsim.process import STALLED
 
 NAMES = [
@@ -81,3 +83,15 @@ def test_robots_that_return_end_where_they_began() -> None:
         np.frombuffer(report.poses, "<i4").reshape(-1, 4)[:, :3] for report in (world[0], world[-1])
     )
     assert np.array_equal(first, last)
+
+
+def test_robots_in_a_doorway_do_not_stand_in_each_others_way_for_good() -> None:
+    # Four of the five meet in the first doorway, two going in and two coming out.
+    office = generators.make("office-plain", seed=1, resolution=0.25)
+    scenario: dict[str, Any] = {
+        "map": "office-plain", "robots": 5, "strategy": "stop-scan-replan", "bus": "memory", "exchange": "laser",
+        "bandwidth": "unlimited", "sensor_range": 5.0, "speed": 0.25, "scanner_turn": 18, "seed": 1, "steps": 600,
+    }  # fmt: skip
+    records = in_memory.run(plan.make(parse(scenario), office))
+    assert records.end is not None
+    assert records.end.reason == EXPLORED_ALL
