@@ -1,8 +1,9 @@
 """First looks at what the papers of the strategies claim: few seeds, small environments, one table.
 
-``python -m deploy.claims [CLAIM ...] [--seeds 5] [--jobs 2]`` prints it (docs/strategies.md). Each claim is
-a set of scenarios, run on the memory bus without a limit of bandwidth, and a comparison of their means. With
-five seeds a difference is a hint, not a proof: the interval beside each mean is of 95 % (Student's t).
+``python -m deploy.claims [CLAIM ...] [--seeds 5] [--jobs 2] [--out FILE.jsonl]`` prints it (docs/strategies.md).
+Each claim is a set of scenarios, run on the memory bus without a limit of bandwidth, and a comparison of their
+means. With five seeds a difference is a hint, not a proof: the interval beside each mean is of 95 %
+(Student's t). Each outcome is a line of FILE.jsonl as soon as it is known; what stands there is not run again.
 """
 
 from __future__ import annotations
@@ -10,9 +11,8 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Iterable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from rich.table import Table
 from scipy import stats
 
 from deploy import in_memory, plan
+from deploy.lines import collect
 from deploy.scenario import parse
 from worldsim import generators
 
@@ -111,7 +112,7 @@ CLAIMS = (
             for label, settings in _ROTATING.items()
         },
         (("office-plain", _COARSE), ("office-obstacles", _COARSE)),
-        (1, 3, 5),
+        (1, 2, 3, 4, 5),
     ),
     Claim(
         "A2",
@@ -122,6 +123,23 @@ CLAIMS = (
         (1, 2, 3, 4, 5, 6, 8),
     ),
 )
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run of a claim to be made."""
+
+    claim: Claim
+    environment: str
+    parameters: dict[str, float]
+    robots: int
+    variant: str
+    seed: int
+
+    @property
+    def key(self) -> tuple[str, str, int, str, int]:
+        """As that of its outcome."""
+        return self.claim.name, self.environment, self.robots, self.variant, self.seed
 
 
 @dataclass(frozen=True)
@@ -136,11 +154,16 @@ class Run:
     steps: int
     finished: bool
 
+    @property
+    def key(self) -> tuple[str, str, int, str, int]:
+        """Which run it was."""
+        return self.claim, self.environment, self.robots, self.variant, self.seed
 
-def runs_of(claim: Claim, seeds: int) -> list[tuple[str, dict[str, float], int, str, int]]:
-    """All runs of a claim: environment, its parameters, robots, variant, seed."""
+
+def runs_of(claim: Claim, seeds: int) -> list[Case]:
+    """All runs of a claim."""
     return [
-        (environment, parameters, robots, variant, seed)
+        Case(claim, environment, parameters, robots, variant, seed)
         for environment, parameters in claim.environments
         for robots in claim.robots
         for variant in claim.variants
@@ -148,16 +171,18 @@ def runs_of(claim: Claim, seeds: int) -> list[tuple[str, dict[str, float], int, 
     ]
 
 
-def run(claim: Claim, case: tuple[str, dict[str, float], int, str, int]) -> Run:
+def run(case: Case) -> Run:
     """Run one scenario in this process."""
-    environment, parameters, robots, variant, seed = case
-    world_map = generators.make(environment, seed=seed, **parameters)
-    settings = UNLIMITED | claim.scenario | claim.variants[variant]
-    scenario = parse(settings | {"map": environment, "map_seed": seed, "robots": robots, "seed": seed})
+    claim, seed = case.claim, case.seed
+    world_map = generators.make(case.environment, seed=seed, **case.parameters)
+    settings = UNLIMITED | claim.scenario | claim.variants[case.variant]
+    scenario = parse(
+        settings | {"map": case.environment, "map_seed": seed, "robots": case.robots, "seed": seed}
+    )
     records = in_memory.run(plan.make(scenario, world_map))
     end = records.end
     finished = end is not None and end.first >= 0 and records.explored >= LEAST_COVERAGE
-    return Run(claim.name, environment, robots, variant, seed, records.step, finished)
+    return Run(claim.name, case.environment, case.robots, case.variant, seed, records.step, finished)
 
 
 def table(claim: Claim, runs: Iterable[Run]) -> Table:
@@ -196,17 +221,17 @@ def main() -> None:
     parser.add_argument("claims", nargs="*", metavar="CLAIM", help=f"of {', '.join(known)}; default: all")
     parser.add_argument("--seeds", type=int, default=5, help="runs a point")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--out", type=Path, metavar="FILE.jsonl", help="an outcome a line; known ones stay")
     asked = parser.parse_args()
     unknown = [name for name in asked.claims if name not in known]
     if unknown:
         parser.error(f"no claim is called {unknown[0]}; there are {', '.join(known)}")
     screen = Console(width=140)
-    with ProcessPoolExecutor(asked.jobs) as pool:
-        for claim in (known[name] for name in asked.claims or known):
-            cases = runs_of(claim, asked.seeds)
-            results = pool.map(partial(run, claim), cases, chunksize=1)
-            progress = Console(stderr=True)
-            screen.print(table(claim, track(results, claim.name, len(cases), console=progress)))
+    for claim in (known[name] for name in asked.claims or known):
+        todo = runs_of(claim, asked.seeds)
+        results = collect(todo, run, Run, asked.jobs, asked.out)
+        progress = Console(stderr=True)
+        screen.print(table(claim, track(results, claim.name, len(todo), console=progress)))
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ def test_every_variant_is_a_scenario_that_can_be_run(claim: object) -> None:
 
 def test_without_leaders_the_team_stalls_where_with_leaders_it_finishes() -> None:
     claim = BY_NAME["L1"]
-    finished = {case[3]: run(claim, case).finished for case in runs_of(claim, 1)}
+    finished = {case.variant: run(case).finished for case in runs_of(claim, 1)}
     assert finished == {"leaders": True, "potential-field": False}
 
 
