@@ -13,6 +13,7 @@ import typer
 from rich.console import Console
 
 from agent.exchange import THESIS_OPTIONS
+from agent.strategies.catalogue import COMBINING, catalogue, entry
 from deploy.scenario import Scenario, ScenarioError, load
 
 BAD_INPUT = 2
@@ -47,6 +48,11 @@ def default(name: str) -> str:
     """Help text of a scenario setting: what it is, and its default."""
     info = Scenario.model_fields[name]
     return f"{info.description}" + ("" if info.default is None else f" (default {info.default})")
+
+
+def _preformatted(text: str) -> str:
+    """Text of which help keeps every line as it is."""
+    return text.replace("\n\n", "\n\n\b\n")
 
 
 ScenarioFile = Annotated[
@@ -244,17 +250,24 @@ def show_capture(
             print(line)
 
 
-@app.command()
-def strategies(as_json: JsonFlag = False) -> None:
-    """List the exploration strategies: what each does, from which paper, with which options."""
-    from agent.strategies import strategies as all_strategies  # noqa: PLC0415
+@app.command(
+    help=f"List the exploration strategies, or show one with all its options.\n\n\b\n{_preformatted(COMBINING)}"
+)
+def strategies(
+    name: Annotated[
+        str | None, typer.Argument(metavar="NAME", help="show this one, or the class package.module:Class")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print all that is known of them as JSON")] = False,
+) -> None:
+    """List the exploration strategies, or show one with all its options."""
+    from deploy import strategy_pages as pages  # noqa: PLC0415
 
-    found = all_strategies()
-    if as_json:
-        print(json.dumps({name: {"summary": s.summary, "source": s.source} for name, s in found.items()}))
-        return
-    for name, kind in found.items():
-        screen.print(f"[bold]{name}[/bold]: {kind.summary}\n    {kind.source}")
+    with _speaking_clearly():
+        entries = catalogue() if name is None else [entry(name)]
+        if as_json:
+            print(json.dumps(pages.for_machines(entries)))
+        else:
+            pages.console(screen).print(pages.listing(entries) if name is None else pages.page(entries[0]))
 
 
 @app.command()

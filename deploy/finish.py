@@ -92,8 +92,8 @@ PAPERS = (
     ),
     Paper(
         ("greedy", "iterative", "hungarian", "mtsp", "hungarian-depot", "mtsp-depot"),
-        {"sensor_range": 5.0, "radius": 0.15, "speed": 0.2},
-        {"potholes": {"resolution": 0.2}},
+        {"sensor_range": 5.0, "radius": 0.15, "speed": 0.25},
+        {"potholes": _COARSE},
     ),
 )  # fmt: skip
 
@@ -144,14 +144,14 @@ class Outcome:
 
 
 def cases(chosen: Iterable[str], seeds: int, maps: Iterable[str] = ()) -> list[Case]:
-    """All runs of the chosen strategies, paper by paper; those on maps of files come last."""
+    """All runs of the chosen strategies: seed by seed, paper by paper; those on maps of files come last."""
     chosen, maps = list(chosen), list(maps)
     found: dict[Case, None] = {}
-    for paper in PAPERS:
-        for environment, parameters in paper.environments.items():
-            for name in (name for name in paper.strategies if name in chosen):
-                for robots in ROBOTS:
-                    for seed in range(seeds):
+    for seed in range(seeds):
+        for paper in PAPERS:
+            for environment, parameters in paper.environments.items():
+                for name in (name for name in paper.strategies if name in chosen):
+                    for robots in ROBOTS:
                         found[Case(name, environment, robots, seed, parameters, paper.body)] = None
     for file in maps:
         for paper in PAPERS:

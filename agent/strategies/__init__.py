@@ -5,6 +5,7 @@ A new strategy is one new file here, or a class in any importable module, named 
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import pkgutil
 from typing import Any
@@ -44,15 +45,16 @@ def strategy(name: str) -> type[Strategy]:
     Raises
     ------
     ValueError
-        There is none of that name (the names there are follow), or the class cannot be imported.
+        There is none of that name (near names and those there are follow), or the class cannot be imported.
     """
     if ":" in name:
         return _imported(name)
     known = strategies()
     if name not in known:
-        there_are = ", ".join(known)
+        near = difflib.get_close_matches(name.lower(), known)
+        meant = f"; did you mean {' or '.join(near)}? There are: " if near else "; there are: "
         raise ValueError(
-            f"no strategy is called {name!r}; there are: {there_are}; or give one as package.module:Class"
+            f"no strategy is called {name!r}{meant}{', '.join(known)}; or give one as package.module:Class"
         )
     return known[name]
 

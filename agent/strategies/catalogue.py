@@ -5,20 +5,38 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from agent.strategies import strategies
+from agent.strategies import Strategy, strategies, strategy
 from agent.strategies.options import OptionLine, option_lines
 
 COMBINING = """\
 A strategy is made of parts. Each names its own; options exchange them:
-  candidates  cells, rfe, anr, breadth-first   which cells are worth going to
-  costs       shortest, weighted               length of ways, or length times occupancy of the smoothed map
-  replan      at-goal, at-once, after-turn     at the target; when it is no frontier any more; after a full turn
-  mission     open, return                     the run ends with the first that is done, or when all are home
-  scan        always, at-target                whether scanners work on the way
-  share       always, at-target                whether news waits until a target is reached or replaced
-What does not combine, and is refused with the reason: breadth-first with weighted costs, with strategies that
-weigh several goals, or with teams; after-turn with teams; scan = at-target without after-turn; mtsp on all
-cells; the depot strategies on open missions; any of these parts with the potential field."""
+
+  candidates   which cells are worth going to
+    cells          all frontier cells
+    rfe            representatives of free edges
+    anr            representatives, at least as many as robots
+    breadth-first  the nearest that nobody is headed for
+  costs        how ways are counted
+    shortest       by their length
+    weighted       by length times occupancy of a smoothed map
+  replan       when a new target is chosen
+    at-goal        at the target
+    at-once        when the target is no frontier any more
+    after-turn     at the target, after a full turn of the scanner
+  mission      what comes after the last target
+    open           the run ends with the first robot that has nothing left
+    return         all drive home, then it ends
+  scan         when scanners work
+    always         on the way as well
+    at-target      only there
+  share        when teammates get what was seen
+    always         at once
+    at-target      when a target is reached or replaced
+
+What does not combine is refused, with the reason: breadth-first with weighted
+costs, with strategies that weigh several goals, or with teams; after-turn with
+teams; scan = at-target without after-turn; mtsp on all cells; the depot
+strategies on open missions; any of these parts with the potential field."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +50,8 @@ class Entry:
         With their defaults.
     refused : mapping of option to reason
         Options of others that it cannot have.
+    clashes : list of str
+        Choices that it cannot have while its other options are the defaults, each with the reason.
     """
 
     name: str
@@ -39,11 +59,40 @@ class Entry:
     source: str
     options: list[OptionLine]
     refused: Mapping[str, str]
+    clashes: list[str]
+
+    @property
+    def paper(self) -> str:
+        """Whose it is."""
+        return self.source.partition(", ")[0]
+
+    @property
+    def section(self) -> str:
+        """Where in the paper it is described."""
+        return self.source.partition(", ")[2]
 
 
 def catalogue() -> list[Entry]:
     """All strategies that have been imported, by name."""
-    return [
-        Entry(name, kind.summary, kind.source, option_lines(kind.options_type), kind.refused)
-        for name, kind in strategies().items()
-    ]
+    return [_entry(kind) for kind in strategies().values()]
+
+
+def entry(name: str) -> Entry:
+    """The strategy of that name, or the class that ``package.module:Class`` names; ValueError if there is none."""
+    return _entry(strategy(name))
+
+
+def _entry(kind: type[Strategy]) -> Entry:
+    lines = option_lines(kind.options_type)
+    return Entry(kind.name, kind.summary, kind.source, lines, kind.refused, _clashes(kind, lines))
+
+
+def _clashes(kind: type[Strategy], lines: list[OptionLine]) -> list[str]:
+    found = []
+    for line in lines:
+        for choice in line.choices:
+            try:
+                kind.check({line.name: choice})
+            except ValueError as error:
+                found.append(str(error))
+    return found

@@ -55,9 +55,7 @@ class StopScanReplan(TargetStrategy):
     """Stop, scan, replan, go."""
 
     name = "stop-scan-replan"
-    summary = (
-        "a full turn of the scanner at each target, then to the nearest frontier that nobody is headed for"
-    )
+    summary = "a full turn of the scanner at each target, then to the nearest frontier nobody is headed for"
     source = "Al-khawaldah and Nuechter 2014, section 3.1, Algorithm 1"
     options_type = Turning
 
