@@ -40,7 +40,8 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
     Raises
     ------
     ScenarioError
-        The map cannot be loaded or made, the robots do not fit on it, or a range is too small for its cells.
+        The map cannot be loaded or made, the robots do not fit on it, or a range is too small for its cells
+        or for the strategy.
     """
     world_map = world_map or load_map(scenario)
     cell = world_map.resolution
@@ -63,6 +64,11 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
         )
     starts = _starts(scenario, world_map)
     range_m = scenario.range_m(world_map.diagonal_m)
+    chosen = strategy(scenario.strategy)
+    try:
+        chosen.check_range(scenario.options, range_m)
+    except ValueError as error:
+        raise ScenarioError(f"range = {scenario.range!r}: {error}") from None
     world = WorldSettings(
         tuple(bodies),
         tuple(starts),
@@ -70,7 +76,7 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
         scenario.seed,
         scenario.interference / cell,
         tuple((death.robot, death.step) for death in scenario.death),
-        strategy(scenario.strategy).returns(scenario.options),
+        chosen.returns(scenario.options),
     )
     budget = medium.UNLIMITED if scenario.bandwidth == UNLIMITED else int(scenario.bandwidth)
     radio = RadioSettings(scenario.robots, scenario.seed, range_m / cell, budget, scenario.exchanges)

@@ -170,6 +170,11 @@ class Strategy(ABC):
         return read_options(cls.options_type, options, cls.name, cls.refused)
 
     @classmethod
+    def check_range(cls, options: Mapping[str, Any], range_m: float) -> None:
+        """Raise ValueError if robots must hear each other farther than `range_m` metres, and say why."""
+        del options, range_m
+
+    @classmethod
     def returns(cls, options: Mapping[str, Any]) -> bool:
         """Whether the run ends when all robots are home, not when the first has nothing left to do."""
         del options

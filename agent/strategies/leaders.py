@@ -174,6 +174,16 @@ class Leaders(PotentialField):
         super().__init__(options, settings)
         self.leads = settings.robot < self.options.first
 
+    @classmethod
+    def check_range(cls, options: Mapping[str, Any], range_m: float) -> None:
+        """A leader must be heard as far as rho_lead (Eq. 8)."""
+        rho_lead = cls.check(options).rho_lead
+        if rho_lead > range_m:
+            raise ValueError(
+                f"{cls.name} needs rho_lead <= range, not rho_lead = {rho_lead:g} m with a range of "
+                f"{range_m:g} m: a leader that cannot be heard cannot be followed"
+            )
+
     def is_leader(self, situation: Situation) -> bool:
         """Section III-C, with the robots' numbers as the hierarchy."""
         reach = self.options.rho_lead / self.settings.resolution
