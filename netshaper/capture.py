@@ -24,10 +24,9 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from netshaper import pcapng
-from netshaper.ledger import BROADCAST, CAUSES
+from netshaper.ledger import BROADCAST, CAUSES, Sighting
 from netshaper.pcapng import CaptureError
 from protocol import packets
 from protocol.grid import MAX_ROBOTS
@@ -58,24 +57,6 @@ _WORDS = {
     "lost": "a partner died",
 }
 _SECOND = 1_000_000
-
-
-class Sighting(NamedTuple):
-    """One frame, or the part of it that was carried or not.
-
-    `frame` counts in `FRAMES`, `verdict` in `VERDICTS`; `hearers` is a mask; `reason`: why it was refused.
-    """
-
-    exchange: int
-    connection: int
-    frame: int
-    sender: int
-    receiver: int
-    map: int
-    verdict: int
-    hearers: int
-    payload: bytes
-    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)

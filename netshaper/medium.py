@@ -1,4 +1,4 @@
-"""One step's shared medium: a budget of bytes, a seeded order, and what is put on the air (docs/architecture.md, A step).
+"""One step's shared medium: a budget of bytes, a seeded order, what is put on the air (docs/architecture.md, A step).
 
 What is carried counts, whoever hears it; a broadcast counts once; unused budget lapses. The first packet
 that finds no room closes the medium for the rest of the step.
@@ -8,21 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 
-from netshaper.capture import Sighting
-from netshaper.ledger import BROADCAST, CAUSES, KIND_NUMBER, MALFORMED
+from netshaper import capture, ledger
+from netshaper.ledger import BROADCAST, CAUSES, Sighting
 from protocol import packets
-from protocol.errors import ProtocolError
+from protocol.messages import RadioReport
 
 OFFER, ANSWER, DATA, TARGET = range(4)
 """The frames of a connection in their order, and the broadcast that has no connection."""
 
 UNLIMITED = -1
 
-Row = tuple[int, int, int, int, int, int, int, int, int, int, int, int, int]
-
-_tally = lru_cache(maxsize=256)(packets.tally)
+_CARRIED, _BUDGET, _LOST = (CAUSES.index(cause) for cause in ("", "budget", "lost"))
 
 
 @dataclass
@@ -55,18 +52,19 @@ class Medium:
         self.step = step
         self.left = budget
         self.carried = 0
-        self.rows: list[Row] = []
         self.sightings: list[Sighting] = []
-        """The frames that the rows speak of, for the capture."""
+        """What was said: of this the ledger and the capture are made."""
 
     def broadcast(self, exchange: int, sender: int, payload: bytes, hearers: Sequence[int]) -> bool:
         """Put a target on the air, whole or not at all; say whether it was carried."""
         size = self._admit(payload)
-        self._book(exchange, -1, TARGET, sender, BROADCAST, -1, payload, size, hearers)
+        heard = sum(1 << hearer for hearer in hearers)
+        self._see(exchange, -1, TARGET, sender, BROADCAST, -1, payload, size, heard)
         return size > 0
 
     def connect(self, exchange: int, connection: Connection) -> None:
         """Put the frames of a connection on the air, as far as there is room; one that is lost is the last."""
+        number, about = connection.number, connection.map
         for frame, payload in enumerate(connection.frames):
             if payload is None:
                 break
@@ -74,22 +72,26 @@ class Medium:
             if frame == ANSWER:
                 sender, receiver = receiver, sender
             if frame == connection.lost:
-                self._write(
-                    exchange, connection.number, frame, sender, receiver, connection.map, payload, "lost", []
+                self.sightings.append(
+                    Sighting(exchange, number, frame, sender, receiver, about, _LOST, 0, payload)
                 )
                 break
-            size = self._admit(payload, whole=frame != DATA)
-            connection.carried[frame] = size
-            self._book(
-                exchange, connection.number, frame, sender, receiver, connection.map, payload, size,
-                [receiver],
-            )  # fmt: skip
+            size = connection.carried[frame] = self._admit(payload, whole=frame != DATA)
+            self._see(exchange, number, frame, sender, receiver, about, payload, size, 1 << receiver)
 
     def refuse(
         self, exchange: int, frame: int, sender: int, receiver: int, payload: bytes, cause: str, reason: str
     ) -> None:
-        """Book a frame that was never admitted to the air, and why."""
-        self._write(exchange, -1, frame, sender, receiver, -1, payload, cause, [], reason)
+        """Note a frame that was never admitted to the air, and why."""
+        verdict = CAUSES.index(cause)
+        self.sightings.append(
+            Sighting(exchange, -1, frame, sender, receiver, -1, verdict, 0, payload, reason)
+        )
+
+    def report(self) -> RadioReport:
+        """Write down what was said: the ledger's rows, and the frames for the capture."""
+        rows = ledger.book(self.step, self.sightings)
+        return RadioReport(self.step, rows, self.carried, capture.encode(self.step, self.sightings))
 
     def _admit(self, payload: bytes, *, whole: bool = True) -> int:
         """Spend the budget on as much of a frame as fits, at a packet boundary; return the bytes."""
@@ -102,31 +104,16 @@ class Medium:
         self.carried += size
         return size
 
-    def _book(
+    def _see(
         self, exchange: int, number: int, frame: int, sender: int, receiver: int, about: int,
-        payload: bytes, size: int, hearers: Sequence[int],
+        payload: bytes, size: int, hearers: int,
     ) -> None:  # fmt: skip
+        """Note a frame of which `size` bytes were carried."""
         if size:
-            self._write(exchange, number, frame, sender, receiver, about, payload[:size], "", hearers)
+            self.sightings.append(
+                Sighting(exchange, number, frame, sender, receiver, about, _CARRIED, hearers, payload[:size])
+            )
         if size < len(payload):
-            self._write(exchange, number, frame, sender, receiver, about, payload[size:], "budget", [])
-
-    def _write(
-        self, exchange: int, number: int, frame: int, sender: int, receiver: int, about: int,
-        payload: bytes, cause: str, hearers: Sequence[int], reason: str = "",
-    ) -> None:  # fmt: skip
-        """Book bytes that were carried, if there is no cause why not."""
-        verdict = CAUSES.index(cause)
-        heard = sum(1 << hearer for hearer in hearers)
-        self.sightings.append(
-            Sighting(exchange, number, frame, sender, receiver, about, verdict, heard, payload, reason)
-        )
-        try:
-            counts = [(KIND_NUMBER[kind], *count) for kind, count in _tally(payload).items()]
-        except ProtocolError:
-            counts = [(MALFORMED, 1, len(payload))]
-        for kind, number_of_packets, size in counts:
-            self.rows.append(
-                (self.step, exchange, number, frame, sender, receiver, about, kind, number_of_packets, size,
-                 int(not cause), verdict, len(hearers))
-            )  # fmt: skip
+            self.sightings.append(
+                Sighting(exchange, number, frame, sender, receiver, about, _BUDGET, 0, payload[size:])
+            )

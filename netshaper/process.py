@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from netshaper.radio import EVERYONE, LAB, Frame, Note, Radio, RadioSettings
+from netshaper.radio import EVERYONE, Frame, Note, Outgoing, Radio, RadioSettings
 from protocol import keys as names
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
@@ -139,15 +139,15 @@ class RelayNode:
             self._bus.put(self._keys.control(name, names.RELAY), pack(Bye()))
         self.going_home = True
 
-    def _send(self, outgoing: list[Frame | Note]) -> None:
+    def _send(self, outgoing: list[Outgoing]) -> None:
         for item in outgoing:
             if isinstance(item, Frame):
                 key = self._keys.radio_rx(names.robot(item.receiver), names.robot(item.sender))
                 self._bus.put(key, item.payload)
-            elif item.receiver == LAB:
-                self._report(item.message)
-            else:
+            elif isinstance(item, Note):
                 self._bus.put(self._keys.control(names.robot(item.receiver), names.RELAY), pack(item.message))
+            else:
+                self._report(item.report())  # last: the robots think meanwhile
 
     def _report_faults(self) -> None:
         for robot, reason in self._radio.faults:

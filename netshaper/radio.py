@@ -1,4 +1,4 @@
-"""The relay's mind: one step of the radio, phase by phase (DESIGN: A step, 3).
+"""The relay's mind: one step of the radio, phase by phase (docs/architecture.md, A step).
 
     offers    all robots say their targets (first exchange) and offers; targets go on the air first
     answers   each receiver has heard its offers, in the seeded order, and answers every one
@@ -15,20 +15,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
-import numpy as np
-
-from netshaper import capture
-from netshaper.ledger import BROADCAST, ROW
+from netshaper.ledger import BROADCAST, tally
 from netshaper.medium import ANSWER, DATA, OFFER, TARGET, UNLIMITED, Connection, Medium
 from netshaper.reach import in_range
 from protocol import packets
 from protocol.chance import chance
 from protocol.errors import ProtocolError
-from protocol.messages import Close, Open, Outcome, RadioReport, Said, Turn
+from protocol.messages import Close, Open, Outcome, Said, Turn
 
-LAB = -2
 EVERYONE = BROADCAST
+
+Item = TypeVar("Item")
 
 PHASES = ("offers", "answers", "data")
 
@@ -67,13 +66,14 @@ class Frame:
 
 @dataclass(frozen=True)
 class Note:
-    """A control message for a robot, or for the laboratory (`LAB`)."""
+    """A control message for a robot."""
 
     receiver: int
     message: object
 
 
-Outgoing = Frame | Note
+Outgoing = Frame | Note | Medium
+"""What is to be passed on, in this order: at the end of a step its medium, whose report the laboratory gets."""
 
 
 @dataclass
@@ -115,7 +115,6 @@ class Radio:
         self._reach = in_range(living, self.settings.range_cells)
         between = self._medium
         self._medium = Medium(step, self.settings.budget)
-        self._medium.rows += [(step, *row[1:]) for row in between.rows]
         self._medium.sightings += between.sightings
         return self._open()
 
@@ -189,8 +188,7 @@ class Radio:
                 if offer is not None:
                     offers.append(offer)
         offers.sort(key=lambda offer: (offer.sender, offer.receiver, offer.map))
-        order = chance(self.settings.seed, "contention", self._step, self._exchange).permutation(len(offers))
-        self._connections = [offers[index] for index in order]
+        self._connections = self._drawn("contention", offers)
         for connection in self._connections:
             connection.number = self._numbered
             self._numbered += 1
@@ -204,9 +202,7 @@ class Radio:
             if receiver == EVERYONE
         ]
         out: list[Outgoing] = []
-        order = chance(self.settings.seed, "targets", self._step, self._exchange).permutation(len(said))
-        for index in order:
-            sender, payload = said[index]
+        for sender, payload in self._drawn("targets", said):
             if not _is_broadcast(payload) or self._exchange or sender in self._target_carried:
                 reason = "broadcast something other than a target or a pose, at the start of a step"
                 self._refuse(sender, EVERYONE, TARGET, payload, "protocol", reason)
@@ -217,6 +213,13 @@ class Radio:
             if carried:
                 out += [Frame(hearer, sender, payload) for hearer in hearers]
         return out
+
+    def _drawn(self, purpose: str, items: list[Item]) -> list[Item]:
+        """Put things into an order that is drawn for this exchange."""
+        if len(items) < 2:
+            return items
+        draw = chance(self.settings.seed, purpose, self._step, self._exchange)
+        return [items[index] for index in draw.permutation(len(items))]
 
     def _read_offer(self, sender: int, receiver: int, payload: bytes) -> Connection | None:
         if receiver not in self._reach.get(sender, ()):
@@ -274,9 +277,13 @@ class Radio:
             if payload is not None and size:
                 out.append(Frame(connection.receiver, connection.sender, payload[:size]))
                 heard.setdefault(connection.receiver, []).append(connection.number)
-        concerned = {robot for c in self._connections for robot in (c.sender, c.receiver)}
-        for robot in sorted((concerned | set(self._target_carried)) - self._dead):
-            mine = [c for c in self._connections if robot in (c.sender, c.receiver)]
+        concerned: dict[int, list[Connection]] = {robot: [] for robot in self._target_carried}
+        for connection in self._connections:
+            concerned.setdefault(connection.sender, []).append(connection)
+            concerned.setdefault(connection.receiver, []).append(connection)
+        for robot, mine in sorted(concerned.items()):
+            if robot in self._dead:
+                continue
             out.append(
                 Note(
                     robot,
@@ -301,9 +308,7 @@ class Radio:
         self._phase = ""
         living = sorted(set(self._reach) - self._dead)
         out: list[Outgoing] = [Note(robot, Close(self._step)) for robot in living]
-        rows = np.array(self._medium.rows, ROW)
-        frames = capture.encode(self._step, self._medium.sightings)
-        out.append(Note(LAB, RadioReport(self._step, rows.tobytes(), self._medium.carried, frames)))
+        out.append(self._medium)
         self._medium = Medium(self._step, 0)
         return out
 
@@ -367,7 +372,7 @@ def _is_answer(payload: bytes) -> str:
 def _is_data(payload: bytes) -> str:
     """Say what is wrong with a data frame; nothing if it is whole packets that may be data."""
     try:
-        kinds = packets.tally(payload)
+        kinds = tally(payload)
     except ProtocolError as error:
         return str(error)
     strange = [kind for kind in kinds if kind in (packets.Offer.name, packets.Target.name, packets.Pose.name)]

@@ -1,4 +1,4 @@
-"""Who hears whom: everyone within the communication range, a disc (DESIGN: A step, 3)."""
+"""Who hears whom: everyone within the communication range, a disc (docs/architecture.md, A step)."""
 
 from __future__ import annotations
 

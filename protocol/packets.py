@@ -227,12 +227,24 @@ def _fixed(kind: type[Packet]) -> tuple[int, int]:
     return code_mask | (1 << behind - sum(kind.bits)) - 1, kind.code << behind
 
 
+def _layout(kind: type[Packet]) -> tuple[tuple[str, int, int, int], ...]:
+    """Return of each field its name, how far it is shifted up, its mask, and what is added before it is sent."""
+    end = 8 * kind.size - kind.code_bits
+    layout = []
+    for field, width in zip(fields(kind), kind.bits, strict=True):
+        end -= width
+        rim = _RIM if field.name in "xy" and kind not in (Target, Pose) else 0
+        layout.append((field.name, end, (1 << width) - 1, rim))
+    return tuple(layout)
+
+
 _FIRST_BYTE = _by_first_byte()
+_SIZE = [0 if kind is None or byte == _SHORT else kind.size for byte, kind in enumerate(_FIRST_BYTE)]
+"""For each possible first byte the size of the packet, 0 where it does not tell."""
 _FIXED = {kind: _fixed(kind) for kind in _TYPES}
-_FIELDS = {kind: tuple(field.name for field in fields(kind)) for kind in _TYPES}
-_SHIFTED = {
-    kind: tuple(name in "xy" and kind not in (Target, Pose) for name in _FIELDS[kind]) for kind in _TYPES
-}
+_FIXED_BY_BYTE = [None if kind in (None, Fragment) else _FIXED[kind] for kind in _FIRST_BYTE]
+_NAME = ["" if kind is None else kind.name for kind in _FIRST_BYTE]
+_LAYOUT = {kind: _layout(kind) for kind in _TYPES}
 
 
 def encode(packets: Iterable[Packet]) -> bytes:
@@ -249,16 +261,14 @@ def encode(packets: Iterable[Packet]) -> bytes:
             out += _write_fragment(packet, len(out))
             continue
         kind = type(packet)
-        word, used = packet.code, packet.code_bits
-        for name, width, shifted in zip(_FIELDS[kind], packet.bits, _SHIFTED[kind], strict=True):
-            value = getattr(packet, name) + (_RIM if shifted else 0)
-            if not 0 <= value < 1 << width:
-                low = -_RIM if shifted else 0
-                high = (1 << width) - 1 + low
-                raise ProtocolError(packet.name, len(out), f"{name} {value + low} is outside {low} to {high}")
-            word = word << width | value
-            used += width
-        out += (word << (8 * packet.size - used)).to_bytes(packet.size, "big")
+        word = _FIXED[kind][1]
+        for name, shift, mask, rim in _LAYOUT[kind]:
+            value = getattr(packet, name) + rim
+            if not 0 <= value <= mask:
+                reason = f"{name} {value - rim} is outside {-rim} to {mask - rim}"
+                raise ProtocolError(packet.name, len(out), reason)
+            word |= value << shift
+        out += word.to_bytes(packet.size, "big")
     return bytes(out)
 
 
@@ -295,18 +305,35 @@ def split(buffer: bytes) -> list[bytes]:
     ProtocolError
         As `decode`.
     """
-    pieces = []
+    pieces: list[bytes] = []
     offset = 0
     while offset < len(buffer):
-        end = offset + length(buffer, offset)
+        first = buffer[offset]
+        end = offset + (_SIZE[first] or length(buffer, offset))
         if end > len(buffer):
             raise _cut_off(buffer, offset)
         piece = buffer[offset:end]
-        if buffer[offset] not in (_FULL, _SHORT):
+        fixed = _FIXED_BY_BYTE[first]
+        if fixed is not None and int.from_bytes(piece, "big") & fixed[0] != fixed[1]:
             _check(_kind(buffer, offset), int.from_bytes(piece, "big"), offset)
         pieces.append(piece)
         offset = end
     return pieces
+
+
+def content(packet: bytes) -> bytes:
+    """Return what one fragment of a scan carries.
+
+    Raises
+    ------
+    ProtocolError
+        It is another packet, or cut off.
+    """
+    if _kind(packet, 0) is not Fragment:
+        raise ProtocolError(name(packet), 0, "only fragments of scans travel in this exchange")
+    if length(packet) != len(packet):
+        raise _cut_off(packet, 0)
+    return packet[1 + (packet[0] == _SHORT) :]
 
 
 def decode(buffer: bytes) -> list[AnyPacket]:
@@ -383,11 +410,12 @@ def tally(buffer: bytes) -> dict[str, tuple[int, int]]:
     ProtocolError
         As `split`.
     """
-    counts: dict[str, tuple[int, int]] = {}
+    packets, sizes = dict.fromkeys(ALL_KINDS, 0), dict.fromkeys(ALL_KINDS, 0)
     for piece in split(buffer):
-        packets, size = counts.get(name(piece), (0, 0))
-        counts[name(piece)] = (packets + 1, size + len(piece))
-    return {kind: counts[kind] for kind in ALL_KINDS if kind in counts}
+        kind = _NAME[piece[0]]
+        packets[kind] += 1
+        sizes[kind] += len(piece)
+    return {kind: (count, sizes[kind]) for kind, count in packets.items() if count}
 
 
 def fitting(buffer: bytes, room: int) -> int:
@@ -430,15 +458,11 @@ def _check(kind: type[Packet], word: int, offset: int) -> None:
 
 def _read(buffer: bytes, offset: int, size: int) -> AnyPacket:
     if buffer[offset] in (_FULL, _SHORT):
-        return Fragment(buffer[offset + 1 + (buffer[offset] == _SHORT) : offset + size])
+        return Fragment(content(buffer[offset : offset + size]))
     kind = _kind(buffer, offset)
     word = int.from_bytes(buffer[offset : offset + size], "big")
     _check(kind, word, offset)
-    left = 8 * size - kind.code_bits
-    values = []
-    for width, shifted in zip(kind.bits, _SHIFTED[kind], strict=True):
-        left -= width
-        values.append((word >> left & ((1 << width) - 1)) - (_RIM if shifted else 0))
+    values = [(word >> shift & mask) - rim for _, shift, mask, rim in _LAYOUT[kind]]
     return kind(*values)  # type: ignore[return-value]
 
 

@@ -12,6 +12,7 @@ fragments of at most 64 bytes (`protocol.packets.Fragment`), so that it can be c
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,7 +45,7 @@ def scan_size(beams: int) -> int:
 
 def encode_scan(scan: Scan) -> bytes:
     """Write a scan in its binary form."""
-    return np.concatenate([[scan.x, scan.y], scan.readings]).astype(">u2").tobytes()
+    return struct.pack(">HH", scan.x, scan.y) + scan.readings.astype(">u2").tobytes()
 
 
 def decode_scan(data: bytes, fan: Fan) -> Scan:
@@ -57,24 +58,33 @@ def decode_scan(data: bytes, fan: Fan) -> Scan:
     """
     if len(data) != scan_size(fan.beams):
         raise ProtocolError("scan", 0, f"{len(data)} bytes instead of {scan_size(fan.beams)}")
-    values = np.frombuffer(data, ">u2").astype(np.uint16)
-    if values[0] >= MAX_SIDE or values[1] >= MAX_SIDE:
-        raise ProtocolError("scan", 0, f"cell ({values[0]}, {values[1]}) is outside {MAX_SIDE} x {MAX_SIDE}")
-    check_readings(values[2:], fan)
-    return Scan(int(values[0]), int(values[1]), values[2:])
+    x, y = struct.unpack_from(">HH", data)
+    if x >= MAX_SIDE or y >= MAX_SIDE:
+        raise ProtocolError("scan", 0, f"cell ({x}, {y}) is outside {MAX_SIDE} x {MAX_SIDE}")
+    readings = np.frombuffer(data, ">u2", offset=4).astype(np.uint16)
+    check_readings(readings, fan)
+    return Scan(x, y, readings)
 
 
 def check_readings(readings: Readings, fan: Fan) -> None:
     """Raise ProtocolError where a reading speaks of cells that its beam does not have."""
-    lengths = np.diff(fan.start)
-    if len(readings) != len(lengths):
-        raise ProtocolError("scan", 0, f"{len(readings)} readings for {len(lengths)} beams")
-    touched = (readings & NONE) + (readings >> 15)
-    wrong = np.flatnonzero((readings != NONE) & (touched > lengths))
-    if len(wrong):
-        beam = int(wrong[0])
-        reason = f"beam {beam} touches {touched[beam]} cells, but its range is {lengths[beam]}"
+    if len(readings) != fan.beams:
+        raise ProtocolError("scan", 0, f"{len(readings)} readings for {fan.beams} beams")
+    beam = int(_first_too_long(readings, fan.start))
+    if beam < fan.beams:
+        touched, length = (readings[beam] & NONE) + (readings[beam] >> 15), np.diff(fan.start)[beam]
+        reason = f"beam {beam} touches {touched} cells, but its range is {length}"
         raise ProtocolError("scan", 4 + 2 * beam, reason)
+
+
+@kernel("int64(uint16[::1], int32[::1])")
+def _first_too_long(readings: Readings, start: NDArray[np.int32]) -> int:
+    """Return the first beam whose reading speaks of more cells than it has; past the last if there is none."""
+    for beam in range(len(readings)):
+        reading = readings[beam]
+        if reading != NONE and (reading & NONE) + (reading >> 15) > start[beam + 1] - start[beam]:
+            return beam
+    return len(readings)
 
 
 def fragments(data: bytes) -> list[bytes]:
@@ -135,26 +145,28 @@ def _draw(
     readings: Readings,
     out: NDArray[np.int32],
 ) -> None:
-    height, width = grid.shape
+    # Without a sign what lies beyond the left or upper rim is a very large number, and indexing is twice as fast.
+    height, width = np.uint64(grid.shape[0]), np.uint64(grid.shape[1])
     changed = 0
-    x0, y0, x1, y1 = width, height, 0, 0
-    for beam in range(-1, len(start) - 1):
-        # Beam -1 is the robot's own cell.
-        first = 0 if beam < 0 else start[beam]
-        reading = 0 if beam < 0 else readings[beam]
+    x0, y0, x1, y1 = grid.shape[1], grid.shape[0], 0, 0
+    if np.uint64(x) < width and np.uint64(y) < height and grid[y, x] == UNKNOWN:
+        grid[y, x] = FREE
+        changed, x0, y0, x1, y1 = 1, x, y, x + 1, y + 1
+    for beam in range(len(readings)):
+        reading = readings[beam]
         if reading == NONE:
             continue
-        crossed = reading & NONE
-        for at in range(first - (beam < 0), first + crossed + (reading >> 15)):
-            cx = x + (0 if beam < 0 else cells[at, 0])
-            cy = y + (0 if beam < 0 else cells[at, 1])
-            if cx < 0 or cy < 0 or cx >= width or cy >= height:
+        first = np.uint64(start[beam])
+        hit = first + np.uint64(reading & NONE)
+        for at in range(first, hit + np.uint64(reading >> 15)):
+            column, row = np.uint64(x + cells[at, 0]), np.uint64(y + cells[at, 1])
+            if column >= width or row >= height:
                 break
-            if grid[cy, cx] == UNKNOWN:
-                grid[cy, cx] = FREE if at < first + crossed else OCCUPIED
+            if grid[row, column] == UNKNOWN:
+                grid[row, column] = FREE if at < hit else OCCUPIED
                 changed += 1
-                x0, x1 = min(x0, cx), max(x1, cx + 1)
-                y0, y1 = min(y0, cy), max(y1, cy + 1)
+                x0, x1 = min(x0, x + cells[at, 0]), max(x1, x + cells[at, 0] + 1)
+                y0, y1 = min(y0, y + cells[at, 1]), max(y1, y + cells[at, 1] + 1)
     out[0] = changed
     out[1] = x0
     out[2] = y0

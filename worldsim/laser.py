@@ -61,17 +61,18 @@ def _cast(
     y: int,
     readings: Readings,
 ) -> None:
-    height, width = truth.shape
+    # Without a sign, a cell beyond the left or upper rim is a very large one (as in `protocol.scans.draw`).
+    height, width = np.uint64(truth.shape[0]), np.uint64(truth.shape[1])
     for beam in range(len(start) - 1):
-        reading = start[beam + 1] - start[beam]
-        for at in range(start[beam], start[beam + 1]):
-            cx = x + cells[at, 0]
-            cy = y + cells[at, 1]
-            crossed = at - start[beam]
-            if cx < 0 or cy < 0 or cx >= width or cy >= height or truth[cy, cx] != FREE:
-                reading = crossed | HIT
+        first, end = np.uint64(start[beam]), np.uint64(start[beam + 1])
+        reading = end - first
+        for at in range(first, end):
+            cx = np.uint64(x + cells[at, 0])
+            cy = np.uint64(y + cells[at, 1])
+            if cx >= width or cy >= height or truth[cy, cx] != FREE:
+                reading = at - first | np.uint64(HIT)
                 break
             if teammates[cy, cx]:
-                reading = crossed + 1
+                reading = at - first + np.uint64(1)
                 break
         readings[beam] = reading

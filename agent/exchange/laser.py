@@ -13,6 +13,7 @@ from agent.settings import Settings
 from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Grid, fan
+from protocol.kernels import kernel
 from protocol.scans import NONE, Change, Scan, decode_scan, draw, encode_scan, fragments, scan_size
 
 
@@ -43,13 +44,10 @@ class LaserExchange(Exchange):
         buffer = self._partial.get(about, b"")
         scans: list[Scan] = []
         for unit in units:
-            (packet,) = packets.decode(unit)
-            if not isinstance(packet, packets.Fragment):
-                raise ProtocolError(packet.name, 0, "only fragments of scans travel in this exchange")
-            buffer += packet.data
+            buffer += packets.content(unit)
             if len(buffer) > self._size:
                 reason = f"a fragment runs beyond its scan's {self._size} bytes"
-                raise ProtocolError(packet.name, self._size, reason)
+                raise ProtocolError(packets.Fragment.name, self._size, reason)
             if len(buffer) == self._size:
                 scans.append(self._read(about, buffer))
                 buffer = b""
@@ -59,7 +57,9 @@ class LaserExchange(Exchange):
 
     def merge(self, own: Grid) -> Grid:
         """Lay the robot's own grid over what it heard."""
-        return np.where(own == UNKNOWN, self._heard, own)
+        planning = np.empty_like(own)
+        _lay_over(self._heard, own, planning)
+        return planning
 
     def _read(self, about: int, data: bytes) -> Scan:
         scan = decode_scan(data, self._fans[about])
@@ -68,3 +68,12 @@ class LaserExchange(Exchange):
             reason = f"cell ({scan.x}, {scan.y}) is outside the {width} x {height} grid"
             raise ProtocolError("scan", 0, reason)
         return scan
+
+
+@kernel("void(uint8[:,::1], uint8[:,::1], uint8[:,::1])")
+def _lay_over(below: Grid, above: Grid, both: Grid) -> None:
+    """Write what is above where that is known, else what is below."""
+    height, width = both.shape
+    for y in range(height):
+        for x in range(width):
+            both[y, x] = below[y, x] if above[y, x] == UNKNOWN else above[y, x]

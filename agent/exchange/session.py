@@ -27,8 +27,9 @@ it counts as level.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import Enum
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import lru_cache
 
 from agent.exchange.log import Log
 from protocol import packets
@@ -48,7 +49,7 @@ at most one map to each teammate, the robot's own if it is news, else, after a s
 with most news; where steps have only one exchange these take turns; after a refusal twice as long a wait."""
 
 
-class State(Enum):
+class State(StrEnum):
     """Where a connection stands."""
 
     IDLE = "idle"
@@ -59,7 +60,7 @@ class State(Enum):
     DECLINING = "declining"
 
 
-class Event(Enum):
+class Event(StrEnum):
     """What can happen to a connection."""
 
     NEWS = "the medium opens and there is news"
@@ -80,7 +81,7 @@ TRANSITIONS: dict[tuple[State, Event], State] = {
 }
 
 
-@dataclass
+@dataclass(slots=True)
 class Connection:
     """One connection as one of its two ends sees it.
 
@@ -91,12 +92,15 @@ class Connection:
     state : State
     index : int
         As offerer: how far the peer is, as it said.
+    sent : list of bytes
+        As offerer: the units that it says in answer.
     """
 
     peer: int
     map: int
     state: State = State.IDLE
     index: int = 0
+    sent: list[bytes] = field(default_factory=list)
 
     def on(self, event: Event) -> State:
         """Move on by the table."""
@@ -104,7 +108,7 @@ class Connection:
         return self.state
 
 
-@dataclass
+@dataclass(slots=True)
 class _Backoff:
     """How long offers of one map to one peer are put off."""
 
@@ -136,9 +140,10 @@ class Session:
         self._backoff: dict[tuple[int, int], _Backoff] = {}
         self._room: int | None = None
         self._peers: list[int] = []
-        self._said: list[Connection] = []
+        self._said: dict[tuple[int, int], Connection] = {}
         self._offered: dict[int, Connection] = {}
         self._taken: dict[int, Connection] = {}
+        self._being_taken: set[int] = set()
 
     def record(self, units: list[bytes]) -> None:
         """Append to the log of one's own map."""
@@ -153,17 +158,15 @@ class Session:
         self._only_first = self._only_first and exchange == 0
         self._room = room
         self._peers = peers
-        self._offered.clear()
-        self._taken.clear()
-        self._said = [
-            Connection(peer, about) for peer in peers for about in self._worth_offering(exchange, peer)
-        ]
+        for of_last_exchange in (self._said, self._offered, self._taken, self._being_taken):
+            of_last_exchange.clear()
+        held = [len(log) for log in self.logs]
         frames = []
-        for connection in self._said:
-            connection.on(Event.NEWS)
-            block = self.known[connection.peer][connection.map] // INDEX_WINDOW % BLOCKS
-            offer = packets.Offer(connection.map, block)
-            frames.append((connection.peer, connection.map, packets.encode([offer])))
+        for peer in peers:
+            for about in self._worth_offering(exchange, peer, held):
+                connection = self._said[peer, about] = Connection(peer, about)
+                connection.on(Event.NEWS)
+                frames.append((peer, about, _offer(about, self.known[peer][about] // INDEX_WINDOW % BLOCKS)))
         return frames
 
     def answers(self, heard: list[tuple[int, int, bytes]]) -> list[tuple[int, int, bytes]]:
@@ -181,14 +184,13 @@ class Session:
                 raise ProtocolError(offer.name, 0, f"map {offer.map} of {len(self.logs)} robots")
             connection = Connection(peer, offer.map)
             self._taken[number] = connection
-            unwanted = offer.map == self._robot or any(
-                other.map == offer.map and other.state is State.TAKING for other in self._taken.values()
-            )
+            unwanted = offer.map == self._robot or offer.map in self._being_taken
             if connection.on(Event.UNWANTED_OFFER if unwanted else Event.FIRST_OFFER) is State.TAKING:
+                self._being_taken.add(offer.map)
                 said = _answer(len(self.logs[offer.map]), offer.block)
             else:
-                said = [packets.Decline()]
-            frames.append((number, peer, packets.encode(said)))
+                said = _DECLINE
+            frames.append((number, peer, said))
         return frames
 
     def data(self, heard: list[tuple[int, int, int, bytes]]) -> list[tuple[int, int, bytes]]:
@@ -204,14 +206,14 @@ class Session:
         """
         frames = []
         room = self._room
-        said = {(connection.peer, connection.map): connection for connection in self._said}
         for number, peer, about, payload in heard:
-            connection = said.get((peer, about))
+            connection = self._said.get((peer, about))
             if connection is None or connection.state is not State.OFFERED:
                 raise ProtocolError("conn", 0, f"robot {peer} answers an offer that was not made")
             self._offered[number] = connection
             if connection.on(self._read_answer(connection, payload)) is State.SENDING:
-                frame = b"".join(self.logs[connection.map].since(connection.index, room))
+                connection.sent = self.logs[about].since(connection.index, room)
+                frame = b"".join(connection.sent)
                 if frame:
                     frames.append((number, peer, frame))
                 if room is not None:
@@ -254,29 +256,34 @@ class Session:
     def forget(self) -> None:
         """Drop what all teammates hold."""
         for about, log in enumerate(self.logs):
+            if log.oldest == len(log):
+                continue
             others = (peer for peer in range(len(self.logs)) if peer not in (self._robot, about))
             log.forget(min((self.known[peer][about] for peer in others), default=len(log)))
 
-    def _worth_offering(self, exchange: int, peer: int) -> list[int]:
-        """Maps to offer a peer now, as the policy has it."""
-        others = [about for about in range(len(self.logs)) if about not in (self._robot, peer)]
-        news = [about for about in (self._robot, *others) if self._news_of(peer, about) > 0]
+    def _worth_offering(self, exchange: int, peer: int, held: list[int]) -> list[int]:
+        """Maps to offer a peer now, as the policy has it; `held`: the length of each log."""
+        known = self.known[peer]
+        others = [
+            about
+            for about, length in enumerate(held)
+            if length > known[about] and about not in (self._robot, peer)
+        ]
         if self._policy == "thesis":
-            return news
-        due = [about for about in news if self._now >= self._put_off(peer, about).due]
-        passed_on = [about for about in due if about != self._robot]
-        if exchange == 0 and not (self._only_first and self._now % 2 == 0):
-            passed_on = []
-        if self._robot in due and not (passed_on and self._only_first):
+            return [self._robot, *others] if held[self._robot] > known[self._robot] else others
+        own = held[self._robot] > known[self._robot] and self._is_due(peer, self._robot)
+        if own and not self._only_first:
             return [self._robot]
-        return sorted(passed_on, key=lambda about: -self._news_of(peer, about))[:1]
+        passed_on = []
+        if exchange or (self._only_first and self._now % 2 == 0):
+            passed_on = [about for about in others if self._is_due(peer, about)]
+        if own and not passed_on:
+            return [self._robot]
+        return [max(passed_on, key=lambda about: held[about] - known[about])] if passed_on else []
 
-    def _news_of(self, peer: int, about: int) -> int:
-        """Units of a map that have not reached a peer, as far as one can know."""
-        return len(self.logs[about]) - self.known[peer][about]
-
-    def _put_off(self, peer: int, about: int) -> _Backoff:
-        return self._backoff.setdefault((peer, about), _Backoff())
+    def _is_due(self, peer: int, about: int) -> bool:
+        backoff = self._backoff.get((peer, about))
+        return backoff is None or self._now >= backoff.due
 
     def _read_answer(self, connection: Connection, payload: bytes) -> Event:
         """Put the index of an answer together, and compare it with what is held."""
@@ -297,13 +304,16 @@ class Session:
     def _settle(self, connection: Connection, sent: int) -> None:
         """An answer was carried, and so many bytes of data after it."""
         peer, about = connection.peer, connection.map
-        backoff = self._put_off(peer, about)
         reached = connection.index
         if connection.state is State.REFUSED:
-            backoff.refused(self._now)
+            self._backoff.setdefault((peer, about), _Backoff()).refused(self._now)
         elif connection.state is State.SENDING:
-            backoff.accepted()
-            reached += len(self.logs[about].since(connection.index, sent))
+            self._backoff.setdefault((peer, about), _Backoff()).accepted()
+            for unit in connection.sent:
+                sent -= len(unit)
+                if sent < 0:
+                    break
+                reached += 1
         self.known[peer][about] = max(self.known[peer][about], reached)
 
 
@@ -314,10 +324,19 @@ def _only_offer(payload: bytes) -> packets.Offer:
     return said[0]
 
 
-def _answer(held: int, assumed_block: int) -> list[packets.Packet]:
+@lru_cache(maxsize=1024)
+def _offer(about: int, block: int) -> bytes:
+    return packets.encode([packets.Offer(about, block)])
+
+
+@lru_cache(maxsize=1024)
+def _answer(held: int, assumed_block: int) -> bytes:
     """Say how many units one holds, in as few packets as that takes."""
     block = packets.Block(held // INDEX_WINDOW % BLOCKS)
     answer = packets.Answer(held % INDEX_WINDOW)
     if held >= ROUND:
-        return [packets.Block(held // ROUND % BLOCKS), block, answer]
-    return [answer] if block.block == assumed_block else [block, answer]
+        return packets.encode([packets.Block(held // ROUND % BLOCKS), block, answer])
+    return packets.encode([answer] if block.block == assumed_block else [block, answer])
+
+
+_DECLINE = packets.encode([packets.Decline()])

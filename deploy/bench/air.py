@@ -10,7 +10,7 @@ from typing import TypeVar
 from agent.exchange.session import Session
 from deploy.plan import Plan
 from netshaper.medium import UNLIMITED
-from netshaper.radio import Frame, Outgoing, Radio
+from netshaper.radio import Frame, Note, Outgoing, Radio
 from protocol import packets
 from protocol.messages import Open, Outcome, Said, Turn
 
@@ -53,7 +53,7 @@ class Air:
             for item in out:
                 if isinstance(item, Frame):
                     frames[item.receiver].append((item.sender, item.payload))
-                elif item.receiver >= 0:
+                elif isinstance(item, Note):
                     heard, frames[item.receiver] = frames[item.receiver], []
                     session = self.sessions[item.receiver]
                     answer, spent = timed(partial(_speak, session, item.message, heard))

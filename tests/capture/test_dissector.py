@@ -17,8 +17,8 @@ from deploy import in_memory, rundir
 from deploy import plan as plans
 from deploy.scenario import parse
 from netshaper import capture, pcapng
-from netshaper.capture import HEAD, KEPT, VERDICTS, Sighting
-from netshaper.ledger import BROADCAST, CAUSES
+from netshaper.capture import HEAD, KEPT, VERDICTS
+from netshaper.ledger import BROADCAST, CAUSES, Sighting
 from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.packets import ALL_KINDS, Fragment, Packet

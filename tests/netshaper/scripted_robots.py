@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from netshaper.ledger import ROW
-from netshaper.radio import EVERYONE, LAB, Frame, Note, Outgoing, Radio, RadioSettings
+from netshaper.radio import EVERYONE, Frame, Note, Outgoing, Radio, RadioSettings
 from protocol import packets
 from protocol.messages import Close, Open, Outcome, RadioReport, Said, Turn
 
@@ -202,17 +202,18 @@ class Air:
             if isinstance(item, Frame):
                 assert item.receiver not in self.dead, "the dead hear nothing"
                 self._inbox[item.receiver].append((item.sender, item.payload))
-            else:
+            elif isinstance(item, Note):
                 self._note(result, item)
+            else:
+                self._book(result, item.report())
+
+    def _book(self, result: Step, report: RadioReport) -> None:
+        assert result.carried == -1, "one report a step"
+        result.rows = np.frombuffer(report.rows, ROW)
+        result.carried = report.carried
 
     def _note(self, result: Step, note: Note) -> None:
         message, receiver = note.message, note.receiver
-        if receiver == LAB:
-            assert isinstance(message, RadioReport)
-            assert result.carried == -1, "one report a step"
-            result.rows = np.frombuffer(message.rows, ROW)
-            result.carried = message.carried
-            return
         assert receiver not in self.dead, "nobody talks to the dead"
         robot = self.robots[receiver]
         todo = self._to_do[receiver]

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from scripted_robots import Air, Liar, Robot
 
 from netshaper import capture, pcapng
-from netshaper.capture import CAPTURED_AT_MOST, KEPT, PART, VERDICTS, Captured, Sighting
-from netshaper.ledger import BROADCAST
+from netshaper.capture import CAPTURED_AT_MOST, KEPT, PART, VERDICTS, Captured
+from netshaper.ledger import BROADCAST, Sighting
 from netshaper.pcapng import CaptureError, Reader
-from netshaper.radio import LAB, Note, RadioSettings
+from netshaper.radio import RadioSettings
 from protocol.messages import RadioReport
 from protocol.packets import Delete, Save, encode
 
@@ -43,11 +43,9 @@ class Listening(Air):
         super().__init__(*args)
         self.file = capture.head("a test")
 
-    def _note(self, result: Any, note: Note) -> None:
-        if note.receiver == LAB:
-            assert isinstance(note.message, RadioReport)
-            self.file += note.message.frames
-        super()._note(result, note)
+    def _book(self, result: Any, report: RadioReport) -> None:
+        self.file += report.frames
+        super()._book(result, report)
 
 
 def read(file: bytes) -> list[Captured]:

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from scripted_robots import Air, Heard, Liar, Mute, Put, Robot, Step
 
 from netshaper.ledger import BROADCAST, CAUSES, KIND_NUMBER, MALFORMED, ROW, balance
-from netshaper.medium import ANSWER, DATA, OFFER, TARGET, UNLIMITED
-from netshaper.radio import EVERYONE, LAB, RadioSettings
+from netshaper.medium import ANSWER, DATA, OFFER, TARGET, UNLIMITED, Medium
+from netshaper.radio import EVERYONE, Note, RadioSettings
 from protocol import packets
-from protocol.messages import Open, Outcome, Said, Turn
+from protocol.messages import Close, Open, Outcome, Said, Turn
 from protocol.packets import Answer, Decline, Delete, Offer, Save, Target, encode
 
 seeds = st.integers(0, 2**32 - 1)
@@ -428,7 +428,7 @@ def test_data_for_an_offer_that_was_not_answered_is_refused_and_booked() -> None
 
     class Choosy(Says):
         def takes_turn(self, note: Turn, heard: Heard) -> list[Put | Said]:
-            return super().takes_turn(note, heard)[1:-1] + [Said(note.step, note.exchange, "answers", [1])]
+            return [*super().takes_turn(note, heard)[1:-1], Said(note.step, note.exchange, "answers", [1])]
 
     air = air_of(Impatient(0, (1, OFFER_0), (1, encode([Offer(1, 0)]))), Choosy(1))
     step = air.step(1, TOGETHER)
@@ -504,9 +504,12 @@ def test_data_for_a_robot_that_died_in_between_is_lost_and_costs_nothing() -> No
     air.radio.said(1, Said(1, 0, "answers", [0]))
     air.radio.lost(1)
     air.radio.hear(0, 1, encode([Save()]))
-    told: list[Any] = air.radio.said(0, Said(1, 0, "data", [0]))
-    assert [note.receiver for note in told] == [0, 0, LAB]
-    assert told[0].message.data == [0]
-    rows = np.frombuffer(told[2].message.rows, ROW)
+    outcome, close, medium = air.radio.said(0, Said(1, 0, "data", [0]))
+    assert isinstance(outcome, Note) and isinstance(close, Note) and isinstance(medium, Medium)
+    assert (outcome.receiver, close) == (0, Note(0, Close(1)))
+    assert isinstance(outcome.message, Outcome)
+    assert outcome.message.data == [0]
+    report = medium.report()
+    rows = np.frombuffer(report.rows, ROW)
     assert [CAUSES[cause] for cause in rows["cause"]] == ["", "", "lost"]
-    assert told[2].message.carried == 4
+    assert report.carried == 4

@@ -19,9 +19,9 @@ from deploy.plan import Plan
 from deploy.scenario import parse
 from netshaper.ledger import ROW
 from netshaper.medium import UNLIMITED
-from netshaper.radio import EVERYONE, LAB, Frame, Outgoing, Radio
+from netshaper.radio import EVERYONE, Frame, Note, Outgoing, Radio
 from protocol.grid import FREE, OCCUPIED, Grid, fan
-from protocol.messages import Close, Move, Open, Outcome, RadioReport, Said, Sense, Turn
+from protocol.messages import Close, Move, Open, Outcome, Said, Sense, Turn
 from worldsim import generators
 from worldsim.laser import cast
 from worldsim.maps import Map
@@ -165,9 +165,8 @@ class Team:
         for item in out:
             if isinstance(item, Frame):
                 inbox[item.receiver].append((item.sender, item.payload))
-            elif item.receiver == LAB:
-                assert isinstance(item.message, RadioReport)
-                self._rows.append(item.message.rows)
+            elif not isinstance(item, Note):
+                self._rows.append(item.report().rows)
             else:
                 heard, inbox[item.receiver] = inbox[item.receiver], []
                 note = item.message

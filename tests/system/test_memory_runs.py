@@ -22,7 +22,7 @@ from deploy.scenario import parse
 from deploy.summary import digest
 from netshaper.ledger import CAUSES, ROW, balance
 from netshaper.medium import DATA, UNLIMITED
-from netshaper.radio import LAB, Frame, Outgoing, Radio, RadioSettings
+from netshaper.radio import Frame, Note, Outgoing, Radio, RadioSettings
 from protocol import packets
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.messages import Open, Outcome, Said, Turn
@@ -284,11 +284,10 @@ class Pair:
         for item in outgoing:
             if isinstance(item, Frame):
                 self._frames[item.receiver].append((item.sender, item.payload))
-            elif item.receiver == LAB:
-                report: Any = item.message
-                self._rows = np.frombuffer(report.rows, ROW)
-            else:
+            elif isinstance(item, Note):
                 self._hear(item.receiver, item.message)
+            else:
+                self._rows = np.frombuffer(item.report().rows, ROW)
 
     def _hear(self, robot: int, message: object) -> None:
         session, heard = self.sessions[robot], self._frames[robot]
