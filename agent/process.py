@@ -91,12 +91,12 @@ class AgentNode:
 
     def _offer(self, robot: Robot, medium: Open) -> None:
         said = robot.announce(medium.peers) if medium.exchange == 0 else None
-        if said is not None and medium.peers:
-            self._bus.put(self._keys.radio_tx(self._name, names.ALL), said)
         room = None if medium.budget == UNLIMITED else medium.budget
-        for peer, _, frame in robot.session.offers(medium.exchange, medium.peers, room):
-            self._bus.put(self._keys.radio_tx(self._name, names.robot(peer)), frame)
-        self._say(Said(medium.step, medium.exchange, "offers", []))
+        offers = robot.session.offers(medium.exchange, medium.peers, room)
+        frames = [(names.robot(peer), frame) for peer, _, frame in offers]
+        if said is not None and medium.peers:
+            frames.insert(0, (names.ALL, said))
+        self._say(frames, Said(medium.step, medium.exchange, "offers", []))
 
     def _take_turn(self, robot: Robot, turn: Turn) -> None:
         """Answer the offers, or send data for the answers, that were passed on in this phase."""
@@ -112,9 +112,8 @@ class AgentNode:
                 said = robot.session.data([(n, peer, about, load) for n, (peer, load), about in named])
         except ProtocolError as error:
             self._fault(str(error))
-        for _, peer, frame in said:
-            self._bus.put(self._keys.radio_tx(self._name, names.robot(peer)), frame)
-        self._say(Said(turn.step, turn.exchange, phase, [number for number, _, _ in said]))
+        frames = [(names.robot(peer), frame) for _, peer, frame in said]
+        self._say(frames, Said(turn.step, turn.exchange, phase, [number for number, _, _ in said]))
 
     def _decide(self, robot: Robot, began: float) -> None:
         self._take_frames(robot, 0)
@@ -147,8 +146,12 @@ class AgentNode:
             maps = Maps(self._number, width, height, own, planning)
             self._bus.put(self._keys.control(names.LAB, self._name), pack(maps))
 
-    def _say(self, said: Said) -> None:
-        self._bus.put(self._keys.control_tx(self._name), pack(said))
+    def _say(self, frames: list[tuple[str, bytes]], said: Said) -> None:
+        """Say all that there is to say in a phase, at one go: so the relay is woken seldom."""
+        puts = [(self._keys.radio_tx(self._name, receiver), frame) for receiver, frame in frames]
+        puts.append((self._keys.control_tx(self._name), pack(said)))
+        for key, payload in puts:
+            self._bus.put(key, payload)
 
     def _fault(self, what: str) -> None:
         self._report(Fault(self._name, what))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from netshaper.medium import Medium
 from netshaper.radio import EVERYONE, Frame, Note, Outgoing, Radio, RadioSettings
 from protocol import keys as names
 from protocol.bus import Bus, Message
@@ -140,14 +141,20 @@ class RelayNode:
         self.going_home = True
 
     def _send(self, outgoing: list[Outgoing]) -> None:
+        """Pass on what the radio gave, robot by robot and at one go: so each robot is woken once for all of it."""
+        passed_on = [item for item in outgoing if not isinstance(item, Medium)]
+        passed_on.sort(key=lambda item: item.receiver)
+        for key, payload in [self._addressed(item) for item in passed_on]:
+            self._bus.put(key, payload)
         for item in outgoing:
-            if isinstance(item, Frame):
-                key = self._keys.radio_rx(names.robot(item.receiver), names.robot(item.sender))
-                self._bus.put(key, item.payload)
-            elif isinstance(item, Note):
-                self._bus.put(self._keys.control(names.robot(item.receiver), names.RELAY), pack(item.message))
-            else:
-                self._report(item.report())  # last: the robots think meanwhile
+            if isinstance(item, Medium):
+                self._report(item.report())
+
+    def _addressed(self, item: Frame | Note) -> tuple[str, bytes]:
+        receiver = names.robot(item.receiver)
+        if isinstance(item, Frame):
+            return self._keys.radio_rx(receiver, names.robot(item.sender)), item.payload
+        return self._keys.control(receiver, names.RELAY), pack(item.message)
 
     def _report_faults(self) -> None:
         for robot, reason in self._radio.faults:
