@@ -64,13 +64,14 @@ def repair(previous: Polygons, contours: Polygons) -> Marks:
     return marks
 
 
-def approximation(contours: Polygons, marks: Marks) -> Polygons:
+def approximation(contours: Polygons, marks: Marks, wall_share: float = 1.0) -> Polygons:
     """Return the polygons that the marked contour points span.
 
     An edge stands for the contour points from its first vertex up to the one before its second. It is
-    occupied only where all of them are (section 4.2.2): when in doubt, nothing is claimed as explored.
+    occupied where at least `wall_share` of them are. With 1, as in section 4.2.2, all must be: when in doubt,
+    nothing is claimed as explored.
     """
-    occupied, start = _edges(contours.occupied, contours.start, marks)
+    occupied, start = _edges(contours.occupied, contours.start, marks, wall_share)
     some = start[1:] > start[:-1]
     return Polygons(
         contours.shape,
@@ -169,12 +170,13 @@ def _collect(
     return marks[:count].copy()
 
 
-@kernel("Tuple((uint8[::1], int32[::1]))(uint8[::1], int32[::1], int32[::1])")
+@kernel("Tuple((uint8[::1], int32[::1]))(uint8[::1], int32[::1], int32[::1], float64)")
 def _edges(
-    occupied: NDArray[np.uint8], start: NDArray[np.int32], marks: NDArray[np.int32]
+    occupied: NDArray[np.uint8], start: NDArray[np.int32], marks: NDArray[np.int32], wall_share: float
 ) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
     """Occupancy of the edges, and where the vertices of each object begin."""
-    edge = np.ones(len(marks), np.uint8)
+    points = np.zeros(len(marks), np.int64)
+    walls = np.zeros(len(marks), np.int64)
     begins = np.empty(len(start), np.int32)
     m = 0
     for k in range(len(start) - 1):
@@ -190,6 +192,7 @@ def _edges(
                 e += 1
             elif e == m - 1 and marks[first] == i:
                 e = first
-            edge[e] &= occupied[i]
+            points[e] += 1
+            walls[e] += occupied[i]
     begins[len(start) - 1] = m
-    return edge, begins
+    return (walls >= wall_share * points).astype(np.uint8), begins

@@ -4,10 +4,13 @@ Twice: `five_stages` goes step by step as Figure 5.6 does; `TeamMap` gets the sa
 that is fast. There each approximation becomes a layer of bits a cell, layers are joined by OR, and of the
 claims that a cell has gathered the strongest counts:
 
-    occupied by an inside boundary > free by one > occupied by an outside boundary > free area > unknown
+    occupied by an inside boundary > free by one > occupied by an outside boundary > free area > beside a wall
 
 Free area of an approximation is what its inside object encloses and none of its outside objects encloses
-or bounds. What the robot has seen itself overrides all claims.
+or bounds. What the robot has seen itself overrides all claims. The last claim is not the thesis': a coarse
+wall runs a cell beside the true one, so that a robot which has seen free cells up to the true one takes the
+unknown cells behind them for a frontier. With ``Drawing(wide_walls=True)`` cells beside a wall that nothing
+else is claimed of are wall as well.
 
 From an approximation refined until it is exact, the teammate's own grid comes back (`rendered`) but for
 the cells of which Algorithm 9 cannot know:
@@ -26,6 +29,7 @@ from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from agent.polygons import Polygons
 from agent.raster import draw, fill
@@ -35,7 +39,7 @@ from protocol.kernels import kernel
 UNDEFINED = 3
 """A cell of which no approximation has said anything yet (only between the stages)."""
 
-FREE_AREA, OUTSIDE_OCCUPIED, INSIDE_FREE, INSIDE_OCCUPIED = 1, 2, 4, 8
+BESIDE_WALL, FREE_AREA, OUTSIDE_OCCUPIED, INSIDE_FREE, INSIDE_OCCUPIED = 1, 2, 4, 8, 16
 """The claims of a layer; the stronger has the higher bit."""
 
 Layer = NDArray[np.uint8]
@@ -51,10 +55,13 @@ class Drawing:
         Draw inside edges that are labelled free. They claim cells free which their robot has not seen.
     unknown_pairs : bool
         Draw outside objects of two vertices and no occupied edge. They are the unseen specks between beams.
+    wide_walls : bool
+        Take the eight neighbours of a wall's cells for wall where nothing else is claimed of them.
     """
 
     free_inside_edges: bool = True
     unknown_pairs: bool = True
+    wide_walls: bool = False
 
 
 THESIS = Drawing()
@@ -75,6 +82,8 @@ def layer(polygons: Polygons, drawing: Drawing = THESIS) -> Layer:
         drawing.free_inside_edges,
         drawing.unknown_pairs,
     )
+    if drawing.wide_walls:
+        _widen(out)
     return out
 
 
@@ -109,6 +118,18 @@ def _render(
         if inside[k]:
             other = INSIDE_FREE if free_inside_edges else 0
             draw(out, x, y, side, occupied, start[k], start[k + 1], INSIDE_OCCUPIED, other, 0)
+
+
+@kernel("void(uint8[:,::1])")
+def _widen(out: NDArray[np.uint8]) -> None:
+    """Claim that the neighbours of walls are beside one."""
+    height, width = out.shape
+    for row in range(height):
+        for column in range(width):
+            if out[row, column] & (OUTSIDE_OCCUPIED | INSIDE_OCCUPIED):
+                for y in range(max(row - 1, 0), min(row + 2, height)):
+                    for x in range(max(column - 1, 0), min(column + 2, width)):
+                        out[y, x] |= BESIDE_WALL
 
 
 def without_unknown_pairs(polygons: Polygons) -> Polygons:
@@ -190,7 +211,8 @@ class Stages:
     inside_bounded: Grid
     """(e) The boundaries of the inside objects are drawn over it, occupied ones over free ones."""
     complete: Grid
-    """(f) What is undefined is unknown, and what the robot has seen itself stands."""
+    """(f) What is undefined is unknown, and what the robot has seen itself stands. With wide walls, what is
+    unknown beside a wall of any boundary is occupied."""
 
 
 def five_stages(own: Grid, approximations: Sequence[Polygons], drawing: Drawing = THESIS) -> Stages:
@@ -226,6 +248,11 @@ def five_stages(own: Grid, approximations: Sequence[Polygons], drawing: Drawing 
     inside_bounded = plan.copy()
 
     plan[plan == UNDEFINED] = UNKNOWN
+    if drawing.wide_walls:
+        walls = np.zeros(own.shape, np.bool_)
+        for each in chain(*outside, *inside):
+            walls |= each.occupied_edges
+        plan[binary_dilation(walls, np.ones((3, 3))) & (plan == UNKNOWN)] = OCCUPIED
     plan[own != UNKNOWN] = own[own != UNKNOWN]
     return Stages(outside_filled, outside_bounded, inside_filled, inside_bounded, plan)
 
@@ -260,7 +287,8 @@ def _resolve(own: NDArray[np.uint8], claims: NDArray[np.uint8]) -> NDArray[np.ui
         known, claim, cells = own[row], claims[row], out[row]
         for at in range(len(cells)):
             c = claim[at]
-            cell = FREE if c & FREE_AREA else UNKNOWN
+            cell = OCCUPIED if c & BESIDE_WALL else UNKNOWN
+            cell = FREE if c & FREE_AREA else cell
             cell = OCCUPIED if c & OUTSIDE_OCCUPIED else cell
             cell = FREE if c & INSIDE_FREE else cell
             cell = OCCUPIED if c & INSIDE_OCCUPIED else cell

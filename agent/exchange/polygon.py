@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
-from agent.approximation import approximation, repair
+from agent.approximation import Marks, approximation, repair
 from agent.contour import contours
 from agent.edits import Held, edit_script
 from agent.exchange.base import Exchange
@@ -48,6 +48,10 @@ class PolygonOptions:
         Draw inside edges that are labelled free. They claim cells free which nobody has seen.
     unknown_pairs : bool
         Tell of and draw outside objects of two vertices without a wall: the unseen specks between beams.
+    wall_share : float
+        An edge is told as occupied where at least this share of its contour points is.
+    wide_walls : bool
+        Take what is unknown beside a teammate's wall for wall: coarse walls run beside the true ones.
     """
 
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
@@ -58,16 +62,26 @@ class PolygonOptions:
     mixed_first: bool = True
     free_inside_edges: bool = False
     unknown_pairs: bool = False
+    wall_share: float = 0.75
+    wide_walls: bool = True
 
     def __post_init__(self) -> None:
         if not 0 < self.medium_use < math.inf:
             raise ValueError(f"medium_use = {self.medium_use:g}: must be a number above 0")
         if not 0 <= self.bytes_per_split < math.inf:
             raise ValueError(f"bytes_per_split = {self.bytes_per_split:g}: must be 0 (measured) or more")
+        if not 0 < self.wall_share <= 1:
+            raise ValueError(f"wall_share = {self.wall_share:g}: must be above 0 and at most 1")
 
 
 THESIS_OPTIONS = PolygonOptions(
-    medium_use=0.5, lazy=False, mixed_first=False, free_inside_edges=True, unknown_pairs=True
+    medium_use=0.5,
+    lazy=False,
+    mixed_first=False,
+    free_inside_edges=True,
+    unknown_pairs=True,
+    wall_share=1.0,
+    wide_walls=False,
 )
 
 
@@ -82,7 +96,7 @@ class PolygonExchange(Exchange):
         shape = settings.height, settings.width
         self._options = options
         self._value = mixed_first if options.mixed_first else by_distance
-        self._drawing = Drawing(options.free_inside_edges, options.unknown_pairs)
+        self._drawing = Drawing(options.free_inside_edges, options.unknown_pairs, options.wide_walls)
         self._allowance = SplitAllowance(
             Splitting(
                 settings.robots,
@@ -118,9 +132,9 @@ class PolygonExchange(Exchange):
         exact = contours(own, (scan.x, scan.y))
         repaired = repair(self._held.polygons, exact)
         refined = refine(exact, repaired, splits, self._value)
-        packets, held = edit_script(self._held, self._said(approximation(exact, refined)))
+        packets, held = edit_script(self._held, self._approximation(exact, refined))
         if splits and len(refined) > len(repaired):
-            plain, _ = edit_script(self._held, self._said(approximation(exact, repaired)))
+            plain, _ = edit_script(self._held, self._approximation(exact, repaired))
             extra = sum(p.size for p in packets) - sum(p.size for p in plain)
             self._allowance.spent(len(refined) - len(repaired), max(0, extra))
         self._outdated = False
@@ -128,8 +142,9 @@ class PolygonExchange(Exchange):
         self._polygons[self.settings.robot] = held.polygons
         return [encode([packet]) for packet in packets]
 
-    def _said(self, polygons: Polygons) -> Polygons:
-        """What of an approximation is told: unless they are drawn, not the objects of two unknown edges."""
+    def _approximation(self, exact: Polygons, marks: Marks) -> Polygons:
+        """What is told of the contours: unless they are drawn, not the objects of two unknown edges."""
+        polygons = approximation(exact, marks, self._options.wall_share)
         return polygons if self._options.unknown_pairs else without_unknown_pairs(polygons)
 
     def take(self, about: int, units: list[bytes]) -> None:
@@ -144,8 +159,11 @@ class PolygonExchange(Exchange):
         return self._team.merged(own)
 
     def error(self, own: Grid) -> int:
-        """Cells in which one's own grid and the drawing of its approximation differ: d(t) of Eq. 6.1."""
+        """Cells in which one's own grid and the drawing of its approximation differ: d(t) of Eq. 6.1.
+
+        Without wide walls, which are a guess of the receiver's.
+        """
         mine = self._polygons.get(self.settings.robot)
         if mine is None:
             return int(np.count_nonzero(own))
-        return approximation_error(own, mine, self._drawing)
+        return approximation_error(own, mine, replace(self._drawing, wide_walls=False))

@@ -125,7 +125,8 @@ def test_an_edge_is_occupied_only_where_all_its_points_are(
         ],
         np.int32,
     )
-    coarse = approximation(exact, marks)
+    share = data.draw(st.sampled_from([0.3, 0.75, 1.0]), label="wall share")
+    coarse = approximation(exact, marks, share)
     for first, end, a, b in zip(
         coarse.start[:-1].tolist(),
         coarse.start[1:].tolist(),
@@ -140,7 +141,9 @@ def test_an_edge_is_occupied_only_where_all_its_points_are(
             while point != to:
                 covered.append(exact.occupied[point])
                 point = point + 1 if point + 1 < b else a
-            assert coarse.occupied[i] == all(covered)
+            assert coarse.occupied[i] == (sum(map(int, covered)) >= share * len(covered))
+            if share == 1:
+                assert coarse.occupied[i] == all(covered)
 
 
 def test_objects_beyond_what_packets_can_number_are_the_smallest_ones() -> None:

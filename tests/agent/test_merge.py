@@ -28,7 +28,7 @@ from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 
 quick = settings(deadline=None)
 
-drawings = st.builds(Drawing, st.booleans(), st.booleans())
+drawings = st.builds(Drawing, st.booleans(), st.booleans(), st.booleans())
 
 
 def approximated(grid: Grid, robot: Cell, splits: int | None = None) -> Polygons:
@@ -205,6 +205,25 @@ def test_unknown_specks_are_left_out_if_wished() -> None:
     clean = rendered(specks, Drawing(unknown_pairs=False))
     assert clean[2, 2] == FREE
     assert clean[6, 6] == OCCUPIED
+
+
+def test_what_is_unknown_beside_a_teammates_wall_is_wall_if_wished() -> None:
+    room = np.full((9, 20), OCCUPIED, np.uint8)
+    room[1:8, 1:12] = FREE
+    room[:, 12:] = UNKNOWN
+    teammate = approximated(room, (3, 3))
+    own = np.full(room.shape, UNKNOWN, np.uint8)
+    own[4, 12:14] = FREE
+    own[0, 13] = FREE
+    plain, wide = (merged(own, [teammate], Drawing(wide_walls=wished)) for wished in (False, True))
+    assert plain[0, 12] == UNKNOWN
+    assert wide[0, 12] == OCCUPIED, "it touches the wall's last cell"
+    assert (wide[own == FREE] == FREE).all()
+    assert (wide[1:8, 1:12] == FREE).all(), "what a teammate has seen free is no wall"
+    assert (wide[2:7, 14:] == UNKNOWN).all(), "what no wall is beside stays unknown"
+    changed = wide != plain
+    assert (plain[changed] == UNKNOWN).all()
+    assert (wide[changed] == OCCUPIED).all()
 
 
 def test_nothing_heard_claims_nothing() -> None:
