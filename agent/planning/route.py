@@ -1,4 +1,4 @@
-"""The way that a robot is on: followed cell by cell, led around teammates that stand on it."""
+"""The way that a robot is on: followed cell by cell, straightened, or turned into way points."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning.ways import Ways
-from protocol.chance import chance
 from protocol.grid import FREE, Grid
 from protocol.kernels import kernel
 
@@ -15,16 +14,12 @@ _FINE = 1000
 
 _NOWHERE = np.empty((0, 2), np.int32)
 
-MEMORY = 20
-"""Steps for which a robot keeps away from a cell that it could not enter for a teammate."""
-
 
 class Route:
-    """Cells still to be driven, and those that teammates lately held."""
+    """Cells still to be driven."""
 
     def __init__(self) -> None:
         self.cells: NDArray[np.int32] = _NOWHERE
-        self._held: dict[tuple[int, int], int] = {}
 
     def lead(self, ways: Ways, start: tuple[int, int], end: tuple[int, int]) -> bool:
         """Take a best way from `start` to `end`; whether there is one. Without one, the way is empty."""
@@ -49,37 +44,6 @@ class Route:
     def next_cells(self, count: int) -> NDArray[np.int32]:
         """The next cells to enter, shape (at most `count`, 2)."""
         return self.cells[:count]
-
-    def detour(
-        self,
-        ways: Ways,
-        start: tuple[int, int],
-        end: tuple[int, int],
-        reach: float,
-        key: tuple[int, int, int],
-    ) -> None:
-        """Lead around the cell in front, which a teammate holds, and around those lately found held.
-
-        Without the memory a robot between two teammates would turn from one to the other for good. Where no
-        other way leads to `end`, or it is much longer, lead to a random cell at most `reach` cells away
-        instead; `key` (seed, robot, step) decides which.
-        """
-        if not len(self.cells):
-            return
-        step = key[2]
-        self._held = {cell: since for cell, since in self._held.items() if step - since < MEMORY}
-        self._held[int(self.cells[0][0]), int(self.cells[0][1])] = step
-        around = ways
-        for x, y in self._held:
-            if (x, y) != start:
-                around = around.without(x, y)
-        field = around.costs(*start)
-        if field[end[1], end[0]] < len(self.cells) + reach:
-            self.lead(around, start, end)
-            return
-        ys, xs = np.nonzero(field <= reach)
-        pick = int(chance(key[0], "step aside", *key[1:]).integers(len(xs)))
-        self.lead(around, start, (int(xs[pick]), int(ys[pick])))
 
 
 def straighten(floor: Grid, start: tuple[int, int], cells: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -158,6 +122,28 @@ def corners(floor: Grid, start: tuple[int, int], cells: NDArray[np.int32]) -> ND
         at = points[next_one]
         found.append(at)
         next_one += 1
+    return np.array(found, np.int32).reshape(-1, 2)
+
+
+def crossed(start: tuple[int, int], points: NDArray[np.int32], most: float) -> NDArray[np.int32]:
+    """Cells that the lines from point to point lead into, in order; lines that begin more than `most` cells on are left out.
+
+    `start` and `points` are in thousandths of a cell; shape (n, 2).
+    """
+    found: list[tuple[int, int]] = []
+    at = start
+    last = (at[0] + _FINE // 2) // _FINE, (at[1] + _FINE // 2) // _FINE
+    for x, y in points.tolist():
+        pieces = max(1, max(abs(x - at[0]), abs(y - at[1])) // (_FINE // 10))
+        for piece in range(1, pieces + 1):
+            ahead = at[0] + (x - at[0]) * piece // pieces, at[1] + (y - at[1]) * piece // pieces
+            cell = (ahead[0] + _FINE // 2) // _FINE, (ahead[1] + _FINE // 2) // _FINE
+            if cell != last:
+                found.append(cell)
+                last = cell
+        at = x, y
+        if len(found) > most:
+            break
     return np.array(found, np.int32).reshape(-1, 2)
 
 

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning import forces
-from agent.planning.route import Route, corners
+from agent.planning.route import Route, corners, crossed
+from agent.planning.traffic import Traffic
 from agent.planning.ways import Ways
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Situation, Strategy
@@ -31,9 +32,6 @@ STALL_STEPS = 60
 
 STALL_METRES = 1.0
 """How far it has to get."""
-
-WAIT_FOR_TEAMMATE = 2
-"""Steps for which a leader waits for a teammate to get out of its way, before it drives around it."""
 
 NOT_HERE = "robots are moved by forces, there are no targets to choose among"
 
@@ -79,7 +77,7 @@ class PotentialField(Strategy):
         )  # fmt: skip
         self._velocity = np.zeros(2)
         self._route = Route()
-        self._blocked_steps = 0
+        self._traffic = Traffic(settings.seed, settings.robot, settings.range_cells)
         self._anchor: tuple[float, float] = (0.0, 0.0)
         self._anchor_step = 0
         self._known = -1
@@ -105,7 +103,6 @@ class PotentialField(Strategy):
         at = situation.x + situation.offset[0] / FINE, situation.y + situation.offset[1] / FINE
         ways = Ways(situation.grid, radius_cells=self.settings.radius_cells)
         frontier = ways.frontier(*situation.here)
-        self._blocked_steps = self._blocked_steps + 1 if situation.blocked == "robot" else 0
         if situation.blocked:
             self._velocity = np.zeros(2)
         if not len(frontier):
@@ -146,12 +143,16 @@ class PotentialField(Strategy):
         costs = ways.costs(*situation.here)[frontier[:, 1], frontier[:, 0]]
         target = frontier[np.argmin(costs)]
         goal = int(target[0]), int(target[1])
+        self._route.drive_to(*situation.here)
+        stopped = situation.blocked == "robot"
+        self._traffic.note(self._route, situation.here, situation.step, stopped=stopped)
         self._route.lead(ways, situation.here, goal)
-        if self._blocked_steps >= WAIT_FOR_TEAMMATE:
-            key = (self.settings.seed, self.settings.robot, situation.step)
-            self._route.detour(ways, situation.here, goal, self.settings.range_cells, key)
+        if self._traffic.has_waited:
+            ways = self._traffic.pass_by(self._route, ways, situation.here, goal, situation.step)
         start = situation.x * FINE + situation.offset[0], situation.y * FINE + situation.offset[1]
-        return target, corners(ways.floor, start, self._route.cells)
+        points = corners(ways.floor, start, self._route.cells)
+        self._route.cells = crossed(start, points, self.settings.speed_cells)
+        return target, points
 
     def _is_stalled(self, situation: Situation, at: tuple[float, float]) -> bool:
         """Whether it has stayed where it is, and its map as well."""

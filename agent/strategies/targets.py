@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from agent.planning.candidates import CANDIDATES, goal_candidates
 from agent.planning.frontier import is_frontier
 from agent.planning.route import Route
+from agent.planning.traffic import Traffic
 from agent.planning.ways import COSTS, Ways
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Situation, Strategy
@@ -36,16 +37,14 @@ any more, whoever has opened it. ``after-turn``: at its target, after the scanne
 assign targets together choose again when this is so for any of them."""
 
 MISSIONS = ("open", "return")
-"""What comes when nothing is left. ``open``: the run ends. ``return``: all drive home, then it ends."""
+"""What comes when nothing is left. ``open``: the run ends. ``return``: all drive home, then it ends. Who finds
+every way home held by those that are back already is home where they stop it, if that is near."""
 
 SCANNING = ("always", "at-target")
-"""When the scanner works. ``at-target``: not on the way."""
+"""When the scanner works. ``at-target``: not on the way, unless a wall that it does not know stops it."""
 
 SHARING = ("always", "at-target")
 """When teammates may have what was seen. ``at-target``: when a target has been reached or is replaced."""
-
-WAIT_FOR_TEAMMATE = 2
-"""Steps for which a robot waits when a teammate stands in its way, before it looks for another."""
 
 _FACES = ((1, 0, 0), (0, 1, 2), (-1, 0, 4), (0, -1, 6))
 """The four neighbours (dx, dy) and the heading that looks at each."""
@@ -74,7 +73,7 @@ class TargetStrategy(Strategy):
         self.target: Cell | None = None
         self._route = Route()
         self._goal: Cell | None = None
-        self._blocked_steps = 0
+        self._traffic = Traffic(settings.seed, settings.robot, settings.range_cells)
         self._turned = 0
         self._at: Cell | None = None
         self._looked = True
@@ -131,24 +130,26 @@ class TargetStrategy(Strategy):
         here = situation.here
         self._count_turn(here)
         self._route.drive_to(*here)
-        self._blocked_steps = self._blocked_steps + 1 if situation.blocked == "robot" else 0
+        self._traffic.note(self._route, here, situation.step, stopped=situation.blocked == "robot")
         ways = Ways(situation.grid, self.options.costs, self.settings.radius_cells)
-        before, left = self.target, True
-        if self.is_due(situation):
+        before, left, gives_up = self.target, True, self._traffic.gives_up()
+        if gives_up or self.is_due(situation):
             left = self._renew(situation, ways)
         elif not self._route.is_open(ways.floor) or self._is_stranded(here):
             left = self._drive(situation, ways, self.target) or self._renew(situation, ways)
-        if self._blocked_steps >= WAIT_FOR_TEAMMATE:
-            left = self._step_aside(situation, ways) and left
-        at_rest = not len(self._route.cells)
+        if self.target != before:
+            self._traffic.begin()
+        if self._traffic.has_waited:
+            left = self._pass_by(situation, ways) and left
+        at_rest = not len(self._route.cells) or situation.blocked == "wall"
         self._looked = self.options.scan == "always" or at_rest
         return Decision(
             target=self.target,
             path=self._route.next_cells(int(self.settings.speed_cells) + 2),
             heading=self._face_the_unknown(situation) if self.target == here else situation.heading,
-            explored=not left and (self.options.mission == "open" or here == situation.home),
+            explored=not left and (self.options.mission == "open" or self._is_home(situation, ways)),
             look=self._looked,
-            publish=self.target is None or self.target != before,
+            publish=self.target is None or self.target != before or gives_up,
             status=self._status(here, left),
         )
 
@@ -173,7 +174,8 @@ class TargetStrategy(Strategy):
         goals = self.goals(situation, ways)
         self.target = self.choose(situation, goals, ways) if len(goals) else None
         goal = situation.home if self.target is None and self.options.mission == "return" else self.target
-        self._drive(situation, ways, goal)
+        if self.target is not None or not self._is_under_way(goal, ways):
+            self._drive(situation, ways, goal)
         return len(goals) > 0
 
     def _drive(self, situation: Situation, ways: Ways, goal: Cell | None) -> bool:
@@ -184,22 +186,32 @@ class TargetStrategy(Strategy):
             return False
         return self._route.lead(ways, situation.here, goal)
 
+    def _is_under_way(self, goal: Cell | None, ways: Ways) -> bool:
+        """Whether it drives to a cell, or makes room on its way there."""
+        return self._goal == goal and len(self._route.cells) > 0 and self._route.is_open(ways.floor)
+
     def _is_stranded(self, here: Cell) -> bool:
         """Whether a detour has led the robot elsewhere."""
         return self.target is not None and self.target != here and not len(self._route.cells)
 
-    def _step_aside(self, situation: Situation, ways: Ways) -> bool:
-        """Get out of a teammate's way: drive around it, or to a random place near by until it is gone.
-
-        A target on which a teammate stands is given up. Returns whether there is a goal left.
-        """
+    def _pass_by(self, situation: Situation, ways: Ways) -> bool:
+        """Get past a teammate; a target on which one stands is given up. Returns whether there is a goal left."""
         left = True
         if self.target is not None and len(self._route.cells) == 1:
             left = self._renew(situation, ways)
         if self._goal is not None:
-            key = (self.settings.seed, self.settings.robot, situation.step)
-            self._route.detour(ways, situation.here, self._goal, self.settings.range_cells, key)
+            self._traffic.pass_by(self._route, ways, situation.here, self._goal, situation.step)
         return left
+
+    def _is_home(self, situation: Situation, ways: Ways) -> bool:
+        """Whether it is at its depot; or near it, and teammates hold every way there."""
+        if situation.here == situation.home:
+            return True
+        if not self._traffic.is_shut_out(situation.step):
+            return False
+        way = ways.way(situation.here, situation.home)
+        queue = 2 * self.settings.robots * max(1.0, 2 * self.settings.radius_cells)
+        return way is not None and len(way) <= max(queue, self.settings.range_cells)
 
     def _face_the_unknown(self, situation: Situation) -> int:
         """Heading that looks at the target's unknown neighbour, for a laser that does not look everywhere."""
@@ -211,7 +223,7 @@ class TargetStrategy(Strategy):
         return situation.heading
 
     def _status(self, here: Cell, left: bool) -> str:
-        if self._blocked_steps:
+        if self._traffic.waited:
             return "waits: a teammate stands in the way"
         if self.target is None and len(self._route.cells):
             return "drives home"

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agent.planning.route import crossed
 from agent.planning.ways import Ways
 from agent.settings import Settings
 from agent.strategies import Decision, Pose, Situation, Strategy, strategy
@@ -132,6 +133,20 @@ def test_with_nothing_left_an_open_mission_is_done_and_a_returning_robot_drives_
     assert swarm.decide(replace(robot_at(1, grid=known), home=(1, 1))).explored
 
 
+def test_a_returning_robot_is_home_where_teammates_that_are_back_let_it_no_nearer() -> None:
+    known = drawn("#######", ".......", "#######")
+    for start, near in ((3, True), (60, False)):
+        wide = np.repeat(known, 10, axis=1)
+        swarm = mind("meier", {"mission": "return"}, wide)
+        at = replace(robot_at(start, grid=wide), home=(0, 1))
+        assert not swarm.decide(at).explored
+        after = [
+            swarm.decide(replace(at, step=step, blocked=blocked)).explored
+            for step, blocked in enumerate(("robot", "robot"), start=2)
+        ]
+        assert after == [False, near]
+
+
 def test_stop_scan_replan_stays_for_a_full_turn_and_then_tells() -> None:
     settings: dict[str, Any] = {"scanner_turn": 72.0, "speed_cells": 1.0}
     swarm = mind("stop-scan-replan", **settings)
@@ -146,6 +161,19 @@ def test_classical_does_not_look_on_the_way() -> None:
     swarm = mind("classical", scanner_turn=0.0)
     assert swarm.decide(robot_at(4)).target is not None
     assert not swarm.decide(robot_at(3)).look
+
+
+def test_classical_looks_around_where_a_wall_stops_it_that_it_has_not_seen() -> None:
+    swarm = mind("classical", scanner_turn=0.0)
+    assert swarm.decide(robot_at(4)).target is not None
+    assert swarm.decide(replace(robot_at(3), blocked="wall")).look
+
+
+def test_a_robot_that_teammates_stop_for_long_tells_what_it_has_seen() -> None:
+    swarm = mind("stop-scan-replan")
+    assert swarm.decide(robot_at(4)).target == (0, 1)
+    told = [swarm.decide(replace(robot_at(3), step=step, blocked="robot")).publish for step in range(2, 14)]
+    assert sum(told) == 1
 
 
 def test_scan_replan_keeps_an_opened_target_and_continuous_replan_does_not() -> None:
@@ -211,6 +239,17 @@ def test_a_leader_takes_the_shortest_way_and_a_trooper_stops_before_the_wall() -
     assert max(x for x, _ in leader.points.tolist()) >= 6500
     trooper = mind("potential-field", {}, grid, **settings).decide(robot_at(0, 0, grid=grid))
     assert max(y for _, y in trooper.points.tolist()) < 1500
+
+
+def test_a_leader_drives_around_a_teammate_that_stops_it() -> None:
+    grid = np.full((9, 12), FREE, np.uint8)
+    grid[4, 11] = UNKNOWN
+    leader = mind("leaders", {}, grid, speed_cells=1.0, resolution=1.0)
+    for step, blocked in enumerate(("", "robot", "robot"), start=1):
+        points = leader.decide(replace(robot_at(3, 4, grid=grid), step=step, blocked=blocked)).points
+    around = crossed((3000, 4000), points, 100.0).tolist()
+    assert [4, 4] not in around
+    assert around[-1] in ([11, 3], [10, 4], [11, 5])
 
 
 def test_a_robot_that_gets_nowhere_says_that_it_is_stalled() -> None:
