@@ -112,8 +112,8 @@ class AgentNode:
                 said = robot.session.data([(n, peer, about, load) for n, (peer, load), about in named])
         except ProtocolError as error:
             self._fault(str(error))
-        frames = [(names.robot(peer), frame) for _, peer, frame in said]
-        self._say(frames, Said(turn.step, turn.exchange, phase, [number for number, _, _ in said]))
+        puts = [(names.robot(peer), frame) for _, peer, frame in said]
+        self._say(puts, Said(turn.step, turn.exchange, phase, [number for number, _, _ in said]))
 
     def _decide(self, robot: Robot, began: float) -> None:
         self._take_frames(robot, 0)

@@ -89,13 +89,13 @@ def encode(step: int, sightings: Iterable[Sighting]) -> bytes:
     blocks: list[bytes] = []
     for seen in sightings:
         words = in_words(seen)
+        exchange, connection, frame, sender, receiver, about, verdict, hearers, _, _ = seen
         for part, (kept, size) in enumerate(_parts(seen)):
-            prefix = HEAD.pack(
-                VERSION, seen.frame, seen.verdict, seen.exchange, seen.sender, seen.receiver, seen.map, part,
-                step, seen.connection, seen.hearers,
-            )  # fmt: skip
+            head = HEAD.pack(
+                VERSION, frame, verdict, exchange, sender, receiver, about, part, step, connection, hearers
+            )
             time = step * _SECOND + min(len(blocks), _SECOND - 1)
-            blocks.append(pcapng.packet(time, prefix + kept, HEAD.size + size, words))
+            blocks.append(pcapng.packet(time, head + kept, HEAD.size + size, words))
     return b"".join(blocks)
 
 

@@ -68,15 +68,20 @@ class Sighting(NamedTuple):
     reason: str = ""
 
 
+@lru_cache(maxsize=256)
+def _count(payload: bytes) -> list[tuple[int, int, int]]:
+    """Return the number of each kind in a frame, how many there are, and their bytes."""
+    try:
+        return [(KIND_NUMBER[kind], *count) for kind, count in tally(payload).items()]
+    except ProtocolError:
+        return [(MALFORMED, 1, len(payload))]
+
+
 def book(step: int, sightings: Iterable[Sighting]) -> bytes:
     """Write the rows of a step's frames, in the order in which they were seen."""
     rows = []
     for exchange, connection, frame, sender, receiver, about, verdict, hearers, payload, _ in sightings:
-        try:
-            counts = [(KIND_NUMBER[kind], *count) for kind, count in tally(payload).items()]
-        except ProtocolError:
-            counts = [(MALFORMED, 1, len(payload))]
-        for kind, number_of_packets, size in counts:
+        for kind, number_of_packets, size in _count(payload):
             row = _PACK.pack(
                 step, exchange, connection, frame, sender, receiver, about, kind, number_of_packets, size,
                 not verdict, verdict, hearers.bit_count(),

@@ -46,11 +46,11 @@ def head(link_type: int, application: str, name: str, description: str) -> bytes
 
 def packet(time_us: int, data: bytes, size: int, comment: str) -> bytes:
     """Write one packet of `size` bytes, of which `data` is kept, as a block."""
-    tail = _tail(comment)
-    padding = -len(data) % 4
-    block = _PACKET.size + len(data) + padding + len(tail) + 4
-    opening = _PACKET.pack(PACKET, block, 0, time_us >> 32, time_us & 0xFFFFFFFF, len(data), size)
-    return b"".join((opening, data, bytes(padding), tail, block.to_bytes(4, "little")))
+    tail = _tail(comment, len(data))
+    opening = _PACKET.pack(
+        PACKET, _PACKET.size + len(data) + len(tail), 0, time_us >> 32, time_us & 0xFFFFFFFF, len(data), size
+    )
+    return opening + data + tail
 
 
 class Reader:
@@ -125,9 +125,10 @@ def _block(kind: int, body: bytes) -> bytes:
 
 
 @lru_cache(maxsize=1024)
-def _tail(comment: str) -> bytes:
-    """Options of a packet; there are few different ones."""
-    return _options((COMMENT, comment.encode()))
+def _tail(comment: str, size: int) -> bytes:
+    """What follows `size` bytes of data in a packet's block; there are few different ones."""
+    tail = bytes(-size % 4) + _options((COMMENT, comment.encode()))
+    return tail + (_PACKET.size + size + len(tail) + 4).to_bytes(4, "little")
 
 
 def _options(*options: tuple[int, bytes]) -> bytes:

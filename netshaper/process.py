@@ -43,7 +43,10 @@ class RelayNode:
         self._keys = keys
         self._radio = Radio(settings)
         self._robots = settings.robots
-        self._expected = {names.WORLD, names.LAB, *(names.robot(r) for r in range(settings.robots))}
+        robots = [names.robot(number) for number in range(settings.robots)]
+        self._hears_at = [[keys.radio_rx(hearer, sender) for sender in robots] for hearer in robots]
+        self._told_at = [keys.control(robot, names.RELAY) for robot in robots]
+        self._expected = {names.WORLD, names.LAB, *robots}
         self._present: set[str] = set()
         self._watched = False
         self._begun = False
@@ -67,7 +70,8 @@ class RelayNode:
             self._radio.hear(names.number(first), receiver, message.payload)
         else:
             self._control(first, message.payload)
-        self._report_faults()
+        if self._radio.faults:
+            self._report_faults()
         self.done = self.going_home and not self._present
 
     def give_up_on(self, robot: int, cause: str) -> None:
@@ -151,10 +155,9 @@ class RelayNode:
                 self._report(item.report())
 
     def _addressed(self, item: Frame | Note) -> tuple[str, bytes]:
-        receiver = names.robot(item.receiver)
         if isinstance(item, Frame):
-            return self._keys.radio_rx(receiver, names.robot(item.sender)), item.payload
-        return self._keys.control(receiver, names.RELAY), pack(item.message)
+            return self._hears_at[item.receiver][item.sender], item.payload
+        return self._told_at[item.receiver], pack(item.message)
 
     def _report_faults(self) -> None:
         for robot, reason in self._radio.faults:

@@ -329,11 +329,13 @@ def content(packet: bytes) -> bytes:
     ProtocolError
         It is another packet, or cut off.
     """
-    if _kind(packet, 0) is not Fragment:
-        raise ProtocolError(name(packet), 0, "only fragments of scans travel in this exchange")
-    if length(packet) != len(packet):
+    if packet[0] == _FULL and len(packet) == Fragment.size:
+        return packet[1:]
+    if packet[0] == _SHORT and len(packet) == length(packet):
+        return packet[2:]
+    if _kind(packet, 0) is Fragment:
         raise _cut_off(packet, 0)
-    return packet[1 + (packet[0] == _SHORT) :]
+    raise ProtocolError(name(packet), 0, "only fragments of scans travel in this exchange")
 
 
 def decode(buffer: bytes) -> list[AnyPacket]:

@@ -116,12 +116,15 @@ class Change:
 
 def mark_free(grid: Grid, cells: NDArray[np.int32]) -> Change:
     """Mark cells (x, y), shape (n, 2), that a robot has driven over as free; as `draw`, only unknown ones change."""
-    fresh = np.unique(cells[grid[cells[:, 1], cells[:, 0]] == UNKNOWN], axis=0)
-    if not len(fresh):
-        return Change(0, grid.shape[1], grid.shape[0], 0, 0)
-    grid[fresh[:, 1], fresh[:, 0]] = FREE
-    (x0, y0), (x1, y1) = fresh.min(axis=0).tolist(), fresh.max(axis=0).tolist()
-    return Change(len(fresh), x0, y0, x1 + 1, y1 + 1)
+    x0, y0, x1, y1 = grid.shape[1], grid.shape[0], 0, 0
+    changed = 0
+    for x, y in cells.tolist():
+        if grid[y, x] == UNKNOWN:
+            grid[y, x] = FREE
+            changed += 1
+            x0, x1 = min(x0, x), max(x1, x + 1)
+            y0, y1 = min(y0, y), max(y1, y + 1)
+    return Change(changed, x0, y0, x1, y1)
 
 
 def draw(grid: Grid, fan: Fan, x: int, y: int, readings: Readings) -> Change:
@@ -132,7 +135,7 @@ def draw(grid: Grid, fan: Fan, x: int, y: int, readings: Readings) -> Change:
     """
     out = np.empty(5, np.int32)
     _draw(grid, fan.cells, fan.start, x, y, readings, out)
-    return Change(*map(int, out))
+    return Change(*out.tolist())
 
 
 @kernel("void(uint8[:,::1], int32[:,::1], int32[::1], int64, int64, uint16[::1], int32[::1])")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +100,8 @@ class World:
         self.floors = {body.radius_cells: enlarge(truth, body.radius_cells) for body in settings.bodies}
         """Where the centre of a robot of each radius may be."""
         self.reachable = reachable_by(truth, settings.starts[0], settings.bodies[0].radius_cells)
+        self.reachable_cells = int(np.count_nonzero(self.reachable))
+        """Free cells that robots can get to."""
         self.seen = np.zeros_like(truth)
         """What the team's lasers have truly seen, all together."""
         self._fans = [fan(body.range_cells, settings.beams) for body in settings.bodies]
@@ -109,11 +112,6 @@ class World:
     def seen_cells(self) -> int:
         """Reachable free cells that the team has seen."""
         return int(np.count_nonzero((self.seen == FREE) & self.reachable))
-
-    @property
-    def reachable_cells(self) -> int:
-        """Free cells that robots can get to."""
-        return int(np.count_nonzero(self.reachable))
 
     def lose(self, robot: int) -> None:
         """Take a broken robot out of the world: nobody runs into it."""
@@ -146,8 +144,8 @@ class World:
     ) -> tuple[list[tuple[int, int]], str]:
         """Move one robot; return the cells found free on the way, and what blocked it."""
         start = self.cells[robot]
-        path = [(int(x), int(y)) for x, y in cells_from_bytes(move.path)]
-        points = [(int(x), int(y)) for x, y in points_from_bytes(move.points)]
+        path = [(x, y) for x, y in cells_from_bytes(move.path).tolist()]
+        points = [(x, y) for x, y in points_from_bytes(move.points).tolist()]
         self.headings[robot] = move.heading % HEADINGS
         if (path or points) and self._hindered(robot, before):
             return [], INTERFERENCE
@@ -184,16 +182,14 @@ class World:
         """Cells that a robot's centre may not enter, for the others' sake."""
         own = self.settings.bodies[robot].radius_cells
         taken = np.zeros(self.truth.shape, np.bool_)
-        height, width = self.truth.shape
         for other, (x, y) in self.cells.items():
             if other == robot:
                 continue
-            reach = own + self.settings.bodies[other].radius_cells
-            x0, y0 = max(0, x - int(reach)), max(0, y - int(reach))
-            xs = np.arange(x0, min(width, x + int(reach) + 1))
-            ys = np.arange(y0, min(height, y + int(reach) + 1))
-            near = (xs[None, :] - x) ** 2 + (ys[:, None] - y) ** 2 < max(reach, 1.0) ** 2
-            taken[y0 : y0 + near.shape[0], x0 : x0 + near.shape[1]] |= near
+            near = too_near(own + self.settings.bodies[other].radius_cells)
+            side = len(near) // 2
+            left, top = max(0, side - x), max(0, side - y)
+            here = taken[max(0, y - side) : y + side + 1, max(0, x - side) : x + side + 1]
+            here |= near[top : top + here.shape[0], left : left + here.shape[1]]
         return taken
 
     def _hindered(self, robot: int, before: Mapping[int, tuple[int, int]]) -> bool:
@@ -239,6 +235,14 @@ class World:
         driven = cells_to_bytes(np.array(entered, np.int32).reshape(-1, 2))
         offset_x, offset_y = self.offsets[robot]
         return Sense(self.step, x, y, heading, driven, readings.tobytes(), blocked, offset_x, offset_y)
+
+
+@lru_cache(maxsize=64)
+def too_near(reach: float) -> NDArray[np.bool_]:
+    """Cells less than `reach` cells, or one cell, from the middle one, as a square mask."""
+    side = np.arange(-int(reach), int(reach) + 1)
+    near: NDArray[np.bool_] = side[:, None] ** 2 + side[None, :] ** 2 < max(reach, 1.0) ** 2
+    return near
 
 
 def beams_outside(beams: int, angle: float, width: float) -> NDArray[np.bool_]:

@@ -27,9 +27,11 @@ it counts as level.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import lru_cache
+from itertools import accumulate
 
 from agent.exchange.log import Log
 from protocol import packets
@@ -108,21 +110,6 @@ class Connection:
         return self.state
 
 
-@dataclass(slots=True)
-class _Backoff:
-    """How long offers of one map to one peer are put off."""
-
-    wait: int = 1
-    due: int = 0
-
-    def refused(self, now: int) -> None:
-        self.due = now + self.wait
-        self.wait = min(2 * self.wait, MAX_WAIT)
-
-    def accepted(self) -> None:
-        self.wait = 1
-
-
 class Session:
     """One robot's end of all connections."""
 
@@ -137,7 +124,14 @@ class Session:
         self._policy = policy
         self._now = 0
         self._only_first = True
-        self._backoff: dict[tuple[int, int], _Backoff] = {}
+        self._wait = [[1] * robots for _ in range(robots)]
+        """``_wait[peer][map]``: for how many exchanges offers of a map to a peer are put off if it refuses."""
+        self._due = [[0] * robots for _ in range(robots)]
+        """``_due[peer][map]``: the exchange before which it is not offered again."""
+        self._passed_on = [
+            [about for about in range(robots) if about not in (robot, peer)] for peer in range(robots)
+        ]
+        """The maps that might be passed on to each peer."""
         self._room: int | None = None
         self._peers: list[int] = []
         self._said: dict[tuple[int, int], Connection] = {}
@@ -255,49 +249,43 @@ class Session:
 
     def forget(self) -> None:
         """Drop what all teammates hold."""
-        for about, log in enumerate(self.logs):
-            if log.oldest == len(log):
-                continue
-            others = (peer for peer in range(len(self.logs)) if peer not in (self._robot, about))
-            log.forget(min((self.known[peer][about] for peer in others), default=len(log)))
+        for about, (log, known) in enumerate(zip(self.logs, zip(*self.known, strict=True), strict=True)):
+            others = [reached for peer, reached in enumerate(known) if peer not in (self._robot, about)]
+            log.forget(min(others, default=len(log)))
 
     def _worth_offering(self, exchange: int, peer: int, held: list[int]) -> list[int]:
         """Maps to offer a peer now, as the policy has it; `held`: the length of each log."""
-        known = self.known[peer]
-        others = [
-            about
-            for about, length in enumerate(held)
-            if length > known[about] and about not in (self._robot, peer)
-        ]
+        robot, known, due = self._robot, self.known[peer], self._due[peer]
+        own = [robot] if held[robot] > known[robot] else []
         if self._policy == "thesis":
-            return [self._robot, *others] if held[self._robot] > known[self._robot] else others
-        own = held[self._robot] > known[self._robot] and self._is_due(peer, self._robot)
+            return own + [about for about in self._passed_on[peer] if held[about] > known[about]]
+        if own and self._now < due[robot]:
+            own = []
         if own and not self._only_first:
-            return [self._robot]
-        passed_on = []
-        if exchange or (self._only_first and self._now % 2 == 0):
-            passed_on = [about for about in others if self._is_due(peer, about)]
-        if own and not passed_on:
-            return [self._robot]
-        return [max(passed_on, key=lambda about: held[about] - known[about])] if passed_on else []
-
-    def _is_due(self, peer: int, about: int) -> bool:
-        backoff = self._backoff.get((peer, about))
-        return backoff is None or self._now >= backoff.due
+            return own
+        if exchange == 0 and not (self._only_first and self._now % 2 == 0):
+            return own
+        others = [
+            about for about in self._passed_on[peer] if held[about] > known[about] and self._now >= due[about]
+        ]
+        return [max(others, key=lambda about: held[about] - known[about])] if others else own
 
     def _read_answer(self, connection: Connection, payload: bytes) -> Event:
         """Put the index of an answer together, and compare it with what is held."""
-        said = packets.handshake(payload)
-        if len(said) == 1 and isinstance(said[0], packets.Decline):
-            return Event.DECLINED
         known, held = self.known[connection.peer][connection.map], len(self.logs[connection.map])
-        blocks = [packet.block for packet in said[:-1] if isinstance(packet, packets.Block)]
-        answer = said[-1] if len(said) == len(blocks) + 1 <= 3 else None
-        if not isinstance(answer, packets.Answer):
-            raise ProtocolError("conn", 0, "expected an answer behind at most two blocks, or a decline")
-        offered = known // INDEX_WINDOW % BLOCKS
-        turn, block = (0, *(blocks or [offered]))[-2:]
-        index = turn * ROUND + block * INDEX_WINDOW + answer.index
+        turn, block = 0, known // INDEX_WINDOW % BLOCKS
+        match packets.handshake(payload):
+            case (packets.Decline(),):
+                return Event.DECLINED
+            case (packets.Answer(index),):
+                pass
+            case (packets.Block(block), packets.Answer(index)):
+                pass
+            case (packets.Block(turn), packets.Block(block), packets.Answer(index)):
+                pass
+            case _:
+                raise ProtocolError("conn", 0, "expected an answer behind at most two blocks, or a decline")
+        index += turn * ROUND + block * INDEX_WINDOW
         connection.index = index if known <= index < held else held
         return Event.BEHIND if connection.index < held else Event.LEVEL
 
@@ -306,14 +294,11 @@ class Session:
         peer, about = connection.peer, connection.map
         reached = connection.index
         if connection.state is State.REFUSED:
-            self._backoff.setdefault((peer, about), _Backoff()).refused(self._now)
+            wait = self._wait[peer][about]
+            self._due[peer][about], self._wait[peer][about] = self._now + wait, min(2 * wait, MAX_WAIT)
         elif connection.state is State.SENDING:
-            self._backoff.setdefault((peer, about), _Backoff()).accepted()
-            for unit in connection.sent:
-                sent -= len(unit)
-                if sent < 0:
-                    break
-                reached += 1
+            self._wait[peer][about] = 1
+            reached += bisect_right(list(accumulate(map(len, connection.sent))), sent)
         self.known[peer][about] = max(self.known[peer][about], reached)
 
 
