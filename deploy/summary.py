@@ -19,6 +19,9 @@ from protocol.packets import ALL_KINDS
 
 PACKAGES = ("murmur-swarm", "eclipse-zenoh", "numba", "numpy", "scipy")
 
+SCAN_VALUES, VALUE_BYTES = 362, 2
+"""A raw scan by the thesis' reckoning (section 6.3): 360 ranges and a position, for each of the others."""
+
 Mask = NDArray[np.bool_]
 
 
@@ -31,10 +34,11 @@ def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
     reachable = plan.make_world().reachable
     kinds, packets = _per_kind(ledger)
     wanted = end.first if finished and end is not None else min(records.planning, default=-1)
+    steps = end.step if end is not None and end.step >= 0 else records.step
     return {
         "finished": finished,
         "reason": end.reason if end is not None else "broken off",
-        "steps": end.step if end is not None and end.step >= 0 else records.step,
+        "steps": steps,
         "first_robot": end.first if finished and end is not None else None,
         "coverage": _coverage(records, reachable),
         "map_agreement": _share_free(records.planning[wanted], reachable)
@@ -52,6 +56,7 @@ def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "bandwidth": scenario.bandwidth,
         "range_m": plan.range_m,
         "bytes": kinds,
+        "raw_scan_bytes": steps * SCAN_VALUES * VALUE_BYTES * scenario.robots * (scenario.robots - 1),
         "packets": packets,
         "approximation_error": _approximation_error(records, wanted, int(reachable.sum())),
         "over_budget_steps": _over_budget(ledger, scenario.bandwidth),

@@ -55,9 +55,41 @@ def test_the_table_holds_means_by_row_and_column_and_over_all(tmp_path: Path) ->
     assert rows[0][1] == f"{summaries[0]['steps']:.3f} {alone:.3f}"
 
 
+def test_figures_are_names_sums_and_quotients() -> None:
+    summary = {"steps": 4, "t99": None, "bytes": {"ins": 6, "conn": 2, "total": 16}}
+    assert sweep.figure(summary, "steps") == 4
+    assert sweep.figure(summary, "bytes.ins + bytes.del / bytes.total") == 6 / 16
+    assert sweep.figure(summary, "bytes.conn / bytes.rm") is None
+    for absent in ("t99", "staps", "bytes.ims", "packets.total", "t99 / steps"):
+        assert sweep.figure(summary, absent) is None
+
+
+def test_a_figure_may_be_told_in_relation_to_another_variant_on_the_same_run(tmp_path: Path) -> None:
+    text = EXPERIMENT.replace('"bytes.total"', '"bytes.total relative to scans"')
+    experiment = sweep.read(write(tmp_path, text.replace('columns = ["variant"]', "columns = []")))
+    places = [
+        {"robots": 2, "seed": seed, "variant": name} for seed in (0, 1) for name in ("polygons", "scans")
+    ]
+    runs = [
+        {"place": place, "steps": 5, "bytes": {"total": total}}
+        for place, total in zip(places, (10, 40, 30, 40), strict=True)
+    ]
+    assert sweep.tabulate(experiment, runs)[0] == ["robots", "steps", "bytes.total relative to scans"]
+    assert sweep.tabulate(experiment, runs)[1] == ["2", "5.000", "0.750"]
+    by_variant = sweep.read(write(tmp_path, text))
+    assert sweep.tabulate(by_variant, runs)[1] == ["2", "5.000 0.500", "5.000 1.000"]
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
+        ("name = 'nothing'\n", "nothing to run"),
+        ("base = 3\n", "must be a table, [base]"),
+        (
+            "[grid]\nrobots = [3]\n[table]\nvalues = ['steps relative to scans']\n",
+            "no variant is called scans",
+        ),
+        ("[grid]\nrobots = [3]\n[table]\nvalues = ['steps / seed / robots']\n", "at most one"),
         ("[grid]\nrobots = 3\n", "grid.robots must be a list"),
         ("[gird]\nrobots = [3]\n", "gird is no table of an experiment"),
         ("[grid]\nrobots = [3]\n[table]\nrows = ['seed']\n", "'seed', which is not in the grid"),
