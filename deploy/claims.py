@@ -122,6 +122,14 @@ CLAIMS = (
         (("office-plain", _COARSE), ("hilbert-2", _COARSE)),
         (1, 2, 3, 4, 5, 6, 8),
     ),
+    Claim(
+        "A3",
+        "the more winding the walls, the more robots still help (Al-khawaldah, Fig. 11)",
+        _CELL_A_STEP | {"scanner_turn": 72},
+        {"stop-scan-replan": {"strategy": "stop-scan-replan"}},
+        (("hilbert-walls-1", _COARSE), ("hilbert-walls-2", _COARSE), ("hilbert-walls-3", _COARSE)),
+        (1, 2, 3, 4, 5, 6, 7, 8),
+    ),
 )
 
 
