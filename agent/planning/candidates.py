@@ -14,10 +14,10 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from agent.planning.clusters import medoids
 from agent.planning.ways import Ways
+from protocol.kernels import kernel
 
 CANDIDATES = ("cells", "rfe", "anr", "breadth-first")
 
@@ -69,15 +69,10 @@ def free_edges(cells: NDArray[np.int32]) -> list[NDArray[np.int32]]:
     Edges of fewer than `LEAST_CELLS` cells are left out, unless all are that small: they are taken up last,
     so that nothing which can be reached stays unexplored.
     """
-    x0, y0 = cells.min(axis=0)
-    x1, y1 = cells.max(axis=0)
-    mask = np.zeros((y1 - y0 + 1, x1 - x0 + 1), np.bool_)
-    mask[cells[:, 1] - y0, cells[:, 0] - x0] = True
-    labels, count = ndimage.label(mask, np.ones((3, 3)))
-    owner = labels[cells[:, 1] - y0, cells[:, 0] - x0]
+    owner = np.full(len(cells), -1)
+    _part(cells, owner)
     order = np.argsort(owner, kind="stable")
     edges = np.split(cells[order], np.flatnonzero(np.diff(owner[order])) + 1)
-    assert len(edges) == count
     return [edge for edge in edges if len(edge) >= LEAST_CELLS] or edges
 
 
@@ -114,3 +109,30 @@ def representatives(cells: NDArray[np.int32], range_cells: float, at_least: int 
             break
         counts[int(np.argmax(shares))] += 1
     return np.concatenate([medoids(edge, count) for edge, count in zip(edges, counts, strict=True)])
+
+
+@kernel("void(int32[:,::1], int64[::1])")
+def _part(cells: NDArray[np.int32], owner: NDArray[np.int64]) -> None:
+    """Number the 8-connected components of cells in the order of their first cells; `owner` is -1 before."""
+    left, top = cells[:, 0].min() - 1, cells[:, 1].min() - 1
+    at = np.full((cells[:, 1].max() - top + 2, cells[:, 0].max() - left + 2), -1, np.int32)
+    for index in range(len(cells)):
+        at[cells[index, 1] - top, cells[index, 0] - left] = index
+    waiting = np.empty(len(cells), np.int64)
+    count = 0
+    for first in range(len(cells)):
+        if owner[first] >= 0:
+            continue
+        owner[first] = count
+        waiting[0], left_over = first, 1
+        while left_over:
+            left_over -= 1
+            x, y = cells[waiting[left_over], 0] - left, cells[waiting[left_over], 1] - top
+            for ny in range(y - 1, y + 2):
+                for nx in range(x - 1, x + 2):
+                    index = at[ny, nx]
+                    if index >= 0 and owner[index] < 0:
+                        owner[index] = count
+                        waiting[left_over] = index
+                        left_over += 1
+        count += 1

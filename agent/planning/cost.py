@@ -13,6 +13,7 @@ their order, so every exact method gives the same bits.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,11 +26,11 @@ Field = NDArray[np.float64]
 
 DIAGONAL = math.sqrt(2.0)
 
-_SHIFT = 42
-_ONE = 1 << _SHIFT
-_UNIT = 1.0 / _ONE
-_ROOT = round(DIAGONAL * _ONE)
-_FAR = 1 << 62
+SHIFT = 42
+ONE = 1 << SHIFT
+UNIT = 1.0 / ONE
+ROOT = round(DIAGONAL * ONE)
+FAR = 1 << 62
 _STEPS = np.array([(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)], np.int64)
 """Neighbours (dx, dy). Step 4 + i is the diagonal between steps i and i + 1."""
 
@@ -41,13 +42,36 @@ class Floor:
     ----------
     grid : uint8 array, shape (h, w)
         Free cells can be entered, all others not.
+
+    Attributes
+    ----------
+    free : bool array, shape ((h + 2) * stride,)
+        Row by row, the rim included.
+    stride : int
+        From a cell to the one below: w + 2.
     """
 
     def __init__(self, grid: Grid) -> None:
-        self.height, self.width = grid.shape
-        padded = np.zeros((self.height + 2, self.width + 2), np.bool_)
+        self.height: int = grid.shape[0]
+        self.width: int = grid.shape[1]
+        self.stride: int = self.width + 2
+        padded = np.zeros((self.height + 2, self.stride), np.bool_)
         padded[1:-1, 1:-1] = grid == FREE
         self.free = padded.ravel()
+
+    def at(self, x: int, y: int) -> int:
+        """Where cell (x, y) lies in `free`."""
+        return (y + 1) * self.stride + x + 1
+
+
+@lru_cache(maxsize=1)
+def workspace(cells: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
+    """Memory that all searches on floors of one size share: a length a cell, and how it was reached.
+
+    Fresh pages of memory take nearly as long as a search. What one leaves in here means nothing to the next;
+    kernels hold the interpreter's lock, so no two are ever at work in here.
+    """
+    return np.empty(cells, np.int64), np.empty(cells, np.uint8)
 
 
 def costs(grid: Grid, x: int, y: int) -> Field:
@@ -61,28 +85,16 @@ def costs(grid: Grid, x: int, y: int) -> Field:
     return costs_on(Floor(grid), x, y)
 
 
-def costs_on(floor: Floor, x: int, y: int) -> Field:
-    """As `costs`, on a floor laid out before."""
-    field = np.empty((floor.height, floor.width))
-    _spread(floor.free, x, y, field)
-    return field
+def costs_on(floor: Floor, x: int, y: int, end: tuple[int, int] | None = None) -> Field:
+    """As `costs`, on a floor laid out before.
 
-
-def costs_to(floor: Floor, x: int, y: int, goals: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Length of the shortest way from cell (x, y) to each goal; the search ends when it has reached all.
-
-    Parameters
-    ----------
-    goals : int32 array, shape (n, 2)
-        Cells (x, y).
-
-    Returns
-    -------
-    float64 array, shape (n,)
+    With an `end`, the search is over when that cell is reached: what is no farther is as in the full field,
+    what is farther is infinite or too large.
     """
-    lengths = np.empty(len(goals))
-    _spread_to(floor.free, floor.width, x, y, goals, lengths)
-    return lengths
+    field = np.empty((floor.height, floor.width))
+    last = -1 if end is None else floor.at(*end)
+    _spread(floor.free, x, y, last, *workspace(len(floor.free)), field)
+    return field
 
 
 def nearest_first(
@@ -110,7 +122,8 @@ def nearest_first(
         None if no frontier cell can be reached.
     """
     field = np.empty(grid.shape)
-    cell = _spread_to_frontier(floor.free, grid, x, y, taken, range_cells, field)
+    work = workspace(len(floor.free))
+    cell = _spread_to_frontier(floor.free, grid, x, y, taken, range_cells, *work, field)
     return field, None if cell < 0 else (cell % grid.shape[1], cell // grid.shape[1])
 
 
@@ -170,7 +183,7 @@ def _settle(
     for at in range(fill[ring]):
         cell = buckets[ring, at]
         base = length[cell]
-        if came[cell] == 8 or base >> _SHIFT != level:
+        if came[cell] == 8 or base >> SHIFT != level:
             continue  # it comes twice, or was reached on a shorter way
         direction = came[cell]
         came[cell] = 8
@@ -198,22 +211,23 @@ def _settle(
             to_cell = cell + offset[number]
             if not free[to_cell]:
                 continue
-            new = base + _ONE
+            new = base + ONE
             if number >= 4:
                 if not free[cell + offset[number - 4]] or not free[cell + offset[(number - 3) & 3]]:
                     continue
-                new = base + _ROOT
+                new = base + ROOT
             if new < length[to_cell]:
                 length[to_cell] = new
                 came[to_cell] = number
-                to = (new >> _SHIFT) & 3
+                to = (new >> SHIFT) & 3
                 buckets[to, fill[to]] = to_cell
                 fill[to] += 1
     return buckets
 
 
 @kernel("int64[::1](int64)")
-def _offsets(stride: int) -> NDArray[np.int64]:
+def offsets(stride: int) -> NDArray[np.int64]:
+    """How far on in a flat floor each step leads, for other kernels."""
     offset = np.empty(8, np.int64)
     for number in range(8):
         offset[number] = _STEPS[number, 1] * stride + _STEPS[number, 0]
@@ -227,59 +241,39 @@ def _unpad(length: _Lengths, field: Field) -> None:
         begin = (row + 1) * (width + 2) + 1
         source = length[begin : begin + width]
         for column in range(width):
-            field[row, column] = source[column] * _UNIT if source[column] != _FAR else np.inf
+            field[row, column] = source[column] * UNIT if source[column] != FAR else np.inf
 
 
-@kernel("void(boolean[::1], int64, int64, float64[:,::1])")
-def _spread(free: NDArray[np.bool_], x: int, y: int, field: Field) -> None:
+@kernel("void(boolean[::1], int64, int64, int64, int64[::1], uint8[::1], float64[:,::1])")
+def _spread(
+    free: NDArray[np.bool_],
+    x: int,
+    y: int,
+    end: int,
+    length: _Lengths,
+    came: NDArray[np.uint8],
+    field: Field,
+) -> None:
     stride = field.shape[1] + 2
     start = (y + 1) * stride + x + 1
-    length = np.full(len(free), _FAR, np.int64)
-    came = np.zeros(len(free), np.uint8)
+    length[:] = FAR
+    came[:] = 0
     buckets = np.empty((4, 4096), np.int32)
     fill = np.zeros(4, np.int64)
-    offset = _offsets(stride)
+    offset = offsets(stride)
     length[start], buckets[0, 0], fill[0] = 0, start, 1
     level = 0
-    while fill.any():
+    while fill.any() and (end < 0 or came[end] != 8):
         buckets = _settle(free, length, came, buckets, fill, offset, level, start)
         fill[level & 3] = 0
         level += 1
     _unpad(length, field)
 
 
-@kernel("void(boolean[::1], int64, int64, int64, int32[:,::1], float64[::1])")
-def _spread_to(
-    free: NDArray[np.bool_],
-    width: int,
-    x: int,
-    y: int,
-    goals: NDArray[np.int32],
-    lengths: NDArray[np.float64],
-) -> None:
-    stride = width + 2
-    start = (y + 1) * stride + x + 1
-    length = np.full(len(free), _FAR, np.int64)
-    came = np.zeros(len(free), np.uint8)
-    buckets = np.empty((4, 4096), np.int32)
-    fill = np.zeros(4, np.int64)
-    offset = _offsets(stride)
-    length[start], buckets[0, 0], fill[0] = 0, start, 1
-    level = 0
-    reached = 0
-    while fill.any() and reached < len(goals):
-        buckets = _settle(free, length, came, buckets, fill, offset, level, start)
-        fill[level & 3] = 0
-        # Goals are looked at in their order, so one that is far may hide others for a while.
-        while reached < len(goals) and came[(goals[reached, 1] + 1) * stride + goals[reached, 0] + 1] == 8:
-            reached += 1
-        level += 1
-    for goal in range(len(goals)):
-        whole = length[(goals[goal, 1] + 1) * stride + goals[goal, 0] + 1]
-        lengths[goal] = np.inf if whole == _FAR else whole * _UNIT
-
-
-@kernel("int64(boolean[::1], uint8[:,::1], int64, int64, int32[:,::1], float64, float64[:,::1])")
+@kernel(
+    "int64(boolean[::1], uint8[:,::1], int64, int64, int32[:,::1], float64,"
+    " int64[::1], uint8[::1], float64[:,::1])"
+)
 def _spread_to_frontier(
     free: NDArray[np.bool_],
     grid: Grid,
@@ -287,15 +281,17 @@ def _spread_to_frontier(
     y: int,
     taken: NDArray[np.int32],
     range_cells: float,
+    length: _Lengths,
+    came: NDArray[np.uint8],
     field: Field,
 ) -> int:
     stride = field.shape[1] + 2
     start = (y + 1) * stride + x + 1
-    length = np.full(len(free), _FAR, np.int64)
-    came = np.zeros(len(free), np.uint8)
+    length[:] = FAR
+    came[:] = 0
     buckets = np.empty((4, 4096), np.int32)
     fill = np.zeros(4, np.int64)
-    offset = _offsets(stride)
+    offset = offsets(stride)
     length[start], buckets[0, 0], fill[0] = 0, start, 1
     level = 0
     first = -1
@@ -306,7 +302,7 @@ def _spread_to_frontier(
         for at in range(fill[level & 3]):
             cell = buckets[level & 3, at]
             cx, cy = cell % stride - 1, cell // stride - 1
-            if length[cell] >> _SHIFT != level or not frontier_at(grid, cx, cy):
+            if length[cell] >> SHIFT != level or not frontier_at(grid, cx, cy):
                 continue
             if nearest < 0 or (length[cell], cell) < (length[nearest], nearest):
                 nearest = cell

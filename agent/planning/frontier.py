@@ -9,8 +9,15 @@ from protocol.grid import FREE, UNKNOWN, Grid
 from protocol.kernels import kernel
 
 
-def frontier_cells(grid: Grid, field: NDArray[np.float64]) -> NDArray[np.int32]:
-    """All frontier cells that `field` (`agent.planning.cost.costs`) reaches, row by row.
+def frontier_cells(grid: Grid, reached: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """All frontier cells that can be reached, row by row.
+
+    Parameters
+    ----------
+    grid : uint8 array, shape (h, w)
+        What is known.
+    reached : bool array, shape (h, w)
+        Which cells can be reached (`agent.planning.reach.reachable`).
 
     Returns
     -------
@@ -18,7 +25,7 @@ def frontier_cells(grid: Grid, field: NDArray[np.float64]) -> NDArray[np.int32]:
         Cells (x, y).
     """
     out = np.empty((grid.size, 2), np.int32)
-    return out[: _collect(grid, field, out)].copy()
+    return out[: _collect(grid, reached, out)].copy()
 
 
 def is_frontier(grid: Grid, x: int, y: int) -> bool:
@@ -38,13 +45,13 @@ def frontier_at(grid: Grid, x: int, y: int) -> bool:
     )
 
 
-@kernel("int64(uint8[:,::1], float64[:,::1], int32[:,::1])")
-def _collect(grid: Grid, field: NDArray[np.float64], out: NDArray[np.int32]) -> int:
+@kernel("int64(uint8[:,::1], boolean[:,:], int32[:,::1])")
+def _collect(grid: Grid, reached: NDArray[np.bool_], out: NDArray[np.int32]) -> int:
     height, width = grid.shape
     count = 0
     for y in range(height):
         for x in range(width):
-            if frontier_at(grid, x, y) and np.isfinite(field[y, x]):
+            if reached[y, x] and frontier_at(grid, x, y):
                 out[count, 0] = x
                 out[count, 1] = y
                 count += 1

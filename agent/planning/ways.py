@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.planning.cost import Field, Floor, costs_on, costs_to, nearest_first, way, weighted_way
+from agent.planning.cost import Field, Floor, costs_on, nearest_first, way, weighted_way
 from agent.planning.frontier import frontier_cells
+from agent.planning.jumps import costs_between
 from agent.planning.occupancy import Terrain, weighted_costs
+from agent.planning.reach import reachable
 from protocol.grid import OCCUPIED, Grid, enlarge
 
 COSTS = ("shortest", "weighted")
@@ -53,17 +55,27 @@ class Ways:
                 self._fields[x, y] = weighted_costs(self._terrain, x, y)
         return self._fields[x, y]
 
-    def costs_to(self, x: int, y: int, goals: NDArray[np.int32]) -> NDArray[np.float64]:
-        """Cost of the best way from cell (x, y) to each of `goals`, cells (x, y) of shape (n, 2)."""
-        if self._terrain is None and (x, y) not in self._fields:
-            return costs_to(self._laid_out, x, y, goals)
-        return self.costs(x, y)[goals[:, 1], goals[:, 0]]
+    def costs_between(self, starts: NDArray[np.int32], goals: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Cost of the best way from each of `starts` to each of `goals`.
+
+        Parameters
+        ----------
+        starts : int32 array, shape (m, 2)
+            Cells (x, y).
+        goals : int32 array, shape (n, 2)
+            Cells (x, y).
+
+        Returns
+        -------
+        float64 array, shape (m, n)
+        """
+        if self._terrain is None:
+            return costs_between(self._laid_out, starts, goals)
+        return np.array([self.costs(x, y)[goals[:, 1], goals[:, 0]] for x, y in starts.tolist()])
 
     def way(self, start: tuple[int, int], end: tuple[int, int]) -> NDArray[np.int32] | None:
         """Cells of a best way, without its start; None if there is none."""
-        field = self._near.get(start)
-        if field is None or not np.isfinite(field[end[1], end[0]]):
-            field = self.costs(*start)
+        field = self._field_to(start, end)
         if not np.isfinite(field[end[1], end[0]]):
             return None
         if self._terrain is None:
@@ -72,7 +84,7 @@ class Ways:
 
     def frontier(self, x: int, y: int) -> NDArray[np.int32]:
         """All frontier cells that can be reached from (x, y), row by row, shape (n, 2)."""
-        return frontier_cells(self.grid, self.costs(x, y))
+        return frontier_cells(self.grid, reachable(self._laid_out, x, y))
 
     def first_frontier(
         self, x: int, y: int, taken: NDArray[np.int32], range_cells: float
@@ -95,3 +107,12 @@ class Ways:
         barred.floor[y, x] = OCCUPIED
         barred._laid_out = Floor(barred.floor)
         return barred
+
+    def _field_to(self, start: tuple[int, int], end: tuple[int, int]) -> Field:
+        """Costs from `start` that are right as far as `end`: of a search that has been there, or a new one."""
+        near = self._near.get(start)
+        if near is not None and np.isfinite(near[end[1], end[0]]):
+            return near
+        if self._terrain is None and start not in self._fields:
+            return costs_on(self._laid_out, *start, end)
+        return self.costs(*start)

@@ -115,7 +115,8 @@ class HungarianDepot(Hungarian):
 
     def assign(self, table: Table, situation: Situation, ways: Ways) -> Assignment:
         """Eq. (2)."""
-        back = np.array([ways.costs_to(*situation.homes[robot], table.goals) for robot in table.robots])
+        homes = np.array([situation.homes[robot] for robot in table.robots], np.int32)
+        back = ways.costs_between(homes, table.goals)
         travelled = np.array([situation.travelled.get(robot, 0.0) for robot in table.robots])
         return super().assign(replace(table, costs=table.costs + back + travelled[:, None]), situation, ways)
 
@@ -153,7 +154,7 @@ class Mtsp(_Allocating):
         costs = table.costs[table.robots.index(self.settings.robot)]
         mine = mine[np.argsort(costs[mine], kind="stable")][:LONGEST]
         cells = table.goals[mine]
-        between = np.array([ways.costs_to(int(x), int(y), cells) for x, y in cells])
+        between = ways.costs_between(cells, cells)
         tour = open_tour(costs[mine], (between + between.T) / 2, self._to_end(cells, situation, ways))
         return int(mine[tour[0]])
 
@@ -177,7 +178,8 @@ class MtspDepot(Mtsp):
         return super().clashes(parts) + _clash_with_open(parts)
 
     def _to_end(self, cells: NDArray[np.int32], situation: Situation, ways: Ways) -> NDArray[np.float64]:
-        return ways.costs_to(*situation.home, cells)
+        back: NDArray[np.float64] = ways.costs_between(np.array([situation.home], np.int32), cells)[0]
+        return back
 
 
 def share_out(table: Table) -> NDArray[np.int64]:

@@ -117,8 +117,8 @@ class TeamStrategy(TargetStrategy):
     def table(self, situation: Situation, goals: NDArray[np.int32], ways: Ways) -> Table:
         """Lay out who could go where at what cost."""
         team = self.team(situation)
-        costs = np.array([ways.costs_to(*cell, goals) for cell in team.values()])
-        return Table(tuple(team), np.array(list(team.values()), np.int32), goals, costs)
+        cells = np.array(list(team.values()), np.int32)
+        return Table(tuple(team), cells, goals, ways.costs_between(cells, goals))
 
     def draw(self, purpose: str, situation: Situation) -> np.random.Generator:
         """Random numbers that are the same for all members."""

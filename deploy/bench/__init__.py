@@ -71,9 +71,14 @@ Bench = Callable[[], Iterator[Figure]]
 
 def benches() -> dict[str, Bench]:
     """All benches, by name."""
-    from deploy.bench import kernels, swarm  # noqa: PLC0415
+    from deploy.bench import kernels, replanning, swarm  # noqa: PLC0415
 
-    return {"kernels": kernels.kernels, "bus": swarm.bus, "swarm": swarm.swarm}
+    return {
+        "kernels": kernels.kernels,
+        "bus": swarm.bus,
+        "swarm": swarm.swarm,
+        "replanning": replanning.replanning,
+    }
 
 
 def run_benches(names: Sequence[str], tell: Callable[[str], object]) -> list[dict[str, Any]]:

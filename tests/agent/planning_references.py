@@ -15,6 +15,10 @@ from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 
 Cell = tuple[int, int]
 
+ONE = 1 << 42
+ROOT = round(math.sqrt(2) * ONE)
+"""Lengths of a straight and of a diagonal step, in whole numbers."""
+
 
 def drawn(*rows: str) -> Grid:
     """A grid drawn with `.` for free, `#` for occupied and `?` for unknown cells."""
@@ -31,6 +35,31 @@ def grids(draw: st.DrawFn, most: int = 14) -> Grid:
     return random.choice(
         np.array([UNKNOWN, FREE, OCCUPIED], np.uint8), (height, width), p=[walls / 2, 1 - 1.5 * walls, walls]
     )
+
+
+@st.composite
+def floors(draw: st.DrawFn) -> tuple[Grid, int, int]:
+    """Open floors, clutter, mazes and comb-like corridors; and a cell, sometimes not a free one."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    height, width = rng.integers(1, 31, 2)
+    grid = np.full((height, width), FREE, np.uint8)
+    kind = draw(st.sampled_from(("clutter", "maze", "blocks", "comb")))
+    if kind == "clutter":
+        grid[rng.random((height, width)) < draw(st.sampled_from((0.02, 0.1, 0.3, 0.45)))] = OCCUPIED
+    elif kind == "maze":
+        grid[1::2, 1::2] = OCCUPIED
+        for y, x in np.argwhere(grid == OCCUPIED):
+            dy, dx = [(0, 1), (1, 0), (0, -1), (-1, 0)][rng.integers(4)]
+            grid[max(0, min(y + dy, height - 1)), max(0, min(x + dx, width - 1))] = OCCUPIED
+    elif kind == "blocks":
+        for _ in range(rng.integers(1, 9)):
+            y, x = rng.integers(height), rng.integers(width)
+            grid[y : y + rng.integers(1, 9), x : x + rng.integers(1, 9)] = rng.choice([OCCUPIED, UNKNOWN])
+    else:
+        grid[:, 1::3] = OCCUPIED
+        grid[rng.integers(0, height, width), np.arange(width)] = FREE
+    grid[rng.random((height, width)) < 0.02] = UNKNOWN
+    return grid, int(rng.integers(width)), int(rng.integers(height))
 
 
 def steps_from(grid: Grid, x: int, y: int) -> Iterator[tuple[int, int, float]]:
@@ -58,6 +87,25 @@ def dijkstra(grid: Grid, x: int, y: int, weights: NDArray[np.float64] | None = N
             if new < field[ny, nx] - 1e-12:
                 field[ny, nx] = new
                 heapq.heappush(queue, (new, nx, ny))
+    return field
+
+
+def whole_lengths(grid: Grid, x: int, y: int) -> NDArray[np.float64]:
+    """Dijkstra's search with lengths in whole numbers, and no trick at all."""
+    lengths = {(x, y): 0}
+    queue = [(0, x, y)]
+    while queue:
+        base, cx, cy = heapq.heappop(queue)
+        if base > lengths[cx, cy]:
+            continue
+        for nx, ny, step in steps_from(grid, cx, cy):
+            new = base + (ONE if step == 1 else ROOT)
+            if new < lengths.get((nx, ny), 1 << 62):
+                lengths[nx, ny] = new
+                heapq.heappush(queue, (new, nx, ny))
+    field = np.full(grid.shape, np.inf)
+    for (cx, cy), length in lengths.items():
+        field[cy, cx] = length / ONE
     return field
 
 

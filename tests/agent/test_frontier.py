@@ -11,6 +11,7 @@ from planning_references import dijkstra, drawn
 
 from agent.planning.cost import Floor, costs, nearest_first, way
 from agent.planning.frontier import frontier_cells, is_frontier
+from agent.planning.reach import reachable
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 
 seeds = st.integers(0, 2**32 - 1)
@@ -51,7 +52,7 @@ def test_frontier_cells_are_free_reachable_and_beside_the_unknown_row_by_row(
         for cx in range(width)
         if by_definition(grid, cx, cy) and field[cy, cx] < math.inf
     ]
-    found = frontier_cells(grid, costs(grid, x, y))
+    found = frontier_cells(grid, reachable(Floor(grid), x, y))
     assert found.dtype == np.int32
     assert found.tolist() == wanted
 
@@ -66,7 +67,8 @@ def test_a_cell_is_told_apart_one_by_one_as_well(case: tuple[Grid, int, int]) ->
 
 
 def test_the_rim_of_the_grid_is_no_frontier_and_a_diagonal_neighbour_does_not_count() -> None:
-    assert not frontier_cells(drawn("...", "..."), costs(drawn("...", "..."), 0, 0)).size
+    inside = drawn("...", "...")
+    assert not frontier_cells(inside, reachable(Floor(inside), 0, 0)).size
     grid = drawn("..#", "..#", "##?")
     assert not is_frontier(grid, 1, 1)
     assert is_frontier(drawn("..", ".?"), 1, 0)
@@ -75,7 +77,7 @@ def test_the_rim_of_the_grid_is_no_frontier_and_a_diagonal_neighbour_does_not_co
 def test_a_frontier_behind_a_wall_does_not_count() -> None:
     grid = drawn(".#.?")
     assert is_frontier(grid, 2, 0)
-    assert not frontier_cells(grid, costs(grid, 0, 0)).size
+    assert not frontier_cells(grid, reachable(Floor(grid), 0, 0)).size
 
 
 @given(
@@ -86,7 +88,7 @@ def test_the_nearest_frontier_is_found_in_the_order_of_distance(
 ) -> None:
     grid, x, y = case
     whole = costs(grid, x, y)
-    cells = frontier_cells(grid, whole).tolist()
+    cells = frontier_cells(grid, np.isfinite(whole)).tolist()
     cells.sort(key=lambda cell: (whole[cell[1], cell[0]], cell[1], cell[0]))
     clear = [
         cell for cell in cells if all(math.dist(cell, target) > range_cells + 1e-9 for target in targets)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.planning.cost import Floor, costs, costs_to
+from agent.planning.cost import costs
 from agent.planning.occupancy import Terrain, weighted_costs
 from agent.planning.route import corners, straighten
 from agent.planning.ways import Ways
@@ -28,17 +28,6 @@ def grids_with_a_cell(draw: st.DrawFn) -> tuple[Grid, int, int]:
 def test_costs_are_those_of_a_plain_search(case: tuple[Grid, int, int]) -> None:
     grid, x, y = case
     np.testing.assert_allclose(costs(grid, x, y), dijkstra(grid, x, y), rtol=0, atol=1e-9)
-
-
-@given(grids_with_a_cell(), st.integers(0, 2**32 - 1))
-def test_costs_to_goals_are_those_of_the_full_field(case: tuple[Grid, int, int], seed: int) -> None:
-    grid, x, y = case
-    random = np.random.default_rng(seed)
-    goals = np.stack([random.integers(0, side, 5) for side in (grid.shape[1], grid.shape[0])], axis=1)
-    field = costs(grid, x, y)
-    np.testing.assert_array_equal(
-        costs_to(Floor(grid), x, y, goals.astype(np.int32)), field[goals[:, 1], goals[:, 0]]
-    )
 
 
 @given(grids_with_a_cell())

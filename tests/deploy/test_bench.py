@@ -12,8 +12,9 @@ from typer.testing import CliRunner
 
 from agent.contour import contours
 from agent.planning.cost import costs
+from agent.strategies import strategies
 from deploy import bench
-from deploy.bench import Figure, compare, kernels, run_benches, yardsticks
+from deploy.bench import Figure, compare, kernels, replanning, run_benches, yardsticks
 from deploy.cli import app
 from protocol.grid import FREE, OCCUPIED, Grid, fan
 from protocol.scans import draw
@@ -93,6 +94,27 @@ def test_kernels_are_measured_against_yardsticks_that_agree(monkeypatch: pytest.
         assert figure.ratio is not None
         assert figure.interval is not None
         assert 0 < figure.interval[0] <= figure.ratio <= figure.interval[1]
+
+
+def test_every_strategy_is_measured_when_it_replans_and_is_itself_again_afterwards(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pytest.importorskip("skimage", reason="scikit-image is in the extra bench")
+    monkeypatch.setattr(replanning, "ROBOTS", 2)
+    monkeypatch.setattr(replanning, "SIDE_M", 10.0)
+    monkeypatch.setattr(replanning, "STEPS", 8)
+    before = {name: dict(vars(kind)) for name, kind in strategies().items()}
+    figures = list(replanning.replanning())
+    names = [f"{name}, {what}" for name in strategies() for what in ("mean", "95th percentile")]
+    assert [figure.name for figure in figures] == names
+    assert {name: dict(vars(kind)) for name, kind in strategies().items()} == before
+    for figure in figures:
+        assert figure.unit == "ms"
+        assert figure.value > 0
+        assert figure.ratio is not None
+        assert figure.ratio > 0
+    without_aim = {figure.name.split(",")[0] for figure in figures if not figure.aim}
+    assert without_aim == {"burgard-optimal", "mtsp", "mtsp-depot"}
 
 
 # --- yardsticks ----------------------------------------------------------------------------------------

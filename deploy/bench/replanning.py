@@ -1,0 +1,126 @@
+"""Bench of choosing anew: what a decision costs in the steps in which a robot looks for a new target.
+
+Every strategy explores once with 8 robots on a planning grid of 400 x 400 cells, with raw scans over an
+unlimited radio, so that all robots know nearly all there is to know. Processor time of each `decide` is taken
+while the run is under way; decisions by which a robot just drives on are left out. The yardstick is one cost
+field of a whole planning grid, on grids of the same run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from agent.strategies import Decision, Situation, Strategy, strategies
+from agent.strategies.targets import TargetStrategy
+from deploy import in_memory
+from deploy import plan as plans
+from deploy.bench import Figure
+from deploy.bench.air import timed
+from deploy.bench.walks import Cell
+from deploy.bench.yardsticks import yardstick
+from deploy.scenario import Scenario
+from protocol.grid import FREE, Grid
+from worldsim import generators
+
+ROBOTS = 8
+SIDE_M = 40.0
+SPEED = 1.0
+STEPS = 200
+YARDSTICKS = 5
+"""Planning grids of each run on which the yardstick is taken."""
+
+MEAN_AIM, P95_AIM = "at most 5 ms", "at most 15 ms"
+
+ASIDE = ("burgard-optimal", "mtsp", "mtsp-depot")
+"""Strategies without an aim: they search for better assignments or tours on top."""
+
+
+def replanning() -> Iterator[Figure]:
+    """Mean and 95th percentile of every strategy."""
+    graph = yardstick("skimage.graph", "scikit-image")
+    world = generators.make("office", width_m=SIDE_M, height_m=SIDE_M)
+    for name, kind in strategies().items():
+        scenario = Scenario(
+            robots=ROBOTS, strategy=name, exchange="laser", bandwidth="unlimited", speed=SPEED, steps=STEPS,
+            bus="memory",
+        )  # fmt: skip
+        watch = _Watch()
+        with watch.over(kind):
+            in_memory.run(plans.make(scenario, world))
+        yield from watch.figures(name, graph)
+
+
+class _Watch:
+    """Takes the time of decisions."""
+
+    def __init__(self) -> None:
+        self.spent: list[float] = []
+        """Milliseconds of each decision that replans."""
+        self.seen: list[tuple[Grid, Cell]] = []
+        """The planning grid, and the robot's cell, of some of them."""
+        self._chooses = False
+
+    @contextmanager
+    def over(self, kind: type[Strategy]) -> Iterator[None]:
+        """Watch all robots of one strategy."""
+        replans_always = not issubclass(kind, TargetStrategy)
+        plain = kind.decide
+
+        def decide(robot: Strategy, situation: Situation) -> Decision:
+            self._chooses = replans_always
+            decision, spent = timed(partial(plain, robot, situation))
+            if self._chooses:
+                if len(self.spent) % 50 == 0:
+                    self.seen.append((situation.grid.copy(), situation.here))
+                self.spent.append(spent)
+            return decision
+
+        with _replaced(kind, "decide", decide):
+            if replans_always:
+                yield
+            else:
+                with _replaced(kind, "goals", self._noting(kind.goals)):  # type: ignore[attr-defined]
+                    yield
+
+    def _noting(self, plain: Callable[..., Any]) -> Callable[..., Any]:
+        """Note that a robot asks for its goals."""
+
+        def goals(*situation: Any) -> Any:
+            self._chooses = True
+            return plain(*situation)
+
+        return goals
+
+    def figures(self, name: str, graph: Any) -> Iterator[Figure]:
+        """Mean and 95th percentile against the yardstick's median."""
+        some = np.linspace(0, len(self.seen) - 1, YARDSTICKS).astype(int).tolist()
+        field = float(np.median([_one_field(graph, *self.seen[number]) for number in some]))
+        mean, p95 = float(np.mean(self.spent)), float(np.percentile(self.spent, 95))
+        of_all = name not in ASIDE
+        book = "one cost field by skimage's MCP_Geometric"
+        yield Figure(f"{name}, mean", "ms", mean, book, mean / field, aim=MEAN_AIM if of_all else "")
+        yield Figure(f"{name}, 95th percentile", "ms", p95, book, p95 / field, aim=P95_AIM if of_all else "")
+
+
+def _one_field(graph: Any, grid: Grid, cell: Cell) -> float:
+    prices = np.where(grid == FREE, 1.0, -1.0)
+    return timed(lambda: graph.MCP_Geometric(prices).find_costs([cell[::-1]]))[1]
+
+
+@contextmanager
+def _replaced(kind: type, name: str, method: Callable[..., Any]) -> Iterator[None]:
+    """Put another method in the place of a class's own, or its parents', for a while."""
+    own = vars(kind).get(name)
+    setattr(kind, name, method)
+    try:
+        yield
+    finally:
+        if own is None:
+            delattr(kind, name)
+        else:
+            setattr(kind, name, own)
