@@ -52,6 +52,8 @@ class Robot:
         self.faults: list[Fault] = []
         self.distrusted: set[int] = set()
         """Teammates whose data is not taken any more, since some of it made no sense."""
+        self._passed_on_by: dict[int, set[int]] = {}
+        """Of each map, from whom pieces were taken that is not its maker."""
         self.known_cells = 0
         """Cells of the self-explored grid that are known."""
         self._fan = fan(settings.range_cells, settings.beams)
@@ -148,18 +150,26 @@ class Robot:
                 self._poses[peer] = Pose(packet.x, packet.y, bool(packet.leads))
 
     def settle(self, outcome: Outcome, heard: list[tuple[int, bytes]]) -> None:
-        """Take the outcome of an exchange, and the data that came as (peer, frame)."""
+        """Take the outcome of an exchange, and the data that came as (peer, frame).
+
+        Who sends what makes no sense is distrusted; not so where others, its maker apart, had passed on
+        pieces of that map: it may be theirs that are false.
+        """
         for peer, about, frame in self.session.outcome(outcome, heard):
             if peer in self.distrusted:
                 continue
+            passed_on_by = self._passed_on_by.setdefault(about, set())
             try:
                 units = packets.split(frame)
                 self._exchange.take(about, units)
             except ProtocolError as error:
-                self.distrusted.add(peer)
                 self.faults.append(Fault(peer, str(error)))
+                if passed_on_by <= {peer}:
+                    self.distrusted.add(peer)
             else:
                 self.session.accept(peer, about, units)
+                if peer != about:
+                    passed_on_by.add(peer)
         if outcome.target:
             self._target_news = None
             self._told = self._pose_news, self._peers, outcome.step

@@ -225,6 +225,27 @@ def test_hostile_data_never_stops_a_robot_nor_changes_a_saved_state(lies: list[b
         assert robot.decide().step == step
 
 
+def test_who_contradicts_a_lie_that_another_told_of_its_map_is_not_distrusted() -> None:
+    robot = Robot(Settings.from_message(a_small_plan().minds[0]))
+    forged = encode([Emerge(7, 2, 1), Insert(0, 1, 1, 0, 0), Insert(1, 9, 1, 0, 0), Save()])
+    maps = [words for words, _ in honest_words()]
+
+    def hear(step: int, peer: int, about: int, data: bytes) -> None:
+        robot.session.offers(0, [LIAR, 2], 1000)
+        robot.session.answers([(0, peer, encode([Offer(about, 0)]))])
+        robot.settle(Outcome(step, 0, [0], [2], [2], [len(data)], [0], False), [(peer, data)])
+
+    robot.perceive(sensed(1))
+    hear(1, LIAR, 2, forged)
+    hear(2, 2, 2, maps[1])
+    assert [fault.peer for fault in robot.faults] == [2]
+    assert robot.distrusted == set()
+    hear(3, 2, 1, maps[0])
+    assert robot.polygons[1].canonical() == honest_words()[0][1]
+    hear(4, LIAR, 2, encode(LIES["two save points in a row"]))
+    assert robot.distrusted == {LIAR}
+
+
 class Antenna:
     """A bus end that keeps what is put on it."""
 
