@@ -30,6 +30,7 @@ from protocol.messages import (
 )
 
 NOBODY = -99
+"""Whom a frame is for that is addressed to a name which no robot has."""
 
 
 class RelayNode:
@@ -42,8 +43,13 @@ class RelayNode:
         self._bus = bus
         self._keys = keys
         self._radio = Radio(settings)
-        self._robots = settings.robots
         robots = [names.robot(number) for number in range(settings.robots)]
+        self._ends = {
+            keys.radio_tx(sender, receiver): (number, hearer)
+            for number, sender in enumerate(robots)
+            for hearer, receiver in [(EVERYONE, names.ALL), *enumerate(robots)]
+        }
+        """Who speaks to whom under each key of the robots' antennas."""
         self._hears_at = [[keys.radio_rx(hearer, sender) for sender in robots] for hearer in robots]
         self._told_at = [keys.control(robot, names.RELAY) for robot in robots]
         self._expected = {names.WORLD, names.LAB, *robots}
@@ -62,12 +68,14 @@ class RelayNode:
 
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
-        plane, _, first, second = names.parts(message.key)
-        if plane == "presence":
-            self._presence(first, came=message.payload == b"1")
+        ends = self._ends.get(message.key)
+        plane, _, first, _ = names.parts(message.key)
+        if ends is not None:
+            self._radio.hear(*ends, message.payload)
         elif plane == "radio":
-            receiver = EVERYONE if second == names.ALL else self._robot_or_nobody(second)
-            self._radio.hear(names.number(first), receiver, message.payload)
+            self._radio.hear(names.number(first), NOBODY, message.payload)
+        elif plane == "presence":
+            self._presence(first, came=message.payload == b"1")
         else:
             self._control(first, message.payload)
         if self._radio.faults:
@@ -173,11 +181,3 @@ class RelayNode:
         if self._watched:
             seen = replace(message, frames=b"") if isinstance(message, RadioReport) else message
             self._bus.put(self._keys.control(names.VIEW, names.RELAY), pack(seen))
-
-    def _robot_or_nobody(self, name: str) -> int:
-        """The number of a robot, or one that no robot has where a frame is addressed to nobody."""
-        try:
-            number = names.number(name)
-        except ValueError:
-            return NOBODY
-        return number if number < self._robots else NOBODY

@@ -120,7 +120,7 @@ class Radio:
 
     def hear(self, sender: int, receiver: int, payload: bytes) -> None:
         """Take a frame that a robot put; `receiver` is `EVERYONE` for a broadcast."""
-        if sender not in self._waiting or self._spoken[sender].said is not None:
+        if sender not in self._waiting:
             self._refuse(sender, receiver, DATA, payload, "protocol", "spoke out of turn")
             return
         self._spoken[sender].frames.append((receiver, payload))

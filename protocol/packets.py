@@ -314,8 +314,8 @@ def split(buffer: bytes) -> list[bytes]:
             raise _cut_off(buffer, offset)
         piece = buffer[offset:end]
         fixed = _FIXED_BY_BYTE[first]
-        if fixed is not None and int.from_bytes(piece, "big") & fixed[0] != fixed[1]:
-            _check(_kind(buffer, offset), int.from_bytes(piece, "big"), offset)
+        if fixed is not None and (word := int.from_bytes(piece, "big")) & fixed[0] != fixed[1]:
+            raise _misfit(_kind(buffer, offset), word, offset)
         pieces.append(piece)
         offset = end
     return pieces
@@ -391,7 +391,7 @@ class Decoder:
         offset = 0
         try:
             while offset < len(buffer):
-                size = length(buffer, offset)
+                size = _SIZE[buffer[offset]] or length(buffer, offset)
                 if offset + size > len(buffer):
                     break
                 packet = _read(buffer, offset, size)
@@ -446,16 +446,14 @@ def _kind(buffer: bytes, offset: int) -> type[Packet]:
     return kind
 
 
-def _check(kind: type[Packet], word: int, offset: int) -> None:
-    """Raise ProtocolError unless code and spare bits of a packet are as they must be."""
+def _misfit(kind: type[Packet], word: int, offset: int) -> ProtocolError:
+    """Say which is not as it must be in a packet, its code or its spare bits."""
     mask, bits = _FIXED[kind]
-    if (wrong := word & mask ^ bits) == 0:
-        return
     spare = 8 * kind.size - kind.code_bits - sum(kind.bits)
-    if wrong >> spare:
+    if (word & mask ^ bits) >> spare:
         begin = word >> 8 * kind.size - 16
-        raise ProtocolError("packet", offset, f"no packet begins with {begin:#06x}")
-    raise ProtocolError(kind.name, offset, f"the last {spare} bits must be zero")
+        return ProtocolError("packet", offset, f"no packet begins with {begin:#06x}")
+    return ProtocolError(kind.name, offset, f"the last {spare} bits must be zero")
 
 
 def _read(buffer: bytes, offset: int, size: int) -> AnyPacket:
@@ -463,7 +461,9 @@ def _read(buffer: bytes, offset: int, size: int) -> AnyPacket:
         return Fragment(content(buffer[offset : offset + size]))
     kind = _kind(buffer, offset)
     word = int.from_bytes(buffer[offset : offset + size], "big")
-    _check(kind, word, offset)
+    mask, bits = _FIXED[kind]
+    if word & mask != bits:
+        raise _misfit(kind, word, offset)
     values = [(word >> shift & mask) - rim for _, shift, mask, rim in _LAYOUT[kind]]
     return kind(*values)  # type: ignore[return-value]
 
