@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from scipy import ndimage
 
-from agent.planning.candidates import count_representatives, free_edges, goal_candidates, representatives
+from agent.planning.candidates import (
+    LEAST_CELLS,
+    count_representatives,
+    free_edges,
+    goal_candidates,
+    representatives,
+)
 from agent.planning.clusters import k_means, medoids
 from agent.planning.frontier import is_frontier
 from agent.planning.gain import information_gain
 from agent.planning.ways import Ways
-from protocol.grid import FREE, UNKNOWN
-from tests.agent.planning_references import drawn
+from protocol.grid import FREE, UNKNOWN, Grid
+from tests.agent.planning_references import drawn, grids
 
 
 @pytest.mark.parametrize(
@@ -30,6 +38,17 @@ def test_free_edges_are_the_8_connected_parts_and_small_ones_wait() -> None:
     edges = [edge.tolist() for edge in free_edges(cells)]
     assert edges == [[[0, 0], [1, 0], [2, 1]], [[0, 5], [1, 5], [2, 5], [3, 6]]]
     assert [len(edge) for edge in free_edges(cells[[0, 1, 3]])] == [2, 1]
+
+
+@given(grids())
+def test_free_edges_are_numbered_as_their_first_cells_come_row_by_row(grid: Grid) -> None:
+    cells = np.argwhere(grid == FREE)[:, ::-1].astype(np.int32)
+    if not len(cells):
+        return
+    labels, count = ndimage.label(grid == FREE, np.ones((3, 3)))
+    parts = [np.argwhere(labels == 1 + number)[:, ::-1].tolist() for number in range(count)]
+    wanted = [part for part in parts if len(part) >= LEAST_CELLS] or parts
+    assert [edge.tolist() for edge in free_edges(np.ascontiguousarray(cells))] == wanted
 
 
 def test_a_short_edge_is_represented_by_its_middle_a_long_one_by_several_cells() -> None:
