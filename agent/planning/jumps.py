@@ -64,7 +64,8 @@ def _workspace(height: int, stride: int) -> _Jumps:
 def _lay_out(free: _Flags, is_goal: _Flags, jumps: _Jumps) -> None:
     """How many steps lead from each cell to the next jump point or goal in each direction; 0 where none is.
 
-    A run may turn where the cell beside it is free and the one before that is not.
+    A run may turn where the cell beside it is free and the one before that is not. Steps 0 and 2 lead on in x
+    and back, 1 and 3 in y.
     """
     height, width = free.shape
     stop = np.zeros(width, np.bool_)
