@@ -64,14 +64,14 @@ def repair(previous: Polygons, contours: Polygons) -> Marks:
     return marks
 
 
-def approximation(contours: Polygons, marks: Marks, wall_share: float = 1.0) -> Polygons:
+def approximation(contours: Polygons, marks: Marks, wall_gap: int = 0) -> Polygons:
     """Return the polygons that the marked contour points span.
 
     An edge stands for the contour points from its first vertex up to the one before its second. It is
-    occupied where at least `wall_share` of them are. With 1, as in section 4.2.2, all must be: when in doubt,
-    nothing is claimed as explored.
+    occupied where all of them are (section 4.2.2): when in doubt, nothing is claimed as explored. With a
+    `wall_gap`, up to so many of them may be unknown, and at most a quarter: a gap that no robot passes.
     """
-    occupied, start = _edges(contours.occupied, contours.start, marks, wall_share)
+    occupied, start = _edges(contours.occupied, contours.start, marks, wall_gap)
     some = start[1:] > start[:-1]
     return Polygons(
         contours.shape,
@@ -170,9 +170,9 @@ def _collect(
     return marks[:count].copy()
 
 
-@kernel("Tuple((uint8[::1], int32[::1]))(uint8[::1], int32[::1], int32[::1], float64)")
+@kernel("Tuple((uint8[::1], int32[::1]))(uint8[::1], int32[::1], int32[::1], int64)")
 def _edges(
-    occupied: NDArray[np.uint8], start: NDArray[np.int32], marks: NDArray[np.int32], wall_share: float
+    occupied: NDArray[np.uint8], start: NDArray[np.int32], marks: NDArray[np.int32], wall_gap: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
     """Occupancy of the edges, and where the vertices of each object begin."""
     points = np.zeros(len(marks), np.int64)
@@ -195,4 +195,5 @@ def _edges(
             points[e] += 1
             walls[e] += occupied[i]
     begins[len(start) - 1] = m
-    return (walls >= wall_share * points).astype(np.uint8), begins
+    gaps = points - walls
+    return ((gaps <= wall_gap) & (4 * gaps <= points)).astype(np.uint8), begins

@@ -48,8 +48,8 @@ class PolygonOptions:
         Draw inside edges that are labelled free. They claim cells free which nobody has seen.
     unknown_pairs : bool
         Tell of and draw outside objects of two vertices without a wall: the unseen specks between beams.
-    wall_share : float
-        An edge is told as occupied where at least this share of its contour points is.
+    wall_gap : int
+        Tell an edge as occupied with up to so many unknown contour points, in cells, at most a quarter of all.
     wide_walls : bool
         Take what is unknown beside a teammate's wall for wall: coarse walls run beside the true ones.
     """
@@ -62,7 +62,7 @@ class PolygonOptions:
     mixed_first: bool = True
     free_inside_edges: bool = False
     unknown_pairs: bool = False
-    wall_share: float = 0.75
+    wall_gap: int = 3
     wide_walls: bool = True
 
     def __post_init__(self) -> None:
@@ -70,8 +70,8 @@ class PolygonOptions:
             raise ValueError(f"medium_use = {self.medium_use:g}: must be a number above 0")
         if not 0 <= self.bytes_per_split < math.inf:
             raise ValueError(f"bytes_per_split = {self.bytes_per_split:g}: must be 0 (measured) or more")
-        if not 0 < self.wall_share <= 1:
-            raise ValueError(f"wall_share = {self.wall_share:g}: must be above 0 and at most 1")
+        if self.wall_gap < 0:
+            raise ValueError(f"wall_gap = {self.wall_gap}: must be 0 (none) or more cells")
 
 
 THESIS_OPTIONS = PolygonOptions(
@@ -80,7 +80,7 @@ THESIS_OPTIONS = PolygonOptions(
     mixed_first=False,
     free_inside_edges=True,
     unknown_pairs=True,
-    wall_share=1.0,
+    wall_gap=0,
     wide_walls=False,
 )
 
@@ -144,7 +144,7 @@ class PolygonExchange(Exchange):
 
     def _approximation(self, exact: Polygons, marks: Marks) -> Polygons:
         """What is told of the contours: unless they are drawn, not the objects of two unknown edges."""
-        polygons = approximation(exact, marks, self._options.wall_share)
+        polygons = approximation(exact, marks, self._options.wall_gap)
         return polygons if self._options.unknown_pairs else without_unknown_pairs(polygons)
 
     def take(self, about: int, units: list[bytes]) -> None:

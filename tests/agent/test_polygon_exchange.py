@@ -251,7 +251,7 @@ def test_edges_that_stand_for_walls_and_for_nothing_known_come_first_if_wished()
     grid, cell = walk()[-1]
     walls = {}
     for wished in (True, False):
-        options = with_options(mixed_first=wished, wall_share=1.0)
+        options = with_options(mixed_first=wished, wall_gap=0)
         one, other = maker((60, 80), 0, bandwidth=200.0, **options), maker((60, 80), 1, **options)
         for _ in range(6):
             other.take(0, record(one, grid, cell))
@@ -289,13 +289,13 @@ def test_unknown_pairs_are_told_and_drawn_if_wished() -> None:
 def test_edges_that_are_mostly_wall_are_told_as_wall_if_wished() -> None:
     grid, cell = walk()[-1]
     walls, wide = {}, {}
-    for share in (1.0, 0.75):
-        options = with_options(wall_share=share)
+    for gap in (0, 3):
+        options = with_options(wall_gap=gap)
         one, other = maker((60, 80), 0, bandwidth=100.0, **options), maker((60, 80), 1, **options)
         for _ in range(3):
             other.take(0, record(one, grid, cell))
-        walls[share] = int(other.polygons[0].occupied.sum())
-    assert walls[0.75] > walls[1.0]
+        walls[gap] = int(other.polygons[0].occupied.sum())
+    assert walls[3] > walls[0]
     for wished in (True, False):
         options = with_options(wide_walls=wished)
         one, other = maker((60, 80), 0, **options), maker((60, 80), 1, **options)
@@ -307,7 +307,7 @@ def test_edges_that_are_mostly_wall_are_told_as_wall_if_wished() -> None:
 def test_the_thesis_plain_rules_are_a_set_of_options() -> None:
     assert asdict(THESIS_OPTIONS) == {
         "medium_use": 0.5, "bytes_per_split": 0.0, "lazy": False, "mixed_first": False,
-        "free_inside_edges": True, "unknown_pairs": True, "wall_share": 1.0, "wide_walls": False,
+        "free_inside_edges": True, "unknown_pairs": True, "wall_gap": 0, "wide_walls": False,
     }  # fmt: skip
     shape = (60, 80)
     one, other = (maker(shape, robot, polygon=asdict(THESIS_OPTIONS)) for robot in (0, 1))
@@ -323,9 +323,7 @@ def test_the_thesis_plain_rules_are_a_set_of_options() -> None:
         {"medium_use": float("nan")},
         {"medium_use": float("inf")},
         {"bytes_per_split": -1.0},
-        {"wall_share": 0.0},
-        {"wall_share": 1.5},
-        {"wall_share": float("nan")},
+        {"wall_gap": -1},
     ],
 )
 def test_options_without_meaning_are_refused(wrong: dict[str, float]) -> None:
