@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -73,6 +74,16 @@ class Run:
         self.ends[sender].put(KEYS.radio_tx(sender, receiver), payload)
         self.work()
 
+    def listen_to_the_relay(self, note: Callable[[str], object]) -> None:
+        """Have the key noted of all that the relay puts from now on."""
+        put = self._relay_bus.put
+
+        def put_and_note(key: str, payload: bytes) -> None:
+            note(key)
+            put(key, payload)
+
+        self._relay_bus.put = put_and_note
+
     def heard(self, name: str) -> list[Any]:
         """What has come by control since last time."""
         found = []
@@ -127,6 +138,27 @@ def test_a_step_opens_the_medium_for_all_and_ends_with_a_report() -> None:
     (report,) = run.finish_step()
     assert (report.step, report.carried, report.rows) == (1, 0, b"")
     assert [type(message) for message in run.heard("r0")] == [Close]
+
+
+def test_what_a_robot_is_told_goes_out_at_one_go_and_the_books_once_all_are_told() -> None:
+    run = Run(robots=3)
+    run.begin_step()
+    told: list[str] = []
+    run.listen_to_the_relay(lambda key: told.append(names.parts(key)[2]))
+    for sender, number in zip(run.robots, range(3), strict=True):
+        run.radio(sender, names.ALL, encode([Target(number, 1)]))
+        for receiver in run.robots:
+            if receiver != sender:
+                run.radio(sender, receiver, encode([Offer(number, 0)]))
+        run.say(sender, Said(1, 0, "offers", []))
+    assert told == 5 * ["r0"] + 5 * ["r1"] + 5 * ["r2"], "two targets, two offers and the turn, each"
+    told.clear()
+    for phase in ("answers", "data"):
+        for robot in run.robots:
+            run.say(robot, Said(1, 0, phase, []))
+    for robot in run.robots:
+        run.say(robot, Said(1, 1, "offers", []))
+    assert told[-4:] == ["r0", "r1", "r2", LAB]
 
 
 def test_a_robot_that_dies_is_reported_and_nobody_waits_for_it() -> None:
