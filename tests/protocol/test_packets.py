@@ -34,6 +34,7 @@ from protocol.packets import (
     Replace,
     Save,
     Target,
+    content,
     decode,
     encode,
     fitting,
@@ -385,3 +386,16 @@ def test_a_handshake_is_read_as_any_packets_are_but_never_longer_than_one() -> N
         handshake(encode([Block(1), Block(2), Block(2), Answer(3)]))
     with pytest.raises(ProtocolError, match="cut off"):
         handshake(encode([Answer(7)])[:1])
+
+
+@given(st.binary(min_size=1, max_size=FRAGMENT_DATA))
+def test_a_fragment_gives_back_what_it_carries(data: bytes) -> None:
+    assert content(encode([Fragment(data)])) == data
+
+
+@pytest.mark.parametrize(
+    "packet", [encode([Save()]), encode([Delete(3)]), b"\xff", b"\xf1short", b"\xf2\x05abc"]
+)
+def test_what_is_no_whole_fragment_carries_nothing(packet: bytes) -> None:
+    with pytest.raises(ProtocolError):
+        content(packet)
