@@ -50,7 +50,6 @@ class Traffic:
         self._stops = 0
         self._held: dict[Cell, int] = {}
         self._doublings = 0
-        self._shut_out: int | None = None
 
     def note(self, route: Route, here: Cell, step: int, *, stopped: bool) -> None:
         """Take what became of the last move along `route`."""
@@ -72,14 +71,9 @@ class Traffic:
         self._stops = 0
         return True
 
-    def is_shut_out(self, step: int) -> bool:
-        """Whether it has lately found no other way to its goal."""
-        return self._shut_out is not None and step - self._shut_out < MEMORY
-
     def begin(self) -> None:
         """It has another target: what it did for the last one does not count."""
         self._doublings = 0
-        self._shut_out = None
 
     def pass_by(self, route: Route, ways: Ways, here: Cell, end: Cell, step: int) -> Ways:
         """Lead the route around the cells lately held; where that does not help, to where it makes room.
@@ -100,5 +94,4 @@ class Traffic:
         pick = int(chance(self._seed, "step aside", self._robot, step).integers(len(xs)))
         route.lead(around, here, (int(xs[pick]), int(ys[pick])))
         self._doublings = min(self._doublings + 1, FARTHEST)
-        self._shut_out = step
         return around

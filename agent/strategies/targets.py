@@ -37,14 +37,20 @@ any more, whoever has opened it. ``after-turn``: at its target, after the scanne
 assign targets together choose again when this is so for any of them."""
 
 MISSIONS = ("open", "return")
-"""What comes when nothing is left. ``open``: the run ends. ``return``: all drive home, then it ends. Who finds
-every way home held by those that are back already is home where they stop it, if that is near."""
+"""What comes when nothing is left. ``open``: the run ends. ``return``: all drive home, then it ends. Whom
+those that are back already stop near its depot again and again is home where it is."""
 
 SCANNING = ("always", "at-target")
 """When the scanner works. ``at-target``: not on the way, unless a wall that it does not know stops it."""
 
 SHARING = ("always", "at-target")
 """When teammates may have what was seen. ``at-target``: when a target has been reached or is replaced."""
+
+BERTH_METRES = 0.3
+"""Room that a robot takes up at the depot, at least."""
+
+TURNED_AWAY = 10
+"""Times that teammates stop a robot near its depot, after which it is home where it is."""
 
 _FACES = ((1, 0, 0), (0, 1, 2), (-1, 0, 4), (0, -1, 6))
 """The four neighbours (dx, dy) and the heading that looks at each."""
@@ -74,6 +80,7 @@ class TargetStrategy(Strategy):
         self._route = Route()
         self._goal: Cell | None = None
         self._traffic = Traffic(settings.seed, settings.robot, settings.range_cells)
+        self._turned_away = 0
         self._turned = 0
         self._at: Cell | None = None
         self._looked = True
@@ -139,7 +146,10 @@ class TargetStrategy(Strategy):
             left = self._drive(situation, ways, self.target) or self._renew(situation, ways)
         if self.target != before:
             self._traffic.begin()
-        if self._traffic.has_waited:
+        is_home = self._comes_home(situation, ways)
+        if is_home:
+            self._route.clear()
+        elif self._traffic.has_waited:
             left = self._pass_by(situation, ways) and left
         at_rest = not len(self._route.cells) or situation.blocked == "wall"
         self._looked = self.options.scan == "always" or at_rest
@@ -147,7 +157,7 @@ class TargetStrategy(Strategy):
             target=self.target,
             path=self._route.next_cells(int(self.settings.speed_cells) + 2),
             heading=self._face_the_unknown(situation) if self.target == here else situation.heading,
-            explored=not left and (self.options.mission == "open" or self._is_home(situation, ways)),
+            explored=not left and (self.options.mission == "open" or is_home),
             look=self._looked,
             publish=self.target is None or self.target != before or gives_up,
             status=self._status(here, left),
@@ -203,15 +213,20 @@ class TargetStrategy(Strategy):
             self._traffic.pass_by(self._route, ways, situation.here, self._goal, situation.step)
         return left
 
-    def _is_home(self, situation: Situation, ways: Ways) -> bool:
-        """Whether it is at its depot; or near it, and teammates hold every way there."""
-        if situation.here == situation.home:
-            return True
-        if not self._traffic.is_shut_out(situation.step):
+    def _comes_home(self, situation: Situation, ways: Ways) -> bool:
+        """Whether it has nothing else to do and is at its depot; or as near as teammates let it."""
+        if self.target is not None or self.options.mission == "open":
+            self._turned_away = 0
             return False
+        if situation.blocked == "robot" and self._is_near_home(situation, ways):
+            self._turned_away += 1
+        return situation.here == situation.home or self._turned_away >= TURNED_AWAY
+
+    def _is_near_home(self, situation: Situation, ways: Ways) -> bool:
+        """Whether its way home is no longer than a queue of all robots, there and back."""
+        berth = max(1.0, 2 * self.settings.radius_cells, BERTH_METRES / self.settings.resolution)
         way = ways.way(situation.here, situation.home)
-        queue = 2 * self.settings.robots * max(1.0, 2 * self.settings.radius_cells)
-        return way is not None and len(way) <= max(queue, self.settings.range_cells)
+        return way is not None and len(way) <= 2 * self.settings.robots * berth
 
     def _face_the_unknown(self, situation: Situation) -> int:
         """Heading that looks at the target's unknown neighbour, for a laser that does not look everywhere."""

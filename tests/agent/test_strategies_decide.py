@@ -133,18 +133,14 @@ def test_with_nothing_left_an_open_mission_is_done_and_a_returning_robot_drives_
     assert swarm.decide(replace(robot_at(1, grid=known), home=(1, 1))).explored
 
 
-def test_a_returning_robot_is_home_where_teammates_that_are_back_let_it_no_nearer() -> None:
-    known = drawn("#######", ".......", "#######")
+def test_a_returning_robot_is_home_where_teammates_that_are_back_stop_it_again_and_again() -> None:
+    known = np.repeat(drawn("#######", ".......", "#######"), 10, axis=1)
     for start, near in ((3, True), (60, False)):
-        wide = np.repeat(known, 10, axis=1)
-        swarm = mind("meier", {"mission": "return"}, wide)
-        at = replace(robot_at(start, grid=wide), home=(0, 1))
-        assert not swarm.decide(at).explored
-        after = [
-            swarm.decide(replace(at, step=step, blocked=blocked)).explored
-            for step, blocked in enumerate(("robot", "robot"), start=2)
-        ]
-        assert after == [False, near]
+        swarm = mind("meier", {"mission": "return"}, known)
+        at = replace(robot_at(start, grid=known), home=(0, 1), blocked="robot")
+        after = [swarm.decide(replace(at, step=step)) for step in range(1, 20)]
+        assert [decision.explored for decision in after] == [False] * 9 + [near] * 10
+        assert not near or not len(after[-1].path)
 
 
 def test_stop_scan_replan_stays_for_a_full_turn_and_then_tells() -> None:
