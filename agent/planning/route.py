@@ -37,9 +37,13 @@ class Route:
         if len(at):
             self.cells = self.cells[at[-1] + 1 :]
 
-    def is_open(self, floor: Grid) -> bool:
-        """Whether all cells still to be driven are free on `floor`."""
-        return bool((floor[self.cells[:, 1], self.cells[:, 0]] == FREE).all())
+    def is_open(self, floor: Grid, start: tuple[int, int]) -> bool:
+        """Whether all cells still to be driven from `start` are free on `floor`, and both beside each diagonal."""
+        xs, ys = self.cells[:, 0], self.cells[:, 1]
+        before = np.concatenate([np.array([start], np.int32), self.cells])[:-1]
+        cuts = (before[:, 0] != xs) & (before[:, 1] != ys)
+        sides = (floor[ys, before[:, 0]] == FREE) & (floor[before[:, 1], xs] == FREE)
+        return bool((floor[ys, xs] == FREE).all() and sides[cuts].all())
 
     def next_cells(self, count: int) -> NDArray[np.int32]:
         """The next cells to enter, shape (at most `count`, 2)."""
@@ -126,9 +130,10 @@ def corners(floor: Grid, start: tuple[int, int], cells: NDArray[np.int32]) -> ND
 
 
 def crossed(start: tuple[int, int], points: NDArray[np.int32], most: float) -> NDArray[np.int32]:
-    """Cells that the lines from point to point lead into, in order; lines that begin more than `most` cells on are left out.
+    """Cells that the lines from point to point lead into, in order.
 
-    `start` and `points` are in thousandths of a cell; shape (n, 2).
+    Lines that begin more than `most` cells on are left out; `start` and `points`, shape (n, 2), are in
+    thousandths of a cell.
     """
     found: list[tuple[int, int]] = []
     at = start

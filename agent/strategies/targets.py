@@ -184,7 +184,7 @@ class TargetStrategy(Strategy):
         goals = self.goals(situation, ways)
         self.target = self.choose(situation, goals, ways) if len(goals) else None
         goal = situation.home if self.target is None and self.options.mission == "return" else self.target
-        if self.target is not None or not self._is_under_way(goal, ways):
+        if self.target is not None or not self._is_under_way(situation.here, goal, ways):
             self._drive(situation, ways, goal)
         return len(goals) > 0
 
@@ -196,9 +196,9 @@ class TargetStrategy(Strategy):
             return False
         return self._route.lead(ways, situation.here, goal)
 
-    def _is_under_way(self, goal: Cell | None, ways: Ways) -> bool:
+    def _is_under_way(self, here: Cell, goal: Cell | None, ways: Ways) -> bool:
         """Whether it drives to a cell, or makes room on its way there."""
-        return self._goal == goal and len(self._route.cells) > 0 and self._route.is_open(ways.floor)
+        return self._goal == goal and len(self._route.cells) > 0 and self._route.is_open(ways.floor, here)
 
     def _is_stranded(self, here: Cell) -> bool:
         """Whether a detour has led the robot elsewhere."""

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from agent.planning.cost import costs
 from agent.planning.occupancy import Terrain, weighted_costs
-from agent.planning.route import corners, straighten
+from agent.planning.route import Route, corners, straighten
 from agent.planning.ways import Ways
 from protocol.grid import FREE, OCCUPIED, Grid
 from tests.agent.planning_references import dijkstra, drawn, grids, steps_from
@@ -126,3 +126,14 @@ def test_a_way_in_the_open_has_one_corner_its_end() -> None:
     cells = Ways(grid).way((2, 2), (15, 7))
     assert cells is not None
     np.testing.assert_array_equal(corners(grid, (2300, 1800), cells), [(15000, 7000)])
+
+
+def test_a_route_is_closed_by_a_wall_on_it_or_beside_a_diagonal_and_by_nothing_else() -> None:
+    floor = np.full((5, 6), FREE, np.uint8)
+    route = Route()
+    route.cells = np.array([(1, 1), (2, 2), (3, 2)], np.int32)
+    needed = {(1, 0), (0, 1), (1, 1), (2, 1), (1, 2), (2, 2), (3, 2)}
+    for y, x in np.ndindex(floor.shape):
+        walled = floor.copy()
+        walled[y, x] = OCCUPIED
+        assert route.is_open(walled, (0, 0)) == ((x, y) not in needed)
