@@ -64,14 +64,13 @@ def repair(previous: Polygons, contours: Polygons) -> Marks:
     return marks
 
 
-def approximation(contours: Polygons, marks: Marks, wall_gap: int = 0) -> Polygons:
+def approximation(contours: Polygons, marks: Marks) -> Polygons:
     """Return the polygons that the marked contour points span.
 
     An edge stands for the contour points from its first vertex up to the one before its second. It is
-    occupied where all of them are (section 4.2.2): when in doubt, nothing is claimed as explored. With a
-    `wall_gap`, up to so many of them may be unknown, and at most a quarter: a gap that no robot passes.
+    occupied only where all of them are (section 4.2.2): when in doubt, nothing is claimed as explored.
     """
-    occupied, start = _edges(contours.occupied, contours.start, marks, wall_gap)
+    occupied, start = _edges(contours.occupied, contours.start, marks)
     some = start[1:] > start[:-1]
     return Polygons(
         contours.shape,
@@ -170,13 +169,12 @@ def _collect(
     return marks[:count].copy()
 
 
-@kernel("Tuple((uint8[::1], int32[::1]))(uint8[::1], int32[::1], int32[::1], int64)")
+@kernel("Tuple((uint8[::1], int32[::1]))(uint8[::1], int32[::1], int32[::1])")
 def _edges(
-    occupied: NDArray[np.uint8], start: NDArray[np.int32], marks: NDArray[np.int32], wall_gap: int
+    occupied: NDArray[np.uint8], start: NDArray[np.int32], marks: NDArray[np.int32]
 ) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
     """Occupancy of the edges, and where the vertices of each object begin."""
-    points = np.zeros(len(marks), np.int64)
-    walls = np.zeros(len(marks), np.int64)
+    edge = np.ones(len(marks), np.uint8)
     begins = np.empty(len(start), np.int32)
     m = 0
     for k in range(len(start) - 1):
@@ -192,8 +190,6 @@ def _edges(
                 e += 1
             elif e == m - 1 and marks[first] == i:
                 e = first
-            points[e] += 1
-            walls[e] += occupied[i]
+            edge[e] &= occupied[i]
     begins[len(start) - 1] = m
-    gaps = points - walls
-    return ((gaps <= wall_gap) & (4 * gaps <= points)).astype(np.uint8), begins
+    return edge, begins

@@ -7,10 +7,12 @@ claims that a cell has gathered the strongest counts:
     occupied by an inside boundary > free by one > occupied by an outside boundary > free area > beside a wall
 
 Free area of an approximation is what its inside object encloses and none of its outside objects encloses
-or bounds. What the robot has seen itself overrides all claims. The last claim is not the thesis': a coarse
-wall runs a cell beside the true one, so that a robot which has seen free cells up to the true one takes the
-unknown cells behind them for a frontier. With ``Drawing(wide_walls=True)`` cells beside a wall that nothing
-else is claimed of are wall as well.
+or bounds. What the robot has seen itself overrides all claims.
+
+Two guesses, which the thesis does not make, keep robots from driving to what only looks unexplored
+because approximations are coarse (`Drawing`). A coarse wall runs a cell beside the true one, so who has seen
+free cells up to the true one finds unknown cells behind them: with `wide_walls` these are wall. And
+approximations of areas that meet leave slivers between them: with `close_slivers` these are free.
 
 From an approximation refined until it is exact, the teammate's own grid comes back (`rendered`) but for
 the cells of which Algorithm 9 cannot know:
@@ -23,7 +25,7 @@ the cells of which Algorithm 9 cannot know:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
@@ -57,11 +59,15 @@ class Drawing:
         Draw outside objects of two vertices and no occupied edge. They are the unseen specks between beams.
     wide_walls : bool
         Take the eight neighbours of a wall's cells for wall where nothing else is claimed of them.
+    close_slivers : bool
+        Take an unknown cell for free if its neighbours on the left and right or above and below are free, and
+        not both by the robot's own sight.
     """
 
     free_inside_edges: bool = True
     unknown_pairs: bool = True
     wide_walls: bool = False
+    close_slivers: bool = False
 
 
 THESIS = Drawing()
@@ -157,30 +163,35 @@ class TeamMap:
 
     Parameters
     ----------
-    shape : (int, int)
-        Height and width of the grid, in cells.
     drawing : Drawing
         What of the teammates' approximations is drawn.
     """
 
-    def __init__(self, shape: tuple[int, int], drawing: Drawing = THESIS) -> None:
+    def __init__(self, drawing: Drawing = THESIS) -> None:
         self._drawing = drawing
         self._layers: dict[int, Layer] = {}
-        self._claims: Layer | None = np.zeros(shape, np.uint8)
+        self._near: tuple[int, ...] = ()
+        self._claims: Layer | None = None
 
     def update(self, robot: int, approximation: Polygons) -> None:
         """Take over the approximation that `robot` has last saved."""
         self._layers[robot] = layer(approximation, self._drawing)
         self._claims = None
 
-    def merged(self, own: Grid) -> Grid:
-        """Return the planning grid of a robot whose self-explored grid is `own`."""
-        if self._claims is None:
-            first, *others = self._layers.values()
-            self._claims = first.copy()
-            for other in others:
-                self._claims |= other
-        return _resolve(own, self._claims)
+    def merged(self, own: Grid, near: Collection[int] | None = None) -> Grid:
+        """Return the planning grid of a robot whose self-explored grid is `own`.
+
+        Walls are wide only of the teammates `near` (None: all): what they have just begun to see they will soon
+        tell better.
+        """
+        near = tuple(self._layers) if near is None else tuple(near)
+        if self._claims is None or near != self._near:
+            self._near = near
+            self._claims = np.zeros(own.shape, np.uint8)
+            for robot, claims in self._layers.items():
+                self._claims |= claims if robot in near else claims & ~np.uint8(BESIDE_WALL)
+        plan = _resolve(own, self._claims)
+        return _close_slivers(own, plan) if self._drawing.close_slivers else plan
 
 
 def rendered(approximation: Polygons, drawing: Drawing = THESIS) -> Grid:
@@ -211,8 +222,8 @@ class Stages:
     inside_bounded: Grid
     """(e) The boundaries of the inside objects are drawn over it, occupied ones over free ones."""
     complete: Grid
-    """(f) What is undefined is unknown, and what the robot has seen itself stands. With wide walls, what is
-    unknown beside a wall of any boundary is occupied."""
+    """(f) What is undefined is unknown, and what the robot has seen itself stands. Then the guesses: what is
+    unknown beside a wall of any boundary is occupied, and unknown slivers are free."""
 
 
 def five_stages(own: Grid, approximations: Sequence[Polygons], drawing: Drawing = THESIS) -> Stages:
@@ -254,6 +265,11 @@ def five_stages(own: Grid, approximations: Sequence[Polygons], drawing: Drawing 
             walls |= each.occupied_edges
         plan[binary_dilation(walls, np.ones((3, 3))) & (plan == UNKNOWN)] = OCCUPIED
     plan[own != UNKNOWN] = own[own != UNKNOWN]
+    if drawing.close_slivers:
+        free, seen = np.pad(plan == FREE, 1), np.pad(own != UNKNOWN, 1)
+        beside, above = (np.s_[1:-1, :-2], np.s_[1:-1, 2:]), (np.s_[:-2, 1:-1], np.s_[2:, 1:-1])
+        for one, other in (beside, above):
+            plan[(plan == UNKNOWN) & free[one] & free[other] & ~(seen[one] & seen[other])] = FREE
     return Stages(outside_filled, outside_bounded, inside_filled, inside_bounded, plan)
 
 
@@ -293,4 +309,23 @@ def _resolve(own: NDArray[np.uint8], claims: NDArray[np.uint8]) -> NDArray[np.ui
             cell = FREE if c & INSIDE_FREE else cell
             cell = OCCUPIED if c & INSIDE_OCCUPIED else cell
             cells[at] = cell if known[at] == UNKNOWN else known[at]
+    return out
+
+
+@kernel("uint8[:,::1](uint8[:,::1], uint8[:,::1])")
+def _close_slivers(own: NDArray[np.uint8], plan: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Free the unknown cells between two free ones that the robot has not both seen itself."""
+    out = plan.copy()
+    height, width = plan.shape
+    for y in range(height):
+        for x in range(width):
+            if plan[y, x] != UNKNOWN:
+                continue
+            for dy, dx in ((0, 1), (1, 0)):
+                if not (dy <= y < height - dy and dx <= x < width - dx):
+                    continue
+                if plan[y - dy, x - dx] != FREE or plan[y + dy, x + dx] != FREE:
+                    continue
+                if own[y - dy, x - dx] == UNKNOWN or own[y + dy, x + dx] == UNKNOWN:
+                    out[y, x] = FREE
     return out

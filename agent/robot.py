@@ -27,6 +27,10 @@ from protocol.scans import Scan, check_readings, draw, mark_free
 REPEAT_POSE = 10
 """Steps after which a robot that stands still says again where it is."""
 
+SURE_AFTER = 10
+"""Steps for which nothing may be left to do on a map that holds guesses, before a robot says so: by then
+teammates have told more of what looked like nothing when they first saw it."""
+
 
 @dataclass(frozen=True)
 class Fault:
@@ -71,6 +75,7 @@ class Robot:
         self._news: dict[int, Cell] = {}
         self._poses: dict[int, Pose] = {}
         self._travelled: dict[int, float] = {}
+        self._idle_steps = 0
 
     @property
     def polygons(self) -> Mapping[int, Polygons]:
@@ -180,14 +185,15 @@ class Robot:
         if sense is None:
             raise RuntimeError("decide before the first perceive")
         self.session.forget()
-        self.planning = self._exchange.merge(self.own)
+        self.planning = self._exchange.merge(self.own, self._peers)
         decision = self._strategy.decide(self._situation(sense))
         self._take(decision)
+        self._idle_steps = self._idle_steps + 1 if decision.explored else 0
         return Move(
             sense.step,
             cells_to_bytes(decision.path),
             decision.heading,
-            decision.explored,
+            self._idle_steps > (SURE_AFTER if self._exchange.guesses else 0),
             decision.look,
             decision.stalled,
             points_to_bytes(decision.points),

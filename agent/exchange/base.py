@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import ClassVar
 
 from agent.polygons import Polygons
@@ -16,6 +16,8 @@ class Exchange(ABC):
     """What a robot tells of its own map, and what it makes of what others tell."""
 
     name: ClassVar[str]
+    guesses: bool = False
+    """Whether planning grids hold more than was told: then "nothing is left" must hold for a while."""
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
@@ -44,8 +46,11 @@ class Exchange(ABC):
         """
 
     @abstractmethod
-    def merge(self, own: Grid) -> Grid:
-        """Return the planning grid: what all have told, and the robot's own grid, which counts most."""
+    def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
+        """Return the planning grid: what all have told, and the robot's own grid, which counts most.
+
+        `peers` are the teammates in range: what they have told so far they can still correct.
+        """
 
     def error(self, own: Grid) -> int:
         """Cells in which `own` and what one has told of it differ (d(t) of Eq. 6.1); none where scans travel."""

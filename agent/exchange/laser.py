@@ -6,6 +6,8 @@ logged in every step that shows something the last one did not.
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from agent.exchange.base import Exchange
@@ -55,8 +57,9 @@ class LaserExchange(Exchange):
         for scan in scans:
             draw(self._heard, self._fans[about], scan.x, scan.y, scan.readings)
 
-    def merge(self, own: Grid) -> Grid:
+    def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
         """Lay the robot's own grid over what it heard."""
+        del peers
         planning = np.empty_like(own)
         _lay_over(self._heard, own, planning)
         return planning

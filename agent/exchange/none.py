@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from agent.exchange.base import Exchange
 from protocol.errors import ProtocolError
 from protocol.grid import Grid
@@ -22,6 +24,7 @@ class NoExchange(Exchange):
         """Refuse what nobody should have sent."""
         raise ProtocolError("data", 0, f"{len(units)} units of robot {about}'s map where none are exchanged")
 
-    def merge(self, own: Grid) -> Grid:
+    def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
         """Plan on the robot's own grid."""
+        del peers
         return own.copy()

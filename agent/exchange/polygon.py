@@ -8,7 +8,7 @@ merge all drawings with their own grid.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -48,10 +48,11 @@ class PolygonOptions:
         Draw inside edges that are labelled free. They claim cells free which nobody has seen.
     unknown_pairs : bool
         Tell of and draw outside objects of two vertices without a wall: the unseen specks between beams.
-    wall_gap : int
-        Tell an edge as occupied with up to so many unknown contour points, in cells, at most a quarter of all.
     wide_walls : bool
-        Take what is unknown beside a teammate's wall for wall: coarse walls run beside the true ones.
+        Take what is unknown beside the wall of a teammate in range for wall: coarse walls run beside the true
+        ones.
+    close_slivers : bool
+        Take unknown slivers between free cells that teammates have told of for free: there coarse areas meet.
     """
 
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
@@ -62,16 +63,14 @@ class PolygonOptions:
     mixed_first: bool = True
     free_inside_edges: bool = False
     unknown_pairs: bool = False
-    wall_gap: int = 3
     wide_walls: bool = True
+    close_slivers: bool = True
 
     def __post_init__(self) -> None:
         if not 0 < self.medium_use < math.inf:
             raise ValueError(f"medium_use = {self.medium_use:g}: must be a number above 0")
         if not 0 <= self.bytes_per_split < math.inf:
             raise ValueError(f"bytes_per_split = {self.bytes_per_split:g}: must be 0 (measured) or more")
-        if self.wall_gap < 0:
-            raise ValueError(f"wall_gap = {self.wall_gap}: must be 0 (none) or more cells")
 
 
 THESIS_OPTIONS = PolygonOptions(
@@ -80,8 +79,8 @@ THESIS_OPTIONS = PolygonOptions(
     mixed_first=False,
     free_inside_edges=True,
     unknown_pairs=True,
-    wall_gap=0,
     wide_walls=False,
+    close_slivers=False,
 )
 
 
@@ -96,7 +95,10 @@ class PolygonExchange(Exchange):
         shape = settings.height, settings.width
         self._options = options
         self._value = mixed_first if options.mixed_first else by_distance
-        self._drawing = Drawing(options.free_inside_edges, options.unknown_pairs, options.wide_walls)
+        self._drawing = Drawing(
+            options.free_inside_edges, options.unknown_pairs, options.wide_walls, options.close_slivers
+        )
+        self.guesses = settings.robots > 1 and (options.wide_walls or options.close_slivers)
         self._allowance = SplitAllowance(
             Splitting(
                 settings.robots,
@@ -113,7 +115,7 @@ class PolygonExchange(Exchange):
         self._receivers = {
             robot: Receiver(shape) for robot in range(settings.robots) if robot != settings.robot
         }
-        self._team = TeamMap(shape, self._drawing)
+        self._team = TeamMap(self._drawing)
         self._polygons: dict[int, Polygons] = {}
 
     @property
@@ -144,7 +146,7 @@ class PolygonExchange(Exchange):
 
     def _approximation(self, exact: Polygons, marks: Marks) -> Polygons:
         """What is told of the contours: unless they are drawn, not the objects of two unknown edges."""
-        polygons = approximation(exact, marks, self._options.wall_gap)
+        polygons = approximation(exact, marks)
         return polygons if self._options.unknown_pairs else without_unknown_pairs(polygons)
 
     def take(self, about: int, units: list[bytes]) -> None:
@@ -154,16 +156,16 @@ class PolygonExchange(Exchange):
             self._polygons[about] = receiver.held.polygons
             self._team.update(about, receiver.held.polygons)
 
-    def merge(self, own: Grid) -> Grid:
+    def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
         """Merge all approximations with the robot's own grid (Algorithm 9)."""
-        return self._team.merged(own)
+        return self._team.merged(own, peers)
 
     def error(self, own: Grid) -> int:
         """Cells in which one's own grid and the drawing of its approximation differ: d(t) of Eq. 6.1.
 
-        Without wide walls, which are a guess of the receiver's.
+        Without what receivers guess.
         """
         mine = self._polygons.get(self.settings.robot)
         if mine is None:
             return int(np.count_nonzero(own))
-        return approximation_error(own, mine, replace(self._drawing, wide_walls=False))
+        return approximation_error(own, mine, replace(self._drawing, wide_walls=False, close_slivers=False))

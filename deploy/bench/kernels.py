@@ -168,8 +168,8 @@ def _say_anew(moment: Moment, vertices: int) -> None:
 
 def _merging(walk: Sequence[Moment], telling: _Telling) -> Iterator[Figure]:
     """Merge 7 teammates of whom all, one or none have news, against Algorithm 9 line by line."""
-    drawing = Drawing(free_inside_edges=False, unknown_pairs=False, wide_walls=True)
-    team = TeamMap(walk[0].grid.shape, drawing)
+    drawing = Drawing(free_inside_edges=False, unknown_pairs=False, wide_walls=True, close_slivers=True)
+    team = TeamMap(drawing)
     steps = min(map(len, telling.polygons))
     all_new, one_new, none_new, by_lines = [], [], [], []
     for step in np.linspace(steps // 4, steps - 1, SAMPLES).astype(int).tolist():

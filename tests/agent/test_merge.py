@@ -28,7 +28,7 @@ from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 
 quick = settings(deadline=None)
 
-drawings = st.builds(Drawing, st.booleans(), st.booleans(), st.booleans())
+drawings = st.builds(Drawing, *4 * [st.booleans()])
 
 
 def approximated(grid: Grid, robot: Cell, splits: int | None = None) -> Polygons:
@@ -37,7 +37,7 @@ def approximated(grid: Grid, robot: Cell, splits: int | None = None) -> Polygons
 
 
 def merged(own: Grid, approximations: list[Polygons], drawing: Drawing = THESIS) -> Grid:
-    team = TeamMap(own.shape, drawing)
+    team = TeamMap(drawing)
     for robot, polygons in enumerate(approximations):
         team.update(robot, polygons)
     return team.merged(own)
@@ -134,7 +134,7 @@ def test_a_teammates_new_approximation_takes_the_place_of_its_old_one(
     case: tuple[Grid, list[Polygons]],
 ) -> None:
     own, approximations = case
-    team = TeamMap(own.shape)
+    team = TeamMap()
     for polygons in approximations:
         team.update(1, polygons)
         assert (team.merged(own) == merged(own, [polygons])).all()
@@ -229,4 +229,4 @@ def test_what_is_unknown_beside_a_teammates_wall_is_wall_if_wished() -> None:
 def test_nothing_heard_claims_nothing() -> None:
     assert not layer(Polygons.nothing((4, 5))).any()
     own = np.array([[FREE, UNKNOWN]], np.uint8)
-    assert TeamMap(own.shape).merged(own).tolist() == own.tolist()
+    assert TeamMap().merged(own).tolist() == own.tolist()

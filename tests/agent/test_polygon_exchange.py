@@ -176,7 +176,7 @@ def test_bytes_a_split_are_measured_unless_they_are_given() -> None:
 def test_the_plan_is_all_approximations_merged_with_ones_own_grid() -> None:
     shape = (60, 80)
     listener = maker(shape, 2)
-    team = TeamMap(shape, Drawing(free_inside_edges=False, unknown_pairs=False, wide_walls=True))
+    team = TeamMap(Drawing(False, False, wide_walls=True, close_slivers=True))
     own, _ = walk(8)[-1]
     assert (listener.merge(own) == own).all()
     for robot in (0, 1):
@@ -185,7 +185,7 @@ def test_the_plan_is_all_approximations_merged_with_ones_own_grid() -> None:
         for units in told(teller, steps):
             listener.take(robot, units)
         team.update(robot, teller.polygons[robot])
-        assert (listener.merge(own) == team.merged(own)).all()
+        assert (listener.merge(own, (0, 1)) == team.merged(own)).all()
     assert (listener.merge(own) == FREE).sum() > (own == FREE).sum()
     assert (listener.merge(own)[own != UNKNOWN] == own[own != UNKNOWN]).all()
 
@@ -251,7 +251,7 @@ def test_edges_that_stand_for_walls_and_for_nothing_known_come_first_if_wished()
     grid, cell = walk()[-1]
     walls = {}
     for wished in (True, False):
-        options = with_options(mixed_first=wished, wall_gap=0)
+        options = with_options(mixed_first=wished)
         one, other = maker((60, 80), 0, bandwidth=200.0, **options), maker((60, 80), 1, **options)
         for _ in range(6):
             other.take(0, record(one, grid, cell))
@@ -276,7 +276,7 @@ def test_unknown_pairs_are_told_and_drawn_if_wished() -> None:
     grid[5, 20] = OCCUPIED
     objects, free = {}, {}
     for wished in (True, False):
-        options = with_options(unknown_pairs=wished, bytes_per_split=10.0)
+        options = with_options(unknown_pairs=wished, bytes_per_split=10.0, close_slivers=False)
         six_splits = options | {"bandwidth": 3 * 2 * 10.0 * 6}
         one, other = maker((30, 30), 0, **six_splits), maker((30, 30), 1, **six_splits)
         other.take(0, record(one, grid, (1, 1)))
@@ -286,28 +286,36 @@ def test_unknown_pairs_are_told_and_drawn_if_wished() -> None:
     assert free == {True: UNKNOWN, False: FREE}
 
 
-def test_edges_that_are_mostly_wall_are_told_as_wall_if_wished() -> None:
+def test_walls_are_wide_if_wished_while_their_robot_is_in_range() -> None:
     grid, cell = walk()[-1]
-    walls, wide = {}, {}
-    for gap in (0, 3):
-        options = with_options(wall_gap=gap)
-        one, other = maker((60, 80), 0, bandwidth=100.0, **options), maker((60, 80), 1, **options)
-        for _ in range(3):
-            other.take(0, record(one, grid, cell))
-        walls[gap] = int(other.polygons[0].occupied.sum())
-    assert walls[3] > walls[0]
+    nothing = np.zeros_like(grid)
+    walls = {}
     for wished in (True, False):
         options = with_options(wide_walls=wished)
         one, other = maker((60, 80), 0, **options), maker((60, 80), 1, **options)
         other.take(0, record(one, grid, cell))
-        wide[wished] = int((other.merge(np.zeros_like(grid)) == OCCUPIED).sum())
-    assert wide[True] > wide[False]
+        near, far = (int((other.merge(nothing, peers) == OCCUPIED).sum()) for peers in ((0,), (2,)))
+        walls[wished] = near, far
+    assert walls[True][0] > walls[True][1] == walls[False][0] == walls[False][1]
+
+
+def test_slivers_are_closed_if_wished() -> None:
+    grid = np.full((20, 20), UNKNOWN, np.uint8)
+    left, right = grid.copy(), grid.copy()
+    left[1:10, 1:8] = right[1:10, 9:16] = FREE
+    free = {}
+    for wished in (True, False):
+        options = with_options(close_slivers=wished, wide_walls=False)
+        one, other = maker((20, 20), 0, **options), maker((20, 20), 1, **options)
+        other.take(0, record(one, left, (2, 2)))
+        free[wished] = other.merge(right)[1:10, 8].tolist()
+    assert free == {True: [FREE] * 9, False: [UNKNOWN] * 9}
 
 
 def test_the_thesis_plain_rules_are_a_set_of_options() -> None:
     assert asdict(THESIS_OPTIONS) == {
         "medium_use": 0.5, "bytes_per_split": 0.0, "lazy": False, "mixed_first": False,
-        "free_inside_edges": True, "unknown_pairs": True, "wall_gap": 0, "wide_walls": False,
+        "free_inside_edges": True, "unknown_pairs": True, "wide_walls": False, "close_slivers": False,
     }  # fmt: skip
     shape = (60, 80)
     one, other = (maker(shape, robot, polygon=asdict(THESIS_OPTIONS)) for robot in (0, 1))
@@ -323,7 +331,6 @@ def test_the_thesis_plain_rules_are_a_set_of_options() -> None:
         {"medium_use": float("nan")},
         {"medium_use": float("inf")},
         {"bytes_per_split": -1.0},
-        {"wall_gap": -1},
     ],
 )
 def test_options_without_meaning_are_refused(wrong: dict[str, float]) -> None:
