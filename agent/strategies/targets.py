@@ -142,7 +142,7 @@ class TargetStrategy(Strategy):
         before, left, gives_up = self.target, True, self._traffic.gives_up()
         if gives_up or self.is_due(situation):
             left = self._renew(situation, ways)
-        elif not self._route.is_open(ways.floor) or self._is_stranded(here):
+        elif not self._route.is_open(ways.floor, here) or self._is_stranded(here):
             left = self._drive(situation, ways, self.target) or self._renew(situation, ways)
         if self.target != before:
             self._traffic.begin()
