@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 
 from agent.settings import Settings
 from agent.strategies.options import read_options
-from protocol.grid import Grid
+from protocol.grid import UNKNOWN, Grid
 
 Cell = tuple[int, int]
+
+_FACES = ((1, 0, 0), (0, 1, 2), (-1, 0, 4), (0, -1, 6))
+"""The four neighbours (dx, dy) and the heading that looks at each."""
 
 NO_CELLS = np.empty((0, 2), np.int32)
 
@@ -82,6 +85,18 @@ class Situation:
     def here(self) -> Cell:
         """The robot's cell."""
         return self.x, self.y
+
+    def facing_the_unknown(self) -> int:
+        """Heading that looks at an unknown neighbour of its cell, for a laser that does not look everywhere.
+
+        Its own heading if there is none.
+        """
+        height, width = self.grid.shape
+        for dx, dy, heading in _FACES:
+            x, y = self.x + dx, self.y + dy
+            if 0 <= x < width and 0 <= y < height and self.grid[y, x] == UNKNOWN:
+                return heading
+        return self.heading
 
 
 @dataclass(frozen=True)

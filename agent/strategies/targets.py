@@ -29,7 +29,6 @@ from agent.planning.ways import COSTS, Ways
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Situation, Strategy
 from agent.strategies.options import option
-from protocol.grid import UNKNOWN
 
 REPLANNING = ("at-goal", "at-once", "after-turn")
 """When a robot chooses again. ``at-goal``: at its target. ``at-once``: as soon as its target is no frontier
@@ -51,9 +50,6 @@ BERTH_METRES = 0.3
 
 TURNED_AWAY = 10
 """Times that teammates stop a robot near its depot, after which it is home where it is."""
-
-_FACES = ((1, 0, 0), (0, 1, 2), (-1, 0, 4), (0, -1, 6))
-"""The four neighbours (dx, dy) and the heading that looks at each."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +152,7 @@ class TargetStrategy(Strategy):
         return Decision(
             target=self.target,
             path=self._route.next_cells(int(self.settings.speed_cells) + 2),
-            heading=self._face_the_unknown(situation) if self.target == here else situation.heading,
+            heading=situation.facing_the_unknown() if self.target == here else situation.heading,
             explored=not left and (self.options.mission == "open" or is_home),
             look=self._looked,
             publish=self.target is None or self.target != before or gives_up,
@@ -227,15 +223,6 @@ class TargetStrategy(Strategy):
         berth = max(1.0, 2 * self.settings.radius_cells, BERTH_METRES / self.settings.resolution)
         way = ways.way(situation.here, situation.home)
         return way is not None and len(way) <= 2 * self.settings.robots * berth
-
-    def _face_the_unknown(self, situation: Situation) -> int:
-        """Heading that looks at the target's unknown neighbour, for a laser that does not look everywhere."""
-        height, width = situation.grid.shape
-        for dx, dy, heading in _FACES:
-            x, y = situation.x + dx, situation.y + dy
-            if 0 <= x < width and 0 <= y < height and situation.grid[y, x] == UNKNOWN:
-                return heading
-        return situation.heading
 
     def _status(self, here: Cell, left: bool) -> str:
         if self._traffic.waited:

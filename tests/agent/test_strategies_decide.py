@@ -248,6 +248,15 @@ def test_a_leader_drives_around_a_teammate_that_stops_it() -> None:
     assert around[-1] in ([11, 3], [10, 4], [11, 5])
 
 
+@pytest.mark.parametrize("name", ["leaders", "meier"])
+def test_a_robot_on_the_frontier_looks_at_what_is_unknown(name: str) -> None:
+    grid = np.full((9, 9), FREE, np.uint8)
+    for (x, y), heading in {(5, 4): 0, (4, 5): 2, (3, 4): 4, (4, 3): 6}.items():
+        around = grid.copy()
+        around[y, x] = UNKNOWN
+        assert decide(name, replace(robot_at(4, 4, grid=around), heading=3)).heading == heading
+
+
 def test_a_robot_that_gets_nowhere_says_that_it_is_stalled() -> None:
     swarm = mind("potential-field", {}, resolution=0.1)
     # Between two frontier points at the same distance, in a closed corridor.
