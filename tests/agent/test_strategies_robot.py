@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 
-from agent.robot import REPEAT_POSE, Robot
+from agent.robot import REPEAT_POSE, SURE_AFTER, Robot
 from protocol import packets
 from protocol.grid import fan
 from protocol.messages import Outcome, Sense
@@ -108,3 +109,18 @@ def test_a_scanner_that_rests_has_nothing_to_tell() -> None:
     mind.perceive(sense(2, 11, look=False))
     mind.decide()
     assert len(mind.session.logs[0]) == before
+
+
+@pytest.mark.parametrize(
+    ("robots", "exchange", "first"), [(2, "laser", 1), (2, "polygon", 1 + SURE_AFTER), (1, "polygon", 1)]
+)
+def test_on_a_map_that_holds_guesses_nothing_must_be_left_for_a_while(
+    robots: int, exchange: str, first: int
+) -> None:
+    mind = Robot(settings_for(drawn(*["." * 5] * 5), robots=robots, exchange=exchange, strategy="meier"))
+    explored = []
+    for step in range(1, SURE_AFTER + 3):
+        mind.perceive(sense(step, 2, 2))
+        explored.append(mind.decide().explored)
+    assert explored.index(True) + 1 == first
+    assert all(explored[first - 1 :])

@@ -33,7 +33,8 @@ from worldsim import generators, maps
 CONTRACT = {
     "finished", "steps", "first_robot", "coverage", "map_agreement", "t90", "t99", "path_length", "robots",
     "seed", "bus", "strategy", "exchange", "bandwidth", "range_m", "bytes", "packets", "wire_bytes",
-    "raw_scan_bytes", "over_budget_steps", "undelivered", "approximation_error", "digest", "wall_s", "steps_per_s", "versions",
+    "raw_scan_bytes", "over_budget_steps", "undelivered",
+    "approximation_error", "digest", "wall_s", "steps_per_s", "versions",
 }  # fmt: skip
 """What scripts may look for in a summary."""
 

@@ -15,7 +15,9 @@ from team import Cell, Team, corridor, plan_on, small_plan
 from agent.exchange import THESIS_OPTIONS
 from agent.merge import Drawing, rendered
 from deploy import in_memory
+from deploy import plan as plans
 from deploy.records import Records
+from deploy.scenario import parse
 from deploy.summary import summarise
 from netshaper.ledger import BROADCAST, balance, sort_rows
 from netshaper.medium import DATA
@@ -149,6 +151,24 @@ def test_at_a_kilobyte_a_step_the_team_sees_all_and_the_plan_is_nearly_right(rul
     assert summary["finished"]
     assert summary["coverage"] > 0.99
     assert summary["map_agreement"] > 0.99
+
+
+@pytest.mark.parametrize(
+    ("name", "robots", "bandwidth", "reach", "seed"),
+    [("hilbert-3", 4, 1000, "20%", 3), ("hilbert-3", 5, 250, "100%", 2), ("leader-trap", 8, 1000, "100%", 1)],
+)
+def test_an_opening_that_looks_closed_at_first_does_not_end_a_run(
+    name: str, robots: int, bandwidth: int, reach: str, seed: int
+) -> None:
+    plan = plans.make(
+        parse(
+            {"map": name, "robots": robots, "bandwidth": bandwidth, "range": reach, "seed": seed}
+            | {"bus": "memory", "sensor_range": 5.0}
+        )
+    )
+    summary = summarise(plan, in_memory.run(plan), 1.0)
+    assert summary["finished"]
+    assert summary["coverage"] > 0.99
 
 
 def what_algorithm_9_can_know(grid: Grid, robot: Cell, drawing: Drawing) -> Grid:
