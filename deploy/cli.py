@@ -282,6 +282,9 @@ def sweep(
             "--set", metavar="KEY=VALUE", help="replace a list of the grid or a key of the base; repeatable"
         ),
     ] = None,
+    variant: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="run only this variant; repeatable")
+    ] = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE.json", help="write all summaries there")] = None,
 ) -> None:
     """Run a scenario over a grid of settings, on the memory bus, and print the table that the file asks for."""
@@ -289,7 +292,7 @@ def sweep(
     from deploy.terminal import counting, table  # noqa: PLC0415
 
     with _speaking_clearly():
-        read = sweeps.read(experiment)
+        read = sweeps.choose(sweeps.read(experiment), variant or [])
         todo = sweeps.cases(read, dict(_named_value(item) for item in set_ or []))
         with counting(errors, read.name, len(todo)) as tell:
             summaries = sweeps.run(todo, jobs or os.cpu_count() or 1, tell)

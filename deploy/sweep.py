@@ -11,7 +11,7 @@ import itertools
 import tomllib
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -114,6 +114,22 @@ def read(path: Path) -> Experiment:
     return Experiment(
         str(data.get("name", path.stem)), data.get("base", {}), grid, variants, rows, columns, values
     )
+
+
+def choose(experiment: Experiment, names: Sequence[str]) -> Experiment:
+    """The experiment with the variants called `names` only (none: all); ScenarioError if there is no such one."""
+    for name in names:
+        if name not in experiment.variants:
+            known = ", ".join(experiment.variants)
+            raise ScenarioError(f"{experiment.name}: no variant is called {name!r}; there are: {known}")
+    chosen = {
+        name: keys for name, keys in experiment.variants.items() if name in (names or experiment.variants)
+    }
+    for value in experiment.values:
+        against = value.partition(RELATIVE)[2]
+        if against and against not in chosen:
+            raise ScenarioError(f"{experiment.name}: the table has {value!r}: choose {against!r} as well")
+    return replace(experiment, variants=chosen)
 
 
 def cases(experiment: Experiment, overrides: dict[str, Any] | None = None) -> list[Case]:

@@ -55,6 +55,17 @@ def test_the_table_holds_means_by_row_and_column_and_over_all(tmp_path: Path) ->
     assert rows[0][1] == f"{summaries[0]['steps']:.3f} {alone:.3f}"
 
 
+def test_variants_may_be_chosen(tmp_path: Path) -> None:
+    experiment = sweep.read(write(tmp_path, EXPERIMENT))
+    assert {case.place["variant"] for case in sweep.cases(sweep.choose(experiment, ["scans"]))} == {"scans"}
+    assert sweep.choose(experiment, []) == experiment
+    with pytest.raises(ScenarioError, match="no variant is called 'scan'; there are: polygons, scans"):
+        sweep.choose(experiment, ["scan"])
+    text = EXPERIMENT.replace('"bytes.total"', '"bytes.total relative to scans"')
+    with pytest.raises(ScenarioError, match="choose 'scans' as well"):
+        sweep.choose(sweep.read(write(tmp_path, text)), ["polygons"])
+
+
 def test_figures_are_names_sums_and_quotients() -> None:
     summary = {"steps": 4, "t99": None, "bytes": {"ins": 6, "conn": 2, "total": 16}}
     assert sweep.figure(summary, "steps") == 4
