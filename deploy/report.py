@@ -122,7 +122,9 @@ def _figures(summary: dict[str, Any]) -> list[list[str]]:
         ["bus", f"{summary['bus']}, {summary['steps_per_s']} steps a second"],
     ]
     if summary.get("approximation_error") is not None:
-        rows.insert(4, ["approximation error (Eq. 6.1)", f"{summary['approximation_error']:.2%} of the cells"])
+        rows.insert(
+            4, ["approximation error (Eq. 6.1)", f"{summary['approximation_error']:.2%} of the cells"]
+        )
     return [["", ""], *rows]
 
 
