@@ -28,6 +28,8 @@ class Ways:
         One of `COSTS`.
     radius_cells : float
         The robot's radius: obstacles are enlarged by it.
+    floor : uint8 array, shape (h, w), optional
+        The grid with obstacles enlarged, if that has been done.
 
     Attributes
     ----------
@@ -37,9 +39,11 @@ class Ways:
         The same with obstacles enlarged: where a robot's centre may be.
     """
 
-    def __init__(self, grid: Grid, kind: str = "shortest", radius_cells: float = 0.0) -> None:
+    def __init__(
+        self, grid: Grid, kind: str = "shortest", radius_cells: float = 0.0, floor: Grid | None = None
+    ) -> None:
         self.grid = grid
-        self.floor = enlarge(grid, radius_cells)
+        self.floor = enlarge(grid, radius_cells) if floor is None else floor
         self._kind = kind
         self._laid_out = Floor(self.floor)
         self._terrain = Terrain(grid, self.floor) if kind == "weighted" else None
@@ -100,13 +104,9 @@ class Ways:
 
     def without(self, x: int, y: int) -> Ways:
         """The same ways with cell (x, y) barred."""
-        grid = self.grid.copy()
-        grid[y, x] = OCCUPIED
-        barred = Ways(grid, self._kind)
-        barred.floor = self.floor.copy()
-        barred.floor[y, x] = OCCUPIED
-        barred._laid_out = Floor(barred.floor)
-        return barred
+        grid, floor = self.grid.copy(), self.floor.copy()
+        grid[y, x] = floor[y, x] = OCCUPIED
+        return Ways(grid, self._kind, floor=floor)
 
     def _field_to(self, start: tuple[int, int], end: tuple[int, int]) -> Field:
         """Costs from `start` that are right as far as `end`: of a search that has been there, or a new one."""

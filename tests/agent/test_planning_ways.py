@@ -84,6 +84,18 @@ def test_a_disc_does_not_pass_where_a_point_does() -> None:
     assert Ways(grid, radius_cells=1.0).way((1, 0), (1, 4)) is None
 
 
+@pytest.mark.parametrize("kind", ["shortest", "weighted"])
+def test_without_a_cell_a_disc_keeps_as_far_from_walls_as_before(kind: str) -> None:
+    grid = drawn(*["." * 15] * 5, "." * 7 + "#" + "." * 7, *["." * 15] * 5)
+    ways = Ways(grid, kind, 2.0)
+    barred = ways.without(2, 8)
+    floor = ways.floor.copy()
+    floor[8, 2] = OCCUPIED
+    assert (barred.floor == floor).all()
+    assert (np.isfinite(barred.costs(0, 0)) <= (floor == FREE)).all()
+    assert not np.isfinite(barred.costs(0, 0)[4, 7])
+
+
 @given(grids_with_a_cell(), st.integers(0, 2**32 - 1))
 def test_the_nearest_frontier_is_the_nearest_of_those_that_nobody_is_near(
     case: tuple[Grid, int, int], seed: int
