@@ -42,6 +42,8 @@ app.add_typer(run_app, name="run")
 
 errors = Console(stderr=True, highlight=False, soft_wrap=True)
 screen = Console(highlight=False, soft_wrap=True)
+PAPER_WIDTH = 160
+"""Columns of a table that goes to a file or another program."""
 
 
 def default(name: str) -> str:
@@ -299,7 +301,8 @@ def sweep(
         if out is not None:
             out.write_text(json.dumps(summaries, indent=1) + "\n", encoding="utf-8")
         screen.print(f"{read.name}: {' '.join(read.values)}, means of {len(todo)} runs")
-        screen.print(table(sweeps.tabulate(read, summaries)))
+        width = None if screen.is_terminal else PAPER_WIDTH
+        screen.print(table(sweeps.tabulate(read, summaries)), width=width)
 
 
 @maps_app.command("list")

@@ -69,8 +69,10 @@ def counting(console: Console, what: str, total: int) -> Iterator[Callable[[int,
 
 
 def table(lines: list[list[str]]) -> Table:
-    """A table whose first line is its head."""
-    result = Table(*lines[0], box=SIMPLE)
+    """A table whose first line is its head; what is too long for its column goes on below."""
+    result = Table(box=SIMPLE)
+    for head in lines[0]:
+        result.add_column(head, overflow="fold")
     for line in lines[1:]:
         result.add_row(*line)
     return result
