@@ -301,8 +301,8 @@ def sweep(
         if out is not None:
             out.write_text(json.dumps(summaries, indent=1) + "\n", encoding="utf-8")
         screen.print(f"{read.name}: {' '.join(read.values)}, means of {len(todo)} runs")
-        width = None if screen.is_terminal else PAPER_WIDTH
-        screen.print(table(sweeps.tabulate(read, summaries)), width=width)
+        paper = screen if screen.is_terminal else Console(width=PAPER_WIDTH, highlight=False)
+        paper.print(table(sweeps.tabulate(read, summaries)))
 
 
 @maps_app.command("list")
