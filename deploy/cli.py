@@ -370,7 +370,7 @@ def doctor() -> None:
 @app.command()
 def bench(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="NAME", help="kernels, bus, swarm; default: all")
+        list[str] | None, typer.Argument(metavar="NAME", help="kernels, bus, swarm, replanning; default: all")
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:

@@ -37,6 +37,11 @@ def test_a_figure_for_people_names_its_yardstick_and_its_aim() -> None:
     assert Figure("memory", "MB", 44).line().split() == ["memory", "44.00", "MB"]
 
 
+def test_help_names_every_bench() -> None:
+    said = CliRunner().invoke(app, ["bench", "--help"]).stdout
+    assert all(name in said for name in bench.benches())
+
+
 def test_a_bench_that_is_not_there_is_refused_with_those_that_are() -> None:
     with pytest.raises(ValueError, match=r"no bench is called 'speed'; there are: kernels, bus, swarm"):
         run_benches(["bus", "speed"], lambda _: None)
