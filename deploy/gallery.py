@@ -19,21 +19,26 @@ from deploy.pictures import draw_paths, show_grid
 from deploy.scenario import parse
 
 COLUMNS = 4
+PANEL_WIDTH, TITLE_HEIGHT = 3.6, 0.45
+"""Of a panel, in inches."""
 
 
 def draw(path: Path, names: list[str], scenario: dict[str, Any]) -> None:
     """Run a scenario under each strategy and draw one panel a strategy."""
+    plans = {name: plan.make(parse(scenario | {"strategy": name})) for name in names}
+    height, width = plans[names[0]].map.cells.shape
     rows = -(-len(names) // COLUMNS)
-    figure = Figure(figsize=(3.6 * COLUMNS, 3.7 * rows), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(rows, COLUMNS)).ravel()
-    for panel, name in zip(panels, track(names, "strategies"), strict=False):
-        made = plan.make(parse(scenario | {"strategy": name}))
+    size = PANEL_WIDTH * COLUMNS, (PANEL_WIDTH * height / width + TITLE_HEIGHT) * rows
+    figure = Figure(figsize=size, layout="constrained")
+    panels = np.atleast_1d(figure.subplots(rows, COLUMNS, sharex=True, sharey=True)).ravel()
+    for panel, (name, made) in zip(panels, track(plans.items(), "strategies"), strict=False):
         records = in_memory.run(made)
         show_grid(panel, made.map, made.map.cells)
         draw_paths(panel, made, records)
         end = records.end
         done = end is not None and end.first >= 0
         panel.set_title(f"{name}: {records.step} steps" + ("" if done else ", stalled"), fontsize=10)
+        panel.set_xlabel("")
     for panel in panels[len(names) :]:
         panel.set_axis_off()
     figure.savefig(path, dpi=80)
