@@ -25,7 +25,7 @@ the cells of which Algorithm 9 cannot know:
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Sequence, Set
 from dataclasses import dataclass
 from itertools import chain
 
@@ -88,8 +88,6 @@ def layer(polygons: Polygons, drawing: Drawing = THESIS) -> Layer:
         drawing.free_inside_edges,
         drawing.unknown_pairs,
     )
-    if drawing.wide_walls:
-        _widen(out)
     return out
 
 
@@ -126,16 +124,16 @@ def _render(
             draw(out, x, y, side, occupied, start[k], start[k + 1], INSIDE_OCCUPIED, other, 0)
 
 
-@kernel("void(uint8[:,::1])")
-def _widen(out: NDArray[np.uint8]) -> None:
-    """Claim that the neighbours of walls are beside one."""
-    height, width = out.shape
-    for row in range(height):
-        for column in range(width):
-            if out[row, column] & (OUTSIDE_OCCUPIED | INSIDE_OCCUPIED):
-                for y in range(max(row - 1, 0), min(row + 2, height)):
-                    for x in range(max(column - 1, 0), min(column + 2, width)):
-                        out[y, x] |= BESIDE_WALL
+def _widen(claims: Layer) -> None:
+    """Claim that the eight neighbours of walls are beside one."""
+    walls = (claims & (OUTSIDE_OCCUPIED | INSIDE_OCCUPIED)) > 0
+    across = walls.copy()
+    across[:, 1:] |= walls[:, :-1]
+    across[:, :-1] |= walls[:, 1:]
+    beside = across * np.uint8(BESIDE_WALL)
+    claims |= beside
+    claims[1:] |= beside[:-1]
+    claims[:-1] |= beside[1:]
 
 
 def without_unknown_pairs(polygons: Polygons) -> Polygons:
@@ -170,7 +168,7 @@ class TeamMap:
     def __init__(self, drawing: Drawing = THESIS) -> None:
         self._drawing = drawing
         self._layers: dict[int, Layer] = {}
-        self._near: tuple[int, ...] = ()
+        self._near: Set[int] = frozenset()
         self._claims: Layer | None = None
 
     def update(self, robot: int, approximation: Polygons) -> None:
@@ -184,19 +182,29 @@ class TeamMap:
         Walls are wide only of the teammates `near` (None: all): what they have just begun to see they will soon
         tell better.
         """
-        near = tuple(self._layers) if near is None else tuple(near)
+        near = self._layers.keys() & (self._layers if near is None else near)
         if self._claims is None or near != self._near:
             self._near = near
-            self._claims = np.zeros(own.shape, np.uint8)
-            for robot, claims in self._layers.items():
-                self._claims |= claims if robot in near else claims & ~np.uint8(BESIDE_WALL)
+            self._claims = self._united(own, near)
+            if self._drawing.wide_walls:
+                _widen(self._claims)
+            self._claims |= self._united(own, self._layers.keys() - near)
         plan = _resolve(own, self._claims)
         return _close_slivers(own, plan) if self._drawing.close_slivers else plan
+
+    def _united(self, own: Grid, robots: Set[int]) -> Layer:
+        """Return all claims of some teammates together."""
+        claims = np.zeros(own.shape, np.uint8)
+        for robot in robots:
+            claims |= self._layers[robot]
+        return claims
 
 
 def rendered(approximation: Polygons, drawing: Drawing = THESIS) -> Grid:
     """Return the grid that one approximation describes by itself."""
     claims = layer(approximation, drawing)
+    if drawing.wide_walls:
+        _widen(claims)
     return _resolve(np.zeros_like(claims), claims)
 
 

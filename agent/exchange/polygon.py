@@ -12,8 +12,6 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-import numpy as np
-
 from agent.approximation import Marks, approximation, repair
 from agent.contour import contours
 from agent.edits import Held, edit_script
@@ -98,6 +96,7 @@ class PolygonExchange(Exchange):
         self._drawing = Drawing(
             options.free_inside_edges, options.unknown_pairs, options.wide_walls, options.close_slivers
         )
+        self._told = replace(self._drawing, wide_walls=False, close_slivers=False)
         self.guesses = settings.robots > 1 and (options.wide_walls or options.close_slivers)
         self._allowance = SplitAllowance(
             Splitting(
@@ -116,12 +115,15 @@ class PolygonExchange(Exchange):
             robot: Receiver(shape) for robot in range(settings.robots) if robot != settings.robot
         }
         self._team = TeamMap(self._drawing)
-        self._polygons: dict[int, Polygons] = {}
+        self._news: set[int] = set()
+        """Teammates of whom a save point has come since the last merge."""
 
     @property
     def polygons(self) -> Mapping[int, Polygons]:
         """One's own approximation as far as it has been logged, and teammates' as far as they came."""
-        return self._polygons
+        held = {robot: receiver.held.polygons for robot, receiver in self._receivers.items()}
+        held[self.settings.robot] = self._held.polygons
+        return {robot: polygons for robot, polygons in held.items() if polygons.objects}
 
     def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
         """Repair, refine, and log the edits (Algorithm 10, lines 6 to 13)."""
@@ -141,7 +143,6 @@ class PolygonExchange(Exchange):
             self._allowance.spent(len(refined) - len(repaired), max(0, extra))
         self._outdated = False
         self._held = held
-        self._polygons[self.settings.robot] = held.polygons
         return [encode([packet]) for packet in packets]
 
     def _approximation(self, exact: Polygons, marks: Marks) -> Polygons:
@@ -150,14 +151,15 @@ class PolygonExchange(Exchange):
         return polygons if self._options.unknown_pairs else without_unknown_pairs(polygons)
 
     def take(self, about: int, units: list[bytes]) -> None:
-        """Rebuild a teammate's approximation; draw it anew if a save point came."""
-        receiver = self._receivers[about]
-        if receiver.feed(b"".join(units)):
-            self._polygons[about] = receiver.held.polygons
-            self._team.update(about, receiver.held.polygons)
+        """Rebuild a teammate's approximation."""
+        if self._receivers[about].feed(b"".join(units)):
+            self._news.add(about)
 
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
-        """Merge all approximations with the robot's own grid (Algorithm 9)."""
+        """Merge all approximations with the robot's own grid (Algorithm 9); draw those anew that have changed."""
+        for about in sorted(self._news):
+            self._team.update(about, self._receivers[about].held.polygons)
+        self._news.clear()
         return self._team.merged(own, peers)
 
     def error(self, own: Grid) -> int:
@@ -165,7 +167,4 @@ class PolygonExchange(Exchange):
 
         Without what receivers guess.
         """
-        mine = self._polygons.get(self.settings.robot)
-        if mine is None:
-            return int(np.count_nonzero(own))
-        return approximation_error(own, mine, replace(self._drawing, wide_walls=False, close_slivers=False))
+        return approximation_error(own, self._held.polygons, self._told)
