@@ -68,6 +68,14 @@ def test_a_strategy_of_sub_teams_goes_with_every_exchange_alike_on_both_buses(ex
     assert run("burgard", "zenoh", exchange).summary["digest"] == memory.summary["digest"]
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("exchange", EXCHANGES)
+@pytest.mark.parametrize("name", NAMES)
+def test_every_strategy_goes_with_every_exchange_alike_on_both_buses(name: str, exchange: str) -> None:
+    digests = {run(name, bus, exchange).summary["digest"] for bus in ("memory", "zenoh")}
+    assert len(digests) == 1
+
+
 def test_poses_and_targets_stand_on_the_ledger() -> None:
     kinds = run("hungarian").summary["bytes"]
     assert kinds["pose"] > kinds["targ"] > 0
