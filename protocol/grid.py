@@ -118,10 +118,12 @@ def disc(radius_cells: float) -> NDArray[np.bool_]:
 def enlarge(grid: Grid, radius_cells: float) -> Grid:
     """Return the grid with obstacles grown by a robot's radius: free is where its centre may be.
 
-    With a radius of half a cell or less nothing changes, and the grid itself is returned.
+    With a radius of half a cell or less, or without obstacles, nothing changes, and the grid itself is returned.
     """
-    if radius_cells <= _REACH:
+    solid = grid == OCCUPIED
+    if radius_cells <= _REACH or not solid.any():
         return grid
+    away = np.rint(ndimage.distance_transform_edt(~solid) ** 2)
     grown = grid.copy()
-    grown[ndimage.binary_dilation(grid == OCCUPIED, disc(radius_cells)) & (grid == FREE)] = OCCUPIED
+    grown[(away < (radius_cells + _REACH) ** 2) & (grid == FREE)] = OCCUPIED
     return grown

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.ndimage import binary_dilation
 
-from protocol.grid import MAX_ROBOTS, MAX_SIDE, Fan, fan
+from protocol.grid import FREE, MAX_ROBOTS, MAX_SIDE, OCCUPIED, Fan, disc, enlarge, fan
 
 ranges = st.floats(1, 40) | st.integers(1, 40).map(float)
 beam_counts = st.integers(1, 30).map(lambda quarters: 4 * quarters)
@@ -131,3 +132,16 @@ def test_the_fan_is_laid_out_in_whole_numbers() -> None:
 def test_grids_and_teams_are_as_large_as_the_packets_allow() -> None:
     assert MAX_SIDE >= 2048
     assert MAX_ROBOTS >= 64
+
+
+@given(
+    st.integers(0, 2**32), st.floats(0, 6) | st.integers(0, 6).map(float), st.sampled_from([0.0, 0.02, 0.3])
+)
+def test_obstacles_grow_by_the_disc_of_a_robot(seed: int, radius: float, density: float) -> None:
+    rng = np.random.default_rng(seed)
+    grid = rng.integers(0, 3, (17, 23)).astype(np.uint8)
+    grid[grid == OCCUPIED] = FREE
+    grid[rng.random(grid.shape) < density] = OCCUPIED
+    grown = enlarge(grid, radius)
+    covered = binary_dilation(grid == OCCUPIED, disc(radius)) & (grid == FREE)
+    assert np.array_equal(grown, np.where(covered, OCCUPIED, grid))
