@@ -56,8 +56,8 @@ class Robot:
         self.faults: list[Fault] = []
         self.distrusted: set[int] = set()
         """Teammates whose data is not taken any more, since some of it made no sense."""
-        self._passed_on_by: dict[int, set[int]] = {}
-        """Of each map, from whom pieces were taken that is not its maker."""
+        self._told_by: dict[int, set[int]] = {}
+        """Of each map, from whom pieces were taken."""
         self.known_cells = 0
         """Cells of the self-explored grid that are known."""
         self._fan = fan(settings.range_cells, settings.beams)
@@ -157,24 +157,25 @@ class Robot:
     def settle(self, outcome: Outcome, heard: list[tuple[int, bytes]]) -> None:
         """Take the outcome of an exchange, and the data that came as (peer, frame).
 
-        Who sends what makes no sense is distrusted; not so where others, its maker apart, had passed on
-        pieces of that map: it may be theirs that are false.
+        Who sends what makes no sense is distrusted. Where others had told pieces of that map before, it may be
+        theirs that are false: then only this map is not taken from it any more.
         """
         for peer, about, frame in self.session.outcome(outcome, heard):
-            if peer in self.distrusted:
+            if (peer, about) in self.session.refused:
                 continue
-            passed_on_by = self._passed_on_by.setdefault(about, set())
+            told_by = self._told_by.setdefault(about, set())
             try:
                 units = packets.split(frame)
                 self._exchange.take(about, units)
             except ProtocolError as error:
                 self.faults.append(Fault(peer, str(error)))
-                if passed_on_by <= {peer}:
+                self.session.refused.add((peer, about))
+                if told_by <= {peer}:
                     self.distrusted.add(peer)
+                    self.session.refused.update((peer, each) for each in range(self.settings.robots))
             else:
                 self.session.accept(peer, about, units)
-                if peer != about:
-                    passed_on_by.add(peer)
+                told_by.add(peer)
         if outcome.target:
             self._target_news = None
             self._told = self._pose_news, self._peers, outcome.step

@@ -179,16 +179,18 @@ class Radio:
 
     def _end_offers(self) -> list[Outgoing]:
         out = self._put_targets_on_air()
-        offers: list[Connection] = []
+        offers: dict[tuple[int, int, int], Connection] = {}
         for sender, spoken in sorted(self._spoken.items()):
             for receiver, payload in spoken.frames:
-                if receiver == EVERYONE:
+                offer = None if receiver == EVERYONE else self._read_offer(sender, receiver, payload)
+                if offer is None:
                     continue
-                offer = self._read_offer(sender, receiver, payload)
-                if offer is not None:
-                    offers.append(offer)
-        offers.sort(key=lambda offer: (offer.sender, offer.receiver, offer.map))
-        self._connections = self._drawn("contention", offers)
+                if (sender, receiver, offer.map) in offers:
+                    reason = f"map {offer.map} was offered to robot {receiver} twice in an exchange"
+                    self._refuse(sender, receiver, OFFER, payload, "protocol", reason)
+                else:
+                    offers[sender, receiver, offer.map] = offer
+        self._connections = self._drawn("contention", [offers[ends] for ends in sorted(offers)])
         for connection in self._connections:
             connection.number = self._numbered
             self._numbered += 1

@@ -128,7 +128,7 @@ class PolygonExchange(Exchange):
     def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
         """Repair, refine, and log the edits (Algorithm 10, lines 6 to 13)."""
         self._outdated = self._outdated or change.cells > 0
-        if self._options.lazy and not delivered:
+        if self._options.lazy and not delivered and self.settings.robots > 1:
             return []
         splits = self._allowance.next_step()
         if not self._outdated and not splits:

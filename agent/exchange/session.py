@@ -5,19 +5,20 @@ reached each teammate. It offers what is news to a teammate; the teammate answer
 sent. What the relay did not put on the air did not happen: the table and the logs move when the outcome is
 told, and by nothing else.
 
-States and events of one connection; who is in a state that does not list an event ignores it:
+States and events of one connection (`TRANSITIONS`); an answer to an offer that was not made is an error:
 
     side      state      event                          next state   action
     offerer   idle       medium opens, there is news    offered      say offer(map, block)
     offerer   offered    answer, index below my own     sending      say data from that index on
     offerer   offered    answer, index not below        refused      say nothing
     offerer   offered    decline                        refused      say nothing
-    offerer   (any)      outcome                        idle         move the table by what was carried
     receiver  idle       offer, first of its map        taking       say answer(index)
     receiver  idle       offer, another of that map     declining    say decline
     receiver  idle       offer of the receiver's map    declining    say decline
-    receiver  taking     data                           taking       append to the log
-    receiver  (any)      outcome                        idle         nothing is kept but the log
+    receiver  idle       offer of one who is distrusted declining    say decline
+
+With the outcome of the exchange all connections end: the offerer moves its table by what was carried, the
+receiver appends the data that came to its log.
 
 An answer gives of its index what the offer has not said: the place within the block of 4096 units; before it
 the block, where it is not the one that was offered; and before that the round of 64 blocks, where it is not
@@ -45,6 +46,9 @@ ROUND = BLOCKS * INDEX_WINDOW
 MAX_WAIT = 64
 """Exchanges that an offer is put off at most."""
 
+PATIENCE = 4
+"""Who has refused one's own map so often that offers wait for more exchanges than these is not waited for."""
+
 POLICIES = ("backoff", "thesis")
 """When maps are offered. ``thesis``: in every exchange all maps, to all for whom they are news. ``backoff``:
 at most one map to each teammate, the robot's own if it is news, else, after a step's first exchange, the one
@@ -70,7 +74,9 @@ class Event(StrEnum):
     LEVEL = "the answer's index is not below one's own, or the peer does not want what it was sent"
     DECLINED = "the offer is declined"
     FIRST_OFFER = "the first offer of a map in this exchange"
-    UNWANTED_OFFER = "another offer of a map that is being taken, or one of the receiver's own map"
+    UNWANTED_OFFER = (
+        "an offer of a map that is being taken, of the receiver's own, or of one who is distrusted"
+    )
 
 
 TRANSITIONS: dict[tuple[State, Event], State] = {
@@ -120,6 +126,8 @@ class Session:
         """What is held of every robot's map."""
         self.known = [[0] * robots for _ in range(robots)]
         """``known[peer][map]``: up to which unit the map has reached the peer, as far as one can know."""
+        self.refused: set[tuple[int, int]] = set()
+        """(peer, map): offers that are declined, for what came of them made no sense."""
         self._robot = robot
         self._policy = policy
         self._now = 0
@@ -178,7 +186,11 @@ class Session:
                 raise ProtocolError(offer.name, 0, f"map {offer.map} of {len(self.logs)} robots")
             connection = Connection(peer, offer.map)
             self._taken[number] = connection
-            unwanted = offer.map == self._robot or offer.map in self._being_taken
+            unwanted = (
+                offer.map == self._robot
+                or offer.map in self._being_taken
+                or (peer, offer.map) in self.refused
+            )
             if connection.on(Event.UNWANTED_OFFER if unwanted else Event.FIRST_OFFER) is State.TAKING:
                 self._being_taken.add(offer.map)
                 said = _answer(len(self.logs[offer.map]), offer.block)
@@ -237,9 +249,14 @@ class Session:
         self.known[peer][about] = max(self.known[peer][about], len(self.logs[about]))
 
     def delivered(self) -> bool:
-        """Whether teammates were in range when the medium last opened, and all hold one's own log."""
+        """Whether teammates were in range when the medium last opened, and all hold one's own log.
+
+        But for those who refuse it again and again (`PATIENCE`): nobody can silence the others.
+        """
+        held = len(self.logs[self._robot])
         return bool(self._peers) and all(
-            self.known[peer][self._robot] == len(self.logs[self._robot]) for peer in self._peers
+            self.known[peer][self._robot] == held or self._wait[peer][self._robot] > PATIENCE
+            for peer in self._peers
         )
 
     def undelivered(self) -> int:
