@@ -179,28 +179,41 @@ def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
     """
     data: dict[str, Any] = {}
     if path is not None:
-        path = _found(path)
-        try:
-            data = tomllib.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            names = ", ".join(sorted(file.name for file in SHIPPED.glob("*.toml")))
-            raise ScenarioError(f"scenario {path}: no such file; shipped ones are {names}") from None
-        except OSError as error:
-            raise ScenarioError(f"scenario {path}: {error.strerror or error}") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ScenarioError(f"scenario {path}: not TOML: {error}") from None
-        named = data.get("map")
-        if isinstance(named, str) and named.endswith((".yaml", ".yml")):
-            data["map"] = str(path.parent / named)
+        path, data = read_toml(path, "scenario", SHIPPED)
+        if "map" in data:
+            data["map"] = beside(path, data["map"])
     data |= {key: value for key, value in overrides.items() if value is not None}
     where = f"scenario {path}" if path is not None else "scenario"
     return parse(data, where)
 
 
-def _found(path: Path) -> Path:
-    """Return the path of a scenario: as given, or of the shipped one of that name."""
-    shipped = SHIPPED / path.name
-    return shipped if len(path.parts) == 1 and not path.exists() and shipped.exists() else path
+def read_toml(path: Path, kind: str, shipped: Path) -> tuple[Path, dict[str, Any]]:
+    """Read the file of a scenario or of an experiment (`kind`); return where it was found, and what it says.
+
+    Where there is no such file, a plain name is that of one in the directory `shipped`.
+
+    Raises
+    ------
+    ScenarioError
+        The file cannot be read, or is not TOML.
+    """
+    if len(path.parts) == 1 and not path.exists() and (shipped / path.name).exists():
+        path = shipped / path.name
+    try:
+        return path, tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        names = ", ".join(sorted(file.name for file in shipped.glob("*.toml")))
+        raise ScenarioError(f"{kind} {path}: no such file; shipped ones are {names}") from None
+    except OSError as error:
+        raise ScenarioError(f"{kind} {path}: {error.strerror or error}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{kind} {path}: not TOML: {error}") from None
+
+
+def beside(path: Path, named: Any) -> Any:
+    """The map that a file names: a YAML file is looked for beside that file, a generator's name stays."""
+    is_file = isinstance(named, str) and named.endswith((".yaml", ".yml"))
+    return str(path.parent / named) if is_file else named
 
 
 def parse(data: dict[str, Any], where: str = "scenario") -> Scenario:
