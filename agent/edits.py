@@ -1,9 +1,10 @@
 """Edit scripts: what a robot says of its approximation, as changes to what was said before (section 4.2.3).
 
 An approximation is a set of cycles; packets speak of numbered lists. `Held` is an approximation in the
-form in which its receivers hold it. `edit_script` finds the packets of fewest bytes that turn the old one
-into the new one: objects keep their numbers where that saves most, and the new list of an object begins
-where most of the old one stays, so a cyclic shift or another order of the objects costs nothing.
+form in which its receivers hold it. `edit_script` finds packets that turn the old one into the new one
+(Algorithm 5): of each pair of objects the fewest bytes, with the new list beginning where most of the old one
+stays; pairs are chosen by what they save, the largest saving first. So a cyclic shift or another order of the
+objects costs nothing.
 """
 
 from __future__ import annotations

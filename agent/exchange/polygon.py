@@ -27,6 +27,10 @@ from protocol.packets import encode
 from protocol.scans import Change, Scan
 
 
+MAX_USE = 100
+"""So many times the medium may be planned with at most."""
+
+
 @dataclass(frozen=True)
 class PolygonOptions:
     """Options of the polygon exchange; `THESIS_OPTIONS` are the thesis' plain rules.
@@ -34,18 +38,21 @@ class PolygonOptions:
     Attributes
     ----------
     medium_use : float
-        Part u of the medium that the splitting frequency plans with (Eq. 5.5).
+        Part u of the medium that the splitting frequency plans with (Eq. 5.5); it stands for a customised p of
+        Eq. 5.6 as well, since only their product counts.
     bytes_per_split : float
         Mean bytes d that a split causes; 0: measured as the run goes.
     lazy : bool
         Log an edit script only once the teammates in range hold the one before, so that what changes twice
-        is sent once.
+        is sent once. Splits of the steps between lapse: s of Eq. 5.5 is then a number per logged script. And
+        while nobody is in range, what is told, and with it Eq. 6.1, stays as it was.
     mixed_first : bool
         Refine edges of mixed occupancy before all others: they send teammates to walls that are known.
     free_inside_edges : bool
         Draw inside edges that are labelled free. They claim cells free which nobody has seen.
     unknown_pairs : bool
-        Tell of and draw outside objects of two vertices without a wall: the unseen specks between beams.
+        Tell of and draw outside objects that are approximated by two vertices and no occupied edge: unseen
+        specks between beams, and small things whose walls are not told.
     wide_walls : bool
         Take what is unknown beside the wall of a teammate in range for wall: coarse walls run beside the true
         ones.
@@ -65,10 +72,10 @@ class PolygonOptions:
     close_slivers: bool = True
 
     def __post_init__(self) -> None:
-        if not 0 < self.medium_use < math.inf:
-            raise ValueError(f"medium_use = {self.medium_use:g}: must be a number above 0")
-        if not 0 <= self.bytes_per_split < math.inf:
-            raise ValueError(f"bytes_per_split = {self.bytes_per_split:g}: must be 0 (measured) or more")
+        if not 0 < self.medium_use <= MAX_USE:
+            raise ValueError(f"medium_use = {self.medium_use:g}: must be above 0 and at most {MAX_USE}")
+        if self.bytes_per_split and not 1 <= self.bytes_per_split < math.inf:
+            raise ValueError(f"bytes_per_split = {self.bytes_per_split:g}: must be 0 (measured), or 1 or more")
 
 
 THESIS_OPTIONS = PolygonOptions(
@@ -146,7 +153,10 @@ class PolygonExchange(Exchange):
         return [encode([packet]) for packet in packets]
 
     def _approximation(self, exact: Polygons, marks: Marks) -> Polygons:
-        """What is told of the contours: unless they are drawn, not the objects of two unknown edges."""
+        """What is told of the contours: unless they are drawn, not the objects of two unknown edges.
+
+        An object that was told and has shrunk to these is removed; should it grow, it emerges anew.
+        """
         polygons = approximation(exact, marks)
         return polygons if self._options.unknown_pairs else without_unknown_pairs(polygons)
 

@@ -1,4 +1,4 @@
-"""The session: logs of all robots' maps, passed on transitively over the medium's rounds (section 5.1.2).
+"""The session: logs of all robots' maps, passed on over the medium's rounds (section 5.1.2, Algorithm 8).
 
 Every robot holds a log of each map it has heard of, its own included, and a table of how far each log has
 reached each teammate. It offers what is news to a teammate; the teammate answers how far it is; the rest is

@@ -114,11 +114,21 @@ def test_units_taken_in_pieces_count_from_the_save_point_on() -> None:
 
 
 def test_with_unlimited_bandwidth_and_alone_the_approximation_is_exact() -> None:
-    for more in (EXACT, {"robots": 1}):
+    alone: dict[str, Any] = {"robots": 1}
+    for more, delivered in ((EXACT, True), (alone, False)):
         one = maker((60, 80), **more)
         for grid, cell in walk():
-            record(one, grid, cell)
+            record(one, grid, cell, delivered=delivered)
             assert is_exact(one.polygons[0], grid, cell)
+
+
+@pytest.mark.parametrize(
+    "option",
+    [{"medium_use": 0.0}, {"medium_use": 1e18}, {"bytes_per_split": 1e-18}, {"bytes_per_split": -1.0}],
+)
+def test_an_option_that_would_break_the_splitting_frequency_is_refused(option: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=f"{next(iter(option))} = .*must be"):
+        PolygonOptions(**option)
 
 
 def test_a_step_without_news_tells_nothing_more_once_all_is_exact() -> None:

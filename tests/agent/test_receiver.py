@@ -80,6 +80,17 @@ def assert_well_formed(receiver: Receiver, shape: tuple[int, int]) -> None:
     assert rendered(p).shape == shape
 
 
+def test_what_comes_behind_a_save_point_in_the_same_piece_is_not_used_yet() -> None:
+    receiver = Receiver(SHAPE)
+    pair = [Emerge(1, 2, 0), *(Insert(i, 3 + i, 3, 0, 0) for i in range(2))]
+    receiver.feed(encode([*SQUARE[:-1], *pair, Save()]))
+    assert state(receiver)[0] == [0, 1]
+    receiver.feed(encode([Change(0, 3, 1), Delete(0), Save(), Remove(1)]))
+    assert state(receiver)[0] == [0, 1]
+    receiver.feed(encode([Save()]))
+    assert state(receiver)[0] == [0]
+
+
 def pieces(data: bytes, cuts: list[int]) -> list[bytes]:
     edges = [0, *sorted(cut % (len(data) + 1) for cut in cuts), len(data)]
     return [data[a:b] for a, b in pairwise(edges)]

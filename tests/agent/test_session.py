@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import pairwise
 from typing import Any
 
@@ -11,8 +12,18 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from session_link import Link, Played, everyone, held, line, word, words
 
+from agent.exchange import session as state_table
 from agent.exchange.log import Log
-from agent.exchange.session import MAX_WAIT, POLICIES, TRANSITIONS, Connection, Event, Session, State
+from agent.exchange.session import (
+    MAX_WAIT,
+    PATIENCE,
+    POLICIES,
+    TRANSITIONS,
+    Connection,
+    Event,
+    Session,
+    State,
+)
 from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.messages import Outcome
@@ -241,6 +252,11 @@ def test_who_was_taken_up_again_no_longer_waits() -> None:
         link.exchange(1, {0: [2], 2: [0]})
         link.exchange(1, {0: [1], 1: [0]})
         assert len(link.sessions[1].logs[2]) == count
+    link.record(2, 1)
+    link.exchange(1, {0: [2], 2: [0]})
+    session.answers = lambda heard: [(number, peer, encode([Decline()])) for number, peer, _ in heard]
+    offered = refusals(link, 8)
+    assert [b - a for a, b in pairwise(offered)][:3] == [1, 2, 4]
 
 
 # Long logs: an answer's index is never guessed at.
@@ -543,17 +559,56 @@ def test_a_peer_that_says_to_hold_less_than_it_was_sent_is_not_sent_it_again() -
 # Small print.
 
 
+WORDS_OF_THE_TABLE = {
+    "medium opens, there is news": Event.NEWS,
+    "answer, index below my own": Event.BEHIND,
+    "answer, index not below": Event.LEVEL,
+    "decline": Event.DECLINED,
+    "offer, first of its map": Event.FIRST_OFFER,
+    "offer, another of that map": Event.UNWANTED_OFFER,
+    "offer of the receiver's map": Event.UNWANTED_OFFER,
+    "offer of one who is distrusted": Event.UNWANTED_OFFER,
+}
+
+
 def test_the_table_of_states_is_the_one_in_the_first_lines_of_the_file() -> None:
-    assert TRANSITIONS == {
-        (State.IDLE, Event.NEWS): State.OFFERED,
-        (State.OFFERED, Event.BEHIND): State.SENDING,
-        (State.OFFERED, Event.LEVEL): State.REFUSED,
-        (State.OFFERED, Event.DECLINED): State.REFUSED,
-        (State.IDLE, Event.FIRST_OFFER): State.TAKING,
-        (State.IDLE, Event.UNWANTED_OFFER): State.DECLINING,
-    }
+    rows = re.findall(
+        r"^    (?:offerer|receiver) +(\w+) +(.*?) +(\w+) +say ", state_table.__doc__ or "", re.M
+    )
+    table = {(State(before), WORDS_OF_THE_TABLE[event]): State(after) for before, event, after in rows}
+    assert len(rows) == len(WORDS_OF_THE_TABLE)
+    assert table == TRANSITIONS
     with pytest.raises(KeyError):
         Connection(1, 1, State.REFUSED).on(Event.NEWS)
+
+
+def test_who_refuses_again_and_again_is_not_waited_for() -> None:
+    link = Link(3)
+    link.record(0, 1)
+    stubborn: Any = link.sessions[1]
+    stubborn.answers = lambda heard: [(number, peer, encode([Decline()])) for number, peer, _ in heard]
+    waited = 0
+    while not link.sessions[0].delivered():
+        link.step(everyone(3))
+        waited += 1
+    assert 1 < waited <= 2 * PATIENCE
+    link.record(0, 1)
+    assert not link.sessions[0].delivered(), "robot 2 is waited for"
+    link.step(everyone(3))
+    assert link.sessions[0].delivered()
+    assert len(link.sessions[2].logs[0]) == 2
+
+
+def test_offers_of_who_is_refused_leave_the_place_to_others() -> None:
+    link = Link(3)
+    link.record(2, 1)
+    link.exchange(1, {0: [2], 2: [0]})
+    link.sessions[1].refused.add((0, 2))
+    for _ in range(4):
+        link.exchange(1, {0: [1], 1: [0]})
+    assert len(link.sessions[1].logs[2]) == 0
+    link.exchange(1, everyone(3))
+    assert len(link.sessions[1].logs[2]) == 1
 
 
 def test_what_all_in_range_hold_counts_as_delivered() -> None:

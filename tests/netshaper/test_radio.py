@@ -385,6 +385,18 @@ def test_an_offer_that_is_none_is_booked_with_its_cause_and_reported(payload: by
     assert [robot for robot, _ in air.radio.faults] == [0]
 
 
+def test_a_map_is_offered_to_a_robot_once_an_exchange() -> None:
+    air = air_of(Says(0, (1, OFFER_0), (1, encode([Offer(0, 3)])), (1, encode([Offer(1, 0)]))), Says(1))
+    step = air.step(1, TOGETHER)
+    offers = sorted(row for row in booked(step) if row[0] == "offer")
+    assert offers == [
+        ("offer", 0, 1, 2, False, "protocol"),
+        ("offer", 0, 1, 2, True, ""),
+        ("offer", 0, 1, 2, True, ""),
+    ]
+    assert [robot for robot, _ in air.radio.faults] == [0]
+
+
 def test_bytes_that_are_no_packets_have_a_kind_of_their_own() -> None:
     step = air_of(Says(0, (1, b"\xff\xff\xff")), Says(1)).step(1, TOGETHER)
     assert step.rows[["kind", "packets", "bytes"]].tolist() == [(MALFORMED, 1, 3)]

@@ -246,6 +246,53 @@ def test_who_contradicts_a_lie_that_another_told_of_its_map_is_not_distrusted() 
     assert robot.distrusted == {LIAR}
 
 
+def test_who_passes_on_one_of_two_stories_of_a_liar_is_not_distrusted() -> None:
+    honest, deceived = (Robot(Settings.from_message(a_small_plan().minds[number])) for number in (0, 2))
+
+    def outline(corners: int) -> bytes:
+        return encode([Emerge(0, corners, 1), *(Insert(i, 3 + i, 3, 0, 0) for i in range(corners)), Save()])
+
+    def hear(robot: Robot, peer: int, about: int, data: bytes) -> None:
+        robot.session.offers(0, [peer], 1000)
+        robot.session.answers([(0, peer, encode([Offer(about, 0)]))])
+        robot.settle(Outcome(1, 0, [0], [2], [2], [len(data)], [0], False), [(peer, data)])
+
+    for robot in (honest, deceived):
+        robot.perceive(sensed(1))
+    hear(deceived, LIAR, LIAR, outline(2))
+    hear(honest, LIAR, LIAR, outline(6) + encode([Change(0, 5, 1), Delete(5), Save()]))
+    passed_on = honest.session.logs[LIAR].since(len(deceived.session.logs[LIAR]), None)
+    hear(deceived, 0, LIAR, b"".join(passed_on))
+    assert [fault.peer for fault in deceived.faults] == [0]
+    assert deceived.distrusted == set()
+    hear(deceived, 0, LIAR, b"".join(passed_on))
+    assert len(deceived.faults) == 1, "this map is not taken from there again"
+    hear(deceived, 0, 0, honest_words()[0][0])
+    assert deceived.polygons[0].canonical() == honest_words()[0][1]
+
+
+class Decliner(Mind):
+    """A robot that wants nothing."""
+
+    def hear(self, note: Open | Turn | Outcome | Close, heard: Heard) -> tuple[list[Put], Said | None]:
+        puts, said = super().hear(note, heard)
+        if said is not None and said.phase == "answers":
+            puts = [(receiver, encode([Decline()])) for receiver, _ in puts]
+        return puts, said
+
+
+def test_who_wants_nothing_silences_nobody() -> None:
+    plan = small_plan("office", robots=3, bandwidth="unlimited")
+    team = Team(plan, {LIAR: Decliner(Settings.from_message(plan.minds[LIAR]))})
+    plain = Team(plan)
+    team.explore(400)
+    plain.explore(400)
+    for number in (0, 2):
+        told, usual = (len(some.robots[number].session.logs[number]) for some in (team, plain))
+        assert told > usual / 2
+        assert team.held(number, 2 - number) == team.held(2 - number, 2 - number)
+
+
 class Antenna:
     """A bus end that keeps what is put on it."""
 
