@@ -108,6 +108,22 @@ def test_the_approximation_is_the_better_the_more_may_be_said() -> None:
     assert errors[0] > 20 * errors[-1]
 
 
+def test_the_error_is_that_of_the_robot_that_finished_first() -> None:
+    plan = small_plan("unstructured", robots=4, bandwidth=200)
+    records, summary = run("default", robots=4, bandwidth=200)
+    first = summary["first_robot"]
+    errors = [np.mean([report.error for report in reports]) for reports in records.minds]
+    shares = errors / np.count_nonzero(plan.make_world().reachable)
+    assert first != 0
+    assert summary["approximation_error"] == pytest.approx(shares[first])
+    assert len(set(shares)) == 4
+
+
+def test_a_robot_alone_approximates_its_map_until_it_is_exact() -> None:
+    _, summary = run("default", robots=1)
+    assert summary["approximation_error"] < 0.01
+
+
 # --- what teammates hold -------------------------------------------------------------------------------
 
 
