@@ -140,6 +140,8 @@ class TargetStrategy(Strategy):
             left = self._renew(situation, ways)
         elif not self._route.is_open(ways.floor, here) or self._is_stranded(here):
             left = self._drive(situation, ways, self.target) or self._renew(situation, ways)
+        elif self.target is None:
+            left = len(ways.frontier(*here)) > 0
         if self.target != before:
             self._traffic.begin()
         is_home = self._comes_home(situation, ways)

@@ -14,6 +14,7 @@ from agent.settings import Settings
 from agent.strategies import Decision, Pose, Situation, Strategy, strategy
 from agent.strategies.leaders import elect
 from agent.strategies.rotating import ShengBid
+from agent.strategies.team import PATIENCE
 from protocol.grid import FREE, UNKNOWN, Grid
 from tests.agent.planning_references import drawn, settings_for
 
@@ -131,6 +132,18 @@ def test_with_nothing_left_an_open_mission_is_done_and_a_returning_robot_drives_
     assert not on_the_way.explored
     assert on_the_way.path[-1].tolist() == [1, 1]
     assert swarm.decide(replace(robot_at(1, grid=known), home=(1, 1))).explored
+
+
+@pytest.mark.parametrize("mission", ["open", "return"])
+@pytest.mark.parametrize("name", ["burgard", "hungarian", "mtsp"])
+def test_a_member_of_a_team_is_done_in_every_step_in_which_nothing_is_left(name: str, mission: str) -> None:
+    known = drawn("#######", ".......", "#######")
+    member = mind(name, {"mission": mission}, known)
+    at_home = robot_at(5, grid=known, peers=(1,), poses={1: Pose(2, 1, False)})
+    done = [member.decide(replace(at_home, step=step)).explored for step in range(1, 2 * PATIENCE)]
+    assert all(done)
+    left = robot_at(5, peers=(1,), poses={1: Pose(2, 1, False)})
+    assert not member.decide(replace(left, step=2 * PATIENCE)).explored
 
 
 def test_a_returning_robot_is_home_where_teammates_that_are_back_stop_it_again_and_again() -> None:
