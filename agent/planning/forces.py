@@ -75,7 +75,7 @@ def glide(
 ) -> tuple[Vector, Vector]:
     """Integrate a robot's motion over one step of the world.
 
-    A robot that would leave the free cells of its own map slides along their border.
+    A robot that would leave the free cells of its own map, or the map, slides along their border.
 
     Parameters
     ----------
@@ -179,7 +179,8 @@ def _integrate(
         for axis in range(2):
             before = at[axis]
             at[axis] += velocity[axis] * TIME_STEP / size
-            if floor[int(np.floor(at[1] + 0.5)), int(np.floor(at[0] + 0.5))] != FREE:
+            x, y = int(np.floor(at[0] + 0.5)), int(np.floor(at[1] + 0.5))
+            if not (0 <= x < floor.shape[1] and 0 <= y < floor.shape[0]) or floor[y, x] != FREE:
                 at[axis] = before
                 velocity[axis] = 0.0
         path[step] = at

@@ -65,6 +65,16 @@ def test_a_robot_slides_along_the_border_of_what_it_knows_to_be_free() -> None:
     assert path[-1, 1] > 20.5
 
 
+@pytest.mark.parametrize("at", [(9.4, 5.0), (-0.4, 5.0), (5.0, 9.4), (5.0, -0.4)])
+def test_a_robot_that_is_pushed_out_of_its_map_stays_on_it(at: tuple[float, float]) -> None:
+    floor = np.full((10, 10), FREE, np.uint8)
+    inwards = np.array([at]) - np.sign(np.array(at) - 5.0)
+    path, velocity = glide(floor, 0.25, at, np.zeros(2), NOWHERE, inwards, FIELD, 1.0)
+    assert (path > -0.5).all()
+    assert (path < 9.5).all()
+    assert (velocity == 0.0).all()
+
+
 def test_the_closest_obstacle_is_the_closest_point_of_a_cell() -> None:
     floor = np.full((20, 20), FREE, np.uint8)
     floor[10, 5] = floor[12, 10] = OCCUPIED
