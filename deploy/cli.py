@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import sys
@@ -16,7 +17,7 @@ from agent.exchange import THESIS_OPTIONS
 from agent.strategies.catalogue import COMBINING, catalogue, entry
 from deploy.scenario import Scenario, ScenarioError, load
 
-BAD_INPUT = 2
+BAD_INPUT, BROKEN_OFF = 2, 3
 
 app = typer.Typer(
     name="murmur",
@@ -60,10 +61,14 @@ def _preformatted(text: str) -> str:
 ScenarioFile = Annotated[
     Path | None, typer.Argument(metavar="SCENARIO.toml", help="a scenario file; flags override it")
 ]
+SameScenario = Annotated[
+    Path | None,
+    typer.Argument(metavar="SCENARIO.toml", help="the scenario file, the same for all processes of a run"),
+]
 OutOption = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="run directory (default: a new one under runs/)")
 ]
-JsonFlag = Annotated[bool, typer.Option("--json", help="print the summary as JSON and nothing else")]
+JsonFlag = Annotated[bool, typer.Option("--json", help="print what comes out as JSON and nothing else")]
 
 
 def _setting(name: str, kind: Any, metavar: str | None = None) -> Any:
@@ -114,6 +119,9 @@ def explore(
 
     All that comes out is in the run directory: summary.json, steps.parquet, ledger.parquet, maps.png, the
     maps themselves, and scenario.toml, from which `murmur replay` repeats the run.
+
+    A scenario file sets more than the flags do (radius, exchanges, scanner_turn, robots that differ, ...):
+    docs/protocol.md lists all settings, and the scenario.toml of any run is one to begin with.
     """
     overrides: dict[str, Any] = {
         "map": map, "robots": robots, "range": range, "bandwidth": bandwidth, "exchange": exchange,
@@ -126,7 +134,7 @@ def explore(
         if start is not None:
             overrides["start"] = _pair(start)
         if option:
-            overrides["options"] = dict(_named_value(item) for item in option)
+            overrides["options"] = dict(_named_value(item, "option", "beta=0.5") for item in option)
         chosen = load(scenario, overrides)
         show = view_as or ("auto" if view else None)
         raise typer.Exit(_explore(chosen, out, show, pictures=pictures, pace=pace, as_json=as_json))
@@ -136,7 +144,8 @@ def explore(
 def watch(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
     view_as: Annotated[
-        str, typer.Option(metavar="native|web|file", help="show it so (default: as there is a display)")
+        str,
+        typer.Option(metavar="native|web|file", help="show it so; auto: a window where there is a display"),
     ] = "auto",
 ) -> None:
     """Look at a run that is under way, or at the recording of one (docs/dashboard.md)."""
@@ -190,12 +199,15 @@ def replay(
 ) -> None:
     """Repeat a run from its directory alone, and check that its digest comes out again."""
     from deploy import mission, rundir  # noqa: PLC0415
+    from deploy.archive import why_unrepeatable  # noqa: PLC0415
 
     with _speaking_clearly():
         scenario = rundir.read_scenario(directory)
-        before = rundir.read_summary(directory)
         if bus is not None:
             scenario = load(directory / rundir.SCENARIO, {"bus": bus})
+        before = rundir.read_summary(directory)
+        if reason := why_unrepeatable(before):
+            raise ScenarioError(f"{directory}: this run cannot be repeated: {reason}")
         with _progress(shown=not as_json) as watch:
             result = mission.explore(scenario, keep=False, watch=watch)
         _report_deaths(result.deaths)
@@ -242,7 +254,7 @@ def show_capture(
         if directory is None:
             return
         wanted = capture.Filter(
-            robot,
+            capture.check_robot(directory, robot) if robot is not None else None,
             capture.check_kind(kind) if kind is not None else None,
             capture.parse_steps(step) if step is not None else None,
             refused,
@@ -287,22 +299,39 @@ def sweep(
     variant: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="run only this variant; repeatable")
     ] = None,
-    out: Annotated[Path | None, typer.Option(metavar="FILE.json", help="write all summaries there")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.jsonl", help="a summary a line; what is there is not run again"),
+    ] = None,
 ) -> None:
     """Run a scenario over a grid of settings, on the memory bus, and print the table that the file asks for."""
+    from concurrent.futures import BrokenExecutor  # noqa: PLC0415
+
     from deploy import sweep as sweeps  # noqa: PLC0415
+    from deploy.means import tabulate  # noqa: PLC0415
     from deploy.terminal import counting, table  # noqa: PLC0415
 
     with _speaking_clearly():
-        read = sweeps.choose(sweeps.read(experiment), variant or [])
-        todo = sweeps.cases(read, dict(_named_value(item) for item in set_ or []))
-        with counting(errors, read.name, len(todo)) as tell:
-            summaries = sweeps.run(todo, jobs or os.cpu_count() or 1, tell)
-        if out is not None:
-            out.write_text(json.dumps(summaries, indent=1) + "\n", encoding="utf-8")
-        screen.print(f"{read.name}: {' '.join(read.values)}, means of {len(todo)} runs")
-        paper = screen if screen.is_terminal else Console(width=PAPER_WIDTH, highlight=False)
-        paper.print(table(sweeps.tabulate(read, summaries)))
+        settings = dict(_named_value(item, "set", "seed=[0,1]") for item in set_ or [])
+        read = sweeps.override(sweeps.choose(sweeps.read(experiment), variant or []), settings)
+        todo = sweeps.cases(read)
+        outcomes: list[sweeps.Outcome] = []
+        try:
+            with counting(errors, read.name, len(todo)) as tell:
+                for outcome in sweeps.run(todo, jobs or os.cpu_count() or 1, out):
+                    outcomes.append(outcome)
+                    tell(len(outcomes), len(todo))
+        except KeyboardInterrupt:
+            _fail("stopped" + (f"; the same command goes on with {out}" if out is not None else ""), 130)
+        except BrokenExecutor:
+            _fail("a process of the sweep died", 3)
+        finally:
+            done = sweeps.summaries(todo, outcomes)
+            if done:
+                of = f" of {len(todo)}" if len(done) < len(todo) else ""
+                screen.print(f"{read.name}: {' '.join(read.table.values)}, means of {len(done)}{of} runs")
+                paper = screen if screen.is_terminal else Console(width=PAPER_WIDTH, highlight=False)
+                paper.print(table(tabulate(read.table, done)))
 
 
 @maps_app.command("list")
@@ -317,7 +346,7 @@ def map_list() -> None:
 
 @maps_app.command("make")
 def map_make(
-    name: Annotated[str, typer.Argument(help="what `murmur map list` names")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="what `murmur map list` names")],
     seed: Annotated[int, typer.Option(min=0, help="which one of its kind")] = 0,
     out: Annotated[Path | None, typer.Option(metavar="FILE.yaml", help="default: NAME.yaml here")] = None,
 ) -> None:
@@ -345,7 +374,7 @@ def map_show(
     with _speaking_clearly():
         world_map = plan.load_map(load(None, {"map": file, "map_seed": seed}))
         free = int((world_map.cells == 1).sum())
-        screen.print(sketch(world_map.cells, screen.width))
+        screen.print(sketch(world_map.cells, screen))
         screen.print(
             f"{world_map.name}: {world_map.width} x {world_map.height} cells of {world_map.resolution:g} m, "
             f"{world_map.width * world_map.resolution:.1f} x {world_map.height * world_map.resolution:.1f} m, "
@@ -385,7 +414,7 @@ def bench(
 
 @run_app.command("netshaper")
 def run_netshaper(
-    scenario: ScenarioFile = None,
+    scenario: SameScenario = None,
     listen: Annotated[
         str, typer.Option(metavar="HOST:PORT", help="where the hub listens")
     ] = "127.0.0.1:7447",
@@ -405,7 +434,7 @@ def run_worldsim(
     credential: Annotated[
         Path, typer.Option(metavar="FILE", help="world.json of the netshaper's credentials")
     ],
-    scenario: ScenarioFile = None,
+    scenario: SameScenario = None,
 ) -> None:
     """Start the world simulator: it owns the map and the clock, and begins once all are there."""
     from deploy.by_hand import serve_worldsim  # noqa: PLC0415
@@ -430,9 +459,12 @@ def run_view(
     credential: Annotated[
         Path, typer.Option(metavar="FILE", help="view.json of the netshaper's credentials")
     ],
-    scenario: ScenarioFile = None,
+    scenario: SameScenario = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="where the recording goes")] = Path(),
-    view_as: Annotated[str, typer.Option(metavar="native|web|file", help="show it so")] = "auto",
+    view_as: Annotated[
+        str,
+        typer.Option(metavar="native|web|file", help="show it so; auto: a window where there is a display"),
+    ] = "auto",
 ) -> None:
     """Start a viewer: it may come and go while the run goes on, and nobody waits for it."""
     from deploy.by_hand import serve_viewer  # noqa: PLC0415
@@ -449,7 +481,7 @@ def run_view(
 @run_app.command("lab")
 def run_lab(
     credential: Annotated[Path, typer.Option(metavar="FILE", help="lab.json of the netshaper's credentials")],
-    scenario: ScenarioFile = None,
+    scenario: SameScenario = None,
     out: OutOption = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -458,7 +490,7 @@ def run_lab(
 
     with _speaking_clearly():
         with _progress(shown=not as_json) as watch:
-            result = serve_lab(load(scenario, {}), credential, out, watch)
+            result = serve_lab(load(scenario, {}), credential, out, watch, errors.print)
         raise typer.Exit(_report(result, as_json=as_json))
 
 
@@ -479,7 +511,13 @@ def _explore(
     try:
         with _progress(shown=not as_json) as watch:
             result = mission.explore(
-                scenario, out=out, watch=watch, window=window, pictures=pictures, pace=pace
+                scenario,
+                out=out,
+                watch=watch,
+                tell=errors.print,
+                window=window,
+                pictures=pictures,
+                pace=pace,
             )
         code = _report(result, as_json=as_json)
         if window is not None and result.directory is not None and sys.stdout.isatty():
@@ -516,10 +554,14 @@ def _report_deaths(deaths: dict[str, str]) -> None:
 
 
 def _explain_difference(before: dict[str, Any], now: dict[str, Any]) -> None:
+    from deploy.rundir import MAP  # noqa: PLC0415
+
     errors.print("The run does not hold: its digest has changed.")
-    for key in ("steps", "coverage", "map_agreement", "bytes", "versions"):
-        if before.get(key) != now[key]:
-            errors.print(f"  {key}: {before.get(key)} then, {now[key]} now")
+    settings = ("robots", "seed", "map", "strategy", "exchange", "bandwidth", "range_m")
+    for key in (*settings, "steps", "coverage", "map_agreement", "bytes", "versions"):
+        is_copy = key == "map" and now[key] == Path(MAP).stem
+        if before[key] != now[key] and not is_copy:
+            errors.print(f"  {key}: {before[key]} then, {now[key]} now")
 
 
 def _progress(*, shown: bool) -> Any:
@@ -529,7 +571,7 @@ def _progress(*, shown: bool) -> Any:
 
 
 class _speaking_clearly:  # noqa: N801  reads as the statement that it is
-    """Turn what a person can mend into a message and exit code 2."""
+    """Turn what a person can mend into a message: exit code 2 for bad input, 3 for what broke off the work."""
 
     def __enter__(self) -> None:
         return None
@@ -537,10 +579,16 @@ class _speaking_clearly:  # noqa: N801  reads as the statement that it is
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
         if isinstance(error, ScenarioError | ValueError):
             _fail(str(error), BAD_INPUT)
-        if isinstance(error, ConnectionError) and not isinstance(error, BrokenPipeError):
-            _fail(str(error), 3)
-        if isinstance(error, OSError) and error.filename is not None:
-            _fail(f"{error.filename}: {error.strerror}", BAD_INPUT)
+        if isinstance(error, OSError) and not isinstance(error, BrokenPipeError):
+            _fail(*_explain(error))
+
+
+def _explain(error: OSError) -> tuple[str, int]:
+    """What the system refused, and the exit code: a file of another name mends the one, not the other."""
+    if error.filename is None:
+        return error.strerror or str(error), BROKEN_OFF
+    is_bad_name = error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+    return f"{error.filename}: {error.strerror}", BAD_INPUT if is_bad_name else BROKEN_OFF
 
 
 def _fail(message: str, code: int) -> NoReturn:
@@ -557,10 +605,10 @@ def _pair(text: str) -> tuple[float, float]:
     return x, y
 
 
-def _named_value(text: str) -> tuple[str, Any]:
+def _named_value(text: str, flag: str, example: str) -> tuple[str, Any]:
     name, sign, value = text.partition("=")
     if not sign or not name:
-        raise ScenarioError(f"option = {text!r}: must be NAME=VALUE, as beta=0.5")
+        raise ScenarioError(f"{flag} = {text!r}: must be NAME=VALUE, as {example}")
     try:
         return name, json.loads(value)
     except ValueError:

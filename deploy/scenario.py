@@ -66,7 +66,7 @@ class Scenario(_Table):
     range: str = Field("100%", description="communication range: metres, or % of the map's diagonal")
     bandwidth: int | Literal["unlimited"] = Field(1000, description="bytes a step for the whole team")
     exchange: str = Field("polygon", description=f"how maps travel: {', '.join(EXCHANGES)}")
-    strategy: str = Field("meier", description="how targets are chosen")
+    strategy: str = Field("meier", description="how targets are chosen (murmur strategies lists all)")
     sensor_range: Positive = Field(5.0, description="metres that lasers see")
     field_of_view: Degrees = Field(360.0, gt=0, description="degrees")
     scanner_turn: Degrees = Field(0.0, ge=0, description="degrees that scanners turn a step; 0: all")

@@ -16,11 +16,17 @@ from rich.text import Text
 
 from deploy.plan import Plan
 from deploy.records import Records
-from deploy.rundir import PICTURE
+from deploy.rundir import PICTURE, PICTURES
 from deploy.scenario import UNLIMITED
 from protocol.grid import FREE, OCCUPIED, Grid
 
 Watch = Callable[[Plan, Records], object]
+
+COLORS = ("grey50", "white", "black")
+"""Of unknown, free and occupied cells in a sketch."""
+
+INK = {(2, 2): "█", (2, 1): "▀", (2, 0): "▀", (1, 2): "▄", (0, 2): "▄", (0, 0): "░"}
+"""Characters of an upper and a lower cell where there are no colours; what is free is left blank."""
 
 
 @contextlib.contextmanager
@@ -100,23 +106,27 @@ def summary_lines(summary: dict[str, Any], directory: Path | None) -> list[str]:
         f"{summary['wall_s']:.1f} s, {summary['steps_per_s']} steps a second on bus {summary['bus']}."
     )
     if directory is not None:
-        picture = f"; look at {directory / PICTURE}" if (directory / PICTURE).exists() else ""
-        lines.append(f"Everything is in {directory}{picture}.")
+        shown = [str(directory / name) for name in (PICTURE, PICTURES) if (directory / name).exists()]
+        look = f"; look at {' and '.join(shown)}" if shown else ""
+        lines.append(f"Everything is in {directory}{look}.")
     return lines
 
 
-def sketch(grid: Grid, width: int) -> Text:
-    """Draw a grid with half-block characters, at most `width` columns wide."""
-    scale = max(1, -(-grid.shape[1] // max(20, width - 1)))
+def sketch(grid: Grid, console: Console) -> Text:
+    """Draw a grid with half-block characters as wide as `console` is, in colours if it has some."""
+    scale = max(1, -(-grid.shape[1] // max(20, console.width - 1)))
     rows, columns = grid.shape[0] // (2 * scale) * 2, grid.shape[1] // scale
     blocks = grid[: rows * scale, : columns * scale].reshape(rows, scale, columns, scale)
     solid = (blocks == OCCUPIED).any(axis=(1, 3))
     free = (blocks == FREE).any(axis=(1, 3))
     shade = np.where(solid, 2, np.where(free, 1, 0))
-    colors = ("grey50", "white", "black")
+    colored = console.color_system is not None and not console.no_color
     text = Text()
-    for upper, lower in zip(shade[::2], shade[1::2], strict=True):
-        for top, bottom in zip(upper, lower, strict=True):
-            text.append("▀", style=f"{colors[top]} on {colors[bottom]}")
+    for upper, lower in zip(shade[::2].tolist(), shade[1::2].tolist(), strict=True):
+        for pair in zip(upper, lower, strict=True):
+            if colored:
+                text.append("▀", style=f"{COLORS[pair[0]]} on {COLORS[pair[1]]}")
+            else:
+                text.append(INK.get(pair, " "))
         text.append("\n")
     return text

@@ -48,11 +48,11 @@ class Window:
 
     def __init__(self, mode: str, tell: Callable[[str], object] = lambda _: None) -> None:
         if mode not in MODES:
-            raise WindowError(f"view = {mode!r}: must be one of {', '.join(MODES)}")
+            raise WindowError(f"view-as = {mode!r}: must be one of {', '.join(MODES)}")
         binary()
         if mode == "native" and not has_display():
             raise WindowError(
-                "view = 'native': there is no display here; try 'web', or 'file' to record only"
+                "view-as = 'native': there is no display here; try 'web', or 'file' to record only"
             )
         self.mode = mode if mode != "auto" else "native" if has_display() else "web"
         self.port = None if self.mode == "file" else free_port()

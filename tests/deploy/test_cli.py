@@ -136,7 +136,7 @@ EXPLORE = {
     "--start nan,1": "start.0 = nan",
     "--start 3": "start = '3': must be two numbers of metres, as 3.5,12",
     "--pace 0": "pace = 0: must be 0.5 steps a second or more",
-    "--view-as hologram": "view = 'hologram': must be one of auto, native, web, file",
+    "--view-as hologram": "view-as = 'hologram': must be one of auto, native, web, file",
     "--out full": "out = full: it exists already; name a new directory, or empty this one",
     "--out file": "out = file: it exists already; name a new directory",
     "--out file/run": "out = file/run: cannot be made: Not a directory",
@@ -149,7 +149,7 @@ EXPLORE = {
     "death.toml": "[[death]] speaks of robot 5; the last one is 1",
     "nan.toml": "scenario nan.toml: speed = nan",
     "option.toml": "meier has no option 'betta'; there are: candidates,",
-    "polygon.toml": "medium_use = 0: must be a number above 0",
+    "polygon.toml": "medium_use = 0: must be above 0 and at most 100",
     "wall.toml": "start on map room: cell (0, 9) is not free",
     "blind.toml": "sensor_range = 0.01 m of robot 1 is less than a cell of 0.1 m",
     "--nonsense": "No such option: --nonsense",
@@ -373,6 +373,7 @@ def test_maps_can_be_made_shown_and_explored(floor: str) -> None:
     assert murmur("map", "make", "em", "--out", "hall.yaml").stdout.startswith("hall.yaml: 21 x 24 m")
     shown = murmur("map", "show", "hall.yaml", "--png", "hall.png.png")
     assert "hall: 420 x 480 cells of 0.05 m" in shown.stdout
+    assert {"█", " "} <= set(shown.stdout), "walls and rooms can be told apart without colours"
     assert Path("hall.png.png").exists()
     assert explore("hall.yaml", "--steps", "2").exit_code == 1
     listed = murmur("map", "list").stdout
