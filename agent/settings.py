@@ -35,6 +35,8 @@ class Settings:
         Side of a cell in metres.
     radius_cells : float
         Radius of the robot, in cells; 0 for a point.
+    field_of_view : float
+        Degrees that its laser looks at, around its heading.
     scanner_turn : float
         Degrees that the scanner turns and sees a step; 0 if it looks everywhere at once.
     offers : str
@@ -66,6 +68,7 @@ class Settings:
     options: dict[str, Any] = field(default_factory=dict)
     resolution: float = 0.1
     radius_cells: float = 0.0
+    field_of_view: float = 360.0
     scanner_turn: float = 0.0
 
     @property

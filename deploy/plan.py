@@ -7,12 +7,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from agent.settings import Settings
 from agent.strategies import strategy
 from deploy.scenario import UNLIMITED, Scenario, ScenarioError
 from netshaper import medium
 from netshaper.radio import RadioSettings
-from protocol.grid import enlarge
+from protocol.grid import disc, enlarge
 from worldsim import generators, maps
 from worldsim.maps import Map, MapError, to_cell
 from worldsim.world import Body, World, WorldSettings, start_cells
@@ -52,6 +54,11 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
         if body.sensor_range < cell:
             raise ScenarioError(
                 f"sensor_range = {body.sensor_range:g} m of robot {number} is less than a cell of {cell:g} m"
+            )
+        if body.sensor_range < (least := least_range(scenario.radius / cell) * cell):
+            raise ScenarioError(
+                f"sensor_range = {body.sensor_range:g} m of robot {number} is less than {least:.3g} m: a disc of "
+                f"radius = {scenario.radius:g} m would not see the walls that its next step touches"
             )
         bodies.append(
             Body(
@@ -99,11 +106,22 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
             options=scenario.options,
             resolution=cell,
             radius_cells=bodies[number].radius_cells,
+            field_of_view=bodies[number].field_of_view,
             scanner_turn=bodies[number].scanner_turn,
         ).to_message()
         for number in range(scenario.robots)
     }
     return Plan(scenario, world_map, world, radio, minds, range_m)
+
+
+def least_range(radius_cells: float) -> float:
+    """Sensor range with which a disc sees all cells that its next step, a diagonal one, may touch; in cells.
+
+    It is 1 for robots so small that obstacles are not enlarged: they enter only cells that have been seen.
+    """
+    touched = disc(radius_cells)
+    from_middle = np.argwhere(touched) - len(touched) // 2
+    return float(np.hypot(*(from_middle + 1).T).max()) if len(from_middle) > 1 else 1.0
 
 
 def load_map(scenario: Scenario) -> Map:

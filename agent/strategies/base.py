@@ -19,6 +19,9 @@ Cell = tuple[int, int]
 _FACES = ((1, 0, 0), (0, 1, 2), (-1, 0, 4), (0, -1, 6))
 """The four neighbours (dx, dy) and the heading that looks at each."""
 
+FULL_TURN = 360.0
+"""Degrees."""
+
 NO_CELLS = np.empty((0, 2), np.int32)
 
 
@@ -194,6 +197,16 @@ class Strategy(ABC):
         """Whether the run ends when all robots are home, not when the first has nothing left to do."""
         del options
         return False
+
+    def heading(self, situation: Situation, *, is_there: bool) -> int:
+        """Where to look from where it stands: at what is unknown if it `is_there` for that.
+
+        Around, an eighth of a turn a step, where a wall stops it and its laser does not look everywhere: a disc
+        may touch what lies beside its way.
+        """
+        if situation.blocked == "wall" and self.settings.field_of_view < FULL_TURN:
+            return (situation.heading + 1) % 8
+        return situation.facing_the_unknown() if is_there else situation.heading
 
     @abstractmethod
     def decide(self, situation: Situation) -> Decision:

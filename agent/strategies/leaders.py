@@ -126,7 +126,7 @@ class PotentialField(Strategy):
         return Decision(
             target=(int(target[0]), int(target[1])),
             points=points,
-            heading=situation.facing_the_unknown(),
+            heading=self.heading(situation, is_there=True),
             stalled=stalled,
             status="stalled" if stalled else "leads the way" if self.leads else "is drawn to its frontier",
         )

@@ -154,7 +154,7 @@ class TargetStrategy(Strategy):
         return Decision(
             target=self.target,
             path=self._route.next_cells(int(self.settings.speed_cells) + 2),
-            heading=situation.facing_the_unknown() if self.target == here else situation.heading,
+            heading=self.heading(situation, is_there=self.target == here),
             explored=not left and (self.options.mission == "open" or is_home),
             look=self._looked,
             publish=self.target is None or self.target != before or gives_up,

@@ -270,6 +270,15 @@ def test_a_robot_on_the_frontier_looks_at_what_is_unknown(name: str) -> None:
         assert decide(name, replace(robot_at(4, 4, grid=around), heading=3)).heading == heading
 
 
+@pytest.mark.parametrize("name", ["leaders", "meier"])
+def test_a_robot_looks_around_where_a_wall_stops_it_that_its_laser_may_not_see(name: str) -> None:
+    stopped = replace(robot_at(4), heading=7, blocked="wall")
+    assert decide(name, stopped, field_of_view=180.0).heading == 0
+    assert decide(name, replace(stopped, heading=0), field_of_view=180.0).heading == 1
+    assert decide(name, stopped).heading == 7
+    assert decide(name, replace(stopped, blocked="robot"), field_of_view=180.0).heading == 7
+
+
 def test_a_robot_that_gets_nowhere_says_that_it_is_stalled() -> None:
     swarm = mind("potential-field", {}, resolution=0.1)
     # Between two frontier points at the same distance, in a closed corridor.

@@ -11,7 +11,7 @@ import pytest
 from agent.exchange import EXCHANGES
 from deploy import explore, in_memory, plan
 from deploy.mission import EXPLORED, NOT_FINISHED, Result
-from deploy.scenario import parse
+from deploy.scenario import ScenarioError, parse
 from worldsim import generators
 from worldsim.process import EXPLORED as EXPLORED_ALL
 from worldsim.process import STALLED
@@ -91,6 +91,34 @@ def test_robots_that_return_end_where_they_began() -> None:
         np.frombuffer(report.poses, "<i4").reshape(-1, 4)[:, :3] for report in (world[0], world[-1])
     )
     assert np.array_equal(first, last)
+
+
+@pytest.mark.parametrize("name", ["hungarian", "classical"])
+def test_a_disc_whose_laser_looks_ahead_finds_the_wall_beside_its_way(name: str) -> None:
+    # With a quarter turn in view it drives into corners that it has not seen.
+    office = generators.make("office-obstacles", seed=3, resolution=0.15, width_m=12.0, height_m=10.0)
+    scenario: dict[str, Any] = {
+        "map": "office-obstacles", "robots": 1, "strategy": name, "bus": "memory", "exchange": "none",
+        "field_of_view": 90.0, "radius": 0.15, "sensor_range": 3.0, "speed": 0.3, "seed": 3, "steps": 2000,
+    }  # fmt: skip
+    records = in_memory.run(plan.make(parse(scenario), office))
+    assert records.end is not None
+    assert records.end.reason == EXPLORED_ALL
+    assert records.explored > 0.99
+
+
+@pytest.mark.parametrize(("sensor_range", "sees"), [(0.42, False), (0.43, True)])
+def test_a_disc_must_see_all_walls_that_its_next_step_touches(sensor_range: float, sees: bool) -> None:
+    # Cells of 0.15 m: a diagonal step touches the cell two to the right and two down, 0.424 m away.
+    office = generators.make("office-obstacles", seed=1, resolution=0.15, width_m=12.0, height_m=10.0)
+    scenario = {"map": "office-obstacles", "robots": 1, "radius": 0.15, "speed": 0.15, "exchange": "none"}
+    disc = parse(scenario | {"bus": "memory", "sensor_range": sensor_range, "steps": 10000, "seed": 1})
+    if sees:
+        assert in_memory.run(plan.make(disc, office)).explored > 0.99
+        return
+    with pytest.raises(ScenarioError, match=r"sensor_range = 0.42 m of robot 0 is less than 0.424 m: a disc"):
+        plan.make(disc, office)
+    plan.make(disc.model_copy(update={"radius": 0.0}), office)
 
 
 def test_robots_in_a_doorway_do_not_stand_in_each_others_way_for_good() -> None:
