@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import multiprocessing
+import signal
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Protocol, TextIO, TypeVar
 
 
 class Keyed(Protocol):
@@ -26,6 +29,8 @@ def collect(
 ) -> Iterator[Outcome]:
     """Give the outcomes of all cases, first those that `file` knows, then the others as they are known.
 
+    Whatever ends it early, Ctrl-C or a run that fails, ends the processes at once; what is in the file stays.
+
     Parameters
     ----------
     todo : sequence of cases
@@ -37,21 +42,72 @@ def collect(
         Processes.
     file : Path, optional
         Where outcomes are kept, a JSON object a line.
+
+    Raises
+    ------
+    ValueError
+        The file cannot be written, or holds something else; nothing has been run.
     """
     known = {outcome.key: outcome for outcome in read(file, kind)} if file is not None else {}
-    yield from (known[case.key] for case in todo if case.key in known)
-    with ProcessPoolExecutor(jobs) as pool:
+    with _processes(jobs) as pool, _opened(file) as lines:
+        yield from (known[case.key] for case in todo if case.key in known)
         waiting = [pool.submit(run, case) for case in todo if case.key not in known]
         for future in as_completed(waiting):
             outcome = future.result()
-            if file is not None:
-                with file.open("a", encoding="utf-8") as lines:
-                    lines.write(json.dumps(vars(outcome)) + "\n")
+            if lines is not None:
+                lines.write(json.dumps(vars(outcome)) + "\n")
             yield outcome
 
 
 def read(file: Path, kind: type[Outcome]) -> list[Outcome]:
-    """Read the outcomes that a file holds; none if it is not there yet."""
-    if not file.exists():
-        return []
-    return [kind(**json.loads(line)) for line in file.read_text(encoding="utf-8").splitlines()]
+    """Read the outcomes that a file holds; none if it is not there yet; ValueError if it holds other things."""
+    outcomes = []
+    with _named(file):
+        text = file.read_text(encoding="utf-8") if file.exists() else ""
+    for number, line in enumerate(text.splitlines(), 1):
+        try:
+            outcomes.append(kind(**json.loads(line)))
+        except (TypeError, ValueError):
+            raise ValueError(
+                f"out = {file}: line {number} is no outcome of such runs; name a new file, or delete that line"
+            ) from None
+    return outcomes
+
+
+@contextlib.contextmanager
+def _opened(file: Path | None) -> Iterator[TextIO | None]:
+    """A file to which lines are added, each on the disk as soon as it is written."""
+    if file is None:
+        yield None
+        return
+    with _named(file):
+        lines = file.open("a", buffering=1, encoding="utf-8")
+    with lines:
+        yield lines
+
+
+@contextlib.contextmanager
+def _named(file: Path) -> Iterator[None]:
+    """Turn what is wrong with the file into a message."""
+    try:
+        yield
+    except OSError as error:
+        raise ValueError(f"out = {file}: {error.strerror}; name a file that can be written") from None
+    except UnicodeDecodeError:
+        raise ValueError(f"out = {file}: holds no text; name a new file") from None
+
+
+@contextlib.contextmanager
+def _processes(jobs: int) -> Iterator[ProcessPoolExecutor]:
+    """A pool whose processes leave Ctrl-C to this one, and end at once if the work is broken off."""
+    others = multiprocessing.active_children()
+    pool = ProcessPoolExecutor(jobs, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN))
+    try:
+        yield pool
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in multiprocessing.active_children():
+            if process not in others:
+                process.terminate()
+        raise
+    pool.shutdown()

@@ -1,30 +1,35 @@
 """Sweeps: one scenario, many settings of it, run in a pool of processes on the memory bus.
 
 An experiment is TOML: ``[base]`` holds a scenario's keys, ``[grid]`` lists of values of which every combination
-is run, ``[[variant]]`` named sets of keys that are compared. ``[table]`` says what to print: figures of the
-summary, their sums and quotients (`figure`), and how they relate to another variant's on the same run.
+is run, ``[[variant]]`` named sets of keys that are compared. ``[table]`` says what to print (`deploy.means`).
+All that can be known to be wrong is refused before the first run.
 """
 
 from __future__ import annotations
 
+import hashlib
+import inspect
 import itertools
-import tomllib
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+import json
+import sys
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from agent.strategies import strategy
+from deploy import means, mission, plan
+from deploy.lines import collect
+from deploy.means import RELATIVE, VARIANT, Table
+from deploy.scenario import Scenario, ScenarioError, beside, parse, read_toml
+from deploy.summary import versions
+from worldsim.maps import Map
 
-from deploy import mission
-from deploy.scenario import Scenario, ScenarioError, parse
-from protocol.packets import ALL_KINDS
+SHIPPED = Path(__file__).with_name("experiments")
+"""Experiments that are installed with the code; their names do for a path."""
 
-VARIANT = "variant"
-
-RELATIVE = " relative to "
-"""Between a figure and the variant whose figure of the same run it is divided by."""
+MEMORY = "memory"
 
 
 @dataclass(frozen=True)
@@ -33,6 +38,8 @@ class Experiment:
 
     Attributes
     ----------
+    where : str
+        How errors name it.
     name : str
     base : dict
         Keys of a scenario that all runs share.
@@ -40,80 +47,69 @@ class Experiment:
         Every combination of these values is run.
     variants : dict of name to keys
         Named sets of keys, each run on the whole grid.
-    rows, columns : list of str
-        Keys of the grid (or ``variant``) that head the table's rows and columns; the rest is averaged over.
-        Without columns each figure has one of its own.
-    values : list of str
-        Figures to print, as `figure` reads them; behind one may stand ``relative to`` and a variant.
+    table : Table
+        What to print; rows and columns are keys of the grid, or ``variant``.
     """
 
+    where: str
     name: str
     base: dict[str, Any]
     grid: dict[str, list[Any]]
     variants: dict[str, dict[str, Any]]
-    rows: list[str]
-    columns: list[str]
-    values: list[str]
+    table: Table
 
 
 @dataclass(frozen=True)
 class Case:
-    """One run of an experiment: where it stands in the grid, and its scenario."""
+    """One run of an experiment: where it stands in the grid, its scenario, and the `identity` of the run."""
 
     place: dict[str, Any]
     scenario: Scenario
+    key: str
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a case has led to."""
+
+    key: str
+    place: dict[str, Any]
+    summary: dict[str, Any]
 
 
 def read(path: Path) -> Experiment:
-    """Read an experiment's file.
+    """Read an experiment's file; files and the maps that they name are found as those of scenarios are.
 
     Raises
     ------
     ScenarioError
         It cannot be read, or a key is missing, unknown or of the wrong kind.
     """
+    path, data = read_toml(path, "experiment", SHIPPED)
     where = f"experiment {path}"
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ScenarioError(f"{where}: {error.strerror or error}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{where}: not TOML: {error}") from None
-    unknown = sorted(set(data) - {"name", "base", "grid", "variant", "table"})
-    if unknown:
-        raise ScenarioError(
-            f"{where}: {unknown[0]} is no table of an experiment; there are: base, grid, variant, table"
-        )
-    if not (set(data) & {"base", "grid", "variant"}):
-        raise ScenarioError(f"{where}: nothing to run; an experiment has [base], [grid] or [[variant]]")
-    for key in ("base", "grid", "table"):
-        if not isinstance(data.get(key, {}), dict):
-            raise ScenarioError(f"{where}: {key} = {data[key]!r}: must be a table, [{key}]")
-    grid, table = data.get("grid", {}), data.get("table", {})
-    for key, values in grid.items():
-        if not isinstance(values, list) or not values:
-            raise ScenarioError(f"{where}: grid.{key} must be a list of values")
-    variants = {}
-    for entry in data.get("variant", [{"name": "plain"}]):
-        if not isinstance(entry, dict) or "name" not in entry:
-            raise ScenarioError(f"{where}: each [[variant]] needs a name")
-        variants[str(entry["name"])] = {key: value for key, value in entry.items() if key != "name"}
-    rows, columns = table.get("rows", list(grid)), table.get("columns", [VARIANT])
-    for key in [*rows, *columns]:
-        if key != VARIANT and key not in grid:
-            raise ScenarioError(
-                f"{where}: table speaks of {key!r}, which is not in the grid: {', '.join(grid)}"
+        unknown = sorted(set(data) - {"name", "base", "grid", VARIANT, "table"})
+        if unknown:
+            raise ValueError(
+                f"{unknown[0]} is no table of an experiment; there are: base, grid, {VARIANT}, table"
             )
-    values = table.get("values", ["steps", "coverage", "map_agreement"])
-    for value in values:
-        name, _, against = value.partition(RELATIVE)
-        if against and against not in variants:
-            raise ScenarioError(f"{where}: {value!r}: no variant is called {against}: {', '.join(variants)}")
-        if name.count(" / ") > 1:
-            raise ScenarioError(f"{where}: {name!r}: must be sums of figures with at most one ' / ' between")
-    return Experiment(
-        str(data.get("name", path.stem)), data.get("base", {}), grid, variants, rows, columns, values
-    )
+        if not (set(data) & {"base", "grid", VARIANT}):
+            raise ValueError("nothing to run; an experiment has [base], [grid] or [[variant]]")
+        for key in ("base", "grid", "table"):
+            if not isinstance(data.get(key, {}), dict):
+                raise ValueError(f"{key} = {data[key]!r}: must be a table, [{key}]")
+        base, grid = data.get("base", {}), data.get("grid", {})
+        for key, values in grid.items():
+            _check_values(f"grid.{key}", values)
+        variants = _variants(data.get(VARIANT, [{"name": "plain"}]), grid)
+        for settings in (base, *variants.values()):
+            settings |= {key: beside(path, value) for key, value in settings.items() if key == "map"}
+        if "map" in grid:
+            grid["map"] = [beside(path, value) for value in grid["map"]]
+        table = _table(data.get("table", {}), grid, variants)
+    except ValueError as error:
+        raise ScenarioError(f"{where}: {error}") from None
+    return Experiment(where, str(data.get("name", path.stem)), base, grid, variants, table)
 
 
 def choose(experiment: Experiment, names: Sequence[str]) -> Experiment:
@@ -121,130 +117,157 @@ def choose(experiment: Experiment, names: Sequence[str]) -> Experiment:
     for name in names:
         if name not in experiment.variants:
             known = ", ".join(experiment.variants)
-            raise ScenarioError(f"{experiment.name}: no variant is called {name!r}; there are: {known}")
+            raise ScenarioError(f"{experiment.where}: no variant is called {name!r}; there are: {known}")
     chosen = {
         name: keys for name, keys in experiment.variants.items() if name in (names or experiment.variants)
     }
-    for value in experiment.values:
+    for value in experiment.table.values:
         against = value.partition(RELATIVE)[2]
         if against and against not in chosen:
-            raise ScenarioError(f"{experiment.name}: the table has {value!r}: choose {against!r} as well")
+            raise ScenarioError(f"{experiment.where}: the table has {value!r}: choose {against!r} as well")
     return replace(experiment, variants=chosen)
 
 
-def cases(experiment: Experiment, overrides: dict[str, Any] | None = None) -> list[Case]:
-    """All runs of an experiment, in the order of its grid; ScenarioError if one cannot be.
+def override(experiment: Experiment, settings: dict[str, Any]) -> Experiment:
+    """The experiment with other values of some keys.
 
-    `overrides` replaces lists of the grid by the same name, and keys of the base otherwise.
+    They replace lists of the grid by the same name (a single value is a list of one), and keys of the base
+    otherwise.
+
+    Raises
+    ------
+    ScenarioError
+        A list is empty, or says something twice; or the value would be without effect.
     """
-    overrides = overrides or {}
-    grid = {key: overrides.get(key, values) for key, values in experiment.grid.items()}
-    base = experiment.base | {key: value for key, value in overrides.items() if key not in grid}
+    base, grid = dict(experiment.base), dict(experiment.grid)
+    for key, value in settings.items():
+        if key == VARIANT:
+            raise ScenarioError("--set variant: is no setting; --variant NAME chooses variants")
+        if key in grid:
+            grid[key] = value if isinstance(value, list) else [value]
+            try:
+                _check_values(f"--set {key}", grid[key])
+            except ValueError as error:
+                raise ScenarioError(str(error)) from None
+        elif all(key in keys for keys in experiment.variants.values()):
+            raise ScenarioError(
+                f"--set {key}: without effect, for each variant of {experiment.where} sets {key} itself"
+            )
+        else:
+            base[key] = value
+    return replace(experiment, base=base, grid=grid)
+
+
+def cases(experiment: Experiment) -> list[Case]:
+    """All runs of an experiment, in the order of its grid; ScenarioError if one cannot be."""
+    worlds: dict[tuple[str, int], Map] = {}
     result = []
-    for combination in itertools.product(*grid.values()):
-        chosen = dict(zip(grid, combination, strict=True))
+    for combination in itertools.product(*experiment.grid.values()):
+        chosen = dict(zip(experiment.grid, combination, strict=True))
         for name, keys in experiment.variants.items():
             place = {**chosen, VARIANT: name}
-            where = ", ".join(f"{key} = {value}" for key, value in place.items())
-            scenario = parse({**base, **chosen, **keys, "bus": "memory"}, f"{experiment.name} ({where})")
-            result.append(Case(place, scenario))
+            here = ", ".join(f"{key} = {value}" for key, value in place.items())
+            where = f"{experiment.where} ({here})"
+            data = {"bus": MEMORY, **experiment.base, **chosen, **keys}
+            if data["bus"] != MEMORY:
+                raise ScenarioError(
+                    f"{where}: bus = {data['bus']!r}: sweeps run on the memory bus; leave it out"
+                )
+            scenario = parse(data, where)
+            source = scenario.map, scenario.map_seed
+            try:
+                if source not in worlds:
+                    worlds[source] = plan.load_map(scenario)
+                plan.make(scenario, worlds[source])
+            except ScenarioError as error:
+                raise ScenarioError(f"{where}: {error}") from None
+            result.append(Case(place, scenario, identity(scenario, worlds[source])))
     return result
 
 
-def run(
-    todo: Sequence[Case], jobs: int, tell: Callable[[int, int], object] = lambda _done, _all: None
-) -> list[dict[str, Any]]:
-    """Run cases in `jobs` processes; return their summaries, with their places, in the order of `todo`."""
-    summaries: list[dict[str, Any]] = [{} for _ in todo]
-    with ProcessPoolExecutor(jobs) as pool:
-        futures = {pool.submit(_run_one, case.scenario): index for index, case in enumerate(todo)}
-        for done, future in enumerate(as_completed(futures), 1):
-            index = futures[future]
-            summaries[index] = {**future.result(), "place": todo[index].place}
-            tell(done, len(todo))
-    return summaries
+def run(todo: Sequence[Case], jobs: int, keep: Path | None = None) -> Iterator[Outcome]:
+    """Run cases in `jobs` processes, equal ones once; outcomes in `keep` are given again (`lines.collect`)."""
+    return collect(list({case.key: case for case in todo}.values()), _run_one, Outcome, jobs, keep)
 
 
-def tabulate(experiment: Experiment, summaries: Sequence[dict[str, Any]]) -> list[list[str]]:
-    """The table that the experiment asks for: a line of heads, then a line a row, means over all else."""
-    twins = {_key(summary["place"]): summary for summary in summaries}
-    heads = _combinations(summaries, experiment.columns)
-    rows = _combinations(summaries, experiment.rows)
-    split = not experiment.columns
-    names = experiment.values if split else ["/".join(map(str, head)) for head in heads]
-    lines = [[*experiment.rows, *names]]
-    for row in (*rows, None):
-        cells = list(map(_short, row)) if row is not None else ["all", *[""] * (len(experiment.rows) - 1)]
-        for head in heads:
-            chosen = [
-                s
-                for s in summaries
-                if (row is None or tuple(s["place"][key] for key in experiment.rows) == row)
-                and tuple(s["place"][key] for key in experiment.columns) == head
-            ]
-            means = [_mean([_value(s, value, twins) for s in chosen]) for value in experiment.values]
-            cells += means if split else [" ".join(means)]
-        lines.append(cells)
-    return lines
+def summaries(todo: Sequence[Case], outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """The summaries of all cases whose outcome is known, with their places, in the order of `todo`."""
+    known = {outcome.key: outcome.summary for outcome in outcomes}
+    return [{**known[case.key], "place": case.place} for case in todo if case.key in known]
 
 
-def figure(summary: dict[str, Any], text: str) -> float | None:
-    """Read a figure from a summary.
-
-    `text` is a name in it, dotted for what stands in a table (``bytes.total``), or a sum of names
-    (``bytes.ins + bytes.del``), or a quotient of two of these (``bytes.conn / bytes.total``). A kind of packet
-    that was not sent counts 0; None where there is no such figure.
-    """
-    above, _, below = text.partition(" / ")
-    parts = [[_look_up(summary, name) for name in part.split(" + ")] for part in (above, below) if part]
-    if any(value is None for part in parts for value in part):
-        return None
-    sums = [float(sum(part)) for part in parts]
-    if len(sums) == 1:
-        return sums[0]
-    return sums[0] / sums[1] if sums[1] else None
+def identity(scenario: Scenario, world_map: Map) -> str:
+    """Sha256 over all that decides a run: settings, cells of the map, versions, and our code."""
+    about = (
+        scenario.model_dump(mode="json"),
+        (world_map.cells.shape, world_map.resolution, world_map.origin),
+        versions(),
+        _code(),
+        inspect.getsource(sys.modules[strategy(scenario.strategy).__module__]),
+    )
+    total = hashlib.sha256(json.dumps(about, sort_keys=True).encode())
+    total.update(world_map.cells.tobytes())
+    return total.hexdigest()
 
 
-def _value(summary: dict[str, Any], text: str, twins: dict[Any, dict[str, Any]]) -> float | None:
-    """A figure, in relation to that of another variant's run if the text says so."""
-    name, _, against = text.partition(RELATIVE)
-    value = figure(summary, name)
-    if not against or value is None:
-        return value
-    other = figure(twins[_key(summary["place"] | {VARIANT: against})], name)
-    return value / other if other else None
+def _check_values(key: str, values: Any) -> None:
+    """Raise ValueError unless `values` is a list that a grid can run through."""
+    if not isinstance(values, list) or not values:
+        raise ValueError(f"{key} = {values!r}: must be a list of values, as [3, 5]")
+    for value in values:
+        if values.count(value) > 1:
+            raise ValueError(f"{key} = {values!r}: says {value!r} twice")
 
 
-def _key(place: dict[str, Any]) -> tuple[tuple[str, str], ...]:
-    return tuple(sorted((name, repr(value)) for name, value in place.items()))
+def _variants(entries: Any, grid: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The keys of each variant, by its name; ValueError if one is unnamed, named twice, or sets the grid's."""
+    if not isinstance(entries, list) or not entries:
+        raise ValueError(f"{VARIANT} = {entries!r}: must be tables, [[{VARIANT}]]")
+    variants: dict[str, dict[str, Any]] = {}
+    for entry in entries:
+        if not isinstance(entry, dict) or "name" not in entry:
+            raise ValueError(f"each [[{VARIANT}]] needs a name")
+        keys = {key: value for key, value in entry.items() if key != "name"}
+        name = str(entry["name"])
+        if name in variants:
+            raise ValueError(f"two variants are called {name!r}; each needs a name of its own")
+        for key in keys:
+            if key in grid:
+                raise ValueError(f"variant {name!r} sets {key}, which the grid sets; leave it to one of them")
+        variants[name] = keys
+    return variants
 
 
-def _combinations(summaries: Sequence[dict[str, Any]], keys: list[str]) -> list[tuple[Any, ...]]:
-    """All combinations of some keys' values, in the order of the grid."""
-    return list(dict.fromkeys(tuple(summary["place"][key] for key in keys) for summary in summaries))
+def _table(data: dict[str, Any], grid: dict[str, Any], variants: dict[str, Any]) -> Table:
+    """What to print; ValueError if there is no such thing."""
+    usual = {"rows": list(grid), "columns": [VARIANT], "values": ["steps", "coverage", "map_agreement"]}
+    whole = usual | data
+    for key, names in whole.items():
+        if key not in usual:
+            raise ValueError(f"table.{key} is no part of a table; there are: {', '.join(usual)}")
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise ValueError(f"table.{key} = {names!r}: must be a list of names, as {usual[key]}")
+    table = Table(**whole)
+    for key in [*table.rows, *table.columns]:
+        if key != VARIANT and key not in grid:
+            there_are = ", ".join([*grid, VARIANT])
+            raise ValueError(f"table speaks of {key!r}, which is not in the grid; there are: {there_are}")
+    if not table.values:
+        raise ValueError("table.values = []: must name a figure at least, as ['steps']")
+    for value in table.values:
+        means.check(value, variants)
+    return table
 
 
-def _run_one(scenario: Scenario) -> dict[str, Any]:
-    return mission.explore(scenario, keep=False).summary
+@cache
+def _code() -> str:
+    """Sha256 of the sources."""
+    total = hashlib.sha256()
+    for package in ("agent", "deploy", "netshaper", "protocol", "worldsim"):
+        for file in sorted((Path(__file__).parents[1] / package).rglob("*.py")):
+            total.update(file.read_bytes())
+    return total.hexdigest()
 
 
-def _short(value: object) -> str:
-    return Path(value).stem if isinstance(value, str) and value.endswith(".yaml") else str(value)
-
-
-def _mean(values: Sequence[float | None]) -> str:
-    found = [value for value in values if value is not None]
-    if not found:
-        return "-"
-    mean = float(np.mean(found))
-    return f"{mean:.0f}" if abs(mean) >= 10 else f"{mean:.3f}"
-
-
-def _look_up(summary: dict[str, Any], name: str) -> Any:
-    value: Any = summary
-    *tables, last = name.split(".")
-    for table in tables:
-        value = value.get(table)
-        if not isinstance(value, dict):
-            return None
-    return value.get(last, 0 if last in ALL_KINDS else None)
+def _run_one(case: Case) -> Outcome:
+    return Outcome(case.key, case.place, mission.explore(case.scenario, keep=False).summary)

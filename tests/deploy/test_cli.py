@@ -50,6 +50,7 @@ FILES = {
     "polygon.toml": "[polygon]\nmedium_use = 0\n",
     "room.yaml": YAML.format(image="room.png"),
     "wall.toml": 'map = "room.yaml"\nstart = [0.05, 0.05]\n',
+    "wide.toml": 'map = "room.yaml"\nradius = 4.0\n',
     "blind.toml": "[[robot]]\nrobot = 1\nsensor_range = 0.01\n",
     "file": "x",
     "full/x": "x",
@@ -57,6 +58,7 @@ FILES = {
     "half/summary.json": "{",
     "other/scenario.toml": 'map = "../small.yaml"\nrobots = 1\nsteps = 2\nbus = "memory"\n',
     "other/summary.json": "{}",
+    "torn.pcapng": "no capture at all",
     "whole/scenario.toml": 'map = "../small.yaml"\nrobots = 1\nsteps = 2\nbus = "memory"\n',
     "whole/summary.json": '{"digest": "0"}',
     "broken.json": "{",
@@ -150,6 +152,7 @@ EXPLORE = {
     "nan.toml": "scenario nan.toml: speed = nan",
     "option.toml": "meier has no option 'betta'; there are: candidates,",
     "polygon.toml": "medium_use = 0: must be above 0 and at most 100",
+    "wide.toml": "start on map room: no cell is free for robots of that radius",
     "wall.toml": "start on map room: cell (0, 9) is not free",
     "blind.toml": "sensor_range = 0.01 m of robot 1 is less than a cell of 0.1 m",
     "--nonsense": "No such option: --nonsense",
@@ -164,16 +167,21 @@ OTHERS = {
     "map show em --png nowhere/em.png": "nowhere/em.png: No such file or directory",
     "replay missing": "missing: no run directory, for it has no scenario.toml",
     "replay half": "half: no readable summary.json",
-    "replay other": "other: summary.json is not that of a run, for it has no digest",
+    "replay other": "other: summary.json is not that of a run, for it has no finished, reason, steps,",
+    "replay whole": "whole: summary.json is not that of a run, for it has no finished, reason, steps,",
     "replay whole --bus can": "bus = 'can': Input should be 'zenoh' or 'memory'",
     "report full": "full: no run directory, for it has no scenario.toml",
     "export full --mcap": "full: no run directory, for it has no scenario.toml",
     "watch full": "full: no recording (run.rrd), and no run is under way there",
     "capture missing": "missing: No such file or directory",
+    "capture torn.pcapng": "torn.pcapng: not a pcapng file",
+    "capture torn.pcapng --json": "torn.pcapng: not a pcapng file",
+    "capture whole --robot 1": "robot = 1: the last one of this run is 0",
     "capture": "name a run directory, or use --install-dissector",
     "capture full --kind x": "kind = 'x': there are ins, rep, del,",
     "capture full --step x": "step = 'x': must be a step, as 12, or steps, as 10-20",
-    "sweep missing.toml": "experiment missing.toml: No such file or directory",
+    "capture full --step 5-2": "step = '5-2': the first step comes first, as in 10-20",
+    "sweep missing.toml": "experiment missing.toml: no such file; shipped ones are kilobyte.toml, lossy.toml,",
     "sweep broken.toml": "experiment broken.toml: not TOML",
     "strategies burgart": "no strategy is called 'burgart'; did you mean burgard or burgard-optimal?",
     "bench speed": "no bench is called 'speed'; there are: kernels, bus, swarm",
@@ -188,6 +196,10 @@ OTHERS = {
     "run lab --credential r0.json": "credential r0.json is that of r0; lab.json is needed here",
     "run view --credential r0.json": "credential r0.json is that of r0; view.json is needed here",
     "run netshaper --listen here": "listen = 'here': must be HOST:PORT, as 127.0.0.1:7447",
+    "run netshaper --listen 127.0.0.1:0": "listen = '127.0.0.1:0': must be HOST:PORT, as 127.0.0.1:7447, with",
+    "run netshaper --listen 127.0.0.1:65536": "with a port from 1 to 65535",
+    "run netshaper --listen 0.0.0.0:7447": "listen = '0.0.0.0:7447': stands in every credential, and nobody can",
+    "run netshaper --listen [::]:7447": "give the address by which others know this host",
     "run netshaper --credentials full": "credentials = full: it exists already; name a new directory",
     "run netshaper --credentials file": "credentials = file: it exists already; name a new directory",
     "fly": "No such command 'fly'",
@@ -222,6 +234,8 @@ def test_bad_input_says_nothing_on_the_channel_that_machines_read(desk: Path) ->
         ["explore", "--json", "--range", "-3"],
         ["replay", "--json", "full"],
         ["bench", "x", "--json"],
+        ["capture", "torn.pcapng"],
+        ["capture", "torn.pcapng", "--json"],
     ):
         result = murmur(*words)
         assert (result.exit_code, result.stdout) == (BAD_INPUT, "")
@@ -238,6 +252,13 @@ def test_bad_input_ends_the_real_command_as_well(desk: Path) -> None:
     assert (done.returncode, done.stdout) == (BAD_INPUT, "")
     assert done.stderr.startswith("murmur: scenario: range = '-3': must be a distance of 0 or more")
     assert not (desk / "runs").exists()
+
+
+def test_a_file_that_is_called_as_the_folder_of_runs_is_in_the_way(desk: Path) -> None:
+    (desk / "runs").write_text("x")
+    result = murmur("explore", "--map", "room.yaml", "--robots", "1", "--bus", "memory")
+    assert result.exit_code == BAD_INPUT
+    assert "runs is a file, and runs go into a directory of that name: move it, or use --out" in result.stderr
 
 
 # --- help ----------------------------------------------------------------------------------------------
@@ -367,6 +388,66 @@ def test_a_replay_says_whether_the_run_holds(floor: str) -> None:
     assert result.exit_code == 1
     assert "does not hold" in result.stderr
     assert "steps: 7 then, 8 now" in result.stderr
+
+
+def test_a_replay_names_the_settings_that_have_changed_first(floor: str) -> None:
+    explore(floor, "--steps", "4", "--out", "run")
+    scenario = Path("run/scenario.toml")
+    scenario.write_text(scenario.read_text().replace("robots = 2", "robots = 3"))
+    result = murmur("replay", "run")
+    assert result.exit_code == 1
+    assert result.stderr.splitlines()[1] == "  robots: 2 then, 3 now"
+    assert "map: " not in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("what", "why"),
+    [
+        ({"reason": "interrupted"}, "it was interrupted at step 4"),
+        ({"reason": "broken off"}, "it was broken off at step 4"),
+        ({"lost": {"1": "its process ended"}}, "robot 1 was lost: its process ended, unasked"),
+    ],
+)
+def test_what_befell_a_run_from_outside_cannot_be_replayed(
+    floor: str, what: dict[str, Any], why: str
+) -> None:
+    explore(floor, "--steps", "4", "--out", "run")
+    summary = json.loads(Path("run/summary.json").read_text())
+    Path("run/summary.json").write_text(json.dumps(summary | what))
+    result = murmur("replay", "run")
+    assert (result.exit_code, result.stdout) == (BAD_INPUT, "")
+    assert result.stderr == f"murmur: run: this run cannot be repeated: {why}\n"
+
+
+def test_a_run_says_where_its_pictures_are(floor: str) -> None:
+    said = explore(floor, "--steps", "4", "--out", "run", "--pictures").stdout
+    assert "Everything is in run; look at run/maps.png and run/pictures." in said
+
+
+FULL_DISK = """
+import resource, sys
+from deploy import cli, report, export
+resource.setrlimit(resource.RLIMIT_FSIZE, (9000, resource.RLIM_INFINITY))
+cli.app(sys.argv[1:])
+"""
+
+
+@pytest.mark.parametrize("words", ["explore --map floor.yaml --bus memory --out two --json", "report run"])
+def test_a_full_disk_is_named_with_the_file_and_ends_with_3(floor: str, words: str) -> None:
+    explore(floor, "--steps", "30", "--out", "run")
+    done = subprocess.run(
+        [sys.executable, "-c", FULL_DISK, *words.split()],
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    last = done.stderr.splitlines()[-1]
+    assert (done.returncode, done.stdout) == (3, ""), done.stderr
+    assert last.startswith("murmur: ")
+    assert last.endswith("File too large")
+    assert "Traceback" not in done.stderr
+    assert not list(Path("run").glob("pictures/*"))
 
 
 def test_maps_can_be_made_shown_and_explored(floor: str) -> None:

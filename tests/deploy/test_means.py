@@ -1,0 +1,96 @@
+"""Tables of means: figures of summaries, rows and columns, runs compared with another variant's."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from deploy.means import FIGURES, TABLES, Table, check, figure, tabulate
+from tests.deploy.small_run import small_run
+
+VARIANTS = ["polygons", "scans"]
+
+
+def runs(totals: tuple[int, ...] = (10, 40, 30, 40)) -> list[dict[str, Any]]:
+    places = [{"robots": 2, "seed": seed, "variant": name} for seed in (0, 1) for name in VARIANTS]
+    return [
+        {"place": place, "steps": 5 + place["seed"], "bytes": {"total": total}}
+        for place, total in zip(places, totals, strict=False)
+    ]
+
+
+def test_figures_are_names_sums_and_quotients() -> None:
+    summary = {"steps": 4, "t99": None, "bytes": {"ins": 6, "conn": 2, "total": 16}}
+    assert figure(summary, "steps") == 4
+    assert figure(summary, "bytes.ins + bytes.del / bytes.total") == 6 / 16
+    for absent in ("t99", "t99 / steps", "bytes.conn / bytes.rm"):
+        assert figure(summary, absent) is None
+
+
+def test_figures_are_all_numbers_of_a_summary_and_no_others() -> None:
+    summary = small_run().summary
+    assert {name for name, value in summary.items() if isinstance(value, int | float)} <= {
+        *FIGURES,
+        "bandwidth",
+    }
+    assert {*FIGURES, *TABLES} <= set(summary)
+    for name in (*FIGURES, *(f"{table}.{number}" for table, numbers in TABLES.items() for number in numbers)):
+        check(name, [])
+        assert figure(summary, name) is None or isinstance(figure(summary, name), float)
+    assert set(summary["bytes"]) <= set(TABLES["bytes"]) and set(summary["undelivered"]) <= set(
+        TABLES["undelivered"]
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("stepz", "'stepz' is no figure; there are: steps, coverage,"),
+        ("map", "'map' is no figure"),
+        ("bytes", "'bytes' is no figure"),
+        ("bytes.inz", "'bytes.inz' is no figure"),
+        ("steps + bytes.totl / seed", "'bytes.totl' is no figure"),
+        ("", "'' is no figure"),
+        ("steps / seed / robots", "at most one ' / '"),
+        ("steps relative to ", "no variant is called ''; there are: polygons, scans"),
+    ],
+)
+def test_what_is_no_figure_is_refused_with_those_there_are(text: str, said: str) -> None:
+    with pytest.raises(ValueError, match=r"there are: |must be") as caught:
+        check(text, VARIANTS)
+    assert said in str(caught.value)
+
+
+def test_a_table_holds_means_by_row_and_column_and_over_all() -> None:
+    table = Table(["seed"], ["variant"], ["steps", "bytes.total"])
+    assert tabulate(table, runs()) == [
+        ["seed", "polygons", "scans"],
+        ["0", "5.000 10", "5.000 40"],
+        ["1", "6.000 30", "6.000 40"],
+        ["all", "5.500 20", "5.500 40"],
+    ]
+
+
+def test_a_figure_may_be_told_in_relation_to_another_variant_on_the_same_run() -> None:
+    values = ["steps", "bytes.total relative to scans"]
+    assert tabulate(Table(["robots"], [], values), runs())[:2] == [
+        ["robots", *values],
+        ["2", "5.500", "0.750"],
+    ]
+    assert tabulate(Table(["robots"], ["variant"], values), runs())[1] == ["2", "5.500 0.500", "5.500 1.000"]
+
+
+def test_where_the_other_variant_has_not_run_the_relation_is_left_out() -> None:
+    table = Table(["seed"], [], ["bytes.total relative to scans"])
+    assert [line[-1] for line in tabulate(table, runs((10, 40, 30)))[1:]] == ["0.625", "-", "0.625"]
+
+
+def test_without_rows_there_is_one_of_all() -> None:
+    assert tabulate(Table([], ["variant"], ["steps"]), runs()) == [VARIANTS, ["5.500", "5.500"]]
+
+
+def test_values_may_be_lists_and_tables() -> None:
+    places = [{"start": [1, 2], "variant": "a"}, {"start": [3, 4], "variant": "a"}]
+    table = tabulate(Table(["start"], ["variant"], ["steps"]), [{"place": p, "steps": 3} for p in places])
+    assert [line[0] for line in table] == ["start", "[1, 2]", "[3, 4]", "all"]
