@@ -116,7 +116,7 @@ class HungarianDepot(Hungarian):
     def assign(self, table: Table, situation: Situation, ways: Ways) -> Assignment:
         """Eq. (2)."""
         homes = np.array([situation.homes[robot] for robot in table.robots], np.int32)
-        back = ways.costs_between(homes, table.goals)
+        back = _way_back(ways, table.goals, homes)
         travelled = np.array([situation.travelled.get(robot, 0.0) for robot in table.robots])
         return super().assign(replace(table, costs=table.costs + back + travelled[:, None]), situation, ways)
 
@@ -178,8 +178,18 @@ class MtspDepot(Mtsp):
         return super().clashes(parts) + _clash_with_open(parts)
 
     def _to_end(self, cells: NDArray[np.int32], situation: Situation, ways: Ways) -> NDArray[np.float64]:
-        back: NDArray[np.float64] = ways.costs_between(np.array([situation.home], np.int32), cells)[0]
+        back: NDArray[np.float64] = _way_back(ways, cells, np.array([situation.home], np.int32))[0]
         return back
+
+
+def _way_back(ways: Ways, goals: NDArray[np.int32], homes: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Cost of the way from each goal to each depot, shape (depots, goals).
+
+    As the crow flies where none leads: a wall that teammates have told of by mistake may bar it for a while.
+    """
+    back = ways.costs_between(homes, goals)
+    straight = np.hypot(*(homes[:, None] - goals[None]).transpose(2, 0, 1))
+    return np.where(np.isfinite(back), back, straight)
 
 
 def share_out(table: Table) -> NDArray[np.int64]:

@@ -37,7 +37,8 @@ assign targets together choose again when this is so for any of them."""
 
 MISSIONS = ("open", "return")
 """What comes when nothing is left. ``open``: the run ends. ``return``: all drive home, then it ends. Whom
-those that are back already stop near its depot again and again is home where it is."""
+those that are back already stop near its depot again and again is home where it is, and so is who sees no
+way home for long."""
 
 SCANNING = ("always", "at-target")
 """When the scanner works. ``at-target``: not on the way, unless a wall that it does not know stops it."""
@@ -49,7 +50,8 @@ BERTH_METRES = 0.3
 """Room that a robot takes up at the depot, at least."""
 
 TURNED_AWAY = 10
-"""Times that teammates stop a robot near its depot, after which it is home where it is."""
+"""Times that teammates stop a robot near its depot, after which it is home where it is; and steps on end in
+which its map shows no way there."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,7 @@ class TargetStrategy(Strategy):
         self._goal: Cell | None = None
         self._traffic = Traffic(settings.seed, settings.robot, settings.range_cells)
         self._turned_away = 0
+        self._cut_off = 0
         self._turned = 0
         self._at: Cell | None = None
         self._looked = True
@@ -212,13 +215,18 @@ class TargetStrategy(Strategy):
         return left
 
     def _comes_home(self, situation: Situation, ways: Ways) -> bool:
-        """Whether it has nothing else to do and is at its depot; or as near as teammates let it."""
+        """Whether it has nothing else to do and is at its depot; or as near as teammates, or its map, let it."""
         if self.target is not None or self.options.mission == "open":
-            self._turned_away = 0
+            self._turned_away = self._cut_off = 0
             return False
         if situation.blocked == "robot" and self._is_near_home(situation, ways):
             self._turned_away += 1
-        return situation.here == situation.home or self._turned_away >= TURNED_AWAY
+        self._cut_off = self._cut_off + 1 if self._is_cut_off(situation, ways) else 0
+        return situation.here == situation.home or max(self._turned_away, self._cut_off) >= TURNED_AWAY
+
+    def _is_cut_off(self, situation: Situation, ways: Ways) -> bool:
+        """Whether it stays for want of a way home: by its map a wall bars it."""
+        return not len(self._route.cells) and ways.way(situation.here, situation.home) is None
 
     def _is_near_home(self, situation: Situation, ways: Ways) -> bool:
         """Whether its way home is no longer than a queue of all robots, there and back."""
@@ -231,6 +239,8 @@ class TargetStrategy(Strategy):
             return "waits: a teammate stands in the way"
         if self.target is None and len(self._route.cells):
             return "drives home"
+        if self._cut_off:
+            return "idle: its map shows no way home"
         if not left:
             return "idle: no reachable frontier is left on its planning grid"
         if self.target is None and self.options.replan == "after-turn":

@@ -14,6 +14,7 @@ from agent.settings import Settings
 from agent.strategies import Decision, Pose, Situation, Strategy, strategy
 from agent.strategies.leaders import elect
 from agent.strategies.rotating import ShengBid
+from agent.strategies.targets import TURNED_AWAY
 from agent.strategies.team import PATIENCE
 from protocol.grid import FREE, UNKNOWN, Grid
 from tests.agent.planning_references import drawn, settings_for
@@ -154,6 +155,31 @@ def test_a_returning_robot_is_home_where_teammates_that_are_back_stop_it_again_a
         after = [swarm.decide(replace(at, step=step)) for step in range(1, 20)]
         assert [decision.explored for decision in after] == [False] * 9 + [near] * 10
         assert not near or not len(after[-1].path)
+
+
+CUT_OFF = drawn("?..............?", "................", "################", "................")
+"""A depot at (0, 3) cannot be reached from above the wall."""
+
+
+@pytest.mark.parametrize("name", ["hungarian-depot", "mtsp-depot", "meier"])
+def test_a_robot_that_sees_no_way_home_explores_all_the_same(name: str) -> None:
+    cut_off = replace(robot_at(7, grid=CUT_OFF), home=(0, 3), homes={0: (0, 3)})
+    assert decide(name, cut_off, {"mission": "return"}).target is not None
+
+
+@pytest.mark.parametrize("name", ["hungarian-depot", "mtsp-depot", "meier"])
+def test_a_robot_that_sees_no_way_home_for_long_is_home_where_it_is(name: str) -> None:
+    known = np.where(CUT_OFF == UNKNOWN, FREE, CUT_OFF).astype(np.uint8)
+    cut_off = replace(robot_at(7, grid=known), home=(0, 3), homes={0: (0, 3)})
+    swarm = mind(name, {"mission": "return"}, known, robots=1)
+    after = [swarm.decide(replace(cut_off, step=step)) for step in range(1, 20)]
+    assert [decision.explored for decision in after] == [False] * (TURNED_AWAY - 1) + [True] * 10
+    assert {decision.status for decision in after} == {"idle: its map shows no way home"}
+    opened = known.copy()
+    opened[2, 9] = FREE
+    on_the_way = swarm.decide(replace(cut_off, grid=opened, step=20))
+    assert not on_the_way.explored
+    assert len(on_the_way.path)
 
 
 def test_stop_scan_replan_stays_for_a_full_turn_and_then_tells() -> None:
