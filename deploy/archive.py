@@ -19,6 +19,9 @@ from deploy.scenario import ScenarioError
 from deploy.snapshots import SNAPSHOTS, Snapshots
 from deploy.summary import digest
 
+CUT_SHORT = ("interrupted", "broken off")
+"""Reasons of runs that came to no end of their own."""
+
 Table = dict[str, NDArray[Any]]
 """Columns by name."""
 
@@ -63,14 +66,14 @@ class Archive:
     def snapshots(self, tell: Callable[[str], object] = lambda _: None) -> Snapshots | None:
         """Robots' maps over time: those that were kept; else the run is repeated in memory to see them.
 
-        None where the run cannot be repeated: it was interrupted, or does not come out the same here. `tell`
+        None where the run cannot be repeated (`why_unrepeatable`), or does not come out the same here. `tell`
         hears what is done.
         """
         kept = self.directory / SNAPSHOTS
         if kept.is_file():
             return Snapshots.read(kept)
-        if self.summary["reason"] == "broken off" or self.summary["reason"] == "interrupted":
-            tell("No maps over time: none were kept (--pictures), and a run cut short cannot be repeated.")
+        if reason := why_unrepeatable(self.summary):
+            tell(f"No maps over time: none were kept (--pictures), and the run cannot be repeated: {reason}.")
             return None
         tell("No maps over time were kept (--pictures); the run is repeated in memory to see them.")
         snapshots = Snapshots()
@@ -89,6 +92,14 @@ def read(directory: Path) -> Archive:
         if not (directory / name).is_file():
             raise ScenarioError(f"{directory}: {name} is missing, so there is nothing to tell of this run")
     return Archive(directory, plan, summary)
+
+
+def why_unrepeatable(summary: dict[str, Any]) -> str:
+    """Why a run cannot be repeated: something befell it that its scenario does not tell; nothing if it can."""
+    if summary["reason"] in CUT_SHORT:
+        return f"it was {summary['reason']} at step {summary['steps']}"
+    lost = "; ".join(f"robot {robot} was lost: {cause}" for robot, cause in summary["lost"].items())
+    return f"{lost}, unasked" if lost else ""
 
 
 def _read_table(path: Path) -> Table:

@@ -5,20 +5,24 @@ from __future__ import annotations
 import secrets
 import time
 from collections.abc import Callable
+from contextlib import closing
+from ipaddress import ip_address
 from pathlib import Path
 
 from deploy import plan as plans
 from deploy import rundir
 from deploy.dashboard.process import ViewTask, serve
 from deploy.dashboard.windows import Window
-from deploy.launch import Outcome, interrupts
+from deploy.interrupt import Interrupt
+from deploy.launch import Outcome, attend
 from deploy.mission import Result, conclude
 from deploy.plan import Plan
-from deploy.processes import WorldTask, serve_agent, serve_relay, serve_world
+from deploy.processes import WorldTask, relay, serve_agent, serve_world
 from deploy.records import LabNode, Records
 from deploy.scenario import Scenario, ScenarioError, load
 from deploy.wire import Meter
 from netshaper import access
+from netshaper.hub import open_hub
 from protocol import keys as names
 from protocol.bus import BusClosed
 from protocol.keys import Keys
@@ -26,25 +30,47 @@ from protocol.zenoh_bus import Credential, join
 
 SCENARIO = "scenario.toml"
 """Lies beside the credentials: what the netshaper was given, for the others to compare theirs with."""
+MOST_PORT = 65535
 
 
 def serve_netshaper(scenario: Scenario, listen: str, folder: Path, tell: Callable[[str], object]) -> None:
     """Write credentials for a new run into `folder`, then be its hub and relay."""
     plan = plans.make(scenario)
-    host, _, port = listen.rpartition(":")
-    if not host or not port.isdecimal():
-        raise ScenarioError(f"listen = {listen!r}: must be HOST:PORT, as 127.0.0.1:7447")
+    endpoint = _endpoint(listen)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise ScenarioError(f"credentials = {folder}: it exists already; name a new directory")
-    folder.mkdir(parents=True, exist_ok=True)
-    endpoint = f"tcp/{listen}"
     run = secrets.token_hex(4)
     credentials = access.issue(run, endpoint, scenario.robots)
-    for name, credential in credentials.items():
-        credential.write(folder / f"{name}.json")
-    (folder / SCENARIO).write_text(scenario.to_toml(), encoding="utf-8")
-    tell(f"run {run} at {endpoint}; credentials in {folder}: {', '.join(credentials)}")
-    serve_relay(run, endpoint, credentials, plan.radio, tell)
+    with closing(open_hub(run, endpoint, credentials)) as bus:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, credential in credentials.items():
+            credential.write(folder / f"{name}.json")
+        (folder / SCENARIO).write_text(scenario.to_toml(), encoding="utf-8")
+        tell(f"run {run} at {endpoint}; credentials in {folder}: {', '.join(credentials)}")
+        relay(bus, run, plan.radio, tell)
+
+
+def _endpoint(listen: str) -> str:
+    """Where the hub listens, as zenoh has it; that address stands in every credential."""
+    host, _, port = listen.rpartition(":")
+    if not host or not port.isdecimal() or not 1 <= int(port) <= MOST_PORT:
+        raise ScenarioError(
+            f"listen = {listen!r}: must be HOST:PORT, as 127.0.0.1:7447, with a port from 1 to {MOST_PORT}"
+        )
+    if _is_everywhere(host):
+        raise ScenarioError(
+            f"listen = {listen!r}: stands in every credential, and nobody can be reached at {host}; "
+            "give the address by which others know this host"
+        )
+    return f"tcp/{listen}"
+
+
+def _is_everywhere(host: str) -> bool:
+    """Whether a host is the address that stands for all of its own."""
+    try:
+        return ip_address(host.strip("[]")).is_unspecified
+    except ValueError:
+        return False  # a name
 
 
 def serve_worldsim(scenario: Scenario, credential: Path) -> None:
@@ -67,35 +93,33 @@ def serve_lab(
     credential: Path,
     out: Path | None,
     watch: Callable[[Plan, Records], object] | None,
+    tell: Callable[[str], object] = lambda _: None,
 ) -> Result:
-    """Be the laboratory: record the run and write its directory."""
+    """Be the laboratory: record the run and write its directory; `tell` hears that Ctrl-C is heeded."""
     _check_same(scenario, credential)
     plan = plans.make(scenario)
     read = _credential(credential, names.LAB)
-    directory = rundir.create(out, plan)
-    began = time.perf_counter()
-    deaths: dict[str, str] = {}
+    rundir.check_free(out)
     bus = join(read)
-    with rundir.open_capture(directory, plan) as capture, interrupts() as interrupted:
-        lab = LabNode(bus, Keys(read.run), scenario.robots, capture, Meter(read.hub))
-        asked_to_stop = False
-        try:
-            while not lab.done:
-                message = bus.receive(0.25)
-                if message is not None:
-                    lab.handle(message)
-                if watch is not None:
-                    watch(plan, lab.records)
-                if interrupted and not asked_to_stop:
-                    asked_to_stop = True
-                    lab.stop("interrupted")
-                if len(interrupted) > 1 or (interrupted and not lab.records.world):
-                    lab.send_home()
-        except BusClosed as error:
-            deaths[names.RELAY] = str(error)
-        finally:
-            bus.close()
-    return conclude(plan, Outcome(lab.records, deaths), directory, time.perf_counter() - began)
+    interrupt = Interrupt(tell)
+    deaths: dict[str, str] = {}
+    with interrupt.caught():
+        with closing(bus):
+            directory = rundir.create(out, plan)
+            began = time.perf_counter()
+            with rundir.open_capture(directory, plan) as capture:
+                lab = LabNode(bus, Keys(read.run), scenario.robots, capture, Meter(read.hub))
+
+                def look() -> bool:
+                    if watch is not None:
+                        watch(plan, lab.records)
+                    return False
+
+                try:
+                    attend(bus, lab, interrupt.heed, look)
+                except BusClosed as error:
+                    deaths[names.RELAY] = str(error)
+        return conclude(plan, Outcome(lab.records, deaths), directory, time.perf_counter() - began)
 
 
 def serve_viewer(scenario: Scenario, credential: Path, out: Path, window: Window) -> None:

@@ -6,10 +6,11 @@ import json
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
-from deploy.rundir import CAPTURE
+from deploy.rundir import CAPTURE, SCENARIO, read_scenario
 from netshaper import capture
 from netshaper.capture import FRAMES, VERDICTS, Captured
 from netshaper.ledger import BROADCAST
@@ -127,8 +128,9 @@ def lines(path: Path, wanted: Filter, *, every_packet: bool) -> Iterator[str]:
     """Yield the table line by line: a frame each, its packets where they are asked for, totals at the end."""
     totals = Totals()
     with opened(path) as reader:
+        frames = _begun(select(reader, wanted, totals))
         yield _COLUMNS.format(*_TITLES)
-        for frame in select(reader, wanted, totals):
+        for frame in frames:
             yield _row(frame)
             if every_packet:
                 for packet in _decoded(frame.seen.payload):
@@ -142,9 +144,10 @@ def json_lines(path: Path, wanted: Filter) -> Iterator[str]:
     """Yield one JSON object, a frame a line: ``{"frames": [...], "totals": {...}, "torn": bytes}``."""
     totals = Totals()
     with opened(path) as reader:
+        frames = _begun(select(reader, wanted, totals))
         yield '{"frames": ['
         before = ""
-        for frame in select(reader, wanted, totals):
+        for frame in frames:
             if before:
                 yield before + ","
             before = json.dumps(_to_json(frame))
@@ -159,7 +162,19 @@ def parse_steps(text: str) -> tuple[int, int]:
         steps = int(first), int(last if dash else first)
     except ValueError:
         raise ValueError(f"step = {text!r}: must be a step, as 12, or steps, as 10-20") from None
+    if steps[0] > steps[1]:
+        raise ValueError(f"step = {text!r}: the first step comes first, as in 10-20")
     return steps
+
+
+def check_robot(path: Path, robot: int) -> int:
+    """Return a robot's number; ValueError if the run of the capture has none of it, where its scenario tells."""
+    folder = path if path.is_dir() else path.parent
+    if (folder / SCENARIO).is_file():
+        robots = read_scenario(folder).robots
+        if robot >= robots:
+            raise ValueError(f"robot = {robot}: the last one of this run is {robots - 1}")
+    return robot
 
 
 def check_kind(kind: str) -> str:
@@ -167,6 +182,11 @@ def check_kind(kind: str) -> str:
     if kind not in ALL_KINDS:
         raise ValueError(f"kind = {kind!r}: there are {', '.join(ALL_KINDS)}")
     return kind
+
+
+def _begun(frames: Iterator[Captured]) -> Iterator[Captured]:
+    """The same frames, the first of them read: what is no capture is refused before a word is said."""
+    return chain(list(islice(frames, 1)), frames)
 
 
 def _row(frame: Captured) -> str:

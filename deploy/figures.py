@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from deploy.archive import Archive
 from deploy.dashboard.look import GROUPS
 from deploy.dashboard.shapes import outline_strips
-from deploy.pictures import robot_color, show_grid
+from deploy.pictures import robot_color, save, show_grid
 from deploy.rescan import Lasers
 from deploy.scenario import UNLIMITED
 from deploy.snapshots import Snapshots
@@ -29,7 +29,6 @@ from netshaper.ledger import CAUSES
 from protocol.grid import FREE
 
 MAPS_OVER_TIME, APPROXIMATION, CHANNEL_LOAD = "maps-over-time.png", "approximation.png", "channel-load.png"
-FOLDER = "pictures"
 MOST_ROBOTS = 8
 """Robots that a picture has columns for."""
 MOMENTS = 6
@@ -48,7 +47,7 @@ def write_figures(
         if snapshots.has_outlines:
             figures[APPROXIMATION] = approximation(archive, snapshots)
     for name, figure in figures.items():
-        figure.savefig(folder / name, dpi=100)
+        save(folder / name, figure, dpi=100)
     return [folder / name for name in figures]
 
 
@@ -125,6 +124,8 @@ def channel_load(archive: Archive, snapshots: Snapshots | None) -> Figure:
     for robot in range(archive.plan.scenario.robots):
         mine = archive.of_robot(robot)
         told.plot(mine["step"], mine["backlog"], color=robot_color(robot), linewidth=0.9)
+    for axes in (load, wait, told):
+        axes.set_ylim(0, max(1.0, axes.get_ylim()[1]))
     told.set_ylabel("packets not told yet\n(colours: robots)")
     wait.set_title("What had to wait")
     _draw_explored(explored, archive, snapshots)

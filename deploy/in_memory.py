@@ -29,14 +29,16 @@ def run(
     watch: Callable[[Records], object] | None = None,
     capture: BinaryIO | None = None,
     *,
+    heed: Callable[[LabNode], object] = lambda _: None,
     wrap: Callable[[str, Bus], Bus] = lambda _, bus: bus,
     view: Node | None = None,
     wait: Callable[[], object] = lambda: None,
 ) -> Records:
     """Run a plan to its end.
 
-    `watch` is called once a step, `capture` takes the frames (`deploy.records`), `wrap` may lay something
-    around each participant's end of the bus; `view` is a viewer, `wait` the world's pace.
+    `watch` is called once a step, `capture` takes the frames (`deploy.records`), `heed` may end the run early
+    (`deploy.interrupt`), `wrap` may lay something around each participant's end of the bus; `view` is a viewer,
+    `wait` the world's pace.
     """
     hub = MemoryHub("memory")
     keys = hub.keys
@@ -68,6 +70,7 @@ def run(
     step = 0
     while not all(node.done for node in nodes.values()):
         spoke = False
+        heed(lab)
         for name, node in nodes.items():
             while (message := _next(buses[name])) is not None:
                 node.handle(message)

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
-import signal
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -23,7 +22,7 @@ from deploy.records import LabNode, Records
 from deploy.watch import announced
 from deploy.wire import Meter
 from protocol import keys as names
-from protocol.bus import BusClosed
+from protocol.bus import Bus, BusClosed
 from protocol.keys import Keys
 from protocol.zenoh_bus import join
 
@@ -33,7 +32,10 @@ VIEWER_S = 10.0
 VIEWER_END_S = 5.0
 """How long the viewer may take to write what it has at the end."""
 WRAP_UP_S = 3.0
-"""How long the others may take to hand in what they have, once the run is over or was interrupted."""
+"""How long the others may be silent once the run is over or was interrupted, and something is not handed in."""
+
+Heed = Callable[[LabNode], bool]
+"""Asked again and again: has the run ended early if someone wishes that, and says whether (`Interrupt.heed`)."""
 
 
 @dataclass
@@ -42,7 +44,6 @@ class Outcome:
 
     records: Records
     deaths: dict[str, str]
-    interrupted: bool = False
     view_fault: str = ""
     """What went wrong with the viewer, without which the run went on."""
 
@@ -61,6 +62,7 @@ def run(
     watch: Callable[[Records], object] | None = None,
     capture: BinaryIO | None = None,
     *,
+    heed: Heed = lambda _: False,
     show: Show | None = None,
     pace: float | None = None,
     live: Path | None = None,
@@ -68,12 +70,12 @@ def run(
     """Run a plan as processes; `watch` is called as records come in, at most a few times a second.
 
     What the processes print goes to files in `logs`, or is gone after the run if that is None; `capture`
-    takes the frames (`deploy.records`); `show` adds a viewer; `pace` is the steps a second at most;
-    `live` is a directory in which to say how to look at the run (`deploy.watch`).
+    takes the frames (`deploy.records`); `heed` may end it early; `show` adds a viewer; `pace` is the steps a
+    second at most; `live` is a directory in which to say how to look at the run (`deploy.watch`).
     """
     if logs is None:
         with tempfile.TemporaryDirectory() as folder:
-            return run(plan, Path(folder), watch, capture, show=show, pace=pace, live=live)
+            return run(plan, Path(folder), watch, capture, heed=heed, show=show, pace=pace, live=live)
     robots = plan.scenario.robots
     world = WorldTask(plan.make_world(), plan.minds, plan.scenario.steps, 1000 * plan.map.resolution, pace)
     with Family(logs, robots) as family:
@@ -84,12 +86,12 @@ def run(
         for name in map(names.robot, range(robots)):
             table[name] = (serve_agent, family.credentials[name])
         port = show.task.port if show is not None else None
-        with interrupts() as interrupted, announced(live, family.credentials[names.VIEW], port):
+        with announced(live, family.credentials[names.VIEW], port):
             for name, (serve, *args) in table.items():
                 family.start(name, serve, *args)
             if show is not None:
                 _start_viewer(family, show)
-            outcome = _attend(family, robots, interrupted, watch, capture)
+            outcome = _attend(family, robots, heed, watch, capture)
             if show is not None:
                 outcome.view_fault = family.await_end(names.VIEW, VIEWER_END_S)
             return outcome
@@ -108,7 +110,7 @@ def _start_viewer(family: Family, show: Show) -> None:
 def _attend(
     family: Family,
     robots: int,
-    interrupted: list[int],
+    heed: Heed,
     watch: Callable[[Records], object] | None,
     capture: BinaryIO | None,
 ) -> Outcome:
@@ -120,56 +122,48 @@ def _attend(
         family.look().setdefault(names.RELAY, str(error))
         return Outcome(Records(robots), deaths)
     lab = LabNode(bus, Keys(family.run), robots, capture, Meter(family.endpoint))
-    deadline = float("inf")
-    asked_to_stop = False
-    looked = 0.0
-    try:
-        while not lab.done:
-            message = bus.receive(POLL_S)
-            if message is not None:
-                lab.handle(message)
-            now = time.monotonic()
-            if now - looked < POLL_S:
-                continue
-            looked = now
-            lab.read_meter()
-            if watch is not None:
-                watch(lab.records)
-            family.look()
-            if interrupted and not asked_to_stop:
-                asked_to_stop = True
-                lab.stop("interrupted")
-                deadline = now + WRAP_UP_S
-            if (lab.records.end is not None or names.WORLD in deaths) and deadline == float("inf"):
-                deadline = now + WRAP_UP_S
-            if now > deadline or len(interrupted) > 1 or not _can_begin(lab.records, deaths):
-                lab.send_home()
-    except BusClosed as error:
-        time.sleep(POLL_S)  # the system tells of the death a moment after the bus
-        family.look().setdefault(names.RELAY, str(error))
-    finally:
-        bus.close()
+
+    def look() -> bool:
+        if watch is not None:
+            watch(lab.records)
+        if family.look() and not lab.records.world:
+            lab.send_home()  # no first step can come
+        return names.WORLD in deaths
+
+    with contextlib.closing(bus):
+        try:
+            attend(bus, lab, heed, look)
+        except BusClosed as error:
+            time.sleep(POLL_S)  # the system tells of the death a moment after the bus
+            family.look().setdefault(names.RELAY, str(error))
     family.look()
-    return Outcome(lab.records, deaths, bool(interrupted))
+    return Outcome(lab.records, deaths)
 
 
-def _can_begin(records: Records, deaths: dict[str, str]) -> bool:
-    """Whether a first step can still come: not if someone died before it."""
-    return bool(records.world) or not deaths
+def attend(bus: Bus, lab: LabNode, heed: Heed, look: Callable[[], bool]) -> None:
+    """Be the laboratory until all is recorded, or those who have something left fall silent.
 
+    `look` is called a few times a second, and says whether the run is broken: then it ends as well.
 
-@contextlib.contextmanager
-def interrupts() -> Iterator[list[int]]:
-    """Collect Ctrl-C and SIGTERM in a list instead of dying of them (in the main thread)."""
-    caught: list[int] = []
-    before = {}
-    try:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            before[number] = signal.signal(number, lambda signum, _: caught.append(signum))
-    except ValueError:
-        before = {}  # not the main thread: signals are its affair
-    try:
-        yield caught
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    Raises
+    ------
+    BusClosed
+        The relay is gone.
+    """
+    ending = False
+    heard = looked = 0.0
+    while not lab.done:
+        message = bus.receive(POLL_S)
+        now = time.monotonic()
+        if message is not None:
+            heard = now
+            lab.handle(message)
+        if now - looked < POLL_S:
+            continue
+        looked = now
+        lab.read_meter()
+        broken, wished = look(), heed(lab)
+        if not ending and (broken or wished or lab.records.end is not None):
+            ending, heard = True, now
+        if ending and now - heard > WRAP_UP_S:
+            lab.send_home()

@@ -13,6 +13,7 @@ from deploy import in_memory, launch, rundir
 from deploy import plan as plans
 from deploy.dashboard.process import RECORDING, ViewTask, watching
 from deploy.dashboard.windows import Window, optimise
+from deploy.interrupt import Interrupt
 from deploy.plan import Plan
 from deploy.records import Records
 from deploy.scenario import Scenario
@@ -57,6 +58,7 @@ def explore(
     out: Path | None = None,
     keep: bool = True,
     watch: Callable[[Plan, Records], object] | None = None,
+    tell: Callable[[str], object] = lambda _: None,
     window: Window | None = None,
     pictures: bool = False,
     pace: float | None = None,
@@ -73,6 +75,8 @@ def explore(
         Whether to write a run directory at all.
     watch : callable, optional
         Called with the plan and the records while the run goes on.
+    tell : callable, optional
+        Hears that Ctrl-C or SIGTERM is heeded: a run that is kept ends after the step, and is written.
     window : Window, optional
         Shows the run live, and has it recorded in its directory.
     pictures : bool
@@ -84,6 +88,8 @@ def explore(
     ------
     ScenarioError
         The scenario cannot be run; nothing has been started.
+    OSError
+        Something cannot be written: the error names it.
     ValueError
         The pace is too slow, or what is to be shown is not to be kept.
     """
@@ -91,35 +97,39 @@ def explore(
         raise ValueError("a run that is shown or drawn needs a directory: keep = True")
     wait: Callable[[], object] = Pace(pace).wait if pace is not None else _nothing
     plan = plans.make(scenario)
-    directory = rundir.create(out, plan) if keep else None
-    began = time.perf_counter()
+    interrupt = Interrupt(tell)
+    with interrupt.caught() if keep else contextlib.nullcontext():
+        directory = rundir.create(out, plan) if keep else None
+        began = time.perf_counter()
 
-    def look(records: Records) -> None:
-        if watch is not None:
-            watch(plan, records)
+        def look(records: Records) -> None:
+            if watch is not None:
+                watch(plan, records)
 
-    task = None
-    if directory is not None and (window is not None or pictures):
-        port = window.port if window is not None else None
-        task = ViewTask(plan, directory.absolute(), records=window is not None, port=port)
-    ready: Callable[[], object] = window.open if window is not None else _nothing
-    with rundir.open_capture(directory, plan) as capture:
-        if scenario.bus == "memory":
-            with contextlib.ExitStack() as stack:
-                view = stack.enter_context(watching(task)) if task is not None else None
-                ready()
-                outcome = launch.Outcome(in_memory.run(plan, look, capture, view=view, wait=wait), {})
-        else:
-            show = launch.Show(task, ready) if task is not None else None
-            logs = directory / rundir.LOGS if directory else None
-            outcome = launch.run(plan, logs, look, capture, show=show, pace=pace, live=directory)
-    result = conclude(plan, outcome, directory, time.perf_counter() - began)
-    if directory is not None and window is not None and outcome.view_fault:
-        optimise(directory / RECORDING)  # closed by nobody
-    if directory is not None and pictures and outcome.records.world:
-        from deploy import archive, figures  # noqa: PLC0415  nobody else needs what they import
+        task = None
+        if directory is not None and (window is not None or pictures):
+            port = window.port if window is not None else None
+            task = ViewTask(plan, directory.absolute(), records=window is not None, port=port)
+        ready: Callable[[], object] = window.open if window is not None else _nothing
+        with rundir.open_capture(directory, plan) as capture:
+            if scenario.bus == "memory":
+                with watching(task) if task is not None else contextlib.nullcontext() as view:
+                    ready()
+                    records = in_memory.run(plan, look, capture, heed=interrupt.heed, view=view, wait=wait)
+                outcome = launch.Outcome(records, {})
+            else:
+                show = launch.Show(task, ready) if task is not None else None
+                logs = directory / rundir.LOGS if directory else None
+                outcome = launch.run(
+                    plan, logs, look, capture, heed=interrupt.heed, show=show, pace=pace, live=directory
+                )
+        result = conclude(plan, outcome, directory, time.perf_counter() - began)
+        if directory is not None and window is not None and outcome.view_fault:
+            optimise(directory / RECORDING)  # closed by nobody
+        if directory is not None and pictures and outcome.records.world:
+            from deploy import archive, figures  # noqa: PLC0415  nobody else needs what they import
 
-        figures.write_figures(archive.read(directory), directory / figures.FOLDER)
+            figures.write_figures(archive.read(directory), directory / rundir.PICTURES)
     return result
 
 

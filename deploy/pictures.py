@@ -15,6 +15,7 @@ from deploy.dashboard import look
 from deploy.plan import Plan
 from deploy.records import Records
 from protocol.grid import Grid
+from worldsim.files import write_whole
 from worldsim.maps import Map
 
 CELLS = ListedColormap(["#c3c7cc", "#ffffff", "#20242a"])
@@ -27,6 +28,11 @@ def robot_color(robot: int) -> tuple[float, ...]:
     return tuple(part / 255 for part in look.robot_color(robot))
 
 
+def save(path: Path, figure: Figure, dpi: int) -> None:
+    """Write a figure, whole or not at all, in the form that the file's name ends in."""
+    write_whole(path, lambda file: figure.savefig(file, format=path.suffix[1:] or "png", dpi=dpi))
+
+
 def draw_map(path: Path, world_map: Map) -> None:
     """Draw a map with metres on its axes."""
     figure = Figure(figsize=(7, 7 * world_map.height / world_map.width + 0.6), layout="constrained")
@@ -35,7 +41,7 @@ def draw_map(path: Path, world_map: Map) -> None:
     axes.set_title(
         f"{world_map.name}: {world_map.width} x {world_map.height} cells of {world_map.resolution:g} m"
     )
-    figure.savefig(path, dpi=110)
+    save(path, figure, dpi=110)
 
 
 def draw_maps(path: Path, plan: Plan, records: Records, summary: dict[str, Any]) -> None:
@@ -65,7 +71,7 @@ def draw_maps(path: Path, plan: Plan, records: Records, summary: dict[str, Any])
         f"{plan.map.name}: {summary['robots']} robots, {summary['exchange']}, {medium}; "
         f"{summary['steps']} steps, {summary['bytes']['total'] / 1000:.0f} kB on the air"
     )
-    figure.savefig(path, dpi=110)
+    save(path, figure, dpi=110)
 
 
 def show_grid(axes: Axes, world_map: Map, grid: Grid) -> None:

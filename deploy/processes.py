@@ -10,6 +10,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -57,35 +58,35 @@ class WorldTask:
 
 
 def serve_relay(
-    run: str,
-    endpoint: str,
-    credentials: Mapping[str, Credential],
-    settings: RadioSettings,
-    tell: Callable[[str], object] = lambda _: None,
+    run: str, endpoint: str, credentials: Mapping[str, Credential], settings: RadioSettings
 ) -> None:
-    """Be the hub and relay of a run until everyone has gone home; `tell` hears whom it waits for."""
-    bus = open_hub(run, endpoint, credentials)
-    try:
-        node = RelayNode(bus, Keys(run), settings)
-        told: list[str] = []
-        heard = time.monotonic()
-        while not node.done:
-            message = bus.receive(1.0)
-            if message is not None:
-                heard = time.monotonic()
-                node.handle(message)
-            silent = time.monotonic() - heard
-            if node.going_home and silent > FAREWELL_S:
-                break
-            if silent > PATIENCE_S:
-                for robot in node.waiting_for():
-                    node.give_up_on(robot, f"it said nothing for {PATIENCE_S:g} s")
-                heard = time.monotonic()
-            if node.missing() != told:
-                told = node.missing()
-                tell(f"waiting for {', '.join(told)}" if told else "all are here")
-    finally:
-        bus.close()
+    """Be the hub and relay of a run until everyone has gone home."""
+    with closing(open_hub(run, endpoint, credentials)) as bus:
+        relay(bus, run, settings)
+
+
+def relay(
+    bus: Bus, run: str, settings: RadioSettings, tell: Callable[[str], object] = lambda _: None
+) -> None:
+    """Be the relay at an open hub until everyone has gone home; `tell` hears whom it waits for."""
+    node = RelayNode(bus, Keys(run), settings)
+    told: list[str] = []
+    heard = time.monotonic()
+    while not node.done:
+        message = bus.receive(1.0)
+        if message is not None:
+            heard = time.monotonic()
+            node.handle(message)
+        silent = time.monotonic() - heard
+        if node.going_home and silent > FAREWELL_S:
+            break
+        if silent > PATIENCE_S:
+            for robot in node.waiting_for():
+                node.give_up_on(robot, f"it said nothing for {PATIENCE_S:g} s")
+            heard = time.monotonic()
+        if node.missing() != told:
+            told = node.missing()
+            tell(f"waiting for {', '.join(told)}" if told else "all are here")
 
 
 def serve_world(credential: Credential, task: WorldTask) -> None:

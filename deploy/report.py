@@ -12,9 +12,10 @@ import numpy as np
 
 from deploy import rundir
 from deploy.archive import Archive, read
-from deploy.figures import APPROXIMATION, CHANNEL_LOAD, FOLDER, MAPS_OVER_TIME, write_figures
-from netshaper.ledger import BROADCAST
+from deploy.figures import APPROXIMATION, CHANNEL_LOAD, MAPS_OVER_TIME, write_figures
+from netshaper.ledger import BROADCAST, CAUSES
 from protocol.packets import ALL_KINDS
+from worldsim.files import write_whole
 
 REPORT = "report.html"
 
@@ -33,6 +34,15 @@ KINDS = {
 }
 """What each kind of packet says."""
 assert sorted(KINDS) == sorted(ALL_KINDS)
+
+UNDELIVERED = {
+    "budget": "the step's budget was spent",
+    "range": "the receiver was out of range",
+    "protocol": "they made no sense",
+    "lost": "a partner had died",
+}
+"""Why a frame was not carried."""
+assert ("", *UNDELIVERED) == CAUSES
 
 CAPTIONS = {
     CHANNEL_LOAD: "What each step put on the air, what had to wait, and what was explored meanwhile.",
@@ -66,11 +76,12 @@ def write_report(directory: Path, tell: Callable[[str], object] = lambda _: None
         It is no run directory, or too little came of the run.
     """
     archive = read(directory)
-    figures = write_figures(archive, directory / FOLDER, tell)
+    figures = write_figures(archive, directory / rundir.PICTURES, tell)
     if (directory / rundir.PICTURE).is_file():
         figures.append(directory / rundir.PICTURE)
     path = directory / REPORT
-    path.write_text(page(archive, figures), encoding="utf-8")
+    text = page(archive, figures)
+    write_whole(path, lambda file: file.write(text.encode()))
     return path
 
 
@@ -156,17 +167,10 @@ def _kinds(summary: dict[str, Any]) -> list[list[str]]:
 
 
 def _undelivered(summary: dict[str, Any]) -> list[list[str]]:
-    words = {
-        "budget": "the step's budget was spent",
-        "range": "the receiver was out of range",
-        "loss": "lost on the air",
-        "lost": "the receiver had died",
-        "protocol": "they made no sense",
-    }
     rows = [["frames that were not carried whole, for", "frames"]]
     return [
         *rows,
-        *([words.get(cause, cause), f"{count:,}"] for cause, count in summary["undelivered"].items()),
+        *([UNDELIVERED[cause], f"{count:,}"] for cause, count in summary["undelivered"].items()),
     ]
 
 

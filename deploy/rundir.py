@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import count
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -22,6 +22,7 @@ from netshaper import capture
 from netshaper.ledger import CAUSES, MALFORMED
 from protocol.packets import ALL_KINDS
 from worldsim import maps
+from worldsim.files import write_whole
 from worldsim.maps import Map, to_world
 
 SCENARIO, SUMMARY, STEPS, LEDGER = "scenario.toml", "summary.json", "steps.parquet", "ledger.parquet"
@@ -29,9 +30,27 @@ CAPTURE = "radio.pcapng"
 MAP = "map.yaml"
 TEAM_MAP = "team.yaml"
 PICTURE = "maps.png"
+PICTURES = "pictures"
 LOGS = "logs"
 RUNS = Path("runs")
 """Where runs go for which no directory was named."""
+
+FIGURES = (
+    "finished", "reason", "steps", "first_robot", "coverage", "map_agreement", "t90", "t99", "robots", "seed",
+    "map", "bus", "strategy", "exchange", "bandwidth", "range_m", "bytes", "packets", "over_budget_steps",
+    "undelivered", "lost", "digest", "steps_per_s", "versions",
+)  # fmt: skip
+"""What must be in a summary for a run to be told of, or repeated."""
+
+
+def check_free(out: Path | None) -> None:
+    """Raise ScenarioError if `out` is not to be had for a new run: it is a file, or not empty."""
+    if out is not None and out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise ScenarioError(f"out = {out}: it exists already; name a new directory, or empty this one")
+    if out is None and RUNS.exists() and not RUNS.is_dir():
+        raise ScenarioError(
+            f"{RUNS} is a file, and runs go into a directory of that name: move it, or use --out"
+        )
 
 
 def create(out: Path | None, plan: Plan) -> Path:
@@ -40,10 +59,9 @@ def create(out: Path | None, plan: Plan) -> Path:
     Raises
     ------
     ScenarioError
-        The directory exists and is not empty, or cannot be made.
+        It is not free, or cannot be made.
     """
-    if out is not None and out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ScenarioError(f"out = {out}: it exists already; name a new directory, or empty this one")
+    check_free(out)
     try:
         out = out or _next_free(plan)
         out.mkdir(parents=True, exist_ok=True)
@@ -71,7 +89,8 @@ def write_inputs(out: Path, plan: Plan) -> None:
     maps.save(plan.map, out / MAP)
     data = plan.scenario.model_dump(mode="json", exclude_none=True) | {"map": MAP}
     text = f"# {plan.map.name}: everything that decides this run. Repeat it: murmur replay {out}\n"
-    _replace(out / SCENARIO, lambda path: path.write_text(text + parse(data).to_toml(), encoding="utf-8"))
+    text += parse(data).to_toml()
+    write_whole(out / SCENARIO, lambda file: file.write(text.encode()))
 
 
 @contextlib.contextmanager
@@ -103,8 +122,11 @@ def read_summary(directory: Path) -> dict[str, Any]:
         summary = json.loads((directory / SUMMARY).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise ScenarioError(f"{directory}: no readable {SUMMARY} ({error})") from None
-    if not isinstance(summary, dict) or "digest" not in summary:
-        raise ScenarioError(f"{directory}: {SUMMARY} is not that of a run, for it has no digest")
+    missing = [key for key in FIGURES if not isinstance(summary, dict) or key not in summary]
+    if missing:
+        raise ScenarioError(
+            f"{directory}: {SUMMARY} is not that of a run, for it has no {', '.join(missing)}"
+        )
     found: dict[str, Any] = summary
     return found
 
@@ -116,16 +138,16 @@ def write_results(out: Path, plan: Plan, records: Records, summary: dict[str, An
     from deploy.pictures import draw_maps  # noqa: PLC0415
 
     text = json.dumps(summary, indent=2) + "\n"
-    _replace(out / SUMMARY, lambda path: path.write_text(text, encoding="utf-8"))
-    _replace(out / STEPS, lambda path: parquet.write_table(steps_table(plan, records), path))
-    _replace(out / LEDGER, lambda path: parquet.write_table(ledger_table(records), path))
+    write_whole(out / SUMMARY, lambda file: file.write(text.encode()))
+    write_whole(out / STEPS, lambda file: parquet.write_table(steps_table(plan, records), file))
+    write_whole(out / LEDGER, lambda file: parquet.write_table(ledger_table(records), file))
     if records.own:
         team = np.maximum.reduce([records.own[robot] for robot in sorted(records.own)])
         named = {"team": team} | {f"planning-r{robot}": grid for robot, grid in records.planning.items()}
         for name, grid in named.items():
             if (grid == 1).any():
                 maps.save(Map(name, grid, plan.map.resolution, plan.map.origin), out / f"{name}.yaml")
-        _replace(out / PICTURE, lambda path: draw_maps(path, plan, records, summary))
+        draw_maps(out / PICTURE, plan, records, summary)
 
 
 def steps_table(plan: Plan, records: Records) -> Any:
@@ -191,13 +213,3 @@ def ledger_table(records: Records) -> Any:
         else:
             columns[name] = pa.array(column == 1 if name == "carried" else column)
     return pa.table(columns)
-
-
-def _replace(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file beside its place, then move it there."""
-    beside = path.with_name(f".{path.stem}.part{path.suffix}")
-    try:
-        write(beside)
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)

@@ -6,7 +6,6 @@ Each robot tells only what has changed: what it does not tell anew still stands.
 
 from __future__ import annotations
 
-import os
 from bisect import bisect_right
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 from protocol import keys as names
 from protocol.grid import Grid
 from protocol.messages import Outlines, Snapshot, grid_from_bytes
+from worldsim.files import write_whole
 
 SNAPSHOTS = "snapshots.parquet"
 PLANNING = -1
@@ -65,9 +65,8 @@ class Snapshots:
         kinds = (pa.int32(), pa.int32(), pa.int32(), pa.int32(), pa.int32(), pa.binary())
         columns: Any = list(zip(*rows, strict=True)) if rows else [[] for _ in COLUMNS]
         arrays = [pa.array(column, kind) for column, kind in zip(columns, kinds, strict=True)]
-        beside = path.with_name(f".{path.name}.{os.getpid()}")
-        parquet.write_table(pa.table(arrays, list(COLUMNS)), beside, compression="zstd")
-        beside.replace(path)
+        table = pa.table(arrays, list(COLUMNS))
+        write_whole(path, lambda file: parquet.write_table(table, file, compression="zstd"))
 
     @classmethod
     def read(cls, path: Path) -> Snapshots:

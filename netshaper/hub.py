@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -35,5 +36,11 @@ def open_hub(run: str, endpoint: str, credentials: Mapping[str, Credential]) -> 
         try:
             session = zenoh.open(config)
         except zenoh.ZError as error:
-            raise ConnectionError(f"the hub cannot listen at {endpoint}: {error}") from None
+            raise ConnectionError(f"the hub cannot listen at {endpoint}: {_reason(error)}") from None
     return ZenohBus(session, keys, names.RELAY)
+
+
+def _reason(error: zenoh.ZError) -> str:
+    """The system's words, out of zenoh's: those that stand before the first line of its source."""
+    words = re.split(r"(?: \(os error \d+\))? at \S+\.rs:\d+", str(error), maxsplit=1)[0]
+    return words.rsplit(": ", 1)[-1]

@@ -10,10 +10,9 @@ from __future__ import annotations
 import io
 import math
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import yaml
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid
+from worldsim.files import write_whole
 
 _OCCUPIED_THRESH = 0.65
 _FREE_THRESH = 0.196
@@ -173,6 +173,8 @@ def save(map_: Map, yaml_path: str | os.PathLike[str], image: str | None = None)
     ------
     MapError
         The picture's name has another suffix.
+    OSError
+        A file cannot be written; the error names it.
     """
     yaml_path = Path(yaml_path)
     image = yaml_path.with_suffix(".png").name if image is None else image
@@ -189,19 +191,8 @@ def save(map_: Map, yaml_path: str | os.PathLike[str], image: str | None = None)
     }
     text = yaml.safe_dump(entries, sort_keys=False, default_flow_style=None)
     picture = Image.fromarray(_SHADES[map_.cells])
-    _replace(yaml_path.parent / image, lambda file: picture.save(file, image_format))
-    _replace(yaml_path, lambda file: file.write(text.encode()))
-
-
-def _replace(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    """Write a file under another name, then give it its own in one stroke."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with temporary.open("wb") as file:
-            write(file)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_whole(yaml_path.parent / image, lambda file: picture.save(file, image_format))
+    write_whole(yaml_path, lambda file: file.write(text.encode()))
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:

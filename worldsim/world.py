@@ -284,9 +284,11 @@ def start_cells(
     Raises
     ------
     ValueError
-        `first` is not free, or there are more robots than free cells that far apart.
+        No cell is free, `first` is not, or there are more robots than free cells that far apart.
     """
     labels, parts = ndimage.label(truth == FREE)
+    if not parts:
+        raise ValueError("no cell is free for robots of that radius")
     if first is None:
         largest = 1 + int(np.argmax(np.bincount(labels.ravel(), minlength=parts + 1)[1:]))
         ys, xs = np.nonzero(labels == largest)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import inspect
 import json
+import os
 import resource
+import signal
 import subprocess
 import sys
 import threading
@@ -297,6 +299,39 @@ def test_a_run_that_is_out_of_steps_ends_with_1(floor: str) -> None:
     assert result.summary["first_robot"] is None
     assert result.summary["steps"] == 3
     assert 0 < result.summary["coverage"] < 1
+
+
+@pytest.mark.parametrize("bus", ["memory", "zenoh"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_ends_a_run_after_its_step_with_everything_written(
+    floor: str, tmp_path: Path, bus: str, number: int
+) -> None:
+    handler = signal.getsignal(number)
+    told: list[str] = []
+
+    def watch(_: Plan, records: Records) -> None:
+        if records.step >= 5:
+            os.kill(os.getpid(), number)
+
+    result = mission.explore(
+        scenario(floor, bus=bus), out=tmp_path / "run", watch=watch, tell=told.append, pace=20
+    )
+    assert result.exit_code == NOT_FINISHED
+    assert result.summary["reason"] == "interrupted"
+    assert 5 <= result.summary["steps"] < 40
+    assert told == ["ending after this step; writing the run directory"]
+    assert {"summary.json", "steps.parquet", "ledger.parquet", "maps.png", "team.yaml"} <= {
+        path.name for path in (tmp_path / "run").iterdir()
+    }
+    assert signal.getsignal(number) == handler
+
+
+@pytest.mark.parametrize("bus", ["memory", "zenoh"])
+def test_a_run_that_leaves_nothing_dies_of_an_interrupt(floor: str, bus: str) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        mission.explore(
+            scenario(floor, bus=bus), keep=False, watch=lambda *_: os.kill(os.getpid(), signal.SIGINT)
+        )
 
 
 @pytest.mark.parametrize("bus", ["memory", "zenoh"])

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from deploy import archive, rundir
 from deploy.cli import app
-from deploy.figures import FOLDER
+from deploy.figures import channel_load
 from deploy.mission import explore
 from deploy.report import write_report
 from deploy.scenario import ScenarioError, parse
@@ -53,7 +53,7 @@ def directory(tmp_path: Path) -> Path:
 
 
 def test_a_run_with_pictures_draws_them() -> None:
-    folder = small_directory() / FOLDER
+    folder = small_directory() / rundir.PICTURES
     assert sorted(path.name for path in folder.iterdir()) == FIGURES
     for name in FIGURES:
         assert min(Image.open(folder / name).size) > 500
@@ -98,14 +98,20 @@ def test_maps_over_time_that_were_not_kept_are_seen_by_repeating_the_run(directo
     assert "repeated in memory" in told[0]
 
 
-def test_a_run_that_cannot_be_repeated_is_told_of_without_maps_over_time(directory: Path) -> None:
+@pytest.mark.parametrize(
+    ("was", "cut"),
+    [('"out of steps"', '"interrupted"'), ('"lost": {}', '"lost": {"1": "its process ended"}')],
+)
+def test_a_run_that_cannot_be_repeated_is_told_of_without_maps_over_time(
+    directory: Path, was: str, cut: str
+) -> None:
     (directory / SNAPSHOTS).unlink()
-    shutil.rmtree(directory / FOLDER)
+    shutil.rmtree(directory / rundir.PICTURES)
     summary = directory / rundir.SUMMARY
-    summary.write_text(summary.read_text().replace('"out of steps"', '"interrupted"'))
+    summary.write_text(summary.read_text().replace(was, cut))
     told: list[str] = []
     page = Page(write_report(directory, told.append).read_text(encoding="utf-8"))
-    assert [path.name for path in (directory / FOLDER).iterdir()] == ["channel-load.png"]
+    assert [path.name for path in (directory / rundir.PICTURES).iterdir()] == ["channel-load.png"]
     assert len(page.sources) == 2
     assert "cannot be repeated" in told[0]
 
@@ -114,6 +120,13 @@ def test_a_robot_that_had_nobody_to_talk_to_is_told_of_as_well(tmp_path: Path) -
     alone = parse({"bus": "memory", "robots": 1, "steps": 3, "bandwidth": "unlimited"})
     explore(alone, out=tmp_path / "run", pictures=True)
     assert "0 bytes in 0 packets" in write_report(tmp_path / "run").read_text(encoding="utf-8")
+
+
+def test_panels_of_a_channel_on_which_nothing_was_said_begin_at_zero(tmp_path: Path) -> None:
+    alone = parse({"bus": "memory", "robots": 1, "steps": 3, "bandwidth": "unlimited"})
+    explore(alone, out=tmp_path / "run")
+    load, wait, _, told = channel_load(archive.read(tmp_path / "run"), None).axes
+    assert [axes.get_ylim() for axes in (load, wait, told)] == [(0, 1)] * 3
 
 
 def test_what_is_no_run_is_refused(tmp_path: Path, directory: Path) -> None:

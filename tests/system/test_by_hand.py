@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.by_hand import serve_lab, serve_worldsim
+from deploy.by_hand import serve_lab, serve_netshaper, serve_worldsim
 from deploy.scenario import ScenarioError, parse
 from netshaper import access
 
@@ -118,6 +118,7 @@ def test_ctrl_c_does_in_each_terminal_what_the_document_says(tmp_path: Path) -> 
         assert running[lab].returncode == 3
         assert "robot 1 was lost: its process ended" in faults
         assert "interrupted" in said
+        assert "ending after this step; writing the run directory" in faults
         for others in (netshaper, worldsim, r0):
             assert running[others].wait(PATIENCE_S) == 0, others
     assert (tmp_path / "by-hand" / "maps.png").exists()
@@ -138,4 +139,25 @@ def test_a_scenario_that_is_not_the_relay_s_is_refused_by_name(tmp_path: Path) -
         ScenarioError, match=r"^robots = 3 here, but 2 in .*scenario\.toml: give all the same"
     ):
         serve_lab(ours, tmp_path / "lab.json", tmp_path / "run", None)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_relay_that_cannot_listen_leaves_no_credentials(tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        listen = f"127.0.0.1:{taken.getsockname()[1]}"
+        with pytest.raises(ConnectionError, match=r"cannot listen at tcp/\S+: Address already in use$"):
+            serve_netshaper(parse(tomllib.loads(SCENARIO)), listen, tmp_path / "credentials", print)
+    assert not (tmp_path / "credentials").exists()
+
+
+def test_a_laboratory_that_is_not_let_in_leaves_no_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("protocol.zenoh_bus.CONNECT_S", 0.5)
+    access.issue("run", "tcp/127.0.0.1:1", robots=2)["lab"].write(tmp_path / "lab.json")
+    scenario = parse(tomllib.loads(SCENARIO))
+    with pytest.raises(ConnectionError, match=r"lab: no hub let us in"):
+        serve_lab(scenario, tmp_path / "lab.json", tmp_path / "run", None)
     assert not (tmp_path / "run").exists()

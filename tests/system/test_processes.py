@@ -111,9 +111,13 @@ def test_an_interrupt_ends_all_children_and_writes_what_there_is(tmp_path: Path,
         wait_for_steps(process)
         family = descendants(process)
         os.kill(process.pid, number)
+        time.sleep(0.5)
+        os.kill(process.pid, number)  # once more, for the end takes a while
         code, said, _ = finish(process, 30)
     assert code == 1
+    assert said.startswith("Not finished after")
     assert "interrupted" in said
+    assert said.endswith("ending after this step; writing the run directory\n")
     assert not psutil.wait_procs(family, timeout=3)[1]
     result = summary(tmp_path / "run")
     assert result["reason"] == "interrupted"

@@ -359,6 +359,11 @@ def test_a_start_that_is_not_free_is_refused(first: Cell) -> None:
         start_cells(truth, 1, 0, 1, first)
 
 
+def test_robots_that_are_too_wide_for_every_place_are_refused() -> None:
+    with pytest.raises(ValueError, match="no cell is free for robots of that radius"):
+        start_cells(np.full((9, 9), OCCUPIED, np.uint8), 1, 0, 1)
+
+
 def test_more_robots_than_places_are_refused_with_the_number_that_fits() -> None:
     truth = np.full((1, 9), FREE, np.uint8)
     assert len(start_cells(truth, 5, 0, 2, (0, 0))) == 5

@@ -1,0 +1,46 @@
+"""Files appear whole or not at all, and who cannot be written is named."""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+from typing import BinaryIO
+
+import pytest
+
+from worldsim.files import write_whole
+
+
+def fill_the_disk(file: BinaryIO) -> None:
+    file.write(b"half")
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_file_has_its_name_once_it_is_whole(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+
+    def write(file: BinaryIO) -> None:
+        file.write(b"whole")
+        assert not path.exists()
+
+    write_whole(path, write)
+    assert path.read_bytes() == b"whole"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("before", [None, b"before"])
+def test_a_file_that_cannot_be_written_is_named_and_stays_as_it_was(
+    tmp_path: Path, before: bytes | None
+) -> None:
+    path = tmp_path / "a.txt"
+    if before is not None:
+        path.write_bytes(before)
+    with pytest.raises(OSError, match="No space left on device") as caught:
+        write_whole(path, fill_the_disk)
+    assert (caught.value.errno, caught.value.filename) == (errno.ENOSPC, str(path))
+    assert [each.read_bytes() for each in tmp_path.iterdir()] == ([] if before is None else [before])
+
+
+def test_a_folder_that_is_not_there_is_told_by_the_name_of_the_file(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"nowhere/a\.txt"):
+        write_whole(tmp_path / "nowhere" / "a.txt", lambda file: file.write(b"x"))
