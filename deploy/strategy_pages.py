@@ -52,7 +52,8 @@ def page(entry: Entry) -> RenderableType:
         table.show_header = True
         for option in entry.options:
             what = option.help + (f": {', '.join(option.choices)}" if option.choices else "")
-            table.add_row(option.name, _shown(option.default), what)
+            bound = "" if option.least is None else f" (at least {option.least:g})"
+            table.add_row(option.name, _shown(option.default), what + bound)
         lines += [table, Text("")]
     for reason, names in _by_reason(entry):
         lines.append(Text(f"It takes no {', '.join(names)}: {reason}."))

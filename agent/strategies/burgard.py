@@ -28,9 +28,9 @@ from agent.strategies.team import Table, TeamStrategy
 class Coordinated(Parts):
     """Options of the coordinated ones."""
 
-    beta: float = option(1.0, "weight of cost against utility")
+    beta: float = option(1.0, "weight of cost against utility", least=0)
     every: int = option(
-        0, "targets are assigned anew after so many steps at the latest; 0: never for time alone"
+        0, "targets are assigned anew after so many steps at the latest; 0: never for time alone", least=0
     )
 
 

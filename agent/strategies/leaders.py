@@ -42,10 +42,10 @@ class FieldOptions:
 
     rho_robots: float = option(2.0, "range in which robots repel each other, metres")
     rho_obstacles: float = option(0.4, "range in which the closest obstacle repels, metres")
-    gain_robots: float = option(0.2, "k of the repulsion between robots (Eq. 2)")
-    gain_obstacles: float = option(0.01, "k of the repulsion of obstacles (Eq. 2)")
-    gain_frontier: float = option(1.0, "k of the attraction of the closest frontier point (Eq. 6)")
-    damping: float = option(1.5, "viscous damping, newtons for each metre a second")
+    gain_robots: float = option(0.2, "k of the repulsion between robots (Eq. 2)", least=0)
+    gain_obstacles: float = option(0.01, "k of the repulsion of obstacles (Eq. 2)", least=0)
+    gain_frontier: float = option(1.0, "k of the attraction of the closest frontier point (Eq. 6)", least=0)
+    damping: float = option(1.5, "viscous damping, newtons for each metre a second", least=0)
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class LeaderOptions(FieldOptions):
     """Options of `leaders`."""
 
     rho_lead: float = option(4.0, "a robot that knows of no leader so near becomes one, metres")
-    first: int = option(1, "how many robots, from number 0, lead throughout")
+    first: int = option(1, "how many robots, from number 0, lead throughout", least=0)
     dynamic: bool = option(True, "whether others may become leaders")
 
 
@@ -86,9 +86,7 @@ class PotentialField(Strategy):
     def check(cls, options: Mapping[str, Any]) -> Any:
         """Read the options; the ranges must be in the paper's order (Eqs. 4 and 8)."""
         chosen = super().check(options)
-        ranges = [("rho_obstacles", chosen.rho_obstacles), ("rho_robots", chosen.rho_robots)]
-        if isinstance(chosen, LeaderOptions):
-            ranges.append(("rho_lead", chosen.rho_lead))
+        ranges = _ranges(chosen)
         if chosen.rho_obstacles <= 0 or any(low > high for (_, low), (_, high) in pairwise(ranges)):
             said = ", ".join(f"{name} = {value:g}" for name, value in ranges)
             reason = "robots must feel each other before they feel walls, and a leader before it repels them"
@@ -96,6 +94,20 @@ class PotentialField(Strategy):
                 f"{cls.name} needs 0 < {' <= '.join(name for name, _ in ranges)}, not {said}: {reason}"
             )
         return chosen
+
+    @classmethod
+    def check_range(cls, options: Mapping[str, Any], range_m: float) -> None:
+        """Robots must be heard as far as they are felt, or followed (Eq. 8)."""
+        name, farthest = _ranges(cls.check(options))[-1]
+        if farthest > range_m:
+            silent = {
+                "rho_robots": "a robot that cannot be heard repels nobody",
+                "rho_lead": "a leader that cannot be heard cannot be followed",
+            }
+            raise ValueError(
+                f"{cls.name} needs {name} <= range, not {name} = {farthest:g} m with a range of {range_m:g} m: "
+                f"{silent[name]}"
+            )
 
     def decide(self, situation: Situation) -> Decision:
         """Move for a second: by forces, or ahead as a leader."""
@@ -175,16 +187,6 @@ class Leaders(PotentialField):
         super().__init__(options, settings)
         self.leads = settings.robot < self.options.first
 
-    @classmethod
-    def check_range(cls, options: Mapping[str, Any], range_m: float) -> None:
-        """A leader must be heard as far as rho_lead (Eq. 8)."""
-        rho_lead = cls.check(options).rho_lead
-        if rho_lead > range_m:
-            raise ValueError(
-                f"{cls.name} needs rho_lead <= range, not rho_lead = {rho_lead:g} m with a range of "
-                f"{range_m:g} m: a leader that cannot be heard cannot be followed"
-            )
-
     def is_leader(self, situation: Situation) -> bool:
         """Section III-C, with the robots' numbers as the hierarchy."""
         reach = self.options.rho_lead / self.settings.resolution
@@ -209,6 +211,12 @@ def elect(robot: int, leads: bool, leaders_sensed: list[int], first: int, *, dyn
     if not leads:
         return not leaders_sensed
     return all(other > robot for other in leaders_sensed)
+
+
+def _ranges(chosen: FieldOptions) -> list[tuple[str, float]]:
+    """Ranges by name, in the paper's order (Eqs. 4 and 8)."""
+    ranges = [("rho_obstacles", chosen.rho_obstacles), ("rho_robots", chosen.rho_robots)]
+    return ranges + ([("rho_lead", chosen.rho_lead)] if isinstance(chosen, LeaderOptions) else [])
 
 
 def _apart(one: Cell, other: Cell) -> float:

@@ -25,8 +25,10 @@ BREADTH_FIRST_IS_ONE = "breadth-first search ends at one cell, so there is nothi
 class Options(Parts):
     """Options of the strategy."""
 
-    beta: float = option(1.0, "weight of cost against utility")
-    half_life: float = option(0.0, "steps after which a target heard of counts half; 0: it never ages")
+    beta: float = option(1.0, "weight of cost against utility", least=0)
+    half_life: float = option(
+        0.0, "steps after which a target heard of counts half; 0: it never ages", least=0
+    )
     herding: bool = option(True, "choose again when a lower-numbered robot is headed for the same place")
 
 

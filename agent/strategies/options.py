@@ -9,9 +9,9 @@ from typing import Any, TypeVar
 Options = TypeVar("Options")
 
 
-def option(default: Any, help_line: str, choices: Iterable[str] = ()) -> Any:
-    """Declare a field of an options dataclass: its default, a line for people, and what a text may be."""
-    return field(default=default, metadata={"help": help_line, "choices": tuple(choices)})
+def option(default: Any, help_line: str, choices: Iterable[str] = (), *, least: float | None = None) -> Any:
+    """Declare a field of an options dataclass: its default, a line for people, what a text or number may be."""
+    return field(default=default, metadata={"help": help_line, "choices": tuple(choices), "least": least})
 
 
 @dataclass(frozen=True)
@@ -22,14 +22,12 @@ class OptionLine:
     default: Any
     help: str
     choices: tuple[str, ...]
+    least: float | None
 
 
 def option_lines(kind: type) -> list[OptionLine]:
     """All options that a dataclass declares, in its order."""
-    return [
-        OptionLine(item.name, item.default, item.metadata["help"], item.metadata["choices"])
-        for item in fields(kind)
-    ]
+    return [OptionLine(item.name, item.default, **item.metadata) for item in fields(kind)]
 
 
 def read_options(
@@ -49,7 +47,7 @@ def read_options(
     Raises
     ------
     ValueError
-        An option is unknown, refused, of the wrong type or none of its choices.
+        An option is unknown, refused, of the wrong type, none of its choices or less than it may be.
     """
     known = {line.name: line for line in option_lines(kind)}
     for name, value in options.items():
@@ -64,4 +62,7 @@ def read_options(
         choices = known[name].choices
         if choices and value not in choices:
             raise ValueError(f"option {name} of {owner} is one of {', '.join(choices)}; not {value!r}")
+        least = known[name].least
+        if least is not None and not value >= least:
+            raise ValueError(f"option {name} of {owner} must be {least:g} or more, not {value:g}")
     return kind(**options)

@@ -96,9 +96,11 @@ class ContinuousReplan(StopScanReplan):
 class Bids(Parts):
     """Options of `sheng-bid`."""
 
-    gain: float = option(1.0, "w1: weight of the share of the sensor's disc that is still unknown")
-    distance: float = option(0.3, "w2: weight of the way, in sensor ranges")
-    nearness: float = option(0.05, "w3: weight of nearness, minus the distance to the nearest teammate")
+    gain: float = option(1.0, "w1: weight of the share of the sensor's disc that is still unknown", least=0)
+    distance: float = option(0.3, "w2: weight of the way, in sensor ranges", least=0)
+    nearness: float = option(
+        0.05, "w3: weight of nearness, minus the distance to the nearest teammate", least=0
+    )
 
 
 @dataclass(frozen=True)

@@ -45,6 +45,12 @@ def test_an_unknown_strategy_is_refused_with_the_list_of_those_there_are() -> No
     [
         ("meier", {"gamma": 1}, r"meier has no option 'gamma'; there are: candidates, .*beta"),
         ("meier", {"beta": "much"}, r"option beta of meier must be float, not 'much'"),
+        ("meier", {"half_life": -0.01}, r"option half_life of meier must be 0 or more, not -0.01"),
+        ("burgard", {"every": -1}, r"option every of burgard must be 0 or more, not -1"),
+        ("burgard-optimal", {"beta": -1}, r"option beta of burgard-optimal must be 0 or more"),
+        ("leaders", {"first": -1}, r"option first of leaders must be 0 or more"),
+        ("potential-field", {"damping": -0.1}, r"option damping of potential-field must be 0 or more"),
+        ("sheng-bid", {"gain": -1.0}, r"option gain of sheng-bid must be 0 or more"),
         ("meier", {"herding": 1}, r"option herding of meier must be bool"),
         ("hungarian", {"candidates": "all"}, r"candidates of hungarian is one of cells, rfe, anr.*not 'all'"),
         ("meier", {"candidates": "breadth-first"}, r"candidates = breadth-first: .*nothing left to weigh"),
@@ -78,6 +84,24 @@ def test_what_does_not_fit_is_refused_and_the_reason_said(
 ) -> None:
     with pytest.raises(ValueError, match=message):
         strategy(name).check(options)
+
+
+def test_every_number_among_the_options_has_a_bound_or_a_place_in_an_order() -> None:
+    for entry in catalogue():
+        for line in entry.options:
+            if type(line.default) in (int, float) and not line.name.startswith("rho_"):
+                assert line.least == 0
+
+
+@pytest.mark.parametrize(("name", "farthest"), [("leaders", "rho_lead"), ("potential-field", "rho_robots")])
+def test_robots_must_hear_each_other_as_far_as_they_are_felt_or_followed(name: str, farthest: str) -> None:
+    kind = strategy(name)
+    reach = getattr(kind.options_type(), farthest)
+    kind.check_range({}, reach)
+    with pytest.raises(
+        ValueError, match=rf"{name} needs {farthest} <= range, not {farthest} = {reach:g} m with"
+    ):
+        kind.check_range({}, reach - 0.1)
 
 
 @pytest.mark.parametrize("name", NAMES)
