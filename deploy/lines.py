@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import json
 import multiprocessing
+import os
 import signal
+import threading
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
@@ -99,9 +101,9 @@ def _named(file: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _processes(jobs: int) -> Iterator[ProcessPoolExecutor]:
-    """A pool whose processes leave Ctrl-C to this one, and end at once if the work is broken off."""
+    """A pool whose processes end at once if the work is broken off."""
     others = multiprocessing.active_children()
-    pool = ProcessPoolExecutor(jobs, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN))
+    pool = ProcessPoolExecutor(jobs, initializer=_begin)
     try:
         yield pool
     except BaseException:
@@ -111,3 +113,16 @@ def _processes(jobs: int) -> Iterator[ProcessPoolExecutor]:
                 process.terminate()
         raise
     pool.shutdown()
+
+
+def _begin() -> None:
+    """Leave Ctrl-C to the process that asked for the work, and do not outlive it if it is killed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)

@@ -253,23 +253,44 @@ def test_bad_input_is_refused_before_the_first_run(
     assert said in errors
 
 
-def test_ctrl_c_stops_a_sweep_at_once_and_keeps_what_is_finished(tmp_path: Path) -> None:
+def begun(tmp_path: Path, out: Path) -> subprocess.Popen[str]:
+    """A sweep of eight runs in a process group of its own, of which one at least is finished."""
     text = EXPERIMENT.replace("seed = [0, 1]", "seed = [0, 1]\nsteps = [1, 5000]").replace("steps = 6\n", "")
-    path, out = write(tmp_path, text.replace('"em"', '"office"')), tmp_path / "all.jsonl"
+    path = write(tmp_path, text.replace('"em"', '"office"'))
     sweeping = subprocess.Popen(
-        [sys.executable, "-m", "deploy.cli", "sweep", path, "--jobs", "1", "--set", "robots=12", "--out", out],
+        [sys.executable, "-m", "deploy.cli", "sweep", path, "--jobs", "2", "--set", "robots=12", "--out", out],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
     )  # fmt: skip
     while not out.exists() or not out.read_text():
         assert sweeping.poll() is None
         time.sleep(0.1)
+    return sweeping
+
+
+def assert_none_is_left(group: int) -> None:
+    deadline = time.monotonic() + 10
+    with pytest.raises(ProcessLookupError):
+        while time.monotonic() < deadline:
+            os.killpg(group, 0)
+            time.sleep(0.1)
+
+
+def test_ctrl_c_stops_a_sweep_at_once_and_keeps_what_is_finished(tmp_path: Path) -> None:
+    out = tmp_path / "all.jsonl"
+    sweeping = begun(tmp_path, out)
     os.killpg(sweeping.pid, signal.SIGINT)
     asked = time.monotonic()
     table, errors = sweeping.communicate(timeout=30)
     assert sweeping.returncode == 130 and time.monotonic() - asked < 10
+    assert_none_is_left(sweeping.pid)
     assert f"stopped; the same command goes on with {out}" in errors and "Traceback" not in errors
     kept = len(out.read_text().splitlines())
     assert 0 < kept < 8 and f"means of {kept} of 8 runs" in table
-    with pytest.raises(ProcessLookupError):
-        os.killpg(sweeping.pid, signal.SIGKILL)
+
+
+def test_nothing_outlives_a_sweep_that_is_killed(tmp_path: Path) -> None:
+    sweeping = begun(tmp_path, tmp_path / "all.jsonl")
+    sweeping.kill()
+    sweeping.communicate(timeout=30)
+    assert_none_is_left(sweeping.pid)
