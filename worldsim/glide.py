@@ -19,7 +19,7 @@ FINE = 1000
 """Units a cell."""
 
 _STRIDE = 100
-"""A drive is checked at least every tenth of a cell."""
+"""A drive is checked at least every tenth of a cell, and every tenth of its way if that is less than a cell."""
 
 Point = tuple[int, int]
 
@@ -65,13 +65,14 @@ def glide(truth: Grid, taken: NDArray[np.bool_], start: Point, points: list[Poin
     points : list of (x, y)
         Way points, in thousandths of a cell.
     way : float
-        How far it may drive, in cells.
+        How far it may drive, in cells. What it has left when the next check would lie beyond it is not driven.
     """
+    stride = min(_STRIDE, max(1, int(way * _STRIDE)))
     at, length = start, 0.0
     cells: list[tuple[int, int]] = []
     for point in points:
         dx, dy = point[0] - at[0], point[1] - at[1]
-        pieces = max(1, -(-max(abs(dx), abs(dy)) // _STRIDE))
+        pieces = max(1, -(-max(abs(dx), abs(dy)) // stride))
         origin = at
         for piece in range(1, pieces + 1):
             ahead = origin[0] + dx * piece // pieces, origin[1] + dy * piece // pieces

@@ -31,7 +31,7 @@ STALL_STEPS = 60
 """A robot that has seen nothing new for so many steps, and has not got away from its place, is stalled."""
 
 STALL_METRES = 1.0
-"""How far it has to get."""
+"""How far it has to get; half of what it can drive in these steps, if that is less."""
 
 NOT_HERE = "robots are moved by forces, there are no targets to choose among"
 
@@ -170,7 +170,8 @@ class PotentialField(Strategy):
         """Whether it has stayed where it is, and its map as well."""
         known = int(np.count_nonzero(situation.grid))
         away = np.hypot(at[0] - self._anchor[0], at[1] - self._anchor[1]) * self.settings.resolution
-        if known != self._known or away > STALL_METRES:
+        enough = min(STALL_METRES, STALL_STEPS / 2 * self.settings.speed_cells * self.settings.resolution)
+        if known != self._known or away > enough:
             self._known, self._anchor, self._anchor_step = known, at, situation.step
         return situation.step - self._anchor_step >= STALL_STEPS
 

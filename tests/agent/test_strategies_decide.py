@@ -12,7 +12,7 @@ from agent.planning.route import crossed
 from agent.planning.ways import Ways
 from agent.settings import Settings
 from agent.strategies import Decision, Pose, Situation, Strategy, strategy
-from agent.strategies.leaders import elect
+from agent.strategies.leaders import STALL_STEPS, elect
 from agent.strategies.rotating import ShengBid
 from agent.strategies.targets import TURNED_AWAY
 from agent.strategies.team import PATIENCE
@@ -310,6 +310,19 @@ def test_a_robot_that_gets_nowhere_says_that_it_is_stalled() -> None:
     # Between two frontier points at the same distance, in a closed corridor.
     stalled = [swarm.decide(replace(robot_at(7), step=step)).stalled for step in range(1, 70)]
     assert stalled.index(True) == 60
+
+
+def test_a_slow_leader_that_drives_is_not_stalled() -> None:
+    # A hundredth of a metre a step, in cells of 0.1 m: in 60 steps it does not get away a metre.
+    leader = mind("leaders", {}, resolution=0.1, speed_cells=0.1)
+    driven = [divmod(100 * step + 500, 1000) for step in range(1, 140)]
+    steps = [
+        replace(robot_at(13 - cells), step=step, offset=(500 - rest, 0))
+        for step, (cells, rest) in enumerate(driven, start=1)
+        if cells < 13
+    ]
+    assert len(steps) > 2 * STALL_STEPS
+    assert not any(leader.decide(situation).stalled for situation in steps)
 
 
 def test_the_settings_say_how_long_a_turn_takes() -> None:

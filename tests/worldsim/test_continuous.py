@@ -50,6 +50,13 @@ def test_the_top_speed_ends_a_glide() -> None:
     assert drive.blocked == ""
 
 
+@pytest.mark.parametrize("way", [0.01, 0.05, 0.15, 0.95])
+@pytest.mark.parametrize("end", [(25000, 5000), (25000, 25000), (25000, 9000)])
+def test_slow_robots_glide_as_well_and_lose_little_of_their_way(way: float, end: tuple[int, int]) -> None:
+    drive = glide(hall(40, 40), nobody(hall(40, 40)), (5000, 5000), [end], way)
+    assert 0.8 * way <= drive.length <= way
+
+
 def test_a_wall_and_a_teammate_stop_a_glide_before_their_cell() -> None:
     grid = hall()
     wall = glide(grid, nobody(grid), (2000, 5000), [(-3000, 5000)], 10.0)
