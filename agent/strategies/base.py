@@ -59,7 +59,7 @@ class Situation:
     poses : dict of robot to Pose
         The last pose heard of each teammate that tells it, by ascending number.
     travelled : dict of robot to float
-        Way in cells between all poses heard of it; its own exactly.
+        Way in cells, straight from pose to pose: those heard of it, its own of every step.
     targets : dict of robot to (x, y)
         The last target heard of each teammate that has one, by ascending number.
     heard : dict of robot to step
