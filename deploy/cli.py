@@ -31,7 +31,8 @@ app = typer.Typer(
     Begin with:  murmur explore --robots 5        (an office, seen and shared by five robots)
     then look at the picture that it names, and at:  murmur map list,  murmur strategies,  murmur doctor
 
-    Exit codes: 0 explored, 1 not finished (or a replay that does not hold), 2 bad input, 3 a process died.""",
+    Exit codes: 0 explored, 1 not finished (or a replay that does not hold), 2 bad input, 3 a process died
+    or the disk is full.""",
 )
 maps_app = typer.Typer(no_args_is_help=True, help="List, make and show maps.")
 run_app = typer.Typer(
@@ -134,7 +135,7 @@ def explore(
         if start is not None:
             overrides["start"] = _pair(start)
         if option:
-            overrides["options"] = dict(_named_value(item, "option", "beta=0.5") for item in option)
+            overrides["options"] = _named_values(option, "option", "beta=0.5")
         chosen = load(scenario, overrides)
         show = view_as or ("auto" if view else None)
         raise typer.Exit(_explore(chosen, out, show, pictures=pictures, pace=pace, as_json=as_json))
@@ -312,7 +313,7 @@ def sweep(
     from deploy.terminal import counting, table  # noqa: PLC0415
 
     with _speaking_clearly():
-        settings = dict(_named_value(item, "set", "seed=[0,1]") for item in set_ or [])
+        settings = _named_values(set_ or [], "set", "seed=[0,1]")
         read = sweeps.override(sweeps.choose(sweeps.read(experiment), variant or []), settings)
         todo = sweeps.cases(read)
         outcomes: list[sweeps.Outcome] = []
@@ -605,14 +606,19 @@ def _pair(text: str) -> tuple[float, float]:
     return x, y
 
 
-def _named_value(text: str, flag: str, example: str) -> tuple[str, Any]:
-    name, sign, value = text.partition("=")
-    if not sign or not name:
-        raise ScenarioError(f"{flag} = {text!r}: must be NAME=VALUE, as {example}")
-    try:
-        return name, json.loads(value)
-    except ValueError:
-        return name, value
+def _named_values(texts: list[str], flag: str, example: str) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for text in texts:
+        name, sign, value = text.partition("=")
+        if not sign or not name:
+            raise ScenarioError(f"{flag} = {text!r}: must be NAME=VALUE, as {example}")
+        if name in values:
+            raise ScenarioError(f"{flag} = {text!r}: {name} is given twice; give it once, as {example}")
+        try:
+            values[name] = json.loads(value)
+        except ValueError:
+            values[name] = value
+    return values
 
 
 def main() -> None:
