@@ -103,7 +103,8 @@ def read(path: Path) -> Experiment:
             _check_values(f"grid.{key}", values)
         variants = _variants(data.get(VARIANT, [{"name": "plain"}]), grid)
         for settings in (base, *variants.values()):
-            settings |= {key: beside(path, value) for key, value in settings.items() if key == "map"}
+            if "map" in settings:
+                settings["map"] = beside(path, settings["map"])
         if "map" in grid:
             grid["map"] = [beside(path, value) for value in grid["map"]]
         table = _table(data.get("table", {}), grid, variants)

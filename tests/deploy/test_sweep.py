@@ -241,6 +241,10 @@ def test_the_command_prints_the_table_and_keeps_a_summary_a_line(tmp_path: Path)
     [
         (["--out", "/nonexist/a.jsonl"], "out = /nonexist/a.jsonl: No such file or directory"),
         (["--set", "map=nope"], "no environment is called 'nope'"),
+        (
+            ["--set", "seed=0", "--set", "seed=1"],
+            "set = 'seed=1': seed is given twice; give it once, as seed=[0,1]",
+        ),
         (["--set", "seed"], "set = 'seed': must be NAME=VALUE, as seed=[0,1]"),
     ],
 )
