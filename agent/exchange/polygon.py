@@ -26,7 +26,6 @@ from protocol.grid import Grid
 from protocol.packets import encode
 from protocol.scans import Change, Scan
 
-
 MAX_USE = 100
 """So many times the medium may be planned with at most."""
 
@@ -75,7 +74,9 @@ class PolygonOptions:
         if not 0 < self.medium_use <= MAX_USE:
             raise ValueError(f"medium_use = {self.medium_use:g}: must be above 0 and at most {MAX_USE}")
         if self.bytes_per_split and not 1 <= self.bytes_per_split < math.inf:
-            raise ValueError(f"bytes_per_split = {self.bytes_per_split:g}: must be 0 (measured), or 1 or more")
+            raise ValueError(
+                f"bytes_per_split = {self.bytes_per_split:g}: must be 0 (measured), or 1 or more"
+            )
 
 
 THESIS_OPTIONS = PolygonOptions(
