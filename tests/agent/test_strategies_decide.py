@@ -70,6 +70,17 @@ def test_of_two_that_herd_the_higher_numbered_chooses_again_once() -> None:
         assert swarm.decide(news).target == expected
 
 
+def test_a_target_behind_a_wall_is_no_herding() -> None:
+    # Two corridors, each with frontier cells at both ends.
+    grid = drawn("?...............?", "#################", "?...............?")
+    for told, expected in (((1, 2), (1, 0)), ((2, 0), (15, 0))):
+        swarm = mind("meier", {"beta": 0.1}, grid, robot=1)
+        assert swarm.decide(robot_at(5, 0, grid=grid)).target == (1, 0)
+        heard = {0: told}
+        later = robot_at(12, 0, grid=grid, targets=heard, heard={0: 2}, news=heard)
+        assert swarm.decide(later).target == expected
+
+
 def test_nearest_does_not_care_for_others_and_tells_nothing() -> None:
     kind = strategy("nearest")
     assert not kind.tells_target
@@ -91,6 +102,101 @@ def test_a_robot_out_of_range_is_no_member_but_its_last_target_is_remembered() -
     away = robot_at(4, poses={1: Pose(5, 1, False)}, targets={1: (0, 1)}, heard={1: 1})
     assert decide("burgard", away, SHORTEST | {"beta": 0.5}).target == (14, 1)
     assert decide("hungarian", away).target == (14, 1)
+
+
+def test_algorithm_2_counts_costs_squared() -> None:
+    # U: 0 and 1; V: 1 and 1.8 sensor ranges. U - V is larger on the right, U - V squared on the left.
+    away = robot_at(5, targets={1: (0, 1)}, heard={1: 1})
+    assert decide("burgard", away).target == (14, 1)
+    assert decide("burgard-optimal", away).target == (0, 1)
+
+
+def test_burgard_assigns_anew_after_a_time_where_that_is_wanted() -> None:
+    for every, expected in ((0, (0, 1)), (5, (14, 1))):
+        team = mind("burgard", {"every": every})
+        assert team.decide(robot_at(4)).target == (0, 1)
+        assert team.decide(replace(robot_at(11), step=4)).target == (0, 1)
+        assert team.decide(replace(robot_at(11), step=5)).target == expected
+
+
+def test_greedy_serves_robots_in_an_order_that_is_drawn_anew_and_alike_in_all_members() -> None:
+    # Whoever comes first takes the left goal.
+    cells = {0: (5, 1), 1: (6, 1)}
+    left = []
+    for step in range(1, 20):
+        targets = {}
+        for robot in (0, 1):
+            poses = {peer: Pose(*cell, leads=False) for peer, cell in cells.items() if peer != robot}
+            situation = replace(robot_at(*cells[robot], peers=tuple(poses), poses=poses), step=step)
+            targets[robot] = decide("greedy", situation, robot=robot).target
+        assert set(targets.values()) == {(0, 1), (14, 1)}
+        left.append(targets[0] == (0, 1))
+    assert set(left) == {True, False}
+
+
+def test_hungarian_depot_counts_the_way_back_and_mtsp_depot_ends_its_tour_there() -> None:
+    # The left frontier cell is 6 away, the right one 8. One goes where the depot is, the other there last.
+    for name, depot in (("hungarian", (13, 1)), ("mtsp", (1, 1))):
+        situation = replace(robot_at(6), home=depot, homes={0: depot})
+        assert decide(name, situation).target == (0, 1)
+        assert decide(f"{name}-depot", situation).target == (14, 1)
+
+
+def test_hungarian_depot_spares_who_has_travelled_far() -> None:
+    one_frontier = CORRIDOR.copy()
+    one_frontier[0, 14] = 2
+    cells = {0: (4, 1), 1: (6, 1)}
+    for travelled, expected in (({0: 0.0, 1: 0.0}, 0), ({0: 9.0, 1: 1.0}, 1), ({0: 2.0, 1: 1.0}, 0)):
+        for robot in (0, 1):
+            poses = {peer: Pose(*cell, leads=False) for peer, cell in cells.items() if peer != robot}
+            situation = robot_at(*cells[robot], grid=one_frontier, peers=tuple(poses), poses=poses)
+            situation = replace(situation, home=(7, 1), homes={0: (7, 1), 1: (7, 1)}, travelled=travelled)
+            target = decide("hungarian-depot", situation, robot=robot).target
+            assert target == ((0, 1) if robot == expected else None)
+
+
+def test_of_two_members_headed_for_one_cell_the_higher_numbered_chooses_again() -> None:
+    for robot, other, expected in ((1, 0, (14, 1)), (0, 1, (0, 1))):
+        member = mind("iterative", robot=robot)
+        assert member.decide(robot_at(4)).target == (0, 1)
+        heard = {other: (0, 1)}
+        there = {other: Pose(1, 1, leads=False)}
+        said = robot_at(4, peers=(other,), poses=there, targets=heard, heard={other: 2}, news=heard)
+        assert member.decide(replace(said, step=2)).target == expected
+
+
+def test_a_member_that_is_done_makes_the_others_choose_again_once() -> None:
+    opened = CORRIDOR.copy()
+    opened[0, 14] = 2
+    opened[2, 14] = UNKNOWN
+    told: dict[str, Any] = {"targets": {1: (12, 1)}, "heard": {1: 2}, "peers": (1,)}
+    told["poses"] = {1: Pose(12, 1, leads=False)}
+    member = mind("iterative")
+    assert member.decide(robot_at(4, grid=opened)).target == (0, 1)
+    assert member.decide(replace(robot_at(4, grid=opened, **told), step=2)).target == (0, 1)
+    # Nearer to the other end by now, with the same teammate done with the same target.
+    told["poses"] = {1: Pose(2, 1, leads=False)}
+    assert member.decide(replace(robot_at(11, grid=opened, **told), step=3)).target == (0, 1)
+    told["targets"] = {1: (2, 1)}
+    assert member.decide(replace(robot_at(11, grid=opened, **told), step=4)).target == (14, 1)
+
+
+def test_faigl_s_ways_are_straight() -> None:
+    grid = np.full((12, 31), FREE, np.uint8)
+    grid[10, 30] = UNKNOWN
+    path = decide("greedy", robot_at(0, 0, grid=grid), {"candidates": "cells"}, speed_cells=60.0).path
+    end_x, end_y = path[-1]
+    off_line = [abs(y - x * end_y / end_x) for x, y in path.tolist()]
+    assert max(off_line) <= 0.5
+
+
+def test_a_robot_without_a_goal_relies_on_its_teammates_only_so_long() -> None:
+    one_frontier = CORRIDOR.copy()
+    one_frontier[0, 14] = 2
+    waits = robot_at(6, grid=one_frontier, peers=(0,), poses={0: Pose(1, 1, leads=False)})
+    member = mind("hungarian", {"candidates": "rfe"}, robot=1)
+    targets = [member.decide(replace(waits, step=step)).target for step in range(1, PATIENCE + 2)]
+    assert targets == [None] * (PATIENCE - 1) + [(0, 1)] * 2
 
 
 def test_a_robot_without_a_goal_waits_and_is_not_done() -> None:
@@ -238,6 +344,9 @@ def test_a_bid_is_that_of_equation_1() -> None:
     near = replace(situation, poses={1: Pose(5, 1, False)})
     seen_by_it = 2.0 * (3 - 1) / (4 * np.pi)
     np.testing.assert_allclose(bids.bids(near, goals, Ways(grid))[1], seen_by_it - 0.5 * 2 / 2 - 0.25 * 2 / 2)
+    # So will one that is headed there, of which nobody knows how near it is.
+    headed = replace(situation, targets={1: (5, 1)})
+    np.testing.assert_allclose(bids.bids(headed, goals, Ways(grid))[1], seen_by_it - 0.5 * 2 / 2)
 
 
 def test_leaders_are_elected_over_a_scripted_sequence_of_meetings() -> None:
@@ -258,6 +367,32 @@ def test_leaders_are_elected_over_a_scripted_sequence_of_meetings() -> None:
         assert leads == expected
     assert elect(0, True, [1, 2], first=1)
     assert not elect(2, False, [], first=1, dynamic=False)
+
+
+def test_a_leader_is_sensed_within_rho_lead_in_radio_range_and_if_it_says_that_it_leads() -> None:
+    # Cells of a metre, and rho_lead is 4 m: robot 1 becomes a leader itself if it senses none.
+    def leads(x: int, *, says: bool = True, in_range: bool = True) -> bool:
+        trooper = mind("leaders", robot=1, resolution=1.0)
+        near = {0: Pose(x, 1, leads=says)}
+        trooper.decide(robot_at(10, peers=(0,) if in_range else (), poses=near))
+        return trooper.leads
+
+    assert not leads(6)
+    assert leads(5)
+    assert leads(6, says=False)
+    assert leads(6, in_range=False)
+
+
+def test_a_trooper_is_pushed_away_by_the_teammates_that_it_hears() -> None:
+    grid = np.full((41, 41), FREE, np.uint8)
+    grid[0, 20] = UNKNOWN
+    ends = []
+    for peers in ((), (0,)):
+        beside = robot_at(20, 20, grid=grid, peers=peers, poses={0: Pose(14, 20, leads=False)})
+        points = decide("potential-field", beside, robot=1, resolution=0.1, speed_cells=10.0).points
+        ends.append(points[-1].tolist())
+    assert ends[0][0] == 20000
+    assert ends[1][0] > 20500
 
 
 def test_a_leader_takes_the_shortest_way_and_a_trooper_stops_before_the_wall() -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
 from agent.robot import REPEAT_POSE, SURE_AFTER, Robot
+from agent.strategies import Decision, Pose, Situation, Strategy
 from protocol import packets
 from protocol.grid import fan
 from protocol.messages import Outcome, Sense
@@ -75,6 +76,44 @@ def test_a_pose_and_a_target_go_in_one_broadcast_and_are_understood() -> None:
     assert len(frame) == 7
     other.hear_broadcast(0, frame)
     assert not other.faults
+
+
+def test_a_pose_says_whether_the_robot_leads() -> None:
+    for number, leads in ((0, 1), (1, 0)):
+        mind = robot("leaders", number)
+        mind.perceive(sense(1))
+        frame = mind.announce([1 - number])
+        assert frame is not None
+        (pose,) = packets.decode(frame)
+        assert pose == packets.Pose(10, 10, leads)
+
+
+class Witness(Strategy):
+    """Remembers the last situation that it was given."""
+
+    name = "witness"
+    summary = "stays, and remembers what it was told"
+    source = "an example"
+    tells_pose = True
+    told: ClassVar[Situation]
+
+    def decide(self, situation: Situation) -> Decision:
+        Witness.told = situation
+        return Decision()
+
+
+def test_a_depot_is_where_a_robot_was_first_heard_of_and_ways_are_added_up_from_pose_to_pose() -> None:
+    mind = robot(f"{__name__}:Witness")
+    for step, x, heard in ((1, 10, (3, 4)), (2, 13, (6, 8)), (3, 13, (6, 10))):
+        mind.perceive(sense(step, x))
+        mind.announce([1])
+        mind.hear_broadcast(1, packets.encode([packets.Pose(*heard, 0)]))
+        mind.decide()
+    told = Witness.told
+    assert told.homes == {0: (10, 10), 1: (3, 4)}
+    assert told.home == (10, 10)
+    assert told.poses == {1: Pose(6, 10, leads=False)}
+    assert told.travelled == {0: 3.0, 1: 5.0 + 2.0}
 
 
 def test_a_broadcast_that_makes_no_sense_is_a_fault_and_nothing_more() -> None:

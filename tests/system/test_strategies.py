@@ -26,11 +26,12 @@ STALLS = "potential-field"
 
 
 @cache
-def run(strategy: str, bus: str = "memory", exchange: str = "polygon") -> Result:
+def run(strategy: str, bus: str = "memory", exchange: str = "polygon", mission: str | None = None) -> Result:
     """Three robots with turning scanners in rooms off a hall."""
     scenario: dict[str, Any] = {
         "map": "leader-trap", "robots": 3, "strategy": strategy, "bus": bus, "exchange": exchange,
         "bandwidth": "unlimited", "sensor_range": 2.5, "speed": 0.5, "scanner_turn": 120, "seed": 1, "steps": 900,
+        "options": {} if mission is None else {"mission": mission},
     }  # fmt: skip
     return explore(parse(scenario), keep=False)
 
@@ -48,12 +49,29 @@ def test_every_strategy_sees_all_there_is_or_says_that_it_has_stalled(name: str)
         assert result.summary["coverage"] >= 0.99
 
 
+def ways_of(result: Result) -> str:
+    return hashlib.sha256(b"".join(report.poses for report in result.records.world)).hexdigest()
+
+
 def test_no_two_strategies_drive_the_same_ways() -> None:
-    ways = {
-        name: hashlib.sha256(b"".join(report.poses for report in run(name).records.world)).hexdigest()
-        for name in NAMES
-    }
-    assert len(set(ways.values())) == len(NAMES), ways
+    ways = {name: ways_of(run(name)) for name in NAMES}
+    # The depot strategies differ from those that they build on by more than the way home.
+    ways |= {f"{name}, return": ways_of(run(name, mission="return")) for name in ("hungarian", "mtsp")}
+    assert len(set(ways.values())) == len(ways), ways
+
+
+def test_when_the_leader_breaks_down_another_leads_and_the_team_finishes() -> None:
+    ends = {}
+    for dynamic in (True, False):
+        scenario: dict[str, Any] = {
+            "map": "leader-trap", "robots": 3, "strategy": "leaders", "bus": "memory", "exchange": "laser",
+            "bandwidth": "unlimited", "sensor_range": 2.5, "speed": 1.0, "seed": 0, "steps": 500,
+            "death": [{"robot": 0, "step": 5}], "options": {"dynamic": dynamic},
+        }  # fmt: skip
+        records = in_memory.run(plan.make(parse(scenario)))
+        assert records.end is not None
+        ends[dynamic] = records.end.reason, records.explored > 0.99
+    assert ends == {True: (EXPLORED_ALL, True), False: (STALLED, False)}
 
 
 @pytest.mark.parametrize("name", NAMES)
