@@ -239,7 +239,10 @@ def main() -> None:
         todo = runs_of(claim, asked.seeds)
         results = collect(todo, run, Run, asked.jobs, asked.out)
         progress = Console(stderr=True)
-        screen.print(table(claim, track(results, claim.name, len(todo), console=progress)))
+        try:
+            screen.print(table(claim, track(results, claim.name, len(todo), console=progress)))
+        except ValueError as error:
+            parser.error(str(error))
 
 
 if __name__ == "__main__":

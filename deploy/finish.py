@@ -221,7 +221,10 @@ def main() -> int:
         parser.error(f"no paper's strategy is called {unknown[0]}; there are {', '.join(known)}")
     todo = cases(asked.strategies or known, asked.seeds, asked.map)
     results = collect(todo, run, Outcome, asked.jobs, asked.out)
-    outcomes = list(track(results, "finish", len(todo), console=Console(stderr=True)))
+    try:
+        outcomes = list(track(results, "finish", len(todo), console=Console(stderr=True)))
+    except ValueError as error:
+        parser.error(str(error))
     screen = Console(width=140)
     screen.print(table(outcomes))
     failed = [outcome for outcome in outcomes if not outcome.holds]
