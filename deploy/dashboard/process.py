@@ -108,11 +108,12 @@ def serve(credential: Credential, task: ViewTask, ready: Callable[[], object] = 
 
 @contextlib.contextmanager
 def _requests() -> Iterator[list[int]]:
-    """Collect SIGTERM and Ctrl-C instead of dying of them."""
+    """Collect SIGTERM and Ctrl-C instead of dying of them; a launcher's child goes on ignoring Ctrl-C."""
     asked: list[int] = []
     before = {
         number: signal.signal(number, lambda signum, _: asked.append(signum))
         for number in (signal.SIGTERM, signal.SIGINT)
+        if signal.getsignal(number) != signal.SIG_IGN
     }
     try:
         yield asked

@@ -15,18 +15,21 @@ from pathlib import Path
 import psutil
 import pytest
 
+from deploy.snapshots import Snapshots
+
 MURMUR = [sys.executable, "-m", "deploy.cli"]
 SWARM = ["explore", "--map", "office", "--robots", "3", "--exchange", "laser", "--bandwidth", "2000"]
 
 
 @contextmanager
 def swarm(out: Path, *more: str) -> Iterator[subprocess.Popen[str]]:
-    """A swarm under way, past its first steps."""
+    """A swarm under way, in a terminal of its own."""
     process = subprocess.Popen(
         [*MURMUR, *SWARM, "--out", str(out), *more],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        start_new_session=True,
     )
     try:
         yield process
@@ -123,6 +126,19 @@ def test_an_interrupt_ends_all_children_and_writes_what_there_is(tmp_path: Path,
     assert result["reason"] == "interrupted"
     assert 0 < result["coverage"] < 1
     assert (tmp_path / "run" / "maps.png").exists()
+
+
+def test_ctrl_c_which_all_in_the_terminal_get_ends_a_run_that_is_watched_to_its_last_step(
+    tmp_path: Path,
+) -> None:
+    out = tmp_path / "run"
+    with swarm(out, "--pictures", "--pace", "20") as process:
+        wait_for_steps(process)
+        os.killpg(process.pid, signal.SIGINT)
+        code, said, _ = finish(process, 60)
+    assert code == 1, said
+    assert Snapshots.read(out / "snapshots.parquet").told_steps(0)[-1] == summary(out)["steps"]
+    assert (out / "pictures" / "channel-load.png").exists()
 
 
 def test_a_launcher_that_is_killed_leaves_no_process_behind(tmp_path: Path) -> None:
