@@ -176,7 +176,7 @@ class Robot:
             else:
                 self.session.accept(peer, about, units)
                 told_by.add(peer)
-        if outcome.target:
+        if outcome.broadcast:
             self._target_news = None
             self._told = self._pose_news, self._peers, outcome.step
 

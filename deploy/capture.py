@@ -13,7 +13,7 @@ from typing import Any
 from deploy.rundir import CAPTURE, SCENARIO, read_scenario
 from netshaper import capture
 from netshaper.capture import FRAMES, VERDICTS, Captured
-from netshaper.ledger import BROADCAST
+from netshaper.ledger import EVERYONE
 from netshaper.pcapng import CaptureError, Reader
 from protocol import packets
 from protocol.errors import ProtocolError
@@ -277,7 +277,7 @@ def _said(packet: AnyPacket) -> str:
 
 
 def _name(robot: int) -> str:
-    return "all" if robot == BROADCAST else f"r{robot}" if robot >= 0 else "nobody"
+    return "all" if robot == EVERYONE else f"r{robot}" if robot >= 0 else "nobody"
 
 
 def _or_dash(number: int) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from deploy import rundir
 from deploy.archive import Archive, read
 from deploy.figures import APPROXIMATION, CHANNEL_LOAD, MAPS_OVER_TIME, write_figures
-from netshaper.ledger import BROADCAST, CAUSES
+from netshaper.ledger import CAUSES, EVERYONE
 from protocol.packets import ALL_KINDS
 from worldsim.files import write_whole
 
@@ -146,7 +146,7 @@ def _robots(archive: Archive) -> list[list[str]]:
     for robot in range(summary["robots"]):
         mine = archive.of_robot(robot)
         said = int(ledger["bytes"][carried & (ledger["sender"] == robot)].sum())
-        unicast = carried & (ledger["receiver"] == robot) & (ledger["receiver"] != BROADCAST)
+        unicast = carried & (ledger["receiver"] == robot) & (ledger["receiver"] != EVERYONE)
         heard = int((ledger["bytes"] * ledger["heard"])[unicast].sum())
         seen = mine["known_cells"][~np.isnan(mine["known_cells"])]
         status = summary["lost"].get(str(robot)) or next((s for s in mine["status"][::-1] if s), "-")

@@ -26,7 +26,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from netshaper import pcapng
-from netshaper.ledger import BROADCAST, CAUSES, Sighting
+from netshaper.ledger import CAUSES, EVERYONE, Sighting
 from netshaper.pcapng import CaptureError
 from protocol import packets
 from protocol.grid import MAX_ROBOTS
@@ -130,7 +130,7 @@ def in_words(seen: Sighting) -> str:
     if seen.verdict:
         words = _WORDS[VERDICTS[seen.verdict]]
         return f"{words}: {seen.reason}" if seen.reason else words
-    if seen.receiver != BROADCAST:
+    if seen.receiver != EVERYONE:
         return "delivered"
     names = [f"r{robot}" for robot in hearers(seen)]
     return f"delivered to {', '.join(names)}" if names else "on the air, but nobody was in range"

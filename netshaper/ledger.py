@@ -17,7 +17,8 @@ from protocol.packets import ALL_KINDS
 CAUSES = ("", "budget", "range", "protocol", "lost")
 """Why a row was not carried: no room left, receiver too far, frame malformed, a partner died in between."""
 
-BROADCAST = -1
+EVERYONE = -1
+"""The receiver of a broadcast."""
 
 ROW = np.dtype(
     [
@@ -106,7 +107,7 @@ def balance(rows: NDArray[np.void]) -> dict[int, tuple[int, int, int, int]]:
         said = int(these["bytes"].sum())
         carried = int(these["bytes"][these["carried"] == 1].sum())
         cut = int(these["bytes"][these["carried"] == 0].sum())
-        unicast = (these["receiver"] != BROADCAST) & (these["carried"] == 1)
+        unicast = (these["receiver"] != EVERYONE) & (these["carried"] == 1)
         heard = int((these["bytes"] * these["heard"])[unicast].sum())
         result[int(step)] = (said, carried, cut, heard)
     return result

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from netshaper import capture, ledger
-from netshaper.ledger import BROADCAST, CAUSES, Sighting
+from netshaper.ledger import CAUSES, EVERYONE, Sighting
 from protocol import packets
 from protocol.messages import RadioReport
 
-OFFER, ANSWER, DATA, TARGET = range(4)
+OFFER, ANSWER, DATA, BROADCAST = range(4)
 """The frames of a connection in their order, and the broadcast that has no connection."""
 
 UNLIMITED = -1
@@ -59,7 +59,7 @@ class Medium:
         """Put a target on the air, whole or not at all; say whether it was carried."""
         size = self._admit(payload)
         heard = sum(1 << hearer for hearer in hearers)
-        self._see(exchange, -1, TARGET, sender, BROADCAST, -1, payload, size, heard)
+        self._see(exchange, -1, BROADCAST, sender, EVERYONE, -1, payload, size, heard)
         return size > 0
 
     def connect(self, exchange: int, connection: Connection) -> None:

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from netshaper.ledger import EVERYONE
 from netshaper.medium import Medium
-from netshaper.radio import EVERYONE, Frame, Note, Outgoing, Radio, RadioSettings
+from netshaper.radio import Frame, Note, Outgoing, Radio, RadioSettings
 from protocol import keys as names
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError

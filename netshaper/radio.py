@@ -17,15 +17,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-from netshaper.ledger import BROADCAST, tally
-from netshaper.medium import ANSWER, DATA, OFFER, TARGET, UNLIMITED, Connection, Medium
+from netshaper.ledger import EVERYONE, tally
+from netshaper.medium import ANSWER, BROADCAST, DATA, OFFER, UNLIMITED, Connection, Medium
 from netshaper.reach import in_range
 from protocol import packets
 from protocol.chance import chance
 from protocol.errors import ProtocolError
 from protocol.messages import Close, Open, Outcome, Said, Turn
-
-EVERYONE = BROADCAST
 
 Item = TypeVar("Item")
 
@@ -101,7 +99,7 @@ class Radio:
         self._spoken: dict[int, _Spoken] = {}
         self._connections: list[Connection] = []
         self._numbered = 0
-        self._target_carried: dict[int, bool] = {}
+        self._broadcast_carried: dict[int, bool] = {}
 
     def begin(self, step: int, cells: Mapping[int, tuple[int, int]]) -> list[Outgoing]:
         """Open the medium for a step, with the true cell (x, y) of each living robot.
@@ -159,7 +157,7 @@ class Radio:
 
     def _open(self) -> list[Outgoing]:
         self._connections = []
-        self._target_carried = {}
+        self._broadcast_carried = {}
         living = sorted(set(self._reach) - self._dead)
         self._expect("offers", living)
         if not living:
@@ -178,7 +176,7 @@ class Radio:
         ]
 
     def _end_offers(self) -> list[Outgoing]:
-        out = self._put_targets_on_air()
+        out = self._put_broadcasts_on_air()
         offers: dict[tuple[int, int, int], Connection] = {}
         for sender, spoken in sorted(self._spoken.items()):
             for receiver, payload in spoken.frames:
@@ -196,7 +194,7 @@ class Radio:
             self._numbered += 1
         return out + self._pass_on(OFFER, "answers")
 
-    def _put_targets_on_air(self) -> list[Outgoing]:
+    def _put_broadcasts_on_air(self) -> list[Outgoing]:
         said = [
             (sender, payload)
             for sender, spoken in sorted(self._spoken.items())
@@ -205,13 +203,13 @@ class Radio:
         ]
         out: list[Outgoing] = []
         for sender, payload in self._drawn("targets", said):
-            if not _is_broadcast(payload) or self._exchange or sender in self._target_carried:
+            if not _is_broadcast(payload) or self._exchange or sender in self._broadcast_carried:
                 reason = "broadcast something other than a target or a pose, at the start of a step"
-                self._refuse(sender, EVERYONE, TARGET, payload, "protocol", reason)
+                self._refuse(sender, EVERYONE, BROADCAST, payload, "protocol", reason)
                 continue
             hearers = [robot for robot in self._reach[sender] if robot not in self._dead]
             carried = self._medium.broadcast(self._exchange, sender, payload, hearers)
-            self._target_carried[sender] = carried
+            self._broadcast_carried[sender] = carried
             if carried:
                 out += [Frame(hearer, sender, payload) for hearer in hearers]
         return out
@@ -279,7 +277,7 @@ class Radio:
             if payload is not None and size:
                 out.append(Frame(connection.receiver, connection.sender, payload[:size]))
                 heard.setdefault(connection.receiver, []).append(connection.number)
-        concerned: dict[int, list[Connection]] = {robot: [] for robot in self._target_carried}
+        concerned: dict[int, list[Connection]] = {robot: [] for robot in self._broadcast_carried}
         for connection in self._connections:
             concerned.setdefault(connection.sender, []).append(connection)
             concerned.setdefault(connection.receiver, []).append(connection)
@@ -297,7 +295,7 @@ class Radio:
                         [c.carried[ANSWER] for c in mine],
                         [c.carried[DATA] for c in mine],
                         heard.get(robot, []),
-                        self._target_carried.get(robot, False),
+                        self._broadcast_carried.get(robot, False),
                     ),
                 )
             )

@@ -124,8 +124,8 @@ class Outcome:
     """Relay to robot, after the data: what was put on the air; the rest did not happen.
 
     `connections`, `offers`, `answers`, `data` are parallel: the bytes of each frame that were carried.
-    `heard` names the connections whose data frames were passed on to this robot, in that order. `target`
-    tells whether its broadcast was carried.
+    `heard` names the connections whose data frames were passed on to this robot, in that order.
+    `broadcast` tells whether its own was carried.
     """
 
     step: int
@@ -135,7 +135,7 @@ class Outcome:
     answers: list[int]
     data: list[int]
     heard: list[int]
-    target: bool
+    broadcast: bool
 
 
 @dataclass(frozen=True, slots=True)

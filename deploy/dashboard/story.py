@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from deploy.dashboard.look import GROUPS
 from deploy.dashboard.shapes import Point, extend
 from deploy.plan import Plan
-from netshaper.ledger import BROADCAST, CAUSES, KIND_NUMBER, ROW
+from netshaper.ledger import CAUSES, EVERYONE, KIND_NUMBER, ROW
 from netshaper.medium import UNLIMITED
 from protocol import keys as names
 from protocol.messages import End, Fault, Lost, MindReport, RadioReport, WorldReport
@@ -182,7 +182,7 @@ class Story:
 
 def _talks(carried: NDArray[np.void]) -> dict[tuple[int, int], int]:
     talks: dict[tuple[int, int], int] = {}
-    unicast = carried[carried["receiver"] != BROADCAST]
+    unicast = carried[carried["receiver"] != EVERYONE]
     for sender, receiver, size in zip(
         unicast["sender"].tolist(), unicast["receiver"].tolist(), unicast["bytes"].tolist(), strict=True
     ):

@@ -18,7 +18,7 @@ from deploy import plan as plans
 from deploy.scenario import parse
 from netshaper import capture, pcapng
 from netshaper.capture import HEAD, KEPT, VERDICTS
-from netshaper.ledger import BROADCAST, CAUSES, Sighting
+from netshaper.ledger import CAUSES, EVERYONE, Sighting
 from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.packets import ALL_KINDS, Fragment, Packet
@@ -81,7 +81,7 @@ def test_the_head_is_shown_field_by_field(tshark: Tshark, tmp_path: Path) -> Non
     file = tmp_path / "head.pcapng"
     said = [
         Sighting(1, 70000, DATA, 63, 0, 62, 0, 1 << 63 | 1, b"\xf0"),
-        Sighting(0, -1, 3, 4, BROADCAST, -1, 0, 0b101, b"\x00\x00\x00"),
+        Sighting(0, -1, 3, 4, EVERYONE, -1, 0, 0b101, b"\x00\x00\x00"),
         Sighting(0, -1, 0, 4, -99, -1, 2, 0, b"\xc0\x00"),
     ]
     file.write_bytes(capture.head("a test") + capture.encode(86401, said))

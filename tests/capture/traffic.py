@@ -16,7 +16,7 @@ from zenoh_wire import Session
 from deploy import rundir
 from netshaper import capture
 from netshaper.capture import FRAMES, Captured
-from netshaper.ledger import BROADCAST
+from netshaper.ledger import EVERYONE
 from netshaper.pcapng import Reader
 
 UP, DOWN = 0, 1
@@ -180,7 +180,7 @@ def passed_on(said: list[Said], robot: int) -> list[tuple[str, bytes]]:
             name = f"r{frame.sender}"
             if FRAMES[phase] in ("offer", "answer") and frame.receiver == robot:
                 result.append((name, frame.known))
-            elif robot in frame.hearers and frame.carried and frame.receiver in (robot, BROADCAST):
+            elif robot in frame.hearers and frame.carried and frame.receiver in (robot, EVERYONE):
                 result.append((name, frame.known[: frame.carried]))
     return result
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from netshaper.ledger import ROW
-from netshaper.radio import EVERYONE, Frame, Note, Outgoing, Radio, RadioSettings
+from netshaper.ledger import EVERYONE, ROW
+from netshaper.radio import Frame, Note, Outgoing, Radio, RadioSettings
 from protocol import packets
 from protocol.messages import Close, Open, Outcome, RadioReport, Said, Turn
 

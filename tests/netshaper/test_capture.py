@@ -13,7 +13,7 @@ from scripted_robots import Air, Liar, Robot
 
 from netshaper import capture, pcapng
 from netshaper.capture import CAPTURED_AT_MOST, KEPT, PART, VERDICTS, Captured
-from netshaper.ledger import BROADCAST, Sighting
+from netshaper.ledger import EVERYONE, Sighting
 from netshaper.pcapng import CaptureError, Reader
 from netshaper.radio import RadioSettings
 from protocol.messages import RadioReport
@@ -147,8 +147,8 @@ def test_a_frame_too_long_for_one_packet_of_wireshark_is_several_that_hold_whole
     ("receiver", "verdict", "hearers", "reason", "words"),
     [
         (3, 0, 0b1000, "", "delivered"),
-        (BROADCAST, 0, 0b1011, "", "delivered to r0, r1, r3"),
-        (BROADCAST, 0, 0, "", "on the air, but nobody was in range"),
+        (EVERYONE, 0, 0b1011, "", "delivered to r0, r1, r3"),
+        (EVERYONE, 0, 0, "", "on the air, but nobody was in range"),
         (3, 1, 0, "", "cut by budget"),
         (3, 2, 0, "", "out of range"),
         (3, 3, 0, "spoke out of turn", "refused: spoke out of turn"),

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netshaper.ledger import BROADCAST, CAUSES, KIND_NUMBER, ROW, balance, sort_rows
+from netshaper.ledger import CAUSES, EVERYONE, KIND_NUMBER, ROW, balance, sort_rows
 from protocol.packets import ALL_KINDS
 
 rows = st.lists(st.tuples(*[st.integers(-2, 3)] * len(ROW.names or ())), max_size=12)
@@ -25,7 +25,7 @@ def test_the_books_of_each_step_say_what_was_said_carried_cut_and_heard() -> Non
     def row(step: int, receiver: int, size: int, carried: int, heard: int) -> tuple[int, ...]:
         return (step, 0, 0, 0, 0, receiver, 0, 0, 1, size, carried, 0 if carried else 1, heard)
 
-    booked = [row(1, 1, 5, 1, 1), row(1, 1, 7, 0, 0), row(1, BROADCAST, 3, 1, 4), row(2, 1, 2, 1, 1)]
+    booked = [row(1, 1, 5, 1, 1), row(1, 1, 7, 0, 0), row(1, EVERYONE, 3, 1, 4), row(2, 1, 2, 1, 1)]
     assert balance(np.array(booked, ROW)) == {1: (15, 8, 7, 5), 2: (2, 2, 0, 2)}
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netshaper.ledger import BROADCAST, CAUSES, ROW
+from netshaper.ledger import CAUSES, EVERYONE, ROW
 from netshaper.medium import UNLIMITED, Connection, Medium
 from protocol import packets
 from protocol.packets import Answer, Block, Delete, Fragment, Insert, Offer, Packet, Save, Target, encode
@@ -100,7 +100,7 @@ def test_rows_count_packets_kind_by_kind(events_: list[object], budget: int) -> 
 def test_a_broadcast_is_booked_with_the_number_of_those_who_heard_it() -> None:
     medium = Medium(3, 10)
     assert medium.broadcast(0, 2, encode([Target(1, 2)]), [0, 1, 4])
-    assert rows(medium) == [(3, 0, -1, 3, 2, BROADCAST, -1, packets.ALL_KINDS.index("targ"), 1, 3, 1, 0, 3)]
+    assert rows(medium) == [(3, 0, -1, 3, 2, EVERYONE, -1, packets.ALL_KINDS.index("targ"), 1, 3, 1, 0, 3)]
 
 
 def test_a_refused_frame_costs_nothing() -> None:

@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scripted_robots import Air, Heard, Liar, Mute, Put, Robot, Step
 
-from netshaper.ledger import BROADCAST, CAUSES, KIND_NUMBER, MALFORMED, ROW, balance
-from netshaper.medium import ANSWER, DATA, OFFER, TARGET, UNLIMITED, Medium
-from netshaper.radio import EVERYONE, Note, RadioSettings
+from netshaper.ledger import CAUSES, EVERYONE, KIND_NUMBER, MALFORMED, ROW, balance
+from netshaper.medium import ANSWER, BROADCAST, DATA, OFFER, UNLIMITED, Medium
+from netshaper.radio import Note, RadioSettings
 from protocol import packets
 from protocol.messages import Close, Open, Outcome, Said, Turn
 from protocol.packets import Answer, Decline, Delete, Offer, Save, Target, encode
@@ -84,7 +84,7 @@ def test_every_byte_that_was_said_is_booked_once_carried_or_cut(scene: Any) -> N
 def test_what_is_carried_to_one_robot_is_heard_by_it_and_by_nobody_else(scene: Any) -> None:
     for step in play(scene):
         for _, carried, _, heard in balance(step.rows).values():
-            broadcast = (step.rows["receiver"] == BROADCAST) & (step.rows["carried"] == 1)
+            broadcast = (step.rows["receiver"] == EVERYONE) & (step.rows["carried"] == 1)
             assert heard == carried - step.bytes_where(broadcast)
         booked: Counter[tuple[int, int]] = Counter()
         for row in step.rows[unicast_data(step)]:
@@ -99,7 +99,7 @@ def test_what_is_carried_to_one_robot_is_heard_by_it_and_by_nobody_else(scene: A
 @given(scenes())
 def test_a_broadcast_counts_once_whoever_hears_it(scene: Any) -> None:
     for step in play(scene, deadly=False):
-        rows = step.rows[(step.rows["frame"] == TARGET) & (step.rows["carried"] == 1)]
+        rows = step.rows[(step.rows["frame"] == BROADCAST) & (step.rows["carried"] == 1)]
         assert (rows["bytes"] == 3).all()
         assert (rows["packets"] == 1).all()
         assert len(set(rows["sender"].tolist())) == len(rows)
@@ -263,7 +263,7 @@ TOGETHER = {0: (0, 0), 1: (3, 4)}
 
 def booked(step: Step) -> list[tuple[str, int, int, int, bool, str]]:
     """Rows as (frame, sender, receiver, bytes, carried, cause)."""
-    frames = ("offer", "answer", "data", "target")
+    frames = ("offer", "answer", "data", "broadcast")
     return [
         (frames[frame], sender, receiver, size, bool(carried), CAUSES[cause])
         for frame, sender, receiver, size, carried, cause in step.rows[
@@ -308,11 +308,11 @@ def test_the_budget_is_spent_on_targets_then_connection_by_connection_packet_by_
     by_frame = [
         step.bytes_where((step.rows["carried"] == 1) & (step.rows["frame"] == frame)) for frame in range(4)
     ]
-    assert (by_frame[TARGET], by_frame[OFFER], by_frame[ANSWER], by_frame[DATA]) == carried
+    assert (by_frame[BROADCAST], by_frame[OFFER], by_frame[ANSWER], by_frame[DATA]) == carried
     assert step.bytes_where(step.rows["carried"] == 0) == 11 - sum(carried)
     (_, outcome), (_, other) = step.outcomes
     assert (outcome.offers, outcome.answers, outcome.data) == ([carried[1]], [carried[2]], [carried[3]])
-    assert outcome.target == (carried[0] > 0)
+    assert outcome.broadcast == (carried[0] > 0)
     assert other.heard == ([0] if carried[3] else [])
 
 
@@ -339,14 +339,14 @@ def test_a_target_is_heard_by_all_in_range_and_booked_once() -> None:
     step = air_of(Says(0, (EVERYONE, TARGET_12)), Says(1), Says(2), range_cells=5.0).step(
         1, {0: (0, 0), 1: (3, 4), 2: (4, 4)}
     )
-    assert booked(step) == [("target", 0, BROADCAST, 3, True, "")]
+    assert booked(step) == [("broadcast", 0, EVERYONE, 3, True, "")]
     assert step.rows["heard"].tolist() == [1]
     assert [frame.receiver for _, frame in step.delivered] == [1]
 
 
 def test_a_target_that_nobody_hears_is_on_the_air_all_the_same() -> None:
     step = air_of(Says(0, (EVERYONE, TARGET_12)), Says(1), range_cells=1.0).step(1, TOGETHER)
-    assert booked(step) == [("target", 0, BROADCAST, 3, True, "")]
+    assert booked(step) == [("broadcast", 0, EVERYONE, 3, True, "")]
     assert step.rows["heard"].tolist() == [0]
 
 
@@ -414,8 +414,8 @@ def test_a_broadcast_of_anything_but_one_target_is_refused(payload: bytes) -> No
 def test_a_second_target_in_a_step_is_refused() -> None:
     step = air_of(Says(0, (EVERYONE, TARGET_12), (EVERYONE, TARGET_12)), Says(1)).step(1, TOGETHER)
     assert sorted(booked(step)) == [
-        ("target", 0, BROADCAST, 3, False, "protocol"),
-        ("target", 0, BROADCAST, 3, True, ""),
+        ("broadcast", 0, EVERYONE, 3, False, "protocol"),
+        ("broadcast", 0, EVERYONE, 3, True, ""),
     ]
 
 
@@ -468,7 +468,7 @@ def test_the_order_in_which_a_robot_says_its_offers_changes_nothing(seed: int, o
 def test_what_is_said_while_the_medium_is_closed_is_booked_in_the_next_step() -> None:
     air = air_of(Says(0, late=TARGET_12), Says(1))
     assert booked(air.step(1, TOGETHER)) == []
-    assert booked(air.step(2, TOGETHER)) == [("data", 0, BROADCAST, 3, False, "protocol")]
+    assert booked(air.step(2, TOGETHER)) == [("data", 0, EVERYONE, 3, False, "protocol")]
 
 
 @pytest.mark.parametrize("robots", [1, 2, 3])

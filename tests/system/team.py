@@ -17,9 +17,9 @@ from agent.settings import Settings
 from deploy import plan as plans
 from deploy.plan import Plan
 from deploy.scenario import parse
-from netshaper.ledger import ROW
+from netshaper.ledger import EVERYONE, ROW
 from netshaper.medium import UNLIMITED
-from netshaper.radio import EVERYONE, Frame, Note, Outgoing, Radio
+from netshaper.radio import Frame, Note, Outgoing, Radio
 from protocol.grid import FREE, OCCUPIED, Grid, fan
 from protocol.messages import Close, Move, Open, Outcome, Said, Sense, Turn
 from worldsim import generators

@@ -19,7 +19,7 @@ from deploy import plan as plans
 from deploy.records import Records
 from deploy.scenario import parse
 from deploy.summary import summarise
-from netshaper.ledger import BROADCAST, balance, sort_rows
+from netshaper.ledger import EVERYONE, balance, sort_rows
 from netshaper.medium import DATA
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packets import ALL_KINDS
@@ -84,7 +84,7 @@ def test_no_step_goes_over_its_budget_and_all_that_is_said_is_carried_or_cut(
     for said, carried, cut, _ in books.values():
         assert carried <= bandwidth
         assert said == carried + cut
-    unicast = team.ledger()[team.ledger()["receiver"] != BROADCAST]
+    unicast = team.ledger()[team.ledger()["receiver"] != EVERYONE]
     assert sum(heard for *_, heard in books.values()) == unicast["bytes"][unicast["carried"] == 1].sum()
     cut = sum(cut for _, _, cut, _ in books.values())
     assert cut > 0, "a budget that was never spent proves nothing"
