@@ -142,6 +142,16 @@ def test_hungarian_depot_counts_the_way_back_and_mtsp_depot_ends_its_tour_there(
         assert decide(f"{name}-depot", situation).target == (14, 1)
 
 
+def test_mtsp_with_fewer_goals_than_robots_takes_the_cheapest_pair_first() -> None:
+    one_frontier = CORRIDOR.copy()
+    one_frontier[0, 14] = 2
+    cells = {0: (6, 1), 1: (4, 1)}
+    for robot, expected in ((0, None), (1, (0, 1))):
+        poses = {peer: Pose(*cell, leads=False) for peer, cell in cells.items() if peer != robot}
+        situation = robot_at(*cells[robot], grid=one_frontier, peers=tuple(poses), poses=poses)
+        assert decide("mtsp", situation, {"candidates": "rfe"}, robot=robot).target == expected
+
+
 def test_hungarian_depot_spares_who_has_travelled_far() -> None:
     one_frontier = CORRIDOR.copy()
     one_frontier[0, 14] = 2
