@@ -2,22 +2,42 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 
 from agent.exchange import THESIS_OPTIONS
 from agent.strategies.catalogue import COMBINING, catalogue, entry
+from deploy.cli_by_hand import run_app
+from deploy.console import (
+    PAPER_WIDTH,
+    errors,
+    explain_difference,
+    fail,
+    progress,
+    report_deaths,
+    report_result,
+    screen,
+    speaking_clearly,
+)
+from deploy.flags import (
+    JsonFlag,
+    OutOption,
+    ScenarioFile,
+    ViewAs,
+    default,
+    named_values,
+    pair,
+    preformatted,
+    setting,
+)
 from deploy.scenario import Scenario, ScenarioError, load
-
-BAD_INPUT, BROKEN_OFF = 2, 3
 
 app = typer.Typer(
     name="murmur",
@@ -35,63 +55,25 @@ app = typer.Typer(
     or the disk is full.""",
 )
 maps_app = typer.Typer(no_args_is_help=True, help="List, make and show maps.")
-run_app = typer.Typer(
-    no_args_is_help=True,
-    help="Start one process of a run by hand (docs/several-terminals.md walks through it).",
-)
 app.add_typer(maps_app, name="map")
 app.add_typer(run_app, name="run")
-
-errors = Console(stderr=True, highlight=False, soft_wrap=True)
-screen = Console(highlight=False, soft_wrap=True)
-PAPER_WIDTH = 160
-"""Columns of a table that goes to a file or another program."""
-
-
-def default(name: str) -> str:
-    """Help text of a scenario setting: what it is, and its default."""
-    info = Scenario.model_fields[name]
-    return f"{info.description}" + ("" if info.default is None else f" (default {info.default})")
-
-
-def _preformatted(text: str) -> str:
-    """Text of which help keeps every line as it is."""
-    return text.replace("\n\n", "\n\n\b\n")
-
-
-ScenarioFile = Annotated[
-    Path | None, typer.Argument(metavar="SCENARIO.toml", help="a scenario file; flags override it")
-]
-SameScenario = Annotated[
-    Path | None,
-    typer.Argument(metavar="SCENARIO.toml", help="the scenario file, the same for all processes of a run"),
-]
-OutOption = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="run directory (default: a new one under runs/)")
-]
-JsonFlag = Annotated[bool, typer.Option("--json", help="print what comes out as JSON and nothing else")]
-
-
-def _setting(name: str, kind: Any, metavar: str | None = None) -> Any:
-    flag = "--" + name.replace("_", "-")
-    return Annotated[kind | None, typer.Option(flag, help=default(name), metavar=metavar)]
 
 
 @app.command()
 def explore(
     scenario: ScenarioFile = None,
-    map: _setting("map", str, "FILE.yaml|NAME") = None,  # type: ignore[valid-type]
-    robots: _setting("robots", int, "N") = None,  # type: ignore[valid-type]
-    range: _setting("range", str, "METRES|P%") = None,  # type: ignore[valid-type]
-    bandwidth: _setting("bandwidth", str, "BYTES|unlimited") = None,  # type: ignore[valid-type]
-    exchange: _setting("exchange", str, "NAME") = None,  # type: ignore[valid-type]
-    strategy: _setting("strategy", str, "NAME") = None,  # type: ignore[valid-type]
-    sensor_range: _setting("sensor_range", float, "M") = None,  # type: ignore[valid-type]
-    speed: _setting("speed", float, "M_PER_STEP") = None,  # type: ignore[valid-type]
-    seed: _setting("seed", int, "S") = None,  # type: ignore[valid-type]
-    map_seed: _setting("map_seed", int, "S") = None,  # type: ignore[valid-type]
+    map: setting("map", str, "FILE.yaml|NAME") = None,  # type: ignore[valid-type]
+    robots: setting("robots", int, "N") = None,  # type: ignore[valid-type]
+    range: setting("range", str, "METRES|P%") = None,  # type: ignore[valid-type]
+    bandwidth: setting("bandwidth", str, "BYTES|unlimited") = None,  # type: ignore[valid-type]
+    exchange: setting("exchange", str, "NAME") = None,  # type: ignore[valid-type]
+    strategy: setting("strategy", str, "NAME") = None,  # type: ignore[valid-type]
+    sensor_range: setting("sensor_range", float, "M") = None,  # type: ignore[valid-type]
+    speed: setting("speed", float, "M_PER_STEP") = None,  # type: ignore[valid-type]
+    seed: setting("seed", int, "S") = None,  # type: ignore[valid-type]
+    map_seed: setting("map_seed", int, "S") = None,  # type: ignore[valid-type]
     start: Annotated[str | None, typer.Option(metavar="X,Y", help=default("start"))] = None,
-    offers: _setting("offers", str, "NAME") = None,  # type: ignore[valid-type]
+    offers: setting("offers", str, "NAME") = None,  # type: ignore[valid-type]
     thesis: Annotated[
         bool, typer.Option("--thesis", help="the thesis' plain rules of offering, refining and drawing")
     ] = False,
@@ -99,8 +81,8 @@ def explore(
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="an option of the strategy (murmur strategies); repeatable"),
     ] = None,
-    bus: _setting("bus", str, "zenoh|memory") = None,  # type: ignore[valid-type]
-    steps: _setting("steps", int, "MAX") = None,  # type: ignore[valid-type]
+    bus: setting("bus", str, "zenoh|memory") = None,  # type: ignore[valid-type]
+    steps: setting("steps", int, "MAX") = None,  # type: ignore[valid-type]
     view: Annotated[
         bool, typer.Option("--view", help="show it live: a window, or a page if there is no display")
     ] = False,
@@ -129,13 +111,13 @@ def explore(
         "strategy": strategy, "sensor_range": sensor_range, "speed": speed, "seed": seed,
         "map_seed": map_seed, "offers": offers, "bus": bus, "steps": steps,
     }  # fmt: skip
-    with _speaking_clearly():
+    with speaking_clearly():
         if thesis:
             overrides |= {"offers": offers or "thesis", "polygon": asdict(THESIS_OPTIONS)}
         if start is not None:
-            overrides["start"] = _pair(start)
+            overrides["start"] = pair(start)
         if option:
-            overrides["options"] = _named_values(option, "option", "beta=0.5")
+            overrides["options"] = named_values(option, "option", "beta=0.5")
         chosen = load(scenario, overrides)
         show = view_as or ("auto" if view else None)
         raise typer.Exit(_explore(chosen, out, show, pictures=pictures, pace=pace, as_json=as_json))
@@ -144,16 +126,13 @@ def explore(
 @app.command()
 def watch(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
-    view_as: Annotated[
-        str,
-        typer.Option(metavar="native|web|file", help="show it so; auto: a window where there is a display"),
-    ] = "auto",
+    view_as: ViewAs = "auto",
 ) -> None:
     """Look at a run that is under way, or at the recording of one (docs/dashboard.md)."""
     from deploy import watch as watching  # noqa: PLC0415
     from deploy.dashboard.windows import Window  # noqa: PLC0415
 
-    with _speaking_clearly():
+    with speaking_clearly():
         window = Window(view_as, errors.print)
         try:
             watching.watch(directory, window)
@@ -168,7 +147,7 @@ def report(
     """Draw a run's maps over time and its traffic, and write one HTML page of it all: report.html."""
     from deploy.report import write_report  # noqa: PLC0415
 
-    with _speaking_clearly():
+    with speaking_clearly():
         page = write_report(directory, errors.print)
         screen.print(f"{page}: the run on one page, pictures and all")
 
@@ -183,7 +162,7 @@ def export(
     """Write a run in a form that other programs open: poses, scans, maps and polygons."""
     from deploy.export import export_mcap  # noqa: PLC0415
 
-    with _speaking_clearly():
+    with speaking_clearly():
         if not mcap:
             raise ScenarioError("export: say into what; there is --mcap")
         written = export_mcap(directory, errors.print)
@@ -202,16 +181,16 @@ def replay(
     from deploy import mission, rundir  # noqa: PLC0415
     from deploy.archive import why_unrepeatable  # noqa: PLC0415
 
-    with _speaking_clearly():
+    with speaking_clearly():
         scenario = rundir.read_scenario(directory)
         if bus is not None:
             scenario = load(directory / rundir.SCENARIO, {"bus": bus})
         before = rundir.read_summary(directory)
         if reason := why_unrepeatable(before):
             raise ScenarioError(f"{directory}: this run cannot be repeated: {reason}")
-        with _progress(shown=not as_json) as watch:
+        with progress(shown=not as_json) as watch:
             result = mission.explore(scenario, keep=False, watch=watch)
-        _report_deaths(result.deaths)
+        report_deaths(result.deaths)
         if result.exit_code == mission.BROKEN_OFF:
             raise typer.Exit(mission.BROKEN_OFF)
         same = result.summary["digest"] == before["digest"]
@@ -220,7 +199,7 @@ def replay(
         elif same:
             screen.print(f"The run holds: {result.summary['steps']} steps, digest {before['digest'][:16]}…")
         else:
-            _explain_difference(before, result.summary)
+            explain_difference(before, result.summary)
         raise typer.Exit(0 if same else 1)
 
 
@@ -247,7 +226,7 @@ def show_capture(
     """
     from deploy import capture, wireshark  # noqa: PLC0415
 
-    with _speaking_clearly():
+    with speaking_clearly():
         if install_dissector:
             screen.print(f"installed: {wireshark.install()}", markup=False)
         elif directory is None:
@@ -266,7 +245,7 @@ def show_capture(
 
 
 @app.command(
-    help=f"List the exploration strategies, or show one with all its options.\n\n\b\n{_preformatted(COMBINING)}"
+    help=f"List the exploration strategies, or show one with all its options.\n\n\b\n{preformatted(COMBINING)}"
 )
 def strategies(
     name: Annotated[
@@ -277,7 +256,7 @@ def strategies(
     """List the exploration strategies, or show one with all its options."""
     from deploy import strategy_pages as pages  # noqa: PLC0415
 
-    with _speaking_clearly():
+    with speaking_clearly():
         entries = catalogue() if name is None else [entry(name)]
         if as_json:
             print(json.dumps(pages.for_machines(entries)))
@@ -312,8 +291,8 @@ def sweep(
     from deploy.means import tabulate  # noqa: PLC0415
     from deploy.terminal import counting, table  # noqa: PLC0415
 
-    with _speaking_clearly():
-        settings = _named_values(set_ or [], "set", "seed=[0,1]")
+    with speaking_clearly():
+        settings = named_values(set_ or [], "set", "seed=[0,1]")
         read = sweeps.override(sweeps.choose(sweeps.read(experiment), variant or []), settings)
         todo = sweeps.cases(read)
         outcomes: list[sweeps.Outcome] = []
@@ -323,9 +302,9 @@ def sweep(
                     outcomes.append(outcome)
                     tell(len(outcomes), len(todo))
         except KeyboardInterrupt:
-            _fail("stopped" + (f"; the same command goes on with {out}" if out is not None else ""), 130)
+            fail("stopped" + (f"; the same command goes on with {out}" if out is not None else ""), 130)
         except BrokenExecutor:
-            _fail("a process of the sweep died", 3)
+            fail("a process of the sweep died", 3)
         finally:
             done = sweeps.summaries(todo, outcomes)
             if done:
@@ -354,7 +333,7 @@ def map_make(
     """Make a map and write it as ROS map_server reads it: a YAML file and its picture."""
     from worldsim import generators, maps  # noqa: PLC0415
 
-    with _speaking_clearly():
+    with speaking_clearly():
         path = out or Path(f"{name}.yaml")
         if path.suffix not in (".yaml", ".yml"):
             raise ValueError(f"out = {path}: must end in .yaml; the picture is written beside it")
@@ -372,7 +351,7 @@ def map_show(
     from deploy import plan  # noqa: PLC0415
     from deploy.terminal import sketch  # noqa: PLC0415
 
-    with _speaking_clearly():
+    with speaking_clearly():
         world_map = plan.load_map(load(None, {"map": file, "map_seed": seed}))
         free = int((world_map.cells == 1).sum())
         screen.print(sketch(world_map.cells, screen))
@@ -407,92 +386,10 @@ def bench(
     """Measure this machine: each figure as a ratio against a yardstick taken in the same run."""
     from deploy.bench import run_benches  # noqa: PLC0415
 
-    with _speaking_clearly():
+    with speaking_clearly():
         figures = run_benches(names or [], (lambda _: None) if as_json else screen.print)
         if as_json:
             print(json.dumps(figures, indent=2))
-
-
-@run_app.command("netshaper")
-def run_netshaper(
-    scenario: SameScenario = None,
-    listen: Annotated[
-        str, typer.Option(metavar="HOST:PORT", help="where the hub listens")
-    ] = "127.0.0.1:7447",
-    credentials: Annotated[
-        Path, typer.Option(metavar="DIR", help="new directory for one credential file a participant")
-    ] = Path("credentials"),
-) -> None:
-    """Start the radio relay: the hub that all others join. It writes their credentials, then waits for them."""
-    from deploy.by_hand import serve_netshaper  # noqa: PLC0415
-
-    with _speaking_clearly():
-        serve_netshaper(load(scenario, {}), listen, credentials, screen.print)
-
-
-@run_app.command("worldsim")
-def run_worldsim(
-    credential: Annotated[
-        Path, typer.Option(metavar="FILE", help="world.json of the netshaper's credentials")
-    ],
-    scenario: SameScenario = None,
-) -> None:
-    """Start the world simulator: it owns the map and the clock, and begins once all are there."""
-    from deploy.by_hand import serve_worldsim  # noqa: PLC0415
-
-    with _speaking_clearly():
-        serve_worldsim(load(scenario, {}), credential)
-
-
-@run_app.command("agent")
-def run_agent(
-    credential: Annotated[Path, typer.Option(metavar="FILE", help="rN.json of the netshaper's credentials")],
-) -> None:
-    """Start one robot. It is told everything else over the bus."""
-    from deploy.by_hand import serve_robot  # noqa: PLC0415
-
-    with _speaking_clearly():
-        serve_robot(credential)
-
-
-@run_app.command("view")
-def run_view(
-    credential: Annotated[
-        Path, typer.Option(metavar="FILE", help="view.json of the netshaper's credentials")
-    ],
-    scenario: SameScenario = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="where the recording goes")] = Path(),
-    view_as: Annotated[
-        str,
-        typer.Option(metavar="native|web|file", help="show it so; auto: a window where there is a display"),
-    ] = "auto",
-) -> None:
-    """Start a viewer: it may come and go while the run goes on, and nobody waits for it."""
-    from deploy.by_hand import serve_viewer  # noqa: PLC0415
-    from deploy.dashboard.windows import Window  # noqa: PLC0415
-
-    with _speaking_clearly():
-        window = Window(view_as, errors.print)
-        try:
-            serve_viewer(load(scenario, {}), credential, out, window)
-        finally:
-            window.close()
-
-
-@run_app.command("lab")
-def run_lab(
-    credential: Annotated[Path, typer.Option(metavar="FILE", help="lab.json of the netshaper's credentials")],
-    scenario: SameScenario = None,
-    out: OutOption = None,
-    as_json: JsonFlag = False,
-) -> None:
-    """Start the laboratory: it records the run and writes its directory at the end."""
-    from deploy.by_hand import serve_lab  # noqa: PLC0415
-
-    with _speaking_clearly():
-        with _progress(shown=not as_json) as watch:
-            result = serve_lab(load(scenario, {}), credential, out, watch, errors.print)
-        raise typer.Exit(_report(result, as_json=as_json))
 
 
 def _explore(
@@ -510,7 +407,7 @@ def _explore(
 
     window = Window(show, errors.print) if show else None
     try:
-        with _progress(shown=not as_json) as watch:
+        with progress(shown=not as_json) as watch:
             result = mission.explore(
                 scenario,
                 out=out,
@@ -520,105 +417,13 @@ def _explore(
                 pictures=pictures,
                 pace=pace,
             )
-        code = _report(result, as_json=as_json)
+        code = report_result(result, as_json=as_json)
         if window is not None and result.directory is not None and sys.stdout.isatty():
             keep_showing(result.directory, window)
     finally:
         if window is not None:
             window.close()
     return code
-
-
-def _report(result: Any, *, as_json: bool) -> int:
-    """Print what a run brought; return its exit code."""
-    from deploy.terminal import summary_lines  # noqa: PLC0415
-
-    _report_deaths(result.deaths)
-    if result.view_fault:
-        errors.print(f"the viewer broke off, the run did not mind: {result.view_fault}", markup=False)
-    for robot, cause in sorted(result.records.lost.items()):
-        errors.print(f"robot {robot} was lost: {cause}")
-    for fault in result.records.faults[:5]:
-        errors.print(f"nonsense on the air: {fault}")
-    if as_json:
-        print(json.dumps(result.summary))
-    else:
-        for line in summary_lines(result.summary, result.directory):
-            screen.print(line)
-    code: int = result.exit_code
-    return code
-
-
-def _report_deaths(deaths: dict[str, str]) -> None:
-    for name, words in deaths.items():
-        errors.print(f"{name} died: {words}")
-
-
-def _explain_difference(before: dict[str, Any], now: dict[str, Any]) -> None:
-    from deploy.rundir import MAP  # noqa: PLC0415
-
-    errors.print("The run does not hold: its digest has changed.")
-    settings = ("robots", "seed", "map", "strategy", "exchange", "bandwidth", "range_m")
-    for key in (*settings, "steps", "coverage", "map_agreement", "bytes", "versions"):
-        is_copy = key == "map" and now[key] == Path(MAP).stem
-        if before[key] != now[key] and not is_copy:
-            errors.print(f"  {key}: {before[key]} then, {now[key]} now")
-
-
-def _progress(*, shown: bool) -> Any:
-    from deploy.terminal import progress  # noqa: PLC0415
-
-    return progress(errors, shown=shown)
-
-
-class _speaking_clearly:  # noqa: N801  reads as the statement that it is
-    """Turn what a person can mend into a message: exit code 2 for bad input, 3 for what broke off the work."""
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
-        if isinstance(error, ScenarioError | ValueError):
-            _fail(str(error), BAD_INPUT)
-        if isinstance(error, OSError) and not isinstance(error, BrokenPipeError):
-            _fail(*_explain(error))
-
-
-def _explain(error: OSError) -> tuple[str, int]:
-    """What the system refused, and the exit code: a file of another name mends the one, not the other."""
-    if error.filename is None:
-        return error.strerror or str(error), BROKEN_OFF
-    is_bad_name = error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-    return f"{error.filename}: {error.strerror}", BAD_INPUT if is_bad_name else BROKEN_OFF
-
-
-def _fail(message: str, code: int) -> NoReturn:
-    for line in message.splitlines():
-        errors.print(f"murmur: {line}", markup=False)
-    raise typer.Exit(code)
-
-
-def _pair(text: str) -> tuple[float, float]:
-    try:
-        x, y = (float(part) for part in text.split(","))
-    except ValueError:
-        raise ScenarioError(f"start = {text!r}: must be two numbers of metres, as 3.5,12") from None
-    return x, y
-
-
-def _named_values(texts: list[str], flag: str, example: str) -> dict[str, Any]:
-    values: dict[str, Any] = {}
-    for text in texts:
-        name, sign, value = text.partition("=")
-        if not sign or not name:
-            raise ScenarioError(f"{flag} = {text!r}: must be NAME=VALUE, as {example}")
-        if name in values:
-            raise ScenarioError(f"{flag} = {text!r}: {name} is given twice; give it once, as {example}")
-        try:
-            values[name] = json.loads(value)
-        except ValueError:
-            values[name] = value
-    return values
 
 
 def main() -> None:
