@@ -8,6 +8,7 @@ import itertools
 import json
 import os
 import shutil
+import signal
 import subprocess
 import tempfile
 import time
@@ -29,7 +30,8 @@ class Browser:
         program = shutil.which("chromium")
         if program is None:
             pytest.skip("no chromium: install Debian's package chromium to see the dashboard in a browser")
-        self._folder = tempfile.TemporaryDirectory()
+        # Helpers of the browser that are killed with it may write for a moment longer.
+        self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         low_in, self._out = os.pipe()
         self._in, low_out = os.pipe()
         theirs_in, theirs_out = (fcntl.fcntl(end, fcntl.F_DUPFD, 20) for end in (low_in, low_out))
@@ -39,6 +41,7 @@ class Browser:
         self._process = subprocess.Popen(
             ["bash", "-c", shell, program, *FLAGS, size, f"--user-data-dir={self._folder.name}"],
             pass_fds=(theirs_in, theirs_out),
+            start_new_session=True,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -53,7 +56,7 @@ class Browser:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._process.kill()
+        os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
         os.close(self._in)
         os.close(self._out)
