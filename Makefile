@@ -18,7 +18,7 @@ $(BIN)/python:
 # Importing the processes' code compiles all kernels, once, into numba's cache.
 $(VENV)/main.stamp: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) --editable '.[view,mcap]'
-	$(BIN)/python -c 'import deploy.processes'
+	$(BIN)/python -c 'import deploy.run.processes'
 	touch $@
 
 $(VENV)/dev.stamp: $(VENV)/main.stamp

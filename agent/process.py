@@ -6,7 +6,7 @@ import time
 
 from agent.robot import Robot
 from agent.settings import Settings
-from agent.showing import SHOWN_EVERY, Showing
+from agent.viewer_feed import SHOWN_EVERY, Showing
 from protocol import keys as names
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent import exchange as exchanges
+from agent.exchange.catalogue import exchange
 from agent.exchange.session import Session
-from agent.polygons import Polygons
+from agent.outline.polygons import Polygons
 from agent.settings import Settings
-from agent.strategies import Cell, Decision, Pose, Situation, strategy
+from agent.strategies.base import Cell, Decision, Pose, Situation
+from agent.strategies.registry import strategy
 from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Grid, fan
@@ -61,7 +62,7 @@ class Robot:
         self.known_cells = 0
         """Cells of the self-explored grid that are known."""
         self._fan = fan(settings.range_cells, settings.beams)
-        self._exchange = exchanges.exchange(settings)
+        self._exchange = exchange(settings)
         self._strategy = strategy(settings.strategy)(settings.options, settings)
         self._sense: Sense | None = None
         self._homes: dict[int, Cell] = {}

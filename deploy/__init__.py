@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from deploy.mission import Result, explore
-    from deploy.scenario import Scenario
+    from deploy.run.exploration import Result, explore
+    from deploy.scenario.scenario import Scenario
 
 __all__ = ["Result", "Scenario", "explore"]
 
@@ -20,5 +20,7 @@ def __getattr__(name: str) -> Any:
 
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = importlib.import_module("deploy.scenario" if name == "Scenario" else "deploy.mission")
+    module = importlib.import_module(
+        "deploy.scenario.scenario" if name == "Scenario" else "deploy.run.exploration"
+    )
     return getattr(module, name)

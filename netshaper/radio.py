@@ -17,12 +17,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar
 
+from netshaper.connectivity import in_range
 from netshaper.ledger import EVERYONE, tally
 from netshaper.medium import ANSWER, BROADCAST, DATA, OFFER, UNLIMITED, Connection, Medium
-from netshaper.reach import in_range
 from protocol import packets
-from protocol.chance import chance
 from protocol.errors import ProtocolError
+from protocol.keyed_random import chance
 from protocol.messages import Close, Open, Outcome, Said, Turn
 
 Item = TypeVar("Item")

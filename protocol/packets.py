@@ -44,7 +44,7 @@ class Packet:
 class Insert(Packet):
     """A vertex enters the current object before the one that has `index` now.
 
-    The vertex is the contour point of cell (x, y) on its side `side` (`agent.contour`); cells run from -1,
+    The vertex is the contour point of cell (x, y) on its side `side` (`agent.outline.contour`); cells run from -1,
     the unknown rim around the grid. `occupied` speaks of the edge from this vertex to the next.
     """
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid
-from worldsim.files import write_whole
+from worldsim.atomic_files import write_whole
 
 _OCCUPIED_THRESH = 0.65
 _FREE_THRESH = 0.196

@@ -29,7 +29,7 @@ from protocol.messages import (
     unpack,
     unpack_as,
 )
-from worldsim.glide import FINE
+from worldsim.continuous_motion import FINE
 from worldsim.world import World
 
 EXPLORED, OUT_OF_STEPS, ALL_LOST = "explored", "out of steps", "all robots are lost"

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from protocol.chance import chance
 from protocol.grid import FREE, Grid, disc, enlarge, fan
+from protocol.keyed_random import chance
 from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes, points_from_bytes
 from protocol.scans import NONE, draw
-from worldsim.glide import FINE, cell_of, glide
+from worldsim.cell_motion import INTERFERENCE, NOT_BLOCKED, drive, heading_of, swept
+from worldsim.continuous_motion import FINE, cell_of, glide
 from worldsim.laser import FULL_TURN, HEADINGS, cast
-from worldsim.motion import INTERFERENCE, NOT_BLOCKED, drive, heading_of, swept
 
 MOVES_AS_PLANNED = 0.7
 """Probability with which a robot close to another moves as planned (Burgard et al., section IV)."""

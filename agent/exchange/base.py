@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
 from typing import ClassVar
 
-from agent.polygons import Polygons
+from agent.outline.polygons import Polygons
 from agent.settings import Settings
 from protocol.grid import Grid
 from protocol.scans import Change, Scan

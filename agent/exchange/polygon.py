@@ -12,16 +12,16 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-from agent.approximation import Marks, approximation, repair
-from agent.contour import contours
-from agent.edits import Held, edit_script
 from agent.exchange.base import Exchange
-from agent.merge import Drawing, TeamMap, approximation_error, without_unknown_pairs
-from agent.polygons import Polygons
-from agent.receiver import Receiver
+from agent.outline.approximation import Marks, approximation, repair
+from agent.outline.contour import contours
+from agent.outline.edits import Held, edit_script
+from agent.outline.merge import Drawing, TeamMap, approximation_error, without_unknown_pairs
+from agent.outline.polygons import Polygons
+from agent.outline.receiver import Receiver
+from agent.outline.simplify import by_distance, mixed_first, refine
+from agent.outline.splitting import SplitAllowance, Splitting
 from agent.settings import Settings
-from agent.simplify import by_distance, mixed_first, refine
-from agent.splitting import SplitAllowance, Splitting
 from protocol.grid import Grid
 from protocol.packets import encode
 from protocol.scans import Change, Scan

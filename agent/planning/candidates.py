@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning.clusters import medoids
-from agent.planning.ways import Ways
+from agent.planning.path_planner import Ways
 from protocol.kernels import kernel
 
 CANDIDATES = ("cells", "rfe", "anr", "breadth-first")

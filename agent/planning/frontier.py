@@ -17,7 +17,7 @@ def frontier_cells(grid: Grid, reached: NDArray[np.bool_]) -> NDArray[np.int32]:
     grid : uint8 array, shape (h, w)
         What is known.
     reached : bool array, shape (h, w)
-        Which cells can be reached (`agent.planning.reach.reachable`).
+        Which cells can be reached (`agent.planning.reachability.reachable`).
 
     Returns
     -------

@@ -2,7 +2,7 @@
 
 The paper's cost of a cell is distance times occupancy, on a map smoothed by a Gaussian. Here it is scaled so
 that a cell far from all obstacles costs its length; lengths are counted in 1024ths of a cell. As in
-`agent.planning.cost`, no step is shorter than a cell, so cells are settled in buckets of that width.
+`agent.planning.cost_field`, no step is shorter than a cell, so cells are settled in buckets of that width.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from agent.planning.cost import Field
+from agent.planning.cost_field import Field
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 
@@ -129,7 +129,7 @@ def _spread(
     buckets[0, 0] = start
     fill[0] = 1
     offset = np.array([1, stride, -1, -stride, 1 + stride, stride - 1, -1 - stride, 1 - stride])
-    # Steps to go on with after each step (canonical ordering, as in agent.planning.cost), or with all eight.
+    # Steps to go on with after each step (canonical ordering, as in agent.planning.cost_field), or with all eight.
     onward = np.zeros((9, 8), np.int64)
     for number in range(8):
         onward[number, 0] = number

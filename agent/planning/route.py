@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.planning.ways import Ways
+from agent.planning.path_planner import Ways
 from protocol.grid import FREE, Grid
 from protocol.kernels import kernel
 

@@ -49,7 +49,7 @@ class Situation:
     heading : int
         Eighths of a turn.
     blocked : str
-        Why its last move stopped short (`worldsim.motion`); empty if it did not.
+        Why its last move stopped short (`worldsim.cell_motion`); empty if it did not.
     homes : dict of robot to (x, y)
         The depots: the cell in which it started itself, and where each teammate was first heard of.
     home : (x, y)

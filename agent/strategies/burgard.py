@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning.assignment import Assignment, best_of_all, in_turn
+from agent.planning.path_planner import Ways
 from agent.planning.utility import utilities
-from agent.planning.ways import Ways
 from agent.strategies.base import Cell, Situation
 from agent.strategies.options import option
 from agent.strategies.targets import Parts, TargetStrategy

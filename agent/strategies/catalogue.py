@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from agent.strategies import Strategy, strategies, strategy
+from agent.strategies.base import Strategy
 from agent.strategies.options import OptionLine, option_lines
+from agent.strategies.registry import strategies, strategy
 
 COMBINING = """\
 A strategy is made of parts. Each names its own; options exchange them:

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from agent.planning.assignment import Assignment, greedy, hungarian, iterative
 from agent.planning.candidates import CANDIDATES
 from agent.planning.clusters import k_means
+from agent.planning.path_planner import Ways
 from agent.planning.route import straighten
 from agent.planning.tour import LONGEST, open_tour
-from agent.planning.ways import Ways
 from agent.strategies.base import Cell, Situation
 from agent.strategies.options import option
 from agent.strategies.targets import MISSIONS, Parts

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning import forces
+from agent.planning.giving_way import Traffic
+from agent.planning.path_planner import Ways
 from agent.planning.route import Route, corners, crossed
-from agent.planning.traffic import Traffic
-from agent.planning.ways import Ways
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Situation, Strategy
 from agent.strategies.options import option

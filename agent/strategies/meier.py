@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.planning.path_planner import Ways
 from agent.planning.utility import in_sight, utilities
-from agent.planning.ways import Ways
 from agent.strategies.base import Cell, Situation
 from agent.strategies.options import option
 from agent.strategies.targets import Parts, TargetStrategy

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from agent.planning.candidates import CANDIDATES
 from agent.planning.gain import information_gain
-from agent.planning.ways import Ways
+from agent.planning.path_planner import Ways
 from agent.strategies.base import Cell, Situation
 from agent.strategies.meier import BREADTH_FIRST_IS_ONE
 from agent.strategies.options import option

@@ -4,7 +4,7 @@ Such a strategy is made of parts that vary independently, as the papers vary the
 writes down how it picks one of the goals; every part can be exchanged by an option.
 
     candidates  which cells are worth going to (`agent.planning.candidates`)
-    costs       how ways are counted (`agent.planning.ways`)
+    costs       how ways are counted (`agent.planning.path_planner`)
     replan      when a new target is chosen
     mission     what comes after the last one
     scan        when the scanner works
@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 
 from agent.planning.candidates import CANDIDATES, goal_candidates
 from agent.planning.frontier import is_frontier
+from agent.planning.giving_way import Traffic
+from agent.planning.path_planner import COSTS, Ways
 from agent.planning.route import Route
-from agent.planning.traffic import Traffic
-from agent.planning.ways import COSTS, Ways
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Situation, Strategy
 from agent.strategies.options import option

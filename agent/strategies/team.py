@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning.assignment import Assignment
+from agent.planning.path_planner import Ways
 from agent.planning.utility import in_sight
-from agent.planning.ways import Ways
 from agent.settings import Settings
 from agent.strategies.base import Cell, Situation
 from agent.strategies.targets import TargetStrategy
-from protocol.chance import chance
+from protocol.keyed_random import chance
 
 PATIENCE = 20
 """Steps after which a robot without a goal no longer trusts that its teammates see to all of them."""

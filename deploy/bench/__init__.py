@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from protocol.chance import chance
+from protocol.keyed_random import chance
 
 RESAMPLES = 2000
 

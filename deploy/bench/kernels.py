@@ -16,19 +16,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.approximation import approximation, repair
-from agent.contour import contours
-from agent.edits import Held, edit_script
-from agent.exchange import PolygonExchange
-from agent.merge import Drawing, TeamMap, five_stages
-from agent.planning.cost import costs
-from agent.polygons import Polygons
+from agent.exchange.polygon import PolygonExchange
+from agent.outline.approximation import approximation, repair
+from agent.outline.contour import contours
+from agent.outline.edits import Held, edit_script
+from agent.outline.merge import Drawing, TeamMap, five_stages
+from agent.outline.polygons import Polygons
+from agent.outline.simplify import mixed_first, refine
+from agent.planning.cost_field import costs
 from agent.settings import Settings
-from agent.simplify import mixed_first, refine
-from deploy import plan as plans
 from deploy.bench import Figure, compare
-from deploy.bench.air import Air, timed
-from deploy.bench.walks import SAMPLES, Cell, Moment, beams, explore, samples
+from deploy.bench.explorations import SAMPLES, Cell, Moment, beams, explore, samples
+from deploy.bench.handshakes import Air, timed
 from deploy.bench.yardsticks import (
     cells_along,
     look_in_numpy,
@@ -37,8 +36,9 @@ from deploy.bench.yardsticks import (
     without_frame,
     yardstick,
 )
-from deploy.plan import Plan
-from deploy.scenario import Scenario
+from deploy.scenario import plan as plans
+from deploy.scenario.plan import Plan
+from deploy.scenario.scenario import Scenario
 from protocol.grid import FREE, Fan, Grid
 from protocol.scans import draw
 from worldsim import generators, maps

@@ -15,15 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from agent.strategies import Decision, Situation, Strategy, strategies
+from agent.strategies.base import Decision, Situation, Strategy
+from agent.strategies.registry import strategies
 from agent.strategies.targets import TargetStrategy
-from deploy import in_memory
-from deploy import plan as plans
 from deploy.bench import Figure
-from deploy.bench.air import timed
-from deploy.bench.walks import Cell
+from deploy.bench.explorations import Cell
+from deploy.bench.handshakes import timed
 from deploy.bench.yardsticks import yardstick
-from deploy.scenario import Scenario
+from deploy.run import in_memory
+from deploy.scenario import plan as plans
+from deploy.scenario.scenario import Scenario
 from protocol.grid import FREE, Grid
 from worldsim import generators
 

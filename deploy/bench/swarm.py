@@ -11,14 +11,14 @@ from typing import Literal
 
 import numpy as np
 
-from deploy import launch
-from deploy import plan as plans
 from deploy.bench import Figure, compare
 from deploy.bench.transcript import Script, play, play_hub, play_lab, record
-from deploy.family import Family
-from deploy.plan import Plan
-from deploy.records import Records
-from deploy.scenario import Scenario
+from deploy.record.records import Records
+from deploy.run import launch
+from deploy.run.process_table import Family
+from deploy.scenario import plan as plans
+from deploy.scenario.plan import Plan
+from deploy.scenario.scenario import Scenario
 from protocol import keys as names
 from worldsim import generators
 

@@ -10,10 +10,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from deploy import in_memory
-from deploy.plan import Plan
-from deploy.processes import FAREWELL_S
-from deploy.records import Records
+from deploy.record.records import Records
+from deploy.run import in_memory
+from deploy.run.processes import FAREWELL_S
+from deploy.scenario.plan import Plan
 from netshaper.hub import open_hub
 from protocol import keys as names
 from protocol.bus import Bus, Message

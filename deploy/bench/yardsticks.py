@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.polygons import Polygons
+from agent.outline.polygons import Polygons
 from protocol.grid import FREE, OCCUPIED, Fan, Grid
 
 Cell = tuple[int, int]

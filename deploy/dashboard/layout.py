@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import rerun.blueprint as rrb
 
-from deploy.dashboard.record import SHARES_HEIGHT, TIMELINE
+from deploy.dashboard.recorder import SHARES_HEIGHT, TIMELINE
 from deploy.dashboard.shapes import corner
-from deploy.plan import Plan
+from deploy.scenario.plan import Plan
 
 MOST = 8
 """Minds that are shown at once; more of them go to tabs."""

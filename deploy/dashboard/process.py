@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from deploy.plan import Plan
-from deploy.snapshots import SNAPSHOTS, Snapshots
+from deploy.record.snapshots import SNAPSHOTS, Snapshots
+from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol.bus import BusClosed, Message
 from protocol.messages import Bye, unpack

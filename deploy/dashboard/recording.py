@@ -10,9 +10,9 @@ from typing import Any
 import rerun as rr
 
 from deploy.dashboard.layout import layout
-from deploy.dashboard.record import Recorder
+from deploy.dashboard.recorder import Recorder
 from deploy.dashboard.windows import LOOPBACK, optimise
-from deploy.plan import Plan
+from deploy.scenario.plan import Plan
 
 FLUSH_S = 1.0
 """How long rows are gathered before they are written and sent: fewer, larger pieces make smaller files."""

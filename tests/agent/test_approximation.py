@@ -10,10 +10,10 @@ from explorations import Cell, exploration, grids, growing_maps, real_map
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.approximation import Marks, approximation, repair
-from agent.contour import contours
-from agent.polygons import SIDE_X, SIDE_Y, Polygons
-from agent.simplify import refine
+from agent.outline.approximation import Marks, approximation, repair
+from agent.outline.contour import contours
+from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
+from agent.outline.simplify import refine
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packets import MAX_OBJECTS, MAX_VERTICES
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from agent.contour import contours
-from agent.polygons import SIDE_X, SIDE_Y, Polygons
+from agent.outline.contour import contours
+from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 
 MAPS = sorted(path.stem for path in REAL_MAPS.glob("*.png")) or ["intel"]

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from planning_references import ONE, ROOT, drawn, floors, steps_from, whole_lengths
 from scipy import ndimage
 
-from agent.planning.cost import DIAGONAL, Floor, costs, costs_on, way
+from agent.planning.cost_field import DIAGONAL, Floor, costs, costs_on, way
 from agent.planning.occupancy import P_FREE, P_OCCUPIED, Terrain, weighted_costs
-from agent.planning.ways import Ways
+from agent.planning.path_planner import Ways
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 
 seeds = st.integers(0, 2**32 - 1)

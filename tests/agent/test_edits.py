@@ -10,11 +10,11 @@ from explorations import Cell, exploration, growing_maps, real_map
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from agent.approximation import approximation, repair
-from agent.contour import contours
-from agent.edits import Held, edit_script
-from agent.polygons import Polygons
-from agent.simplify import refine
+from agent.outline.approximation import approximation, repair
+from agent.outline.contour import contours
+from agent.outline.edits import Held, edit_script
+from agent.outline.polygons import Polygons
+from agent.outline.simplify import refine
 from protocol.grid import FREE, UNKNOWN, Grid
 from protocol.packets import (
     Change,

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from planning_references import dijkstra, drawn
 
-from agent.planning.cost import Floor, costs, nearest_first, way
+from agent.planning.cost_field import Floor, costs, nearest_first, way
 from agent.planning.frontier import frontier_cells, is_frontier
-from agent.planning.reach import reachable
+from agent.planning.reachability import reachable
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 
 seeds = st.integers(0, 2**32 - 1)

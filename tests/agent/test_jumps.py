@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from planning_references import drawn, floors, whole_lengths
 from scipy import ndimage
 
-from agent.planning.cost import Floor, costs, costs_on
-from agent.planning.jumps import costs_between
-from agent.planning.reach import reachable
-from agent.planning.ways import Ways
+from agent.planning.cost_field import Floor, costs, costs_on
+from agent.planning.jump_point_search import costs_between
+from agent.planning.path_planner import Ways
+from agent.planning.reachability import reachable
 from protocol.grid import FREE, OCCUPIED, Grid
 
 seeds = st.integers(0, 2**32 - 1)

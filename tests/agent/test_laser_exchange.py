@@ -10,7 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.exchange import EXCHANGES, LaserExchange, NoExchange, exchange
+from agent.exchange.catalogue import EXCHANGES, exchange
+from agent.exchange.laser import LaserExchange
+from agent.exchange.none import NoExchange
 from agent.settings import Settings
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, fan

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from agent.approximation import approximation, repair
-from agent.contour import contours
-from agent.merge import (
+from agent.outline.approximation import approximation, repair
+from agent.outline.contour import contours
+from agent.outline.merge import (
     THESIS,
     UNDEFINED,
     Drawing,
@@ -22,8 +22,8 @@ from agent.merge import (
     layer,
     rendered,
 )
-from agent.polygons import Polygons
-from agent.simplify import refine
+from agent.outline.polygons import Polygons
+from agent.outline.simplify import refine
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 
 quick = settings(deadline=None)
@@ -154,7 +154,7 @@ def outer(free: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def what_algorithm_9_can_know(grid: Grid, robot: Cell, drawing: Drawing) -> Grid:
-    """The grid without what no exact approximation can tell: see `agent.merge`."""
+    """The grid without what no exact approximation can tell: see `agent.outline.merge`."""
     free = reachable(grid, robot)
     cross = ndimage.generate_binary_structure(2, 1)
     beside = ndimage.binary_dilation(free, cross) & ~free

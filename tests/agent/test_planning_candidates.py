@@ -17,7 +17,7 @@ from agent.planning.candidates import (
 from agent.planning.clusters import k_means, medoids
 from agent.planning.frontier import is_frontier
 from agent.planning.gain import information_gain
-from agent.planning.ways import Ways
+from agent.planning.path_planner import Ways
 from protocol.grid import FREE, UNKNOWN, Grid
 from tests.agent.planning_references import drawn, grids
 

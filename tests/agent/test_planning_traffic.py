@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from agent.planning.giving_way import FARTHEST, GIVE_UP, MEMORY, WAIT, Traffic
+from agent.planning.path_planner import Ways
 from agent.planning.route import Route
-from agent.planning.traffic import FARTHEST, GIVE_UP, MEMORY, WAIT, Traffic
-from agent.planning.ways import Ways
 from protocol.grid import FREE
 from tests.agent.planning_references import drawn
 

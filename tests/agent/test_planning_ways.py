@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.planning.cost import costs
+from agent.planning.cost_field import costs
 from agent.planning.occupancy import Terrain, weighted_costs
+from agent.planning.path_planner import Ways
 from agent.planning.route import Route, corners, straighten
-from agent.planning.ways import Ways
 from protocol.grid import FREE, OCCUPIED, Grid
 from tests.agent.planning_references import dijkstra, drawn, grids, steps_from
 

@@ -12,13 +12,14 @@ from explorations import Cell, exploration, growing_maps
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.approximation import repair
-from agent.contour import contours
-from agent.exchange import THESIS_OPTIONS, PolygonExchange, PolygonOptions, exchange
-from agent.merge import Drawing, TeamMap, approximation_error
-from agent.polygons import Polygons
+from agent.exchange.catalogue import exchange
+from agent.exchange.polygon import THESIS_OPTIONS, PolygonExchange, PolygonOptions
+from agent.outline.approximation import repair
+from agent.outline.contour import contours
+from agent.outline.merge import Drawing, TeamMap, approximation_error
+from agent.outline.polygons import Polygons
+from agent.outline.simplify import refine
 from agent.settings import Settings
-from agent.simplify import refine
 from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid

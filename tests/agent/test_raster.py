@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from agent.polygons import SIDE_X, SIDE_Y
-from agent.raster import draw, fill
+from agent.outline.polygons import SIDE_X, SIDE_Y
+from agent.outline.raster import draw, fill
 
 quick = settings(deadline=None)
 

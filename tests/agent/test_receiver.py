@@ -11,13 +11,13 @@ from explorations import exploration, growing_maps, real_map
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.approximation import approximation, repair
-from agent.contour import contours
-from agent.edits import Held, edit_script
-from agent.merge import rendered
-from agent.polygons import Polygons
-from agent.receiver import Receiver
-from agent.simplify import refine
+from agent.outline.approximation import approximation, repair
+from agent.outline.contour import contours
+from agent.outline.edits import Held, edit_script
+from agent.outline.merge import rendered
+from agent.outline.polygons import Polygons
+from agent.outline.receiver import Receiver
+from agent.outline.simplify import refine
 from protocol.errors import ProtocolError
 from protocol.packets import (
     MAX_OBJECTS,

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from agent.contour import contours
-from agent.polygons import Polygons
-from agent.showing import Showing, outline_bytes
+from agent.outline.contour import contours
+from agent.outline.polygons import Polygons
+from agent.viewer_feed import Showing, outline_bytes
 from protocol.messages import Outlines, Snapshot, grid_from_bytes
 
 

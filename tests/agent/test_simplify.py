@@ -11,10 +11,10 @@ from explorations import Cell, exploration, grids, real_map
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.approximation import Marks, approximation, repair
-from agent.contour import contours
-from agent.polygons import SIDE_X, SIDE_Y, Polygons
-from agent.simplify import ValueFunction, by_distance, mixed_first, refine
+from agent.outline.approximation import Marks, approximation, repair
+from agent.outline.contour import contours
+from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
+from agent.outline.simplify import ValueFunction, by_distance, mixed_first, refine
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 
 quick = settings(deadline=None)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.splitting import START_BYTES, START_SPLITS, SplitAllowance, Splitting
+from agent.outline.splitting import START_BYTES, START_SPLITS, SplitAllowance, Splitting
 
 
 def test_the_frequency_is_what_equation_5_5_says() -> None:

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agent.planning.path_planner import Ways
 from agent.planning.route import crossed
-from agent.planning.ways import Ways
 from agent.settings import Settings
-from agent.strategies import Decision, Pose, Situation, Strategy, strategy
+from agent.strategies.base import Decision, Pose, Situation, Strategy
 from agent.strategies.leaders import STALL_STEPS, elect
+from agent.strategies.registry import strategy
 from agent.strategies.rotating import ShengBid
 from agent.strategies.targets import TURNED_AWAY
 from agent.strategies.team import PATIENCE

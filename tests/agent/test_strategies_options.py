@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from agent.strategies import strategies, strategy
 from agent.strategies.catalogue import COMBINING, catalogue
+from agent.strategies.registry import strategies, strategy
 from agent.strategies.targets import Parts
 
 NAMES = [
@@ -143,8 +143,9 @@ class Farthest(TargetStrategy):
 def test_a_strategy_from_outside_the_tree_is_one_class_and_explores(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from deploy import in_memory, plan
-    from deploy.scenario import parse
+    from deploy.run import in_memory
+    from deploy.scenario import plan
+    from deploy.scenario.scenario import parse
 
     (tmp_path / "my_swarm.py").write_text(OUTSIDE, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agent.robot import REPEAT_POSE, SURE_AFTER, Robot
-from agent.strategies import Decision, Pose, Situation, Strategy
+from agent.strategies.base import Decision, Pose, Situation, Strategy
 from protocol import packets
 from protocol.grid import fan
 from protocol.messages import Outcome, Sense

@@ -14,9 +14,9 @@ from typing import Any
 import pyarrow.parquet
 import pytest
 
-from deploy import rundir
-from deploy.mission import Result, explore
-from deploy.scenario import parse
+from deploy.record import run_directory
+from deploy.run.exploration import Result, explore
+from deploy.scenario.scenario import parse
 from netshaper import capture
 from netshaper.capture import Captured
 from netshaper.pcapng import Reader
@@ -27,7 +27,7 @@ PATIENCE_S = 60
 
 
 def read(run: Path) -> tuple[list[Captured], int]:
-    with (run / rundir.CAPTURE).open("rb") as file:
+    with (run / run_directory.CAPTURE).open("rb") as file:
         reader = Reader(file)
         return list(capture.read(reader)), reader.torn
 
@@ -44,13 +44,13 @@ def running(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
     run = tmp_path / "run"
     arguments = ["explore", "--robots", "3", "--bandwidth", "500", "--steps", "100000", "--out", str(run)]
     with subprocess.Popen(
-        [sys.executable, "-m", "deploy.cli", *arguments],
+        [sys.executable, "-m", "deploy.commands.main", *arguments],
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     ) as swarm:
         deadline = time.monotonic() + PATIENCE_S
-        file = run / rundir.CAPTURE
+        file = run / run_directory.CAPTURE
         while not (file.exists() and file.stat().st_size > 20_000):
             assert swarm.poll() is None, "the run ended before its time"
             assert time.monotonic() < deadline, "the capture does not grow"
@@ -64,7 +64,7 @@ def test_the_file_is_the_same_on_both_buses(on_both: list[Result]) -> None:
     memory, zenoh = (result.directory for result in on_both)
     assert memory is not None
     assert zenoh is not None
-    assert (memory / rundir.CAPTURE).read_bytes() == (zenoh / rundir.CAPTURE).read_bytes()
+    assert (memory / run_directory.CAPTURE).read_bytes() == (zenoh / run_directory.CAPTURE).read_bytes()
     assert len(read(memory)[0]) > 100
 
 
@@ -85,7 +85,7 @@ def test_a_run_ended_by_sigterm_leaves_a_whole_capture(
     swarm.wait(PATIENCE_S)
     frames, torn = read(run)
     assert torn == 0
-    ledger = pyarrow.parquet.read_table(run / rundir.LEDGER).to_pydict()
+    ledger = pyarrow.parquet.read_table(run / run_directory.LEDGER).to_pydict()
     assert sum(frame.size for frame in frames) == sum(ledger["bytes"])
     assert frames[-1].step == max(ledger["step"])
 

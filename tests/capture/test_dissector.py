@@ -12,10 +12,11 @@ import pytest
 import tshark as tsharks
 from tshark import Tshark
 
-from agent.exchange import EXCHANGES
-from deploy import in_memory, rundir
-from deploy import plan as plans
-from deploy.scenario import parse
+from agent.exchange.catalogue import EXCHANGES
+from deploy.record import run_directory
+from deploy.run import in_memory
+from deploy.scenario import plan as plans
+from deploy.scenario.scenario import parse
 from netshaper import capture, pcapng
 from netshaper.capture import HEAD, KEPT, VERDICTS
 from netshaper.ledger import CAUSES, EVERYONE, Sighting
@@ -181,10 +182,10 @@ def test_its_sums_are_those_of_the_ledger(tshark: Tshark, tmp_path: Path, exchan
     plan = plans.make(
         parse({"robots": 4, "exchange": exchange, "bandwidth": 700, "range": "40%", "steps": 60})
     )
-    with rundir.open_capture(tmp_path, plan) as file:
+    with run_directory.open_capture(tmp_path, plan) as file:
         ledger = in_memory.run(plan, None, file).ledger()
     rows = tshark.fields(
-        tmp_path / rundir.CAPTURE,
+        tmp_path / run_directory.CAPTURE,
         ["murmur.verdict", "murmur.bytes", "murmur.kind", "murmur.size", "murmur.broken"],
     )
     sums: Counter[tuple[str, str]] = Counter()

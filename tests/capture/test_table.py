@@ -9,9 +9,10 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from deploy import cli, wireshark
-from deploy.mission import Result, explore
-from deploy.scenario import parse
+from deploy.after import wireshark
+from deploy.commands import main
+from deploy.run.exploration import Result, explore
+from deploy.scenario.scenario import parse
 from netshaper.ledger import CAUSES
 from protocol.packets import ALL_KINDS
 
@@ -24,7 +25,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Result:
 
 
 def murmur(*arguments: object, code: int = 0) -> str:
-    result = CliRunner().invoke(cli.app, ["capture", *map(str, arguments)])
+    result = CliRunner().invoke(main.app, ["capture", *map(str, arguments)])
     assert result.exit_code == code, result.output
     return result.output
 

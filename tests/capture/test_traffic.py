@@ -20,7 +20,7 @@ import pytest
 from sniffer import BUFFER, SO_RCVBUFFORCE
 from traffic import DOWN, PHASES, UP, Said, Traffic, frames, in_phases, passed_on
 
-from deploy import rundir
+from deploy.record import run_directory
 from netshaper.capture import FRAMES
 
 HERE = Path(__file__).parent
@@ -158,7 +158,7 @@ def test_each_robot_got_what_was_carried_to_it_in_order_and_nothing_else(
 
 
 def test_what_the_wire_carried_is_what_the_ledger_books(traffic: Traffic, said: list[Said]) -> None:
-    ledger = pyarrow.parquet.read_table(traffic.run / rundir.LEDGER).to_pylist()
+    ledger = pyarrow.parquet.read_table(traffic.run / run_directory.LEDGER).to_pylist()
     up = sum(len(payload) for robot in traffic.robots for _, payload in traffic.of(f"r{robot}").radio(UP))
     down = sum(len(payload) for robot in traffic.robots for _, payload in traffic.of(f"r{robot}").radio(DOWN))
     carried = [row for row in ledger if row["carried"]]
@@ -185,7 +185,7 @@ def test_long_messages_travel_in_fragments_and_are_put_together(traffic: Traffic
 def test_the_meter_reads_what_was_seen_on_the_wire(
     traffic: Traffic, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    summary = rundir.read_summary(traffic.run)
+    summary = run_directory.read_summary(traffic.run)
     bytes_of = traffic.overhead()
     total = sum(bytes_of.values())
     if summary["wire_bytes"] is None:

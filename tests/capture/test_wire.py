@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from deploy.wire import Meter
+from deploy.record.wire_bytes import Meter
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from typing import Any
 from sniffer import Segment, Strangers, Stream, segments
 from zenoh_wire import Session
 
-from deploy import rundir
+from deploy.record import run_directory
 from netshaper import capture
 from netshaper.capture import FRAMES, Captured
 from netshaper.ledger import EVERYONE
@@ -127,7 +127,7 @@ class Said:
 
 def frames(run: Path) -> list[Said]:
     """All frames of a capture, in its order."""
-    with (run / rundir.CAPTURE).open("rb") as file:
+    with (run / run_directory.CAPTURE).open("rb") as file:
         captured = list(capture.read(Reader(file)))
     return [_together(list(parts)) for _, parts in groupby(captured, _identity(captured))]
 

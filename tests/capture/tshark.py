@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy import wireshark
+from deploy.after import wireshark
 
 SPLIT = "|"
 

@@ -21,10 +21,10 @@ from typing import Any
 
 from sniffer import Sniffer
 
-from deploy.mission import explore
-from deploy.plan import Plan
-from deploy.records import Records
-from deploy.scenario import parse
+from deploy.record.records import Records
+from deploy.run.exploration import explore
+from deploy.scenario.plan import Plan
+from deploy.scenario.scenario import parse
 
 CLONE_NEWNET = 0x40000000
 SIOCSIFFLAGS, IFF_UP, IFF_RUNNING = 0x8914, 0x1, 0x40

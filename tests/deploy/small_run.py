@@ -6,12 +6,12 @@ from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
 
-from deploy import in_memory
-from deploy import plan as plans
 from deploy.dashboard.process import ViewNode
-from deploy.mission import Result, explore
-from deploy.plan import Plan
-from deploy.scenario import parse
+from deploy.run import in_memory
+from deploy.run.exploration import Result, explore
+from deploy.scenario import plan as plans
+from deploy.scenario.plan import Plan
+from deploy.scenario.scenario import parse
 
 SETTINGS = {"map": "office", "robots": 3, "range": "30%", "steps": 40, "bus": "memory"}
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from agent.contour import contours
-from agent.planning.cost import costs
-from agent.strategies import strategies
+from agent.outline.contour import contours
+from agent.planning.cost_field import costs
+from agent.strategies.registry import strategies
 from deploy import bench
 from deploy.bench import Figure, compare, kernels, replanning, run_benches, yardsticks
-from deploy.cli import app
+from deploy.commands.main import app
 from protocol.grid import FREE, OCCUPIED, Grid, fan
 from protocol.scans import draw
 from worldsim import generators

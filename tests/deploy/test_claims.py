@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from rich.console import Console
 
-from deploy.claims import CLAIMS, Run, run, runs_of, table
-from deploy.scenario import parse
+from deploy.scenario.scenario import parse
+from deploy.study.claims import CLAIMS, Run, run, runs_of, table
 
 BY_NAME = {claim.name: claim for claim in CLAIMS}
 

@@ -18,7 +18,7 @@ from click.testing import Result
 from PIL import Image
 from typer.testing import CliRunner
 
-from deploy.cli import app
+from deploy.commands.main import app
 from protocol.grid import MAX_SIDE
 from protocol.zenoh_bus import Credential
 from worldsim import generators, maps
@@ -243,7 +243,7 @@ def test_bad_input_says_nothing_on_the_channel_that_machines_read(desk: Path) ->
 
 def test_bad_input_ends_the_real_command_as_well(desk: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "deploy.cli", "explore", "--range", "-3"],
+        [sys.executable, "-m", "deploy.commands.main", "explore", "--range", "-3"],
         env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
         capture_output=True,
         text=True,
@@ -428,7 +428,7 @@ FULL_DISK = """
 import resource, sys
 from deploy import cli, report, export
 resource.setrlimit(resource.RLIMIT_FSIZE, (9000, resource.RLIM_INFINITY))
-cli.app(sys.argv[1:])
+main.app(sys.argv[1:])
 """
 
 

@@ -10,9 +10,9 @@ import pytest
 
 from deploy.dashboard.process import RECORDING, SNAPSHOTS, ViewTask, free_name, watching
 from deploy.dashboard.windows import Window, WindowError, binary
-from deploy.mission import explore
-from deploy.scenario import parse
-from deploy.snapshots import Snapshots
+from deploy.record.snapshots import Snapshots
+from deploy.run.exploration import explore
+from deploy.scenario.scenario import parse
 from protocol.grid import FREE
 from protocol.messages import Bye, MindReport, Outlines, RadioReport, Snapshot, WorldReport
 from tests.deploy.small_run import SETTINGS, small_plan, small_run, told

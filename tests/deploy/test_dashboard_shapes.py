@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from PIL import Image
 
-from deploy.dashboard.look import CELLS, GROUPS, map_picture, robot_color
+from deploy.dashboard.appearance import CELLS, GROUPS, map_picture, robot_color
 from deploy.dashboard.shapes import axes, extend, flip, number_strips, outline_strips, tick_values
 from protocol.grid import MAX_ROBOTS, Grid
 from protocol.messages import grid_from_bytes, grid_to_bytes

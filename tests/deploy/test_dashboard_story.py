@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy.dashboard.about import about
-from deploy.dashboard.story import Story
+from deploy.dashboard.explanation import about
+from deploy.dashboard.run_events import Story
 from netshaper.ledger import CAUSES, KIND_NUMBER, ROW
 from protocol.messages import End, Fault, Lost, MindReport, RadioReport, WorldReport
 from tests.deploy.small_run import small_plan, told

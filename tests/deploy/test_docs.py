@@ -12,17 +12,18 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from agent.approximation import approximation, repair
-from agent.contour import contours
-from agent.edits import Held, edit_script
-from agent.exchange import EXCHANGES, THESIS_OPTIONS, PolygonOptions
+from agent.exchange.catalogue import EXCHANGES
+from agent.exchange.polygon import THESIS_OPTIONS, PolygonOptions
 from agent.exchange.session import POLICIES, TRANSITIONS, Session, State
-from agent.receiver import Receiver
-from agent.simplify import refine
-from deploy.in_memory import run as run_in_memory
-from deploy.mission import explore
-from deploy.plan import make
-from deploy.scenario import SHIPPED, Death, RobotOverride, Scenario, ScenarioError, load
+from agent.outline.approximation import approximation, repair
+from agent.outline.contour import contours
+from agent.outline.edits import Held, edit_script
+from agent.outline.receiver import Receiver
+from agent.outline.simplify import refine
+from deploy.run.exploration import explore
+from deploy.run.in_memory import run as run_in_memory
+from deploy.scenario.plan import make
+from deploy.scenario.scenario import SHIPPED, Death, RobotOverride, Scenario, ScenarioError, load
 from netshaper import access
 from netshaper.ledger import CAUSES, ROW
 from protocol import messages, packets

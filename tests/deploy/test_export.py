@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 import yaml
 
-from deploy import archive, in_memory
-from deploy.export import ExportError, export_mcap, occupancy, ranges_of
-from deploy.rescan import Lasers
-from deploy.snapshots import Snapshots
+from deploy.after import archive
+from deploy.after.export import ExportError, export_mcap, occupancy, ranges_of
+from deploy.after.recast_scans import Lasers
+from deploy.record.snapshots import Snapshots
+from deploy.run import in_memory
 from protocol.grid import fan
 from protocol.messages import Sense, unpack
 from protocol.scans import HIT, NONE

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from agent.strategies import strategies
-from deploy.finish import PAPERS, ROBOTS, Outcome, cases, run, table
-from deploy.scenario import parse
+from agent.strategies.registry import strategies
+from deploy.scenario.scenario import parse
+from deploy.study.finish import PAPERS, ROBOTS, Outcome, cases, run, table
 from worldsim import generators, maps
 from worldsim.process import EXPLORED, OUT_OF_STEPS, STALLED
 

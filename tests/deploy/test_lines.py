@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.lines import collect, read
+from deploy.study.run_pool import collect, read
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from deploy.means import FIGURES, TABLES, Table, check, figure, tabulate
+from deploy.study.tables import FIGURES, TABLES, Table, check, figure, tabulate
 from tests.deploy.small_run import small_run
 
 VARIANTS = ["polygons", "scans"]

@@ -23,12 +23,13 @@ from PIL import Image
 from pyarrow import parquet
 
 import deploy
-from deploy import mission, rundir
-from deploy import plan as plans
-from deploy.mission import BROKEN_OFF, EXPLORED, NOT_FINISHED, Result
-from deploy.plan import Plan
-from deploy.records import Records
-from deploy.scenario import Scenario, parse
+from deploy.record import run_directory
+from deploy.record.records import Records
+from deploy.run import exploration
+from deploy.run.exploration import BROKEN_OFF, EXPLORED, NOT_FINISHED, Result
+from deploy.scenario import plan as plans
+from deploy.scenario.plan import Plan
+from deploy.scenario.scenario import Scenario, parse
 from protocol.packets import ALL_KINDS
 from worldsim import generators, maps
 
@@ -62,7 +63,7 @@ def scenario(floor: str, **settings: Any) -> Scenario:
 @pytest.fixture(scope="module")
 def run(floor: str, tmp_path_factory: pytest.TempPathFactory) -> Result:
     """A finished run, in a directory."""
-    return mission.explore(scenario(floor), out=tmp_path_factory.mktemp("out") / "run")
+    return exploration.explore(scenario(floor), out=tmp_path_factory.mktemp("out") / "run")
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +144,7 @@ def test_maps_are_written_as_they_were_in_the_robots_minds(run: Result, out: Pat
 
 
 def test_the_scenario_is_written_with_every_setting_and_its_own_map(floor: str, out: Path) -> None:
-    written = rundir.read_scenario(out)
+    written = run_directory.read_scenario(out)
     assert written == scenario(floor, map=str(out / "map.yaml"))
     assert (plans.load_map(written).cells == maps.load(floor).cells).all()
     text = (out / "scenario.toml").read_text()
@@ -152,7 +153,7 @@ def test_the_scenario_is_written_with_every_setting_and_its_own_map(floor: str, 
 
 
 def test_a_run_of_a_generated_map_brings_the_map_along(tmp_path: Path) -> None:
-    result = mission.explore(
+    result = exploration.explore(
         parse({"map": "leader-trap", "robots": 1, "steps": 2, "bus": "memory"}), out=tmp_path / "a"
     )
     assert result.directory is not None
@@ -165,7 +166,7 @@ def test_runs_that_begin_at_once_take_directories_of_their_own(
     monkeypatch.chdir(tmp_path)
     plan = plans.make(scenario(floor))
     with ThreadPoolExecutor(8) as pool:
-        made = list(pool.map(lambda _: rundir.create(None, plan), range(16)))
+        made = list(pool.map(lambda _: run_directory.create(None, plan), range(16)))
     assert len(set(made)) == 16
     assert min(made, key=lambda path: len(path.name)) == Path("runs/office-polygon-3robots-seed0")
     assert {path.parent for path in made} == {Path("runs")}
@@ -173,7 +174,7 @@ def test_runs_that_begin_at_once_take_directories_of_their_own(
 
 def test_an_empty_directory_is_taken(floor: str, tmp_path: Path) -> None:
     (tmp_path / "here").mkdir()
-    assert mission.explore(scenario(floor, steps=1), out=tmp_path / "here").directory == tmp_path / "here"
+    assert exploration.explore(scenario(floor, steps=1), out=tmp_path / "here").directory == tmp_path / "here"
 
 
 # --- whole files or none -------------------------------------------------------------------------------
@@ -181,7 +182,7 @@ def test_an_empty_directory_is_taken(floor: str, tmp_path: Path) -> None:
 
 def test_whoever_looks_while_a_run_is_written_sees_whole_files(floor: str, tmp_path: Path) -> None:
     folder = tmp_path / "run"
-    worker = threading.Thread(target=mission.explore, args=[scenario(floor)], kwargs={"out": folder})
+    worker = threading.Thread(target=exploration.explore, args=[scenario(floor)], kwargs={"out": folder})
     worker.start()
     looks = 0
     while worker.is_alive():
@@ -189,7 +190,7 @@ def test_whoever_looks_while_a_run_is_written_sees_whole_files(floor: str, tmp_p
             if path.suffix == ".json":
                 assert "digest" in json.loads(path.read_text())
             elif path.suffix == ".toml":
-                assert rundir.read_scenario(folder).robots == 3
+                assert run_directory.read_scenario(folder).robots == 3
             elif path.suffix == ".parquet":
                 assert parquet.read_table(path).num_rows
             elif path.suffix == ".png":
@@ -235,19 +236,19 @@ def test_a_directory_alone_repeats_the_run_wherever_it_is(run: Result, out: Path
     moved.mkdir()
     for name in ("scenario.toml", "map.yaml", "map.png"):
         (moved / name).write_bytes((out / name).read_bytes())
-    again = mission.explore(rundir.read_scenario(moved), keep=False)
+    again = exploration.explore(run_directory.read_scenario(moved), keep=False)
     assert again.summary["digest"] == run.summary["digest"]
     for name in CONTRACT - {"wall_s", "steps_per_s"}:
         assert again.summary[name] == run.summary[name], name
 
 
 def test_a_run_of_processes_is_repeated_in_one_process(floor: str, tmp_path: Path) -> None:
-    result = mission.explore(scenario(floor, bus="zenoh", steps=15), out=tmp_path / "run")
+    result = exploration.explore(scenario(floor, bus="zenoh", steps=15), out=tmp_path / "run")
     wire, air = result.summary["wire_bytes"], result.summary["bytes"]["total"]
     assert wire is None or wire > air, "where the system tells, the bus moves more than was said"
-    assert rundir.read_scenario(tmp_path / "run").bus == "zenoh"
-    again = mission.explore(
-        deploy.scenario.load(tmp_path / "run" / "scenario.toml", {"bus": "memory"}), keep=False
+    assert run_directory.read_scenario(tmp_path / "run").bus == "zenoh"
+    again = exploration.explore(
+        deploy.scenario.scenario.load(tmp_path / "run" / "scenario.toml", {"bus": "memory"}), keep=False
     )
     assert again.summary["digest"] == result.summary["digest"]
 
@@ -293,7 +294,7 @@ def test_a_run_that_is_explored_ends_with_0_and_names_who_was_first(run: Result)
 
 
 def test_a_run_that_is_out_of_steps_ends_with_1(floor: str) -> None:
-    result = mission.explore(scenario(floor, steps=3), keep=False)
+    result = exploration.explore(scenario(floor, steps=3), keep=False)
     assert result.exit_code == NOT_FINISHED == 1
     assert result.summary["reason"] == "out of steps"
     assert result.summary["first_robot"] is None
@@ -313,7 +314,7 @@ def test_an_interrupt_ends_a_run_after_its_step_with_everything_written(
         if records.step >= 5:
             os.kill(os.getpid(), number)
 
-    result = mission.explore(
+    result = exploration.explore(
         scenario(floor, bus=bus), out=tmp_path / "run", watch=watch, tell=told.append, pace=20
     )
     assert result.exit_code == NOT_FINISHED
@@ -329,14 +330,14 @@ def test_an_interrupt_ends_a_run_after_its_step_with_everything_written(
 @pytest.mark.parametrize("bus", ["memory", "zenoh"])
 def test_a_run_that_leaves_nothing_dies_of_an_interrupt(floor: str, bus: str) -> None:
     with pytest.raises(KeyboardInterrupt):
-        mission.explore(
+        exploration.explore(
             scenario(floor, bus=bus), keep=False, watch=lambda *_: os.kill(os.getpid(), signal.SIGINT)
         )
 
 
 @pytest.mark.parametrize("bus", ["memory", "zenoh"])
 def test_a_death_that_the_scenario_asked_for_is_no_accident(floor: str, bus: str) -> None:
-    result = mission.explore(scenario(floor, bus=bus, death=[{"robot": 0, "step": 5}]), keep=False)
+    result = exploration.explore(scenario(floor, bus=bus, death=[{"robot": 0, "step": 5}]), keep=False)
     assert result.exit_code == EXPLORED
     assert result.summary["first_robot"] in (1, 2)
     assert result.summary["lost"] == {}
@@ -351,7 +352,7 @@ def test_a_death_that_the_scenario_asked_for_is_no_accident(floor: str, bus: str
 @pytest.mark.parametrize("bus", ["memory", "zenoh"])
 def test_a_team_of_which_all_die_ends(floor: str, bus: str) -> None:
     deaths = [{"robot": robot, "step": 4 + robot} for robot in range(3)]
-    result = mission.explore(scenario(floor, bus=bus, death=deaths), keep=False)
+    result = exploration.explore(scenario(floor, bus=bus, death=deaths), keep=False)
     assert result.exit_code == NOT_FINISHED
     assert result.summary["reason"] == "all robots are lost"
 
@@ -373,7 +374,7 @@ def test_a_death_that_nobody_asked_for_ends_with_3_and_is_named(floor: str, tmp_
             killed.append(process.pid)
             process.kill()
 
-    result = mission.explore(scenario(floor, bus="zenoh"), out=tmp_path / "run", watch=watch, pace=15)
+    result = exploration.explore(scenario(floor, bus="zenoh"), out=tmp_path / "run", watch=watch, pace=15)
     assert killed
     assert result.exit_code == BROKEN_OFF == 3
     assert result.summary["lost"] == {"1": "its process ended"}

@@ -11,13 +11,14 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from deploy import archive, rundir
-from deploy.cli import app
-from deploy.figures import channel_load
-from deploy.mission import explore
-from deploy.report import write_report
-from deploy.scenario import ScenarioError, parse
-from deploy.snapshots import SNAPSHOTS
+from deploy.after import archive
+from deploy.after.figures import channel_load
+from deploy.after.report import write_report
+from deploy.commands.main import app
+from deploy.record import run_directory
+from deploy.record.snapshots import SNAPSHOTS
+from deploy.run.exploration import explore
+from deploy.scenario.scenario import ScenarioError, parse
 from tests.deploy.small_run import small_directory, small_run
 
 FIGURES = ["approximation.png", "channel-load.png", "maps-over-time.png"]
@@ -53,7 +54,7 @@ def directory(tmp_path: Path) -> Path:
 
 
 def test_a_run_with_pictures_draws_them() -> None:
-    folder = small_directory() / rundir.PICTURES
+    folder = small_directory() / run_directory.PICTURES
     assert sorted(path.name for path in folder.iterdir()) == FIGURES
     for name in FIGURES:
         assert min(Image.open(folder / name).size) > 500
@@ -106,12 +107,12 @@ def test_a_run_that_cannot_be_repeated_is_told_of_without_maps_over_time(
     directory: Path, was: str, cut: str
 ) -> None:
     (directory / SNAPSHOTS).unlink()
-    shutil.rmtree(directory / rundir.PICTURES)
-    summary = directory / rundir.SUMMARY
+    shutil.rmtree(directory / run_directory.PICTURES)
+    summary = directory / run_directory.SUMMARY
     summary.write_text(summary.read_text().replace(was, cut))
     told: list[str] = []
     page = Page(write_report(directory, told.append).read_text(encoding="utf-8"))
-    assert [path.name for path in (directory / rundir.PICTURES).iterdir()] == ["channel-load.png"]
+    assert [path.name for path in (directory / run_directory.PICTURES).iterdir()] == ["channel-load.png"]
     assert len(page.sources) == 2
     assert "cannot be repeated" in told[0]
 
@@ -132,7 +133,7 @@ def test_panels_of_a_channel_on_which_nothing_was_said_begin_at_zero(tmp_path: P
 def test_what_is_no_run_is_refused(tmp_path: Path, directory: Path) -> None:
     with pytest.raises(ScenarioError, match=r"no run directory"):
         write_report(tmp_path)
-    (directory / rundir.STEPS).unlink()
+    (directory / run_directory.STEPS).unlink()
     with pytest.raises(ScenarioError, match=r"steps.parquet is missing"):
         write_report(directory)
 

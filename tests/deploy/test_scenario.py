@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.exchange import EXCHANGES
-from deploy.scenario import SHIPPED, UNLIMITED, Scenario, ScenarioError, load, parse
+from agent.exchange.catalogue import EXCHANGES
+from deploy.scenario.scenario import SHIPPED, UNLIMITED, Scenario, ScenarioError, load, parse
 from protocol.grid import MAX_ROBOTS
 
 MOST = 2**31 - 1

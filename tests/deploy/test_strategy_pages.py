@@ -8,11 +8,11 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
-from agent.strategies import strategies
 from agent.strategies.catalogue import COMBINING, catalogue, entry
+from agent.strategies.registry import strategies
 from agent.strategies.targets import Parts
-from deploy.cli import app
-from deploy.strategy_pages import WIDTH
+from deploy.commands.main import app
+from deploy.commands.strategy_pages import WIDTH
 
 
 def murmur(*arguments: str) -> Result:

@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from deploy import sweep
-from deploy.cli import app
-from deploy.scenario import ScenarioError, parse
+from deploy.commands.main import app
+from deploy.scenario.scenario import ScenarioError, parse
+from deploy.study import sweep
 from worldsim import generators, maps
 
 EXPERIMENT = """
@@ -251,7 +251,7 @@ def test_the_command_prints_the_table_and_keeps_a_summary_a_line(tmp_path: Path)
 def test_bad_input_is_refused_before_the_first_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], said: str
 ) -> None:
-    monkeypatch.setattr("deploy.lines.ProcessPoolExecutor.submit", None)
+    monkeypatch.setattr("deploy.study.run_pool.ProcessPoolExecutor.submit", None)
     code, table, errors = command(write(tmp_path, EXPERIMENT), *words)
     assert (code, table, errors.count("\n")) == (2, "", 1)
     assert said in errors
@@ -262,7 +262,7 @@ def begun(tmp_path: Path, out: Path) -> subprocess.Popen[str]:
     text = EXPERIMENT.replace("seed = [0, 1]", "seed = [0, 1]\nsteps = [1, 5000]").replace("steps = 6\n", "")
     path = write(tmp_path, text.replace('"em"', '"office"'))
     sweeping = subprocess.Popen(
-        [sys.executable, "-m", "deploy.cli", "sweep", path, "--jobs", "2", "--set", "robots=12", "--out", out],
+        [sys.executable, "-m", "deploy.commands.main", "sweep", path, "--jobs", "2", "--set", "robots=12", "--out", out],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
     )  # fmt: skip

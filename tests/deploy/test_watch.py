@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.scenario import ScenarioError
-from deploy.watch import LIVE, announced, read_live, recording_of
+from deploy.dashboard.watch import LIVE, announced, read_live, recording_of
+from deploy.scenario.scenario import ScenarioError
 from protocol.zenoh_bus import Credential
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netshaper.reach import in_range
+from netshaper.connectivity import in_range
 
 places = st.dictionaries(
     st.integers(0, 20), st.tuples(st.integers(0, 30), st.integers(0, 30)), min_size=1, max_size=12

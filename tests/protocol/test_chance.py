@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from protocol.chance import chance
+from protocol.keyed_random import chance
 
 
 def test_the_same_purpose_draws_the_same_numbers() -> None:

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from agent.robot import Robot
 from agent.settings import Settings
-from deploy import plan as plans
-from deploy.plan import Plan
-from deploy.scenario import parse
+from deploy.scenario import plan as plans
+from deploy.scenario.plan import Plan
+from deploy.scenario.scenario import parse
 from netshaper.ledger import EVERYONE, ROW
 from netshaper.medium import UNLIMITED
 from netshaper.radio import Frame, Note, Outgoing, Radio

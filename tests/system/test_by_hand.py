@@ -18,8 +18,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.by_hand import serve_lab, serve_netshaper, serve_worldsim
-from deploy.scenario import ScenarioError, parse
+from deploy.run.by_hand import serve_lab, serve_netshaper, serve_worldsim
+from deploy.scenario.scenario import ScenarioError, parse
 from netshaper import access
 
 ROOT = Path(__file__).parents[2]
@@ -52,7 +52,7 @@ def terminals(folder: Path) -> Iterator[dict[str, subprocess.Popen[str]]]:
 
 def start(command: str, folder: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "-m", "deploy.cli", *shlex.split(command)],
+        [sys.executable, "-m", "deploy.commands.main", *shlex.split(command)],
         cwd=folder,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         stdout=subprocess.PIPE,

@@ -13,9 +13,10 @@ from typing import Any
 
 import pytest
 
-from agent.exchange import EXCHANGES, THESIS_OPTIONS
-from deploy import mission
-from deploy.scenario import parse
+from agent.exchange.catalogue import EXCHANGES
+from agent.exchange.polygon import THESIS_OPTIONS
+from deploy.run import exploration
+from deploy.scenario.scenario import parse
 from worldsim import generators, maps
 
 BUSY_S = 60
@@ -32,7 +33,7 @@ def floor(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 def explore(bus: str, **settings: Any) -> dict[str, Any]:
     """Run a scenario; return its summary."""
-    result = mission.explore(parse({"bus": bus, "sensor_range": 3.0} | settings), keep=False)
+    result = exploration.explore(parse({"bus": bus, "sensor_range": 3.0} | settings), keep=False)
     assert not result.deaths
     assert not result.records.lost
     return result.summary

@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from team import Heard, Mind, Put, Team, corridor, plan_on, small_plan
 
-from agent.exchange import PolygonExchange
+from agent.exchange.polygon import PolygonExchange
 from agent.process import AgentNode
 from agent.robot import Robot
 from agent.settings import Settings
-from deploy import in_memory
-from deploy.plan import Plan
+from deploy.run import in_memory
+from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol import packets
 from protocol.bus import Bus, Message

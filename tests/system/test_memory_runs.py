@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from agent.exchange.session import Session
-from deploy import in_memory
-from deploy import plan as plans
-from deploy.plan import Plan
-from deploy.records import Records
-from deploy.scenario import parse
-from deploy.summary import digest
+from deploy.record.records import Records
+from deploy.record.summary import digest
+from deploy.run import in_memory
+from deploy.scenario import plan as plans
+from deploy.scenario.plan import Plan
+from deploy.scenario.scenario import parse
 from netshaper.ledger import CAUSES, ROW, balance
 from netshaper.medium import DATA, UNLIMITED
 from netshaper.radio import Frame, Note, Outgoing, Radio, RadioSettings

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from team import Cell, Team, corridor, plan_on, small_plan
 
-from agent.exchange import THESIS_OPTIONS
-from agent.merge import Drawing, rendered
-from deploy import in_memory
-from deploy import plan as plans
-from deploy.records import Records
-from deploy.scenario import parse
-from deploy.summary import summarise
+from agent.exchange.polygon import THESIS_OPTIONS
+from agent.outline.merge import Drawing, rendered
+from deploy.record.records import Records
+from deploy.record.summary import summarise
+from deploy.run import in_memory
+from deploy.scenario import plan as plans
+from deploy.scenario.scenario import parse
 from netshaper.ledger import EVERYONE, balance, sort_rows
 from netshaper.medium import DATA
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
@@ -188,7 +188,7 @@ def test_an_opening_that_looks_closed_at_first_does_not_end_a_run(
 
 
 def what_algorithm_9_can_know(grid: Grid, robot: Cell, drawing: Drawing) -> Grid:
-    """A grid without what no exact approximation can tell: see `agent.merge`."""
+    """A grid without what no exact approximation can tell: see `agent.outline.merge`."""
     areas, _ = ndimage.label(grid == FREE)
     free: NDArray[np.bool_] = areas == areas[robot[1], robot[0]]
     beside = ndimage.binary_dilation(free, ndimage.generate_binary_structure(2, 1)) & ~free

@@ -15,9 +15,9 @@ from pathlib import Path
 import psutil
 import pytest
 
-from deploy.snapshots import Snapshots
+from deploy.record.snapshots import Snapshots
 
-MURMUR = [sys.executable, "-m", "deploy.cli"]
+MURMUR = [sys.executable, "-m", "deploy.commands.main"]
 SWARM = ["explore", "--map", "office", "--robots", "3", "--exchange", "laser", "--bandwidth", "2000"]
 
 

@@ -8,10 +8,12 @@ from typing import Any
 
 import pytest
 
-from agent.exchange import EXCHANGES
-from deploy import explore, in_memory, plan
-from deploy.mission import EXPLORED, NOT_FINISHED, Result
-from deploy.scenario import ScenarioError, parse
+from agent.exchange.catalogue import EXCHANGES
+from deploy import explore
+from deploy.run import in_memory
+from deploy.run.exploration import EXPLORED, NOT_FINISHED, Result
+from deploy.scenario import plan
+from deploy.scenario.scenario import ScenarioError, parse
 from worldsim import generators
 from worldsim.process import EXPLORED as EXPLORED_ALL
 from worldsim.process import STALLED

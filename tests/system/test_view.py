@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from deploy.dashboard.look import robot_color
+from deploy.dashboard.appearance import robot_color
 from deploy.dashboard.process import RECORDING
 from deploy.dashboard.windows import Window
-from deploy.mission import explore
-from deploy.rundir import SUMMARY
-from deploy.scenario import parse
+from deploy.record.run_directory import SUMMARY
+from deploy.run.exploration import explore
+from deploy.scenario.scenario import parse
 from tests.system.browser import Browser
 from tests.system.headless import settled_picture, viewer
 

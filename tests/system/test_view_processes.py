@@ -12,10 +12,10 @@ import psutil
 import pytest
 
 from deploy.dashboard.process import RECORDING
+from deploy.dashboard.watch import LIVE
 from deploy.dashboard.windows import binary
-from deploy.rundir import CAPTURE
-from deploy.snapshots import SNAPSHOTS, Snapshots
-from deploy.watch import LIVE
+from deploy.record.run_directory import CAPTURE
+from deploy.record.snapshots import SNAPSHOTS, Snapshots
 from tests.system.headless import viewer
 from tests.system.test_processes import child, finish, summary, swarm
 
@@ -87,7 +87,7 @@ def test_one_may_come_late_to_look_at_a_run_that_nobody_shows(tmp_path: Path) ->
         wait_for(out / LIVE, process)
         assert (out / LIVE).stat().st_mode & 0o077 == 0
         child(process, "r2")
-        watch = [sys.executable, "-m", "deploy.cli", "watch", str(out), "--view-as", "file"]
+        watch = [sys.executable, "-m", "deploy.commands.main", "watch", str(out), "--view-as", "file"]
         watched = subprocess.run(watch, capture_output=True, text=True, timeout=60, check=False)
         finish(process, 60)
     assert watched.returncode == 0, watched.stderr
@@ -97,7 +97,7 @@ def test_one_may_come_late_to_look_at_a_run_that_nobody_shows(tmp_path: Path) ->
 
 
 def test_there_is_nothing_to_look_at_where_nothing_was_recorded(tmp_path: Path) -> None:
-    watch = [sys.executable, "-m", "deploy.cli", "watch", str(tmp_path), "--view-as", "file"]
+    watch = [sys.executable, "-m", "deploy.commands.main", "watch", str(tmp_path), "--view-as", "file"]
     done = subprocess.run(watch, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2
     assert "no recording (run.rrd)" in done.stderr

@@ -8,7 +8,7 @@ from typing import BinaryIO
 
 import pytest
 
-from worldsim.files import write_whole
+from worldsim.atomic_files import write_whole
 
 
 def fill_the_disk(file: BinaryIO) -> None:

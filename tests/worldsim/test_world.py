@@ -15,7 +15,7 @@ from scipy import ndimage
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, disc, fan
 from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
 from protocol.scans import NONE, Readings, check_readings, draw
-from worldsim.motion import INTERFERENCE, NOT_BLOCKED, ROBOT, WALL
+from worldsim.cell_motion import INTERFERENCE, NOT_BLOCKED, ROBOT, WALL
 from worldsim.world import MOVES_AS_PLANNED, Body, World, WorldSettings, reachable_by, start_cells
 
 Cell = tuple[int, int]

@@ -1,0 +1,200 @@
+"""What of an approximation lives on in the next one, and the minimum edit distance (section 4.2.3).
+
+The distance needs no table of all pairs (Algorithm 4), for a vertex occurs once in an approximation. What may
+stay falls into runs, stretches of equal symbols in both cycles; a run stays as a whole or goes as a whole,
+for each vertex that goes costs more than the replacement that it makes room for saves. So the search goes
+over the runs, and there are few.
+
+A symbol is a vertex, x, y and side, and in its lowest bit the occupancy of its edge (`agent.outline.edits.symbols`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.kernels import kernel
+from protocol.packets import Delete, Insert, Replace
+
+_DELETED, _INSERTED = Delete.size, Insert.size
+_KEPT = Delete.size + Insert.size
+"""Bytes saved by a vertex that stays, against deleting and inserting it."""
+_REPLACED = Delete.size + Insert.size - Replace.size
+"""Bytes saved by a replacement, against deleting and inserting."""
+
+
+@kernel("int32[::1](int32[::1], int32[::1])")
+def find_twins(old: NDArray[np.int32], new: NDArray[np.int32]) -> NDArray[np.int32]:
+    """For each new symbol, the position of the old one of the same vertex (x, y, side), or -1."""
+    size = 16
+    while size < 2 * len(old):
+        size *= 2
+    table = np.full(size, -1, np.int32)
+    twins = np.empty(len(new), np.int32)
+    for i in range(len(old)):
+        slot = (old[i] >> 1) * 0x9E3779B1 >> 7 & size - 1
+        while table[slot] >= 0:
+            slot = slot + 1 & size - 1
+        table[slot] = i
+    for i in range(len(new)):
+        slot = (new[i] >> 1) * 0x9E3779B1 >> 7 & size - 1
+        while table[slot] >= 0 and old[table[slot]] >> 1 != new[i] >> 1:
+            slot = slot + 1 & size - 1
+        twins[i] = table[slot]
+    return twins
+
+
+@kernel(
+    "Tuple((int32[::1], int32[::1], int32[:,::1]))"
+    "(int32[::1], int32[::1], boolean[::1], int32[::1], int32[::1], boolean[::1], int32[::1])"
+)
+def kinship(
+    old: NDArray[np.int32],
+    old_start: NDArray[np.int32],
+    old_inside: NDArray[np.bool_],
+    new: NDArray[np.int32],
+    new_start: NDArray[np.int32],
+    new_inside: NDArray[np.bool_],
+    twins: NDArray[np.int32],
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+    """Find the objects that are as they were, and which of the others share vertices.
+
+    Returns, for each new object, the old one that equals it (-1: none) and where in its cycle the old list
+    begins; and the pairs (old, new) of other objects with a common vertex.
+    """
+    old_count, new_count = len(old_start) - 1, len(new_start) - 1
+    equal = np.full(new_count, -1, np.int32)
+    shift = np.zeros(new_count, np.int32)
+    owner = np.empty(len(old), np.int32)
+    for k in range(old_count):
+        owner[old_start[k] : old_start[k + 1]] = k
+    untouched = np.zeros(old_count, np.bool_)
+    for k in range(new_count):
+        first, length = new_start[k], new_start[k + 1] - new_start[k]
+        twin = twins[first]
+        if twin < 0:
+            continue
+        other = owner[twin]
+        other_first = old_start[other]
+        if old_start[other + 1] - other_first != length or old_inside[other] != new_inside[k]:
+            continue
+        turn = twin - other_first
+        same = True
+        for i in range(length):
+            if old[other_first + (i + turn) % length] != new[first + i]:
+                same = False
+                break
+        if same:
+            equal[k] = other
+            shift[k] = (length - turn) % length
+            untouched[other] = True
+    pairs = np.empty((len(new), 2), np.int32)
+    count = 0
+    met_by = np.full(old_count, -1, np.int32)
+    for k in range(new_count):
+        if equal[k] >= 0:
+            continue
+        for i in range(new_start[k], new_start[k + 1]):
+            if twins[i] >= 0:
+                other = owner[twins[i]]
+                if not untouched[other] and met_by[other] != k:
+                    met_by[other] = k
+                    pairs[count, 0] = other
+                    pairs[count, 1] = k
+                    count += 1
+    return equal, shift, pairs[:count].copy()
+
+
+@kernel("Tuple((int64, int64, int32[::1]))(int32[::1], int32[::1], int32[::1])")
+def align(
+    old: NDArray[np.int32], new: NDArray[np.int32], twins: NDArray[np.int32]
+) -> tuple[int, int, NDArray[np.int32]]:
+    """Align a cycle with a list at the fewest bytes of vertex packets.
+
+    ``twins[i]``, where it is a position in `old`, is the only one that may equal ``new[i]``.
+
+    Returns the bytes, where in `new` the list is to begin, and from there on for each vertex the one of
+    `old` that stays or is replaced (-1: it is inserted).
+    """
+    m, n = len(old), len(new)
+    place = np.full(m, -1, np.int64)
+    for i in range(n):
+        if 0 <= twins[i] < m and old[twins[i]] == new[i]:
+            place[twins[i]] = i
+
+    # Runs: old[at : at + length] equals new[to : to + length] (cyclically).
+    at = np.empty(m, np.int64)
+    to = np.empty(m, np.int64)
+    length = np.empty(m, np.int64)
+    runs = 0
+    matches = 0
+    for i in range(m):
+        if place[i] < 0:
+            continue
+        matches += 1
+        if i > 0 and place[i - 1] >= 0 and place[i] == (place[i - 1] + 1) % n:
+            length[runs - 1] += 1
+        else:
+            at[runs], to[runs], length[runs] = i, place[i], 1
+            runs += 1
+
+    # The best chain of runs for each run that may stay first. In a gap of a old and b new vertices between
+    # runs that stay, min(a, b) are replaced; the gap before the first and after the last one is one gap.
+    best = _REPLACED * min(m, n)
+    best_first = -1
+    best_chain = np.empty(0, np.int64)
+    gain = np.empty(runs, np.int64)
+    before = np.empty(runs, np.int64)
+    rest = matches
+    for first in range(runs):
+        if _KEPT * rest + _REPLACED * (min(m, n) - rest) <= best:
+            break
+        rest -= length[first]
+        last, total = -1, best
+        for j in range(first, runs):
+            j_to = (to[j] - to[first]) % n
+            before[j] = -1
+            gain[j] = _KEPT * length[first] if j == first else -1
+            for i in range(first, j):
+                i_end = (to[i] - to[first]) % n + length[i]
+                if gain[i] >= 0 and i_end <= j_to:
+                    replaced = min(at[j] - at[i] - length[i], j_to - i_end)
+                    value = gain[i] + _KEPT * length[j] + _REPLACED * replaced
+                    if value > gain[j]:
+                        gain[j], before[j] = value, i
+            if gain[j] >= 0:
+                gap = min(at[first] + m - at[j] - length[j], n - j_to - length[j])
+                if gain[j] + _REPLACED * gap > total:
+                    last, total = j, gain[j] + _REPLACED * gap
+        if last >= 0:
+            best, best_first = total, first
+            count = 1
+            j = last
+            while j != first:
+                j = before[j]
+                count += 1
+            best_chain = np.empty(count, np.int64)
+            j = last
+            for c in range(count - 1, -1, -1):
+                best_chain[c] = j
+                j = before[j]
+
+    # Write the chain out; what is new before the first run replaces as much of the old there as it can.
+    source = np.full(n, -1, np.int32)
+    begin = 0
+    if best_first >= 0:
+        last = best_chain[-1]
+        between = n - (to[last] - to[best_first]) % n - length[last]
+        begin = (to[best_first] - min(at[best_first], between)) % n
+    i, j = 0, 0
+    for c in range(len(best_chain) + 1):
+        run = best_chain[c] if c < len(best_chain) else -1
+        run_at = at[run] if run >= 0 else m
+        run_to = (to[run] - begin) % n if run >= 0 else n
+        for k in range(min(run_at - i, run_to - j)):
+            source[j + k] = i + k
+        if run >= 0:
+            for k in range(length[run]):
+                source[run_to + k] = run_at + k
+            i, j = run_at + length[run], run_to + length[run]
+    return _DELETED * m + _INSERTED * n - best, begin, source

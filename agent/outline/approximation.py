@@ -1,0 +1,195 @@
+"""Incremental approximation: the coarse polygons that a robot tells its team (thesis, section 4.2).
+
+An approximation A(t) is a set of marked points of the exact contours P(t): order and objects follow from
+P(t). So a vertex that is still a contour point is never moved, which is what makes updates cheap, and
+`repair` needs no cutting and tracing: the cases of section 4.2.1 become
+
+1. vertices that vanish: their points are not met on P(t), their neighbours are joined by the contour;
+2. edges that no longer fit: refined afterwards (`agent.outline.simplify`);
+3. new objects: without marks, or with one where an object split, they get the missing ones. Splits, and the
+   joins that the thesis does not name, need nothing else: a mark belongs to the object on which it now lies.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
+from protocol.kernels import kernel
+from protocol.packets import MAX_OBJECTS, MAX_VERTICES
+
+Marks = NDArray[np.int32]
+"""An approximation as ascending positions in the flat arrays of its contours."""
+
+
+def repair(previous: Polygons, contours: Polygons) -> Marks:
+    """Make the last approximation valid for the contours of now (section 4.2.1).
+
+    Parameters
+    ----------
+    previous : Polygons
+        A(t - 1), on a grid of the same shape.
+    contours : Polygons
+        P(t), exact.
+
+    Returns
+    -------
+    int32 array, ascending
+        The vertices of A(t) before refinement, as positions in `contours`: all vertices of A(t - 1) that are
+        still contour points, and what objects lack to have two. An object with none begins with its
+        first point; a single vertex gets the contour point farthest from it (the first of these).
+
+    Notes
+    -----
+    The packets can speak of 4096 objects and 4096 vertices an object. Beyond that the outside objects with
+    the fewest contour points are left out, and an object loses the vertices that stand out least.
+    """
+    marks = _collect(
+        previous.x,
+        previous.y,
+        previous.side,
+        contours.x,
+        contours.y,
+        contours.side,
+        contours.start,
+        _approximated(contours),
+        contours.shape[0] + 2,
+        contours.shape[1] + 2,
+    )
+    if len(marks) > MAX_VERTICES:
+        marks = _coarsen(contours, marks)
+    return marks
+
+
+def approximation(contours: Polygons, marks: Marks) -> Polygons:
+    """Return the polygons that the marked contour points span.
+
+    An edge stands for the contour points from its first vertex up to the one before its second. It is
+    occupied only where all of them are (section 4.2.2): when in doubt, nothing is claimed as explored.
+    """
+    occupied, start = _edges(contours.occupied, contours.start, marks)
+    some = start[1:] > start[:-1]
+    return Polygons(
+        contours.shape,
+        contours.x[marks],
+        contours.y[marks],
+        contours.side[marks],
+        occupied,
+        np.concatenate((start[:1], start[1:][some])),
+        contours.inside[some],
+    )
+
+
+def _approximated(contours: Polygons) -> NDArray[np.bool_]:
+    """Choose the objects that are spoken of: all, or where they are too many the longest ones."""
+    chosen = np.ones(contours.objects, np.bool_)
+    surplus = contours.objects - MAX_OBJECTS
+    if surplus > 0:
+        length = np.diff(contours.start)
+        length[contours.inside] = np.iinfo(np.int32).max
+        chosen[np.argsort(length[::-1], kind="stable")[:surplus]] = False
+        return chosen[::-1].copy()
+    return chosen
+
+
+def _coarsen(contours: Polygons, marks: Marks) -> Marks:
+    """Drop from objects beyond the vertex limit the vertices nearest to the line between their neighbours."""
+    x, y = 4 * contours.x + SIDE_X[contours.side], 4 * contours.y + SIDE_Y[contours.side]
+    borders = np.searchsorted(marks, contours.start)
+    kept = np.ones(len(marks), np.bool_)
+    for first, end in pairwise(borders.tolist()):
+        surplus = end - first - MAX_VERTICES
+        if surplus > 0:
+            at = marks[first:end]
+            before, after = np.roll(at, 1), np.roll(at, -1)
+            along_x, along_y = x[after] - x[before], y[after] - y[before]
+            area = np.abs(along_x * (y[at] - y[before]) - along_y * (x[at] - x[before]))
+            height = area / np.hypot(along_x, along_y)
+            kept[first + np.argsort(height, kind="stable")[:surplus]] = False
+    return marks[kept]
+
+
+@kernel("int64(int16[::1], int16[::1], uint8[::1], int64, int64, int64)")
+def _farthest(
+    x: NDArray[np.int16], y: NDArray[np.int16], side: NDArray[np.uint8], first: int, end: int, point: int
+) -> int:
+    """Find the point of ``first:end`` that lies farthest from `point`, the first of equals."""
+    farthest, largest = -1, -1
+    for i in range(first, end):
+        along_x = 4 * (x[i] - x[point]) + SIDE_X[side[i]] - SIDE_X[side[point]]
+        along_y = 4 * (y[i] - y[point]) + SIDE_Y[side[i]] - SIDE_Y[side[point]]
+        distance = along_x * along_x + along_y * along_y
+        if distance > largest:
+            farthest, largest = i, distance
+    return farthest
+
+
+@kernel(
+    "int32[::1](int16[::1], int16[::1], uint8[::1], int16[::1], int16[::1], uint8[::1], int32[::1], "
+    "boolean[::1], int64, int64)"
+)
+def _collect(
+    old_x: NDArray[np.int16],
+    old_y: NDArray[np.int16],
+    old_side: NDArray[np.uint8],
+    x: NDArray[np.int16],
+    y: NDArray[np.int16],
+    side: NDArray[np.uint8],
+    start: NDArray[np.int32],
+    approximated: NDArray[np.bool_],
+    rows: int,
+    row: int,
+) -> NDArray[np.int32]:
+    marked = np.zeros(rows * row, np.uint8)  # a bit a side
+    for i in range(len(old_x)):
+        marked[(old_y[i] + 1) * row + old_x[i] + 1] |= 1 << old_side[i]
+    marks = np.empty(len(old_x) + 2 * len(approximated), np.int32)
+    count = 0
+    for k in range(len(approximated)):
+        if not approximated[k]:
+            continue
+        first, end, before = start[k], start[k + 1], count
+        # Case 1: what is not met here has vanished.
+        for i in range(first, end):
+            if marked[(y[i] + 1) * row + x[i] + 1] >> side[i] & 1:
+                marks[count] = i
+                count += 1
+        # Case 3: a birth, and a split that left one vertex.
+        if count == before:
+            marks[count] = first
+            count += 1
+        if count == before + 1:
+            one = marks[before]
+            other = _farthest(x, y, side, first, end, one)
+            marks[before], marks[before + 1] = min(one, other), max(one, other)
+            count += 1
+    return marks[:count].copy()
+
+
+@kernel("Tuple((uint8[::1], int32[::1]))(uint8[::1], int32[::1], int32[::1])")
+def _edges(
+    occupied: NDArray[np.uint8], start: NDArray[np.int32], marks: NDArray[np.int32]
+) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
+    """Occupancy of the edges, and where the vertices of each object begin."""
+    edge = np.ones(len(marks), np.uint8)
+    begins = np.empty(len(start), np.int32)
+    m = 0
+    for k in range(len(start) - 1):
+        begins[k] = m
+        first = m
+        while m < len(marks) and marks[m] < start[k + 1]:
+            m += 1
+        if m == first:
+            continue
+        e = m - 1  # points before the first mark belong to the edge from the last one
+        for i in range(start[k], start[k + 1]):
+            if e + 1 < m and marks[e + 1] == i:
+                e += 1
+            elif e == m - 1 and marks[first] == i:
+                e = first
+            edge[e] &= occupied[i]
+    begins[len(start) - 1] = m
+    return edge, begins

@@ -1,0 +1,119 @@
+"""Drawing polygons into a grid: the cells that they enclose, and the cells of their edges.
+
+Both go by the same integer coordinates, in quarters of a cell, so that they fit: of two 4-neighbours of
+which a polygon encloses just one, at least one lies on its boundary. Free space cannot leak out.
+
+- A cell is enclosed if its centre is, by the even-odd rule.
+- An edge is drawn in one cell a column (steep ones: a row): where it passes the middle of the column, in
+  the nearest cell; in the first column, in the cell of its vertex. The last vertex is left to the edge that
+  begins there: an edge speaks of the contour points before it. An exact edge, which is straight or
+  diagonal, is drawn in just the cells of its contour points.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.outline.polygons import SIDE_X, SIDE_Y
+from protocol.kernels import kernel
+
+
+@kernel("void(uint8[:,::1], int16[::1], int16[::1], uint8[::1], int64, int64, uint8[:,::1], uint8, uint8)")
+def fill(
+    layer: NDArray[np.uint8],
+    x: NDArray[np.int16],
+    y: NDArray[np.int16],
+    side: NDArray[np.uint8],
+    first: int,
+    end: int,
+    scratch: NDArray[np.uint8],
+    set_bits: int,
+    clear_bits: int,
+) -> None:
+    """Set and clear bits of the cells that the polygon of the vertices ``first:end`` encloses.
+
+    `scratch` has the shape of `layer`, and is zero before and after.
+    """
+    height, width = layer.shape
+    top, bottom, left, right = height, -1, width, -1
+    a_x = 4 * x[end - 1] + SIDE_X[side[end - 1]]
+    a_y = 4 * y[end - 1] + SIDE_Y[side[end - 1]]
+    for i in range(first, end):
+        b_x, b_y = 4 * x[i] + SIDE_X[side[i]], 4 * y[i] + SIDE_Y[side[i]]
+        # The edge crosses the columns whose middle lies in [low, high); all cells below it there toggle.
+        low_x, low_y, high_x, high_y = (a_x, a_y, b_x, b_y) if a_x <= b_x else (b_x, b_y, a_x, a_y)
+        column, last = max((low_x + 3) // 4, 0), min((high_x + 3) // 4, width) - 1
+        if column <= last:
+            left, right = min(left, column), max(right, last)
+            run, rise = high_x - low_x, high_y - low_y
+            denominator = 4 * run
+            numerator = low_y * run + rise * (4 * column - low_x) + denominator - 1  # rounds up
+            for at in range(column, last + 1):
+                row = max(numerator // denominator, 0)
+                if row < height:
+                    scratch[row, at] ^= 255
+                    top = min(top, row)
+                bottom = max(bottom, min(row, height - 1))
+                numerator += 4 * rise
+        a_x, a_y = b_x, b_y
+    for row in range(top, bottom + 1):
+        within = scratch[row, left : right + 1]
+        bits = layer[row, left : right + 1]
+        if row > top:
+            above = scratch[row - 1, left : right + 1]
+            for at in range(len(within)):
+                within[at] ^= above[at]
+        for at in range(len(bits)):
+            bits[at] = bits[at] & ~(clear_bits & within[at]) | set_bits & within[at]
+    for row in range(top, bottom + 1):
+        scratch[row, left : right + 1] = 0
+
+
+@kernel(
+    "void(uint8[:,::1], int16[::1], int16[::1], uint8[::1], uint8[::1], int64, int64, uint8, uint8, uint8)"
+)
+def draw(
+    layer: NDArray[np.uint8],
+    x: NDArray[np.int16],
+    y: NDArray[np.int16],
+    side: NDArray[np.uint8],
+    occupied: NDArray[np.uint8],
+    first: int,
+    end: int,
+    occupied_bits: int,
+    other_bits: int,
+    clear_bits: int,
+) -> None:
+    """Draw the edges of the polygon of the vertices ``first:end``.
+
+    Clears `clear_bits` in all their cells; sets `occupied_bits` on occupied edges, `other_bits` on others.
+    """
+    height, width = layer.shape
+    for i in range(first, end):
+        j = i + 1 if i + 1 < end else first
+        bits = occupied_bits if occupied[i] else other_bits
+        a_x, a_y = 4 * x[i] + SIDE_X[side[i]], 4 * y[i] + SIDE_Y[side[i]]
+        run, rise = 4 * x[j] + SIDE_X[side[j]] - a_x, 4 * y[j] + SIDE_Y[side[j]] - a_y
+        # Along the axis of the longer extent, `at` counts columns (or rows) from the first vertex' own.
+        flat = abs(run) >= abs(rise)
+        at, last = (x[i], x[j]) if flat else (y[i], y[j])
+        step = 1 if last > at else -1
+        if flat:
+            numerator, denominator, slope = a_y * run + rise * (4 * at - a_x), 4 * run, 4 * rise * step
+        else:
+            numerator, denominator, slope = a_x * rise + run * (4 * at - a_y), 4 * rise, 4 * run * step
+        if denominator == 0:  # both vertices are the same, which only a hostile stream says
+            numerator, denominator = a_y, 4
+        elif denominator < 0:
+            numerator, denominator, slope = -numerator, -denominator, -slope
+        numerator += denominator // 2
+        while True:
+            across = numerator // denominator
+            column, row = (at, across) if flat else (across, at)
+            if 0 <= column < width and 0 <= row < height:
+                layer[row, column] = layer[row, column] & ~clear_bits | bits
+            at += step
+            numerator += slope
+            if (last - at) * step <= 0:
+                break

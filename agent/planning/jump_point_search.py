@@ -1,0 +1,216 @@
+"""Costs of ways from some cells to some goals: a search that leaps from jump point to jump point.
+
+Where only the costs of goals are wanted, few cells need to be looked at. Of the equally long ways to a cell
+the one that goes diagonally first is enough (`agent.planning.cost_field`), so a straight run can turn only at a
+*jump point*, where an obstacle beside it has just ended. How far it is to the next one, or to the next goal,
+is laid out for all cells and the four straight directions, once for all searches on a floor. A search then
+walks along diagonals, and leaps along rows and columns (after Harabor and Grastien's jump point search, in
+Dijkstra's order). Lengths are the whole numbers of `agent.planning.cost_field`: the costs are the same bits.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.planning.cost_field import ONE, ROOT, SHIFT, UNIT, Floor, offsets, workspace
+from protocol.kernels import kernel
+
+_Flags = NDArray[np.bool_]
+_Numbers = NDArray[np.int64]
+_Jumps = NDArray[np.int16]
+
+_BEGIN = 8
+"""In place of a step's number: a search begins here."""
+
+
+def costs_between(floor: Floor, starts: NDArray[np.int32], goals: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Length of the shortest way from each start to each goal.
+
+    Parameters
+    ----------
+    floor : Floor
+        Where the robot may drive.
+    starts : int32 array, shape (m, 2)
+        Cells (x, y).
+    goals : int32 array, shape (n, 2)
+        Cells (x, y).
+
+    Returns
+    -------
+    float64 array, shape (m, n)
+        In cells; infinite where no way leads.
+    """
+    start, goal = (
+        (cells[:, 1].astype(np.int64) + 1) * floor.stride + cells[:, 0] + 1 for cells in (starts, goals)
+    )
+    is_goal = np.zeros(len(floor.free), np.bool_)
+    is_goal[goal] = True
+    costs = np.empty((len(starts), len(goals)))
+    jumps = _workspace(floor.height + 2, floor.stride)
+    _search(floor.free, is_goal, jumps, start, goal, *workspace(len(floor.free)), costs)
+    return costs
+
+
+@lru_cache(maxsize=1)
+def _workspace(height: int, stride: int) -> _Jumps:
+    """Memory that all searches on floors of one size share (`agent.planning.cost_field.workspace`)."""
+    return np.zeros((4, height, stride), np.int16)
+
+
+@kernel("void(boolean[:,::1], boolean[:,::1], int16[:,:,::1])")
+def _lay_out(free: _Flags, is_goal: _Flags, jumps: _Jumps) -> None:
+    """How many steps lead from each cell to the next jump point or goal in each direction; 0 where none is.
+
+    A run may turn where the cell beside it is free and the one before that is not. Steps 0 and 2 lead on in x
+    and back, 1 and 3 in y.
+    """
+    height, width = free.shape
+    stop = np.zeros(width, np.bool_)
+    for y in range(1, height - 1):
+        for way in (1, -1):
+            for x in range(1, width - 1):
+                above = free[y - 1, x] & ~free[y - 1, x - way]
+                below = free[y + 1, x] & ~free[y + 1, x - way]
+                stop[x] = is_goal[y, x] | above | below
+            jump = jumps[1 - way, y]
+            ahead = 0
+            for index in range(1, width - 1):
+                x = width - 1 - index if way > 0 else index
+                ahead = (x if stop[x] else ahead) if free[y, x] else 0
+                jump[x - way] = way * (ahead - x) + 1 if ahead else 0
+    for index in range(1, height - 1):
+        for way in (1, -1):
+            y = height - 1 - index if way > 0 else index
+            for x in range(1, width - 1):
+                left = free[y, x - 1] & ~free[y - way, x - 1]
+                right = free[y, x + 1] & ~free[y - way, x + 1]
+                ahead = jumps[2 - way, y, x]
+                jump = np.int16(1) if is_goal[y, x] | left | right else ahead + np.int16(ahead > 0)
+                jumps[2 - way, y - way, x] = jump if free[y, x] else np.int16(0)
+
+
+@kernel("int64(boolean[::1], int64[::1], int64, int64)")
+def _onward(free: _Flags, offset: _Numbers, cell: int, step: int) -> int:
+    """Steps, as bits, in which to go on from a cell that was reached by a straight step: on, and around ends."""
+    if step == _BEGIN:
+        return 255
+    onward = 1 << step
+    for turn in (1, 3):
+        side = (step + turn) & 3
+        if free[cell + offset[side]] and not free[cell - offset[step] + offset[side]]:
+            onward |= 1 << side | 1 << 4 + (step if turn == 1 else side)
+    return onward
+
+
+@kernel("boolean(int64, int64, int64, int64[::1], uint8[::1])")
+def _reach(cell: int, new: int, step: int, length: _Numbers, came: NDArray[np.uint8]) -> bool:
+    """Note that a cell has been reached; whether on a shorter way, or on one as short by another step.
+
+    `came` has all steps, as bits, by which the shortest ways found so far arrive; without one there is no
+    length as yet.
+    """
+    if came[cell]:
+        if new > length[cell] or (new == length[cell] and came[cell] >> step & 1):
+            return False
+        if new < length[cell]:
+            came[cell] = 0
+    length[cell] = new
+    came[cell] |= 1 << step
+    return True
+
+
+@kernel("int64(int64, int64, int64, int64[::1], uint8[::1], int64[::1], int64[:,::1], int64)")
+def _queue_up(
+    cell: int,
+    new: int,
+    step: int,
+    length: _Numbers,
+    came: NDArray[np.uint8],
+    buckets: _Numbers,
+    queue: _Numbers,
+    used: int,
+) -> int:
+    """Queue up a cell where a straight run may turn, if that is news; how long the queue is then."""
+    if _reach(cell, new, step, length, came):
+        bucket = (new >> SHIFT) % len(buckets)
+        queue[used, 0], queue[used, 1], queue[used, 2] = cell, step, buckets[bucket]
+        buckets[bucket] = used
+        used += 1
+    return used
+
+
+@kernel(
+    "void(boolean[::1], boolean[::1], int16[:,:,::1], int64[::1], int64[::1],"
+    " int64[::1], uint8[::1], float64[:,::1])"
+)
+def _search(
+    free: _Flags,
+    is_goal: _Flags,
+    laid_out: _Jumps,
+    starts: _Numbers,
+    goals: _Numbers,
+    length: _Numbers,
+    came: NDArray[np.uint8],
+    costs: NDArray[np.float64],
+) -> None:
+    """Settle jump points in buckets of one cell's length, until the level of the farthest goal is over.
+
+    The queue has (cell, step by which it was reached, next entry of the same bucket).
+    """
+    _, height, stride = laid_out.shape
+    _lay_out(free.reshape(height, stride), is_goal.reshape(height, stride), laid_out)
+    jumps = laid_out.reshape(4, height * stride)
+    offset = offsets(stride)
+    # No diagonal with a straight run at its end is longer than so many levels.
+    buckets = np.empty(2 * (height + stride), np.int64)
+    queue = np.empty((1024, 3), np.int64)
+    for row in range(len(starts)):
+        came[:] = 0
+        buckets[:] = -1
+        length[starts[row]], came[starts[row]] = 0, 255
+        queue[0, 0], queue[0, 1], queue[0, 2] = starts[row], _BEGIN, -1
+        buckets[0] = 0
+        used, done, level, reached = 1, 0, 0, 0
+        while done < used and reached < len(goals):
+            entry = buckets[level % len(buckets)]
+            buckets[level % len(buckets)] = -1
+            while entry >= 0:
+                cell, step, entry = queue[entry]
+                done += 1
+                base = length[cell]
+                if base >> SHIFT != level:
+                    continue  # it was reached on a shorter way
+                if used + 8 * (height + stride) > len(queue):
+                    longer = np.empty((2 * used + 8 * (height + stride), 3), np.int64)
+                    longer[:used] = queue[:used]
+                    queue = longer
+                onward = _onward(free, offset, cell, step)
+                for number in range(4):
+                    jump = jumps[number, cell]
+                    if jump and onward >> number & 1:
+                        to, new = cell + jump * offset[number], base + jump * ONE
+                        used = _queue_up(to, new, number, length, came, buckets, queue, used)
+                for number in range(4, 8):
+                    if not onward >> number & 1:
+                        continue
+                    one, other = number - 4, (number - 3) & 3
+                    at, so_far = cell, base
+                    while free[at + offset[one]] and free[at + offset[other]] and free[at + offset[number]]:
+                        at += offset[number]
+                        so_far += ROOT
+                        if not _reach(at, so_far, number, length, came):
+                            break
+                        for side in (one, other):
+                            jump = jumps[side, at]
+                            if jump:
+                                to, new = at + jump * offset[side], so_far + jump * ONE
+                                used = _queue_up(to, new, side, length, came, buckets, queue, used)
+            # Goals are looked at in their order, so one that is far may hide others for a while.
+            while reached < len(goals) and came[goals[reached]] and length[goals[reached]] >> SHIFT <= level:
+                reached += 1
+            level += 1
+        for number in range(len(goals)):
+            costs[row, number] = length[goals[number]] * UNIT if came[goals[number]] else np.inf

@@ -1,0 +1,118 @@
+"""Ways on one planning grid: what they cost from a cell, each computed when first asked for."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.planning.cost_field import Field, Floor, costs_on, nearest_first, way, weighted_way
+from agent.planning.frontier import frontier_cells
+from agent.planning.jump_point_search import costs_between
+from agent.planning.occupancy import Terrain, weighted_costs
+from agent.planning.reachability import reachable
+from protocol.grid import OCCUPIED, Grid, enlarge
+
+COSTS = ("shortest", "weighted")
+"""How ways are counted. ``shortest``: by their length. ``weighted``: by length times the occupancy of a
+smoothed map, so that they keep away from walls (Burgard et al., section II-A)."""
+
+
+class Ways:
+    """The ways that a robot may take.
+
+    Parameters
+    ----------
+    grid : uint8 array, shape (h, w)
+        A planning grid.
+    kind : str
+        One of `COSTS`.
+    radius_cells : float
+        The robot's radius: obstacles are enlarged by it.
+    floor : uint8 array, shape (h, w), optional
+        The grid with obstacles enlarged, if that has been done.
+
+    Attributes
+    ----------
+    grid : uint8 array, shape (h, w)
+        As given.
+    floor : uint8 array, shape (h, w)
+        The same with obstacles enlarged: where a robot's centre may be.
+    """
+
+    def __init__(
+        self, grid: Grid, kind: str = "shortest", radius_cells: float = 0.0, floor: Grid | None = None
+    ) -> None:
+        self.grid = grid
+        self.floor = enlarge(grid, radius_cells) if floor is None else floor
+        self._kind = kind
+        self._laid_out = Floor(self.floor)
+        self._terrain = Terrain(grid, self.floor) if kind == "weighted" else None
+        self._fields: dict[tuple[int, int], Field] = {}
+        self._near: dict[tuple[int, int], Field] = {}
+
+    def costs(self, x: int, y: int) -> Field:
+        """Cost of the best way from cell (x, y) to every cell; infinite where none leads."""
+        if (x, y) not in self._fields:
+            if self._terrain is None:
+                self._fields[x, y] = costs_on(self._laid_out, x, y)
+            else:
+                self._fields[x, y] = weighted_costs(self._terrain, x, y)
+        return self._fields[x, y]
+
+    def costs_between(self, starts: NDArray[np.int32], goals: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Cost of the best way from each of `starts` to each of `goals`.
+
+        Parameters
+        ----------
+        starts : int32 array, shape (m, 2)
+            Cells (x, y).
+        goals : int32 array, shape (n, 2)
+            Cells (x, y).
+
+        Returns
+        -------
+        float64 array, shape (m, n)
+        """
+        if self._terrain is None:
+            return costs_between(self._laid_out, starts, goals)
+        return np.array([self.costs(x, y)[goals[:, 1], goals[:, 0]] for x, y in starts.tolist()])
+
+    def way(self, start: tuple[int, int], end: tuple[int, int]) -> NDArray[np.int32] | None:
+        """Cells of a best way, without its start; None if there is none."""
+        field = self._field_to(start, end)
+        if not np.isfinite(field[end[1], end[0]]):
+            return None
+        if self._terrain is None:
+            return way(self.floor, field, *end)
+        return weighted_way(self.floor, self._terrain.weights, field, *end)
+
+    def frontier(self, x: int, y: int) -> NDArray[np.int32]:
+        """All frontier cells that can be reached from (x, y), row by row, shape (n, 2)."""
+        return frontier_cells(self.grid, reachable(self._laid_out, x, y))
+
+    def first_frontier(
+        self, x: int, y: int, taken: NDArray[np.int32], range_cells: float
+    ) -> tuple[int, int] | None:
+        """The frontier cell nearest to (x, y) that is not within `range_cells` of a `taken` cell.
+
+        Where all are, the nearest of all; None where there is no frontier. Cells are looked at in the order
+        of their distance, and those behind the one that is found are not looked at.
+        """
+        field, cell = nearest_first(self._laid_out, self.grid, x, y, taken, range_cells)
+        self._near[x, y] = field
+        return cell
+
+    def without(self, x: int, y: int) -> Ways:
+        """The same ways with cell (x, y) barred."""
+        grid, floor = self.grid.copy(), self.floor.copy()
+        grid[y, x] = floor[y, x] = OCCUPIED
+        return Ways(grid, self._kind, floor=floor)
+
+    def _field_to(self, start: tuple[int, int], end: tuple[int, int]) -> Field:
+        """Costs from `start` that are right as far as `end`: of a search that has been there, or a new one."""
+        near = self._near.get(start)
+        if near is not None and np.isfinite(near[end[1], end[0]]):
+            return near
+        if self._terrain is None and start not in self._fields:
+            return costs_on(self._laid_out, *start, end)
+        return self.costs(*start)

@@ -1,0 +1,45 @@
+"""What a viewer is shown of a robot's maps: now and then, and only what has changed since the last time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
+from agent.robot import Robot
+from protocol.grid import Grid
+from protocol.messages import Outlines, Snapshot, grid_to_bytes
+
+SHOWN_EVERY = 5
+"""Steps from one showing to the next."""
+
+
+class Showing:
+    """One viewer's end, as the robot sees it: what it has been shown."""
+
+    def __init__(self) -> None:
+        self._planning: Grid | None = None
+        self._polygons: dict[int, Polygons] = {}
+
+    def news(self, step: int, robot: Robot) -> list[Snapshot | Outlines]:
+        """Return what the viewer has not been shown yet."""
+        said: list[Snapshot | Outlines] = []
+        if self._planning is None or not np.array_equal(self._planning, robot.planning):
+            self._planning = robot.planning
+            height, width = robot.planning.shape
+            said.append(Snapshot(step, width, height, grid_to_bytes(robot.planning)))
+        for about, polygons in sorted(robot.polygons.items()):
+            if self._polygons.get(about) is not polygons:
+                self._polygons[about] = polygons
+                said.append(Outlines(step, about, outline_bytes(polygons)))
+        return said
+
+
+def outline_bytes(polygons: Polygons) -> bytes:
+    """Write polygons as `protocol.messages.Outlines` says."""
+    sizes = np.diff(polygons.start)
+    rows = np.empty((len(polygons.x), 4), "<i2")
+    rows[:, 0] = np.repeat(np.arange(polygons.objects), sizes)
+    rows[:, 1] = 4 * polygons.x + SIDE_X[polygons.side]
+    rows[:, 2] = 4 * polygons.y + SIDE_Y[polygons.side]
+    rows[:, 3] = polygons.occupied | np.repeat(polygons.inside, sizes).astype(np.uint8) << 1
+    return rows.tobytes()

@@ -1,0 +1,110 @@
+"""A run directory, read back: what pictures, pages and exports are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.dashboard.process import ViewNode
+from deploy.record import run_directory
+from deploy.record.snapshots import SNAPSHOTS, Snapshots
+from deploy.record.summary import digest
+from deploy.run import in_memory
+from deploy.scenario import plan as plans
+from deploy.scenario.plan import Plan
+from deploy.scenario.scenario import ScenarioError
+
+CUT_SHORT = ("interrupted", "broken off")
+"""Reasons of runs that came to no end of their own."""
+
+Table = dict[str, NDArray[Any]]
+"""Columns by name."""
+
+
+@dataclass(frozen=True)
+class Archive:
+    """One run, as its directory tells it.
+
+    Attributes
+    ----------
+    directory : Path
+    plan : Plan
+        Its scenario, worked out.
+    summary : dict
+        The figures of ``summary.json``.
+    """
+
+    directory: Path
+    plan: Plan
+    summary: dict[str, Any]
+
+    @cached_property
+    def steps(self) -> Table:
+        """``steps.parquet``: a row a step and robot, metres in the map's frame."""
+        return _read_table(self.directory / run_directory.STEPS)
+
+    @cached_property
+    def ledger(self) -> Table:
+        """``ledger.parquet``: a row a frame and packet kind."""
+        return _read_table(self.directory / run_directory.LEDGER)
+
+    @property
+    def last_step(self) -> int:
+        """The last step of the run."""
+        return int(self.steps["step"].max(initial=0))
+
+    def of_robot(self, robot: int) -> Table:
+        """The rows of `steps` of one robot, in the order of steps."""
+        mine = self.steps["robot"] == robot
+        return {name: column[mine] for name, column in self.steps.items()}
+
+    def snapshots(self, tell: Callable[[str], object] = lambda _: None) -> Snapshots | None:
+        """Robots' maps over time: those that were kept; else the run is repeated in memory to see them.
+
+        None where the run cannot be repeated (`why_unrepeatable`), or does not come out the same here. `tell`
+        hears what is done.
+        """
+        kept = self.directory / SNAPSHOTS
+        if kept.is_file():
+            return Snapshots.read(kept)
+        if reason := why_unrepeatable(self.summary):
+            tell(f"No maps over time: none were kept (--pictures), and the run cannot be repeated: {reason}.")
+            return None
+        tell("No maps over time were kept (--pictures); the run is repeated in memory to see them.")
+        snapshots = Snapshots()
+        records = in_memory.run(self.plan, view=ViewNode([snapshots]))
+        if digest(records) != self.summary["digest"]:
+            tell("No maps over time: the run does not come out the same here (murmur replay says more).")
+            return None
+        return snapshots
+
+
+def read(directory: Path) -> Archive:
+    """Read a run directory; ScenarioError says what is missing."""
+    plan = plans.make(run_directory.read_scenario(directory))
+    summary = run_directory.read_summary(directory)
+    for name in (run_directory.STEPS, run_directory.LEDGER):
+        if not (directory / name).is_file():
+            raise ScenarioError(f"{directory}: {name} is missing, so there is nothing to tell of this run")
+    return Archive(directory, plan, summary)
+
+
+def why_unrepeatable(summary: dict[str, Any]) -> str:
+    """Why a run cannot be repeated: something befell it that its scenario does not tell; nothing if it can."""
+    if summary["reason"] in CUT_SHORT:
+        return f"it was {summary['reason']} at step {summary['steps']}"
+    lost = "; ".join(f"robot {robot} was lost: {cause}" for robot, cause in summary["lost"].items())
+    return f"{lost}, unasked" if lost else ""
+
+
+def _read_table(path: Path) -> Table:
+    from pyarrow import parquet  # noqa: PLC0415  half a second that the command line need not wait for
+
+    table = parquet.read_table(path)
+    return {name: np.asarray(table[name].to_numpy(zero_copy_only=False)) for name in table.column_names}

@@ -1,0 +1,284 @@
+"""`murmur capture`: what Wireshark shows of ``radio.pcapng``, as a table with filters and totals."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, fields
+from itertools import chain, islice
+from pathlib import Path
+from typing import Any
+
+from deploy.record.run_directory import CAPTURE, SCENARIO, read_scenario
+from netshaper import capture
+from netshaper.capture import FRAMES, VERDICTS, Captured
+from netshaper.ledger import EVERYONE
+from netshaper.pcapng import CaptureError, Reader
+from protocol import packets
+from protocol.errors import ProtocolError
+from protocol.packets import ALL_KINDS, AnyPacket, Fragment
+
+CARRIED = 0
+
+_COLUMNS = "{:>6} {:>2} {:>5} {:>6} {:>6} {:>3}  {:<9} {:>8}  {:<38}  {}"
+_TITLES = ("step", "ex", "conn", "from", "to", "map", "frame", "bytes", "packets", "verdict")
+
+
+@dataclass(frozen=True)
+class Filter:
+    """Which frames are wanted: all that fit every condition that is not None.
+
+    Attributes
+    ----------
+    robot : int, optional
+        It sent the frame, was meant to have it, or heard it.
+    kind : str, optional
+        One of `ALL_KINDS`; the frame holds such a packet, and no other packets are counted.
+    steps : (int, int), optional
+        First and last step.
+    refused : bool
+        Only what was not carried.
+    """
+
+    robot: int | None = None
+    kind: str | None = None
+    steps: tuple[int, int] | None = None
+    refused: bool = False
+
+    def takes(self, frame: Captured, kinds: Iterable[str]) -> bool:
+        """Whether a frame with packets of these kinds is wanted."""
+        seen = frame.seen
+        return (
+            (self.robot is None or self.robot in (seen.sender, seen.receiver, *capture.hearers(seen)))
+            and (self.kind is None or self.kind in kinds)
+            and (self.steps is None or self.steps[0] <= frame.step <= self.steps[1])
+            and (not self.refused or seen.verdict != CARRIED)
+        )
+
+
+@dataclass
+class Totals:
+    """What the frames that were shown amount to.
+
+    `carried` has (packets, bytes) by kind, as the summary of a run counts them; `refused` has (frames, bytes)
+    by verdict, for of these the capture keeps the beginning only.
+    """
+
+    frames: int = 0
+    carried: dict[str, tuple[int, int]] = field(default_factory=dict)
+    refused: dict[str, tuple[int, int]] = field(default_factory=dict)
+
+    def add(self, frame: Captured, counts: dict[str, tuple[int, int]]) -> None:
+        """Count a frame, whose packets were counted."""
+        self.frames += 1
+        if frame.seen.verdict == CARRIED:
+            for kind, (number, size) in counts.items():
+                before = self.carried.get(kind, (0, 0))
+                self.carried[kind] = (before[0] + number, before[1] + size)
+        else:
+            frames, size = self.refused.get(frame.verdict, (0, 0))
+            self.refused[frame.verdict] = (frames + 1, size + frame.size)
+
+    def to_json(self) -> dict[str, Any]:
+        """As the command prints it."""
+        carried = {kind: self.carried[kind] for kind in ALL_KINDS if kind in self.carried}
+        refused = {verdict: self.refused[verdict] for verdict in VERDICTS if verdict in self.refused}
+        return {
+            "frames": self.frames,
+            "packets": {kind: number for kind, (number, _) in carried.items()},
+            "bytes": {kind: size for kind, (_, size) in carried.items()},
+            "refused": {verdict: {"frames": n, "bytes": size} for verdict, (n, size) in refused.items()},
+        }
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Reader]:
+    """Open the capture of a run directory, or a capture file; CaptureError says what is wrong with it."""
+    file = path / CAPTURE if path.is_dir() else path
+    try:
+        with file.open("rb") as stream:
+            yield Reader(stream)
+    except OSError as error:
+        raise CaptureError(f"{file}: {error.strerror}") from None
+    except CaptureError as error:
+        raise CaptureError(f"{file}: {error}") from None
+
+
+def select(reader: Reader, wanted: Filter, totals: Totals) -> Iterator[Captured]:
+    """Yield the frames of a capture that are wanted, and count them."""
+    for frame in capture.read(reader):
+        counts = count(frame.seen.payload)
+        if wanted.takes(frame, counts):
+            totals.add(frame, {k: n for k, n in counts.items() if wanted.kind in (None, k)})
+            yield frame
+
+
+def count(payload: bytes) -> dict[str, tuple[int, int]]:
+    """Count (packets, bytes) by kind up to the first bytes that are no whole packet."""
+    counts: dict[str, tuple[int, int]] = {}
+    for piece in _pieces(payload):
+        kind = packets.name(piece)
+        number, size = counts.get(kind, (0, 0))
+        counts[kind] = (number + 1, size + len(piece))
+    return counts
+
+
+def lines(path: Path, wanted: Filter, *, every_packet: bool) -> Iterator[str]:
+    """Yield the table line by line: a frame each, its packets where they are asked for, totals at the end."""
+    totals = Totals()
+    with opened(path) as reader:
+        frames = _begun(select(reader, wanted, totals))
+        yield _COLUMNS.format(*_TITLES)
+        for frame in frames:
+            yield _row(frame)
+            if every_packet:
+                for packet in _decoded(frame.seen.payload):
+                    yield f"{'':42}{packet.name:<5}{_said(packet)}"
+        yield from _total_lines(totals)
+        if reader.torn:
+            yield f"The last {reader.torn} bytes are half a packet: the run was killed."
+
+
+def json_lines(path: Path, wanted: Filter) -> Iterator[str]:
+    """Yield one JSON object, a frame a line: ``{"frames": [...], "totals": {...}, "torn": bytes}``."""
+    totals = Totals()
+    with opened(path) as reader:
+        frames = _begun(select(reader, wanted, totals))
+        yield '{"frames": ['
+        before = ""
+        for frame in frames:
+            if before:
+                yield before + ","
+            before = json.dumps(_to_json(frame))
+        yield before
+        yield f'], "totals": {json.dumps(totals.to_json())}, "torn": {reader.torn}}}'
+
+
+def parse_steps(text: str) -> tuple[int, int]:
+    """Read ``12`` or ``10-20``."""
+    first, dash, last = text.partition("-")
+    try:
+        steps = int(first), int(last if dash else first)
+    except ValueError:
+        raise ValueError(f"step = {text!r}: must be a step, as 12, or steps, as 10-20") from None
+    if steps[0] > steps[1]:
+        raise ValueError(f"step = {text!r}: the first step comes first, as in 10-20")
+    return steps
+
+
+def check_robot(path: Path, robot: int) -> int:
+    """Return a robot's number; ValueError if the run of the capture has none of it, where its scenario tells."""
+    folder = path if path.is_dir() else path.parent
+    if (folder / SCENARIO).is_file():
+        robots = read_scenario(folder).robots
+        if robot >= robots:
+            raise ValueError(f"robot = {robot}: the last one of this run is {robots - 1}")
+    return robot
+
+
+def check_kind(kind: str) -> str:
+    """Return a kind of packet; ValueError if there is none of that name."""
+    if kind not in ALL_KINDS:
+        raise ValueError(f"kind = {kind!r}: there are {', '.join(ALL_KINDS)}")
+    return kind
+
+
+def _begun(frames: Iterator[Captured]) -> Iterator[Captured]:
+    """The same frames, the first of them read: what is no capture is refused before a word is said."""
+    return chain(list(islice(frames, 1)), frames)
+
+
+def _row(frame: Captured) -> str:
+    seen = frame.seen
+    counts = count(seen.payload)
+    said = [f"{number} {kind}" for kind, (number, _) in counts.items()]
+    rest = frame.size - sum(size for _, size in counts.values())
+    if rest:
+        said.append(f"{rest} bytes not {'kept' if frame.size > len(seen.payload) else 'readable'}")
+    return _COLUMNS.format(
+        frame.step,
+        seen.exchange,
+        _or_dash(seen.connection),
+        _name(seen.sender),
+        _name(seen.receiver),
+        _or_dash(seen.map),
+        FRAMES[seen.frame],
+        frame.size,
+        ", ".join(said),
+        frame.words,
+    )
+
+
+def _total_lines(totals: Totals) -> Iterator[str]:
+    yield ""
+    yield f"{totals.frames} frames"
+    numbers = totals.to_json()
+    for kind, size in numbers["bytes"].items():
+        yield f"  {kind:<9} {numbers['packets'][kind]:>9} packets {size:>11} bytes carried"
+    if numbers["bytes"]:
+        packet_sum, byte_sum = sum(numbers["packets"].values()), sum(numbers["bytes"].values())
+        yield f"  {'total':<9} {packet_sum:>9} packets {byte_sum:>11} bytes carried"
+    for verdict, refused in numbers["refused"].items():
+        yield f"  {verdict:<9} {refused['frames']:>9} frames  {refused['bytes']:>11} bytes not carried"
+
+
+def _to_json(frame: Captured) -> dict[str, Any]:
+    seen = frame.seen
+    said = [
+        {"kind": packet.name, "packet": type(packet).__name__} | _fields(packet)
+        for packet in _decoded(seen.payload)
+    ]
+    return {
+        "step": frame.step,
+        "exchange": seen.exchange,
+        "connection": seen.connection,
+        "sender": seen.sender,
+        "receiver": seen.receiver,
+        "map": seen.map,
+        "frame": FRAMES[seen.frame],
+        "part": frame.part,
+        "verdict": frame.verdict,
+        "words": frame.words,
+        "hearers": capture.hearers(seen),
+        "bytes": frame.size,
+        "kept": len(seen.payload),
+        "packets": said,
+    }
+
+
+def _pieces(payload: bytes) -> Iterator[bytes]:
+    """Cut a frame into its packets, up to the first bytes that are no whole packet."""
+    offset = 0
+    with suppress(ProtocolError):
+        while offset < len(payload):
+            end = offset + packets.length(payload, offset)
+            if end > len(payload):
+                return
+            yield payload[offset:end]
+            offset = end
+
+
+def _decoded(payload: bytes) -> Iterator[AnyPacket]:
+    """Read the packets of a frame, up to the first that makes no sense."""
+    with suppress(ProtocolError):
+        for piece in _pieces(payload):
+            yield from packets.decode(piece)
+
+
+def _fields(packet: AnyPacket) -> dict[str, Any]:
+    values = {item.name: getattr(packet, item.name) for item in fields(packet)}
+    return values | {"data": packet.data.hex()} if isinstance(packet, Fragment) else values
+
+
+def _said(packet: AnyPacket) -> str:
+    words = "  ".join(f"{name} {value}" for name, value in _fields(packet).items())
+    return f"{type(packet).__name__:<9} {words}".rstrip()
+
+
+def _name(robot: int) -> str:
+    return "all" if robot == EVERYONE else f"r{robot}" if robot >= 0 else "nobody"
+
+
+def _or_dash(number: int) -> str:
+    return str(number) if number >= 0 else "-"

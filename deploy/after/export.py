@@ -1,0 +1,260 @@
+"""`murmur export`: a run as a ROS 2 bag in MCAP, which Foxglove and ROS' own tools open.
+
+    /tf                 map -> rN (as it stands), map -> rN/laser (where it is, not turned: beams are fixed
+                        to the map)
+    /truth              nav_msgs/OccupancyGrid, once
+    /rN/pose            geometry_msgs/PoseStamped, every step
+    /rN/scan            sensor_msgs/LaserScan, every step: cast again from map and poses (`deploy.after.recast_scans`)
+    /rN/map             nav_msgs/OccupancyGrid: its planning map, where it was shown anew
+    /rN/polygons        visualization_msgs/MarkerArray: its own and teammates' approximations as it holds them
+
+Time is the step in seconds. The frame `map` is the map file's own: metres, y up.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deploy.after.archive import Archive, read
+from deploy.after.recast_scans import Lasers, Rescan
+from deploy.dashboard.appearance import robot_color
+from deploy.dashboard.shapes import corner
+from deploy.record.snapshots import Snapshots
+from protocol.grid import FREE, OCCUPIED, Fan, Grid
+from protocol.messages import Outlines, Snapshot, grid_from_bytes
+from protocol.scans import HIT, NONE, Readings
+from worldsim.maps import Map
+
+BAG = "rosbag"
+MAP_FRAME = "map"
+EDGE_WIDTH_M = 0.05
+
+Stamped = tuple[str, str, int, Any]
+"""Topic, message type, step, message."""
+
+
+class ExportError(ValueError):
+    """What is missing for an export."""
+
+
+def export_mcap(directory: Path, tell: Callable[[str], object] = lambda _: None) -> Path:
+    """Write a run directory's bag, ``rosbag/`` in it; return the MCAP file.
+
+    Raises
+    ------
+    ExportError
+        The package that writes it is not installed.
+    ScenarioError
+        It is no run directory, or too little came of the run.
+    """
+    if importlib.util.find_spec("rosbags") is None:
+        raise ExportError("an export needs the package rosbags: pip install 'murmur-swarm[mcap]'")
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer  # noqa: PLC0415
+
+    archive = read(directory)
+    messages = _Messages(archive, archive.snapshots(tell))
+    with tempfile.TemporaryDirectory(dir=directory, prefix=".export-") as folder:
+        writer = Writer(Path(folder) / BAG, version=8, storage_plugin=StoragePlugin.MCAP)
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        with writer:
+            topics: dict[str, Any] = {}
+            for topic, kind, step, message in messages.all():
+                if topic not in topics:
+                    topics[topic] = writer.add_connection(topic, kind, typestore=messages.types)
+                writer.write(topics[topic], step * 10**9, messages.types.serialize_cdr(message, kind))
+        shutil.rmtree(directory / BAG, ignore_errors=True)
+        shutil.move(Path(folder) / BAG, directory / BAG)
+    return directory / BAG / f"{BAG}.mcap"
+
+
+def ranges_of(readings: Readings, fan: Fan, resolution: float) -> Any:
+    """Return a scan's readings as ROS wants them: metres, counterclockwise from +x (y up).
+
+    A beam that ended at no wall is infinite, one that was not sent is not a number. A wall stands at the
+    centre of its cell.
+    """
+    crossed = (readings & NONE).astype(np.int64)
+    at = np.minimum(fan.start[:-1] + crossed, len(fan.cells) - 1)
+    metres = resolution * np.hypot(fan.cells[at, 0], fan.cells[at, 1])
+    metres = np.where(readings & HIT, metres, np.inf)
+    metres[readings == NONE] = np.nan
+    return np.roll(metres[::-1], 1).astype(np.float32)
+
+
+def occupancy(grid: Grid) -> Any:
+    """Return a grid as ROS' occupancy data: from the lower left corner on; -1 unknown, 0 free, 100 occupied."""
+    shades = np.full(grid.shape, -1, np.int8)
+    shades[grid == FREE] = 0
+    shades[grid == OCCUPIED] = 100
+    return shades[::-1].ravel()
+
+
+class _Messages:
+    """All messages of a run, in the order of time."""
+
+    def __init__(self, archive: Archive, snapshots: Snapshots | None) -> None:
+        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415  only who exports needs it
+
+        self.types = get_typestore(Stores.ROS2_HUMBLE)
+        self._archive = archive
+        self._snapshots = snapshots
+        self._lasers = Lasers(archive)
+
+    def all(self) -> Iterator[Stamped]:
+        """Give them one by one."""
+        yield "/truth", "nav_msgs/msg/OccupancyGrid", 0, self._grid(0, self._archive.plan.map.cells)
+        shown = self._shown()
+        for step, scans in self._lasers.scans():
+            poses = {scan.robot: self._pose(scan.robot, step) for scan in scans}
+            yield "/tf", "tf2_msgs/msg/TFMessage", step, self._transforms(step, poses)
+            for scan in scans:
+                name = f"/r{scan.robot}"
+                pose = self._make(
+                    "geometry_msgs/msg/PoseStamped", header=self._header(step), pose=poses[scan.robot]
+                )
+                yield f"{name}/pose", "geometry_msgs/msg/PoseStamped", step, pose
+                yield f"{name}/scan", "sensor_msgs/msg/LaserScan", step, self._scan(step, scan)
+            for robot, said in shown.get(step, []):
+                if isinstance(said, Snapshot):
+                    grid = grid_from_bytes(said.planning, said.width, said.height)
+                    yield f"/r{robot}/map", "nav_msgs/msg/OccupancyGrid", step, self._grid(step, grid)
+                else:
+                    markers = self._markers(step, said)
+                    yield f"/r{robot}/polygons", "visualization_msgs/msg/MarkerArray", step, markers
+
+    def _shown(self) -> dict[int, list[tuple[int, Snapshot | Outlines]]]:
+        """What robots have shown, by step."""
+        by_step: dict[int, list[tuple[int, Snapshot | Outlines]]] = {}
+        if self._snapshots is not None:
+            for (robot, _), told in sorted(self._snapshots.shown.items()):
+                for said in told:
+                    by_step.setdefault(said.step, []).append((robot, said))
+        return by_step
+
+    def _make(self, kind: str, **fields: Any) -> Any:
+        return self.types.types[kind](**fields)
+
+    def _header(self, step: int, frame: str = MAP_FRAME) -> Any:
+        stamp = self._make("builtin_interfaces/msg/Time", sec=step, nanosec=0)
+        return self._make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+
+    def _point(self, x: float, y: float, kind: str = "Point") -> Any:
+        return self._make(f"geometry_msgs/msg/{kind}", x=float(x), y=float(y), z=0.0)
+
+    def _turn(self, yaw: float) -> Any:
+        return self._make(
+            "geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=math.sin(yaw / 2), w=math.cos(yaw / 2)
+        )
+
+    def _placed(self, x: float, y: float, yaw: float = 0.0) -> Any:
+        return self._make("geometry_msgs/msg/Pose", position=self._point(x, y), orientation=self._turn(yaw))
+
+    def _pose(self, robot: int, step: int) -> Any:
+        """Where a robot stands; its heading counts clockwise, for it was reckoned with y down."""
+        steps = self._archive.steps
+        (row,) = np.flatnonzero((steps["robot"] == robot) & (steps["step"] == step))
+        return self._placed(steps["x"][row], steps["y"][row], -math.radians(steps["heading"][row]))
+
+    def _transforms(self, step: int, poses: dict[int, Any]) -> Any:
+        transforms = []
+        for robot, pose in poses.items():
+            place = self._point(pose.position.x, pose.position.y, "Vector3")
+            for frame, turn in ((f"r{robot}", pose.orientation), (f"r{robot}/laser", self._turn(0.0))):
+                moved = self._make("geometry_msgs/msg/Transform", translation=place, rotation=turn)
+                transforms.append(
+                    self._make(
+                        "geometry_msgs/msg/TransformStamped",
+                        header=self._header(step),
+                        child_frame_id=frame,
+                        transform=moved,
+                    )
+                )
+        return self._make("tf2_msgs/msg/TFMessage", transforms=transforms)
+
+    def _scan(self, step: int, scan: Rescan) -> Any:
+        fan, world = self._lasers.fans[scan.robot], self._archive.plan.map
+        ranges = ranges_of(scan.readings, fan, world.resolution)
+        turn = 2 * math.pi / fan.beams
+        return self._make(
+            "sensor_msgs/msg/LaserScan",
+            header=self._header(step, f"r{scan.robot}/laser"),
+            angle_min=0.0,
+            angle_max=turn * (fan.beams - 1),
+            angle_increment=turn,
+            time_increment=0.0,
+            scan_time=1.0,
+            range_min=0.0,
+            range_max=self._archive.plan.world.bodies[scan.robot].range_cells * world.resolution,
+            ranges=ranges,
+            intensities=np.empty(0, np.float32),
+        )
+
+    def _grid(self, step: int, grid: Grid) -> Any:
+        world: Map = self._archive.plan.map
+        info = self._make(
+            "nav_msgs/msg/MapMetaData",
+            map_load_time=self._make("builtin_interfaces/msg/Time", sec=0, nanosec=0),
+            resolution=world.resolution,
+            width=world.width,
+            height=world.height,
+            origin=self._placed(*world.origin[:2]),
+        )
+        return self._make(
+            "nav_msgs/msg/OccupancyGrid", header=self._header(step), info=info, data=occupancy(grid)
+        )
+
+    def _markers(self, step: int, said: Outlines) -> Any:
+        """One marker a map: its edges, the walls among them in full colour, what is unknown beyond in pale."""
+        rows = np.frombuffer(said.vertices, "<i2").reshape(-1, 4)
+        world = self._archive.plan.map
+        places = (np.array(corner(world)) + (rows[:, 1:3] / 4 + 0.5) * world.resolution) * (1, -1)
+        starts = np.flatnonzero(np.diff(rows[:, 0], prepend=-1))
+        following = np.arange(1, len(rows) + 1)
+        following[np.append(starts[1:], len(rows)).astype(int) - 1] = starts
+        red, green, blue = (part / 255 for part in robot_color(said.about))
+        wall, open_ = (
+            self._make("std_msgs/msg/ColorRGBA", r=red, g=green, b=blue, a=alpha) for alpha in (1.0, 0.4)
+        )
+        points, colors = [], []
+        for here, there in enumerate(following):
+            points += [self._point(*places[here]), self._point(*places[there])]
+            colors += 2 * [wall if rows[here, 3] & 1 else open_]
+        return self._make(
+            "visualization_msgs/msg/MarkerArray", markers=[self._lines(step, said.about, points, colors)]
+        )
+
+    def _lines(self, step: int, about: int, points: list[Any], colors: list[Any]) -> Any:
+        marker: Any = self.types.types["visualization_msgs/msg/Marker"]
+        clock = self._make("builtin_interfaces/msg/Duration", sec=0, nanosec=0)
+        none = np.empty(0, np.uint8)
+        return marker(
+            header=self._header(step),
+            ns="approximations",
+            id=about,
+            type=marker.LINE_LIST,
+            action=marker.ADD if points else marker.DELETE,
+            pose=self._placed(0.0, 0.0),
+            scale=self._make("geometry_msgs/msg/Vector3", x=EDGE_WIDTH_M, y=0.0, z=0.0),
+            color=self._make("std_msgs/msg/ColorRGBA", r=0.0, g=0.0, b=0.0, a=1.0),
+            lifetime=clock,
+            frame_locked=False,
+            points=points,
+            colors=colors,
+            texture_resource="",
+            texture=self._make(
+                "sensor_msgs/msg/CompressedImage", header=self._header(step), format="", data=none
+            ),
+            uv_coordinates=[],
+            text=f"map of robot {about}",
+            mesh_resource="",
+            mesh_file=self._make("visualization_msgs/msg/MeshFile", filename="", data=none),
+            mesh_use_embedded_materials=False,
+        )

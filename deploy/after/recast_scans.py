@@ -1,0 +1,73 @@
+"""What the lasers saw in a run that is over: cast again from the map and the recorded poses.
+
+The world casts scans from cell centres in exact arithmetic, so for lasers that look everywhere in their field
+of view at once these are the scans of the run, bit for bit. A scanner that turns, or that is off while its
+robot drives, saw only part of what is given here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.after.archive import Archive
+from protocol.grid import UNKNOWN, Fan, Grid, fan
+from protocol.scans import Readings, draw
+from worldsim.laser import HEADINGS, cast
+from worldsim.maps import to_cell
+
+
+@dataclass(frozen=True)
+class Rescan:
+    """One scan: who took it where, in cells, and uint16 readings of shape (beams,) (`protocol.scans`)."""
+
+    robot: int
+    x: int
+    y: int
+    heading: int
+    readings: Readings
+
+
+class Lasers:
+    """The lasers of a run's robots."""
+
+    def __init__(self, archive: Archive) -> None:
+        self._archive = archive
+        plan = archive.plan
+        self._bodies = plan.world.bodies
+        self.fans: list[Fan] = [fan(body.range_cells, plan.world.beams) for body in self._bodies]
+
+    def scans(self) -> Iterator[tuple[int, list[Rescan]]]:
+        """Give each step and the scans taken in it, by ascending robot."""
+        steps, world = self._archive.steps, self._archive.plan.map
+        starts = np.flatnonzero(np.diff(steps["step"], prepend=-1))
+        for first, end in zip(starts, [*starts[1:], len(steps["step"])], strict=True):
+            places = []
+            for row in range(first, end):
+                x, y = to_cell(world, steps["x"][row], steps["y"][row])
+                heading = round(steps["heading"][row] * HEADINGS / 360) % HEADINGS
+                places.append((int(steps["robot"][row]), round(x), round(y), heading))
+            standing: NDArray[np.bool_] = np.zeros(world.cells.shape, np.bool_)
+            for _, x, y, _ in places:
+                standing[y, x] = True
+            yield int(steps["step"][first]), [self._scan(standing, *place) for place in sorted(places)]
+
+    def own_grids(self, robot: int, wanted: list[int]) -> dict[int, Grid]:
+        """The self-explored grid of a robot at the wanted steps, drawn from its scans."""
+        grid = np.full(self._archive.plan.map.cells.shape, UNKNOWN, np.uint8)
+        grids = {}
+        for step, scans in self.scans():
+            for scan in scans:
+                if scan.robot == robot:
+                    draw(grid, self.fans[robot], scan.x, scan.y, scan.readings)
+            if step in wanted:
+                grids[step] = grid.copy()
+        return grids
+
+    def _scan(self, standing: NDArray[np.bool_], robot: int, x: int, y: int, heading: int) -> Rescan:
+        truth, body = self._archive.plan.map.cells, self._bodies[robot]
+        readings = cast(truth, standing, self.fans[robot], x, y, heading, body.field_of_view)
+        return Rescan(robot, x, y, heading, readings)

@@ -1,0 +1,100 @@
+"""Sessions of robots on the air, without the robots: to measure what the session itself takes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TypeVar
+
+from agent.exchange.session import Session
+from deploy.scenario.plan import Plan
+from netshaper.medium import UNLIMITED
+from netshaper.radio import Frame, Note, Outgoing, Radio
+from protocol import packets
+from protocol.messages import Open, Outcome, Said, Turn
+
+Result = TypeVar("Result")
+
+
+def timed(work: Callable[[], Result]) -> tuple[Result, float]:
+    """Do something; return what it gives, and the milliseconds that the processor spent on it."""
+    began = time.thread_time_ns()
+    result = work()
+    return result, (time.thread_time_ns() - began) / 1e6
+
+
+class Air:
+    """Sessions of robots in each other's range, and the relay between them.
+
+    Attributes
+    ----------
+    sessions : list of Session
+        One a robot.
+    in_sessions, in_relay : list of float
+        Milliseconds of each step's work.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        robots = plan.scenario.robots
+        self.sessions = [Session(robot, robots, plan.scenario.offers) for robot in range(robots)]
+        self.in_sessions: list[float] = []
+        self.in_relay: list[float] = []
+        self._radio = Radio(plan.radio)
+        self._cells = dict(enumerate(plan.world.starts))
+
+    def play(self, step: int) -> None:
+        """Play one step of the radio."""
+        frames: list[list[tuple[int, bytes]]] = [[] for _ in self.sessions]
+        out, in_relay = timed(lambda: self._radio.begin(step, self._cells))
+        in_sessions = 0.0
+        while out:
+            said: list[tuple[int, Said, list[tuple[int, bytes]]]] = []
+            for item in out:
+                if isinstance(item, Frame):
+                    frames[item.receiver].append((item.sender, item.payload))
+                elif isinstance(item, Note):
+                    heard, frames[item.receiver] = frames[item.receiver], []
+                    session = self.sessions[item.receiver]
+                    answer, spent = timed(partial(_speak, session, item.message, heard))
+                    in_sessions += spent
+                    if answer is not None:
+                        said.append((item.receiver, *answer))
+            out, spent = timed(partial(self._hear, said))
+            in_relay += spent
+        self.in_sessions.append(in_sessions)
+        self.in_relay.append(in_relay)
+
+    def _hear(self, said: Sequence[tuple[int, Said, list[tuple[int, bytes]]]]) -> list[Outgoing]:
+        out: list[Outgoing] = []
+        for sender, note, frames in said:
+            for receiver, payload in frames:
+                self._radio.hear(sender, receiver, payload)
+            out += self._radio.said(sender, note)
+        return out
+
+
+def _speak(
+    session: Session, note: object, heard: list[tuple[int, bytes]]
+) -> tuple[Said, list[tuple[int, bytes]]] | None:
+    """What a session says to a note of the relay, and to the frames that came before it."""
+    match note:
+        case Open():
+            room = None if note.budget == UNLIMITED else note.budget
+            offers = session.offers(note.exchange, note.peers, room)
+            return Said(note.step, note.exchange, "offers", []), [(peer, frame) for peer, _, frame in offers]
+        case Turn(phase="offers"):
+            offered = [(n, *frame) for n, frame in zip(note.connections, heard, strict=True)]
+            frames, phase = session.answers(offered), "answers"
+        case Turn():
+            named = zip(note.connections, heard, note.maps, strict=True)
+            answers = [(n, peer, about, load) for n, (peer, load), about in named]
+            frames, phase = session.data(answers), "data"
+        case Outcome():
+            for peer, about, frame in session.outcome(note, heard):
+                session.accept(peer, about, packets.split(frame))
+            return None
+        case _:
+            session.forget()
+            return None
+    return Said(note.step, note.exchange, phase, [n for n, _, _ in frames]), [(p, f) for _, p, f in frames]

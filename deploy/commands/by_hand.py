@@ -1,0 +1,101 @@
+"""`murmur run`: one process of a run, started by hand (docs/several-terminals.md)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deploy.commands.console import errors, progress, report_result, screen, speaking_clearly
+from deploy.commands.flags import JsonFlag, OutOption, ViewAs
+from deploy.scenario.scenario import load
+
+run_app = typer.Typer(
+    no_args_is_help=True,
+    help="Start one process of a run by hand (docs/several-terminals.md walks through it).",
+)
+
+SameScenario = Annotated[
+    Path | None,
+    typer.Argument(metavar="SCENARIO.toml", help="the scenario file, the same for all processes of a run"),
+]
+
+
+@run_app.command("netshaper")
+def run_netshaper(
+    scenario: SameScenario = None,
+    listen: Annotated[
+        str, typer.Option(metavar="HOST:PORT", help="where the hub listens")
+    ] = "127.0.0.1:7447",
+    credentials: Annotated[
+        Path, typer.Option(metavar="DIR", help="new directory for one credential file a participant")
+    ] = Path("credentials"),
+) -> None:
+    """Start the radio relay: the hub that all others join. It writes their credentials, then waits for them."""
+    from deploy.run.by_hand import serve_netshaper  # noqa: PLC0415
+
+    with speaking_clearly():
+        serve_netshaper(load(scenario, {}), listen, credentials, screen.print)
+
+
+@run_app.command("worldsim")
+def run_worldsim(
+    credential: Annotated[
+        Path, typer.Option(metavar="FILE", help="world.json of the netshaper's credentials")
+    ],
+    scenario: SameScenario = None,
+) -> None:
+    """Start the world simulator: it owns the map and the clock, and begins once all are there."""
+    from deploy.run.by_hand import serve_worldsim  # noqa: PLC0415
+
+    with speaking_clearly():
+        serve_worldsim(load(scenario, {}), credential)
+
+
+@run_app.command("agent")
+def run_agent(
+    credential: Annotated[Path, typer.Option(metavar="FILE", help="rN.json of the netshaper's credentials")],
+) -> None:
+    """Start one robot. It is told everything else over the bus."""
+    from deploy.run.by_hand import serve_robot  # noqa: PLC0415
+
+    with speaking_clearly():
+        serve_robot(credential)
+
+
+@run_app.command("view")
+def run_view(
+    credential: Annotated[
+        Path, typer.Option(metavar="FILE", help="view.json of the netshaper's credentials")
+    ],
+    scenario: SameScenario = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="where the recording goes")] = Path(),
+    view_as: ViewAs = "auto",
+) -> None:
+    """Start a viewer: it may come and go while the run goes on, and nobody waits for it."""
+    from deploy.dashboard.windows import Window  # noqa: PLC0415
+    from deploy.run.by_hand import serve_viewer  # noqa: PLC0415
+
+    with speaking_clearly():
+        window = Window(view_as, errors.print)
+        try:
+            serve_viewer(load(scenario, {}), credential, out, window)
+        finally:
+            window.close()
+
+
+@run_app.command("lab")
+def run_lab(
+    credential: Annotated[Path, typer.Option(metavar="FILE", help="lab.json of the netshaper's credentials")],
+    scenario: SameScenario = None,
+    out: OutOption = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Start the laboratory: it records the run and writes its directory at the end."""
+    from deploy.run.by_hand import serve_lab  # noqa: PLC0415
+
+    with speaking_clearly():
+        with progress(shown=not as_json) as watch:
+            result = serve_lab(load(scenario, {}), credential, out, watch, errors.print)
+        raise typer.Exit(report_result(result, as_json=as_json))

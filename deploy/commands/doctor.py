@@ -1,0 +1,76 @@
+"""`murmur doctor`: does this installation work? Each check says what it found, and what to do if it failed."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from rich.console import Console
+
+Check = tuple[str, Callable[[], str]]
+
+
+def examine(screen: Console) -> bool:
+    """Run all checks and print their findings; whether all passed."""
+    well = True
+    for name, check in _checks():
+        try:
+            screen.print(f"[green]ok[/green]    {name}: {check()}")
+        except Exception as error:
+            well = False
+            screen.print(f"[red]wrong[/red] {name}: {error}")
+    return well
+
+
+def _checks() -> Iterator[Check]:
+    yield "python", _python
+    yield "packages", _packages
+    yield "kernels", _kernels
+    yield "a swarm in memory", lambda: _swarm("memory")
+    yield "a swarm on Zenoh", lambda: _swarm("zenoh")
+    yield "viewer", _viewer
+
+
+def _python() -> str:
+    return platform.python_version()
+
+
+def _packages() -> str:
+    from deploy.record.summary import versions  # noqa: PLC0415
+
+    return ", ".join(f"{name} {version}" for name, version in versions().items() if name != "python")
+
+
+def _kernels() -> str:
+    """Kernels must come from the cache: a robot that compiles is late for its first step."""
+    import deploy.run.processes  # noqa: F401, PLC0415
+    from protocol.kernels import compiled, loaded  # noqa: PLC0415
+
+    if loaded() == 0:
+        raise RuntimeError(
+            f"all {compiled()} were compiled anew: numba cannot keep its cache beside the code or in "
+            "NUMBA_CACHE_DIR; name a folder there that can be written"
+        )
+    return f"{loaded()} loaded from the cache, {compiled()} compiled now"
+
+
+def _swarm(bus: str) -> str:
+    from deploy.run import exploration  # noqa: PLC0415
+    from deploy.scenario.scenario import parse  # noqa: PLC0415
+
+    scenario = parse({"map": "em", "robots": 2, "bus": bus, "steps": 30})
+    with TemporaryDirectory() as folder:
+        result = exploration.explore(scenario, out=Path(folder) / "run")
+    if result.deaths or result.records.lost:
+        raise RuntimeError(f"processes died: {result.deaths or result.records.lost}")
+    return f"{result.summary['steps']} steps, {result.summary['steps_per_s']} a second"
+
+
+def _viewer() -> str:
+    import importlib.util  # noqa: PLC0415
+
+    if importlib.util.find_spec("rerun") is None:
+        return "not installed; `--view` needs the extra `view` (pip install 'murmur-swarm[view]')"
+    return "Rerun is installed"

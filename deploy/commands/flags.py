@@ -1,0 +1,66 @@
+"""Flags: what several commands share, what their help says, and how texts are read."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from deploy.scenario.scenario import Scenario, ScenarioError
+
+
+def default(name: str) -> str:
+    """Help text of a scenario setting: what it is, and its default."""
+    info = Scenario.model_fields[name]
+    return f"{info.description}" + ("" if info.default is None else f" (default {info.default})")
+
+
+def preformatted(text: str) -> str:
+    """Text of which help keeps every line as it is."""
+    return text.replace("\n\n", "\n\n\b\n")
+
+
+ScenarioFile = Annotated[
+    Path | None, typer.Argument(metavar="SCENARIO.toml", help="a scenario file; flags override it")
+]
+OutOption = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="run directory (default: a new one under runs/)")
+]
+JsonFlag = Annotated[bool, typer.Option("--json", help="print what comes out as JSON and nothing else")]
+ViewAs = Annotated[
+    str,
+    typer.Option(metavar="native|web|file", help="show it so; auto: a window where there is a display"),
+]
+
+
+def setting(name: str, kind: Any, metavar: str | None = None) -> Any:
+    """A flag that overrides a setting of the scenario."""
+    flag = "--" + name.replace("_", "-")
+    return Annotated[kind | None, typer.Option(flag, help=default(name), metavar=metavar)]
+
+
+def pair(text: str) -> tuple[float, float]:
+    """Read a place, X,Y in metres; ScenarioError if it is none."""
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ScenarioError(f"start = {text!r}: must be two numbers of metres, as 3.5,12") from None
+    return x, y
+
+
+def named_values(texts: list[str], flag: str, example: str) -> dict[str, Any]:
+    """Read NAME=VALUE texts of a flag, values as JSON where they are; ScenarioError says what is wrong."""
+    values: dict[str, Any] = {}
+    for text in texts:
+        name, sign, value = text.partition("=")
+        if not sign or not name:
+            raise ScenarioError(f"{flag} = {text!r}: must be NAME=VALUE, as {example}")
+        if name in values:
+            raise ScenarioError(f"{flag} = {text!r}: {name} is given twice; give it once, as {example}")
+        try:
+            values[name] = json.loads(value)
+        except ValueError:
+            values[name] = value
+    return values

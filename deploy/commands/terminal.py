@@ -1,0 +1,132 @@
+"""What people see in a terminal: progress while a run goes on, its figures at the end, maps as sketches."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from rich.text import Text
+
+from deploy.record.records import Records
+from deploy.record.run_directory import PICTURE, PICTURES
+from deploy.scenario.plan import Plan
+from deploy.scenario.scenario import UNLIMITED
+from protocol.grid import FREE, OCCUPIED, Grid
+
+Watch = Callable[[Plan, Records], object]
+
+COLORS = ("grey50", "white", "black")
+"""Of unknown, free and occupied cells in a sketch."""
+
+INK = {(2, 2): "█", (2, 1): "▀", (2, 0): "▀", (1, 2): "▄", (0, 2): "▄", (0, 0): "░"}
+"""Characters of an upper and a lower cell where there are no colours; what is free is left blank."""
+
+
+@contextlib.contextmanager
+def progress(console: Console, *, shown: bool) -> Iterator[Watch | None]:
+    """A live line, if `console` is a terminal: step, explored share, bytes of the budget, robots alive."""
+    if not shown or not console.is_terminal:
+        yield None
+        return
+    bar = Progress(
+        TextColumn("step {task.fields[step]:>5}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>5.1f} % explored"),
+        TextColumn("{task.fields[medium]}"),
+        TextColumn("{task.fields[alive]} robots"),
+        TimeElapsedColumn(),
+        console=console,
+        transient=True,
+    )
+    task: TaskID = bar.add_task("explore", total=1.0, step=0, medium="", alive=0)
+    with bar:
+
+        def watch(plan: Plan, records: Records) -> None:
+            budget = plan.scenario.bandwidth
+            of = "" if budget == UNLIMITED else f" of {budget}"
+            bar.update(
+                task,
+                completed=records.explored,
+                step=records.step,
+                medium=f"{records.carried}{of} B on the air",
+                alive=plan.scenario.robots - len(records.lost),
+            )
+
+        yield watch
+
+
+@contextlib.contextmanager
+def counting(console: Console, what: str, total: int) -> Iterator[Callable[[int, int], object]]:
+    """A live line for work of known size."""
+    bar = Progress(
+        TextColumn(what), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeElapsedColumn(),
+        console=console, transient=True, disable=not console.is_terminal,
+    )  # fmt: skip
+    task = bar.add_task(what, total=total)
+    with bar:
+        yield lambda done, _: bar.update(task, completed=done)
+
+
+def table(lines: list[list[str]]) -> Table:
+    """A table whose first line is its head; what is too long for its column goes on below."""
+    result = Table(box=SIMPLE)
+    for head in lines[0]:
+        result.add_column(head, overflow="fold")
+    for line in lines[1:]:
+        result.add_row(*line)
+    return result
+
+
+def summary_lines(summary: dict[str, Any], directory: Path | None) -> list[str]:
+    """The figures of a run, for people."""
+    lines = []
+    if summary["finished"]:
+        lines.append(
+            f"Explored in {summary['steps']} steps; robot {summary['first_robot']} was the first to know it all."
+        )
+    else:
+        lines.append(f"Not finished after {summary['steps']} steps: {summary['reason']}.")
+    agreement = summary["map_agreement"]
+    lines.append(
+        f"The team saw {100 * summary['coverage']:.2f} % of what can be reached"
+        + (f"; the planning map has {100 * agreement:.2f} % of it right." if agreement is not None else ".")
+    )
+    total = summary["bytes"]["total"]
+    kinds = [(kind, size) for kind, size in summary["bytes"].items() if kind != "total"]
+    shares = ", ".join(f"{kind} {100 * size / total:.1f} %" for kind, size in kinds) if total else "nothing"
+    lines.append(f"On the air: {total} bytes ({shares}).")
+    lines.append(
+        f"{summary['wall_s']:.1f} s, {summary['steps_per_s']} steps a second on bus {summary['bus']}."
+    )
+    if directory is not None:
+        shown = [str(directory / name) for name in (PICTURE, PICTURES) if (directory / name).exists()]
+        look = f"; look at {' and '.join(shown)}" if shown else ""
+        lines.append(f"Everything is in {directory}{look}.")
+    return lines
+
+
+def sketch(grid: Grid, console: Console) -> Text:
+    """Draw a grid with half-block characters as wide as `console` is, in colours if it has some."""
+    scale = max(1, -(-grid.shape[1] // max(20, console.width - 1)))
+    rows, columns = grid.shape[0] // (2 * scale) * 2, grid.shape[1] // scale
+    blocks = grid[: rows * scale, : columns * scale].reshape(rows, scale, columns, scale)
+    solid = (blocks == OCCUPIED).any(axis=(1, 3))
+    free = (blocks == FREE).any(axis=(1, 3))
+    shade = np.where(solid, 2, np.where(free, 1, 0))
+    colored = console.color_system is not None and not console.no_color
+    text = Text()
+    for upper, lower in zip(shade[::2].tolist(), shade[1::2].tolist(), strict=True):
+        for pair in zip(upper, lower, strict=True):
+            if colored:
+                text.append("▀", style=f"{COLORS[pair[0]]} on {COLORS[pair[1]]}")
+            else:
+                text.append(INK.get(pair, " "))
+        text.append("\n")
+    return text

@@ -1,0 +1,266 @@
+"""What the dashboard shows, as Rerun logs it: to a file, and to all who look on.
+
+Everything lies on one timeline, the steps of the run. What does not change (colours, names, widths) is logged
+once; a step then costs some thirty small rows. Paths of entities are those that `deploy.dashboard.layout`
+puts into views.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from deploy.dashboard.appearance import (
+    ALARM,
+    CELLS,
+    GREY,
+    GROUPS,
+    IN_RANGE,
+    PAPER,
+    SIGNAL,
+    map_picture,
+    robot_color,
+)
+from deploy.dashboard.explanation import about, shows_range
+from deploy.dashboard.run_events import Event, Story
+from deploy.dashboard.shapes import axes, corner, flip, number_strips, outline_strips
+from deploy.scenario.plan import Plan
+from netshaper.medium import UNLIMITED
+from protocol import keys as names
+from protocol.grid import FREE
+from protocol.messages import (
+    End,
+    Outlines,
+    RadioReport,
+    Snapshot,
+    WorldReport,
+    grid_from_bytes,
+    grid_to_bytes,
+)
+
+TIMELINE = "step"
+NAN = float("nan")
+SHARES_EVERY = 5
+"""Steps from one drawing of the traffic shares to the next."""
+SHARES_HEIGHT = 150.0
+"""Height of the picture of the traffic shares, whose width is 100."""
+MAP_ORDER, RANGE_ORDER, WAY_ORDER, OUTLINE_ORDER, LINK_ORDER, TARGET_ORDER, ROBOT_ORDER = range(0, 70, 10)
+"""What lies over what."""
+
+
+class Recorder:
+    """Draws a run as it is told.
+
+    Parameters
+    ----------
+    stream : rerun.RecordingStream
+        Where it goes; its sinks are set.
+    plan : Plan
+        The run's scenario, worked out.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, plan: Plan) -> None:
+        self.story = Story(plan)
+        self._stream = stream
+        self._plan = plan
+        self._robots = range(plan.scenario.robots)
+        self._reachable = plan.make_world().reachable
+        self._explored = [0.0] * len(self._robots)
+        side = max(plan.map.width, plan.map.height) * plan.map.resolution
+        self._disc = 0.022 * side
+        stream.set_time(TIMELINE, sequence=0)
+        self._draw_maps()
+        self._draw_styles()
+        self._log("about", rr.TextDocument(about(plan), media_type=rr.MediaType.MARKDOWN), static=True)
+
+    def take(self, sender: str, said: Any) -> None:
+        """Draw what is reported."""
+        events = self.story.take(sender, said)
+        self._stream.set_time(TIMELINE, sequence=self.story.step)
+        if isinstance(said, WorldReport):
+            self._draw_world()
+        elif isinstance(said, RadioReport):
+            self._draw_air()
+        elif isinstance(said, Snapshot):
+            self._draw_planning_map(names.number(sender), said)
+        elif isinstance(said, Outlines):
+            outlines = rr.LineStrips2D.from_fields(strips=outline_strips(self._plan.map, said.vertices))
+            self._log(f"minds/{names.number(sender)}/outlines/{said.about}", outlines)
+        elif isinstance(said, End):
+            self._draw_world()
+        for event in events:
+            self._log("events", _line(event))
+
+    def _log(self, path: str, *what: Any, static: bool = False) -> None:
+        self._stream.log(path, *what, static=static)
+
+    def _draw_maps(self) -> None:
+        """The true map, and an empty one for each robot, with axes."""
+        world = self._plan.map
+        cell = world.resolution
+        place = rr.Transform3D(translation=[*corner(world), 0], scale=[cell, cell, 1])
+        cells = grid_to_bytes(world.cells)
+        for tree in ("world", *(f"minds/{robot}" for robot in self._robots)):
+            self._log(f"{tree}/map", place, static=True)
+            picture = map_picture(world.width, world.height, cells if tree == "world" else bytes(len(cells)))
+            self._log(f"{tree}/map", _image(picture))
+            strips, places, labels = axes(world, most=6 if tree == "world" else 3)
+            lines = rr.LineStrips2D(strips, colors=[GREY], radii=[_px(0.8)])
+            self._log(f"{tree}/axes/lines", lines, static=True)
+            ticks = rr.Points2D(places, labels=labels, colors=[CELLS[0]], radii=[_px(0.1)], show_labels=True)
+            self._log(f"{tree}/axes/labels", ticks, static=True)
+
+    def _draw_styles(self) -> None:
+        """All that never changes: who has which colour, how thick lines are, what series are called."""
+        colors = [robot_color(robot) for robot in self._robots]
+        style = rr.LineStrips2D.from_fields
+        lines = {
+            "world/links/quiet": style(colors=[IN_RANGE], radii=[_px(0.8)], draw_order=LINK_ORDER),
+            "world/links/busy": style(colors=[SIGNAL], draw_order=LINK_ORDER + 1),
+            "world/targets/ways": style(radii=[_px(0.8)], draw_order=TARGET_ORDER),
+            "world/robots/numbers": style(colors=[PAPER], radii=[_px(0.9)], draw_order=ROBOT_ORDER + 1),
+        }
+        for robot in self._robots:
+            lines[f"ways/{robot}"] = style(
+                colors=[(*robot_color(robot), 150)], radii=[_px(0.7)], draw_order=WAY_ORDER
+            )
+            for about_robot in self._robots:
+                own = about_robot == robot
+                lines[f"minds/{robot}/outlines/{about_robot}"] = style(
+                    colors=[(*robot_color(about_robot), 255 if own else 190)],
+                    radii=[_px(1.1 if own else 0.6)],
+                    draw_order=OUTLINE_ORDER + own,
+                )
+            disc = rr.Points2D.from_fields(
+                colors=[robot_color(robot)], radii=[self._disc], draw_order=ROBOT_ORDER
+            )
+            self._log(f"minds/{robot}/self", disc, static=True)
+            mark = rr.Points2D.from_fields(
+                colors=[robot_color(robot)], radii=[self._disc / 2], draw_order=TARGET_ORDER
+            )
+            self._log(f"minds/{robot}/target", mark, static=True)
+        for path, line in lines.items():
+            self._log(path, line, static=True)
+        team = rr.SeriesLines(names=["seen by the team"], colors=[PAPER], widths=[3])
+        self._log("explored/team", team, static=True)
+        for path, word in (("explored/maps", "on the map of robot"), ("backlog", "robot")):
+            named = [f"{word} {robot}" for robot in self._robots]
+            series = rr.SeriesLines(names=named, colors=colors, widths=[1.5] * len(colors))
+            self._log(path, series, static=True)
+        groups = list(GROUPS.values())
+        load = rr.SeriesLines(
+            names=["all together", *(group.words for group in groups)],
+            colors=[PAPER, *(group.color for group in groups)],
+            widths=[1.0, *(1.5 for _ in groups)],
+        )
+        self._log("air/load", load, static=True)
+        self._log("air/budget", rr.SeriesLines(names=["budget"], colors=[ALARM], widths=[2]), static=True)
+
+    def _draw_world(self) -> None:
+        """Where all are, where they go, who can hear whom, what is explored."""
+        story = self.story
+        robots = sorted(story.positions)
+        places = [flip(story.positions[robot]) for robot in robots]
+        colors = [robot_color(robot) for robot in robots]
+        discs = rr.Points2D(places, radii=[self._disc], colors=colors, draw_order=ROBOT_ORDER)
+        self._log("world/robots", discs)
+        numbers = [
+            strip
+            for robot, place in zip(robots, places, strict=True)
+            for strip in number_strips(robot, place, 1.1 * self._disc)
+        ]
+        self._log("world/robots/numbers", rr.LineStrips2D.from_fields(strips=numbers))
+        reach = self._plan.range_m
+        if shows_range(self._plan):
+            circles = rr.Ellipses2D(
+                centers=places,
+                half_sizes=[(reach, reach)] * len(places),
+                colors=[(*color, 90) for color in colors],
+                line_radii=[_px(0.5)],
+                draw_order=RANGE_ORDER,
+            )
+            self._log("world/ranges", circles)
+        for robot, place in zip(robots, places, strict=True):
+            way = np.array(story.ways[robot]) * (1, -1)
+            self._log(f"ways/{robot}", rr.LineStrips2D.from_fields(strips=[way]))
+            self._log(f"minds/{robot}/self", rr.Points2D.from_fields(positions=[place]))
+            target = [flip(story.targets[robot])] if robot in story.targets else []
+            self._log(f"minds/{robot}/target", rr.Points2D.from_fields(positions=target))
+        self._draw_targets()
+        self._log("explored/team", rr.Scalars(100 * story.seen))
+        self._log("explored/maps", rr.Scalars(self._explored))
+        self._log("backlog", rr.Scalars([story.backlog.get(robot, 0) for robot in self._robots]))
+
+    def _draw_targets(self) -> None:
+        story = self.story
+        heading = [robot for robot in sorted(story.targets) if robot in story.positions]
+        colors = [robot_color(robot) for robot in heading]
+        ends = [(flip(story.positions[robot]), flip(story.targets[robot])) for robot in heading]
+        self._log("world/targets/ways", rr.LineStrips2D.from_fields(strips=ends, colors=colors))
+        marks = rr.Points2D(
+            [end for _, end in ends], colors=colors, radii=[self._disc / 2], draw_order=TARGET_ORDER
+        )
+        self._log("world/targets", marks)
+
+    def _draw_air(self) -> None:
+        """What the step put on the air, and between whom."""
+        story = self.story
+        air = story.air
+        assert air is not None
+        used = {group for group in GROUPS if any(kind in story.bytes for kind in GROUPS[group].kinds)}
+        load = [air.groups[group] if group in used else NAN for group in GROUPS]
+        self._log("air/load", rr.Scalars([air.carried, *load]))
+        if self._plan.radio.budget != UNLIMITED:
+            self._log("air/budget", rr.Scalars(self._plan.radio.budget))
+        here = story.positions
+        busy = {pair: size for pair, size in sorted(air.talks.items()) if pair[0] in here and pair[1] in here}
+        quiet = sorted(story.in_range - busy.keys())
+        for path, pairs in (("quiet", quiet), ("busy", list(busy))):
+            strips = [(flip(here[a]), flip(here[b])) for a, b in pairs]
+            radii = [_px(1.2 + min(2.5, busy[pair] / 200)) for pair in pairs] if path == "busy" else None
+            self._log(f"world/links/{path}", rr.LineStrips2D.from_fields(strips=strips, radii=radii))
+        if story.step % SHARES_EVERY == 1:
+            self._draw_shares()
+
+    def _draw_shares(self) -> None:
+        """Bars of what the bytes so far were for, the longest on top, each with its name above it."""
+        spent = {
+            group: sum(self.story.bytes.get(kind, 0) for kind in GROUPS[group].kinds) for group in GROUPS
+        }
+        total = sum(spent.values())
+        shown = sorted((group for group in spent if spent[group]), key=lambda group: -spent[group])
+        row = SHARES_HEIGHT / len(GROUPS)
+        bars, places, labels = [], [], []
+        for line, group in enumerate(shown):
+            share = 100 * spent[group] / total
+            bars.append([(0.0, row * (line + 0.78)), (share, row * (line + 0.78))])
+            places.append((50.0, row * (line + 0.25)))
+            labels.append(f"{GROUPS[group].words}: {share:.1f} %")
+        colors = [GROUPS[group].color for group in shown]
+        self._log("air/shares/bars", rr.LineStrips2D(bars, colors=colors, radii=[0.16 * row]))
+        named = rr.Points2D(places, labels=labels, colors=colors, radii=[_px(0.1)], show_labels=True)
+        self._log("air/shares/names", named)
+
+    def _draw_planning_map(self, robot: int, said: Snapshot) -> None:
+        self._log(f"minds/{robot}/map", _image(map_picture(said.width, said.height, said.planning)))
+        grid = grid_from_bytes(said.planning, said.width, said.height)
+        self._explored[robot] = 100 * float((grid[self._reachable] == FREE).mean())
+
+
+def _image(png: bytes) -> rr.EncodedImage:
+    return rr.EncodedImage(
+        contents=png, media_type="image/png", draw_order=MAP_ORDER, magnification_filter="nearest"
+    )
+
+
+def _px(size: float) -> Any:
+    """A radius in points on the screen, whatever the zoom."""
+    return -size
+
+
+def _line(event: Event) -> rr.TextLog:
+    level = (rr.TextLogLevel.DEBUG, rr.TextLogLevel.INFO, rr.TextLogLevel.ERROR)[event.weight]
+    color = (GREY, PAPER, ALARM)[event.weight]
+    return rr.TextLog(f"{event.step}: {event.text}", level=level, color=color)

@@ -1,0 +1,202 @@
+"""What happens in a run, told step by step from what its participants report. Nothing is drawn here."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.dashboard.appearance import GROUPS
+from deploy.dashboard.shapes import Point, extend
+from deploy.scenario.plan import Plan
+from netshaper.ledger import CAUSES, EVERYONE, KIND_NUMBER, ROW
+from netshaper.medium import UNLIMITED
+from protocol import keys as names
+from protocol.messages import End, Fault, Lost, MindReport, RadioReport, WorldReport
+from worldsim.maps import to_world
+
+BUDGET = CAUSES.index("budget")
+
+NEAR = 0.5
+"""A new target within this part of the sensor range of the old one is the same frontier, moved on."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something worth a line. `weight`: 0 for the everyday, 1 for what changes the picture, 2 for a loss."""
+
+    step: int
+    text: str
+    weight: int = 0
+
+
+@dataclass
+class Air:
+    """What one step put on the air.
+
+    Attributes
+    ----------
+    groups : dict
+        Bytes carried, by group of packet kinds (`deploy.dashboard.appearance.GROUPS`).
+    cut : int
+        Bytes that were said but found no room.
+    talks : dict
+        Bytes carried between each pair of robots (lower number first).
+    """
+
+    groups: dict[str, int]
+    cut: int
+    talks: dict[tuple[int, int], int]
+
+    @property
+    def carried(self) -> int:
+        """All bytes carried."""
+        return sum(self.groups.values())
+
+
+@dataclass
+class Story:
+    """What has been told so far."""
+
+    plan: Plan
+    step: int = 0
+    positions: dict[int, Point] = field(default_factory=dict)
+    """Where each living robot truly is."""
+    ways: dict[int, list[Point]] = field(default_factory=dict)
+    """Where each robot has driven: the corners of its way, and where it is."""
+    targets: dict[int, Point] = field(default_factory=dict)
+    backlog: dict[int, int] = field(default_factory=dict)
+    seen: float = 0.0
+    """Part of what can be reached that the team has seen."""
+    in_range: set[tuple[int, int]] = field(default_factory=set)
+    air: Air | None = None
+    bytes: dict[str, int] = field(default_factory=dict)
+    """Bytes carried so far, by packet kind."""
+    idle: set[int] = field(default_factory=set)
+    _full: bool = False
+    _said_targets: dict[int, Point] = field(default_factory=dict)
+
+    def take(self, sender: str, said: object) -> list[Event]:
+        """Take a report; return what it makes happen."""
+        if isinstance(said, WorldReport):
+            return self._world(said)
+        if isinstance(said, RadioReport):
+            return self._radio(said)
+        if isinstance(said, MindReport):
+            return self._mind(names.number(sender), said)
+        if isinstance(said, Lost):
+            self.positions.pop(said.robot, None)
+            self.targets.pop(said.robot, None)
+            self.in_range = {pair for pair in self.in_range if said.robot not in pair}
+            return [Event(self.step, f"robot {said.robot} is lost: {said.cause}", 2)]
+        if isinstance(said, Fault):
+            return [Event(self.step, f"{said.who} said what makes no sense: {said.what}", 2)]
+        if isinstance(said, End):
+            return [Event(self.step, self._ending(said), 1)]
+        return []
+
+    def _world(self, report: WorldReport) -> list[Event]:
+        self.step = report.step
+        self.seen = report.seen / report.reachable
+        cell_mm = 1000 * self.plan.map.resolution
+        here = set(self.positions)
+        poses = np.frombuffer(report.poses, "<i4").reshape(-1, 4).tolist()
+        self.positions = {
+            robot: to_world(self.plan.map, x / cell_mm, y / cell_mm) for robot, x, y, _ in poses
+        }
+        for robot, place in self.positions.items():
+            extend(self.ways.setdefault(robot, []), place)
+        for robot in sorted(self.targets.keys() - self.positions.keys()):
+            del self.targets[robot]
+        gone = sorted(here - self.positions.keys())
+        before = self.in_range
+        self.in_range = {
+            (a, b)
+            for (a, p), (b, q) in combinations(sorted(self.positions.items()), 2)
+            if math.dist(p, q) <= self.plan.range_m
+        }
+        events = [Event(self.step, f"robot {robot} has broken down", 2) for robot in gone]
+        return events + [
+            Event(self.step, f"robots {a} and {b} can hear each other")
+            if (a, b) in self.in_range
+            else Event(self.step, f"robots {a} and {b} have lost each other", 1)
+            for a, b in sorted(before ^ self.in_range)
+            if self.step > 1 and a in self.positions and b in self.positions
+        ]
+
+    def _radio(self, report: RadioReport) -> list[Event]:
+        rows = np.frombuffer(report.rows, ROW)
+        carried = rows[rows["carried"] == 1]
+        for kind, number in KIND_NUMBER.items():
+            size = int(carried["bytes"][carried["kind"] == number].sum())
+            if size:
+                self.bytes[kind] = self.bytes.get(kind, 0) + size
+        groups = {
+            name: int(
+                carried["bytes"][np.isin(carried["kind"], [KIND_NUMBER[kind] for kind in group.kinds])].sum()
+            )
+            for name, group in GROUPS.items()
+        }
+        cut = int(rows["bytes"][rows["cause"] == BUDGET].sum())
+        self.air = Air(groups, cut, _talks(carried))
+        events = _emergences(report.step, carried)
+        full = cut > 0
+        if full != self._full and self.plan.radio.budget != UNLIMITED:
+            self._full = full
+            if full:
+                events.append(Event(report.step, f"the channel is full: {cut} bytes must wait", 1))
+        return events
+
+    def _mind(self, robot: int, report: MindReport) -> list[Event]:
+        self.backlog[robot] = report.backlog
+        events = []
+        target = None
+        if report.target_x >= 0:
+            target = to_world(self.plan.map, report.target_x, report.target_y)
+        if target is None:
+            self.targets.pop(robot, None)
+        else:
+            self.targets[robot] = target
+            said = self._said_targets.get(robot)
+            if said is None or math.dist(said, target) > NEAR * self.plan.scenario.sensor_range:
+                self._said_targets[robot] = target
+                events.append(
+                    Event(report.step, f"robot {robot} heads for ({target[0]:.1f}, {target[1]:.1f}) m")
+                )
+        idle = report.status.startswith("idle")
+        if idle and robot not in self.idle:
+            events.append(
+                Event(report.step, f"robot {robot} is idle: nothing is left to explore on its map", 1)
+            )
+        (self.idle.add if idle else self.idle.discard)(robot)
+        return events
+
+    def _ending(self, end: End) -> str:
+        if end.first < 0:
+            return f"the run is over: {end.reason}"
+        return f"explored in {end.step} steps; robot {end.first} was the first to know it all"
+
+
+def _talks(carried: NDArray[np.void]) -> dict[tuple[int, int], int]:
+    talks: dict[tuple[int, int], int] = {}
+    unicast = carried[carried["receiver"] != EVERYONE]
+    for sender, receiver, size in zip(
+        unicast["sender"].tolist(), unicast["receiver"].tolist(), unicast["bytes"].tolist(), strict=True
+    ):
+        pair = (min(sender, receiver), max(sender, receiver))
+        talks[pair] = talks.get(pair, 0) + size
+    return talks
+
+
+def _emergences(step: int, carried: NDArray[np.void]) -> list[Event]:
+    """Objects of which a robot has told for the first time: a robot's own, whoever hears it."""
+    own = carried[(carried["kind"] == KIND_NUMBER["em"]) & (carried["map"] == carried["sender"])]
+    events = []
+    for robot in np.unique(own["sender"]).tolist():
+        count = int(own["packets"][own["sender"] == robot].sum())
+        what = "a new object" if count == 1 else f"{count} new objects"
+        events.append(Event(step, f"robot {robot} tells of {what}"))
+    return events

@@ -1,0 +1,120 @@
+"""`murmur watch`: look at a run that is under way, or at the recording of one.
+
+A run under way says in ``live.json`` how to join it as a viewer: its credential (for its owner's eyes only),
+and at which port its own viewer serves the recording from the beginning, if it has one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import socket
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from deploy.dashboard.process import RECORDING, ViewTask, serve
+from deploy.dashboard.windows import Window
+from deploy.record import run_directory
+from deploy.scenario import plan as plans
+from deploy.scenario.scenario import ScenarioError
+from protocol.zenoh_bus import Credential
+
+LIVE = "live.json"
+POLL_S = 0.5
+
+
+@dataclass(frozen=True)
+class Live:
+    """How to look at a run under way."""
+
+    credential: Credential
+    port: int | None
+
+
+@contextlib.contextmanager
+def announced(directory: Path | None, credential: Credential, port: int | None) -> Iterator[None]:
+    """Say in a run directory how to look at the run, as long as it is under way."""
+    if directory is None:
+        yield
+        return
+    path = directory / LIVE
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        json.dump(asdict(credential) | {"port": port}, file, indent=2)
+    try:
+        yield
+    finally:
+        path.unlink(missing_ok=True)
+
+
+def read_live(directory: Path) -> Live | None:
+    """Read how to look at a run under way; None if there is none (a file alone may be left over).
+
+    Raises
+    ------
+    ValueError
+        The file is damaged.
+    """
+    path = directory / LIVE
+    if not path.is_file():
+        return None
+    credential = Credential.read(path)
+    host, _, hub_port = credential.hub.partition("/")[2].rpartition(":")
+    try:
+        socket.create_connection((host, int(hub_port)), timeout=1.0).close()
+    except OSError:
+        return None
+    return Live(credential, json.loads(path.read_text(encoding="utf-8"))["port"])
+
+
+def watch(directory: Path, window: Window) -> None:
+    """Look at a run: under way from now on, or with its own viewer from the beginning; else its recording.
+
+    Comes back when the run is over, or when the page is no longer wanted.
+
+    Raises
+    ------
+    ScenarioError
+        There is nothing to look at.
+    """
+    live = read_live(directory)
+    if live is None:
+        _show(recording_of(directory), window)
+    elif live.port is not None:
+        window.port = live.port
+        window.open()
+        if window.mode != "native":
+            while read_live(directory) is not None:
+                time.sleep(POLL_S)
+            _show(recording_of(directory), window)
+    else:
+        task = ViewTask(plans.make(run_directory.read_scenario(directory)), directory, port=window.port)
+        ended = serve(live.credential, task, window.open)
+        if ended and window.mode != "native":
+            _show(recording_of(directory), window)
+
+
+def keep_showing(directory: Path, window: Window) -> None:
+    """Once a run is over, serve its recording at the same address until Ctrl-C, so that the page lasts."""
+    if window.mode == "web":
+        _show(recording_of(directory), window)
+
+
+def recording_of(directory: Path) -> Path:
+    """The newest recording in a run directory; ScenarioError if there is none."""
+    stem, suffix = RECORDING.split(".")
+    found = sorted(directory.glob(f"{stem}*.{suffix}"), key=lambda path: path.stat().st_mtime_ns)
+    if not found:
+        raise ScenarioError(
+            f"{directory}: no recording ({RECORDING}), and no run is under way there; "
+            "murmur explore --view, or --view-as file, makes one"
+        )
+    return found[-1]
+
+
+def _show(recording: Path, window: Window) -> None:
+    window.open(recording)
+    window.wait()

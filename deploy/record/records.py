@@ -1,0 +1,133 @@
+"""The laboratory: it listens to world, relay and robots, and keeps what a run's results are made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.record.wire_bytes import Meter
+from netshaper.ledger import ROW
+from protocol import keys as names
+from protocol.bus import Bus, Message
+from protocol.grid import Grid
+from protocol.keys import Keys
+from protocol.messages import (
+    Bye,
+    End,
+    Fault,
+    Lost,
+    Maps,
+    MindReport,
+    RadioReport,
+    Stop,
+    WorldReport,
+    pack,
+    unpack,
+)
+
+
+@dataclass
+class Records:
+    """What has been told of a run so far."""
+
+    robots: int
+    world: list[WorldReport] = field(default_factory=list)
+    minds: list[list[MindReport]] = field(default_factory=list)
+    rows: list[bytes] = field(default_factory=list)
+    own: dict[int, Grid] = field(default_factory=dict)
+    """Self-explored grids, by robot, at the end."""
+    planning: dict[int, Grid] = field(default_factory=dict)
+    lost: dict[int, str] = field(default_factory=dict)
+    """Robots that died unasked, and how."""
+    faults: list[str] = field(default_factory=list)
+    end: End | None = None
+    carried: int = 0
+    """Bytes on the air in the last step."""
+    wire_bytes: int | None = None
+    """Bytes that the bus moved to bring all this about (`deploy.record.wire_bytes`); None where it cannot be known."""
+
+    def __post_init__(self) -> None:
+        self.minds = [[] for _ in range(self.robots)]
+
+    @property
+    def step(self) -> int:
+        """The last step that the world has opened."""
+        return self.world[-1].step if self.world else 0
+
+    @property
+    def explored(self) -> float:
+        """Part of the reachable free cells that the team has seen."""
+        return self.world[-1].seen / self.world[-1].reachable if self.world else 0.0
+
+    def ledger(self) -> NDArray[np.void]:
+        """All rows of the ledger so far (`netshaper.ledger.ROW`), in the order in which they were booked."""
+        return np.frombuffer(b"".join(self.rows), ROW)
+
+
+class LabNode:
+    """The laboratory's end of the bus; `done` once all has been handed in.
+
+    What the relay reports for the capture is written to `capture` step by step, and not kept; `meter` counts
+    what the bus moves.
+    """
+
+    def __init__(
+        self, bus: Bus, keys: Keys, robots: int, capture: BinaryIO | None = None, meter: Meter | None = None
+    ) -> None:
+        self.done = False
+        self.records = Records(robots)
+        self._capture = capture
+        self._meter = meter
+        self._bus = bus
+        self._keys = keys
+
+    def handle(self, message: Message) -> None:
+        """Take one message from the bus."""
+        records = self.records
+        sender = names.parts(message.key)[3]
+        said = unpack(message.payload)
+        if isinstance(said, WorldReport):
+            records.world.append(said)
+        elif isinstance(said, RadioReport):
+            records.rows.append(said.rows)
+            records.carried = said.carried
+            if self._capture is not None:
+                self._capture.write(said.frames)
+        elif isinstance(said, MindReport):
+            records.minds[names.number(sender)].append(said)
+        elif isinstance(said, Lost):
+            records.lost[said.robot] = said.cause
+        elif isinstance(said, Fault):
+            records.faults.append(f"{said.who}: {said.what}")
+        elif isinstance(said, End):
+            records.end = said
+        elif isinstance(said, Maps):
+            shape = (said.height, said.width)
+            records.own[said.robot] = np.frombuffer(said.own, np.uint8).reshape(shape)
+            records.planning[said.robot] = np.frombuffer(said.planning, np.uint8).reshape(shape)
+        if records.end is not None and not self.done and not self.missing():
+            self.send_home()
+
+    def missing(self) -> list[int]:
+        """Robots whose maps have not been handed in."""
+        return [
+            r for r in range(self.records.robots) if r not in self.records.own and r not in self.records.lost
+        ]
+
+    def stop(self, reason: str) -> None:
+        """Ask the world to end after this step."""
+        self._bus.put(self._keys.control_tx(names.LAB), pack(Stop(reason)))
+
+    def read_meter(self) -> None:
+        """Note what the bus has moved so far."""
+        if self._meter is not None:
+            self.records.wire_bytes = self._meter.read()
+
+    def send_home(self) -> None:
+        """Tell everyone that all is recorded."""
+        self.read_meter()
+        self.done = True
+        self._bus.put(self._keys.control_tx(names.LAB), pack(Bye()))

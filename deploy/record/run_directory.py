@@ -1,0 +1,215 @@
+"""The run directory: all that outlives a run, and all that is needed to repeat it.
+
+Every file is written beside its place and then moved there, so that none is ever half written. Only the
+capture of the radio grows during the run, block by block, and opens up to its last whole one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Iterator
+from itertools import count
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from deploy.record.records import Records
+from deploy.scenario.plan import Plan
+from deploy.scenario.scenario import Scenario, ScenarioError, load, parse
+from netshaper import capture
+from netshaper.ledger import CAUSES, MALFORMED
+from protocol.packets import ALL_KINDS
+from worldsim import maps
+from worldsim.atomic_files import write_whole
+from worldsim.maps import Map, to_world
+
+SCENARIO, SUMMARY, STEPS, LEDGER = "scenario.toml", "summary.json", "steps.parquet", "ledger.parquet"
+CAPTURE = "radio.pcapng"
+MAP = "map.yaml"
+TEAM_MAP = "team.yaml"
+PICTURE = "maps.png"
+PICTURES = "pictures"
+LOGS = "logs"
+RUNS = Path("runs")
+"""Where runs go for which no directory was named."""
+
+FIGURES = (
+    "finished", "reason", "steps", "first_robot", "coverage", "map_agreement", "t90", "t99", "robots", "seed",
+    "map", "bus", "strategy", "exchange", "bandwidth", "range_m", "bytes", "packets", "over_budget_steps",
+    "undelivered", "lost", "digest", "steps_per_s", "versions",
+)  # fmt: skip
+"""What must be in a summary for a run to be told of, or repeated."""
+
+
+def check_free(out: Path | None) -> None:
+    """Raise ScenarioError if `out` is not to be had for a new run: it is a file, or not empty."""
+    if out is not None and out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise ScenarioError(f"out = {out}: it exists already; name a new directory, or empty this one")
+    if out is None and RUNS.exists() and not RUNS.is_dir():
+        raise ScenarioError(
+            f"{RUNS} is a file, and runs go into a directory of that name: move it, or use --out"
+        )
+
+
+def create(out: Path | None, plan: Plan) -> Path:
+    """Make the directory of a new run; without a name, one is found under ``runs``.
+
+    Raises
+    ------
+    ScenarioError
+        It is not free, or cannot be made.
+    """
+    check_free(out)
+    try:
+        out = out or _next_free(plan)
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ScenarioError(f"out = {out or RUNS}: cannot be made: {error.strerror}") from None
+    write_inputs(out, plan)
+    return out
+
+
+def _next_free(plan: Plan) -> Path:
+    """Make a directory that no other run has taken, not even one that begins at the same time."""
+    scenario = plan.scenario
+    stem = f"{plan.map.name}-{scenario.exchange}-{scenario.robots}robots-seed{scenario.seed}"
+    RUNS.mkdir(exist_ok=True)
+    for number in count(1):
+        directory = RUNS / (stem if number == 1 else f"{stem}-{number}")
+        with contextlib.suppress(FileExistsError):
+            directory.mkdir()
+            break
+    return directory
+
+
+def write_inputs(out: Path, plan: Plan) -> None:
+    """Write what decides the run: its map, and its scenario with every setting, pointing to that map."""
+    maps.save(plan.map, out / MAP)
+    data = plan.scenario.model_dump(mode="json", exclude_none=True) | {"map": MAP}
+    text = f"# {plan.map.name}: everything that decides this run. Repeat it: murmur replay {out}\n"
+    text += parse(data).to_toml()
+    write_whole(out / SCENARIO, lambda file: file.write(text.encode()))
+
+
+@contextlib.contextmanager
+def open_capture(directory: Path | None, plan: Plan) -> Iterator[BinaryIO | None]:
+    """Begin ``radio.pcapng``; what is written to it is on the disk at once."""
+    if directory is None:
+        yield None
+        return
+    scenario = plan.scenario
+    about = (
+        f"{scenario.robots} robots on {plan.map.name}, exchange {scenario.exchange}, "
+        f"bandwidth {scenario.bandwidth}, range {plan.range_m:.1f} m, seed {scenario.seed}"
+    )
+    with (directory / CAPTURE).open("wb", buffering=0) as file:
+        file.write(capture.head(about))
+        yield file
+
+
+def read_scenario(directory: Path) -> Scenario:
+    """Read the scenario of a run directory, its map found in it; ScenarioError if it is none."""
+    if not (directory / SCENARIO).is_file():
+        raise ScenarioError(f"{directory}: no run directory, for it has no {SCENARIO}")
+    return load(directory / SCENARIO, {})
+
+
+def read_summary(directory: Path) -> dict[str, Any]:
+    """Read the summary of a run directory; ScenarioError if it has none."""
+    try:
+        summary = json.loads((directory / SUMMARY).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ScenarioError(f"{directory}: no readable {SUMMARY} ({error})") from None
+    missing = [key for key in FIGURES if not isinstance(summary, dict) or key not in summary]
+    if missing:
+        raise ScenarioError(
+            f"{directory}: {SUMMARY} is not that of a run, for it has no {', '.join(missing)}"
+        )
+    found: dict[str, Any] = summary
+    return found
+
+
+def write_results(out: Path, plan: Plan, records: Records, summary: dict[str, Any]) -> None:
+    """Write summary, tables and maps."""
+    from pyarrow import parquet  # noqa: PLC0415  half a second that processes need not wait for
+
+    from deploy.record.map_pictures import draw_maps  # noqa: PLC0415
+
+    text = json.dumps(summary, indent=2) + "\n"
+    write_whole(out / SUMMARY, lambda file: file.write(text.encode()))
+    write_whole(out / STEPS, lambda file: parquet.write_table(steps_table(plan, records), file))
+    write_whole(out / LEDGER, lambda file: parquet.write_table(ledger_table(records), file))
+    if records.own:
+        team = np.maximum.reduce([records.own[robot] for robot in sorted(records.own)])
+        named = {"team": team} | {f"planning-r{robot}": grid for robot, grid in records.planning.items()}
+        for name, grid in named.items():
+            if (grid == 1).any():
+                maps.save(Map(name, grid, plan.map.resolution, plan.map.origin), out / f"{name}.yaml")
+        draw_maps(out / PICTURE, plan, records, summary)
+
+
+def steps_table(plan: Plan, records: Records) -> Any:
+    """A row a step and robot: where it was, what it was at; metres in the map's frame."""
+    import pyarrow as pa  # noqa: PLC0415
+
+    cell = plan.map.resolution
+    minds = {(r, report.step): report for r, reports in enumerate(records.minds) for report in reports}
+    rows: list[dict[str, Any]] = []
+    for report in records.world:
+        for robot, x_mm, y_mm, heading in np.frombuffer(report.poses, "<i4").reshape(-1, 4).tolist():
+            x, y = to_world(plan.map, x_mm / 1000 / cell, y_mm / 1000 / cell)
+            row = {
+                "step": report.step,
+                "robot": robot,
+                "x": x,
+                "y": y,
+                "heading": heading / 10,
+                "driven": report.driven[robot] / 1000,
+                "team_seen": report.seen / report.reachable,
+            }
+            mind = minds.get((robot, report.step))
+            if mind is not None:
+                has_target = mind.target_x >= 0
+                target = to_world(plan.map, mind.target_x, mind.target_y) if has_target else (None, None)
+                row |= {
+                    "target_x": target[0],
+                    "target_y": target[1],
+                    "known_cells": mind.known,
+                    "backlog": mind.backlog,
+                    "status": mind.status,
+                    "work_us": mind.work_us,
+                }
+            rows.append(row)
+    schema = pa.schema(
+        [(name, pa.int32()) for name in ("step", "robot")]
+        + [(name, pa.float64()) for name in ("x", "y", "heading", "driven", "team_seen")]
+        + [(name, pa.float64()) for name in ("target_x", "target_y")]
+        + [
+            ("known_cells", pa.int32()),
+            ("backlog", pa.int32()),
+            ("status", pa.string()),
+            ("work_us", pa.int32()),
+        ]
+    )
+    return pa.Table.from_pylist(rows, schema=schema)
+
+
+def ledger_table(records: Records) -> Any:
+    """A row a frame and packet kind, as the contract names the columns."""
+    import pyarrow as pa  # noqa: PLC0415
+
+    ledger = records.ledger()
+    kinds = np.array([*ALL_KINDS, "malformed"])
+    causes = np.array(CAUSES)
+    columns: dict[str, Any] = {}
+    for name in ledger.dtype.names or ():
+        column = np.ascontiguousarray(ledger[name])
+        if name == "kind":
+            columns[name] = pa.array(kinds[np.where(column == MALFORMED, len(ALL_KINDS), column)])
+        elif name == "cause":
+            columns[name] = pa.array(causes[column])
+        else:
+            columns[name] = pa.array(column == 1 if name == "carried" else column)
+    return pa.table(columns)

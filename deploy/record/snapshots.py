@@ -1,0 +1,97 @@
+"""Robots' maps over time: what a viewer was shown, kept as ``snapshots.parquet`` in the run directory.
+
+A row is a planning grid (`about` is -1) or the outlines of one robot's map, as `robot` held them at `step`.
+Each robot tells only what has changed: what it does not tell anew still stands.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from protocol import keys as names
+from protocol.grid import Grid
+from protocol.messages import Outlines, Snapshot, grid_from_bytes
+from worldsim.atomic_files import write_whole
+
+SNAPSHOTS = "snapshots.parquet"
+PLANNING = -1
+"""What a row is about that holds a planning grid."""
+
+COLUMNS = ("step", "robot", "about", "width", "height", "data")
+
+
+@dataclass
+class Snapshots:
+    """All that robots have shown of their maps, in the order of steps."""
+
+    steps: dict[tuple[int, int], list[int]] = field(default_factory=dict)
+    shown: dict[tuple[int, int], list[Snapshot | Outlines]] = field(default_factory=dict)
+
+    def take(self, sender: str, said: object) -> None:
+        """Keep what a robot shows; everything else passes by."""
+        if isinstance(said, Snapshot | Outlines):
+            about = said.about if isinstance(said, Outlines) else PLANNING
+            self._add((names.number(sender), about), said)
+
+    def planning(self, robot: int, step: int) -> Grid | None:
+        """The planning grid of a robot at a step; None if it has shown none by then."""
+        said = self._latest((robot, PLANNING), step)
+        return grid_from_bytes(said.planning, said.width, said.height) if isinstance(said, Snapshot) else None
+
+    def outlines(self, robot: int, about: int, step: int) -> bytes:
+        """Outlines of robot `about`'s map as `robot` held them at a step (`protocol.messages.Outlines`)."""
+        said = self._latest((robot, about), step)
+        return said.vertices if isinstance(said, Outlines) else b""
+
+    def told_steps(self, robot: int, about: int = PLANNING) -> list[int]:
+        """Steps at which a robot has shown its planning grid, or its outlines of `about`'s map, anew."""
+        return self.steps.get((robot, about), [])
+
+    @property
+    def has_outlines(self) -> bool:
+        """Whether robots have shown any outlines."""
+        return any(about != PLANNING for _, about in self.steps)
+
+    def write(self, path: Path) -> None:
+        """Write them as a parquet file, which appears whole or not at all."""
+        import pyarrow as pa  # noqa: PLC0415  half a second that the command line need not wait for
+        from pyarrow import parquet  # noqa: PLC0415
+
+        rows = [_row(robot, about, said) for (robot, about), told in self.shown.items() for said in told]
+        rows.sort(key=lambda row: row[:3])
+        kinds = (pa.int32(), pa.int32(), pa.int32(), pa.int32(), pa.int32(), pa.binary())
+        columns: Any = list(zip(*rows, strict=True)) if rows else [[] for _ in COLUMNS]
+        arrays = [pa.array(column, kind) for column, kind in zip(columns, kinds, strict=True)]
+        table = pa.table(arrays, list(COLUMNS))
+        write_whole(path, lambda file: parquet.write_table(table, file, compression="zstd"))
+
+    @classmethod
+    def read(cls, path: Path) -> Snapshots:
+        """Read what `write` wrote."""
+        from pyarrow import parquet  # noqa: PLC0415
+
+        snapshots = cls()
+        table = parquet.read_table(path)
+        for step, robot, about, width, height, data in zip(
+            *(table[name].to_pylist() for name in COLUMNS), strict=True
+        ):
+            said = Snapshot(step, width, height, data) if about == PLANNING else Outlines(step, about, data)
+            snapshots._add((robot, about), said)
+        return snapshots
+
+    def _add(self, key: tuple[int, int], said: Snapshot | Outlines) -> None:
+        self.steps.setdefault(key, []).append(said.step)
+        self.shown.setdefault(key, []).append(said)
+
+    def _latest(self, key: tuple[int, int], step: int) -> Snapshot | Outlines | None:
+        at = bisect_right(self.steps.get(key, []), step)
+        return self.shown[key][at - 1] if at else None
+
+
+def _row(robot: int, about: int, said: Snapshot | Outlines) -> tuple[int, int, int, int, int, bytes]:
+    if isinstance(said, Snapshot):
+        return said.step, robot, about, said.width, said.height, said.planning
+    return said.step, robot, about, 0, 0, said.vertices

@@ -1,0 +1,167 @@
+"""What a run amounts to: the figures of the contract, and the digest that two equal runs share."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import platform
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.record.records import Records
+from deploy.scenario.plan import Plan
+from deploy.scenario.scenario import UNLIMITED
+from netshaper.ledger import CAUSES, sort_rows
+from protocol.grid import FREE
+from protocol.packets import ALL_KINDS
+
+PACKAGES = ("murmur-swarm", "eclipse-zenoh", "numba", "numpy", "scipy")
+
+SCAN_VALUES, VALUE_BYTES = 362, 2
+"""A raw scan by the thesis' reckoning (section 6.3): 360 ranges and a position, for each of the others."""
+
+Mask = NDArray[np.bool_]
+
+
+def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
+    """Work out ``summary.json`` from what was recorded; what cannot be said of a run cut short is null."""
+    scenario = plan.scenario
+    end = records.end
+    finished = end is not None and end.first >= 0
+    ledger = records.ledger()
+    reachable = plan.make_world().reachable
+    kinds, packets = _per_kind(ledger)
+    wanted = end.first if finished and end is not None else min(records.planning, default=-1)
+    steps = end.step if end is not None and end.step >= 0 else records.step
+    return {
+        "finished": finished,
+        "reason": end.reason if end is not None else "broken off",
+        "steps": steps,
+        "first_robot": end.first if finished and end is not None else None,
+        "coverage": _coverage(records, reachable),
+        "map_agreement": _share_free(records.planning[wanted], reachable)
+        if wanted in records.planning
+        else None,
+        "t90": _first_step(records, 0.90),
+        "t99": _first_step(records, 0.99),
+        "path_length": [mm / 1000 for mm in records.world[-1].driven] if records.world else [],
+        "robots": scenario.robots,
+        "seed": scenario.seed,
+        "map": plan.map.name,
+        "bus": scenario.bus,
+        "strategy": scenario.strategy,
+        "exchange": scenario.exchange,
+        "bandwidth": scenario.bandwidth,
+        "range_m": plan.range_m,
+        "bytes": kinds,
+        "raw_scan_bytes": steps * SCAN_VALUES * VALUE_BYTES * scenario.robots * (scenario.robots - 1),
+        "packets": packets,
+        "approximation_error": _approximation_error(records, wanted, int(reachable.sum())),
+        "over_budget_steps": _over_budget(ledger, scenario.bandwidth),
+        "wire_bytes": records.wire_bytes,
+        "undelivered": _undelivered(ledger),
+        "lost": {str(robot): cause for robot, cause in sorted(records.lost.items())},
+        "faults": len(records.faults),
+        "digest": digest(records),
+        "wall_s": round(wall_s, 3),
+        "steps_per_s": round(records.step / wall_s, 1) if wall_s else None,
+        "work_us_median": _median_work(records),
+        "versions": versions(),
+    }
+
+
+def digest(records: Records) -> str:
+    """Sha256 over canonical integers: the ledger sorted, poses by step and robot, all grids.
+
+    Poses are in whole millimetres and tenths of a degree; every figure is a little-endian int64, grids are
+    uint8 with their robot and shape before them.
+    """
+    total = hashlib.sha256()
+    rows = sort_rows(records.ledger())
+    for name in rows.dtype.names or ():
+        total.update(np.ascontiguousarray(rows[name]).astype("<i8").tobytes())
+    for report in records.world:
+        poses = np.frombuffer(report.poses, "<i4").astype("<i8")
+        total.update(np.array([report.step], "<i8").tobytes() + poses.tobytes())
+    for grids in (records.own, records.planning):
+        for robot, grid in sorted(grids.items()):
+            total.update(np.array([robot, *grid.shape], "<i8").tobytes() + grid.tobytes())
+    return total.hexdigest()
+
+
+def versions() -> dict[str, str]:
+    """What a digest depends on besides the scenario."""
+    found = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            found[package] = "not installed"
+    return found
+
+
+def _coverage(records: Records, reachable: Mask) -> float:
+    """What the team has seen, by its own grids; where a robot was lost with its grid, by the world's account."""
+    if not records.own or records.lost:
+        return records.explored
+    team = np.zeros(reachable.shape, np.bool_)
+    for grid in records.own.values():
+        team |= grid == FREE
+    return float((team & reachable).sum() / reachable.sum())
+
+
+def _share_free(grid: NDArray[np.uint8], reachable: Mask) -> float:
+    return float(((grid == FREE) & reachable).sum() / reachable.sum())
+
+
+def _first_step(records: Records, share: float) -> int | None:
+    return next((w.step for w in records.world if w.seen >= share * w.reachable), None)
+
+
+def _per_kind(ledger: NDArray[np.void]) -> tuple[dict[str, int], dict[str, int]]:
+    """Bytes and packets carried, of each kind that was on the air, and in total."""
+    carried = ledger[ledger["carried"] == 1]
+    sizes: dict[str, int] = {}
+    counts: dict[str, int] = {}
+    for number, kind in enumerate(ALL_KINDS):
+        rows = carried[carried["kind"] == number]
+        if len(rows):
+            sizes[kind] = int(rows["bytes"].sum())
+            counts[kind] = int(rows["packets"].sum())
+    sizes["total"] = int(carried["bytes"].sum())
+    counts["total"] = int(carried["packets"].sum())
+    return sizes, counts
+
+
+def _approximation_error(records: Records, robot: int, cells: int) -> float | None:
+    """Mean over the steps of one robot's d(t), as a share of the cells to explore (thesis, Eq. 6.1)."""
+    if not 0 <= robot < len(records.minds) or not records.minds[robot]:
+        return None
+    return float(np.mean([report.error for report in records.minds[robot]]) / cells)
+
+
+def _over_budget(ledger: NDArray[np.void], bandwidth: int | str) -> int:
+    """Steps that carried more than the budget: there must be none."""
+    if bandwidth == UNLIMITED or not len(ledger):
+        return 0
+    on_air = ledger["bytes"] * ledger["carried"]
+    return int((np.bincount(ledger["step"], weights=on_air) > int(bandwidth)).sum())
+
+
+def _undelivered(ledger: NDArray[np.void]) -> dict[str, int]:
+    """Frames that did not go on the air whole, by cause."""
+    cut = ledger[ledger["carried"] == 0]
+    frames = np.unique(cut[["step", "exchange", "connection", "frame", "sender", "receiver", "map", "cause"]])
+    return {
+        cause: int((frames["cause"] == number).sum())
+        for number, cause in enumerate(CAUSES)
+        if cause and (frames["cause"] == number).any()
+    }
+
+
+def _median_work(records: Records) -> float | None:
+    """Microseconds of thinking that a robot needs a step, in the median."""
+    work = [report.work_us for reports in records.minds for report in reports]
+    return float(np.median(work)) if work else None

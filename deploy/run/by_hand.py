@@ -1,0 +1,149 @@
+"""Processes started by hand, each in a terminal or on a host of its own (docs/several-terminals.md)."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Callable
+from contextlib import closing
+from ipaddress import ip_address
+from pathlib import Path
+
+from deploy.dashboard.process import ViewTask, serve
+from deploy.dashboard.windows import Window
+from deploy.record import run_directory
+from deploy.record.records import LabNode, Records
+from deploy.record.wire_bytes import Meter
+from deploy.run.exploration import Result, conclude
+from deploy.run.interrupt import Interrupt
+from deploy.run.launch import Outcome, attend
+from deploy.run.processes import WorldTask, relay, serve_agent, serve_world
+from deploy.scenario import plan as plans
+from deploy.scenario.plan import Plan
+from deploy.scenario.scenario import Scenario, ScenarioError, load
+from netshaper import access
+from netshaper.hub import open_hub
+from protocol import keys as names
+from protocol.bus import BusClosed
+from protocol.keys import Keys
+from protocol.zenoh_bus import Credential, join
+
+SCENARIO = "scenario.toml"
+"""Lies beside the credentials: what the netshaper was given, for the others to compare theirs with."""
+MOST_PORT = 65535
+
+
+def serve_netshaper(scenario: Scenario, listen: str, folder: Path, tell: Callable[[str], object]) -> None:
+    """Write credentials for a new run into `folder`, then be its hub and relay."""
+    plan = plans.make(scenario)
+    endpoint = _endpoint(listen)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise ScenarioError(f"credentials = {folder}: it exists already; name a new directory")
+    run = secrets.token_hex(4)
+    credentials = access.issue(run, endpoint, scenario.robots)
+    with closing(open_hub(run, endpoint, credentials)) as bus:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, credential in credentials.items():
+            credential.write(folder / f"{name}.json")
+        (folder / SCENARIO).write_text(scenario.to_toml(), encoding="utf-8")
+        tell(f"run {run} at {endpoint}; credentials in {folder}: {', '.join(credentials)}")
+        relay(bus, run, plan.radio, tell)
+
+
+def _endpoint(listen: str) -> str:
+    """Where the hub listens, as zenoh has it; that address stands in every credential."""
+    host, _, port = listen.rpartition(":")
+    if not host or not port.isdecimal() or not 1 <= int(port) <= MOST_PORT:
+        raise ScenarioError(
+            f"listen = {listen!r}: must be HOST:PORT, as 127.0.0.1:7447, with a port from 1 to {MOST_PORT}"
+        )
+    if _is_everywhere(host):
+        raise ScenarioError(
+            f"listen = {listen!r}: stands in every credential, and nobody can be reached at {host}; "
+            "give the address by which others know this host"
+        )
+    return f"tcp/{listen}"
+
+
+def _is_everywhere(host: str) -> bool:
+    """Whether a host is the address that stands for all of its own."""
+    try:
+        return ip_address(host.strip("[]")).is_unspecified
+    except ValueError:
+        return False  # a name
+
+
+def serve_worldsim(scenario: Scenario, credential: Path) -> None:
+    """Be the world of the run that the credential belongs to."""
+    _check_same(scenario, credential)
+    plan = plans.make(scenario)
+    task = WorldTask(plan.make_world(), plan.minds, scenario.steps, 1000 * plan.map.resolution)
+    serve_world(_credential(credential, names.WORLD), task)
+
+
+def serve_robot(credential: Path) -> None:
+    """Be the robot that the credential names."""
+    read = Credential.read(credential)
+    names.number(read.name)
+    serve_agent(read)
+
+
+def serve_lab(
+    scenario: Scenario,
+    credential: Path,
+    out: Path | None,
+    watch: Callable[[Plan, Records], object] | None,
+    tell: Callable[[str], object] = lambda _: None,
+) -> Result:
+    """Be the laboratory: record the run and write its directory; `tell` hears that Ctrl-C is heeded."""
+    _check_same(scenario, credential)
+    plan = plans.make(scenario)
+    read = _credential(credential, names.LAB)
+    run_directory.check_free(out)
+    bus = join(read)
+    interrupt = Interrupt(tell)
+    deaths: dict[str, str] = {}
+    with interrupt.caught():
+        with closing(bus):
+            directory = run_directory.create(out, plan)
+            began = time.perf_counter()
+            with run_directory.open_capture(directory, plan) as capture:
+                lab = LabNode(bus, Keys(read.run), scenario.robots, capture, Meter(read.hub))
+
+                def look() -> bool:
+                    if watch is not None:
+                        watch(plan, lab.records)
+                    return False
+
+                try:
+                    attend(bus, lab, interrupt.heed, look)
+                except BusClosed as error:
+                    deaths[names.RELAY] = str(error)
+        return conclude(plan, Outcome(lab.records, deaths), directory, time.perf_counter() - began)
+
+
+def serve_viewer(scenario: Scenario, credential: Path, out: Path, window: Window) -> None:
+    """Watch a run and record it into `out`, from now on until it is over."""
+    _check_same(scenario, credential)
+    out.mkdir(parents=True, exist_ok=True)
+    task = ViewTask(plans.make(scenario), out, port=window.port)
+    serve(_credential(credential, names.VIEW), task, window.open)
+
+
+def _check_same(scenario: Scenario, credential: Path) -> None:
+    """Refuse a scenario that is not the netshaper's, if that lies beside the credential; paths may differ."""
+    beside = credential.parent / SCENARIO
+    if not beside.exists():
+        return
+    theirs, ours = (each.model_dump(exclude={"bus"}) for each in (load(beside, {}), scenario))
+    for key, value in ours.items():
+        differs = Path(value).name != Path(theirs[key]).name if key == "map" else value != theirs[key]
+        if differs:
+            raise ScenarioError(f"{key} = {value!r} here, but {theirs[key]!r} in {beside}: give all the same")
+
+
+def _credential(path: Path, name: str) -> Credential:
+    read = Credential.read(path)
+    if read.name != name:
+        raise ScenarioError(f"credential {path} is that of {read.name}; {name}.json is needed here")
+    return read

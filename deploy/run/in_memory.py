@@ -1,0 +1,92 @@
+"""A run in one process: the same minds and shells as on Zenoh, on the memory bus. For sweeps and tests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import BinaryIO, Protocol
+
+from agent.process import AgentNode
+from deploy.record.records import LabNode, Records
+from deploy.scenario.plan import Plan
+from netshaper.process import RelayNode
+from protocol import keys as names
+from protocol.bus import Bus, BusClosed, Message
+from protocol.memory_bus import MemoryHub
+from worldsim.process import WorldNode
+
+
+class Node(Protocol):
+    """What all shells are."""
+
+    done: bool
+
+    def handle(self, message: Message) -> None:
+        """Take one message from the bus."""
+
+
+def run(
+    plan: Plan,
+    watch: Callable[[Records], object] | None = None,
+    capture: BinaryIO | None = None,
+    *,
+    heed: Callable[[LabNode], object] = lambda _: None,
+    wrap: Callable[[str, Bus], Bus] = lambda _, bus: bus,
+    view: Node | None = None,
+    wait: Callable[[], object] = lambda: None,
+) -> Records:
+    """Run a plan to its end.
+
+    `watch` is called once a step, `capture` takes the frames (`deploy.record.records`), `heed` may end the run early
+    (`deploy.run.interrupt`), `wrap` may lay something around each participant's end of the bus; `view` is a viewer,
+    `wait` the world's pace.
+    """
+    hub = MemoryHub("memory")
+    keys = hub.keys
+    robots = plan.scenario.robots
+    buses: dict[str, Bus] = {}
+    watching = [names.VIEW] if view is not None else []
+    for name in (names.RELAY, *watching, names.LAB, names.WORLD, *map(names.robot, range(robots))):
+        buses[name] = wrap(name, hub.join(name))
+    lab = LabNode(buses[names.LAB], keys, robots, capture)
+    world = WorldNode(
+        buses[names.WORLD],
+        keys,
+        plan.make_world(),
+        plan.minds,
+        plan.scenario.steps,
+        1000 * plan.map.resolution,
+        wait=wait,
+    )
+    nodes: dict[str, Node] = {
+        names.RELAY: RelayNode(buses[names.RELAY], keys, plan.radio),
+        names.WORLD: world,
+        names.LAB: lab,
+    }
+    for number in range(robots):
+        name = names.robot(number)
+        nodes[name] = AgentNode(buses[name], keys, number)
+    if view is not None:
+        nodes[names.VIEW] = view
+    step = 0
+    while not all(node.done for node in nodes.values()):
+        spoke = False
+        heed(lab)
+        for name, node in nodes.items():
+            while (message := _next(buses[name])) is not None:
+                node.handle(message)
+                spoke = True
+            if node.done:
+                buses[name].close()
+        if not spoke and not all(node.done for node in nodes.values()):
+            raise RuntimeError("the run stands still: everyone waits for someone")
+        if watch is not None and lab.records.step > step:
+            step = lab.records.step
+            watch(lab.records)
+    return lab.records
+
+
+def _next(bus: Bus) -> Message | None:
+    try:
+        return bus.receive(0)
+    except BusClosed:
+        return None

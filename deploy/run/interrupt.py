@@ -1,0 +1,52 @@
+"""Ctrl-C and SIGTERM: they end a run early and lose nothing of it."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+from collections.abc import Callable, Iterator
+
+from deploy.record.records import LabNode
+
+REASON = "interrupted"
+
+
+class Interrupt:
+    """The wish that a run ends early.
+
+    Parameters
+    ----------
+    tell : callable, optional
+        Hears, once, that the wish is heeded: the end takes a while.
+    """
+
+    def __init__(self, tell: Callable[[str], object] = lambda _: None) -> None:
+        self._came = False
+        self._heeded = False
+        self._tell = tell
+
+    @contextlib.contextmanager
+    def caught(self) -> Iterator[None]:
+        """Take Ctrl-C and SIGTERM for that wish instead of dying of them (in the main thread)."""
+        before = {}
+        try:
+            for number in (signal.SIGINT, signal.SIGTERM):
+                before[number] = signal.signal(number, self._come)
+        except ValueError:
+            before = {}  # not the main thread: signals are its affair
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    def heed(self, lab: LabNode) -> bool:
+        """Have the run ended after this step if that is wished; say whether it is."""
+        if self._came and not self._heeded and not lab.done:
+            self._heeded = True
+            self._tell("ending after this step; writing the run directory")
+            lab.stop(REASON)
+        return self._came
+
+    def _come(self, *_: object) -> None:
+        self._came = True

@@ -1,0 +1,169 @@
+"""A run as processes: relay, world and robots in a `Family`, the laboratory in this process.
+
+One table says what runs; all of it starts at once and meets at the hub; nothing sleeps.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from deploy.dashboard.process import ViewTask
+from deploy.dashboard.watch import announced
+from deploy.record.records import LabNode, Records
+from deploy.record.wire_bytes import Meter
+from deploy.run.process_table import Family
+from deploy.run.processes import WorldTask, serve_agent, serve_relay, serve_view, serve_world
+from deploy.scenario.plan import Plan
+from protocol import keys as names
+from protocol.bus import Bus, BusClosed
+from protocol.keys import Keys
+from protocol.zenoh_bus import join
+
+POLL_S = 0.25
+VIEWER_S = 10.0
+"""How long the viewer may take to come; the run begins without it then."""
+VIEWER_END_S = 5.0
+"""How long the viewer may take to write what it has at the end."""
+WRAP_UP_S = 3.0
+"""How long the others may be silent once the run is over or was interrupted, and something is not handed in."""
+
+Heed = Callable[[LabNode], bool]
+"""Asked again and again: has the run ended early if someone wishes that, and says whether (`Interrupt.heed`)."""
+
+
+@dataclass
+class Outcome:
+    """What a launch brought: the records, and what went wrong, by process."""
+
+    records: Records
+    deaths: dict[str, str]
+    view_fault: str = ""
+    """What went wrong with the viewer, without which the run went on."""
+
+
+@dataclass(frozen=True)
+class Show:
+    """A viewer of the run: what it is to do, and what to call once it is there."""
+
+    task: ViewTask
+    ready: Callable[[], object]
+
+
+def run(
+    plan: Plan,
+    logs: Path | None,
+    watch: Callable[[Records], object] | None = None,
+    capture: BinaryIO | None = None,
+    *,
+    heed: Heed = lambda _: False,
+    show: Show | None = None,
+    pace: float | None = None,
+    live: Path | None = None,
+) -> Outcome:
+    """Run a plan as processes; `watch` is called as records come in, at most a few times a second.
+
+    What the processes print goes to files in `logs`, or is gone after the run if that is None; `capture`
+    takes the frames (`deploy.record.records`); `heed` may end it early; `show` adds a viewer; `pace` is the steps a
+    second at most; `live` is a directory in which to say how to look at the run (`deploy.dashboard.watch`).
+    """
+    if logs is None:
+        with tempfile.TemporaryDirectory() as folder:
+            return run(plan, Path(folder), watch, capture, heed=heed, show=show, pace=pace, live=live)
+    robots = plan.scenario.robots
+    world = WorldTask(plan.make_world(), plan.minds, plan.scenario.steps, 1000 * plan.map.resolution, pace)
+    with Family(logs, robots) as family:
+        table: dict[str, tuple[Callable[..., None], *tuple[object, ...]]] = {
+            names.RELAY: (serve_relay, family.run, family.endpoint, family.credentials, plan.radio),
+            names.WORLD: (serve_world, family.credentials[names.WORLD], world),
+        }
+        for name in map(names.robot, range(robots)):
+            table[name] = (serve_agent, family.credentials[name])
+        port = show.task.port if show is not None else None
+        with announced(live, family.credentials[names.VIEW], port):
+            for name, (serve, *args) in table.items():
+                family.start(name, serve, *args)
+            if show is not None:
+                _start_viewer(family, show)
+            outcome = _attend(family, robots, heed, watch, capture)
+            if show is not None:
+                outcome.view_fault = family.await_end(names.VIEW, VIEWER_END_S)
+            return outcome
+
+
+def _start_viewer(family: Family, show: Show) -> None:
+    """Start the viewer, and wait a little for it, so that it sees the first steps; it is not needed."""
+    here, there = multiprocessing.Pipe(duplex=False)
+    family.start(names.VIEW, serve_view, family.credentials[names.VIEW], show.task, there, needed=False)
+    there.close()
+    with contextlib.suppress(EOFError):
+        if here.poll(VIEWER_S) and here.recv():
+            show.ready()
+
+
+def _attend(
+    family: Family,
+    robots: int,
+    heed: Heed,
+    watch: Callable[[Records], object] | None,
+    capture: BinaryIO | None,
+) -> Outcome:
+    """Be the laboratory until the run is over."""
+    deaths = family.deaths
+    try:
+        bus = join(family.credentials[names.LAB])
+    except ConnectionError as error:
+        family.look().setdefault(names.RELAY, str(error))
+        return Outcome(Records(robots), deaths)
+    lab = LabNode(bus, Keys(family.run), robots, capture, Meter(family.endpoint))
+
+    def look() -> bool:
+        if watch is not None:
+            watch(lab.records)
+        if family.look() and not lab.records.world:
+            lab.send_home()  # no first step can come
+        return names.WORLD in deaths
+
+    with contextlib.closing(bus):
+        try:
+            attend(bus, lab, heed, look)
+        except BusClosed as error:
+            time.sleep(POLL_S)  # the system tells of the death a moment after the bus
+            family.look().setdefault(names.RELAY, str(error))
+    family.look()
+    return Outcome(lab.records, deaths)
+
+
+def attend(bus: Bus, lab: LabNode, heed: Heed, look: Callable[[], bool]) -> None:
+    """Be the laboratory until all is recorded, or those who have something left fall silent.
+
+    `look` is called a few times a second, and says whether the run is broken: then it ends as well.
+
+    Raises
+    ------
+    BusClosed
+        The relay is gone.
+    """
+    ending = False
+    heard = looked = 0.0
+    while not lab.done:
+        message = bus.receive(POLL_S)
+        now = time.monotonic()
+        if message is not None:
+            heard = now
+            lab.handle(message)
+        if now - looked < POLL_S:
+            continue
+        looked = now
+        lab.read_meter()
+        broken, wished = look(), heed(lab)
+        if not ending and (broken or wished or lab.records.end is not None):
+            ending, heard = True, now
+        if ending and now - heard > WRAP_UP_S:
+            lab.send_home()

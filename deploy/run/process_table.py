@@ -1,0 +1,134 @@
+"""The processes of one run: a table of children from one fork server, their credentials, their ends.
+
+Children start with the code imported and the kernels loaded, before any bus is opened. What ends before its
+time is reported by name and last words; none outlives the family.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import secrets
+import signal
+import socket
+import sys
+import time
+import types
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from multiprocessing.context import ForkServerProcess
+from pathlib import Path
+from typing import Self
+
+from deploy.run.processes import in_background
+from netshaper import access
+
+GRACE_S = 1.0
+"""How long a child may take to end by itself before it is terminated, and then killed."""
+
+
+@dataclass
+class Child:
+    """One row of the process table."""
+
+    name: str
+    process: ForkServerProcess
+    log: Path
+    needed: bool = True
+    """Whether the run is broken if it ends before its time."""
+
+    def last_words(self) -> str:
+        """How it ended and the last line that it wrote."""
+        code = self.process.exitcode
+        how = f"exit code {code}"
+        if code is not None and code < 0:
+            how = f"killed by {signal.Signals(-code).name}"
+        lines = self.log.read_text(errors="replace").split("\n") if self.log.exists() else []
+        said = [line.strip() for line in lines if line.strip()]
+        return f"{how}; its last words: {said[-1]}" if said else f"{how}, without a word"
+
+
+class Family:
+    """A run's children; a context manager that leaves none behind.
+
+    Attributes
+    ----------
+    run, endpoint, credentials
+        What children need to meet: made anew for each family.
+    deaths : dict of name to last words
+        Children that ended before their time, as far as `look` has seen.
+    """
+
+    def __init__(self, logs: Path, robots: int) -> None:
+        self.run = secrets.token_hex(4)
+        self.endpoint = f"tcp/127.0.0.1:{_free_port()}"
+        self.credentials = access.issue(self.run, self.endpoint, robots)
+        self.deaths: dict[str, str] = {}
+        self._logs = logs
+        self._children: list[Child] = []
+        self._context = multiprocessing.get_context("forkserver")
+        self._context.set_forkserver_preload(["deploy.run.processes"])
+
+    def __enter__(self) -> Self:
+        self._logs.mkdir(parents=True, exist_ok=True)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
+
+    def start(self, name: str, serve: Callable[..., None], *args: object, needed: bool = True) -> None:
+        """Start a child that runs ``serve(*args)``; what it prints goes to ``NAME.log``."""
+        log = self._logs / f"{name}.log"
+        with _blank_main():
+            process = self._context.Process(target=in_background, args=(name, log, serve, *args), name=name)
+            process.start()
+        self._children.append(Child(name, process, log, needed))
+
+    def look(self) -> dict[str, str]:
+        """Look after the children; return all deaths so far."""
+        for child in self._children:
+            if child.needed and child.name not in self.deaths and child.process.exitcode not in (None, 0):
+                self.deaths[child.name] = child.last_words()
+        return self.deaths
+
+    def await_end(self, name: str, timeout_s: float) -> str:
+        """Wait for a child that ends by itself; say what went wrong with it, nothing if all is well."""
+        (child,) = (child for child in self._children if child.name == name)
+        child.process.join(timeout_s)
+        if child.process.exitcode is None:
+            return f"it did not end within {timeout_s:g} s"
+        return child.last_words() if child.process.exitcode else ""
+
+    def end(self) -> None:
+        """Wait, terminate, kill; leave no empty logs."""
+        for act in (lambda _: None, ForkServerProcess.terminate, ForkServerProcess.kill):
+            deadline = time.monotonic() + GRACE_S
+            for child in self._children:
+                if child.process.is_alive():
+                    act(child.process)
+            for child in self._children:
+                child.process.join(max(0.0, deadline - time.monotonic()))
+        for child in self._children:
+            if child.log.exists() and not child.log.stat().st_size:
+                child.log.unlink()
+        if self._logs.exists() and not any(self._logs.iterdir()):
+            self._logs.rmdir()
+
+
+@contextlib.contextmanager
+def _blank_main() -> Iterator[None]:
+    """Hide the main module, which children would import again, command line and all."""
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = types.ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
+
+
+def _free_port() -> int:
+    """A port of the loopback that nobody listens to now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port

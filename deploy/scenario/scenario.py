@@ -1,0 +1,266 @@
+"""A scenario: everything that decides a run's result, as TOML, checked before anything starts."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import fields
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import tomli_w
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from agent.exchange.catalogue import EXCHANGES
+from agent.exchange.polygon import PolygonOptions
+from agent.exchange.session import POLICIES
+from agent.strategies.registry import strategy
+from protocol.grid import MAX_ROBOTS
+
+UNLIMITED = "unlimited"
+
+SHIPPED = Path(__file__).with_name("shipped")
+"""Scenarios that are installed with the code; their names do for a path."""
+
+MOST_INTEGER = 2**31 - 1
+"""The largest whole number that a ledger's columns hold."""
+
+MOST_METRES = 1e6
+
+Whole = Annotated[int, Field(strict=True)]
+Metres = Annotated[float, Field(strict=True, ge=-MOST_METRES, le=MOST_METRES)]
+Positive = Annotated[float, Field(strict=True, gt=0, le=MOST_METRES)]
+NotNegative = Annotated[float, Field(strict=True, ge=0, le=MOST_METRES)]
+Degrees = Annotated[float, Field(strict=True, le=360)]
+
+
+class ScenarioError(ValueError):
+    """A scenario that cannot be run: the message names each key, its value and what would be right."""
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class RobotOverride(_Table):
+    """What one robot has that differs from the others."""
+
+    robot: Whole = Field(ge=0, description="the robot's number, from 0")
+    sensor_range: Positive | None = Field(None, description="metres")
+    field_of_view: Degrees | None = Field(None, gt=0, description="degrees")
+    speed: Positive | None = Field(None, description="metres a step")
+
+
+class Death(_Table):
+    """A robot that breaks down."""
+
+    robot: Whole = Field(ge=0, description="the robot's number, from 0")
+    step: Whole = Field(ge=1, le=MOST_INTEGER, description="the step at whose beginning it stops")
+
+
+class Scenario(_Table):
+    """All settings of a run, with their defaults. One step is one second."""
+
+    map: str = Field("office", description="a map's YAML file, or the name of a generator (murmur map list)")
+    map_seed: Whole = Field(0, ge=0, le=MOST_INTEGER, description="seed of the generator")
+    robots: Whole = Field(3, ge=1, le=MAX_ROBOTS, description="how many robots explore")
+    range: str = Field("100%", description="communication range: metres, or % of the map's diagonal")
+    bandwidth: int | Literal["unlimited"] = Field(1000, description="bytes a step for the whole team")
+    exchange: str = Field("polygon", description=f"how maps travel: {', '.join(EXCHANGES)}")
+    strategy: str = Field("meier", description="how targets are chosen (murmur strategies lists all)")
+    sensor_range: Positive = Field(5.0, description="metres that lasers see")
+    field_of_view: Degrees = Field(360.0, gt=0, description="degrees")
+    scanner_turn: Degrees = Field(0.0, ge=0, description="degrees that scanners turn a step; 0: all")
+    beams: Whole = Field(360, ge=4, le=3600, multiple_of=4, description="laser beams a full turn")
+    speed: Positive = Field(0.5, description="metres that robots drive a step")
+    seed: Whole = Field(0, ge=0, le=MOST_INTEGER, description="decides start poses and every draw")
+    bus: Literal["zenoh", "memory"] = Field("zenoh", description="processes on Zenoh, or all in one process")
+    steps: Whole = Field(
+        10000, ge=1, le=MOST_INTEGER, description="the run ends after this many steps at the latest"
+    )
+    start: tuple[Metres, Metres] | None = Field(
+        None, description="metres in the map's frame; seeded if left out"
+    )
+    radius: NotNegative = Field(0.0, description="metres; robots are discs, 0: points")
+    apart: Positive = Field(0.3, description="metres between start poses")
+    exchanges: Whole = Field(2, ge=1, le=16, description="exchanges a step (R)")
+    offers: Literal["backoff", "thesis"] = Field(
+        "backoff", description="when maps are offered: backoff, thesis"
+    )
+    interference: NotNegative = Field(0.0, description="metres; nearer robots hinder each other")
+    polygon: PolygonOptions = Field(
+        default_factory=PolygonOptions, description="options of the polygon exchange"
+    )
+    options: dict[str, Any] = Field(default_factory=dict, description="options of the strategy, by name")
+    robot: tuple[RobotOverride, ...] = Field((), description="robots that differ")
+    death: tuple[Death, ...] = Field((), description="robots that break down")
+
+    @field_validator("range", mode="before")
+    @classmethod
+    def _range_is_text(cls, value: object) -> object:
+        return str(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+    @field_validator("range")
+    @classmethod
+    def _range_makes_sense(cls, value: str) -> str:
+        _parse_range(value)
+        return value
+
+    @field_validator("bandwidth", mode="before")
+    @classmethod
+    def _bandwidth_makes_sense(cls, value: object) -> object:
+        if isinstance(value, str) and value.strip().isdecimal():
+            value = int(value)
+        if value != UNLIMITED and (type(value) is not int or not 0 <= value <= MOST_INTEGER):
+            raise ValueError(f"must be a whole number of bytes a step, 0 to {MOST_INTEGER}, or 'unlimited'")
+        return value
+
+    @field_validator("exchange")
+    @classmethod
+    def _exchange_is_known(cls, value: str) -> str:
+        if value not in EXCHANGES:
+            raise ValueError(f"there are: {', '.join(EXCHANGES)}")
+        return value
+
+    @field_validator("options")
+    @classmethod
+    def _options_are_plain(cls, value: dict[str, Any]) -> dict[str, Any]:
+        for name, option in value.items():
+            if isinstance(option, int | float) and not abs(option) <= MOST_INTEGER:
+                raise ValueError(f"{name} must lie between -{MOST_INTEGER} and {MOST_INTEGER}")
+        return value
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        strategy(self.strategy).check(self.options)
+        for table, entries in (("robot", self.robot), ("death", self.death)):
+            numbers = [entry.robot for entry in entries]
+            for number in numbers:
+                if number >= self.robots:
+                    raise ValueError(
+                        f"[[{table}]] speaks of robot {number}; the last one is {self.robots - 1}"
+                    )
+            if len(set(numbers)) < len(numbers):
+                raise ValueError(f"[[{table}]] speaks of a robot twice: {numbers}")
+        return self
+
+    def range_m(self, diagonal_m: float) -> float:
+        """Communication range in metres on a map with such a diagonal."""
+        number, is_share = _parse_range(self.range)
+        return diagonal_m * number / 100 if is_share else number
+
+    def body_of(self, number: int) -> RobotOverride:
+        """The hardware of one robot, all values filled in."""
+        own = next((entry for entry in self.robot if entry.robot == number), RobotOverride(robot=number))
+        return RobotOverride(
+            robot=number,
+            sensor_range=own.sensor_range or self.sensor_range,
+            field_of_view=own.field_of_view or self.field_of_view,
+            speed=own.speed or self.speed,
+        )
+
+    def to_toml(self) -> str:
+        """The scenario as TOML, every setting written out."""
+        return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
+
+
+assert set(Scenario.model_fields["offers"].annotation.__args__) == set(POLICIES)  # type: ignore[union-attr]
+
+
+def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
+    """Read a scenario file (None: only defaults) and lay the overrides that are not None over it.
+
+    Where there is no such file, a plain name is that of a shipped scenario. A map named in a file is looked
+    for beside that file.
+
+    Raises
+    ------
+    ScenarioError
+        The file cannot be read, or a key or value is wrong.
+    """
+    data: dict[str, Any] = {}
+    if path is not None:
+        path, data = read_toml(path, "scenario", SHIPPED)
+        if "map" in data:
+            data["map"] = beside(path, data["map"])
+    data |= {key: value for key, value in overrides.items() if value is not None}
+    where = f"scenario {path}" if path is not None else "scenario"
+    return parse(data, where)
+
+
+def read_toml(path: Path, kind: str, shipped: Path) -> tuple[Path, dict[str, Any]]:
+    """Read the file of a scenario or of an experiment (`kind`); return where it was found, and what it says.
+
+    Where there is no such file, a plain name is that of one in the directory `shipped`.
+
+    Raises
+    ------
+    ScenarioError
+        The file cannot be read, or is not TOML.
+    """
+    if len(path.parts) == 1 and not path.exists() and (shipped / path.name).exists():
+        path = shipped / path.name
+    try:
+        return path, tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        names = ", ".join(sorted(file.name for file in shipped.glob("*.toml")))
+        raise ScenarioError(f"{kind} {path}: no such file; shipped ones are {names}") from None
+    except OSError as error:
+        raise ScenarioError(f"{kind} {path}: {error.strerror or error}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{kind} {path}: not TOML: {error}") from None
+
+
+def beside(path: Path, named: Any) -> Any:
+    """The map that a file names: a YAML file is looked for beside that file, a generator's name stays."""
+    is_file = isinstance(named, str) and named.endswith((".yaml", ".yml"))
+    return str(path.parent / named) if is_file else named
+
+
+def parse(data: dict[str, Any], where: str = "scenario") -> Scenario:
+    """Check a scenario given as a dictionary.
+
+    Raises
+    ------
+    ScenarioError
+        A key or value is wrong; all that are wrong are named.
+    """
+    try:
+        return Scenario.model_validate(data)
+    except ValidationError as error:
+        lines = [_explain(item) for item in error.errors()]
+        raise ScenarioError("\n".join(f"{where}: {line}" for line in dict.fromkeys(lines))) from None
+
+
+_KEYS = {
+    "": list(Scenario.model_fields),
+    "robot": list(RobotOverride.model_fields),
+    "death": list(Death.model_fields),
+    "polygon": [field.name for field in fields(PolygonOptions)],
+}
+"""What may be set in each table."""
+
+
+def _explain(item: Any) -> str:
+    key = ".".join(str(part) for part in item["loc"] if part not in ("int", "literal['unlimited']"))
+    message = str(item["msg"]).removeprefix("Value error, ")
+    if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+        there_are = _KEYS[item["loc"][0] if len(item["loc"]) > 1 else ""]
+        return f"{key} is no setting; there are: {', '.join(there_are)}"
+    if item["type"] == "missing":
+        return f"{key} is missing"
+    return f"{key} = {item['input']!r}: {message}" if key else message
+
+
+def _parse_range(text: str) -> tuple[float, bool]:
+    """Read a range: (number, whether it is a share of the diagonal in %)."""
+    share = text.strip().endswith("%")
+    try:
+        number = float(text.strip().removesuffix("%"))
+    except ValueError:
+        number = math.nan
+    if not (number >= 0 and math.isfinite(number)):
+        raise ValueError(
+            "must be a distance of 0 or more: metres, as 12.5, or a share of the diagonal, as 30%"
+        )
+    return number, share

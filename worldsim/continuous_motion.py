@@ -1,0 +1,100 @@
+"""Continuous motion: along way points between cells' centres, never into a wall, never two robots in a cell.
+
+Positions are whole numbers, thousandths of a cell, so that a drive gives the same on every machine; a cell
+reaches half a cell from its centre to every side.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.grid import FREE, Grid
+from worldsim.cell_motion import NOT_BLOCKED, ROBOT, WALL
+
+FINE = 1000
+"""Units a cell."""
+
+_STRIDE = 100
+"""A drive is checked at least every tenth of a cell, and every tenth of its way if that is less than a cell."""
+
+Point = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Glide:
+    """What became of one robot's continuous move.
+
+    Attributes
+    ----------
+    point : (x, y)
+        Where it ends, in thousandths of a cell.
+    cells : list of (x, y)
+        Cells entered, in order.
+    length : float
+        Way driven, in cells.
+    blocked : str
+        Why it stopped short of its last way point, if not for want of way.
+    """
+
+    point: Point
+    cells: list[tuple[int, int]]
+    length: float
+    blocked: str
+
+
+def cell_of(point: Point) -> tuple[int, int]:
+    """The cell in which a point lies; a border belongs to the cell on its right, or below."""
+    return (point[0] + FINE // 2) // FINE, (point[1] + FINE // 2) // FINE
+
+
+def glide(truth: Grid, taken: NDArray[np.bool_], start: Point, points: list[Point], way: float) -> Glide:
+    """Move one robot along straight lines from point to point, for at most `way` cells.
+
+    Parameters
+    ----------
+    truth : uint8 array, shape (h, w)
+        The true map.
+    taken : bool array, shape (h, w)
+        Cells where other robots stand.
+    start : (x, y)
+        Where the robot is, in thousandths of a cell.
+    points : list of (x, y)
+        Way points, in thousandths of a cell.
+    way : float
+        How far it may drive, in cells. What it has left when the next check would lie beyond it is not driven.
+    """
+    stride = min(_STRIDE, max(1, int(way * _STRIDE)))
+    at, length = start, 0.0
+    cells: list[tuple[int, int]] = []
+    for point in points:
+        dx, dy = point[0] - at[0], point[1] - at[1]
+        pieces = max(1, -(-max(abs(dx), abs(dy)) // stride))
+        origin = at
+        for piece in range(1, pieces + 1):
+            ahead = origin[0] + dx * piece // pieces, origin[1] + dy * piece // pieces
+            step = math.hypot(ahead[0] - at[0], ahead[1] - at[1]) / FINE
+            if length + step > way:
+                return Glide(at, cells, length, NOT_BLOCKED)
+            here, there = cell_of(at), cell_of(ahead)
+            if here != there:
+                if not _is_passable(truth, here, there):
+                    return Glide(at, cells, length, WALL)
+                if taken[there[1], there[0]]:
+                    return Glide(at, cells, length, ROBOT)
+                cells.append(there)
+            at, length = ahead, length + step
+    return Glide(at, cells, length, NOT_BLOCKED)
+
+
+def _is_passable(truth: Grid, here: tuple[int, int], there: tuple[int, int]) -> bool:
+    """Whether a robot can pass from a cell to a neighbour; through a corner only if all around it is free."""
+    height, width = truth.shape
+    return all(
+        0 <= x < width and 0 <= y < height and truth[y, x] == FREE
+        for x in (here[0], there[0])
+        for y in (here[1], there[1])
+    )
