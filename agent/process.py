@@ -6,7 +6,7 @@ import time
 
 from agent.robot import Robot
 from agent.settings import Settings
-from agent.viewer_feed import SHOWN_EVERY, Showing
+from agent.viewer_feed import SHOWN_EVERY, ViewerFeed
 from protocol import keys as names
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
@@ -44,7 +44,7 @@ class AgentNode:
         self._robot: Robot | None = None
         self._frames: list[tuple[int, bytes]] = []
         self._early: Message | None = None
-        self._showing: Showing | None = None
+        self._viewer_feed: ViewerFeed | None = None
         self._step = 0
         self._work = 0.0
 
@@ -58,7 +58,7 @@ class AgentNode:
         if isinstance(said, Configure):
             self._robot = Robot(Settings.from_message(said.settings))
         elif isinstance(said, Watched):
-            self._showing = Showing() if said.here else None
+            self._viewer_feed = ViewerFeed() if said.here else None
         elif isinstance(said, End):
             self._show(said.step)
             self._hand_in_maps()
@@ -160,11 +160,11 @@ class AgentNode:
         """Tell the laboratory, and the viewer if there is one."""
         payload = pack(message)
         self._bus.put(self._keys.control(names.LAB, self._name), payload)
-        if self._showing is not None:
+        if self._viewer_feed is not None:
             self._bus.put(self._keys.control(names.VIEW, self._name), payload)
 
     def _show(self, step: int) -> None:
         """Tell the viewer, if there is one, what has changed of the robot's maps."""
-        if self._showing is not None and self._robot is not None:
-            for news in self._showing.news(step, self._robot):
+        if self._viewer_feed is not None and self._robot is not None:
+            for news in self._viewer_feed.news(step, self._robot):
                 self._bus.put(self._keys.control(names.VIEW, self._name), pack(news))

@@ -10,10 +10,10 @@ from protocol.grid import Grid
 from protocol.messages import Outlines, Snapshot, grid_to_bytes
 
 SHOWN_EVERY = 5
-"""Steps from one showing to the next."""
+"""Steps from one feed to the next."""
 
 
-class Showing:
+class ViewerFeed:
     """One viewer's end, as the robot sees it: what it has been shown."""
 
     def __init__(self) -> None:

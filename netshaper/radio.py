@@ -22,7 +22,7 @@ from netshaper.ledger import EVERYONE, tally
 from netshaper.medium import ANSWER, BROADCAST, DATA, OFFER, UNLIMITED, Connection, Medium
 from protocol import packets
 from protocol.errors import ProtocolError
-from protocol.keyed_random import chance
+from protocol.keyed_random import keyed_random
 from protocol.messages import Close, Open, Outcome, Said, Turn
 
 Item = TypeVar("Item")
@@ -218,7 +218,7 @@ class Radio:
         """Put things into an order that is drawn for this exchange."""
         if len(items) < 2:
             return items
-        draw = chance(self.settings.seed, purpose, self._step, self._exchange)
+        draw = keyed_random(self.settings.seed, purpose, self._step, self._exchange)
         return [items[index] for index in draw.permutation(len(items))]
 
     def _read_offer(self, sender: int, receiver: int, payload: bytes) -> Connection | None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from protocol.grid import FREE, Grid, disc, enlarge, fan
-from protocol.keyed_random import chance
+from protocol.keyed_random import keyed_random
 from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes, points_from_bytes
 from protocol.scans import NONE, draw
 from worldsim.cell_motion import INTERFERENCE, NOT_BLOCKED, drive, heading_of, swept
@@ -201,7 +201,7 @@ class World:
         )
         if not near:
             return False
-        draw_of = chance(self.settings.seed, "interference", robot, self.step)
+        draw_of = keyed_random(self.settings.seed, "interference", robot, self.step)
         return bool(draw_of.random() >= MOVES_AS_PLANNED)
 
     def _standing(self) -> NDArray[np.bool_]:
@@ -292,7 +292,7 @@ def start_cells(
     if first is None:
         largest = 1 + int(np.argmax(np.bincount(labels.ravel(), minlength=parts + 1)[1:]))
         ys, xs = np.nonzero(labels == largest)
-        pick = int(chance(seed, "start").integers(len(xs)))
+        pick = int(keyed_random(seed, "start").integers(len(xs)))
         first = int(xs[pick]), int(ys[pick])
     height, width = truth.shape
     if not (0 <= first[0] < width and 0 <= first[1] < height) or truth[first[1], first[0]] != FREE:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning.clusters import medoids
-from agent.planning.path_planner import Ways
+from agent.planning.path_planner import PathPlanner
 from protocol.kernels import kernel
 
 CANDIDATES = ("cells", "rfe", "anr", "breadth-first")
@@ -27,7 +27,7 @@ LEAST_CELLS = 3
 
 def goal_candidates(
     kind: str,
-    ways: Ways,
+    planner: PathPlanner,
     here: tuple[int, int],
     range_cells: float,
     robots: int,
@@ -55,9 +55,9 @@ def goal_candidates(
     """
     if kind == "breadth-first":
         taken = np.array(targets, np.int32).reshape(-1, 2)
-        found = ways.first_frontier(*here, taken, range_cells)
+        found = planner.first_frontier(*here, taken, range_cells)
         return np.array([found] if found is not None else [], np.int32).reshape(-1, 2)
-    cells = ways.frontier(*here)
+    cells = planner.frontier(*here)
     if kind == "cells" or not len(cells):
         return cells
     return representatives(cells, range_cells, robots if kind == "anr" else 0)

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.planning.path_planner import Ways
+from agent.planning.path_planner import PathPlanner
 from agent.planning.route import Route
-from protocol.keyed_random import chance
+from protocol.keyed_random import keyed_random
 
 WAIT = 2
 """Steps for which it waits."""
@@ -29,7 +29,7 @@ GIVE_UP = 10
 Cell = tuple[int, int]
 
 
-class Traffic:
+class GivingWay:
     """What one robot has met on its ways.
 
     Parameters
@@ -75,13 +75,13 @@ class Traffic:
         """It has another target: what it did for the last one does not count."""
         self._doublings = 0
 
-    def pass_by(self, route: Route, ways: Ways, here: Cell, end: Cell, step: int) -> Ways:
+    def pass_by(self, route: Route, planner: PathPlanner, here: Cell, end: Cell, step: int) -> PathPlanner:
         """Lead the route around the cells lately held; where that does not help, to where it makes room.
 
-        Returns the ways without these cells.
+        Returns a planner without these cells.
         """
         self._held = {cell: since for cell, since in self._held.items() if step - since < MEMORY}
-        around = ways
+        around = planner
         for cell in self._held:
             if cell != here:
                 around = around.without(*cell)
@@ -91,7 +91,7 @@ class Traffic:
             route.lead(around, here, end)
             return around
         ys, xs = np.nonzero(field <= reach)
-        pick = int(chance(self._seed, "step aside", self._robot, step).integers(len(xs)))
+        pick = int(keyed_random(self._seed, "step aside", self._robot, step).integers(len(xs)))
         route.lead(around, here, (int(xs[pick]), int(ys[pick])))
         self._doublings = min(self._doublings + 1, FARTHEST)
         return around

@@ -1,4 +1,4 @@
-"""Ways on one planning grid: what they cost from a cell, each computed when first asked for."""
+"""PathPlanner on one planning grid: what they cost from a cell, each computed when first asked for."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ COSTS = ("shortest", "weighted")
 smoothed map, so that they keep away from walls (Burgard et al., section II-A)."""
 
 
-class Ways:
+class PathPlanner:
     """The ways that a robot may take.
 
     Parameters
@@ -77,7 +77,7 @@ class Ways:
             return costs_between(self._laid_out, starts, goals)
         return np.array([self.costs(x, y)[goals[:, 1], goals[:, 0]] for x, y in starts.tolist()])
 
-    def way(self, start: tuple[int, int], end: tuple[int, int]) -> NDArray[np.int32] | None:
+    def path(self, start: tuple[int, int], end: tuple[int, int]) -> NDArray[np.int32] | None:
         """Cells of a best way, without its start; None if there is none."""
         field = self._field_to(start, end)
         if not np.isfinite(field[end[1], end[0]]):
@@ -102,11 +102,11 @@ class Ways:
         self._near[x, y] = field
         return cell
 
-    def without(self, x: int, y: int) -> Ways:
+    def without(self, x: int, y: int) -> PathPlanner:
         """The same ways with cell (x, y) barred."""
         grid, floor = self.grid.copy(), self.floor.copy()
         grid[y, x] = floor[y, x] = OCCUPIED
-        return Ways(grid, self._kind, floor=floor)
+        return PathPlanner(grid, self._kind, floor=floor)
 
     def _field_to(self, start: tuple[int, int], end: tuple[int, int]) -> Field:
         """Costs from `start` that are right as far as `end`: of a search that has been there, or a new one."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.planning.path_planner import Ways
+from agent.planning.path_planner import PathPlanner
 from protocol.grid import FREE, Grid
 from protocol.kernels import kernel
 
@@ -21,9 +21,9 @@ class Route:
     def __init__(self) -> None:
         self.cells: NDArray[np.int32] = _NOWHERE
 
-    def lead(self, ways: Ways, start: tuple[int, int], end: tuple[int, int]) -> bool:
+    def lead(self, planner: PathPlanner, start: tuple[int, int], end: tuple[int, int]) -> bool:
         """Take a best way from `start` to `end`; whether there is one. Without one, the way is empty."""
-        found = ways.way(start, end)
+        found = planner.path(start, end)
         self.cells = _NOWHERE if found is None else found
         return found is not None
 

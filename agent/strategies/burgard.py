@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning.assignment import Assignment, best_of_all, in_turn
-from agent.planning.path_planner import Ways
+from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import utilities
 from agent.strategies.base import Cell, Situation
 from agent.strategies.options import option
@@ -42,9 +42,9 @@ class Nearest(TargetStrategy):
     source = "Burgard et al. 2005, section IV-C: uncoordinated, after Yamauchi 1998"
     tells_target = False
 
-    def choose(self, situation: Situation, goals: NDArray[np.int32], ways: Ways) -> Cell | None:
+    def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
         """Take the goal of least cost; of equals the first cell, row by row."""
-        best = goals[np.argmin(ways.costs(*situation.here)[goals[:, 1], goals[:, 0]])]
+        best = goals[np.argmin(planner.costs(*situation.here)[goals[:, 1], goals[:, 0]])]
         return int(best[0]), int(best[1])
 
 
@@ -61,9 +61,9 @@ class Burgard(TeamStrategy):
         every = self.options.every
         return super().is_due(situation) or bool(every and situation.step % every == 0)
 
-    def assign(self, table: Table, situation: Situation, ways: Ways) -> Assignment:
+    def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """Utilities begin at 1, lowered by the targets remembered of those out of range."""
-        del ways
+        del planner
         costs = self.options.beta * table.costs / self.settings.range_cells
         utility = self._utility(table, situation)
         return in_turn(situation.grid, table.goals, utility, costs, self.settings.range_cells)
@@ -79,9 +79,9 @@ class BurgardOptimal(Burgard):
     summary = "sub-teams search the assignment with the largest sum of utilities minus squared costs"
     source = "Burgard et al. 2005, Algorithm 2 (section IV-C)"
 
-    def assign(self, table: Table, situation: Situation, ways: Ways) -> Assignment:
+    def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """Search from the same random starts in all members."""
-        del ways
+        del planner
         costs = self.options.beta * (table.costs / self.settings.range_cells) ** 2
         return best_of_all(
             situation.grid, table.goals, self._utility(table, situation), costs, self.settings.range_cells,

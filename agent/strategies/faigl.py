@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from agent.planning.assignment import Assignment, greedy, hungarian, iterative
 from agent.planning.candidates import CANDIDATES
 from agent.planning.clusters import k_means
-from agent.planning.path_planner import Ways
+from agent.planning.path_planner import PathPlanner
 from agent.planning.route import straighten
 from agent.planning.tour import LONGEST, open_tour
 from agent.strategies.base import Cell, Situation
@@ -50,14 +50,14 @@ class _Allocating(TeamStrategy):
 
     options_type: ClassVar[type] = Allocation
 
-    def goals(self, situation: Situation, ways: Ways) -> NDArray[np.int32]:
+    def goals(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:
         """The candidates, without those near remembered targets."""
-        found = super().goals(situation, ways)
+        found = super().goals(situation, planner)
         return unclaimed(situation, found, self.remembered(situation), self.settings.range_cells)
 
-    def _drive(self, situation: Situation, ways: Ways, goal: Cell | None) -> bool:
-        found = super()._drive(situation, ways, goal)
-        self._route.cells = straighten(ways.floor, situation.here, self._route.cells)
+    def _drive(self, situation: Situation, planner: PathPlanner, goal: Cell | None) -> bool:
+        found = super()._drive(situation, planner, goal)
+        self._route.cells = straighten(planner.floor, situation.here, self._route.cells)
         return found
 
 
@@ -68,9 +68,9 @@ class Greedy(_Allocating):
     summary = "robots, in random order, take the nearest goal that is left"
     source = "Faigl and Vanek 2014, GA (section 3.1)"
 
-    def assign(self, table: Table, situation: Situation, ways: Ways) -> Assignment:
+    def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """The order is drawn anew each time, the same for all members."""
-        del ways
+        del planner
         return greedy(table.costs, self.draw("order", situation).permutation(len(table.robots)))
 
 
@@ -81,9 +81,9 @@ class Iterative(_Allocating):
     summary = "the nearest pair of robot and goal first, then the nearest of those left"
     source = "Faigl and Vanek 2014, IA (section 3.1), after Werger and Mataric"
 
-    def assign(self, table: Table, situation: Situation, ways: Ways) -> Assignment:
+    def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """All pairs by their cost."""
-        del situation, ways
+        del situation, planner
         return iterative(table.costs)
 
 
@@ -94,9 +94,9 @@ class Hungarian(_Allocating):
     summary = "the assignment of least total distance"
     source = "Faigl and Vanek 2014, HA (section 3.1)"
 
-    def assign(self, table: Table, situation: Situation, ways: Ways) -> Assignment:
+    def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """The Hungarian method on distances."""
-        del situation, ways
+        del situation, planner
         return hungarian(table.costs)
 
 
@@ -113,12 +113,14 @@ class HungarianDepot(Hungarian):
         """All that clash, and a mission without a way back."""
         return super().clashes(parts) + _clash_with_open(parts)
 
-    def assign(self, table: Table, situation: Situation, ways: Ways) -> Assignment:
+    def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """Eq. (2)."""
         homes = np.array([situation.homes[robot] for robot in table.robots], np.int32)
-        back = _way_back(ways, table.goals, homes)
+        back = _way_back(planner, table.goals, homes)
         travelled = np.array([situation.travelled.get(robot, 0.0) for robot in table.robots])
-        return super().assign(replace(table, costs=table.costs + back + travelled[:, None]), situation, ways)
+        return super().assign(
+            replace(table, costs=table.costs + back + travelled[:, None]), situation, planner
+        )
 
 
 class Mtsp(_Allocating):
@@ -137,7 +139,7 @@ class Mtsp(_Allocating):
             found.append((("candidates",), reason))
         return found
 
-    def assign(self, table: Table, situation: Situation, ways: Ways) -> Assignment:
+    def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """Only the robot's own row says where: nobody needs the others' tours."""
         if len(table.goals) < len(table.robots):
             return iterative(table.costs)
@@ -146,21 +148,25 @@ class Mtsp(_Allocating):
         mine = np.flatnonzero(share_out(table) == me)
         mine = mine[np.isfinite(table.costs[me, mine])]
         if len(mine):
-            given[me] = self._first_stop(table, mine, situation, ways)
+            given[me] = self._first_stop(table, mine, situation, planner)
         return given
 
-    def _first_stop(self, table: Table, mine: NDArray[np.int64], situation: Situation, ways: Ways) -> int:
+    def _first_stop(
+        self, table: Table, mine: NDArray[np.int64], situation: Situation, planner: PathPlanner
+    ) -> int:
         """The goal with which the shortest tour through a cluster begins; far ones may be left out of it."""
         costs = table.costs[table.robots.index(self.settings.robot)]
         mine = mine[np.argsort(costs[mine], kind="stable")][:LONGEST]
         cells = table.goals[mine]
-        between = ways.costs_between(cells, cells)
-        tour = open_tour(costs[mine], (between + between.T) / 2, self._to_end(cells, situation, ways))
+        between = planner.costs_between(cells, cells)
+        tour = open_tour(costs[mine], (between + between.T) / 2, self._to_end(cells, situation, planner))
         return int(mine[tour[0]])
 
-    def _to_end(self, cells: NDArray[np.int32], situation: Situation, ways: Ways) -> NDArray[np.float64]:
+    def _to_end(
+        self, cells: NDArray[np.int32], situation: Situation, planner: PathPlanner
+    ) -> NDArray[np.float64]:
         """Cost of the way from each goal to where the tour ends: at that goal."""
-        del situation, ways
+        del situation, planner
         return np.zeros(len(cells))
 
 
@@ -177,17 +183,21 @@ class MtspDepot(Mtsp):
         """All that clash, and a mission without a way back."""
         return super().clashes(parts) + _clash_with_open(parts)
 
-    def _to_end(self, cells: NDArray[np.int32], situation: Situation, ways: Ways) -> NDArray[np.float64]:
-        back: NDArray[np.float64] = _way_back(ways, cells, np.array([situation.home], np.int32))[0]
+    def _to_end(
+        self, cells: NDArray[np.int32], situation: Situation, planner: PathPlanner
+    ) -> NDArray[np.float64]:
+        back: NDArray[np.float64] = _way_back(planner, cells, np.array([situation.home], np.int32))[0]
         return back
 
 
-def _way_back(ways: Ways, goals: NDArray[np.int32], homes: NDArray[np.int32]) -> NDArray[np.float64]:
+def _way_back(
+    planner: PathPlanner, goals: NDArray[np.int32], homes: NDArray[np.int32]
+) -> NDArray[np.float64]:
     """Cost of the way from each goal to each depot, shape (depots, goals).
 
     As the crow flies where none leads: a wall that teammates have told of by mistake may bar it for a while.
     """
-    back = ways.costs_between(homes, goals)
+    back = planner.costs_between(homes, goals)
     straight = np.hypot(*(homes[:, None] - goals[None]).transpose(2, 0, 1))
     return np.where(np.isfinite(back), back, straight)
 

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning import forces
-from agent.planning.giving_way import Traffic
-from agent.planning.path_planner import Ways
+from agent.planning.giving_way import GivingWay
+from agent.planning.path_planner import PathPlanner
 from agent.planning.route import Route, corners, crossed
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Situation, Strategy
@@ -77,7 +77,7 @@ class PotentialField(Strategy):
         )  # fmt: skip
         self._velocity = np.zeros(2)
         self._route = Route()
-        self._traffic = Traffic(settings.seed, settings.robot, settings.range_cells)
+        self._giving_way = GivingWay(settings.seed, settings.robot, settings.range_cells)
         self._anchor: tuple[float, float] = (0.0, 0.0)
         self._anchor_step = 0
         self._known = -1
@@ -113,8 +113,8 @@ class PotentialField(Strategy):
         """Move for a second: by forces, or ahead as a leader."""
         size = self.settings.resolution
         at = situation.x + situation.offset[0] / FINE, situation.y + situation.offset[1] / FINE
-        ways = Ways(situation.grid, radius_cells=self.settings.radius_cells)
-        frontier = ways.frontier(*situation.here)
+        planner = PathPlanner(situation.grid, radius_cells=self.settings.radius_cells)
+        frontier = planner.frontier(*situation.here)
         if situation.blocked:
             self._velocity = np.zeros(2)
         if not len(frontier):
@@ -125,11 +125,11 @@ class PotentialField(Strategy):
         self.leads = self.is_leader(situation)
         if self.leads:
             self._velocity = np.zeros(2)
-            target, points = self._lead(situation, ways, frontier)
+            target, points = self._lead(situation, planner, frontier)
         else:
             robots = [situation.poses[peer][:2] for peer in situation.peers if peer in situation.poses]
             path, self._velocity = forces.glide(
-                ways.floor, size, at, self._velocity, frontier,
+                planner.floor, size, at, self._velocity, frontier,
                 np.array(robots, np.float64).reshape(-1, 2), self._field, self.settings.speed_cells * size,
             )  # fmt: skip
             gap = (frontier[:, 0] - at[0]) ** 2 + (frontier[:, 1] - at[1]) ** 2
@@ -149,20 +149,20 @@ class PotentialField(Strategy):
         return False
 
     def _lead(
-        self, situation: Situation, ways: Ways, frontier: NDArray[np.int32]
+        self, situation: Situation, planner: PathPlanner, frontier: NDArray[np.int32]
     ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """The closest frontier cell, and way points along the shortest way to it."""
-        costs = ways.costs(*situation.here)[frontier[:, 1], frontier[:, 0]]
+        costs = planner.costs(*situation.here)[frontier[:, 1], frontier[:, 0]]
         target = frontier[np.argmin(costs)]
         goal = int(target[0]), int(target[1])
         self._route.drive_to(*situation.here)
         stopped = situation.blocked == "robot"
-        self._traffic.note(self._route, situation.here, situation.step, stopped=stopped)
-        self._route.lead(ways, situation.here, goal)
-        if self._traffic.has_waited:
-            ways = self._traffic.pass_by(self._route, ways, situation.here, goal, situation.step)
+        self._giving_way.note(self._route, situation.here, situation.step, stopped=stopped)
+        self._route.lead(planner, situation.here, goal)
+        if self._giving_way.has_waited:
+            planner = self._giving_way.pass_by(self._route, planner, situation.here, goal, situation.step)
         start = situation.x * FINE + situation.offset[0], situation.y * FINE + situation.offset[1]
-        points = corners(ways.floor, start, self._route.cells)
+        points = corners(planner.floor, start, self._route.cells)
         self._route.cells = crossed(start, points, self.settings.speed_cells)
         return target, points
 

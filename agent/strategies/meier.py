@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.planning.path_planner import Ways
+from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import in_sight, utilities
 from agent.strategies.base import Cell, Situation
 from agent.strategies.options import option
@@ -52,13 +52,13 @@ class Meier(TargetStrategy):
         """As the parts say, and once for each target heard that the rule against herding speaks of."""
         return super().is_due(situation) or self._herds(situation)
 
-    def choose(self, situation: Situation, goals: NDArray[np.int32], ways: Ways) -> Cell | None:
+    def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
         """Take the largest trade-off; of equals the first cell, row by row."""
         range_cells = self.settings.range_cells
         worth = utilities(
             situation.grid, goals, list(situation.targets.values()), range_cells, self._weights(situation)
         )
-        cost = ways.costs(*situation.here)[goals[:, 1], goals[:, 0]] / range_cells
+        cost = planner.costs(*situation.here)[goals[:, 1], goals[:, 0]] / range_cells
         best = int(np.argmax(worth - self.options.beta * cost))
         return int(goals[best, 0]), int(goals[best, 1])
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from agent.planning.candidates import CANDIDATES
 from agent.planning.gain import information_gain
-from agent.planning.path_planner import Ways
+from agent.planning.path_planner import PathPlanner
 from agent.strategies.base import Cell, Situation
 from agent.strategies.meier import BREADTH_FIRST_IS_ONE
 from agent.strategies.options import option
@@ -68,9 +68,9 @@ class StopScanReplan(TargetStrategy):
             found.append((("candidates",), reason))
         return found
 
-    def choose(self, situation: Situation, goals: NDArray[np.int32], ways: Ways) -> Cell | None:
+    def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
         """Take the cell that the search has found."""
-        del situation, ways
+        del situation, planner
         return int(goals[0, 0]), int(goals[0, 1])
 
 
@@ -129,12 +129,14 @@ class ShengBid(TargetStrategy):
             found.append((("candidates",), BREADTH_FIRST_IS_ONE))
         return found
 
-    def choose(self, situation: Situation, goals: NDArray[np.int32], ways: Ways) -> Cell | None:
+    def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
         """Take the largest bid; of equals the first cell, row by row."""
-        best = goals[np.argmax(self.bids(situation, goals, ways))]
+        best = goals[np.argmax(self.bids(situation, goals, planner))]
         return int(best[0]), int(best[1])
 
-    def bids(self, situation: Situation, goals: NDArray[np.int32], ways: Ways) -> NDArray[np.float64]:
+    def bids(
+        self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner
+    ) -> NDArray[np.float64]:
         """Eq. (1), g = w1 I - w2 D + w3 lambda, for each goal.
 
         The paper leaves units open. Here I is the share of the disc of sensor range, and D and lambda are in
@@ -144,7 +146,7 @@ class ShengBid(TargetStrategy):
         poses = [pose[:2] for pose in situation.poses.values()]
         others = poses + list(situation.targets.values())
         gain = information_gain(situation.grid, goals, range_cells, others) / (math.pi * range_cells**2)
-        distance = ways.costs(*situation.here)[goals[:, 1], goals[:, 0]] / range_cells
+        distance = planner.costs(*situation.here)[goals[:, 1], goals[:, 0]] / range_cells
         nearness = np.zeros(len(goals))
         if poses:
             apart = np.array([np.hypot(goals[:, 0] - x, goals[:, 1] - y) for x, y in poses])

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from agent.planning.candidates import CANDIDATES, goal_candidates
 from agent.planning.frontier import is_frontier
-from agent.planning.giving_way import Traffic
-from agent.planning.path_planner import COSTS, Ways
+from agent.planning.giving_way import GivingWay
+from agent.planning.path_planner import COSTS, PathPlanner
 from agent.planning.route import Route
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Situation, Strategy
@@ -77,7 +77,7 @@ class TargetStrategy(Strategy):
         self.target: Cell | None = None
         self._route = Route()
         self._goal: Cell | None = None
-        self._traffic = Traffic(settings.seed, settings.robot, settings.range_cells)
+        self._giving_way = GivingWay(settings.seed, settings.robot, settings.range_cells)
         self._turned_away = 0
         self._cut_off = 0
         self._turned = 0
@@ -111,7 +111,7 @@ class TargetStrategy(Strategy):
         return bool(cls.check(options).mission == "return")
 
     @abstractmethod
-    def choose(self, situation: Situation, goals: NDArray[np.int32], ways: Ways) -> Cell | None:
+    def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
         """Choose one of `goals`, at least one cell (x, y), shape (n, 2); None leaves them to others."""
 
     def is_due(self, situation: Situation) -> bool:
@@ -136,22 +136,22 @@ class TargetStrategy(Strategy):
         here = situation.here
         self._count_turn(here)
         self._route.drive_to(*here)
-        self._traffic.note(self._route, here, situation.step, stopped=situation.blocked == "robot")
-        ways = Ways(situation.grid, self.options.costs, self.settings.radius_cells)
-        before, left, gives_up = self.target, True, self._traffic.gives_up()
+        self._giving_way.note(self._route, here, situation.step, stopped=situation.blocked == "robot")
+        planner = PathPlanner(situation.grid, self.options.costs, self.settings.radius_cells)
+        before, left, gives_up = self.target, True, self._giving_way.gives_up()
         if gives_up or self.is_due(situation):
-            left = self._renew(situation, ways)
-        elif not self._route.is_open(ways.floor, here) or self._is_stranded(here):
-            left = self._drive(situation, ways, self.target) or self._renew(situation, ways)
+            left = self._renew(situation, planner)
+        elif not self._route.is_open(planner.floor, here) or self._is_stranded(here):
+            left = self._drive(situation, planner, self.target) or self._renew(situation, planner)
         elif self.target is None:
-            left = len(ways.frontier(*here)) > 0
+            left = len(planner.frontier(*here)) > 0
         if self.target != before:
-            self._traffic.begin()
-        is_home = self._comes_home(situation, ways)
+            self._giving_way.begin()
+        is_home = self._comes_home(situation, planner)
         if is_home:
             self._route.clear()
-        elif self._traffic.has_waited:
-            left = self._pass_by(situation, ways) and left
+        elif self._giving_way.has_waited:
+            left = self._pass_by(situation, planner) and left
         at_rest = not len(self._route.cells) or situation.blocked == "wall"
         self._looked = self.options.scan == "always" or at_rest
         return Decision(
@@ -164,11 +164,11 @@ class TargetStrategy(Strategy):
             status=self._status(here, left),
         )
 
-    def goals(self, situation: Situation, ways: Ways) -> NDArray[np.int32]:
+    def goals(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:
         """The cells that are worth going to, shape (n, 2)."""
         return goal_candidates(
             self.options.candidates,
-            ways,
+            planner,
             situation.here,
             self.settings.range_cells,
             self.team_size(situation),
@@ -180,62 +180,62 @@ class TargetStrategy(Strategy):
         self._turned = (self._turned if here == self._at else 0) + self._looked
         self._at = here
 
-    def _renew(self, situation: Situation, ways: Ways) -> bool:
+    def _renew(self, situation: Situation, planner: PathPlanner) -> bool:
         """Choose a target; whether there was any goal."""
-        goals = self.goals(situation, ways)
-        self.target = self.choose(situation, goals, ways) if len(goals) else None
+        goals = self.goals(situation, planner)
+        self.target = self.choose(situation, goals, planner) if len(goals) else None
         goal = situation.home if self.target is None and self.options.mission == "return" else self.target
-        if self.target is not None or not self._is_under_way(situation.here, goal, ways):
-            self._drive(situation, ways, goal)
+        if self.target is not None or not self._is_under_way(situation.here, goal, planner):
+            self._drive(situation, planner, goal)
         return len(goals) > 0
 
-    def _drive(self, situation: Situation, ways: Ways, goal: Cell | None) -> bool:
+    def _drive(self, situation: Situation, planner: PathPlanner, goal: Cell | None) -> bool:
         """Take a way to a cell, or stay where that is none; whether there is one."""
         self._goal = goal
         if goal is None:
             self._route.clear()
             return False
-        return self._route.lead(ways, situation.here, goal)
+        return self._route.lead(planner, situation.here, goal)
 
-    def _is_under_way(self, here: Cell, goal: Cell | None, ways: Ways) -> bool:
+    def _is_under_way(self, here: Cell, goal: Cell | None, planner: PathPlanner) -> bool:
         """Whether it drives to a cell, or makes room on its way there."""
-        return self._goal == goal and len(self._route.cells) > 0 and self._route.is_open(ways.floor, here)
+        return self._goal == goal and len(self._route.cells) > 0 and self._route.is_open(planner.floor, here)
 
     def _is_stranded(self, here: Cell) -> bool:
         """Whether a detour has led the robot elsewhere."""
         return self.target is not None and self.target != here and not len(self._route.cells)
 
-    def _pass_by(self, situation: Situation, ways: Ways) -> bool:
+    def _pass_by(self, situation: Situation, planner: PathPlanner) -> bool:
         """Get past a teammate; a target on which one stands is given up. Returns whether there is a goal left."""
         left = True
         if self.target is not None and len(self._route.cells) == 1:
-            left = self._renew(situation, ways)
+            left = self._renew(situation, planner)
         if self._goal is not None:
-            self._traffic.pass_by(self._route, ways, situation.here, self._goal, situation.step)
+            self._giving_way.pass_by(self._route, planner, situation.here, self._goal, situation.step)
         return left
 
-    def _comes_home(self, situation: Situation, ways: Ways) -> bool:
+    def _comes_home(self, situation: Situation, planner: PathPlanner) -> bool:
         """Whether it has nothing else to do and is at its depot; or as near as teammates, or its map, let it."""
         if self.target is not None or self.options.mission == "open":
             self._turned_away = self._cut_off = 0
             return False
-        if situation.blocked == "robot" and self._is_near_home(situation, ways):
+        if situation.blocked == "robot" and self._is_near_home(situation, planner):
             self._turned_away += 1
-        self._cut_off = self._cut_off + 1 if self._is_cut_off(situation, ways) else 0
+        self._cut_off = self._cut_off + 1 if self._is_cut_off(situation, planner) else 0
         return situation.here == situation.home or max(self._turned_away, self._cut_off) >= TURNED_AWAY
 
-    def _is_cut_off(self, situation: Situation, ways: Ways) -> bool:
+    def _is_cut_off(self, situation: Situation, planner: PathPlanner) -> bool:
         """Whether it stays for want of a way home: by its map a wall bars it."""
-        return not len(self._route.cells) and ways.way(situation.here, situation.home) is None
+        return not len(self._route.cells) and planner.path(situation.here, situation.home) is None
 
-    def _is_near_home(self, situation: Situation, ways: Ways) -> bool:
+    def _is_near_home(self, situation: Situation, planner: PathPlanner) -> bool:
         """Whether its way home is no longer than a queue of all robots, there and back."""
         berth = max(1.0, 2 * self.settings.radius_cells, BERTH_METRES / self.settings.resolution)
-        way = ways.way(situation.here, situation.home)
+        way = planner.path(situation.here, situation.home)
         return way is not None and len(way) <= 2 * self.settings.robots * berth
 
     def _status(self, here: Cell, left: bool) -> str:
-        if self._traffic.waited:
+        if self._giving_way.waited:
             return "waits: a teammate stands in the way"
         if self.target is None and len(self._route.cells):
             return "drives home"

@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning.assignment import Assignment
-from agent.planning.path_planner import Ways
+from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import in_sight
 from agent.settings import Settings
 from agent.strategies.base import Cell, Situation
 from agent.strategies.targets import TargetStrategy
-from protocol.keyed_random import chance
+from protocol.keyed_random import keyed_random
 
 PATIENCE = 20
 """Steps after which a robot without a goal no longer trusts that its teammates see to all of them."""
@@ -72,7 +72,7 @@ class TeamStrategy(TargetStrategy):
         return found
 
     @abstractmethod
-    def assign(self, table: Table, situation: Situation, ways: Ways) -> Assignment:
+    def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """Give goals to robots: for each row of the table the number of its goal, -1 for none."""
 
     def team(self, situation: Situation) -> dict[int, Cell]:
@@ -106,24 +106,24 @@ class TeamStrategy(TargetStrategy):
             bool(news) or self.is_spent(situation, self.target, situation.here) or self._collides(situation)
         )
 
-    def choose(self, situation: Situation, goals: NDArray[np.int32], ways: Ways) -> Cell | None:
+    def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
         """Take one's own share of the assignment."""
-        table = self.table(situation, goals, ways)
-        goal = int(self.assign(table, situation, ways)[table.robots.index(self.settings.robot)])
+        table = self.table(situation, goals, planner)
+        goal = int(self.assign(table, situation, planner)[table.robots.index(self.settings.robot)])
         if goal < 0:
             return None
         self._waited = 0
         return int(goals[goal, 0]), int(goals[goal, 1])
 
-    def table(self, situation: Situation, goals: NDArray[np.int32], ways: Ways) -> Table:
+    def table(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Table:
         """Lay out who could go where at what cost."""
         team = self.team(situation)
         cells = np.array(list(team.values()), np.int32)
-        return Table(tuple(team), cells, goals, ways.costs_between(cells, goals))
+        return Table(tuple(team), cells, goals, planner.costs_between(cells, goals))
 
     def draw(self, purpose: str, situation: Situation) -> np.random.Generator:
         """Random numbers that are the same for all members."""
-        return chance(self.settings.seed, purpose, situation.step)
+        return keyed_random(self.settings.seed, purpose, situation.step)
 
     def _spent_teammates(self, situation: Situation) -> set[tuple[int, Cell]]:
         """Members that are done with the targets that they told of."""

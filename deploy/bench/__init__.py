@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from protocol.keyed_random import chance
+from protocol.keyed_random import keyed_random
 
 RESAMPLES = 2000
 
@@ -60,7 +60,7 @@ def compare(
 ) -> Figure:
     """Make a figure of paired repeats: values, and the yardstick's beside them."""
     ratios = np.array(values, float) / np.array(against, float)
-    draws = chance(0, "bootstrap").integers(len(ratios), size=(RESAMPLES, len(ratios)))
+    draws = keyed_random(0, "bootstrap").integers(len(ratios), size=(RESAMPLES, len(ratios)))
     medians = np.median(ratios[draws], axis=1)
     low, high = (float(edge) for edge in np.percentile(medians, [2.5, 97.5]))
     return Figure(name, unit, float(np.median(values)), yardstick, float(np.median(ratios)), (low, high), aim)

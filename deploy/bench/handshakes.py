@@ -24,7 +24,7 @@ def timed(work: Callable[[], Result]) -> tuple[Result, float]:
     return result, (time.thread_time_ns() - began) / 1e6
 
 
-class Air:
+class Handshakes:
     """Sessions of robots in each other's range, and the relay between them.
 
     Attributes

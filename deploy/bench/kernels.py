@@ -27,7 +27,7 @@ from agent.planning.cost_field import costs
 from agent.settings import Settings
 from deploy.bench import Figure, compare
 from deploy.bench.explorations import SAMPLES, Cell, Moment, beams, explore, samples
-from deploy.bench.handshakes import Air, timed
+from deploy.bench.handshakes import Handshakes, timed
 from deploy.bench.yardsticks import (
     cells_along,
     look_in_numpy,
@@ -215,7 +215,7 @@ def _ways(walk: Sequence[Moment], graph: Any) -> Figure:
 
 def _session(plan: Plan, units: Sequence[Sequence[list[bytes]]]) -> Figure:
     """The exploration's packets through 8 sessions and the relay, against the relay's part of it."""
-    air = Air(plan)
+    air = Handshakes(plan)
     for step in range(min(map(len, units))):
         for session, told in zip(air.sessions, units, strict=True):
             session.record(told[step])

@@ -15,7 +15,7 @@ from deploy.bench import Figure, compare
 from deploy.bench.transcript import Script, play, play_hub, play_lab, record
 from deploy.record.records import Records
 from deploy.run import launch
-from deploy.run.process_table import Family
+from deploy.run.process_table import ProcessTable
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario
@@ -119,22 +119,25 @@ def _swarm(plan: Plan, run: _Watched) -> None:
 
 def _floor(plan: Plan, scripts: dict[str, Script], steps: int) -> float:
     """Steps a second with empty minds."""
-    with tempfile.TemporaryDirectory() as folder, Family(Path(folder), plan.scenario.robots) as family:
-        meeting = family.run, family.endpoint, family.credentials
-        family.start(names.RELAY, play_hub, *meeting, len(scripts) - 1, scripts[names.RELAY])
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        ProcessTable(Path(folder), plan.scenario.robots) as processes,
+    ):
+        meeting = processes.run, processes.endpoint, processes.credentials
+        processes.start(names.RELAY, play_hub, *meeting, len(scripts) - 1, scripts[names.RELAY])
         for name, script in scripts.items():
             if name not in (names.RELAY, names.LAB):
-                family.start(name, play, family.credentials[name], script)
-        seconds = play_lab(family.credentials[names.LAB], scripts[names.LAB], _alarmed(family))
+                processes.start(name, play, processes.credentials[name], script)
+        seconds = play_lab(processes.credentials[names.LAB], scripts[names.LAB], _alarmed(processes))
     return steps / seconds
 
 
-def _alarmed(family: Family) -> Callable[[], None]:
+def _alarmed(processes: ProcessTable) -> Callable[[], None]:
     """A check that does not let the laboratory wait for the dead."""
 
     def check() -> None:
-        if family.look():
-            raise ConnectionError(f"the bench's floor broke off: {family.deaths}")
+        if processes.look():
+            raise ConnectionError(f"the bench's floor broke off: {processes.deaths}")
 
     return check
 

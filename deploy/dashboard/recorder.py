@@ -24,7 +24,7 @@ from deploy.dashboard.appearance import (
     robot_color,
 )
 from deploy.dashboard.explanation import about, shows_range
-from deploy.dashboard.run_events import Event, Story
+from deploy.dashboard.run_events import Event, RunEvents
 from deploy.dashboard.shapes import axes, corner, flip, number_strips, outline_strips
 from deploy.scenario.plan import Plan
 from netshaper.medium import UNLIMITED
@@ -62,7 +62,7 @@ class Recorder:
     """
 
     def __init__(self, stream: rr.RecordingStream, plan: Plan) -> None:
-        self.story = Story(plan)
+        self.events = RunEvents(plan)
         self._stream = stream
         self._plan = plan
         self._robots = range(plan.scenario.robots)
@@ -77,8 +77,8 @@ class Recorder:
 
     def take(self, sender: str, said: Any) -> None:
         """Draw what is reported."""
-        events = self.story.take(sender, said)
-        self._stream.set_time(TIMELINE, sequence=self.story.step)
+        events = self.events.take(sender, said)
+        self._stream.set_time(TIMELINE, sequence=self.events.step)
         if isinstance(said, WorldReport):
             self._draw_world()
         elif isinstance(said, RadioReport):
@@ -160,9 +160,9 @@ class Recorder:
 
     def _draw_world(self) -> None:
         """Where all are, where they go, who can hear whom, what is explored."""
-        story = self.story
-        robots = sorted(story.positions)
-        places = [flip(story.positions[robot]) for robot in robots]
+        events = self.events
+        robots = sorted(events.positions)
+        places = [flip(events.positions[robot]) for robot in robots]
         colors = [robot_color(robot) for robot in robots]
         discs = rr.Points2D(places, radii=[self._disc], colors=colors, draw_order=ROBOT_ORDER)
         self._log("world/robots", discs)
@@ -183,21 +183,21 @@ class Recorder:
             )
             self._log("world/ranges", circles)
         for robot, place in zip(robots, places, strict=True):
-            way = np.array(story.ways[robot]) * (1, -1)
+            way = np.array(events.ways[robot]) * (1, -1)
             self._log(f"ways/{robot}", rr.LineStrips2D.from_fields(strips=[way]))
             self._log(f"minds/{robot}/self", rr.Points2D.from_fields(positions=[place]))
-            target = [flip(story.targets[robot])] if robot in story.targets else []
+            target = [flip(events.targets[robot])] if robot in events.targets else []
             self._log(f"minds/{robot}/target", rr.Points2D.from_fields(positions=target))
         self._draw_targets()
-        self._log("explored/team", rr.Scalars(100 * story.seen))
+        self._log("explored/team", rr.Scalars(100 * events.seen))
         self._log("explored/maps", rr.Scalars(self._explored))
-        self._log("backlog", rr.Scalars([story.backlog.get(robot, 0) for robot in self._robots]))
+        self._log("backlog", rr.Scalars([events.backlog.get(robot, 0) for robot in self._robots]))
 
     def _draw_targets(self) -> None:
-        story = self.story
-        heading = [robot for robot in sorted(story.targets) if robot in story.positions]
+        events = self.events
+        heading = [robot for robot in sorted(events.targets) if robot in events.positions]
         colors = [robot_color(robot) for robot in heading]
-        ends = [(flip(story.positions[robot]), flip(story.targets[robot])) for robot in heading]
+        ends = [(flip(events.positions[robot]), flip(events.targets[robot])) for robot in heading]
         self._log("world/targets/ways", rr.LineStrips2D.from_fields(strips=ends, colors=colors))
         marks = rr.Points2D(
             [end for _, end in ends], colors=colors, radii=[self._disc / 2], draw_order=TARGET_ORDER
@@ -206,28 +206,28 @@ class Recorder:
 
     def _draw_air(self) -> None:
         """What the step put on the air, and between whom."""
-        story = self.story
-        air = story.air
+        events = self.events
+        air = events.traffic
         assert air is not None
-        used = {group for group in GROUPS if any(kind in story.bytes for kind in GROUPS[group].kinds)}
+        used = {group for group in GROUPS if any(kind in events.bytes for kind in GROUPS[group].kinds)}
         load = [air.groups[group] if group in used else NAN for group in GROUPS]
         self._log("air/load", rr.Scalars([air.carried, *load]))
         if self._plan.radio.budget != UNLIMITED:
             self._log("air/budget", rr.Scalars(self._plan.radio.budget))
-        here = story.positions
+        here = events.positions
         busy = {pair: size for pair, size in sorted(air.talks.items()) if pair[0] in here and pair[1] in here}
-        quiet = sorted(story.in_range - busy.keys())
+        quiet = sorted(events.in_range - busy.keys())
         for path, pairs in (("quiet", quiet), ("busy", list(busy))):
             strips = [(flip(here[a]), flip(here[b])) for a, b in pairs]
             radii = [_px(1.2 + min(2.5, busy[pair] / 200)) for pair in pairs] if path == "busy" else None
             self._log(f"world/links/{path}", rr.LineStrips2D.from_fields(strips=strips, radii=radii))
-        if story.step % SHARES_EVERY == 1:
+        if events.step % SHARES_EVERY == 1:
             self._draw_shares()
 
     def _draw_shares(self) -> None:
         """Bars of what the bytes so far were for, the longest on top, each with its name above it."""
         spent = {
-            group: sum(self.story.bytes.get(kind, 0) for kind in GROUPS[group].kinds) for group in GROUPS
+            group: sum(self.events.bytes.get(kind, 0) for kind in GROUPS[group].kinds) for group in GROUPS
         }
         total = sum(spent.values())
         shown = sorted((group for group in spent if spent[group]), key=lambda group: -spent[group])

@@ -34,7 +34,7 @@ class Event:
 
 
 @dataclass
-class Air:
+class StepTraffic:
     """What one step put on the air.
 
     Attributes
@@ -58,7 +58,7 @@ class Air:
 
 
 @dataclass
-class Story:
+class RunEvents:
     """What has been told so far."""
 
     plan: Plan
@@ -72,7 +72,7 @@ class Story:
     seen: float = 0.0
     """Part of what can be reached that the team has seen."""
     in_range: set[tuple[int, int]] = field(default_factory=set)
-    air: Air | None = None
+    traffic: StepTraffic | None = None
     bytes: dict[str, int] = field(default_factory=dict)
     """Bytes carried so far, by packet kind."""
     idle: set[int] = field(default_factory=set)
@@ -141,7 +141,7 @@ class Story:
             for name, group in GROUPS.items()
         }
         cut = int(rows["bytes"][rows["cause"] == BUDGET].sum())
-        self.air = Air(groups, cut, _talks(carried))
+        self.traffic = StepTraffic(groups, cut, _talks(carried))
         events = _emergences(report.step, carried)
         full = cut > 0
         if full != self._full and self.plan.radio.budget != UNLIMITED:

@@ -1,4 +1,4 @@
-"""A run as processes: relay, world and robots in a `Family`, the laboratory in this process.
+"""A run as processes: relay, world and robots in a `ProcessTable`, the laboratory in this process.
 
 One table says what runs; all of it starts at once and meets at the hub; nothing sleeps.
 """
@@ -18,7 +18,7 @@ from deploy.dashboard.process import ViewTask
 from deploy.dashboard.watch import announced
 from deploy.record.records import LabNode, Records
 from deploy.record.wire_bytes import Meter
-from deploy.run.process_table import Family
+from deploy.run.process_table import ProcessTable
 from deploy.run.processes import WorldTask, serve_agent, serve_relay, serve_view, serve_world
 from deploy.scenario.plan import Plan
 from protocol import keys as names
@@ -78,29 +78,29 @@ def run(
             return run(plan, Path(folder), watch, capture, heed=heed, show=show, pace=pace, live=live)
     robots = plan.scenario.robots
     world = WorldTask(plan.make_world(), plan.minds, plan.scenario.steps, 1000 * plan.map.resolution, pace)
-    with Family(logs, robots) as family:
+    with ProcessTable(logs, robots) as processes:
         table: dict[str, tuple[Callable[..., None], *tuple[object, ...]]] = {
-            names.RELAY: (serve_relay, family.run, family.endpoint, family.credentials, plan.radio),
-            names.WORLD: (serve_world, family.credentials[names.WORLD], world),
+            names.RELAY: (serve_relay, processes.run, processes.endpoint, processes.credentials, plan.radio),
+            names.WORLD: (serve_world, processes.credentials[names.WORLD], world),
         }
         for name in map(names.robot, range(robots)):
-            table[name] = (serve_agent, family.credentials[name])
+            table[name] = (serve_agent, processes.credentials[name])
         port = show.task.port if show is not None else None
-        with announced(live, family.credentials[names.VIEW], port):
+        with announced(live, processes.credentials[names.VIEW], port):
             for name, (serve, *args) in table.items():
-                family.start(name, serve, *args)
+                processes.start(name, serve, *args)
             if show is not None:
-                _start_viewer(family, show)
-            outcome = _attend(family, robots, heed, watch, capture)
+                _start_viewer(processes, show)
+            outcome = _attend(processes, robots, heed, watch, capture)
             if show is not None:
-                outcome.view_fault = family.await_end(names.VIEW, VIEWER_END_S)
+                outcome.view_fault = processes.await_end(names.VIEW, VIEWER_END_S)
             return outcome
 
 
-def _start_viewer(family: Family, show: Show) -> None:
+def _start_viewer(processes: ProcessTable, show: Show) -> None:
     """Start the viewer, and wait a little for it, so that it sees the first steps; it is not needed."""
     here, there = multiprocessing.Pipe(duplex=False)
-    family.start(names.VIEW, serve_view, family.credentials[names.VIEW], show.task, there, needed=False)
+    processes.start(names.VIEW, serve_view, processes.credentials[names.VIEW], show.task, there, needed=False)
     there.close()
     with contextlib.suppress(EOFError):
         if here.poll(VIEWER_S) and here.recv():
@@ -108,25 +108,25 @@ def _start_viewer(family: Family, show: Show) -> None:
 
 
 def _attend(
-    family: Family,
+    processes: ProcessTable,
     robots: int,
     heed: Heed,
     watch: Callable[[Records], object] | None,
     capture: BinaryIO | None,
 ) -> Outcome:
     """Be the laboratory until the run is over."""
-    deaths = family.deaths
+    deaths = processes.deaths
     try:
-        bus = join(family.credentials[names.LAB])
+        bus = join(processes.credentials[names.LAB])
     except ConnectionError as error:
-        family.look().setdefault(names.RELAY, str(error))
+        processes.look().setdefault(names.RELAY, str(error))
         return Outcome(Records(robots), deaths)
-    lab = LabNode(bus, Keys(family.run), robots, capture, Meter(family.endpoint))
+    lab = LabNode(bus, Keys(processes.run), robots, capture, Meter(processes.endpoint))
 
     def look() -> bool:
         if watch is not None:
             watch(lab.records)
-        if family.look() and not lab.records.world:
+        if processes.look() and not lab.records.world:
             lab.send_home()  # no first step can come
         return names.WORLD in deaths
 
@@ -135,8 +135,8 @@ def _attend(
             attend(bus, lab, heed, look)
         except BusClosed as error:
             time.sleep(POLL_S)  # the system tells of the death a moment after the bus
-            family.look().setdefault(names.RELAY, str(error))
-    family.look()
+            processes.look().setdefault(names.RELAY, str(error))
+    processes.look()
     return Outcome(lab.records, deaths)
 
 

@@ -1,7 +1,7 @@
 """The processes of one run: a table of children from one fork server, their credentials, their ends.
 
 Children start with the code imported and the kernels loaded, before any bus is opened. What ends before its
-time is reported by name and last words; none outlives the family.
+time is reported by name and last words; none outlives the table.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ class Child:
         return f"{how}; its last words: {said[-1]}" if said else f"{how}, without a word"
 
 
-class Family:
+class ProcessTable:
     """A run's children; a context manager that leaves none behind.
 
     Attributes
     ----------
     run, endpoint, credentials
-        What children need to meet: made anew for each family.
+        What children need to meet: made anew for each run.
     deaths : dict of name to last words
         Children that ended before their time, as far as `look` has seen.
     """

@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.outline.contour import contours
 from agent.outline.polygons import Polygons
-from agent.viewer_feed import Showing, outline_bytes
+from agent.viewer_feed import ViewerFeed, outline_bytes
 from protocol.messages import Outlines, Snapshot, grid_from_bytes
 
 
@@ -25,19 +25,19 @@ def room(width: int = 7) -> Any:
 
 
 def test_all_is_shown_first_and_then_only_what_has_changed() -> None:
-    showing = Showing()
+    feed = ViewerFeed()
     grid = room()
     mine, other = contours(grid, (2, 2)), contours(room(9), (2, 2))
-    first = showing.news(5, robot(grid, {0: mine, 2: other}))
+    first = feed.news(5, robot(grid, {0: mine, 2: other}))
     assert [type(said) for said in first] == [Snapshot, Outlines, Outlines]
-    assert showing.news(10, robot(grid.copy(), {0: mine, 2: other})) == []
+    assert feed.news(10, robot(grid.copy(), {0: mine, 2: other})) == []
     grid = grid.copy()
     grid[2, 2] = 0
-    (said,) = showing.news(15, robot(grid, {0: mine, 2: other}))
+    (said,) = feed.news(15, robot(grid, {0: mine, 2: other}))
     assert isinstance(said, Snapshot)
     assert said.step == 15
     assert (grid_from_bytes(said.planning, said.width, said.height) == grid).all()
-    (said,) = showing.news(20, robot(grid, {0: mine, 2: mine}))
+    (said,) = feed.news(20, robot(grid, {0: mine, 2: mine}))
     assert isinstance(said, Outlines)
     assert said.about == 2
 

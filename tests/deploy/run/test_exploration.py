@@ -216,7 +216,7 @@ def test_a_file_that_does_not_fit_the_disk_is_not_there_at_all(floor: str, tmp_p
     folder = tmp_path / "run"
     done = subprocess.run(
         [sys.executable, "-c", FULL_DISK, floor, str(folder), "12000"],
-        cwd=Path(__file__).parents[2],
+        cwd=Path(__file__).parents[3],
         capture_output=True,
         text=True,
         check=False,

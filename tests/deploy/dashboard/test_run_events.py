@@ -1,4 +1,4 @@
-"""The story of a run: what is told of it becomes positions, loads and events."""
+"""The events of a run: what is told of it becomes positions, loads and events."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from deploy.dashboard.explanation import about
-from deploy.dashboard.run_events import Story
+from deploy.dashboard.run_events import RunEvents
 from netshaper.ledger import CAUSES, KIND_NUMBER, ROW
 from protocol.messages import End, Fault, Lost, MindReport, RadioReport, WorldReport
 from tests.deploy.small_run import small_plan, told
@@ -33,52 +33,52 @@ def air(step: int, *rows: dict[str, Any]) -> RadioReport:
     return RadioReport(step, table.tobytes(), int(table["bytes"][table["carried"] == 1].sum()), b"")
 
 
-def texts(story: Story, sender: str, said: object) -> list[str]:
-    return [event.text for event in story.take(sender, said)]
+def texts(events: RunEvents, sender: str, said: object) -> list[str]:
+    return [event.text for event in events.take(sender, said)]
 
 
 @pytest.fixture
-def story() -> Story:
-    return Story(small_plan())
+def events() -> RunEvents:
+    return RunEvents(small_plan())
 
 
-def test_robots_come_into_range_and_are_lost_from_it(story: Story) -> None:
-    assert texts(story, "world", where(1, (10, 10), (20, 10), (200, 200))) == []
-    assert story.in_range == {(0, 1)}
-    assert texts(story, "world", where(2, (10, 10), (200, 210), (200, 200))) == [
+def test_robots_come_into_range_and_are_lost_from_it(events: RunEvents) -> None:
+    assert texts(events, "world", where(1, (10, 10), (20, 10), (200, 200))) == []
+    assert events.in_range == {(0, 1)}
+    assert texts(events, "world", where(2, (10, 10), (200, 210), (200, 200))) == [
         "robots 0 and 1 have lost each other",
         "robots 1 and 2 can hear each other",
     ]
-    assert story.seen == 0.5
-    assert story.positions[0] == to_world(small_plan().map, 10, 10)
+    assert events.seen == 0.5
+    assert events.positions[0] == to_world(small_plan().map, 10, 10)
 
 
-def test_a_target_is_told_when_it_is_another_frontier_not_the_same_one_moved_on(story: Story) -> None:
-    story.take("world", where(1, (10, 10)))
-    assert texts(story, "r0", mind(1, 50, 50)) == ["robot 0 heads for (5.1, 20.0) m"]
-    assert texts(story, "r0", mind(2, 51, 52)) == []
-    assert story.targets[0] == to_world(small_plan().map, 51, 52)
-    assert texts(story, "r0", mind(3, 90, 52)) == ["robot 0 heads for (9.1, 19.8) m"]
-    story.take("r0", mind(4, -1, -1))
-    assert 0 not in story.targets
-    assert story.backlog == {0: 7}
+def test_a_target_is_told_when_it_is_another_frontier_not_the_same_one_moved_on(events: RunEvents) -> None:
+    events.take("world", where(1, (10, 10)))
+    assert texts(events, "r0", mind(1, 50, 50)) == ["robot 0 heads for (5.1, 20.0) m"]
+    assert texts(events, "r0", mind(2, 51, 52)) == []
+    assert events.targets[0] == to_world(small_plan().map, 51, 52)
+    assert texts(events, "r0", mind(3, 90, 52)) == ["robot 0 heads for (9.1, 19.8) m"]
+    events.take("r0", mind(4, -1, -1))
+    assert 0 not in events.targets
+    assert events.backlog == {0: 7}
 
 
-def test_idleness_is_told_once(story: Story) -> None:
+def test_idleness_is_told_once(events: RunEvents) -> None:
     idle = "idle: no reachable frontier is left on its planning grid"
-    assert texts(story, "r2", mind(5, -1, -1, idle)) == [
+    assert texts(events, "r2", mind(5, -1, -1, idle)) == [
         "robot 2 is idle: nothing is left to explore on its map"
     ]
-    assert texts(story, "r2", mind(6, -1, -1, idle)) == []
-    texts(story, "r2", mind(7, 10, 10))
-    assert len(texts(story, "r2", mind(8, -1, -1, idle))) == 1
+    assert texts(events, "r2", mind(6, -1, -1, idle)) == []
+    texts(events, "r2", mind(7, 10, 10))
+    assert len(texts(events, "r2", mind(8, -1, -1, idle))) == 1
 
 
-def test_loads_are_summed_by_what_they_are_for_and_who_talks(story: Story) -> None:
+def test_loads_are_summed_by_what_they_are_for_and_who_talks(events: RunEvents) -> None:
     insert, offer, target, new = (KIND_NUMBER[kind] for kind in ("ins", "conn", "targ", "em"))
     waiting = CAUSES.index("budget")
     events = texts(
-        story,
+        events,
         "relay",
         air(
             3,
@@ -90,52 +90,52 @@ def test_loads_are_summed_by_what_they_are_for_and_who_talks(story: Story) -> No
             {"kind": insert, "bytes": 600, "sender": 0, "receiver": 1, "carried": 0, "cause": waiting},
         ),
     )
-    assert story.air is not None
-    assert {group: size for group, size in story.air.groups.items() if size} == {
+    assert events.traffic is not None
+    assert {group: size for group, size in events.traffic.groups.items() if size} == {
         "vertices": 60,
         "handshakes": 2,
         "objects": 15,
         "targets": 3,
     }
-    assert story.air.carried == 80
-    assert story.air.cut == 600
-    assert story.air.talks == {(0, 2): 77}
-    assert story.bytes == {"ins": 60, "conn": 2, "em": 15, "targ": 3}
+    assert events.traffic.carried == 80
+    assert events.traffic.cut == 600
+    assert events.traffic.talks == {(0, 2): 77}
+    assert events.bytes == {"ins": 60, "conn": 2, "em": 15, "targ": 3}
     assert events == ["robot 2 tells of 2 new objects", "the channel is full: 600 bytes must wait"]
-    assert texts(story, "relay", air(4)) == []
+    assert texts(events, "relay", air(4)) == []
 
 
-def test_losses_faults_and_the_end_are_told(story: Story) -> None:
-    story.take("world", where(1, (10, 10), (20, 10)))
-    story.take("r1", mind(1, 50, 50))
-    (lost,) = story.take("relay", Lost(1, "its process ended"))
+def test_losses_faults_and_the_end_are_told(events: RunEvents) -> None:
+    events.take("world", where(1, (10, 10), (20, 10)))
+    events.take("r1", mind(1, 50, 50))
+    (lost,) = events.take("relay", Lost(1, "its process ended"))
     assert lost.weight == 2
     assert lost.text == "robot 1 is lost: its process ended"
-    assert not story.in_range
-    assert not story.targets
-    assert texts(story, "relay", Fault("r0", "spoke out of turn")) == [
+    assert not events.in_range
+    assert not events.targets
+    assert texts(events, "relay", Fault("r0", "spoke out of turn")) == [
         "r0 said what makes no sense: spoke out of turn"
     ]
-    assert texts(story, "relay", End(9, "explored", 0)) == [
+    assert texts(events, "relay", End(9, "explored", 0)) == [
         "explored in 9 steps; robot 0 was the first to know it all"
     ]
-    assert texts(story, "relay", End(9, "out of steps", -1)) == ["the run is over: out of steps"]
+    assert texts(events, "relay", End(9, "out of steps", -1)) == ["the run is over: out of steps"]
 
 
-def test_a_robot_that_breaks_down_is_told_once(story: Story) -> None:
-    story.take("world", where(1, (10, 10), (20, 10)))
-    assert texts(story, "world", where(2, (10, 10), None)) == ["robot 1 has broken down"]
-    assert texts(story, "world", where(3, (10, 10), None)) == []
+def test_a_robot_that_breaks_down_is_told_once(events: RunEvents) -> None:
+    events.take("world", where(1, (10, 10), (20, 10)))
+    assert texts(events, "world", where(2, (10, 10), None)) == ["robot 1 has broken down"]
+    assert texts(events, "world", where(3, (10, 10), None)) == []
 
 
 def test_a_viewer_that_comes_late_can_make_sense_of_any_first_word() -> None:
     heard = told()
     for first in range(0, 60, 7):
-        story = Story(small_plan())
+        events = RunEvents(small_plan())
         for sender, said in heard[first:]:
-            story.take(sender, said)
-        assert story.step == 40
-        assert sorted(story.positions) == [0, 1, 2]
+            events.take(sender, said)
+        assert events.step == 40
+        assert sorted(events.positions) == [0, 1, 2]
 
 
 def test_the_words_that_explain_speak_of_this_run() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.planning.path_planner import Ways
+from agent.planning.path_planner import PathPlanner
 from agent.planning.route import crossed
 from agent.settings import Settings
 from agent.strategies.base import Decision, Pose, Situation, Strategy
@@ -350,14 +350,16 @@ def test_a_bid_is_that_of_equation_1() -> None:
         2.0 * 3 / (4 * np.pi) - 0.5 * 2 / 2,
     ]
     situation = robot_at(1, grid=grid)
-    np.testing.assert_allclose(bids.bids(situation, goals, Ways(grid)), expected)
+    np.testing.assert_allclose(bids.bids(situation, goals, PathPlanner(grid)), expected)
     # A teammate at (5, 1) will see all that (3, 1) shows but (2, 0) and (3, 0).
     near = replace(situation, poses={1: Pose(5, 1, False)})
     seen_by_it = 2.0 * (3 - 1) / (4 * np.pi)
-    np.testing.assert_allclose(bids.bids(near, goals, Ways(grid))[1], seen_by_it - 0.5 * 2 / 2 - 0.25 * 2 / 2)
+    np.testing.assert_allclose(
+        bids.bids(near, goals, PathPlanner(grid))[1], seen_by_it - 0.5 * 2 / 2 - 0.25 * 2 / 2
+    )
     # So will one that is headed there, of which nobody knows how near it is.
     headed = replace(situation, targets={1: (5, 1)})
-    np.testing.assert_allclose(bids.bids(headed, goals, Ways(grid))[1], seen_by_it - 0.5 * 2 / 2)
+    np.testing.assert_allclose(bids.bids(headed, goals, PathPlanner(grid))[1], seen_by_it - 0.5 * 2 / 2)
 
 
 def test_leaders_are_elected_over_a_scripted_sequence_of_meetings() -> None:

@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from agent.planning.cost_field import Floor, costs, costs_on
 from agent.planning.jump_point_search import costs_between
-from agent.planning.path_planner import Ways
+from agent.planning.path_planner import PathPlanner
 from agent.planning.reachability import reachable
 from protocol.grid import FREE, OCCUPIED, Grid
 
@@ -85,10 +85,10 @@ def test_a_search_finds_the_same_whatever_was_searched_before_it() -> None:
 def test_ways_cost_between_cells_what_they_cost_in_the_field(kind: str) -> None:
     grid = drawn("......?", ".####..", ".#...#.", "...#...")
     starts, goals = np.array([(0, 0), (6, 3)], np.int32), np.array([(2, 2), (5, 0), (4, 3)], np.int32)
-    ways = Ways(grid, kind)
-    found = ways.costs_between(starts, goals)
+    planner = PathPlanner(grid, kind)
+    found = planner.costs_between(starts, goals)
     for (x, y), row in zip(starts.tolist(), found, strict=True):
-        assert row.tolist() == ways.costs(x, y)[goals[:, 1], goals[:, 0]].tolist()
+        assert row.tolist() == planner.costs(x, y)[goals[:, 1], goals[:, 0]].tolist()
 
 
 @given(floors())

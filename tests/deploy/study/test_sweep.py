@@ -264,7 +264,7 @@ def begun(tmp_path: Path, out: Path) -> subprocess.Popen[str]:
     sweeping = subprocess.Popen(
         [sys.executable, "-m", "deploy.commands.main", "sweep", path, "--jobs", "2", "--set", "robots=12", "--out", out],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
     )  # fmt: skip
     while not out.exists() or not out.read_text():
         assert sweeping.poll() is None

@@ -133,8 +133,8 @@ class Farthest(TargetStrategy):
     summary = "each robot drives to the frontier cell that is farthest from it"
     source = "an example"
 
-    def choose(self, situation, goals, ways):
-        costs = ways.costs(*situation.here)[goals[:, 1], goals[:, 0]]
+    def choose(self, situation, goals, planner):
+        costs = planner.costs(*situation.here)[goals[:, 1], goals[:, 0]]
         x, y = goals[np.argmax(costs)]
         return int(x), int(y)
 '''

@@ -244,7 +244,7 @@ def test_bad_input_says_nothing_on_the_channel_that_machines_read(desk: Path) ->
 def test_bad_input_ends_the_real_command_as_well(desk: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "deploy.commands.main", "explore", "--range", "-3"],
-        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[3])},
         capture_output=True,
         text=True,
         check=False,
@@ -437,7 +437,7 @@ def test_a_full_disk_is_named_with_the_file_and_ends_with_3(floor: str, words: s
     explore(floor, "--steps", "30", "--out", "run")
     done = subprocess.run(
         [sys.executable, "-c", FULL_DISK, *words.split()],
-        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[3])},
         capture_output=True,
         text=True,
         check=False,

@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from agent.planning.cost_field import DIAGONAL, Floor, costs, costs_on, way
 from agent.planning.occupancy import P_FREE, P_OCCUPIED, Terrain, weighted_costs
-from agent.planning.path_planner import Ways
+from agent.planning.path_planner import PathPlanner
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 
 seeds = st.integers(0, 2**32 - 1)
@@ -160,12 +160,12 @@ def test_weights_lie_between_free_floor_and_wall() -> None:
 @given(floors(), st.sampled_from(("shortest", "weighted")))
 def test_ways_of_either_kind_lead_over_free_cells_only(case: tuple[Grid, int, int], kind: str) -> None:
     grid, x, y = case
-    ways = Ways(grid, kind)
-    field = ways.costs(x, y)
+    planner = PathPlanner(grid, kind)
+    field = planner.costs(x, y)
     for end_y, end_x in np.argwhere(np.isfinite(field))[::7].tolist():
-        cells = ways.way((x, y), (end_x, end_y))
+        cells = planner.path((x, y), (end_x, end_y))
         assert cells is not None
         for (ax, ay), (bx, by) in pairwise([[x, y], *cells.tolist()]):
             assert (bx, by) in {(nx, ny) for nx, ny, _ in steps_from(grid, ax, ay)}
     for end_y, end_x in np.argwhere(~np.isfinite(field))[:3].tolist():
-        assert ways.way((x, y), (end_x, end_y)) is None
+        assert planner.path((x, y), (end_x, end_y)) is None

@@ -1,4 +1,4 @@
-"""Ways: costs against a plain Dijkstra search, and the cells that ways lead over."""
+"""PathPlanner: costs against a plain Dijkstra search, and the cells that ways lead over."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from agent.planning.cost_field import costs
 from agent.planning.occupancy import Terrain, weighted_costs
-from agent.planning.path_planner import Ways
+from agent.planning.path_planner import PathPlanner
 from agent.planning.route import Route, corners, straighten
 from protocol.grid import FREE, OCCUPIED, Grid
 from tests.agent.planning_references import dijkstra, drawn, grids, steps_from
@@ -42,10 +42,10 @@ def test_weighted_costs_are_those_of_a_plain_search(case: tuple[Grid, int, int])
 @given(grids_with_a_cell(), st.sampled_from(["shortest", "weighted"]))
 def test_a_way_is_driven_in_steps_and_costs_what_was_promised(case: tuple[Grid, int, int], kind: str) -> None:
     grid, x, y = case
-    ways = Ways(grid, kind)
-    field = ways.costs(x, y)
+    planner = PathPlanner(grid, kind)
+    field = planner.costs(x, y)
     for end_y, end_x in np.argwhere(np.isfinite(field))[::7]:
-        cells = ways.way((x, y), (int(end_x), int(end_y)))
+        cells = planner.path((x, y), (int(end_x), int(end_y)))
         assert cells is not None
         total = 0.0
         weights = Terrain(grid, grid).weights
@@ -58,17 +58,17 @@ def test_a_way_is_driven_in_steps_and_costs_what_was_promised(case: tuple[Grid, 
 def test_weighted_ways_keep_away_from_walls() -> None:
     grid = np.full((9, 30), FREE, np.uint8)
     grid[0] = OCCUPIED
-    cells = Ways(grid, "weighted").way((1, 1), (28, 1))
+    cells = PathPlanner(grid, "weighted").way((1, 1), (28, 1))
     assert cells is not None
     assert cells[:, 1].max() >= 2
-    plain = Ways(grid).way((1, 1), (28, 1))
+    plain = PathPlanner(grid).way((1, 1), (28, 1))
     assert plain is not None
     assert plain[:, 1].max() == 1
 
 
 def test_far_from_obstacles_a_weighted_way_costs_its_length() -> None:
     grid = np.full((31, 31), FREE, np.uint8)
-    field = Ways(grid, "weighted").costs(10, 15)
+    field = PathPlanner(grid, "weighted").costs(10, 15)
     assert field[15, 20] == pytest.approx(10.0)
 
 
@@ -80,16 +80,16 @@ def test_a_disc_does_not_pass_where_a_point_does() -> None:
         "..........",
         "..........",
     )
-    assert Ways(grid).way((1, 0), (1, 4)) is not None
-    assert Ways(grid, radius_cells=1.0).way((1, 0), (1, 4)) is None
+    assert PathPlanner(grid).way((1, 0), (1, 4)) is not None
+    assert PathPlanner(grid, radius_cells=1.0).way((1, 0), (1, 4)) is None
 
 
 @pytest.mark.parametrize("kind", ["shortest", "weighted"])
 def test_without_a_cell_a_disc_keeps_as_far_from_walls_as_before(kind: str) -> None:
     grid = drawn(*["." * 15] * 5, "." * 7 + "#" + "." * 7, *["." * 15] * 5)
-    ways = Ways(grid, kind, 2.0)
-    barred = ways.without(2, 8)
-    floor = ways.floor.copy()
+    planner = PathPlanner(grid, kind, 2.0)
+    barred = planner.without(2, 8)
+    floor = planner.floor.copy()
     floor[8, 2] = OCCUPIED
     assert (barred.floor == floor).all()
     assert (np.isfinite(barred.costs(0, 0)) <= (floor == FREE)).all()
@@ -103,9 +103,9 @@ def test_the_nearest_frontier_is_the_nearest_of_those_that_nobody_is_near(
     grid, x, y = case
     random = np.random.default_rng(seed)
     taken = np.stack([random.integers(0, side, 2) for side in (grid.shape[1], grid.shape[0])], axis=1)
-    ways = Ways(grid)
-    found = ways.first_frontier(x, y, taken.astype(np.int32), 4.0)
-    cells = ways.frontier(x, y)
+    planner = PathPlanner(grid)
+    found = planner.first_frontier(x, y, taken.astype(np.int32), 4.0)
+    cells = planner.frontier(x, y)
     if not len(cells):
         assert found is None
         return
@@ -114,7 +114,7 @@ def test_the_nearest_frontier_is_the_nearest_of_those_that_nobody_is_near(
     best = length[clear].min() if clear.any() else length.min()
     assert found is not None
     assert dijkstra(grid, x, y)[found[1], found[0]] == pytest.approx(best)
-    way = ways.way((x, y), found)
+    way = planner.path((x, y), found)
     assert way is not None
     assert (len(way) == 0) == (found == (x, y))
 
@@ -122,9 +122,9 @@ def test_the_nearest_frontier_is_the_nearest_of_those_that_nobody_is_near(
 @given(grids_with_a_cell())
 def test_a_straightened_way_is_driven_in_steps_and_is_no_longer(case: tuple[Grid, int, int]) -> None:
     grid, x, y = case
-    ways = Ways(grid)
-    for end_y, end_x in np.argwhere(np.isfinite(ways.costs(x, y)))[::5]:
-        cells = ways.way((x, y), (int(end_x), int(end_y)))
+    planner = PathPlanner(grid)
+    for end_y, end_x in np.argwhere(np.isfinite(planner.costs(x, y)))[::5]:
+        cells = planner.path((x, y), (int(end_x), int(end_y)))
         assert cells is not None
         straight = straighten(grid, (x, y), cells)
         assert len(straight) <= len(cells)
@@ -135,7 +135,7 @@ def test_a_straightened_way_is_driven_in_steps_and_is_no_longer(case: tuple[Grid
 
 def test_a_way_in_the_open_has_one_corner_its_end() -> None:
     grid = np.full((20, 20), FREE, np.uint8)
-    cells = Ways(grid).way((2, 2), (15, 7))
+    cells = PathPlanner(grid).way((2, 2), (15, 7))
     assert cells is not None
     np.testing.assert_array_equal(corners(grid, (2300, 1800), cells), [(15000, 7000)])
 
