@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import tshark as tsharks
-from tshark import Tshark
 
 from agent.exchange.catalogue import EXCHANGES
 from deploy.record import run_directory
@@ -23,6 +21,8 @@ from netshaper.ledger import CAUSES, EVERYONE, Sighting
 from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.packets import ALL_KINDS, Fragment, Packet
+from tests.capture import tshark as tsharks
+from tests.capture.tshark import Tshark
 
 GOLDEN = Path(__file__).parents[1] / "protocol" / "golden" / "packets.txt"
 VALUES = ("index", "x", "y", "side", "occupied", "object", "count", "inside", "block", "leads", "data")

@@ -7,8 +7,9 @@ from itertools import pairwise
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sniffer import SYN, WINDOW, Segment, Stream
-from zenoh_wire import Message, Session, WireError
+
+from tests.capture.sniffer import SYN, WINDOW, Segment, Stream
+from tests.capture.zenoh_wire import Message, Session, WireError
 
 FRAME = bytes.fromhex("2507")  # reliable, sequence number 7
 

@@ -17,11 +17,11 @@ from pathlib import Path
 
 import pyarrow.parquet
 import pytest
-from sniffer import BUFFER, SO_RCVBUFFORCE
-from traffic import DOWN, PHASES, UP, Said, Traffic, frames, in_phases, passed_on
 
 from deploy.record import run_directory
 from netshaper.capture import FRAMES
+from tests.capture.sniffer import BUFFER, SO_RCVBUFFORCE
+from tests.capture.traffic import DOWN, PHASES, UP, Said, Traffic, frames, in_phases, passed_on
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]

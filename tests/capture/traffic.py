@@ -10,14 +10,13 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from sniffer import Segment, Strangers, Stream, segments
-from zenoh_wire import Session
-
 from deploy.record import run_directory
 from netshaper import capture
 from netshaper.capture import FRAMES, Captured
 from netshaper.ledger import EVERYONE
 from netshaper.pcapng import Reader
+from tests.capture.sniffer import Segment, Strangers, Stream, segments
+from tests.capture.zenoh_wire import Session
 
 UP, DOWN = 0, 1
 PHASES = tuple(FRAMES.index(name) for name in ("broadcast", "offer", "answer", "data"))

@@ -364,5 +364,5 @@ def test_every_purpose_of_a_random_draw_is_named() -> None:
     for room in ("agent", "netshaper", "worldsim"):
         for path in (DOCS.parent / room).rglob("*.py"):
             text = path.read_text(encoding="utf-8")
-            drawn_for.update(re.findall(r'\b(?:chance\([^"()]*|_?drawn?\()"([^"]+)"', text))
+            drawn_for.update(re.findall(r'\b(?:keyed_random\([^"()]*|_?drawn?\()"([^"]+)"', text))
     assert table == drawn_for

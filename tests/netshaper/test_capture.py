@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scripted_robots import Air, Liar, Robot
 
 from netshaper import capture, pcapng
 from netshaper.capture import CAPTURED_AT_MOST, KEPT, PART, VERDICTS, Captured
@@ -18,6 +17,7 @@ from netshaper.pcapng import CaptureError, Reader
 from netshaper.radio import RadioSettings
 from protocol.messages import RadioReport
 from protocol.packets import Delete, Save, encode
+from tests.netshaper.scripted_robots import Air, Liar, Robot
 
 small = st.integers(-1, 63)
 sightings = st.builds(

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scripted_robots import Air, Heard, Liar, Mute, Put, Robot, Step
 
 from netshaper.ledger import CAUSES, EVERYONE, KIND_NUMBER, MALFORMED, ROW, balance
 from netshaper.medium import ANSWER, BROADCAST, DATA, OFFER, UNLIMITED, Medium
@@ -19,6 +18,7 @@ from netshaper.radio import Note, RadioSettings
 from protocol import packets
 from protocol.messages import Close, Open, Outcome, Said, Turn
 from protocol.packets import Answer, Decline, Delete, Offer, Save, Target, encode
+from tests.netshaper.scripted_robots import Air, Heard, Liar, Mute, Put, Robot, Step
 
 seeds = st.integers(0, 2**32 - 1)
 budgets = st.sampled_from((0, 1, 2, 3, 5, 7, 20, 64, 150, 1000, UNLIMITED))

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from team import Heard, Mind, Put, Team, corridor, plan_on, small_plan
 
 from agent.exchange.polygon import PolygonExchange
 from agent.process import AgentNode
@@ -56,6 +55,7 @@ from protocol.packets import (
     encode,
 )
 from protocol.scans import Scan, draw
+from tests.system.team import Heard, Mind, Put, Team, corridor, plan_on, small_plan
 from worldsim.laser import cast
 
 LIAR = 1

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
-from team import Cell, Team, corridor, plan_on, small_plan
 
 from agent.exchange.polygon import THESIS_OPTIONS
 from agent.outline.merge import Drawing, rendered
@@ -23,6 +22,7 @@ from netshaper.ledger import EVERYONE, balance, sort_rows
 from netshaper.medium import DATA
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packets import ALL_KINDS
+from tests.system.team import Cell, Team, corridor, plan_on, small_plan
 
 THESIS: dict[str, Any] = {"offers": "thesis", "polygon": asdict(THESIS_OPTIONS)}
 RULES = {"default": {}, "thesis": THESIS}

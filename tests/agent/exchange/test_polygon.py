@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from explorations import Cell, exploration, growing_maps
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -26,6 +25,7 @@ from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packets import Change as Changed
 from protocol.packets import Delete, Fragment, Save, encode
 from protocol.scans import Change, Scan
+from tests.agent.explorations import Cell, exploration, growing_maps
 
 EXACT: dict[str, Any] = {"bandwidth": None}
 NO_NEWS = Change(0, 0, 0, 0, 0)

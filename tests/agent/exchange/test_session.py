@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from session_link import Link, Played, everyone, held, line, word, words
 
 from agent.exchange import session as state_table
 from agent.exchange.log import Log
@@ -28,6 +27,7 @@ from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.messages import Outcome
 from protocol.packets import BLOCKS, INDEX_WINDOW, Answer, Block, Decline, Offer, Save, encode
+from tests.agent.exchange.session_link import Link, Played, everyone, held, line, word, words
 
 ROUND = BLOCKS * INDEX_WINDOW
 seeds = st.integers(0, 2**32 - 1)

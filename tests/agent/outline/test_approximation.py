@@ -6,7 +6,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from explorations import Cell, exploration, grids, growing_maps, real_map
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,6 +15,7 @@ from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
 from agent.outline.simplify import refine
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packets import MAX_OBJECTS, MAX_VERTICES
+from tests.agent.explorations import Cell, exploration, grids, growing_maps, real_map
 
 quick = settings(deadline=None)
 

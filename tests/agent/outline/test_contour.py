@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from explorations import REAL_MAPS, Cell, exploration, grids, real_fragment, real_map
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from scipy import ndimage
 from agent.outline.contour import contours
 from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from tests.agent.explorations import REAL_MAPS, Cell, exploration, grids, real_fragment, real_map
 
 MAPS = sorted(path.stem for path in REAL_MAPS.glob("*.png")) or ["intel"]
 

@@ -6,7 +6,6 @@ from itertools import pairwise, permutations
 
 import numpy as np
 import pytest
-from explorations import Cell, exploration, growing_maps, real_map
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -28,6 +27,7 @@ from protocol.packets import (
     Save,
     encode,
 )
+from tests.agent.explorations import Cell, exploration, growing_maps, real_map
 
 quick = settings(deadline=None)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from explorations import Cell, exploration, grids, growing_maps, real_map
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -25,6 +24,7 @@ from agent.outline.merge import (
 from agent.outline.polygons import Polygons
 from agent.outline.simplify import refine
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from tests.agent.explorations import Cell, exploration, grids, growing_maps, real_map
 
 quick = settings(deadline=None)
 

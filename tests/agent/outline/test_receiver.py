@@ -7,7 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from explorations import exploration, growing_maps, real_map
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -34,6 +33,7 @@ from protocol.packets import (
     Target,
     encode,
 )
+from tests.agent.explorations import exploration, growing_maps, real_map
 
 quick = settings(deadline=None)
 

@@ -7,7 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from explorations import Cell, exploration, grids, real_map
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,6 +15,7 @@ from agent.outline.contour import contours
 from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
 from agent.outline.simplify import ValueFunction, by_distance, mixed_first, refine
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from tests.agent.explorations import Cell, exploration, grids, real_map
 
 quick = settings(deadline=None)
 

@@ -19,7 +19,7 @@ from agent.planning.frontier import is_frontier
 from agent.planning.gain import information_gain
 from agent.planning.path_planner import PathPlanner
 from protocol.grid import FREE, UNKNOWN, Grid
-from tests.agent.planning_references import drawn, grids
+from tests.agent.planning.planning_references import drawn, grids
 
 
 @pytest.mark.parametrize(

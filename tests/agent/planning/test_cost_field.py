@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from planning_references import ONE, ROOT, drawn, floors, steps_from, whole_lengths
 from scipy import ndimage
 
 from agent.planning.cost_field import DIAGONAL, Floor, costs, costs_on, way
 from agent.planning.occupancy import P_FREE, P_OCCUPIED, Terrain, weighted_costs
 from agent.planning.path_planner import PathPlanner
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from tests.agent.planning.planning_references import ONE, ROOT, drawn, floors, steps_from, whole_lengths
 
 seeds = st.integers(0, 2**32 - 1)
 

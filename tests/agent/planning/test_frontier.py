@@ -7,12 +7,12 @@ import math
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from planning_references import dijkstra, drawn
 
 from agent.planning.cost_field import Floor, costs, nearest_first, way
 from agent.planning.frontier import frontier_cells, is_frontier
 from agent.planning.reachability import reachable
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from tests.agent.planning.planning_references import dijkstra, drawn
 
 seeds = st.integers(0, 2**32 - 1)
 

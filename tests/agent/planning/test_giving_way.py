@@ -10,7 +10,7 @@ from agent.planning.giving_way import FARTHEST, GIVE_UP, MEMORY, WAIT, GivingWay
 from agent.planning.path_planner import PathPlanner
 from agent.planning.route import Route
 from protocol.grid import FREE
-from tests.agent.planning_references import drawn
+from tests.agent.planning.planning_references import drawn
 
 HALL = PathPlanner(np.full((7, 9), FREE, np.uint8))
 START, END = (0, 3), (8, 3)

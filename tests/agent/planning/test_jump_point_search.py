@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from planning_references import drawn, floors, whole_lengths
 from scipy import ndimage
 
 from agent.planning.cost_field import Floor, costs, costs_on
@@ -17,6 +16,7 @@ from agent.planning.jump_point_search import costs_between
 from agent.planning.path_planner import PathPlanner
 from agent.planning.reachability import reachable
 from protocol.grid import FREE, OCCUPIED, Grid
+from tests.agent.planning.planning_references import drawn, floors, whole_lengths
 
 seeds = st.integers(0, 2**32 - 1)
 counts = st.integers(0, 9)

@@ -15,7 +15,7 @@ from agent.planning.occupancy import Terrain, weighted_costs
 from agent.planning.path_planner import PathPlanner
 from agent.planning.route import Route, corners, straighten
 from protocol.grid import FREE, OCCUPIED, Grid
-from tests.agent.planning_references import dijkstra, drawn, grids, steps_from
+from tests.agent.planning.planning_references import dijkstra, drawn, grids, steps_from
 
 
 @st.composite
@@ -58,10 +58,10 @@ def test_a_way_is_driven_in_steps_and_costs_what_was_promised(case: tuple[Grid, 
 def test_weighted_ways_keep_away_from_walls() -> None:
     grid = np.full((9, 30), FREE, np.uint8)
     grid[0] = OCCUPIED
-    cells = PathPlanner(grid, "weighted").way((1, 1), (28, 1))
+    cells = PathPlanner(grid, "weighted").path((1, 1), (28, 1))
     assert cells is not None
     assert cells[:, 1].max() >= 2
-    plain = PathPlanner(grid).way((1, 1), (28, 1))
+    plain = PathPlanner(grid).path((1, 1), (28, 1))
     assert plain is not None
     assert plain[:, 1].max() == 1
 
@@ -80,8 +80,8 @@ def test_a_disc_does_not_pass_where_a_point_does() -> None:
         "..........",
         "..........",
     )
-    assert PathPlanner(grid).way((1, 0), (1, 4)) is not None
-    assert PathPlanner(grid, radius_cells=1.0).way((1, 0), (1, 4)) is None
+    assert PathPlanner(grid).path((1, 0), (1, 4)) is not None
+    assert PathPlanner(grid, radius_cells=1.0).path((1, 0), (1, 4)) is None
 
 
 @pytest.mark.parametrize("kind", ["shortest", "weighted"])
@@ -135,7 +135,7 @@ def test_a_straightened_way_is_driven_in_steps_and_is_no_longer(case: tuple[Grid
 
 def test_a_way_in_the_open_has_one_corner_its_end() -> None:
     grid = np.full((20, 20), FREE, np.uint8)
-    cells = PathPlanner(grid).way((2, 2), (15, 7))
+    cells = PathPlanner(grid).path((2, 2), (15, 7))
     assert cells is not None
     np.testing.assert_array_equal(corners(grid, (2300, 1800), cells), [(15000, 7000)])
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from planning_references import drawn
 
 from agent.planning.utility import in_sight, utilities
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from tests.agent.planning.planning_references import drawn
 
 seeds = st.integers(0, 2**32 - 1)
 Cell = tuple[int, int]

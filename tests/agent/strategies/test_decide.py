@@ -18,7 +18,7 @@ from agent.strategies.rotating import ShengBid
 from agent.strategies.targets import TURNED_AWAY
 from agent.strategies.team import PATIENCE
 from protocol.grid import FREE, UNKNOWN, Grid
-from tests.agent.planning_references import drawn, settings_for
+from tests.agent.planning.planning_references import drawn, settings_for
 
 # Two frontier cells, (0, 1) and (14, 1), at the ends of a corridor.
 CORRIDOR = drawn("###############", "..............." , "###############")  # fmt: skip

@@ -13,7 +13,7 @@ from protocol import packets
 from protocol.grid import fan
 from protocol.messages import Outcome, Sense
 from protocol.scans import NONE
-from tests.agent.planning_references import drawn, settings_for
+from tests.agent.planning.planning_references import drawn, settings_for
 
 GRID = drawn(*["." * 30] * 30)
 

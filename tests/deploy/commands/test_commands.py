@@ -426,7 +426,8 @@ def test_a_run_says_where_its_pictures_are(floor: str) -> None:
 
 FULL_DISK = """
 import resource, sys
-from deploy import cli, report, export
+from deploy.after import export, report
+from deploy.commands import main
 resource.setrlimit(resource.RLIMIT_FSIZE, (9000, resource.RLIM_INFINITY))
 main.app(sys.argv[1:])
 """

@@ -77,7 +77,7 @@ def test_idleness_is_told_once(events: RunEvents) -> None:
 def test_loads_are_summed_by_what_they_are_for_and_who_talks(events: RunEvents) -> None:
     insert, offer, target, new = (KIND_NUMBER[kind] for kind in ("ins", "conn", "targ", "em"))
     waiting = CAUSES.index("budget")
-    events = texts(
+    said = texts(
         events,
         "relay",
         air(
@@ -101,7 +101,7 @@ def test_loads_are_summed_by_what_they_are_for_and_who_talks(events: RunEvents) 
     assert events.traffic.cut == 600
     assert events.traffic.talks == {(0, 2): 77}
     assert events.bytes == {"ins": 60, "conn": 2, "em": 15, "targ": 3}
-    assert events == ["robot 2 tells of 2 new objects", "the channel is full: 600 bytes must wait"]
+    assert said == ["robot 2 tells of 2 new objects", "the channel is full: 600 bytes must wait"]
     assert texts(events, "relay", air(4)) == []
 
 

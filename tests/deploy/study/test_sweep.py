@@ -19,6 +19,8 @@ from deploy.scenario.scenario import ScenarioError, parse
 from deploy.study import sweep
 from worldsim import generators, maps
 
+MURMUR = [sys.executable, "-m", "deploy.commands.main"]
+
 EXPERIMENT = """
 name = "small"
 [base]
@@ -262,7 +264,7 @@ def begun(tmp_path: Path, out: Path) -> subprocess.Popen[str]:
     text = EXPERIMENT.replace("seed = [0, 1]", "seed = [0, 1]\nsteps = [1, 5000]").replace("steps = 6\n", "")
     path = write(tmp_path, text.replace('"em"', '"office"'))
     sweeping = subprocess.Popen(
-        [sys.executable, "-m", "deploy.commands.main", "sweep", path, "--jobs", "2", "--set", "robots=12", "--out", out],
+        [*MURMUR, "sweep", path, "--jobs", "2", "--set", "robots=12", "--out", out],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
     )  # fmt: skip
