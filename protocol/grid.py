@@ -16,7 +16,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 UNKNOWN = 0
 FREE = 1
@@ -120,6 +119,8 @@ def enlarge(grid: Grid, radius_cells: float) -> Grid:
 
     With a radius of half a cell or less, or without obstacles, nothing changes, and the grid itself is returned.
     """
+    from scipy import ndimage  # noqa: PLC0415  slow to import, and few need it
+
     solid = grid == OCCUPIED
     if radius_cells <= _REACH or not solid.any():
         return grid

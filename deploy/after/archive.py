@@ -11,17 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.dashboard.process import ViewNode
 from deploy.record import run_directory
 from deploy.record.snapshots import SNAPSHOTS, Snapshots
-from deploy.record.summary import digest
-from deploy.run import in_memory
+from deploy.run.repeat import maps_over_time, why_unrepeatable
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import ScenarioError
-
-CUT_SHORT = ("interrupted", "broken off")
-"""Reasons of runs that came to no end of their own."""
 
 Table = dict[str, NDArray[Any]]
 """Columns by name."""
@@ -77,11 +72,9 @@ class Archive:
             tell(f"No maps over time: none were kept (--pictures), and the run cannot be repeated: {reason}.")
             return None
         tell("No maps over time were kept (--pictures); the run is repeated in memory to see them.")
-        snapshots = Snapshots()
-        records = in_memory.run(self.plan, view=ViewNode([snapshots]))
-        if digest(records) != self.summary["digest"]:
+        snapshots = maps_over_time(self.plan, self.summary["digest"])
+        if snapshots is None:
             tell("No maps over time: the run does not come out the same here (murmur replay says more).")
-            return None
         return snapshots
 
 
@@ -93,14 +86,6 @@ def read(directory: Path) -> Archive:
         if not (directory / name).is_file():
             raise ScenarioError(f"{directory}: {name} is missing, so there is nothing to tell of this run")
     return Archive(directory, plan, summary)
-
-
-def why_unrepeatable(summary: dict[str, Any]) -> str:
-    """Why a run cannot be repeated: something befell it that its scenario does not tell; nothing if it can."""
-    if summary["reason"] in CUT_SHORT:
-        return f"it was {summary['reason']} at step {summary['steps']}"
-    lost = "; ".join(f"robot {robot} was lost: {cause}" for robot, cause in summary["lost"].items())
-    return f"{lost}, unasked" if lost else ""
 
 
 def _read_table(path: Path) -> Table:

@@ -25,8 +25,8 @@ import numpy as np
 
 from deploy.after.archive import Archive, read
 from deploy.after.recast_scans import Lasers, Rescan
-from deploy.dashboard.appearance import robot_color
 from deploy.dashboard.shapes import corner
+from deploy.record.colors import robot_color
 from deploy.record.snapshots import Snapshots
 from protocol.grid import FREE, OCCUPIED, Fan, Grid
 from protocol.messages import Outlines, Snapshot, grid_from_bytes

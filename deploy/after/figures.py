@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from deploy.after.archive import Archive
 from deploy.after.recast_scans import Lasers
-from deploy.dashboard.appearance import GROUPS
 from deploy.dashboard.shapes import outline_strips
+from deploy.record.colors import GROUPS
 from deploy.record.map_pictures import robot_color, save, show_grid
 from deploy.record.snapshots import Snapshots
 from deploy.scenario.scenario import UNLIMITED

@@ -8,13 +8,17 @@ from typing import Annotated
 import typer
 
 from deploy.commands.console import errors, progress, report_result, screen, speaking_clearly
-from deploy.commands.flags import JsonFlag, OutOption, ViewAs
+from deploy.commands.flags import JsonFlag, OutOption, ViewAs, family
 from deploy.scenario.scenario import load
 
+app = family()
 run_app = typer.Typer(
     no_args_is_help=True,
+    rich_markup_mode=None,
     help="Start one process of a run by hand (docs/several-terminals.md walks through it).",
 )
+
+app.add_typer(run_app, name="run")
 
 SameScenario = Annotated[
     Path | None,

@@ -10,8 +10,6 @@ from typing import Any, NoReturn
 import typer
 from rich.console import Console
 
-from deploy.scenario.scenario import ScenarioError
-
 BAD_INPUT, BROKEN_OFF = 2, 3
 
 errors = Console(stderr=True, highlight=False, soft_wrap=True)
@@ -72,7 +70,7 @@ class speaking_clearly:  # noqa: N801  reads as the statement that it is
         return None
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
-        if isinstance(error, ScenarioError | ValueError):
+        if isinstance(error, ValueError):
             fail(str(error), BAD_INPUT)
         if isinstance(error, OSError) and not isinstance(error, BrokenPipeError):
             fail(*_explain(error))

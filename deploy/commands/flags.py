@@ -8,11 +8,16 @@ from typing import Annotated, Any
 
 import typer
 
-from deploy.scenario.scenario import Scenario, ScenarioError
+
+def family() -> typer.Typer:
+    """The commands of one file, for `deploy.commands.main` to find by name."""
+    return typer.Typer(rich_markup_mode=None)
 
 
 def default(name: str) -> str:
     """Help text of a scenario setting: what it is, and its default."""
+    from deploy.scenario.scenario import Scenario  # noqa: PLC0415  not all commands have settings
+
     info = Scenario.model_fields[name]
     return f"{info.description}" + ("" if info.default is None else f" (default {info.default})")
 
@@ -42,23 +47,23 @@ def setting(name: str, kind: Any, metavar: str | None = None) -> Any:
 
 
 def pair(text: str) -> tuple[float, float]:
-    """Read a place, X,Y in metres; ScenarioError if it is none."""
+    """Read a place, X,Y in metres; ValueError if it is none."""
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:
-        raise ScenarioError(f"start = {text!r}: must be two numbers of metres, as 3.5,12") from None
+        raise ValueError(f"start = {text!r}: must be two numbers of metres, as 3.5,12") from None
     return x, y
 
 
 def named_values(texts: list[str], flag: str, example: str) -> dict[str, Any]:
-    """Read NAME=VALUE texts of a flag, values as JSON where they are; ScenarioError says what is wrong."""
+    """Read NAME=VALUE texts of a flag, values as JSON where they are; ValueError says what is wrong."""
     values: dict[str, Any] = {}
     for text in texts:
         name, sign, value = text.partition("=")
         if not sign or not name:
-            raise ScenarioError(f"{flag} = {text!r}: must be NAME=VALUE, as {example}")
+            raise ValueError(f"{flag} = {text!r}: must be NAME=VALUE, as {example}")
         if name in values:
-            raise ScenarioError(f"{flag} = {text!r}: {name} is given twice; give it once, as {example}")
+            raise ValueError(f"{flag} = {text!r}: {name} is given twice; give it once, as {example}")
         try:
             values[name] = json.loads(value)
         except ValueError:

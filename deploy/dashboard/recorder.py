@@ -12,7 +12,11 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from deploy.dashboard.appearance import (
+from deploy.dashboard.explanation import about, shows_range
+from deploy.dashboard.grid_image import map_picture
+from deploy.dashboard.run_events import Event, RunEvents
+from deploy.dashboard.shapes import axes, corner, flip, number_strips, outline_strips
+from deploy.record.colors import (
     ALARM,
     CELLS,
     GREY,
@@ -20,12 +24,8 @@ from deploy.dashboard.appearance import (
     IN_RANGE,
     PAPER,
     SIGNAL,
-    map_picture,
     robot_color,
 )
-from deploy.dashboard.explanation import about, shows_range
-from deploy.dashboard.run_events import Event, RunEvents
-from deploy.dashboard.shapes import axes, corner, flip, number_strips, outline_strips
 from deploy.scenario.plan import Plan
 from netshaper.medium import UNLIMITED
 from protocol import keys as names

@@ -9,8 +9,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.dashboard.appearance import GROUPS
 from deploy.dashboard.shapes import Point, extend
+from deploy.record.colors import GROUPS
 from deploy.scenario.plan import Plan
 from netshaper.ledger import CAUSES, EVERYONE, KIND_NUMBER, ROW
 from netshaper.medium import UNLIMITED
@@ -40,7 +40,7 @@ class StepTraffic:
     Attributes
     ----------
     groups : dict
-        Bytes carried, by group of packet kinds (`deploy.dashboard.appearance.GROUPS`).
+        Bytes carried, by group of packet kinds (`deploy.record.colors.GROUPS`).
     cut : int
         Bytes that were said but found no room.
     talks : dict

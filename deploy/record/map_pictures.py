@@ -11,7 +11,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from deploy.dashboard import appearance
+from deploy.record import colors
 from deploy.record.records import Records
 from deploy.scenario.plan import Plan
 from protocol.grid import Grid
@@ -25,7 +25,7 @@ COLUMNS = 4
 
 def robot_color(robot: int) -> tuple[float, ...]:
     """The colour that stands for a robot in all pictures."""
-    return tuple(part / 255 for part in appearance.robot_color(robot))
+    return tuple(part / 255 for part in colors.robot_color(robot))
 
 
 def save(path: Path, figure: Figure, dpi: int) -> None:

@@ -61,7 +61,7 @@ def explore(
     watch: Callable[[Plan, Records], object] | None = None,
     tell: Callable[[str], object] = lambda _: None,
     window: Window | None = None,
-    pictures: bool = False,
+    snapshots: bool = False,
     pace: float | None = None,
 ) -> Result:
     """Run a scenario. What is shown of it, and at which pace, changes nothing in its results.
@@ -80,8 +80,8 @@ def explore(
         Hears that Ctrl-C or SIGTERM is heeded: a run that is kept ends after the step, and is written.
     window : Window, optional
         Shows the run live, and has it recorded in its directory.
-    pictures : bool
-        Whether to keep the robots' maps over time, and to draw them and the channel's load at the end.
+    snapshots : bool
+        Whether to keep the robots' maps over time (`deploy.after.figures` draws them).
     pace : float, optional
         Steps a second at most.
 
@@ -94,8 +94,8 @@ def explore(
     ValueError
         The pace is too slow, or what is to be shown is not to be kept.
     """
-    if not keep and (window is not None or pictures):
-        raise ValueError("a run that is shown or drawn needs a directory: keep = True")
+    if not keep and (window is not None or snapshots):
+        raise ValueError("a run that is shown, or whose maps are kept, needs a directory: keep = True")
     wait: Callable[[], object] = Pace(pace).wait if pace is not None else _nothing
     plan = plans.make(scenario)
     interrupt = Interrupt(tell)
@@ -108,7 +108,7 @@ def explore(
                 watch(plan, records)
 
         task = None
-        if directory is not None and (window is not None or pictures):
+        if directory is not None and (window is not None or snapshots):
             port = window.port if window is not None else None
             task = ViewTask(plan, directory.absolute(), records=window is not None, port=port)
         ready: Callable[[], object] = window.open if window is not None else _nothing
@@ -127,10 +127,6 @@ def explore(
         result = conclude(plan, outcome, directory, time.perf_counter() - began)
         if directory is not None and window is not None and outcome.view_fault:
             optimise(directory / RECORDING)  # closed by nobody
-        if directory is not None and pictures and outcome.records.world:
-            from deploy.after import archive, figures  # noqa: PLC0415  nobody else needs what they import
-
-            figures.write_figures(archive.read(directory), directory / run_directory.PICTURES)
     return result
 
 

@@ -6,7 +6,10 @@ from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
 
+from deploy.after.archive import read
+from deploy.after.figures import write_figures
 from deploy.dashboard.process import ViewNode
+from deploy.record import run_directory
 from deploy.run import in_memory
 from deploy.run.exploration import Result, explore
 from deploy.scenario import plan as plans
@@ -42,7 +45,10 @@ def told(**more: object) -> list[tuple[str, object]]:
 @cache
 def small_run() -> Result:
     """The small run, in a directory, its maps over time kept and drawn."""
-    return explore(parse(SETTINGS), out=Path(mkdtemp(prefix="murmur-")) / "run", pictures=True)
+    result = explore(parse(SETTINGS), out=Path(mkdtemp(prefix="murmur-")) / "run", snapshots=True)
+    assert result.directory is not None
+    write_figures(read(result.directory), result.directory / run_directory.PICTURES)
+    return result
 
 
 def small_directory() -> Path:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from agent.exchange.catalogue import EXCHANGES
-from agent.exchange.polygon import THESIS_OPTIONS, PolygonOptions
+from agent.exchange.polygon_options import THESIS_OPTIONS, PolygonOptions
 from agent.exchange.session import POLICIES, TRANSITIONS, Session, State
 from agent.outline.approximation import approximation, repair
 from agent.outline.contour import contours

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from agent.exchange.catalogue import EXCHANGES
-from agent.exchange.polygon import THESIS_OPTIONS
+from agent.exchange.polygon_options import THESIS_OPTIONS
 from deploy.run import exploration
 from deploy.scenario.scenario import parse
 from worldsim import generators, maps

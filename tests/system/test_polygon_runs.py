@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from agent.exchange.polygon import THESIS_OPTIONS
+from agent.exchange.polygon_options import THESIS_OPTIONS
 from agent.outline.merge import Drawing, rendered
 from deploy.record.records import Records
 from deploy.record.summary import summarise

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from deploy.dashboard.appearance import robot_color
 from deploy.dashboard.process import RECORDING
 from deploy.dashboard.windows import Window
+from deploy.record.colors import robot_color
 from deploy.record.run_directory import SUMMARY
 from deploy.run.exploration import explore
 from deploy.scenario.scenario import parse

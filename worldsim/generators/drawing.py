@@ -12,7 +12,6 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid
 from worldsim.maps import MapError
@@ -82,6 +81,8 @@ def enclose(cells: Grid, wall: int) -> None:
     wall : int
         How thick walls become; they close diagonally as well.
     """
+    from scipy import ndimage  # noqa: PLC0415  slow to import, and listing names needs none
+
     near = ndimage.binary_dilation(cells == FREE, np.ones((3, 3), bool), iterations=wall)
     cells[near & (cells == UNKNOWN)] = OCCUPIED
     areas, _ = ndimage.label(cells == FREE)
@@ -171,6 +172,8 @@ def scatter(
     shapes : tuple of Shape
         What the objects look like, each as likely as the other.
     """
+    from scipy import ndimage  # noqa: PLC0415  slow to import, and listing names needs none
+
     clearance = ndimage.distance_transform_edt(cells == FREE)
     rows, columns = np.nonzero(where & (clearance > radii[0] + gap))
     placed: list[tuple[int, int, float]] = []

@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.exchange.catalogue import exchange
-from agent.exchange.polygon import THESIS_OPTIONS, PolygonExchange, PolygonOptions
+from agent.exchange.polygon import PolygonExchange
+from agent.exchange.polygon_options import THESIS_OPTIONS, PolygonOptions
 from agent.outline.approximation import repair
 from agent.outline.contour import contours
 from agent.outline.merge import Drawing, TeamMap, approximation_error

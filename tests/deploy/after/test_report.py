@@ -119,7 +119,7 @@ def test_a_run_that_cannot_be_repeated_is_told_of_without_maps_over_time(
 
 def test_a_robot_that_had_nobody_to_talk_to_is_told_of_as_well(tmp_path: Path) -> None:
     alone = parse({"bus": "memory", "robots": 1, "steps": 3, "bandwidth": "unlimited"})
-    explore(alone, out=tmp_path / "run", pictures=True)
+    explore(alone, out=tmp_path / "run", snapshots=True)
     assert "0 bytes in 0 packets" in write_report(tmp_path / "run").read_text(encoding="utf-8")
 
 

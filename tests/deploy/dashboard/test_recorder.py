@@ -141,6 +141,6 @@ def test_a_window_says_what_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_who_is_shown_or_drawn_needs_a_directory() -> None:
     with pytest.raises(ValueError, match="needs a directory"):
-        explore(parse(SETTINGS), keep=False, pictures=True)
+        explore(parse(SETTINGS), keep=False, snapshots=True)
     with pytest.raises(ValueError, match=r"pace = 0.1: must be 0.5 steps a second or more"):
         explore(parse(SETTINGS), keep=False, pace=0.1)

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from PIL import Image
 
-from deploy.dashboard.appearance import CELLS, GROUPS, map_picture, robot_color
+from deploy.dashboard.grid_image import map_picture
 from deploy.dashboard.shapes import axes, extend, flip, number_strips, outline_strips, tick_values
+from deploy.record.colors import CELLS, GROUPS, robot_color
 from protocol.grid import MAX_ROBOTS, Grid
 from protocol.messages import grid_from_bytes, grid_to_bytes
 from protocol.packets import ALL_KINDS

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.exchange.catalogue import EXCHANGES
+from agent.exchange.session import POLICIES
 from deploy.scenario.scenario import SHIPPED, UNLIMITED, Scenario, ScenarioError, load, parse
 from protocol.grid import MAX_ROBOTS
 
@@ -263,3 +264,11 @@ def test_shipped_scenarios_are_found_by_name_and_make_sense(path: Path) -> None:
 def test_wrong_flags_without_a_file_are_explained_as_well() -> None:
     with pytest.raises(ScenarioError, match=r"^scenario: robots = 0"):
         load(None, {"robots": 0})
+
+
+def test_help_names_every_exchange_and_every_policy_of_offers() -> None:
+    fields = Scenario.model_fields
+    assert str(fields["exchange"].description).endswith(": " + ", ".join(EXCHANGES))
+    assert str(fields["offers"].description).endswith(": " + ", ".join(POLICIES))
+    for policy in POLICIES:
+        assert parse({"offers": policy}).offers == policy

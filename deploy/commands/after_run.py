@@ -1,0 +1,127 @@
+"""What is made of a finished run: `murmur report`, `export`, `replay` and `capture`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deploy.commands.console import (
+    errors,
+    explain_difference,
+    progress,
+    report_deaths,
+    screen,
+    speaking_clearly,
+)
+from deploy.commands.flags import JsonFlag, family
+from deploy.scenario.scenario import ScenarioError, load
+
+app = family()
+
+
+@app.command()
+def report(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
+) -> None:
+    """Draw a run's maps over time and its traffic, and write one HTML page of it all: report.html."""
+    from deploy.after.report import write_report  # noqa: PLC0415
+
+    with speaking_clearly():
+        page = write_report(directory, errors.print)
+        screen.print(f"{page}: the run on one page, pictures and all")
+
+
+@app.command()
+def export(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
+    mcap: Annotated[
+        bool, typer.Option("--mcap", help="a ROS 2 bag in MCAP, for Foxglove and ROS tools")
+    ] = False,
+) -> None:
+    """Write a run in a form that other programs open: poses, scans, maps and polygons."""
+    from deploy.after.export import export_mcap  # noqa: PLC0415
+
+    with speaking_clearly():
+        if not mcap:
+            raise ScenarioError("export: say into what; there is --mcap")
+        written = export_mcap(directory, errors.print)
+        screen.print(f"{written}: open it in Foxglove, or play {written.parent} with ros2 bag")
+
+
+@app.command()
+def replay(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
+    bus: Annotated[
+        str | None, typer.Option(help="on this bus (default: the run's own)", metavar="zenoh|memory")
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Repeat a run from its directory alone, and check that its digest comes out again."""
+    from deploy.record import run_directory  # noqa: PLC0415
+    from deploy.run import exploration  # noqa: PLC0415
+    from deploy.run.repeat import why_unrepeatable  # noqa: PLC0415
+
+    with speaking_clearly():
+        scenario = run_directory.read_scenario(directory)
+        if bus is not None:
+            scenario = load(directory / run_directory.SCENARIO, {"bus": bus})
+        before = run_directory.read_summary(directory)
+        if reason := why_unrepeatable(before):
+            raise ScenarioError(f"{directory}: this run cannot be repeated: {reason}")
+        with progress(shown=not as_json) as watch:
+            result = exploration.explore(scenario, keep=False, watch=watch)
+        report_deaths(result.deaths)
+        if result.exit_code == exploration.BROKEN_OFF:
+            raise typer.Exit(exploration.BROKEN_OFF)
+        same = result.summary["digest"] == before["digest"]
+        if as_json:
+            print(json.dumps({"holds": same, "digest": result.summary["digest"], "before": before["digest"]}))
+        elif same:
+            screen.print(f"The run holds: {result.summary['steps']} steps, digest {before['digest'][:16]}…")
+        else:
+            explain_difference(before, result.summary)
+        raise typer.Exit(0 if same else 1)
+
+
+@app.command("capture")
+def show_capture(
+    directory: Annotated[
+        Path | None, typer.Argument(metavar="DIR", help="a run directory, or its radio.pcapng")
+    ] = None,
+    robot: Annotated[int | None, typer.Option(min=0, help="only what this robot said or heard")] = None,
+    kind: Annotated[str | None, typer.Option(help="only frames with packets of this kind, as em")] = None,
+    step: Annotated[str | None, typer.Option(metavar="S|S-T", help="only these steps")] = None,
+    refused: Annotated[bool, typer.Option("--refused", help="only what was not carried")] = False,
+    packets: Annotated[bool, typer.Option("--packets", help="every packet by name and field")] = False,
+    install_dissector: Annotated[
+        bool, typer.Option("--install-dissector", help="teach Wireshark and tshark to read radio.pcapng")
+    ] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="print JSON: all frames with their packets")
+    ] = False,
+) -> None:
+    """Show what was said on the radio of a run, frame by frame, and why what was refused was.
+
+    The same opens in Wireshark: murmur capture --install-dissector, then wireshark DIR/radio.pcapng
+    """
+    from deploy.after import capture, wireshark  # noqa: PLC0415
+
+    with speaking_clearly():
+        if install_dissector:
+            screen.print(f"installed: {wireshark.install()}", markup=False)
+        elif directory is None:
+            raise ValueError("name a run directory, or use --install-dissector")
+        if directory is None:
+            return
+        wanted = capture.Filter(
+            capture.check_robot(directory, robot) if robot is not None else None,
+            capture.check_kind(kind) if kind is not None else None,
+            capture.parse_steps(step) if step is not None else None,
+            refused,
+        )
+        table = capture.lines(directory, wanted, every_packet=packets)
+        for line in capture.json_lines(directory, wanted) if as_json else table:
+            print(line)

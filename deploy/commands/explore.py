@@ -1,0 +1,154 @@
+"""`murmur explore` and `murmur watch`: run a swarm, and look at one."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from agent.exchange.polygon_options import THESIS_OPTIONS
+from deploy.commands.console import errors, progress, report_result, speaking_clearly
+from deploy.commands.flags import (
+    JsonFlag,
+    OutOption,
+    ScenarioFile,
+    ViewAs,
+    default,
+    family,
+    named_values,
+    pair,
+    setting,
+)
+from deploy.scenario.scenario import Scenario, load
+
+app = family()
+
+
+@app.command()
+def explore(
+    scenario: ScenarioFile = None,
+    map: setting("map", str, "FILE.yaml|NAME") = None,  # type: ignore[valid-type]
+    robots: setting("robots", int, "N") = None,  # type: ignore[valid-type]
+    range: setting("range", str, "METRES|P%") = None,  # type: ignore[valid-type]
+    bandwidth: setting("bandwidth", str, "BYTES|unlimited") = None,  # type: ignore[valid-type]
+    exchange: setting("exchange", str, "NAME") = None,  # type: ignore[valid-type]
+    strategy: setting("strategy", str, "NAME") = None,  # type: ignore[valid-type]
+    sensor_range: setting("sensor_range", float, "M") = None,  # type: ignore[valid-type]
+    speed: setting("speed", float, "M_PER_STEP") = None,  # type: ignore[valid-type]
+    seed: setting("seed", int, "S") = None,  # type: ignore[valid-type]
+    map_seed: setting("map_seed", int, "S") = None,  # type: ignore[valid-type]
+    start: Annotated[str | None, typer.Option(metavar="X,Y", help=default("start"))] = None,
+    offers: setting("offers", str, "NAME") = None,  # type: ignore[valid-type]
+    thesis: Annotated[
+        bool, typer.Option("--thesis", help="the thesis' plain rules of offering, refining and drawing")
+    ] = False,
+    option: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="an option of the strategy (murmur strategies); repeatable"),
+    ] = None,
+    bus: setting("bus", str, "zenoh|memory") = None,  # type: ignore[valid-type]
+    steps: setting("steps", int, "MAX") = None,  # type: ignore[valid-type]
+    view: Annotated[
+        bool, typer.Option("--view", help="show it live: a window, or a page if there is no display")
+    ] = False,
+    view_as: Annotated[
+        str | None, typer.Option(metavar="native|web|file", help="show it so; file: record only")
+    ] = None,
+    pace: Annotated[
+        float | None, typer.Option(metavar="STEPS_PER_S", help="no faster than this, for watching")
+    ] = None,
+    pictures: Annotated[
+        bool, typer.Option("--pictures", help="draw the maps over time and the channel's load")
+    ] = False,
+    out: OutOption = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Explore a building: start a world, a radio relay and N robots as processes, and watch them finish.
+
+    All that comes out is in the run directory: summary.json, steps.parquet, ledger.parquet, maps.png, the
+    maps themselves, and scenario.toml, from which `murmur replay` repeats the run.
+
+    A scenario file sets more than the flags do (radius, exchanges, scanner_turn, robots that differ, ...):
+    docs/protocol.md lists all settings, and the scenario.toml of any run is one to begin with.
+    """
+    overrides: dict[str, Any] = {
+        "map": map, "robots": robots, "range": range, "bandwidth": bandwidth, "exchange": exchange,
+        "strategy": strategy, "sensor_range": sensor_range, "speed": speed, "seed": seed,
+        "map_seed": map_seed, "offers": offers, "bus": bus, "steps": steps,
+    }  # fmt: skip
+    with speaking_clearly():
+        if thesis:
+            overrides |= {"offers": offers or "thesis", "polygon": asdict(THESIS_OPTIONS)}
+        if start is not None:
+            overrides["start"] = pair(start)
+        if option:
+            overrides["options"] = named_values(option, "option", "beta=0.5")
+        chosen = load(scenario, overrides)
+        show = view_as or ("auto" if view else None)
+        raise typer.Exit(_explore(chosen, out, show, pictures=pictures, pace=pace, as_json=as_json))
+
+
+@app.command()
+def watch(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
+    view_as: ViewAs = "auto",
+) -> None:
+    """Look at a run that is under way, or at the recording of one (docs/dashboard.md)."""
+    from deploy.dashboard import watch as watching  # noqa: PLC0415
+    from deploy.dashboard.windows import Window  # noqa: PLC0415
+
+    with speaking_clearly():
+        window = Window(view_as, errors.print)
+        try:
+            watching.watch(directory, window)
+        finally:
+            window.close()
+
+
+def _explore(
+    scenario: Scenario,
+    out: Path | None,
+    show: str | None,
+    *,
+    pictures: bool,
+    pace: float | None,
+    as_json: bool,
+) -> int:
+    from deploy.dashboard.watch import keep_showing  # noqa: PLC0415
+    from deploy.dashboard.windows import Window  # noqa: PLC0415
+    from deploy.run import exploration  # noqa: PLC0415
+
+    window = Window(show, errors.print) if show else None
+    try:
+        with progress(shown=not as_json) as watch:
+            result = exploration.explore(
+                scenario,
+                out=out,
+                watch=watch,
+                tell=errors.print,
+                window=window,
+                snapshots=pictures,
+                pace=pace,
+            )
+        if pictures and result.directory is not None and result.records.world:
+            _draw(result.directory)
+        code = report_result(result, as_json=as_json)
+        if window is not None and result.directory is not None and sys.stdout.isatty():
+            keep_showing(result.directory, window)
+    finally:
+        if window is not None:
+            window.close()
+    return code
+
+
+def _draw(directory: Path) -> None:
+    """Draw a run's figures into its directory, whoever presses Ctrl-C meanwhile."""
+    from deploy.after import archive, figures  # noqa: PLC0415
+    from deploy.record.run_directory import PICTURES  # noqa: PLC0415
+    from deploy.run.interrupt import Interrupt  # noqa: PLC0415
+
+    with Interrupt().caught():
+        figures.write_figures(archive.read(directory), directory / PICTURES)

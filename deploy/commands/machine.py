@@ -1,0 +1,37 @@
+"""`murmur doctor` and `murmur bench`: whether it works here, and how fast."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated
+
+import typer
+
+from deploy.commands.console import screen, speaking_clearly
+from deploy.commands.flags import JsonFlag, family
+
+app = family()
+
+
+@app.command()
+def doctor() -> None:
+    """Check that this installation works: versions, compiled kernels, the bus on loopback, a tiny swarm."""
+    from deploy.commands.doctor import examine  # noqa: PLC0415
+
+    raise typer.Exit(0 if examine(screen) else 1)
+
+
+@app.command()
+def bench(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="NAME", help="kernels, bus, swarm, replanning; default: all")
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Measure this machine: each figure as a ratio against a yardstick taken in the same run."""
+    from deploy.bench import run_benches  # noqa: PLC0415
+
+    with speaking_clearly():
+        figures = run_benches(names or [], (lambda _: None) if as_json else screen.print)
+        if as_json:
+            print(json.dumps(figures, indent=2))

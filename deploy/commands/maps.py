@@ -1,0 +1,70 @@
+"""`murmur map`: list, make and show maps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deploy.commands.console import screen, speaking_clearly
+from deploy.commands.flags import family
+
+app = family()
+maps_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="List, make and show maps.")
+app.add_typer(maps_app, name="map")
+
+
+@maps_app.command("list")
+def map_list() -> None:
+    """List the environments that can be generated; a YAML file of a ROS map does as well."""
+    from worldsim import generators  # noqa: PLC0415
+
+    names = generators.names()
+    for name in names:
+        screen.print(f"[bold]{name:{max(map(len, names))}}[/bold]  {generators.describe(name)}")
+
+
+@maps_app.command("make")
+def map_make(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="what `murmur map list` names")],
+    seed: Annotated[int, typer.Option(min=0, help="which one of its kind")] = 0,
+    out: Annotated[Path | None, typer.Option(metavar="FILE.yaml", help="default: NAME.yaml here")] = None,
+) -> None:
+    """Make a map and write it as ROS map_server reads it: a YAML file and its picture."""
+    from worldsim import generators, maps  # noqa: PLC0415
+
+    with speaking_clearly():
+        path = out or Path(f"{name}.yaml")
+        if path.suffix not in (".yaml", ".yml"):
+            raise ValueError(f"out = {path}: must end in .yaml; the picture is written beside it")
+        maps.save(generators.make(name, seed=seed), path)
+        screen.print(f"{path}: {generators.describe(name)}, seed {seed}")
+
+
+@maps_app.command("show")
+def map_show(
+    file: Annotated[str, typer.Argument(metavar="FILE.yaml|NAME", help="a map file, or a generator's name")],
+    seed: Annotated[int, typer.Option(min=0, help="the generator's seed")] = 0,
+    png: Annotated[Path | None, typer.Option(metavar="FILE.png", help="draw it there, with metres")] = None,
+) -> None:
+    """Show a map in the terminal, with its figures."""
+    from deploy.commands.terminal import sketch  # noqa: PLC0415
+    from deploy.scenario import plan  # noqa: PLC0415
+    from deploy.scenario.scenario import load  # noqa: PLC0415
+
+    with speaking_clearly():
+        world_map = plan.load_map(load(None, {"map": file, "map_seed": seed}))
+        free = int((world_map.cells == 1).sum())
+        screen.print(sketch(world_map.cells, screen))
+        screen.print(
+            f"{world_map.name}: {world_map.width} x {world_map.height} cells of {world_map.resolution:g} m, "
+            f"{world_map.width * world_map.resolution:.1f} x {world_map.height * world_map.resolution:.1f} m, "
+            f"{free} free cells ({100 * free / world_map.cells.size:.0f} %), "
+            f"diagonal {world_map.diagonal_m:.1f} m"
+        )
+        if png is not None:
+            from deploy.record.map_pictures import draw_map  # noqa: PLC0415
+
+            draw_map(png, world_map)
+            screen.print(f"drawn to {png}")

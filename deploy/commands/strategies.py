@@ -1,0 +1,33 @@
+"""`murmur strategies`: what there is to choose from."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated
+
+import typer
+
+from agent.strategies.catalogue import COMBINING, catalogue, entry
+from deploy.commands import strategy_pages as pages
+from deploy.commands.console import screen, speaking_clearly
+from deploy.commands.flags import family, preformatted
+
+app = family()
+
+
+@app.command(
+    help=f"List the exploration strategies, or show one with all its options.\n\n\b\n{preformatted(COMBINING)}"
+)
+def strategies(
+    name: Annotated[
+        str | None, typer.Argument(metavar="NAME", help="show this one, or the class package.module:Class")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print all that is known of them as JSON")] = False,
+) -> None:
+    """List the exploration strategies, or show one with all its options."""
+    with speaking_clearly():
+        entries = catalogue() if name is None else [entry(name)]
+        if as_json:
+            print(json.dumps(pages.for_machines(entries)))
+        else:
+            pages.console(screen).print(pages.listing(entries) if name is None else pages.page(entries[0]))

@@ -1,0 +1,29 @@
+"""A finished run made anew: whether it can be, and the robots' maps over time as they were."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from deploy.dashboard.process import ViewNode
+from deploy.record.snapshots import Snapshots
+from deploy.record.summary import digest
+from deploy.run import in_memory
+from deploy.scenario.plan import Plan
+
+CUT_SHORT = ("interrupted", "broken off")
+"""Reasons of runs that came to no end of their own."""
+
+
+def why_unrepeatable(summary: dict[str, Any]) -> str:
+    """Why a run cannot be repeated: something befell it that its scenario does not tell; nothing if it can."""
+    if summary["reason"] in CUT_SHORT:
+        return f"it was {summary['reason']} at step {summary['steps']}"
+    lost = "; ".join(f"robot {robot} was lost: {cause}" for robot, cause in summary["lost"].items())
+    return f"{lost}, unasked" if lost else ""
+
+
+def maps_over_time(plan: Plan, expected: str) -> Snapshots | None:
+    """Repeat a run in memory and keep the robots' maps; None if its digest is not the `expected` one."""
+    snapshots = Snapshots()
+    records = in_memory.run(plan, view=ViewNode([snapshots]))
+    return snapshots if digest(records) == expected else None
