@@ -27,6 +27,7 @@ def sweep(
             "--set", metavar="KEY=VALUE", help="replace a list of the grid or a key of the base; repeatable"
         ),
     ] = None,
+    seeds: Annotated[int | None, typer.Option(min=1, metavar="N", help="the seeds 0 to N - 1")] = None,
     variant: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="run only this variant; repeatable")
     ] = None,
@@ -39,17 +40,21 @@ def sweep(
     from concurrent.futures import BrokenExecutor  # noqa: PLC0415
 
     from deploy.commands.terminal import counting, table  # noqa: PLC0415
-    from deploy.study import sweep as sweeps  # noqa: PLC0415
+    from deploy.study import experiment as experiments  # noqa: PLC0415
+    from deploy.study.runs import Outcome, cases, run, summaries  # noqa: PLC0415
     from deploy.study.tables import tabulate  # noqa: PLC0415
 
     with speaking_clearly():
         settings = named_values(set_ or [], "set", "seed=[0,1]")
-        read = sweeps.override(sweeps.choose(sweeps.read(experiment), variant or []), settings)
-        todo = sweeps.cases(read)
-        outcomes: list[sweeps.Outcome] = []
+        if seeds is not None:
+            settings["seed"] = list(range(seeds))
+        chosen = experiments.choose(experiments.read(experiment), variant or [])
+        read = experiments.override(chosen, settings)
+        todo = cases(read)
+        outcomes: list[Outcome] = []
         try:
             with counting(errors, read.name, len(todo)) as tell:
-                for outcome in sweeps.run(todo, jobs or os.cpu_count() or 1, out):
+                for outcome in run(todo, jobs or os.cpu_count() or 1, out):
                     outcomes.append(outcome)
                     tell(len(outcomes), len(todo))
         except KeyboardInterrupt:
@@ -57,7 +62,7 @@ def sweep(
         except BrokenExecutor:
             fail("a process of the sweep died", 3)
         finally:
-            done = sweeps.summaries(todo, outcomes)
+            done = summaries(todo, outcomes)
             if done:
                 of = f" of {len(todo)}" if len(done) < len(todo) else ""
                 screen.print(f"{read.name}: {' '.join(read.table.values)}, means of {len(done)}{of} runs")

@@ -87,7 +87,7 @@ def _next_free(plan: Plan) -> Path:
 def write_inputs(out: Path, plan: Plan) -> None:
     """Write what decides the run: its map, and its scenario with every setting, pointing to that map."""
     maps.save(plan.map, out / MAP)
-    data = plan.scenario.model_dump(mode="json", exclude_none=True) | {"map": MAP}
+    data = plan.scenario.model_dump(mode="json", exclude_none=True) | {"map": MAP, "map_options": {}}
     text = f"# {plan.map.name}: everything that decides this run. Repeat it: murmur replay {out}\n"
     text += parse(data).to_toml()
     write_whole(out / SCENARIO, lambda file: file.write(text.encode()))

@@ -128,9 +128,11 @@ def load_map(scenario: Scenario) -> Map:
     """Load the scenario's map file, or make its generated map; ScenarioError says why not."""
     is_file = scenario.map.endswith((".yaml", ".yml")) or Path(scenario.map).is_file()
     try:
+        if is_file and scenario.map_options:
+            raise MapError(f"map_options: {scenario.map} is a file; only generated maps have options")
         if is_file:
             return maps.load(scenario.map)
-        return generators.make(scenario.map, seed=scenario.map_seed)
+        return generators.make(scenario.map, seed=scenario.map_seed, **scenario.map_options)
     except MapError as error:
         raise ScenarioError(str(error)) from None
     except ValueError as error:

@@ -60,6 +60,9 @@ class Scenario(_Table):
 
     map: str = Field("office", description="a map's YAML file, or the name of a generator (murmur map list)")
     map_seed: Whole = Field(0, ge=0, le=MOST_INTEGER, description="seed of the generator")
+    map_options: dict[str, Metres] = Field(
+        default_factory=dict, description="parameters of the generator: resolution, width_m, ..."
+    )
     robots: Whole = Field(3, ge=1, le=MAX_ROBOTS, description="how many robots explore")
     range: str = Field("100%", description="communication range: metres, or % of the map's diagonal")
     bandwidth: int | Literal["unlimited"] = Field(1000, description="bytes a step for the whole team")

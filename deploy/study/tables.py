@@ -2,17 +2,20 @@
 
 A figure is a name in a summary (``steps``), dotted for what stands in a table (``bytes.total``), a sum of names
 (``bytes.ins + bytes.del``), or a quotient of two of these (``bytes.conn / bytes.total``). Behind it may stand
-``relative to`` and a variant, by whose figure of the same run it is divided.
+``relative to`` and a variant, by whose figure of the same run it is divided. ``least`` before it asks for the
+least of all runs instead of their mean.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from netshaper.ledger import CAUSES
 from protocol.packets import ALL_KINDS
@@ -21,6 +24,12 @@ VARIANT = "variant"
 
 RELATIVE = " relative to "
 """Between a figure and the variant whose figure of the same run it is divided by."""
+
+LEAST = "least "
+"""Before a figure of which the least is wanted."""
+
+LEAST_COVERAGE = 0.99
+"""What a run must have seen to count as finished, besides saying so."""
 
 FIGURES = (
     "steps", "coverage", "map_agreement", "t90", "t99", "finished", "first_robot", "approximation_error",
@@ -48,16 +57,22 @@ class Table:
         columns each figure has one of its own.
     values : list of str
         Figures.
+    interval : bool
+        Whether means come with half their 95 % interval (Student's t).
+    finished_only : bool
+        Whether means are of the runs that finished; how many did is said where not all have.
     """
 
     rows: list[str]
     columns: list[str]
     values: list[str]
+    interval: bool = False
+    finished_only: bool = False
 
 
 def check(text: str, variants: Iterable[str]) -> None:
     """Raise ValueError if `text` is no figure, or is relative to none of the variants."""
-    name, relative, against = text.partition(RELATIVE)
+    name, relative, against = text.removeprefix(LEAST).partition(RELATIVE)
     if relative and against not in variants:
         raise ValueError(f"{text!r}: no variant is called {against!r}; there are: {', '.join(variants)}")
     parts = name.split(" / ")
@@ -100,10 +115,27 @@ def tabulate(table: Table, summaries: Sequence[dict[str, Any]]) -> list[list[str
                 if (row is None or tuple(s["place"][key] for key in table.rows) == row)
                 and tuple(s["place"][key] for key in table.columns) == head
             ]
-            means = [_mean([_value(s, value, twins) for s in chosen]) for value in table.values]
-            cells += means if split else [" ".join(means)]
+            shown = [_cell(table, chosen, value, twins) for value in table.values]
+            cells += shown if split else [" ".join(shown)]
         lines.append(cells)
     return lines
+
+
+def has_finished(summary: dict[str, Any]) -> bool:
+    """Whether a run ended as explored, and had seen what there is."""
+    return bool(summary["finished"]) and summary["coverage"] >= LEAST_COVERAGE
+
+
+def _cell(table: Table, runs: Sequence[dict[str, Any]], value: str, twins: dict[Any, dict[str, Any]]) -> str:
+    """One figure of some runs: its mean, or the least."""
+    name = value.removeprefix(LEAST)
+    if name != value:
+        found = [one for run in runs if (one := _value(run, name, twins)) is not None]
+        return f"{min(found):.4f}" if found else "-"
+    chosen = [run for run in runs if has_finished(run)] if table.finished_only else runs
+    share = "" if len(chosen) == len(runs) else f" ({len(chosen)} of {len(runs)})"
+    figures = [_value(run, name, twins) for run in chosen]
+    return (_mean(figures, interval=table.interval) if chosen or not share else "none") + share
 
 
 def _value(summary: dict[str, Any], text: str, twins: dict[Any, dict[str, Any]]) -> float | None:
@@ -131,12 +163,16 @@ def _short(value: object) -> str:
     return Path(value).stem if isinstance(value, str) and value.endswith(".yaml") else str(value)
 
 
-def _mean(values: Sequence[float | None]) -> str:
+def _mean(values: Sequence[float | None], *, interval: bool) -> str:
     found = [value for value in values if value is not None]
     if not found:
         return "-"
     mean = float(np.mean(found))
-    return f"{mean:.0f}" if abs(mean) >= 10 else f"{mean:.3f}"
+    digits = 0 if abs(mean) >= 10 else 3
+    if not interval or len(found) == 1:
+        return f"{mean:.{digits}f}"
+    half = stats.t.ppf(0.975, len(found) - 1) * np.std(found, ddof=1) / math.sqrt(len(found))
+    return f"{mean:.{digits}f} ± {half:.{digits}f}"
 
 
 def _look_up(summary: dict[str, Any], name: str) -> Any:

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from deploy.study.tables import FIGURES, TABLES, Table, check, figure, tabulate
+from deploy.study.tables import FIGURES, TABLES, Table, check, figure, has_finished, tabulate
 from tests.deploy.small_run import small_run
 
 VARIANTS = ["polygons", "scans"]
@@ -94,3 +94,22 @@ def test_values_may_be_lists_and_tables() -> None:
     places = [{"start": [1, 2], "variant": "a"}, {"start": [3, 4], "variant": "a"}]
     table = tabulate(Table(["start"], ["variant"], ["steps"]), [{"place": p, "steps": 3} for p in places])
     assert [line[0] for line in table] == ["start", "[1, 2]", "[3, 4]", "all"]
+
+
+def test_means_of_what_finished_come_with_their_interval_and_how_many_did() -> None:
+    counts = {"leaders": [40, 50, 60], "alone": [70, 80, 90]}
+    done = [
+        {"place": {"map": "m", "seed": seed, "variant": name}, "steps": steps, "finished": True,
+         "coverage": 0.5 if name == "alone" and seed == 0 else 1.0}
+        for name, many in counts.items() for seed, steps in enumerate(many)
+    ]  # fmt: skip
+    table = Table(["map"], ["variant"], ["steps", "least coverage"], interval=True, finished_only=True)
+    # Student's t for two degrees of freedom is 4.303: 4.303 * 10 / sqrt 3; for one it is 12.706.
+    assert tabulate(table, done)[1] == ["m", "50 ± 25 1.0000", "85 ± 64 (2 of 3) 0.5000"]
+    assert tabulate(table, [done[3]])[1] == ["m", "none (0 of 1) 0.5000"]
+
+
+def test_runs_that_believe_themselves_done_too_early_have_not_finished() -> None:
+    assert has_finished({"finished": True, "coverage": 0.99})
+    assert not has_finished({"finished": True, "coverage": 0.98})
+    assert not has_finished({"finished": False, "coverage": 1.0})

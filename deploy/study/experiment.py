@@ -1,37 +1,25 @@
-"""Sweeps: one scenario, many settings of it, run in a pool of processes on the memory bus.
+"""An experiment: one scenario over factors and seeds, and what to tabulate of its runs.
 
-An experiment is TOML: ``[base]`` holds a scenario's keys, ``[grid]`` lists of values of which every combination
-is run, ``[[variant]]`` named sets of keys that are compared. ``[table]`` says what to print (`deploy.study.tables`).
-All that can be known to be wrong is refused before the first run.
+It is TOML: ``[base]`` holds a scenario's keys, ``[grid]`` lists of values of which every combination is run,
+``[follow]`` keys that take the value of a key of the grid, ``[[variant]]`` named sets of keys that are compared.
+A value of the grid that is a table with the key's own name in it sets all its keys. ``[table]`` says what to
+print (`deploy.study.tables`).
 """
 
 from __future__ import annotations
 
-import hashlib
-import inspect
-import itertools
-import json
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
-from agent.strategies.registry import strategy
-from deploy.record.summary import versions
-from deploy.run import exploration
-from deploy.scenario import plan
-from deploy.scenario.scenario import Scenario, ScenarioError, beside, parse, read_toml
-from deploy.study import tables
-from deploy.study.run_pool import collect
-from deploy.study.tables import RELATIVE, VARIANT, Table
-from worldsim.maps import Map
+from deploy.scenario.scenario import ScenarioError, beside, read_toml
+from deploy.study.tables import RELATIVE, VARIANT, Table, check
 
 SHIPPED = Path(__file__).with_name("experiments")
 """Experiments that are installed with the code; their names do for a path."""
 
-MEMORY = "memory"
+TABLES = ("base", "grid", "follow", VARIANT, "table")
 
 
 @dataclass(frozen=True)
@@ -47,6 +35,8 @@ class Experiment:
         Keys of a scenario that all runs share.
     grid : dict of key to list
         Every combination of these values is run.
+    follow : dict of key to key
+        The first takes the value of the second.
     variants : dict of name to keys
         Named sets of keys, each run on the whole grid.
     table : Table
@@ -57,26 +47,9 @@ class Experiment:
     name: str
     base: dict[str, Any]
     grid: dict[str, list[Any]]
+    follow: dict[str, str]
     variants: dict[str, dict[str, Any]]
     table: Table
-
-
-@dataclass(frozen=True)
-class Case:
-    """One run of an experiment: where it stands in the grid, its scenario, and the `identity` of the run."""
-
-    place: dict[str, Any]
-    scenario: Scenario
-    key: str
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What a case has led to."""
-
-    key: str
-    place: dict[str, Any]
-    summary: dict[str, Any]
 
 
 def read(path: Path) -> Experiment:
@@ -90,29 +63,33 @@ def read(path: Path) -> Experiment:
     path, data = read_toml(path, "experiment", SHIPPED)
     where = f"experiment {path}"
     try:
-        unknown = sorted(set(data) - {"name", "base", "grid", VARIANT, "table"})
+        unknown = sorted(set(data) - {"name", *TABLES})
         if unknown:
-            raise ValueError(
-                f"{unknown[0]} is no table of an experiment; there are: base, grid, {VARIANT}, table"
-            )
+            raise ValueError(f"{unknown[0]} is no table of an experiment; there are: {', '.join(TABLES)}")
         if not (set(data) & {"base", "grid", VARIANT}):
             raise ValueError("nothing to run; an experiment has [base], [grid] or [[variant]]")
-        for key in ("base", "grid", "table"):
+        for key in ("base", "grid", "follow", "table"):
             if not isinstance(data.get(key, {}), dict):
                 raise ValueError(f"{key} = {data[key]!r}: must be a table, [{key}]")
         base, grid = data.get("base", {}), data.get("grid", {})
         for key, values in grid.items():
             _check_values(f"grid.{key}", values)
+        follow = _follow(data.get("follow", {}), grid)
         variants = _variants(data.get(VARIANT, [{"name": "plain"}]), grid)
         for settings in (base, *variants.values()):
             if "map" in settings:
                 settings["map"] = beside(path, settings["map"])
         if "map" in grid:
-            grid["map"] = [beside(path, value) for value in grid["map"]]
+            grid["map"] = [_found(path, value) for value in grid["map"]]
         table = _table(data.get("table", {}), grid, variants)
     except ValueError as error:
         raise ScenarioError(f"{where}: {error}") from None
-    return Experiment(where, str(data.get("name", path.stem)), base, grid, variants, table)
+    return Experiment(where, str(data.get("name", path.stem)), base, grid, follow, variants, table)
+
+
+def settings_of(key: str, value: Any) -> dict[str, Any]:
+    """The keys that one value of the grid sets: its own, or all of a table that names its own among others."""
+    return value if isinstance(value, dict) and key in value else {key: value}
 
 
 def choose(experiment: Experiment, names: Sequence[str]) -> Experiment:
@@ -161,71 +138,43 @@ def override(experiment: Experiment, settings: dict[str, Any]) -> Experiment:
     return replace(experiment, base=base, grid=grid)
 
 
-def cases(experiment: Experiment) -> list[Case]:
-    """All runs of an experiment, in the order of its grid; ScenarioError if one cannot be."""
-    worlds: dict[tuple[str, int], Map] = {}
-    result = []
-    for combination in itertools.product(*experiment.grid.values()):
-        chosen = dict(zip(experiment.grid, combination, strict=True))
-        for name, keys in experiment.variants.items():
-            place = {**chosen, VARIANT: name}
-            here = ", ".join(f"{key} = {value}" for key, value in place.items())
-            where = f"{experiment.where} ({here})"
-            data = {"bus": MEMORY, **experiment.base, **chosen, **keys}
-            if data["bus"] != MEMORY:
-                raise ScenarioError(
-                    f"{where}: bus = {data['bus']!r}: sweeps run on the memory bus; leave it out"
-                )
-            scenario = parse(data, where)
-            source = scenario.map, scenario.map_seed
-            try:
-                if source not in worlds:
-                    worlds[source] = plan.load_map(scenario)
-                plan.make(scenario, worlds[source])
-            except ScenarioError as error:
-                raise ScenarioError(f"{where}: {error}") from None
-            result.append(Case(place, scenario, identity(scenario, worlds[source])))
-    return result
-
-
-def run(todo: Sequence[Case], jobs: int, keep: Path | None = None) -> Iterator[Outcome]:
-    """Run cases in `jobs` processes, equal ones once; outcomes in `keep` are given again (`lines.collect`)."""
-    return collect(list({case.key: case for case in todo}.values()), _run_one, Outcome, jobs, keep)
-
-
-def summaries(todo: Sequence[Case], outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """The summaries of all cases whose outcome is known, with their places, in the order of `todo`."""
-    known = {outcome.key: outcome.summary for outcome in outcomes}
-    return [{**known[case.key], "place": case.place} for case in todo if case.key in known]
-
-
-def identity(scenario: Scenario, world_map: Map) -> str:
-    """Sha256 over all that decides a run: settings, cells of the map, versions, and our code."""
-    about = (
-        scenario.model_dump(mode="json"),
-        (world_map.cells.shape, world_map.resolution, world_map.origin),
-        versions(),
-        _code(),
-        inspect.getsource(sys.modules[strategy(scenario.strategy).__module__]),
-    )
-    total = hashlib.sha256(json.dumps(about, sort_keys=True).encode())
-    total.update(world_map.cells.tobytes())
-    return total.hexdigest()
-
-
 def _check_values(key: str, values: Any) -> None:
     """Raise ValueError unless `values` is a list that a grid can run through."""
     if not isinstance(values, list) or not values:
         raise ValueError(f"{key} = {values!r}: must be a list of values, as [3, 5]")
-    for value in values:
-        if values.count(value) > 1:
-            raise ValueError(f"{key} = {values!r}: says {value!r} twice")
+    name = key.rpartition(".")[2].rpartition(" ")[2]
+    labels = [settings_of(name, value)[name] for value in values]
+    for label in labels:
+        if labels.count(label) > 1:
+            raise ValueError(f"{key} = {values!r}: says {label!r} twice")
+
+
+def _found(path: Path, value: Any) -> Any:
+    """A map of the grid, looked for as that of a scenario is."""
+    return (
+        value | {"map": beside(path, value["map"])}
+        if isinstance(value, dict) and "map" in value
+        else beside(path, value)
+    )
+
+
+def _follow(pairs: dict[str, Any], grid: dict[str, Any]) -> dict[str, str]:
+    """Which key takes whose value; ValueError if the grid has not the one, or has the other."""
+    for key, leader in pairs.items():
+        if leader not in grid:
+            raise ValueError(
+                f"follow.{key} = {leader!r}: is no key of the grid; there are: {', '.join(grid)}"
+            )
+        if key in grid:
+            raise ValueError(f"follow.{key}: the grid sets {key} itself; leave it to one of them")
+    return dict(pairs)
 
 
 def _variants(entries: Any, grid: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """The keys of each variant, by its name; ValueError if one is unnamed, named twice, or sets the grid's."""
     if not isinstance(entries, list) or not entries:
         raise ValueError(f"{VARIANT} = {entries!r}: must be tables, [[{VARIANT}]]")
+    set_by_grid = {each for key, values in grid.items() for value in values for each in settings_of(key, value)}
     variants: dict[str, dict[str, Any]] = {}
     for entry in entries:
         if not isinstance(entry, dict) or "name" not in entry:
@@ -235,7 +184,7 @@ def _variants(entries: Any, grid: dict[str, Any]) -> dict[str, dict[str, Any]]:
         if name in variants:
             raise ValueError(f"two variants are called {name!r}; each needs a name of its own")
         for key in keys:
-            if key in grid:
+            if key in set_by_grid:
                 raise ValueError(f"variant {name!r} sets {key}, which the grid sets; leave it to one of them")
         variants[name] = keys
     return variants
@@ -244,11 +193,15 @@ def _variants(entries: Any, grid: dict[str, Any]) -> dict[str, dict[str, Any]]:
 def _table(data: dict[str, Any], grid: dict[str, Any], variants: dict[str, Any]) -> Table:
     """What to print; ValueError if there is no such thing."""
     usual = {"rows": list(grid), "columns": [VARIANT], "values": ["steps", "coverage", "map_agreement"]}
-    whole = usual | data
+    flags = {"interval": False, "finished_only": False}
+    whole: dict[str, Any] = usual | flags | data
     for key, names in whole.items():
-        if key not in usual:
-            raise ValueError(f"table.{key} is no part of a table; there are: {', '.join(usual)}")
-        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        if key not in usual and key not in flags:
+            raise ValueError(f"table.{key} is no part of a table; there are: {', '.join([*usual, *flags])}")
+        if key in flags:
+            if not isinstance(names, bool):
+                raise ValueError(f"table.{key} = {names!r}: must be true or false")
+        elif not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise ValueError(f"table.{key} = {names!r}: must be a list of names, as {usual[key]}")
     table = Table(**whole)
     for key in [*table.rows, *table.columns]:
@@ -258,19 +211,5 @@ def _table(data: dict[str, Any], grid: dict[str, Any], variants: dict[str, Any])
     if not table.values:
         raise ValueError("table.values = []: must name a figure at least, as ['steps']")
     for value in table.values:
-        tables.check(value, variants)
+        check(value, variants)
     return table
-
-
-@cache
-def _code() -> str:
-    """Sha256 of the sources."""
-    total = hashlib.sha256()
-    for package in ("agent", "deploy", "netshaper", "protocol", "worldsim"):
-        for file in sorted((Path(__file__).parents[1] / package).rglob("*.py")):
-            total.update(file.read_bytes())
-    return total.hexdigest()
-
-
-def _run_one(case: Case) -> Outcome:
-    return Outcome(case.key, case.place, exploration.explore(case.scenario, keep=False).summary)

@@ -1,0 +1,161 @@
+"""Experiments: grids, variants, keys that follow, overrides, and what makes no sense."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from agent.strategies.registry import strategies
+from deploy.scenario.scenario import ScenarioError
+from deploy.study import experiment as experiments
+from deploy.study import runs
+from tests.deploy.study.small_experiment import EXPERIMENT, write
+from worldsim import generators, maps
+
+
+def test_variants_may_be_chosen(tmp_path: Path) -> None:
+    experiment = experiments.read(write(tmp_path, EXPERIMENT))
+    assert {case.place["variant"] for case in runs.cases(experiments.choose(experiment, ["scans"]))} == {
+        "scans"
+    }
+    assert experiments.choose(experiment, []) == experiment
+    with pytest.raises(ScenarioError, match="no variant is called 'scan'; there are: polygons, scans"):
+        experiments.choose(experiment, ["scan"])
+    text = EXPERIMENT.replace('"bytes.total"', '"bytes.total relative to scans"')
+    with pytest.raises(ScenarioError, match="choose 'scans' as well"):
+        experiments.choose(experiments.read(write(tmp_path, text)), ["polygons"])
+
+
+def test_single_values_replace_lists_of_the_grid_as_lists_of_one(tmp_path: Path) -> None:
+    experiment = experiments.read(write(tmp_path, 'grid.map = ["em", "office"]\ngrid.seed = [0, 1]\n'))
+    other = experiments.override(experiment, {"map": "jh-like", "seed": 3, "robots": 2})
+    assert [(c.scenario.map, c.scenario.seed, c.scenario.robots) for c in runs.cases(other)] == [
+        ("jh-like", 3, 2)
+    ]
+
+
+def test_maps_are_looked_for_beside_the_experiment_and_those_of_flags_where_one_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, here = tmp_path / "there", tmp_path / "here"
+    for place, name in ((folder, "a"), (folder, "b"), (here, "c")):
+        place.mkdir(exist_ok=True)
+        maps.save(generators.make("em", seed=0), place / f"{name}.yaml")
+    monkeypatch.chdir(here)
+    experiment = experiments.read(write(folder, 'grid.map = ["a.yaml", "b.yaml", "em"]\n'))
+    assert [c.scenario.map for c in runs.cases(experiment)] == [
+        str(folder / "a.yaml"), str(folder / "b.yaml"), "em"
+    ]  # fmt: skip
+    assert [c.scenario.map for c in runs.cases(experiments.override(experiment, {"map": "c.yaml"}))] == [
+        "c.yaml"
+    ]
+    for text in ('base.map = "a.yaml"\n', '[[variant]]\nname = "it"\nmap = "a.yaml"\n'):
+        (case,) = runs.cases(experiments.read(write(folder, text)))
+        assert case.scenario.map == str(folder / "a.yaml")
+
+
+@pytest.mark.parametrize("path", sorted(experiments.SHIPPED.glob("*.toml")), ids=lambda path: path.stem)
+def test_shipped_experiments_are_found_by_name_and_make_sense(path: Path) -> None:
+    experiment = experiments.read(Path(path.name))
+    assert experiment == experiments.read(path)
+    assert runs.cases(experiments.override(experiment, {"seed": 0, "map": "em"}))
+
+
+def test_an_unknown_experiment_is_answered_with_those_there_are() -> None:
+    with pytest.raises(
+        ScenarioError, match=r"experiment none\.toml: no such file; shipped ones are claim-A1.toml"
+    ):
+        experiments.read(Path("none.toml"))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("name = 'nothing'\n", "nothing to run"),
+        ("base = 3\n", "must be a table, [base]"),
+        (
+            "[grid]\nrobots = [3]\n[table]\nvalues = ['steps relative to scans']\n",
+            "no variant is called 'scans'; there are: plain",
+        ),
+        ("[grid]\nrobots = [3]\n[table]\nvalues = ['steps / seed / robots']\n", "at most one"),
+        ("[grid]\nrobots = 3\n", "grid.robots = 3: must be a list of values, as [3, 5]"),
+        ("[gird]\nrobots = [3]\n", "gird is no table of an experiment"),
+        ("[grid]\nrobots = [3]\n[table]\nrows = ['seed']\n", "'seed', which is not in the grid"),
+        ("[[variant]]\nspeed = 1.0\n", "needs a name"),
+        ("name = ", "not TOML"),
+        (
+            "[grid]\nseed = [0]\n[follow]\nmap_seed = 'seeds'\n",
+            "follow.map_seed = 'seeds': is no key of the grid",
+        ),
+        (
+            "[grid]\nseed = [0]\nmap_seed = [1]\n[follow]\nmap_seed = 'seed'\n",
+            "the grid sets map_seed itself",
+        ),
+        ("[grid]\nmap = ['em', { map = 'em', map_seed = 1 }]\n", "says 'em' twice"),
+        (
+            "variant = [{ name = 'a', map_seed = 1 }]\n[grid]\nmap = [{ map = 'em', map_seed = 1 }]\n",
+            "variant 'a' sets map_seed, which the grid sets",
+        ),
+        ("[base]\n[table]\ninterval = 3\n", "table.interval = 3: must be true or false"),
+        ("[grid]\nseed = []\n", "grid.seed = []: must be a list of values"),
+        ("[grid]\nseed = [0, 1, 0]\n", "says 0 twice"),
+        ("variant = []\n", "variant = []: must be tables, [[variant]]"),
+        ("variant = 3\n", "variant = 3: must be tables, [[variant]]"),
+        ("variant = [{ name = 'a' }, { name = 'a' }]\n", "two variants are called 'a'"),
+        (
+            "variant = [{ name = 'a', robots = 1 }]\n[grid]\nrobots = [2, 3]\n",
+            "variant 'a' sets robots, which the grid sets",
+        ),
+        ("[base]\n[table]\nrows = 3\n", "table.rows = 3: must be a list of names"),
+        (
+            "[grid]\nseed = [1]\n[table]\nrows = [['seed']]\n",
+            "table.rows = [['seed']]: must be a list of names",
+        ),
+        ("[base]\n[table]\nvalues = [3]\n", "table.values = [3]: must be a list of names"),
+        (
+            "[base]\n[table]\nvalues = 'steps'\n",
+            "table.values = 'steps': must be a list of names, as ['steps'",
+        ),
+        ("[base]\n[table]\nvalues = []\n", "table.values = []: must name a figure"),
+        ("[base]\n[table]\nvalues = ['stepz']\n", "'stepz' is no figure; there are: steps, coverage"),
+        (
+            "[base]\n[table]\nvalue = ['steps']\n",
+            "table.value is no part of a table; there are: rows, columns, values",
+        ),
+    ],
+)
+def test_an_experiment_that_makes_no_sense_is_refused_by_name(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(ScenarioError, match=r"small\.toml") as caught:
+        experiments.read(write(tmp_path, text))
+    assert said in str(caught.value)
+
+
+def test_a_setting_that_every_variant_has_its_own_of_is_refused(tmp_path: Path) -> None:
+    experiment = experiments.read(write(tmp_path, EXPERIMENT))
+    experiments.override(experiment, {"exchange": "laser"})
+    with pytest.raises(ScenarioError, match="--set exchange: without effect"):
+        experiments.override(experiments.choose(experiment, ["scans"]), {"exchange": "polygon"})
+
+
+def test_a_table_in_the_grid_sets_all_its_keys_and_goes_by_its_own(tmp_path: Path) -> None:
+    text = "grid.map = ['em', { map = 'jh-like', map_options = { resolution = 0.2 }, speed = 0.4 }]\n"
+    plain, coarse = runs.cases(experiments.read(write(tmp_path, text)))
+    assert (plain.place["map"], plain.scenario.speed, plain.scenario.map_options) == ("em", 0.5, {})
+    assert (coarse.place["map"], coarse.scenario.speed) == ("jh-like", 0.4)
+    assert coarse.scenario.map_options == {"resolution": 0.2}
+
+
+def test_keys_follow_those_of_the_grid_whatever_replaces_them(tmp_path: Path) -> None:
+    text = "[grid]\nmap = ['office']\nseed = [0, 1]\n[follow]\nmap_seed = 'seed'\n"
+    experiment = experiments.override(experiments.read(write(tmp_path, text)), {"seed": [4, 7]})
+    assert [(c.scenario.seed, c.scenario.map_seed) for c in runs.cases(experiment)] == [(4, 4), (7, 7)]
+
+
+def test_every_strategy_of_ours_is_seen_to_finish_by_an_experiment() -> None:
+    named = {
+        name
+        for path in experiments.SHIPPED.glob("finish-*.toml")
+        for name in experiments.read(path).grid["strategy"]
+    }
+    assert named == {name for name, kind in strategies().items() if kind.__module__.startswith("agent.")}
