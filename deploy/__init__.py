@@ -1,6 +1,7 @@
-"""The laboratory: scenarios, launching, recording and the command line.
+"""The laboratory, and Murmur from Python: ``result = explore(Scenario(robots=5))``.
 
-From Python: ``from deploy import Scenario, explore; result = explore(Scenario(robots=5))``.
+Rooms, each on those before it: `scenario`, `record`, `dashboard`, `run`; `after`, `study` and `bench` beside each
+other; `commands`. Begin with `run/exploration.py`, one run from its scenario to its directory.
 """
 
 from __future__ import annotations

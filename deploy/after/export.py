@@ -56,7 +56,7 @@ def export_mcap(directory: Path, tell: Callable[[str], object] = lambda _: None)
         It is no run directory, or too little came of the run.
     """
     if importlib.util.find_spec("rosbags") is None:
-        raise ExportError("an export needs the package rosbags: pip install 'murmur-swarm[mcap]'")
+        raise ExportError("an export needs the package rosbags: pip install 'murmur-robots[mcap]'")
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer  # noqa: PLC0415
 
     archive = read(directory)

@@ -25,9 +25,9 @@ from agent.outline.polygons import Polygons
 from agent.outline.simplify import mixed_first, refine
 from agent.planning.cost_field import costs
 from agent.settings import Settings
-from deploy.bench import Figure, compare
 from deploy.bench.explorations import SAMPLES, Cell, Moment, beams, explore, samples
 from deploy.bench.handshakes import Handshakes, timed
+from deploy.bench.ratios import Figure, compare
 from deploy.bench.yardsticks import (
     cells_along,
     look_in_numpy,

@@ -18,9 +18,9 @@ import numpy as np
 from agent.strategies.base import Decision, Situation, Strategy
 from agent.strategies.registry import strategies
 from agent.strategies.targets import TargetStrategy
-from deploy.bench import Figure
 from deploy.bench.explorations import Cell
 from deploy.bench.handshakes import timed
+from deploy.bench.ratios import Figure
 from deploy.bench.yardsticks import yardstick
 from deploy.run import in_memory
 from deploy.scenario import plan as plans

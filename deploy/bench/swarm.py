@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from deploy.bench import Figure, compare
+from deploy.bench.ratios import Figure, compare
 from deploy.bench.transcript import Script, play, play_hub, play_lab, record
 from deploy.record.records import Records
 from deploy.run import launch

@@ -22,7 +22,7 @@ def yardstick(module: str, package: str) -> Any:
     except ImportError:
         raise ValueError(
             f"bench kernels compares with {package}, which is not installed: "
-            "install it, or murmur-swarm with its extra bench"
+            "install it, or murmur-robots with its extra bench"
         ) from None
 
 

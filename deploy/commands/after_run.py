@@ -107,11 +107,12 @@ def show_capture(
 
     The same opens in Wireshark: murmur capture --install-dissector, then wireshark DIR/radio.pcapng
     """
-    from deploy.after import capture, wireshark  # noqa: PLC0415
+    from deploy.after import capture  # noqa: PLC0415
+    from deploy.after.wireshark.install import install  # noqa: PLC0415
 
     with speaking_clearly():
         if install_dissector:
-            screen.print(f"installed: {wireshark.install()}", markup=False)
+            screen.print(f"installed: {install()}")
         elif directory is None:
             raise ValueError("name a run directory, or use --install-dissector")
         if directory is None:

@@ -12,8 +12,10 @@ from rich.console import Console
 
 BAD_INPUT, BROKEN_OFF = 2, 3
 
-errors = Console(stderr=True, highlight=False, soft_wrap=True)
-screen = Console(highlight=False, soft_wrap=True)
+errors = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
+screen = Console(highlight=False, soft_wrap=True, markup=False)
+"""Without markup: what is printed holds names, paths and last words, whose brackets are their own."""
+
 PAPER_WIDTH = 160
 """Columns of a table that goes to a file or another program."""
 
@@ -24,7 +26,7 @@ def report_result(result: Any, *, as_json: bool) -> int:
 
     report_deaths(result.deaths)
     if result.view_fault:
-        errors.print(f"the viewer broke off, the run did not mind: {result.view_fault}", markup=False)
+        errors.print(f"the viewer broke off, the run did not mind: {result.view_fault}")
     for robot, cause in sorted(result.records.lost.items()):
         errors.print(f"robot {robot} was lost: {cause}")
     for fault in result.records.faults[:5]:
@@ -87,5 +89,5 @@ def _explain(error: OSError) -> tuple[str, int]:
 def fail(message: str, code: int) -> NoReturn:
     """End the command with a message."""
     for line in message.splitlines():
-        errors.print(f"murmur: {line}", markup=False)
+        errors.print(f"murmur: {line}")
     raise typer.Exit(code)

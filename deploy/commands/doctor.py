@@ -8,6 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from rich.console import Console
+from rich.text import Text
 
 Check = tuple[str, Callable[[], str]]
 
@@ -17,10 +18,10 @@ def examine(screen: Console) -> bool:
     well = True
     for name, check in _checks():
         try:
-            screen.print(f"[green]ok[/green]    {name}: {check()}")
+            screen.print(Text.assemble(("ok", "green"), f"    {name}: {check()}"))
         except Exception as error:
             well = False
-            screen.print(f"[red]wrong[/red] {name}: {error}")
+            screen.print(Text.assemble(("wrong", "red"), f" {name}: {error}"))
     return well
 
 
@@ -72,5 +73,5 @@ def _viewer() -> str:
     import importlib.util  # noqa: PLC0415
 
     if importlib.util.find_spec("rerun") is None:
-        return "not installed; `--view` needs the extra `view` (pip install 'murmur-swarm[view]')"
+        return "not installed; `--view` needs the extra `view` (pip install 'murmur-robots[view]')"
     return "Rerun is installed"

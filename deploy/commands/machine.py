@@ -29,7 +29,7 @@ def bench(
     as_json: JsonFlag = False,
 ) -> None:
     """Measure this machine: each figure as a ratio against a yardstick taken in the same run."""
-    from deploy.bench import run_benches  # noqa: PLC0415
+    from deploy.bench.ratios import run_benches  # noqa: PLC0415
 
     with speaking_clearly():
         figures = run_benches(names or [], (lambda _: None) if as_json else screen.print)

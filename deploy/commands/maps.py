@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.text import Text
 
 from deploy.commands.console import screen, speaking_clearly
 from deploy.commands.flags import family
@@ -22,7 +23,8 @@ def map_list() -> None:
 
     names = generators.names()
     for name in names:
-        screen.print(f"[bold]{name:{max(map(len, names))}}[/bold]  {generators.describe(name)}")
+        padded = f"{name:{max(map(len, names))}}"
+        screen.print(Text.assemble((padded, "bold"), "  ", generators.describe(name)))
 
 
 @maps_app.command("make")

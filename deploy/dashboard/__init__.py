@@ -1,1 +1,5 @@
-"""The live dashboard: a viewer on the bus, what it draws, windows that show it (docs/dashboard.md)."""
+"""The live view: a viewer on the bus, what it draws, the windows that show it (docs/dashboard.md).
+
+It stands on `record`. Begin with `process.py`, the viewer; `run_events.py` follows the run, `recorder.py` draws
+it for Rerun.
+"""

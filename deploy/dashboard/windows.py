@@ -113,7 +113,7 @@ def binary() -> Path:
     found = importlib.util.find_spec("rerun_cli")
     if found is None or found.origin is None:
         raise WindowError(
-            "the dashboard needs Rerun, which is not installed: pip install 'murmur-swarm[view]'"
+            "the dashboard needs Rerun, which is not installed: pip install 'murmur-robots[view]'"
         )
     name = "rerun.exe" if sys.platform == "win32" else "rerun"
     return Path(found.origin).parent / name

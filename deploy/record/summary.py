@@ -17,7 +17,7 @@ from netshaper.ledger import CAUSES, sort_rows
 from protocol.grid import FREE
 from protocol.packets import ALL_KINDS
 
-PACKAGES = ("murmur-swarm", "eclipse-zenoh", "numba", "numpy", "scipy")
+PACKAGES = ("murmur-robots", "eclipse-zenoh", "numba", "numpy", "scipy")
 
 SCAN_VALUES, VALUE_BYTES = 362, 2
 """A raw scan by the thesis' reckoning (section 6.3): 360 ranges and a position, for each of the others."""

@@ -1,1 +1,5 @@
-"""Room."""
+"""Many runs: one scenario over factors and seeds, collected and tabulated.
+
+It stands on `run`, beside `after` and `bench`. Begin with `experiment.py`; `runs.py` makes its runs,
+`tables.py` its table, and `experiments/` holds those that are installed with the code.
+"""

@@ -174,7 +174,9 @@ def _variants(entries: Any, grid: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """The keys of each variant, by its name; ValueError if one is unnamed, named twice, or sets the grid's."""
     if not isinstance(entries, list) or not entries:
         raise ValueError(f"{VARIANT} = {entries!r}: must be tables, [[{VARIANT}]]")
-    set_by_grid = {each for key, values in grid.items() for value in values for each in settings_of(key, value)}
+    set_by_grid = {
+        each for key, values in grid.items() for value in values for each in settings_of(key, value)
+    }
     variants: dict[str, dict[str, Any]] = {}
     for entry in entries:
         if not isinstance(entry, dict) or "name" not in entry:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from deploy.after import wireshark
+from deploy.after.wireshark import install as wireshark
 from deploy.commands import main
 from deploy.run.exploration import Result, explore
 from deploy.scenario.scenario import parse

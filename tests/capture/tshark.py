@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.after import wireshark
+from deploy.after.wireshark import install as wireshark
 
 SPLIT = "|"
 

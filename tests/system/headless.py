@@ -21,7 +21,7 @@ PATIENCE_S = 60.0
 @contextlib.contextmanager
 def viewer(recording: Path, size: str = "1920x1080") -> Iterator[Any]:
     """A client of a viewer that has opened the recording."""
-    rerun = pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'murmur-swarm[view]'")
+    rerun = pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'murmur-robots[view]'")
     if not any(folder.glob("*.json") for folder in DRIVERS if folder.is_dir()):
         pytest.skip("no Vulkan driver: install Debian's package mesa-vulkan-drivers to draw without a screen")
     port = free_port()

@@ -23,7 +23,7 @@ from deploy.scenario.scenario import parse
 from tests.system.browser import Browser
 from tests.system.headless import settled_picture, viewer
 
-pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'murmur-swarm[view]'")
+pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'murmur-robots[view]'")
 
 VIEWS = [
     "The building as it is [m]", "What you see", "On the air [bytes/step]", "What for", "Explored [%]",

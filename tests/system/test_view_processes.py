@@ -19,7 +19,7 @@ from deploy.record.snapshots import SNAPSHOTS, Snapshots
 from tests.system.headless import viewer
 from tests.system.test_processes import child, finish, summary, swarm
 
-pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'murmur-swarm[view]'")
+pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'murmur-robots[view]'")
 
 
 def verify(recording: Path) -> None:

@@ -23,9 +23,9 @@ from tests.deploy.small_run import small_directory, small_plan
 from worldsim.maps import to_cell, to_world
 
 needs_packages = [
-    pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'murmur-swarm[mcap]'"),
+    pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'murmur-robots[mcap]'"),
     pytest.importorskip(
-        "mcap_ros2", reason="mcap-ros2-support is not installed: pip install 'murmur-swarm[dev]'"
+        "mcap_ros2", reason="mcap-ros2-support is not installed: pip install 'murmur-robots[dev]'"
     ),
 ]
 
@@ -174,5 +174,5 @@ def test_ranges_turn_with_y_up_and_tell_nothing_from_far() -> None:
 
 def test_an_export_names_the_package_that_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    with pytest.raises(ExportError, match=r"pip install 'murmur-swarm\[mcap\]'"):
+    with pytest.raises(ExportError, match=r"pip install 'murmur-robots\[mcap\]'"):
         export_mcap(Path())

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 from agent.outline.contour import contours
 from agent.planning.cost_field import costs
 from agent.strategies.registry import strategies
-from deploy import bench
-from deploy.bench import Figure, compare, kernels, replanning, run_benches, yardsticks
+from deploy.bench import kernels, ratios, replanning, yardsticks
+from deploy.bench.ratios import Figure, compare, run_benches
 from deploy.commands.main import app
 from protocol.grid import FREE, OCCUPIED, Grid, fan
 from protocol.scans import draw
@@ -39,7 +39,7 @@ def test_a_figure_for_people_names_its_yardstick_and_its_aim() -> None:
 
 def test_help_names_every_bench() -> None:
     said = CliRunner().invoke(app, ["bench", "--help"]).stdout
-    assert all(name in said for name in bench.benches())
+    assert all(name in said for name in ratios.benches())
 
 
 def test_a_bench_that_is_not_there_is_refused_with_those_that_are() -> None:
@@ -52,7 +52,7 @@ def _one_figure() -> Iterator[Figure]:
 
 
 def test_figures_come_as_text_for_people_and_as_json_for_machines(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bench, "benches", lambda: {"small": _one_figure})
+    monkeypatch.setattr(ratios, "benches", lambda: {"small": _one_figure})
     said = CliRunner().invoke(app, ["bench"]).stdout.splitlines()
     assert said[0] == "small:"
     assert said[1].split()[:3] == ["work", "1.00", "ms"]

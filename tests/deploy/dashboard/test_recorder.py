@@ -17,7 +17,7 @@ from protocol.grid import FREE
 from protocol.messages import Bye, MindReport, Outlines, RadioReport, Snapshot, WorldReport
 from tests.deploy.small_run import SETTINGS, small_plan, small_run, told
 
-rerun = pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'murmur-swarm[view]'")
+rerun = pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'murmur-robots[view]'")
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +135,7 @@ def test_a_window_says_what_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(WindowError, match="must be one of auto, native, web, file"):
         Window("cinema")
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    with pytest.raises(WindowError, match=r"pip install 'murmur-swarm\[view\]'"):
+    with pytest.raises(WindowError, match=r"pip install 'murmur-robots\[view\]'"):
         Window("file")
 
 

@@ -95,7 +95,7 @@ def test_the_summary_has_every_name_of_the_contract(run: Result, out: Path) -> N
     assert summary["wire_bytes"] is None
     assert len(summary["path_length"]) == summary["robots"] == 3
     assert len(summary["digest"]) == 64
-    assert {"murmur-swarm", "numpy", "eclipse-zenoh"} <= set(summary["versions"])
+    assert {"murmur-robots", "numpy", "eclipse-zenoh"} <= set(summary["versions"])
 
 
 def test_the_ledger_has_the_columns_of_the_contract_and_adds_up_to_the_summary(
