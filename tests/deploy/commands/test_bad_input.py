@@ -1,27 +1,20 @@
-"""The command line: what is wrong is named with what would be right, and nothing is left behind; help teaches."""
+"""Bad input: what is wrong is named with what would be right, and nothing is left behind."""
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-import click
 import numpy as np
 import pytest
-import typer
-from click.testing import Result
 from PIL import Image
-from typer.testing import CliRunner
 
-from deploy.commands.main import app
 from protocol.grid import MAX_SIDE
 from protocol.zenoh_bus import Credential
-from worldsim import generators, maps
+from tests.deploy.commands.office_floor import murmur
 
 BAD_INPUT = 2
 
@@ -85,11 +78,6 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     yield tmp_path
 
 
-def murmur(*arguments: str) -> Result:
-    """Call the command in this process."""
-    return CliRunner().invoke(app, arguments)
-
-
 def contents(folder: Path) -> dict[str, int]:
     return {str(path.relative_to(folder)): path.stat().st_mtime_ns for path in folder.rglob("*")}
 
@@ -145,7 +133,7 @@ EXPLORE = {
     "missing.toml": "scenario missing.toml: no such file; shipped ones are",
     "full": "scenario full: Is a directory",
     "broken.toml": "scenario broken.toml: not TOML: Invalid value (at line 1, column 10)",
-    "unknown.toml": "scenario unknown.toml: robtos is no setting; there are: map, map_seed, robots,",
+    "unknown.toml": "scenario unknown.toml: robtos is no setting; there are: map, map_seed, map_options, robots,",
     "type.toml": "scenario type.toml: robots = 'three': Input should be a valid integer",
     "table.toml": "robot.0.spede is no setting; there are: robot, sensor_range, field_of_view, speed",
     "death.toml": "[[death]] speaks of robot 5; the last one is 1",
@@ -174,6 +162,7 @@ OTHERS = {
     "export full --mcap": "full: no run directory, for it has no scenario.toml",
     "watch full": "full: no recording (run.rrd), and no run is under way there",
     "capture missing": "missing: No such file or directory",
+    "report [/x]": "[/x]: no run directory, for it has no scenario.toml",
     "capture torn.pcapng": "torn.pcapng: not a pcapng file",
     "capture torn.pcapng --json": "torn.pcapng: not a pcapng file",
     "capture whole --robot 1": "robot = 1: the last one of this run is 0",
@@ -181,7 +170,7 @@ OTHERS = {
     "capture full --kind x": "kind = 'x': there are ins, rep, del,",
     "capture full --step x": "step = 'x': must be a step, as 12, or steps, as 10-20",
     "capture full --step 5-2": "step = '5-2': the first step comes first, as in 10-20",
-    "sweep missing.toml": "experiment missing.toml: no such file; shipped ones are kilobyte.toml, lossy.toml,",
+    "sweep missing.toml": "experiment missing.toml: no such file; shipped ones are claim-A1.toml, claim-A2.toml,",
     "sweep broken.toml": "experiment broken.toml: not TOML",
     "strategies burgart": "no strategy is called 'burgart'; did you mean burgard or burgard-optimal?",
     "bench speed": "no bench is called 'speed'; there are: kernels, bus, swarm",
@@ -259,204 +248,3 @@ def test_a_file_that_is_called_as_the_folder_of_runs_is_in_the_way(desk: Path) -
     result = murmur("explore", "--map", "room.yaml", "--robots", "1", "--bus", "memory")
     assert result.exit_code == BAD_INPUT
     assert "runs is a file, and runs go into a directory of that name: move it, or use --out" in result.stderr
-
-
-# --- help ----------------------------------------------------------------------------------------------
-
-
-def commands() -> dict[str, click.Command]:
-    """All commands, by the words that call them."""
-    found: dict[str, click.Command] = {}
-
-    def walk(command: click.Command, words: tuple[str, ...]) -> None:
-        found[" ".join(words)] = command
-        for name, inner in getattr(command, "commands", {}).items():
-            walk(inner, (*words, name))
-
-    walk(typer.main.get_command(app), ())
-    return found
-
-
-@pytest.mark.parametrize("words", commands())
-def test_help_ends_well_and_teaches(words: str) -> None:
-    command = commands()[words]
-    for flag in ("--help", "-h"):
-        result = murmur(*words.split(), flag)
-        assert result.exit_code == 0
-        assert result.stderr == ""
-    said = " ".join(result.stdout.split())
-    assert command.help
-    assert command.help.split(".")[0].split()[0] in said
-    for parameter in command.params:
-        assert getattr(parameter, "help", None), f"{parameter.name} has no help"
-        if isinstance(parameter, click.Option):
-            assert max(parameter.opts, key=len) in said
-    for inner in getattr(command, "commands", {}):
-        assert inner in said
-
-
-def test_the_first_help_says_how_to_begin_and_what_exit_codes_mean() -> None:
-    said = " ".join(murmur("--help").stdout.split())
-    assert "Begin with: murmur explore --robots 5" in said
-    assert "0 explored, 1 not finished" in said
-    assert "2 bad input, 3 a process died" in said
-
-
-def test_without_a_word_the_command_helps() -> None:
-    result = murmur()
-    assert "Usage: " in result.stdout + result.stderr
-    assert "explore" in result.stdout + result.stderr
-
-
-def test_help_of_explore_names_defaults_and_choices() -> None:
-    said = " ".join(murmur("explore", "--help").stdout.split())
-    for words in (
-        "how many robots explore (default 3)",
-        "how maps travel: polygon, laser, none (default polygon)",
-        "bytes a step for the whole team (default 1000)",
-        "communication range: metres, or % of the map's diagonal (default 100%)",
-    ):
-        assert words in said
-    assert "None" not in said
-
-
-# --- what works ----------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def floor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    monkeypatch.chdir(tmp_path)
-    maps.save(generators.make("office", width_m=10, height_m=10), tmp_path / "floor.yaml")
-    return "floor.yaml"
-
-
-def explore(floor: str, *more: str) -> Result:
-    return murmur("explore", "--map", floor, "--bus", "memory", "--robots", "2", *more)
-
-
-def test_a_run_tells_people_how_it_went_and_where_everything_is(floor: str) -> None:
-    result = explore(floor)
-    assert result.exit_code == 0, result.stderr
-    lines = result.stdout.splitlines()
-    assert lines[0].startswith("Explored in ")
-    assert "100.00 % of what can be reached" in lines[1]
-    directory = Path("runs/floor-polygon-2robots-seed0")
-    assert f"Everything is in {directory}; look at {directory / 'maps.png'}." in lines[-1]
-    assert (directory / "summary.json").exists()
-    assert "runs/floor-polygon-2robots-seed0-2" in explore(floor, "--steps", "3").stdout
-
-
-def test_machines_get_one_json_object_and_nothing_else(floor: str) -> None:
-    result = explore(floor, "--json", "--out", "run")
-    summary: dict[str, Any] = json.loads(result.stdout)
-    assert summary == json.loads(Path("run/summary.json").read_text())
-    assert result.stderr == ""
-
-
-def test_a_run_that_does_not_finish_ends_with_1(floor: str) -> None:
-    result = explore(floor, "--steps", "3")
-    assert result.exit_code == 1
-    assert "Not finished after 3 steps: out of steps." in result.stdout
-
-
-def test_flags_override_the_scenario(floor: str) -> None:
-    Path("s.toml").write_text(f'map = "{floor}"\nrobots = 2\nsteps = 3\nbus = "memory"\nseed = 5\n')
-    result = murmur("explore", "s.toml", "--seed", "6", "--option", "beta=2", "--json", "--out", "run")
-    assert json.loads(result.stdout)["seed"] == 6
-    written = Path("run/scenario.toml").read_text()
-    assert "beta = 2" in written
-    assert "robots = 2" in written
-
-
-def test_the_thesis_plain_rules_are_one_flag(floor: str) -> None:
-    explore(floor, "--thesis", "--steps", "2", "--out", "run")
-    written = Path("run/scenario.toml").read_text()
-    for line in ('offers = "thesis"', "lazy = false", "mixed_first = false", "free_inside_edges = true"):
-        assert line in written
-
-
-def test_a_replay_says_whether_the_run_holds(floor: str) -> None:
-    explore(floor, "--steps", "8", "--out", "run")
-    result = murmur("replay", "run")
-    assert (result.exit_code, result.stdout[:13]) == (0, "The run holds")
-    found = json.loads(murmur("replay", "run", "--json").stdout)
-    assert found["holds"]
-    assert found["digest"] == found["before"]
-    summary = json.loads(Path("run/summary.json").read_text())
-    Path("run/summary.json").write_text(json.dumps(summary | {"digest": "0" * 64, "steps": 7}))
-    result = murmur("replay", "run")
-    assert result.exit_code == 1
-    assert "does not hold" in result.stderr
-    assert "steps: 7 then, 8 now" in result.stderr
-
-
-def test_a_replay_names_the_settings_that_have_changed_first(floor: str) -> None:
-    explore(floor, "--steps", "4", "--out", "run")
-    scenario = Path("run/scenario.toml")
-    scenario.write_text(scenario.read_text().replace("robots = 2", "robots = 3"))
-    result = murmur("replay", "run")
-    assert result.exit_code == 1
-    assert result.stderr.splitlines()[1] == "  robots: 2 then, 3 now"
-    assert "map: " not in result.stderr
-
-
-@pytest.mark.parametrize(
-    ("what", "why"),
-    [
-        ({"reason": "interrupted"}, "it was interrupted at step 4"),
-        ({"reason": "broken off"}, "it was broken off at step 4"),
-        ({"lost": {"1": "its process ended"}}, "robot 1 was lost: its process ended, unasked"),
-    ],
-)
-def test_what_befell_a_run_from_outside_cannot_be_replayed(
-    floor: str, what: dict[str, Any], why: str
-) -> None:
-    explore(floor, "--steps", "4", "--out", "run")
-    summary = json.loads(Path("run/summary.json").read_text())
-    Path("run/summary.json").write_text(json.dumps(summary | what))
-    result = murmur("replay", "run")
-    assert (result.exit_code, result.stdout) == (BAD_INPUT, "")
-    assert result.stderr == f"murmur: run: this run cannot be repeated: {why}\n"
-
-
-def test_a_run_says_where_its_pictures_are(floor: str) -> None:
-    said = explore(floor, "--steps", "4", "--out", "run", "--pictures").stdout
-    assert "Everything is in run; look at run/maps.png and run/pictures." in said
-
-
-FULL_DISK = """
-import resource, sys
-from deploy.after import export, report
-from deploy.commands import main
-resource.setrlimit(resource.RLIMIT_FSIZE, (9000, resource.RLIM_INFINITY))
-main.app(sys.argv[1:])
-"""
-
-
-@pytest.mark.parametrize("words", ["explore --map floor.yaml --bus memory --out two --json", "report run"])
-def test_a_full_disk_is_named_with_the_file_and_ends_with_3(floor: str, words: str) -> None:
-    explore(floor, "--steps", "30", "--out", "run")
-    done = subprocess.run(
-        [sys.executable, "-c", FULL_DISK, *words.split()],
-        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[3])},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    last = done.stderr.splitlines()[-1]
-    assert (done.returncode, done.stdout) == (3, ""), done.stderr
-    assert last.startswith("murmur: ")
-    assert last.endswith("File too large")
-    assert "Traceback" not in done.stderr
-    assert not list(Path("run").glob("pictures/*"))
-
-
-def test_maps_can_be_made_shown_and_explored(floor: str) -> None:
-    assert murmur("map", "make", "em", "--out", "hall.yaml").stdout.startswith("hall.yaml: 21 x 24 m")
-    shown = murmur("map", "show", "hall.yaml", "--png", "hall.png.png")
-    assert "hall: 420 x 480 cells of 0.05 m" in shown.stdout
-    assert {"█", " "} <= set(shown.stdout), "walls and rooms can be told apart without colours"
-    assert Path("hall.png.png").exists()
-    assert explore("hall.yaml", "--steps", "2").exit_code == 1
-    listed = murmur("map", "list").stdout
-    assert all(name in listed for name in generators.names())

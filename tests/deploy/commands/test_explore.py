@@ -1,0 +1,55 @@
+"""`murmur explore`: what it says and leaves, and what its flags do."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from tests.deploy.commands.office_floor import explore, murmur
+
+
+def test_a_run_tells_people_how_it_went_and_where_everything_is(floor: str) -> None:
+    result = explore(floor)
+    assert result.exit_code == 0, result.stderr
+    lines = result.stdout.splitlines()
+    assert lines[0].startswith("Explored in ")
+    assert "100.00 % of what can be reached" in lines[1]
+    directory = Path("runs/floor-polygon-2robots-seed0")
+    assert f"Everything is in {directory}; look at {directory / 'maps.png'}." in lines[-1]
+    assert (directory / "summary.json").exists()
+    assert "runs/floor-polygon-2robots-seed0-2" in explore(floor, "--steps", "3").stdout
+
+
+def test_machines_get_one_json_object_and_nothing_else(floor: str) -> None:
+    result = explore(floor, "--json", "--out", "run")
+    summary: dict[str, Any] = json.loads(result.stdout)
+    assert summary == json.loads(Path("run/summary.json").read_text())
+    assert result.stderr == ""
+
+
+def test_a_run_that_does_not_finish_ends_with_1(floor: str) -> None:
+    result = explore(floor, "--steps", "3")
+    assert result.exit_code == 1
+    assert "Not finished after 3 steps: out of steps." in result.stdout
+
+
+def test_flags_override_the_scenario(floor: str) -> None:
+    Path("s.toml").write_text(f'map = "{floor}"\nrobots = 2\nsteps = 3\nbus = "memory"\nseed = 5\n')
+    result = murmur("explore", "s.toml", "--seed", "6", "--option", "beta=2", "--json", "--out", "run")
+    assert json.loads(result.stdout)["seed"] == 6
+    written = Path("run/scenario.toml").read_text()
+    assert "beta = 2" in written
+    assert "robots = 2" in written
+
+
+def test_the_thesis_plain_rules_are_one_flag(floor: str) -> None:
+    explore(floor, "--thesis", "--steps", "2", "--out", "run")
+    written = Path("run/scenario.toml").read_text()
+    for line in ('offers = "thesis"', "lazy = false", "mixed_first = false", "free_inside_edges = true"):
+        assert line in written
+
+
+def test_a_run_says_where_its_pictures_are(floor: str) -> None:
+    said = explore(floor, "--steps", "4", "--out", "run", "--pictures").stdout
+    assert "Everything is in run; look at run/maps.png and run/pictures." in said

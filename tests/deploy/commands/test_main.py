@@ -1,0 +1,92 @@
+"""The table of commands: help teaches, and nothing is imported before it is called."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib.metadata import version
+from typing import Any
+
+import pytest
+import typer
+from typer.core import TyperOption
+
+from deploy.commands.main import COMMANDS, app
+from tests.deploy.commands.office_floor import murmur
+
+
+def commands() -> dict[str, Any]:
+    """All commands, by the words that call them."""
+    root = typer.main.get_command(app)
+    found: dict[str, Any] = {"": root}
+
+    def walk(command: Any, words: tuple[str, ...]) -> None:
+        found[" ".join(words)] = command
+        for name, inner in getattr(command, "commands", {}).items():
+            walk(inner, (*words, name))
+
+    for name in COMMANDS:
+        walk(root.get_command(None, name), (name,))
+    return found
+
+
+@pytest.mark.parametrize("words", commands())
+def test_help_ends_well_and_teaches(words: str) -> None:
+    command = commands()[words]
+    for flag in ("--help", "-h"):
+        result = murmur(*words.split(), flag)
+        assert result.exit_code == 0
+        assert result.stderr == ""
+    said = " ".join(result.stdout.split())
+    assert command.help
+    assert command.help.split(".")[0].split()[0] in said
+    for parameter in command.params:
+        assert getattr(parameter, "help", None), f"{parameter.name} has no help"
+        if isinstance(parameter, TyperOption):
+            assert max(parameter.opts, key=len) in said
+    for inner in getattr(command, "commands", {}):
+        assert inner in said
+
+
+def test_the_first_help_says_how_to_begin_and_what_exit_codes_mean() -> None:
+    said = " ".join(murmur("--help").stdout.split())
+    assert "Begin with: murmur explore --robots 5" in said
+    assert "0 explored, 1 not finished" in said
+    assert "2 bad input, 3 a process died" in said
+
+
+def test_without_a_word_the_command_helps() -> None:
+    result = murmur()
+    assert "Usage: " in result.stdout + result.stderr
+    assert "explore" in result.stdout + result.stderr
+
+
+def test_help_of_explore_names_defaults_and_choices() -> None:
+    said = " ".join(murmur("explore", "--help").stdout.split())
+    for words in (
+        "how many robots explore (default 3)",
+        "how maps travel: polygon, laser, none (default polygon)",
+        "bytes a step for the whole team (default 1000)",
+        "communication range: metres, or % of the map's diagonal (default 100%)",
+    ):
+        assert words in said
+    assert "None" not in said
+
+
+def test_the_list_of_commands_says_of_each_what_its_own_help_says() -> None:
+    for name, place in COMMANDS.items():
+        own = commands()[name].help.split("\n")[0]
+        assert own.split()[0] == place.line.split()[0], name
+        assert place.line.endswith(".") and len(place.line) <= 80
+
+
+def test_help_and_version_import_nothing_of_what_commands_do() -> None:
+    for words in ("--help", "--version"):
+        code = f"import sys; from deploy.commands.main import app; app({[words]!r}, standalone_mode=False); "
+        code += "print('heavy:', sorted({'numpy', 'numba', 'zenoh', 'pydantic'} & set(sys.modules)))"
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        assert done.stdout.endswith("heavy: []\n")
+
+
+def test_the_version_is_that_of_the_distribution() -> None:
+    assert murmur("--version").stdout == f"murmur {version('murmur-robots')}\n"

@@ -1,0 +1,19 @@
+"""`murmur map`: maps are made, shown and explored."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tests.deploy.commands.office_floor import explore, murmur
+from worldsim import generators
+
+
+def test_maps_can_be_made_shown_and_explored(floor: str) -> None:
+    assert murmur("map", "make", "em", "--out", "hall.yaml").stdout.startswith("hall.yaml: 21 x 24 m")
+    shown = murmur("map", "show", "hall.yaml", "--png", "hall.png.png")
+    assert "hall: 420 x 480 cells of 0.05 m" in shown.stdout
+    assert {"█", " "} <= set(shown.stdout), "walls and rooms can be told apart without colours"
+    assert Path("hall.png.png").exists()
+    assert explore("hall.yaml", "--steps", "2").exit_code == 1
+    listed = murmur("map", "list").stdout
+    assert all(name in listed for name in generators.names())
