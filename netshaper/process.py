@@ -6,7 +6,7 @@ that died. A viewer may come and go; nobody waits for it.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from msgspec.structs import replace
 
 from netshaper.ledger import EVERYONE
 from netshaper.medium import Medium
@@ -23,6 +23,7 @@ from protocol.messages import (
     Lost,
     Positions,
     RadioReport,
+    Record,
     Said,
     Stop,
     Watched,
@@ -176,7 +177,7 @@ class RelayNode:
     def _fault(self, who: str, reason: str) -> None:
         self._report(Fault(who, reason))
 
-    def _report(self, message: object) -> None:
+    def _report(self, message: Record) -> None:
         """Tell the laboratory, and the viewer if there is one; frames on the air are only for the former."""
         self._bus.put(self._keys.control(names.LAB, names.RELAY), pack(message))
         if self._watched:

@@ -23,7 +23,7 @@ from netshaper.medium import ANSWER, BROADCAST, DATA, OFFER, UNLIMITED, Connecti
 from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.keyed_random import keyed_random
-from protocol.messages import Close, Open, Outcome, Said, Turn
+from protocol.messages import Close, Open, Outcome, Record, Said, Turn
 
 Item = TypeVar("Item")
 
@@ -67,7 +67,7 @@ class Note:
     """A control message for a robot."""
 
     receiver: int
-    message: object
+    message: Record
 
 
 Outgoing = Frame | Note | Medium
