@@ -21,6 +21,7 @@ from protocol.messages import (
     MindReport,
     Open,
     Outcome,
+    Record,
     Said,
     Sense,
     Turn,
@@ -156,7 +157,7 @@ class AgentNode:
     def _fault(self, what: str) -> None:
         self._report(Fault(self._name, what))
 
-    def _report(self, message: object) -> None:
+    def _report(self, message: Record) -> None:
         """Tell the laboratory, and the viewer if there is one."""
         payload = pack(message)
         self._bus.put(self._keys.control(names.LAB, self._name), payload)

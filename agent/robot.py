@@ -19,7 +19,7 @@ from agent.outline.polygons import Polygons
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Pose, Situation
 from agent.strategies.registry import strategy
-from protocol import packets
+from protocol import packets, survey
 from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Grid, fan
 from protocol.messages import Move, Outcome, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
@@ -166,7 +166,7 @@ class Robot:
                 continue
             told_by = self._told_by.setdefault(about, set())
             try:
-                units = packets.split(frame)
+                units = survey.split(frame)
                 self._exchange.take(about, units)
             except ProtocolError as error:
                 self.faults.append(Fault(peer, str(error)))

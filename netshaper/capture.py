@@ -1,18 +1,19 @@
 """The capture: every frame that was said, carried or not, as a packet for Wireshark (docs/capture.md).
 
-A packet is a head of 24 bytes, big-endian, and behind it the frame's bytes as they were said, nothing else:
+A packet is a head of 24 bytes, big-endian, and behind it the frame's bytes as they were said, nothing else. Where a
+robot's number does not fit into it (from 64 on), the head is of version 2, with 52 bytes:
 
-    version   u8   1
+    version   u8   1           2
     frame     u8   offer, answer, data, broadcast (`FRAMES`)
     verdict   u8   carried, budget, range, protocol, lost (`VERDICTS`)
     exchange  u8
-    sender    i8
-    receiver  i8   -1 for all; another negative number is a name that no robot has
-    map       i8   -1 for none
-    part      u8   counts the packets of a frame that is too long for one, from 0
+    sender    i8          i16
+    receiver  i8          i16  -1 for all; another negative number is a name that no robot has
+    map       i8          i16  -1 for none
+    part      u8          u16  counts the packets of a frame that is too long for one, from 0
     step      u32
     connection i32 -1 for none
-    hearers   u64  bit r is set where robot r heard it
+    hearers   u64         u256 bit r is set where robot r heard it
 
 A data frame that was cut is two packets, what was carried and the rest; of what was not carried the first
 64 bytes are kept, and its size. The time is the step in seconds, and the place within the step in
@@ -22,20 +23,45 @@ microseconds, so that two equal runs leave equal files.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from netshaper import pcapng
-from netshaper.ledger import CAUSES, EVERYONE, Sighting
+from netshaper.ledger import CAUSES
 from netshaper.pcapng import CaptureError
-from protocol import packets
-from protocol.grid import MAX_ROBOTS
+from netshaper.sightings import (
+    BEGIN,
+    CONNECTION,
+    END,
+    EXCHANGE,
+    FRAME,
+    HEARD_FROM,
+    HEARD_TO,
+    MAP,
+    RECEIVER,
+    SENDER,
+    VERDICT,
+    WORDS,
+    Columns,
+    Rows,
+    Sighting,
+    hearers_of,
+)
+from protocol import survey
+from protocol.kernels import kernel
+from protocol.survey import TABLE, Bytes, Table, fitting_part
 
 LINK_TYPE = 147
 """LINKTYPE_USER0, which the dissector takes."""
 
-VERSION = 1
+VERSION, WIDE = 1, 2
+"""Versions of the head: the plain one, and the one for large teams."""
 HEAD = struct.Struct(">BBBBbbbBIiQ")
+WIDE_HEAD = struct.Struct(">BBBBhhhHIi32s")
+NARROW = 64
+"""Robots that the plain head can speak of."""
 
 KEPT = 64
 """Bytes that are kept of what was not carried."""
@@ -50,12 +76,6 @@ FRAMES = ("offer", "answer", "data", "broadcast")
 
 VERDICTS = ("carried", *CAUSES[1:])
 
-_WORDS = {
-    "budget": "cut by budget",
-    "range": "out of range",
-    "protocol": "refused",
-    "lost": "a partner died",
-}
 _SECOND = 1_000_000
 
 
@@ -84,19 +104,9 @@ def head(description: str) -> bytes:
     return pcapng.head(LINK_TYPE, "Murmur", "radio", description)
 
 
-def encode(step: int, sightings: Iterable[Sighting]) -> bytes:
+def encode(step: int, seen: Columns) -> bytes:
     """Write the frames of a step, in the order in which they were booked, as blocks of the file."""
-    blocks: list[bytes] = []
-    for seen in sightings:
-        words = in_words(seen)
-        exchange, connection, frame, sender, receiver, about, verdict, hearers, _, _ = seen
-        for part, (kept, size) in enumerate(_parts(seen)):
-            head = HEAD.pack(
-                VERSION, frame, verdict, exchange, sender, receiver, about, part, step, connection, hearers
-            )
-            time = step * _SECOND + min(len(blocks), _SECOND - 1)
-            blocks.append(pcapng.packet(time, head + kept, HEAD.size + size, words))
-    return b"".join(blocks)
+    return _encode(step, *seen, TABLE).tobytes()
 
 
 def read(reader: pcapng.Reader) -> Iterator[Captured]:
@@ -112,43 +122,141 @@ def read(reader: pcapng.Reader) -> Iterator[Captured]:
             raise CaptureError(
                 f"link type {reader.link_type} instead of {LINK_TYPE}: another program's capture"
             )
-        if len(packet.data) < HEAD.size or packet.data[0] != VERSION:
+        head = _HEADS.get(packet.data[0]) if packet.data else None
+        if head is None or len(packet.data) < head.size:
             found = packet.data[: HEAD.size].hex()
-            raise CaptureError(f"a packet without a head of version {VERSION}: {found}")
+            raise CaptureError(f"a packet without a head of version {VERSION} or {WIDE}: {found}")
         _, frame, verdict, exchange, sender, receiver, about, part, step, connection, heard = (
-            HEAD.unpack_from(packet.data)
+            head.unpack_from(packet.data)
         )
         if frame >= len(FRAMES) or verdict >= len(VERDICTS):
             raise CaptureError(f"a packet with frame {frame} and verdict {verdict}, which mean nothing")
-        kept = packet.data[HEAD.size :]
-        seen = Sighting(exchange, connection, frame, sender, receiver, about, verdict, heard, kept)
-        yield Captured(step, part, packet.size - HEAD.size, packet.comment, seen)
+        kept = packet.data[head.size :]
+        mask = heard if isinstance(heard, int) else int.from_bytes(heard, "big")
+        seen = Sighting(exchange, connection, frame, sender, receiver, about, verdict, mask, kept)
+        yield Captured(step, part, packet.size - head.size, packet.comment, seen)
 
 
-def in_words(seen: Sighting) -> str:
-    """Say what became of a frame: a packet's comment."""
-    if seen.verdict:
-        words = _WORDS[VERDICTS[seen.verdict]]
-        return f"{words}: {seen.reason}" if seen.reason else words
-    if seen.receiver != EVERYONE:
-        return "delivered"
-    names = [f"r{robot}" for robot in hearers(seen)]
-    return f"delivered to {', '.join(names)}" if names else "on the air, but nobody was in range"
+_HEADS = {VERSION: HEAD, WIDE: WIDE_HEAD}
 
 
 def hearers(seen: Sighting) -> list[int]:
     """The robots that heard a frame."""
-    return [robot for robot in range(MAX_ROBOTS) if seen.hearers >> robot & 1]
+    return hearers_of(seen.hearers)
 
 
-def _parts(seen: Sighting) -> list[tuple[bytes, int]]:
-    """What is kept of a frame, packet by packet, and the size of each."""
-    rest = seen.payload
-    if seen.verdict:
-        return [(rest[:KEPT], len(rest))]
-    parts = []
-    while len(rest) > PART:
-        end = packets.fitting(rest, PART)
-        parts.append((rest[:end], end))
-        rest = rest[end:]
-    return [*parts, (rest, len(rest))]
+_PACKET_HEAD = 28
+"""Bytes before the data in an enhanced packet block."""
+_BLOCK = _PACKET_HEAD + WIDE_HEAD.size + 24
+"""Bytes of a block at most, but for the frame's own and the comment's."""
+_COMMENT = pcapng.COMMENT
+_PACKET = pcapng.PACKET
+
+
+@kernel("void(uint8[::1], int64, int64, int64)")
+def _little(out: Bytes, at: int, value: int, size: int) -> None:
+    for byte in range(size):
+        out[at + byte] = np.uint8(value >> 8 * byte & 0xFF)
+
+
+@kernel("void(uint8[::1], int64, int64, int64)")
+def _big(out: Bytes, at: int, value: int, size: int) -> None:
+    for byte in range(size):
+        out[at + byte] = np.uint8(value >> 8 * (size - 1 - byte) & 0xFF)
+
+
+@kernel("int64(uint8[::1], int64, int64, int64[::1], int64, boolean)")
+def _write_head(out: Bytes, at: int, step: int, row: Rows, part: int, wide: bool) -> int:
+    """Write the head that goes before a frame, with nobody among the hearers; return where it ends."""
+    out[at] = WIDE if wide else VERSION
+    out[at + 1] = row[FRAME]
+    out[at + 2] = row[VERDICT]
+    out[at + 3] = row[EXCHANGE]
+    size = 2 if wide else 1
+    at += 4
+    for value in (row[SENDER], row[RECEIVER], row[MAP], part):
+        _big(out, at, value, size)
+        at += size
+    _big(out, at, step, 4)
+    _big(out, at + 4, row[CONNECTION], 4)
+    at += 8
+    behind = at + (32 if wide else 8)
+    out[at:behind] = 0
+    return behind
+
+
+@kernel(f"int64(uint8[::1], int64, {survey.FRAME}, int64)")
+def _write_comment(out: Bytes, at: int, text: Bytes, block: int) -> int:
+    """Write a comment, and the end of the options; return where they end."""
+    _little(out, at, _COMMENT, 2)
+    _little(out, at + 2, len(text), 2)
+    at += 4
+    out[at : at + len(text)] = text
+    at += len(text)
+    while (at - block) % 4:
+        out[at] = 0
+        at += 1
+    out[at : at + 4] = 0
+    return at + 4
+
+
+@kernel(
+    f"uint8[::1](int64, int64[:,::1], int64[::1], {survey.FRAME}, {survey.FRAME}, int64[::1], int64[:,::1])"
+)
+def _encode(
+    step: int, rows: Rows, heard: Rows, payload: Bytes, texts: Bytes, text_at: Rows, table: Table
+) -> Bytes:
+    """Write enhanced packet blocks (`netshaper.pcapng.packet`), each with a head, a frame's part and its comment."""
+    room = 0
+    for each in range(len(rows)):
+        size = rows[each, END] - rows[each, BEGIN]
+        text = text_at[rows[each, WORDS] + 1] - text_at[rows[each, WORDS]]
+        parts = 1 + size // (PART // 2)
+        room += (size if rows[each, VERDICT] == 0 else min(size, KEPT)) + parts * (_BLOCK + text)
+    out = np.empty(room, np.uint8)
+    at = 0
+    blocks = 0
+    for each in range(len(rows)):
+        begin, end = rows[each, BEGIN], rows[each, END]
+        first, behind = rows[each, HEARD_FROM], rows[each, HEARD_TO]
+        wide = max(rows[each, SENDER], rows[each, RECEIVER], rows[each, MAP]) >= NARROW
+        for hearer in heard[first:behind]:
+            wide = wide or hearer >= NARROW
+        part = 0
+        while True:
+            size = kept = end - begin
+            if rows[each, VERDICT]:
+                kept = min(kept, KEPT)
+            elif size > PART:
+                size = kept = max(1, fitting_part(payload, begin, end, PART, table))
+            block = at
+            at += _PACKET_HEAD
+            at = _write_head(out, at, step, rows[each], part, wide)
+            for hearer in heard[first:behind]:
+                out[at - 1 - hearer // 8] |= np.uint8(1 << hearer % 8)
+            data = at - block - _PACKET_HEAD
+            out[at : at + kept] = payload[begin : begin + kept]
+            at += kept
+            while (at - block) % 4:
+                out[at] = 0
+                at += 1
+            at = _write_comment(
+                out, at, texts[text_at[rows[each, WORDS]] : text_at[rows[each, WORDS] + 1]], block
+            )
+            time = step * _SECOND + min(blocks, _SECOND - 1)
+            length = at + 4 - block
+            _little(out, block, _PACKET, 4)
+            _little(out, block + 4, length, 4)
+            _little(out, block + 8, 0, 4)
+            _little(out, block + 12, time >> 32, 4)
+            _little(out, block + 16, time & 0xFFFFFFFF, 4)
+            _little(out, block + 20, data + kept, 4)
+            _little(out, block + 24, data + size, 4)
+            _little(out, at, length, 4)
+            at += 4
+            blocks += 1
+            part += 1
+            begin += size
+            if rows[each, VERDICT] or begin >= end:
+                break
+    return out[:at]

@@ -2,16 +2,9 @@
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Iterable
-from functools import lru_cache
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol import packets
-from protocol.errors import ProtocolError
 from protocol.packets import ALL_KINDS
 
 CAUSES = ("", "budget", "range", "protocol", "lost")
@@ -39,57 +32,9 @@ ROW = np.dtype(
 )
 """One row. `kind` counts in `ALL_KINDS`, `cause` in `CAUSES`; -1 stands for broadcast, or for no map."""
 
-_PACK = struct.Struct("<ihihhhhhiihhh")
-"""A `ROW` as bytes."""
-
 KIND_NUMBER = {kind: number for number, kind in enumerate(ALL_KINDS)}
 MALFORMED = -1
 """The kind of bytes that are no packets."""
-
-tally = lru_cache(maxsize=256)(packets.tally)
-"""`protocol.packets.tally`, which remembers: robots say the same to several teammates."""
-
-
-class Sighting(NamedTuple):
-    """One frame, or the part of it that was carried or not.
-
-    `frame` counts in `netshaper.capture.FRAMES`, `verdict` in `CAUSES`; `hearers` is a mask; `reason`: why it
-    was refused.
-    """
-
-    exchange: int
-    connection: int
-    frame: int
-    sender: int
-    receiver: int
-    map: int
-    verdict: int
-    hearers: int
-    payload: bytes
-    reason: str = ""
-
-
-@lru_cache(maxsize=256)
-def _count(payload: bytes) -> list[tuple[int, int, int]]:
-    """Return the number of each kind in a frame, how many there are, and their bytes."""
-    try:
-        return [(KIND_NUMBER[kind], *count) for kind, count in tally(payload).items()]
-    except ProtocolError:
-        return [(MALFORMED, 1, len(payload))]
-
-
-def book(step: int, sightings: Iterable[Sighting]) -> bytes:
-    """Write the rows of a step's frames, in the order in which they were seen."""
-    rows = []
-    for exchange, connection, frame, sender, receiver, about, verdict, hearers, payload, _ in sightings:
-        for kind, number_of_packets, size in _count(payload):
-            row = _PACK.pack(
-                step, exchange, connection, frame, sender, receiver, about, kind, number_of_packets, size,
-                not verdict, verdict, hearers.bit_count(),
-            )  # fmt: skip
-            rows.append(row)
-    return b"".join(rows)
-
 
 def sort_rows(rows: NDArray[np.void]) -> NDArray[np.void]:
     """Sort rows by all their fields, first to last: the order in which the digest reads them."""

@@ -9,32 +9,59 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from netshaper import capture, ledger
-from netshaper.ledger import CAUSES, EVERYONE, Sighting
-from protocol import packets
+import numpy as np
+from numpy.typing import NDArray
+
+from netshaper import capture
+from netshaper.booking import book
+from netshaper.ledger import CAUSES, EVERYONE
+from netshaper.sightings import BEGIN, COLUMNS, HEARD_FROM, HEARD_TO, VERDICT, WORDS, Rows, Sightings
+from protocol import survey
+from protocol.kernels import kernel
 from protocol.messages import RadioReport
+from protocol.survey import TABLE, Bytes, Table, fitting_part
 
 OFFER, ANSWER, DATA, BROADCAST = range(4)
 """The frames of a connection in their order, and the broadcast that has no connection."""
 
 UNLIMITED = -1
 
+NOTHING = -1
+"""The size of a frame that was not said."""
+
 _CARRIED, _BUDGET, _LOST = (CAUSES.index(cause) for cause in ("", "budget", "lost"))
 
 
 @dataclass
-class Connection:
-    """One offer, its answer and its data, from one robot to one other about one map."""
+class Connections:
+    """The connections of one exchange, in the order in which they are played, as columns.
 
-    number: int
-    sender: int
-    receiver: int
-    map: int
-    frames: list[bytes | None] = field(default_factory=lambda: [None, None, None])
-    carried: list[int] = field(default_factory=lambda: [0, 0, 0])
-    """Bytes of each frame that went on the air."""
-    lost: int | None = None
-    """The frame whose receiver was dead when it came."""
+    A connection is one offer, its answer and its data, from one robot to one other about one map. They are numbered
+    on from `first`.
+    """
+
+    first: int = 0
+    senders: list[int] = field(default_factory=list)
+    receivers: list[int] = field(default_factory=list)
+    maps: list[int] = field(default_factory=list)
+    frames: tuple[list[bytes | None], list[bytes | None], list[bytes | None]] = field(
+        default_factory=lambda: ([], [], [])
+    )
+    """Of each the offer, the answer, the data; None where there is none."""
+    lost: list[int] = field(default_factory=list)
+    """Of each the frame whose receiver was dead when it came; -1: none."""
+
+    def __len__(self) -> int:
+        return len(self.senders)
+
+    def add(self, sender: int, receiver: int, about: int, offer: bytes) -> None:
+        """Add a connection of which the offer has been said."""
+        self.senders.append(sender)
+        self.receivers.append(receiver)
+        self.maps.append(about)
+        for frames, said in zip(self.frames, (offer, None, None), strict=True):
+            frames.append(said)
+        self.lost.append(-1)
 
 
 class Medium:
@@ -52,68 +79,138 @@ class Medium:
         self.step = step
         self.left = budget
         self.carried = 0
-        self.sightings: list[Sighting] = []
+        self.sightings = Sightings()
         """What was said: of this the ledger and the capture are made."""
 
     def broadcast(self, exchange: int, sender: int, payload: bytes, hearers: Sequence[int]) -> bool:
         """Put a target on the air, whole or not at all; say whether it was carried."""
-        size = self._admit(payload)
-        heard = sum(1 << hearer for hearer in hearers)
-        self._see(exchange, -1, BROADCAST, sender, EVERYONE, -1, payload, size, heard)
+        size = len(payload)
+        if self.left != UNLIMITED:
+            if size > self.left:
+                self.left = 0  # what is left over is too small for this packet: closed
+                self.sightings.add(exchange, -1, BROADCAST, sender, EVERYONE, -1, _BUDGET, payload)
+                return False
+            self.left -= size
+        self.carried += size
+        self.sightings.add(exchange, -1, BROADCAST, sender, EVERYONE, -1, _CARRIED, payload, hearers)
         return size > 0
 
-    def connect(self, exchange: int, connection: Connection) -> None:
-        """Put the frames of a connection on the air, as far as there is room; one that is lost is the last."""
-        number, about = connection.number, connection.map
-        for frame, payload in enumerate(connection.frames):
-            if payload is None:
-                break
-            sender, receiver = connection.sender, connection.receiver
-            if frame == ANSWER:
-                sender, receiver = receiver, sender
-            if frame == connection.lost:
-                self.sightings.append(
-                    Sighting(exchange, number, frame, sender, receiver, about, _LOST, 0, payload)
-                )
-                break
-            size = connection.carried[frame] = self._admit(payload, whole=frame != DATA)
-            self._see(exchange, number, frame, sender, receiver, about, payload, size, 1 << receiver)
+    def play(self, exchange: int, connections: Connections) -> NDArray[np.int64]:
+        """Put connections on the air one by one, frame by frame, as far as there is room.
+
+        A frame that is lost is the last of its connection, and so is one that is not there.
+
+        Returns
+        -------
+        int64 array, shape (connections, 3)
+            Bytes of each offer, answer and data frame that went on the air.
+        """
+        carried = np.zeros((len(connections), 3), np.int64)
+        if not len(connections):
+            return carried
+        sizes = np.array(
+            [[NOTHING if said is None else len(said) for said in frames] for frames in connections.frames],
+            np.int64,
+        )
+        payload = b"".join(
+            [said for three in zip(*connections.frames, strict=True) for said in three if said is not None]
+        )
+        ends = np.array([connections.senders, connections.receivers, connections.maps, connections.lost])
+        rows = np.empty((6 * len(connections), COLUMNS), np.int64)
+        hearers = np.empty(3 * len(connections), np.int64)
+        data = np.frombuffer(payload, np.uint8)
+        written, heard, self.left = _play(
+            exchange, connections.first, ends, sizes, data, self.left, TABLE, carried, rows, hearers
+        )
+        self.carried += int(carried.sum())
+        self.sightings.extend(rows[:written], hearers[:heard], payload)
+        return carried
 
     def refuse(
         self, exchange: int, frame: int, sender: int, receiver: int, payload: bytes, cause: str, reason: str
     ) -> None:
         """Note a frame that was never admitted to the air, and why."""
-        verdict = CAUSES.index(cause)
-        self.sightings.append(
-            Sighting(exchange, -1, frame, sender, receiver, -1, verdict, 0, payload, reason)
+        self.sightings.add(
+            exchange, -1, frame, sender, receiver, -1, CAUSES.index(cause), payload, (), reason
         )
 
     def report(self) -> RadioReport:
         """Write down what was said: the ledger's rows, and the frames for the capture."""
-        rows = ledger.book(self.step, self.sightings)
-        return RadioReport(self.step, rows, self.carried, capture.encode(self.step, self.sightings))
+        seen = self.sightings.columns()
+        return RadioReport(
+            self.step, book(self.step, seen), self.carried, capture.encode(self.step, seen)
+        )
 
-    def _admit(self, payload: bytes, *, whole: bool = True) -> int:
-        """Spend the budget on as much of a frame as fits, at a packet boundary; return the bytes."""
-        size = len(payload)
-        if self.left != UNLIMITED:
-            if size > self.left:
-                size = 0 if whole else packets.fitting(payload, self.left)
-                self.left = size  # what is left over is too small for the next packet: closed
-            self.left -= size
-        self.carried += size
-        return size
 
-    def _see(
-        self, exchange: int, number: int, frame: int, sender: int, receiver: int, about: int,
-        payload: bytes, size: int, hearers: int,
-    ) -> None:  # fmt: skip
-        """Note a frame of which `size` bytes were carried."""
-        if size:
-            self.sightings.append(
-                Sighting(exchange, number, frame, sender, receiver, about, _CARRIED, hearers, payload[:size])
-            )
-        if size < len(payload):
-            self.sightings.append(
-                Sighting(exchange, number, frame, sender, receiver, about, _BUDGET, 0, payload[size:])
-            )
+@kernel(
+    f"UniTuple(int64, 3)(int64, int64, int64[:,::1], int64[:,::1], {survey.FRAME}, int64, int64[:,::1], "
+    "int64[:,::1], int64[:,::1], int64[::1])"
+)
+def _play(
+    exchange: int,
+    first: int,
+    ends: Rows,
+    sizes: Rows,
+    payload: Bytes,
+    left: int,
+    table: Table,
+    carried: Rows,
+    rows: Rows,
+    hearers: Rows,
+) -> tuple[int, int, int]:
+    """Play connections in their order; return the rows and hearers written, and what is left of the budget.
+
+    `ends`: shape (4, connections), senders, receivers, maps and lost frames; `sizes`: shape (3, connections), bytes of
+    each frame. The frames stand behind each other in `payload`, connection by connection.
+    """
+    written = heard = begin = 0
+    for each in range(ends.shape[1]):
+        # What comes behind a frame that is not there was not said either; what comes behind a lost one was.
+        playing = True
+        for frame in range(3):
+            size = sizes[frame, each]
+            if size < 0:
+                playing = False
+            if not playing:
+                begin += max(0, size)
+                continue
+            sender, receiver = ends[0, each], ends[1, each]
+            if frame == ANSWER:
+                sender, receiver = receiver, sender
+            admitted = size
+            lost = ends[3, each] == frame
+            if lost:
+                admitted = 0
+                playing = False
+            elif left >= 0:
+                if size > left:
+                    admitted = 0
+                    if frame == DATA and left > 0:
+                        admitted = fitting_part(payload, begin, begin + size, left, table)
+                    left = 0  # what is left over is too small for the next packet: closed
+                else:
+                    left -= size
+            carried[each, frame] = admitted
+            for part in range(2):
+                start, end = (begin, begin + admitted) if part == 0 else (begin + admitted, begin + size)
+                if start == end and not (lost and part == 1):
+                    continue
+                row = rows[written]
+                row[0] = exchange
+                row[1] = first + each
+                row[2] = frame
+                row[3] = sender
+                row[4] = receiver
+                row[5] = ends[2, each]
+                verdict = _CARRIED if part == 0 else _LOST if lost else _BUDGET
+                row[VERDICT] = row[WORDS] = verdict
+                row[HEARD_FROM] = heard
+                if part == 0:
+                    hearers[heard] = receiver
+                    heard += 1
+                row[HEARD_TO] = heard
+                row[BEGIN] = start
+                row[BEGIN + 1] = end
+                written += 1
+            begin += size
+    return written, heard, left

@@ -9,7 +9,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import BinaryIO
 
 SECTION, INTERFACE, PACKET = 0x0A0D0D0A, 0x00000001, 0x00000006
@@ -44,17 +43,8 @@ def head(link_type: int, application: str, name: str, description: str) -> bytes
     return _block(SECTION, section) + _block(INTERFACE, interface)
 
 
-def packet(time_us: int, data: bytes, size: int, comment: str) -> bytes:
-    """Write one packet of `size` bytes, of which `data` is kept, as a block."""
-    tail = _tail(comment, len(data))
-    opening = _PACKET.pack(
-        PACKET, _PACKET.size + len(data) + len(tail), 0, time_us >> 32, time_us & 0xFFFFFFFF, len(data), size
-    )
-    return opening + data + tail
-
-
 class Reader:
-    """The packets of a file that `head` and `packet` wrote, one after the other.
+    """The packets of a file that begins as `head` wrote it, one after the other.
 
     Raises
     ------
@@ -122,13 +112,6 @@ class Reader:
 def _block(kind: int, body: bytes) -> bytes:
     size = _BLOCK.size + len(body) + 4
     return _BLOCK.pack(kind, size) + body + size.to_bytes(4, "little")
-
-
-@lru_cache(maxsize=1024)
-def _tail(comment: str, size: int) -> bytes:
-    """What follows `size` bytes of data in a packet's block; there are few different ones."""
-    tail = bytes(-size % 4) + _options((COMMENT, comment.encode()))
-    return tail + (_PACKET.size + size + len(tail) + 4).to_bytes(4, "little")
 
 
 def _options(*options: tuple[int, bytes]) -> bytes:

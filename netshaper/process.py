@@ -6,7 +6,9 @@ that died. A viewer may come and go; nobody waits for it.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from operator import attrgetter
+
+from msgspec.structs import replace
 
 from netshaper.ledger import EVERYONE
 from netshaper.medium import Medium
@@ -23,12 +25,15 @@ from protocol.messages import (
     Lost,
     Positions,
     RadioReport,
+    Record,
     Said,
     Stop,
     Watched,
     pack,
     unpack,
 )
+
+_RECEIVER = attrgetter("receiver")
 
 NOBODY = -99
 """Whom a frame is for that is addressed to a name which no robot has."""
@@ -69,19 +74,25 @@ class RelayNode:
 
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
-        ends = self._ends.get(message.key)
-        plane, _, first, _ = names.parts(message.key)
+        key, payload = message
+        ends = self._ends.get(key)
         if ends is not None:
-            self._radio.hear(*ends, message.payload)
-        elif plane == "radio":
-            self._radio.hear(names.number(first), NOBODY, message.payload)
-        elif plane == "presence":
-            self._presence(first, came=message.payload == b"1")
+            self._radio.hear(*ends, payload)
         else:
-            self._control(first, message.payload)
+            self._take(key, payload)
         if self._radio.faults:
             self._report_faults()
         self.done = self.going_home and not self._present
+
+    def _take(self, key: str, payload: bytes) -> None:
+        """Take what no robot says to another."""
+        plane, _, first, _ = names.parts(key)
+        if plane == "radio":
+            self._radio.hear(names.number(first), NOBODY, payload)
+        elif plane == "presence":
+            self._presence(first, came=payload == b"1")
+        else:
+            self._control(first, payload)
 
     def give_up_on(self, robot: int, cause: str) -> None:
         """Go on without a robot."""
@@ -156,17 +167,18 @@ class RelayNode:
     def _send(self, outgoing: list[Outgoing]) -> None:
         """Pass on what the radio gave, robot by robot and at one go: so each robot is woken once for all of it."""
         passed_on = [item for item in outgoing if not isinstance(item, Medium)]
-        passed_on.sort(key=lambda item: item.receiver)
-        for key, payload in [self._addressed(item) for item in passed_on]:
+        passed_on.sort(key=_RECEIVER)
+        puts = [
+            (self._hears_at[item.receiver][item.sender], item.payload)
+            if isinstance(item, Frame)
+            else (self._told_at[item.receiver], pack(item.message))
+            for item in passed_on
+        ]
+        for key, payload in puts:
             self._bus.put(key, payload)
         for item in outgoing:
             if isinstance(item, Medium):
                 self._report(item.report())
-
-    def _addressed(self, item: Frame | Note) -> tuple[str, bytes]:
-        if isinstance(item, Frame):
-            return self._hears_at[item.receiver][item.sender], item.payload
-        return self._told_at[item.receiver], pack(item.message)
 
     def _report_faults(self) -> None:
         for robot, reason in self._radio.faults:
@@ -176,7 +188,7 @@ class RelayNode:
     def _fault(self, who: str, reason: str) -> None:
         self._report(Fault(who, reason))
 
-    def _report(self, message: object) -> None:
+    def _report(self, message: Record) -> None:
         """Tell the laboratory, and the viewer if there is one; frames on the air are only for the former."""
         self._bus.put(self._keys.control(names.LAB, names.RELAY), pack(message))
         if self._watched:

@@ -15,15 +15,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TypeVar
+from functools import lru_cache
+from typing import NamedTuple, TypeVar
 
 from netshaper.connectivity import in_range
-from netshaper.ledger import EVERYONE, tally
-from netshaper.medium import ANSWER, BROADCAST, DATA, OFFER, UNLIMITED, Connection, Medium
-from protocol import packets
+from netshaper.ledger import EVERYONE, KIND_NUMBER
+from netshaper.medium import ANSWER, BROADCAST, DATA, OFFER, UNLIMITED, Connections, Medium
+from protocol import packets, survey
 from protocol.errors import ProtocolError
 from protocol.keyed_random import keyed_random
-from protocol.messages import Close, Open, Outcome, Said, Turn
+from protocol.messages import Close, Open, Outcome, Record, Said, Turn
 
 Item = TypeVar("Item")
 
@@ -53,8 +54,7 @@ class RadioSettings:
     exchanges: int = 2
 
 
-@dataclass(frozen=True)
-class Frame:
+class Frame(NamedTuple):
     """A payload to hand to `receiver` as heard from `sender`."""
 
     receiver: int
@@ -62,19 +62,18 @@ class Frame:
     payload: bytes
 
 
-@dataclass(frozen=True)
-class Note:
+class Note(NamedTuple):
     """A control message for a robot."""
 
     receiver: int
-    message: object
+    message: Record
 
 
 Outgoing = Frame | Note | Medium
 """What is to be passed on, in this order: at the end of a step its medium, whose report the laboratory gets."""
 
 
-@dataclass
+@dataclass(slots=True)
 class _Spoken:
     """What one robot has said in the phase under way."""
 
@@ -97,8 +96,7 @@ class Radio:
         self._medium = Medium(0, 0)
         self._waiting: set[int] = set()
         self._spoken: dict[int, _Spoken] = {}
-        self._connections: list[Connection] = []
-        self._numbered = 0
+        self._connections = Connections()
         self._broadcast_carried: dict[int, bool] = {}
 
     def begin(self, step: int, cells: Mapping[int, tuple[int, int]]) -> list[Outgoing]:
@@ -108,20 +106,20 @@ class Radio:
         """
         self._step = step
         self._exchange = 0
-        self._numbered = 0
+        self._connections = Connections()
         living = {robot: cell for robot, cell in cells.items() if robot not in self._dead}
         self._reach = in_range(living, self.settings.range_cells)
         between = self._medium
         self._medium = Medium(step, self.settings.budget)
-        self._medium.sightings += between.sightings
+        self._medium.sightings = between.sightings
         return self._open()
 
     def hear(self, sender: int, receiver: int, payload: bytes) -> None:
         """Take a frame that a robot put; `receiver` is `EVERYONE` for a broadcast."""
-        if sender not in self._waiting:
+        if sender in self._waiting:
+            self._spoken[sender].frames.append((receiver, payload))
+        else:
             self._refuse(sender, receiver, DATA, payload, "protocol", "spoke out of turn")
-            return
-        self._spoken[sender].frames.append((receiver, payload))
 
     def said(self, sender: int, note: Said) -> list[Outgoing]:
         """A robot has said all that it has to say in this phase."""
@@ -156,7 +154,7 @@ class Radio:
         self._spoken = {robot: _Spoken() for robot in robots}
 
     def _open(self) -> list[Outgoing]:
-        self._connections = []
+        self._connections = Connections(self._connections.first + len(self._connections))
         self._broadcast_carried = {}
         living = sorted(set(self._reach) - self._dead)
         self._expect("offers", living)
@@ -177,21 +175,24 @@ class Radio:
 
     def _end_offers(self) -> list[Outgoing]:
         out = self._put_broadcasts_on_air()
-        offers: dict[tuple[int, int, int], Connection] = {}
+        offers: dict[tuple[int, int, int], bytes] = {}
         for sender, spoken in sorted(self._spoken.items()):
+            reach = set(self._reach.get(sender, ()))
             for receiver, payload in spoken.frames:
-                offer = None if receiver == EVERYONE else self._read_offer(sender, receiver, payload)
-                if offer is None:
+                if receiver == EVERYONE:
                     continue
-                if (sender, receiver, offer.map) in offers:
-                    reason = f"map {offer.map} was offered to robot {receiver} twice in an exchange"
-                    self._refuse(sender, receiver, OFFER, payload, "protocol", reason)
+                if receiver not in reach:
+                    self._refuse(sender, receiver, OFFER, payload, "range", "")
+                    continue
+                about, problem = _read_offer(payload, self.settings.robots)
+                if not problem and (sender, receiver, about) in offers:
+                    problem = f"map {about} was offered to robot {receiver} twice in an exchange"
+                if problem:
+                    self._refuse(sender, receiver, OFFER, payload, "protocol", problem)
                 else:
-                    offers[sender, receiver, offer.map] = offer
-        self._connections = self._drawn("contention", [offers[ends] for ends in sorted(offers)])
-        for connection in self._connections:
-            connection.number = self._numbered
-            self._numbered += 1
+                    offers[sender, receiver, about] = payload
+        for ends in self._drawn("contention", sorted(offers)):
+            self._connections.add(*ends, offers[ends])
         return out + self._pass_on(OFFER, "answers")
 
     def _put_broadcasts_on_air(self) -> list[Outgoing]:
@@ -221,41 +222,28 @@ class Radio:
         draw = keyed_random(self.settings.seed, purpose, self._step, self._exchange)
         return [items[index] for index in draw.permutation(len(items))]
 
-    def _read_offer(self, sender: int, receiver: int, payload: bytes) -> Connection | None:
-        if receiver not in self._reach.get(sender, ()):
-            self._refuse(sender, receiver, OFFER, payload, "range", "")
-            return None
-        try:
-            said = packets.handshake(payload)
-        except ProtocolError as error:
-            self._refuse(sender, receiver, OFFER, payload, "protocol", str(error))
-            return None
-        offer = said[0] if len(said) == 1 else None
-        if not isinstance(offer, packets.Offer) or offer.map >= self.settings.robots:
-            self._refuse(
-                sender, receiver, OFFER, payload, "protocol", "an offer frame is one offer of a known map"
-            )
-            return None
-        return Connection(-1, sender, receiver, offer.map, [payload, None, None])
-
     def _pass_on(self, frame: int, phase: str) -> list[Outgoing]:
         """Hand all frames of one kind to their receivers, in the seeded order, and give these the turn."""
         out: list[Outgoing] = []
-        heard: dict[int, list[Connection]] = {}
-        for connection in self._connections:
-            payload = connection.frames[frame]
+        heard: dict[int, tuple[list[int], list[int]]] = {}
+        these = self._connections
+        senders, receivers = these.senders, these.receivers
+        if frame == ANSWER:
+            senders, receivers = receivers, senders
+        said = zip(senders, receivers, these.maps, these.frames[frame], strict=True)
+        for at, (sender, receiver, about, payload) in enumerate(said):
             if payload is None:
                 continue
-            sender, receiver = connection.sender, connection.receiver
-            if frame == ANSWER:
-                sender, receiver = receiver, sender
             if receiver in self._dead:
-                connection.lost = frame
+                these.lost[at] = frame
                 continue
             out.append(Frame(receiver, sender, payload))
-            heard.setdefault(receiver, []).append(connection)
-        for receiver, these in sorted(heard.items()):
-            numbers, maps = [c.number for c in these], [c.map for c in these]
+            if receiver not in heard:
+                heard[receiver] = [], []
+            numbers, maps = heard[receiver]
+            numbers.append(these.first + at)
+            maps.append(about)
+        for receiver, (numbers, maps) in sorted(heard.items()):
             out.append(Note(receiver, Turn(self._step, self._exchange, PHASES[frame], numbers, maps)))
         self._expect(phase, sorted(heard))
         return out
@@ -266,39 +254,37 @@ class Radio:
 
     def _end_data(self) -> list[Outgoing]:
         self._collect(DATA, _is_data)
+        these = self._connections
+        for at, (receiver, payload) in enumerate(zip(these.receivers, these.frames[DATA], strict=True)):
+            if payload is not None and receiver in self._dead:
+                these.lost[at] = DATA
+        offers, answers, data = self._medium.play(self._exchange, these).T.tolist()
         out: list[Outgoing] = []
         heard: dict[int, list[int]] = {}
-        for connection in self._connections:
-            payload = connection.frames[DATA]
-            if payload is not None and connection.receiver in self._dead:
-                connection.lost = DATA
-            self._medium.connect(self._exchange, connection)
-            size = connection.carried[DATA]
+        for at, (sender, receiver, payload, size) in enumerate(
+            zip(these.senders, these.receivers, these.frames[DATA], data, strict=True)
+        ):
             if payload is not None and size:
-                out.append(Frame(connection.receiver, connection.sender, payload[:size]))
-                heard.setdefault(connection.receiver, []).append(connection.number)
-        concerned: dict[int, list[Connection]] = {robot: [] for robot in self._broadcast_carried}
-        for connection in self._connections:
-            concerned.setdefault(connection.sender, []).append(connection)
-            concerned.setdefault(connection.receiver, []).append(connection)
+                out.append(Frame(receiver, sender, payload[:size]))
+                heard.setdefault(receiver, []).append(these.first + at)
+        concerned: dict[int, list[int]] = {robot: [] for robot in self._broadcast_carried}
+        for at, ends in enumerate(zip(these.senders, these.receivers, strict=True)):
+            for robot in ends:
+                concerned.setdefault(robot, []).append(at)
         for robot, mine in sorted(concerned.items()):
             if robot in self._dead:
                 continue
-            out.append(
-                Note(
-                    robot,
-                    Outcome(
-                        self._step,
-                        self._exchange,
-                        [c.number for c in mine],
-                        [c.carried[OFFER] for c in mine],
-                        [c.carried[ANSWER] for c in mine],
-                        [c.carried[DATA] for c in mine],
-                        heard.get(robot, []),
-                        self._broadcast_carried.get(robot, False),
-                    ),
-                )
+            outcome = Outcome(
+                self._step,
+                self._exchange,
+                [these.first + at for at in mine],
+                [offers[at] for at in mine],
+                [answers[at] for at in mine],
+                [data[at] for at in mine],
+                heard.get(robot, []),
+                self._broadcast_carried.get(robot, False),
             )
+            out.append(Note(robot, outcome))
         self._exchange += 1
         if self._exchange < self.settings.exchanges and self._medium.left:
             return out + self._open()
@@ -317,26 +303,29 @@ class Radio:
 
         What a robot said that died before it could name its connections is lost.
         """
-        by_number = {connection.number: connection for connection in self._connections}
+        these = self._connections
+        senders, receivers = these.senders, these.receivers
+        if frame == ANSWER:
+            senders, receivers = receivers, senders
+        asked, said = these.frames[frame - 1], these.frames[frame]
         for sender, spoken in sorted(self._spoken.items()):
             numbers = spoken.said.connections if spoken.said else []
             for index, (receiver, payload) in enumerate(spoken.frames):
-                connection = by_number.get(numbers[index]) if index < len(numbers) else None
-                ends = (sender, receiver) if frame == DATA else (receiver, sender)
+                at = numbers[index] - these.first if index < len(numbers) else -1
                 if spoken.said is None:
                     self._refuse(sender, receiver, frame, payload, "lost", "")
                 elif (
-                    connection is None
-                    or (connection.sender, connection.receiver) != ends
-                    or connection.frames[frame] is not None
-                    or connection.frames[frame - 1] is None
+                    not 0 <= at < len(these)
+                    or (senders[at], receivers[at]) != (sender, receiver)
+                    or said[at] is not None
+                    or asked[at] is None
                 ):
                     reason = "a frame of no connection of its own"
                     self._refuse(sender, receiver, frame, payload, "protocol", reason)
-                elif not (problem := valid(payload)):
-                    connection.frames[frame] = payload
-                else:
+                elif problem := valid(payload):
                     self._refuse(sender, receiver, frame, payload, "protocol", problem)
+                else:
+                    said[at] = payload
 
     def _refuse(
         self, sender: int, receiver: int, frame: int, payload: bytes, cause: str, reason: str
@@ -346,6 +335,7 @@ class Radio:
             self.faults.append((sender, reason))
 
 
+@lru_cache(maxsize=1 << 12)
 def _is_broadcast(payload: bytes) -> bool:
     """Whether a frame says a target, a pose, or a pose and a target."""
     try:
@@ -355,6 +345,20 @@ def _is_broadcast(payload: bytes) -> bool:
     return kinds in ([packets.Target], [packets.Pose], [packets.Pose, packets.Target])
 
 
+@lru_cache(maxsize=1 << 12)
+def _read_offer(payload: bytes, robots: int) -> tuple[int, str]:
+    """Return whose map an offer frame offers; or what is wrong with it."""
+    try:
+        said = packets.handshake(payload)
+    except ProtocolError as error:
+        return -1, str(error)
+    offer = said[0] if len(said) == 1 else None
+    if not isinstance(offer, packets.Offer) or offer.map >= robots:
+        return -1, "an offer frame is one offer of a known map"
+    return offer.map, ""
+
+
+@lru_cache(maxsize=1 << 13)
 def _is_answer(payload: bytes) -> str:
     """Say what is wrong with an answer frame; nothing if it is one."""
     try:
@@ -372,8 +376,15 @@ def _is_answer(payload: bytes) -> str:
 def _is_data(payload: bytes) -> str:
     """Say what is wrong with a data frame; nothing if it is whole packets that may be data."""
     try:
-        kinds = tally(payload)
+        kinds = survey.kinds(payload)
     except ProtocolError as error:
         return str(error)
-    strange = [kind for kind in kinds if kind in (packets.Offer.name, packets.Target.name, packets.Pose.name)]
-    return f"a data frame holds no {strange[0]}" if strange else "" if kinds else "an empty data frame"
+    if kinds & _NO_DATA:
+        return f"a data frame holds no {next(name for name, bit in _NO_DATA_BITS.items() if kinds & bit)}"
+    return "" if kinds else "an empty data frame"
+
+
+_NO_DATA_BITS = {
+    kind.name: 1 << KIND_NUMBER[kind.name] for kind in (packets.Offer, packets.Target, packets.Pose)
+}
+_NO_DATA = sum(_NO_DATA_BITS.values())

@@ -1,15 +1,14 @@
 """What is said on the body and control planes: frozen records in msgpack.
 
-A message is a msgpack list: its number in `_TYPES`, then its fields in order. Cells go as little-endian
+A message is a msgpack list: its number, then its fields in order. Cells go as little-endian
 int16 pairs (`cells_to_bytes`), readings as little-endian uint16 (`protocol.scans`), grids at two bits a cell.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any, TypeVar
+from typing import Any, TypeVar, Union
 
-import msgpack
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,20 +16,21 @@ from protocol.errors import ProtocolError
 from protocol.grid import Grid
 
 
-@dataclass(frozen=True, slots=True)
-class Begin:
+class Record(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
+    """What all messages are: fields that do not change once they are said. The class' tag is its number."""
+
+
+class Begin(Record, tag=0, frozen=True):
     """Relay to world: everyone is here."""
 
 
-@dataclass(frozen=True, slots=True)
-class Configure:
+class Configure(Record, tag=1, frozen=True):
     """World to robot, before its first `Sense`: all that a robot is told of its task (`agent.settings`)."""
 
     settings: dict[str, Any]
 
 
-@dataclass(frozen=True, slots=True)
-class Sense:
+class Sense(Record, tag=2, frozen=True):
     """World to robot, once a step: where it is, what it drove over, what its laser reads.
 
     `x`, `y`: cell. `heading`: eighths of a turn from +x towards +y. `driven`: cells entered since the last
@@ -49,8 +49,7 @@ class Sense:
     offset_y: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Move:
+class Move(Record, tag=3, frozen=True):
     """Robot to world: the cells to drive next, in order; the heading to take if it stays; whether it is done.
 
     `explored` says that no reachable frontier is left on its planning grid, and that it is where its mission
@@ -67,8 +66,7 @@ class Move:
     points: bytes = b""
 
 
-@dataclass(frozen=True, slots=True)
-class Positions:
+class Positions(Record, tag=4, frozen=True):
     """World to relay, once a step: the cells in which the robots really are."""
 
     step: int
@@ -77,8 +75,7 @@ class Positions:
     y: list[int]
 
 
-@dataclass(frozen=True, slots=True)
-class Open:
+class Open(Record, tag=5, frozen=True):
     """Relay to robot: the medium is open for exchange `exchange`; these teammates are in range.
 
     `budget` is what is left of this step's bytes, -1 for no limit. The robot says its target (in exchange
@@ -91,8 +88,7 @@ class Open:
     budget: int
 
 
-@dataclass(frozen=True, slots=True)
-class Turn:
+class Turn(Record, tag=6, frozen=True):
     """Relay to robot: all frames of a phase have been passed on.
 
     `connections` and `maps` say what each is about, in the order in which they were passed on.
@@ -106,8 +102,7 @@ class Turn:
     maps: list[int]
 
 
-@dataclass(frozen=True, slots=True)
-class Said:
+class Said(Record, tag=7, frozen=True):
     """Robot to relay: it has put all its frames of a phase.
 
     `connections` names them, in that order; it is empty for offers, which the relay has not numbered yet.
@@ -119,8 +114,7 @@ class Said:
     connections: list[int]
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
+class Outcome(Record, tag=8, frozen=True):
     """Relay to robot, after the data: what was put on the air; the rest did not happen.
 
     `connections`, `offers`, `answers`, `data` are parallel: the bytes of each frame that were carried.
@@ -138,23 +132,20 @@ class Outcome:
     broadcast: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Close:
+class Close(Record, tag=9, frozen=True):
     """Relay to robot: the medium is closed for this step; merge, choose, plan, move."""
 
     step: int
 
 
-@dataclass(frozen=True, slots=True)
-class Lost:
+class Lost(Record, tag=10, frozen=True):
     """Relay to world and laboratory: a robot is gone, with what is known of the cause."""
 
     robot: int
     cause: str
 
 
-@dataclass(frozen=True, slots=True)
-class End:
+class End(Record, tag=11, frozen=True):
     """World to all: the run is over after `step`; `first` is the robot that was done first, or -1."""
 
     step: int
@@ -162,27 +153,23 @@ class End:
     first: int
 
 
-@dataclass(frozen=True, slots=True)
-class Stop:
+class Stop(Record, tag=12, frozen=True):
     """Laboratory to world, by way of the relay: end after this step, for `reason`."""
 
     reason: str
 
 
-@dataclass(frozen=True, slots=True)
-class Bye:
+class Bye(Record, tag=13, frozen=True):
     """Laboratory to all, by way of the relay: everything is recorded, go home."""
 
 
-@dataclass(frozen=True, slots=True)
-class Watched:
+class Watched(Record, tag=19, frozen=True):
     """Relay to all: a viewer has come (or gone); what is reported to the laboratory goes to it as well."""
 
     here: bool
 
 
-@dataclass(frozen=True, slots=True)
-class WorldReport:
+class WorldReport(Record, tag=14, frozen=True):
     """World to laboratory, once a step: the truth.
 
     `poses`: int32 rows (robot, x in mm, y in mm, heading in tenths of a degree). `seen`: free cells that the
@@ -196,8 +183,7 @@ class WorldReport:
     reachable: int
 
 
-@dataclass(frozen=True, slots=True)
-class MindReport:
+class MindReport(Record, tag=15, frozen=True):
     """Robot to laboratory, once a step: what it is at, and the time that its thinking took (not a result).
 
     `error`: cells in which its map and what it has told of it differ (Eq. 6.1). `backlog`: units of its own
@@ -214,8 +200,7 @@ class MindReport:
     work_us: int
 
 
-@dataclass(frozen=True, slots=True)
-class RadioReport:
+class RadioReport(Record, tag=16, frozen=True):
     """Relay to laboratory, once a step: the ledger's new rows (`netshaper.ledger`), and the frames themselves.
 
     `frames`: as the capture writes them (`netshaper.capture`).
@@ -227,8 +212,7 @@ class RadioReport:
     frames: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class Maps:
+class Maps(Record, tag=17, frozen=True):
     """Robot to laboratory, at the end: its two grids, row after row."""
 
     robot: int
@@ -238,8 +222,7 @@ class Maps:
     planning: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class Snapshot:
+class Snapshot(Record, tag=20, frozen=True):
     """Robot to viewer, now and then: its planning grid (`grid_to_bytes`)."""
 
     step: int
@@ -248,8 +231,7 @@ class Snapshot:
     planning: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class Outlines:
+class Outlines(Record, tag=21, frozen=True):
     """Robot to viewer, where they have changed: the polygons of robot `about`'s map, as this robot holds them.
 
     `vertices`: int16 rows (object, x and y in quarters of a cell, bit 0 occupied edge, bit 1 inside object).
@@ -260,20 +242,18 @@ class Outlines:
     vertices: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
+class Fault(Record, tag=18, frozen=True):
     """Relay or robot to laboratory: `who` said what made no sense; the run goes on."""
 
     who: str
     what: str
 
 
-_TYPES: tuple[type, ...] = (
+_TYPES: tuple[type[Record], ...] = (
     Begin, Configure, Sense, Move, Positions, Open, Turn, Said, Outcome, Close, Lost, End, Stop, Bye,
     WorldReport, MindReport, RadioReport, Maps, Fault, Watched, Snapshot, Outlines,
 )  # fmt: skip
-_NUMBER = {kind: number for number, kind in enumerate(_TYPES)}
-_FIELDS = {kind: [(field.name, str(field.type)) for field in fields(kind)] for kind in _TYPES}
+_FIELDS = {kind: list(kind.__annotations__.items()) for kind in _TYPES}
 _CHECK: dict[str, Any] = {
     "int": lambda value: type(value) is int,
     "bool": lambda value: type(value) is bool,
@@ -282,15 +262,18 @@ _CHECK: dict[str, Any] = {
     "list[int]": lambda value: type(value) is list and {*map(type, value)} <= {int},
     "dict[str, Any]": lambda value: type(value) is dict,
 }
+_HEAD = {kind: 0x90 | len(wanted) + 1 for kind, wanted in _FIELDS.items()}
+"""The first byte of each message: a list of so many items."""
 
-Record = TypeVar("Record")
+_write = msgspec.msgpack.Encoder().encode
+_read: Any = msgspec.msgpack.Decoder(Union[_TYPES]).decode  # noqa: UP007  a union of a tuple
+
+Kind = TypeVar("Kind", bound=Record)
 
 
-def pack(message: object) -> bytes:
+def pack(message: Record) -> bytes:
     """Write a message."""
-    kind = type(message)
-    packed: bytes = msgpack.packb([_NUMBER[kind], *(getattr(message, name) for name, _ in _FIELDS[kind])])
-    return packed
+    return _write(message)
 
 
 def unpack(payload: bytes) -> Any:
@@ -302,8 +285,18 @@ def unpack(payload: bytes) -> Any:
         It is not a message, or a field is missing or of the wrong type.
     """
     try:
-        items = msgpack.unpackb(payload)
-    except ValueError as error:
+        message = _read(payload)
+    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError):
+        return _read_field_by_field(payload)
+    # Fields that have a default must be there as well.
+    return message if payload[0] == _HEAD[type(message)] else _read_field_by_field(payload)
+
+
+def _read_field_by_field(payload: bytes) -> Any:
+    """Read a message slowly, and say what is wrong with it."""
+    try:
+        items = msgspec.msgpack.decode(payload)
+    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
         raise ProtocolError("message", 0, f"not msgpack ({error})") from None
     if (
         not isinstance(items, list)
@@ -322,7 +315,7 @@ def unpack(payload: bytes) -> Any:
     return kind(*items[1:])
 
 
-def unpack_as(kind: type[Record], payload: bytes) -> Record:
+def unpack_as(kind: type[Kind], payload: bytes) -> Kind:
     """Read a message that must be of one kind; ProtocolError otherwise."""
     message = unpack(payload)
     if not isinstance(message, kind):

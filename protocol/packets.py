@@ -242,9 +242,14 @@ _FIRST_BYTE = _by_first_byte()
 _SIZE = [0 if kind is None or byte == _SHORT else kind.size for byte, kind in enumerate(_FIRST_BYTE)]
 """For each possible first byte the size of the packet, 0 where it does not tell."""
 _FIXED = {kind: _fixed(kind) for kind in _TYPES}
-_FIXED_BY_BYTE = [None if kind in (None, Fragment) else _FIXED[kind] for kind in _FIRST_BYTE]
-_NAME = ["" if kind is None else kind.name for kind in _FIRST_BYTE]
 _LAYOUT = {kind: _layout(kind) for kind in _TYPES}
+
+LAYOUT_BY_BYTE = [
+    (ALL_KINDS.index(kind.name) if kind else -1, size, *_FIXED.get(kind, (0, 0)))
+    for kind, size in zip(_FIRST_BYTE, _SIZE, strict=True)
+]
+"""For each possible first byte the number of the packet's kind (-1: none), its size (0: the next byte tells), which
+of its bits are the same in all such packets, and what they are (`protocol.survey`)."""
 
 
 def encode(packets: Iterable[Packet]) -> bytes:
@@ -295,30 +300,6 @@ def length(buffer: bytes, offset: int = 0) -> int:
 def name(buffer: bytes, offset: int = 0) -> str:
     """Return the kind, as Table 6.1 names it, of the packet that begins at `offset`."""
     return _kind(buffer, offset).name
-
-
-def split(buffer: bytes) -> list[bytes]:
-    """Cut a buffer of whole packets into one piece a packet, without reading their fields.
-
-    Raises
-    ------
-    ProtocolError
-        As `decode`.
-    """
-    pieces: list[bytes] = []
-    offset = 0
-    while offset < len(buffer):
-        first = buffer[offset]
-        end = offset + (_SIZE[first] or length(buffer, offset))
-        if end > len(buffer):
-            raise _cut_off(buffer, offset)
-        piece = buffer[offset:end]
-        fixed = _FIXED_BY_BYTE[first]
-        if fixed is not None and (word := int.from_bytes(piece, "big")) & fixed[0] != fixed[1]:
-            raise _misfit(_kind(buffer, offset), word, offset)
-        pieces.append(piece)
-        offset = end
-    return pieces
 
 
 def content(packet: bytes) -> bytes:
@@ -402,33 +383,6 @@ class Decoder:
         finally:
             self._read += offset
             self.pending = buffer[offset:]
-
-
-def tally(buffer: bytes) -> dict[str, tuple[int, int]]:
-    """Count the packets and bytes of each kind in a buffer of whole packets.
-
-    Raises
-    ------
-    ProtocolError
-        As `split`.
-    """
-    packets, sizes = dict.fromkeys(ALL_KINDS, 0), dict.fromkeys(ALL_KINDS, 0)
-    for piece in split(buffer):
-        kind = _NAME[piece[0]]
-        packets[kind] += 1
-        sizes[kind] += len(piece)
-    return {kind: (count, sizes[kind]) for kind, count in packets.items() if count}
-
-
-def fitting(buffer: bytes, room: int) -> int:
-    """Return how many bytes of a buffer of whole packets fit into `room` bytes without cutting a packet."""
-    offset = 0
-    while offset < len(buffer):
-        end = offset + length(buffer, offset)
-        if end > room:
-            break
-        offset = end
-    return offset
 
 
 def _write_fragment(packet: Fragment, offset: int) -> bytes:

@@ -20,6 +20,7 @@ from protocol.messages import (
     Lost,
     Move,
     Positions,
+    Record,
     Stop,
     Watched,
     WorldReport,
@@ -152,7 +153,7 @@ class WorldNode:
         self._bus.put(self._keys.control_tx(names.WORLD), pack(positions))
         self._report(self._truth())
 
-    def _report(self, message: object) -> None:
+    def _report(self, message: Record) -> None:
         """Tell the laboratory, and the viewer if there is one."""
         payload = pack(message)
         self._bus.put(self._keys.control(names.LAB, names.WORLD), payload)
@@ -182,5 +183,5 @@ class WorldNode:
         end = pack(End(self._world.step, reason, first))
         self._bus.put(self._keys.control_tx(names.WORLD), end)
 
-    def _tell(self, robot: int, message: object) -> None:
+    def _tell(self, robot: int, message: Record) -> None:
         self._bus.put(self._keys.body(names.robot(robot), names.WORLD), pack(message))

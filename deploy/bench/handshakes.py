@@ -11,7 +11,7 @@ from agent.exchange.session import Session
 from deploy.scenario.plan import Plan
 from netshaper.medium import UNLIMITED
 from netshaper.radio import Frame, Note, Outgoing, Radio
-from protocol import packets
+from protocol import survey
 from protocol.messages import Open, Outcome, Said, Turn
 
 Result = TypeVar("Result")
@@ -92,7 +92,7 @@ def _speak(
             frames, phase = session.data(answers), "data"
         case Outcome():
             for peer, about, frame in session.outcome(note, heard):
-                session.accept(peer, about, packets.split(frame))
+                session.accept(peer, about, survey.split(frame))
             return None
         case _:
             session.forget()

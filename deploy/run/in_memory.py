@@ -40,12 +40,13 @@ def run(
     (`deploy.run.interrupt`), `wrap` may lay something around each participant's end of the bus; `view` is a viewer,
     `wait` the world's pace.
     """
-    hub = MemoryHub("memory")
-    keys = hub.keys
     robots = plan.scenario.robots
-    buses: dict[str, Bus] = {}
+    minds = [names.robot(number) for number in range(robots)]
     watching = [names.VIEW] if view is not None else []
-    for name in (names.RELAY, *watching, names.LAB, names.WORLD, *map(names.robot, range(robots))):
+    hub = MemoryHub("memory", [names.RELAY, names.WORLD, names.LAB, *minds, *watching])
+    keys = hub.keys
+    buses: dict[str, Bus] = {}
+    for name in (names.RELAY, *watching, names.LAB, names.WORLD, *minds):
         buses[name] = wrap(name, hub.join(name))
     lab = LabNode(buses[names.LAB], keys, robots, capture)
     world = WorldNode(
@@ -62,8 +63,7 @@ def run(
         names.WORLD: world,
         names.LAB: lab,
     }
-    for number in range(robots):
-        name = names.robot(number)
+    for number, name in enumerate(minds):
         nodes[name] = AgentNode(buses[name], keys, number)
     if view is not None:
         nodes[names.VIEW] = view
@@ -71,12 +71,13 @@ def run(
     while not all(node.done for node in nodes.values()):
         spoke = False
         heed(lab)
-        for name, node in nodes.items():
-            while (message := _next(buses[name])) is not None:
+        for name in hub.in_turn():
+            node, bus = nodes[name], buses[name]
+            while (message := _next(bus)) is not None:
                 node.handle(message)
                 spoke = True
             if node.done:
-                buses[name].close()
+                bus.close()
         if not spoke and not all(node.done for node in nodes.values()):
             raise RuntimeError("the run stands still: everyone waits for someone")
         if watch is not None and lab.records.step > step:

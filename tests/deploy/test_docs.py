@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any, get_args
 
@@ -26,7 +26,7 @@ from deploy.scenario.plan import make
 from deploy.scenario.scenario import SHIPPED, Death, RobotOverride, Scenario, ScenarioError, load
 from netshaper import access
 from netshaper.ledger import CAUSES, ROW
-from protocol import messages, packets
+from protocol import messages, packets, survey
 from protocol.grid import MAX_ROBOTS, MAX_SIDE, Grid
 from protocol.keys import Keys
 from protocol.scans import Scan, encode_scan, fragments
@@ -96,7 +96,7 @@ def told(*buffers: bytes) -> list[str]:
     return [
         f"{piece.hex(' '):18} {packets.decode(piece)[0]!r}"
         for buffer in buffers
-        for piece in packets.split(buffer)
+        for piece in survey.split(buffer)
     ]
 
 
@@ -252,9 +252,10 @@ def test_offer_policies_are_all_described() -> None:
 def test_messages_and_their_fields_are_all_there_in_their_order() -> None:
     told_of = [(name, made_of) for _, name, _, made_of, *_ in rows("protocol.md", "Body and control")]
     kinds = messages._TYPES
-    assert told_of == [(kind.__name__, ", ".join(field.name for field in fields(kind))) for kind in kinds]
+    assert told_of == [(kind.__name__, ", ".join(kind.__struct_fields__)) for kind in kinds]
+    assert [kind.__struct_config__.tag for kind in kinds] == list(range(len(kinds)))
     assert [int(row[0]) for row in rows("protocol.md", "Body and control")] == list(range(len(kinds)))
-    assert {kind for kind in vars(messages).values() if is_dataclass(kind)} == set(kinds)
+    assert set(messages.Record.__subclasses__()) == set(kinds)
 
 
 def test_the_ledger_s_columns_and_causes_are_all_there() -> None:

@@ -12,11 +12,13 @@ from hypothesis import strategies as st
 
 from netshaper import capture, pcapng
 from netshaper.capture import CAPTURED_AT_MOST, KEPT, PART, VERDICTS, Captured
-from netshaper.ledger import EVERYONE, Sighting
+from netshaper.ledger import EVERYONE
 from netshaper.pcapng import CaptureError, Reader
 from netshaper.radio import RadioSettings
+from netshaper.sightings import Sighting, Sightings, hearers_of, in_words
 from protocol.messages import RadioReport
 from protocol.packets import Delete, Save, encode
+from tests.netshaper import plain_books
 from tests.netshaper.scripted_robots import Air, Liar, Robot
 
 small = st.integers(-1, 63)
@@ -56,7 +58,9 @@ def read(file: bytes) -> list[Captured]:
 
 
 def write(steps: list[tuple[int, list[Sighting]]]) -> bytes:
-    return capture.head("a test") + b"".join(capture.encode(step, seen) for step, seen in steps)
+    return capture.head("a test") + b"".join(
+        capture.encode(step, Sightings.of(seen).columns()) for step, seen in steps
+    )
 
 
 def test_a_file_begins_as_every_pcapng_file_does() -> None:
@@ -73,11 +77,42 @@ def test_what_is_written_is_read(said: list[tuple[int, list[Sighting]]]) -> None
     for (step, seen), found in zip(wanted, read(write(said)), strict=True):
         kept = seen.payload if seen.verdict == 0 else seen.payload[:KEPT]
         assert (found.step, found.part, found.size) == (step, 0, len(seen.payload))
-        assert found.words == capture.in_words(seen)
+        assert found.words == in_words(
+            seen.verdict, seen.receiver, tuple(hearers_of(seen.hearers)), seen.reason
+        )
         assert found.seen == Sighting(
             seen.exchange, seen.connection, seen.frame, seen.sender, seen.receiver, seen.map, seen.verdict,
             seen.hearers, kept,
         )  # fmt: skip
+
+
+large = st.integers(-1, 255)
+wide_sightings = st.builds(
+    Sighting,
+    exchange=st.integers(0, 15),
+    connection=st.integers(-1, 2**31 - 1),
+    frame=st.integers(0, 3),
+    sender=large,
+    receiver=large | st.just(-99),
+    map=large,
+    verdict=st.integers(0, len(VERDICTS) - 1),
+    hearers=st.integers(0, 2**256 - 1) | st.integers(0, 2**64),
+    payload=st.binary(max_size=200),
+    reason=st.text(max_size=30),
+)
+
+
+@given(st.integers(0, 2**32 - 1), st.lists(sightings | wide_sightings, max_size=8))
+def test_the_kernel_writes_what_is_written_block_by_block(step: int, seen: list[Sighting]) -> None:
+    assert capture.encode(step, Sightings.of(seen).columns()) == plain_books.blocks(step, seen)
+
+
+@given(st.lists(wide_sightings, max_size=5))
+def test_robots_beyond_the_plain_head_are_read_back(seen: list[Sighting]) -> None:
+    for wanted, found in zip(seen, read(write([(1, seen)])), strict=True):
+        kept = wanted.payload if wanted.verdict == 0 else wanted.payload[:KEPT]
+        assert found.seen == wanted._replace(payload=kept, reason="")
+        assert capture.hearers(found.seen) == hearers_of(wanted.hearers)
 
 
 @given(steps, st.integers(0, 10**6))
@@ -136,7 +171,9 @@ def test_times_tell_the_step_in_seconds_and_the_place_in_it_in_microseconds() ->
 
 def test_a_frame_too_long_for_one_packet_of_wireshark_is_several_that_hold_whole_packets() -> None:
     payload = encode([Delete(n % 4096) for n in range(PART + 1)])
-    frames = read(write([(1, [Sighting(0, 0, 2, 0, 1, 0, 0, 2, payload)])]))
+    seen = [Sighting(0, 0, 2, 0, 1, 0, 0, 2, payload)]
+    assert capture.encode(1, Sightings.of(seen).columns()) == plain_books.blocks(1, seen)
+    frames = read(write([(1, seen)]))
     assert [frame.part for frame in frames] == [0, 1, 2]
     assert b"".join(frame.seen.payload for frame in frames) == payload
     assert all(capture.HEAD.size + frame.size <= CAPTURED_AT_MOST for frame in frames)
@@ -167,9 +204,9 @@ def test_the_comment_says_in_words_what_became_of_a_frame(
     [
         (b"", "not a pcapng file"),
         (b"a picture, perhaps", "not a pcapng file"),
-        (pcapng.head(1, "x", "y", "z") + pcapng.packet(0, bytes(40), 40, ""), "link type 1 instead of 147"),
-        (capture.head("") + pcapng.packet(0, b"\x07", 1, ""), "without a head of version 1: 07"),
-        (capture.head("") + pcapng.packet(0, b"\x01\x09" + bytes(22), 24, ""), "frame 9 and verdict 0"),
+        (pcapng.head(1, "x", "y", "z") + plain_books.packet(0, bytes(40), 40, ""), "link type 1 instead of 147"),
+        (capture.head("") + plain_books.packet(0, b"\x07", 1, ""), "without a head of version 1 or 2: 07"),
+        (capture.head("") + plain_books.packet(0, b"\x01\x09" + bytes(22), 24, ""), "frame 9 and verdict 0"),
         (capture.head("") + b"\x06\x00\x00\x00\x0d\x00\x00\x00" + bytes(8), "a block of 13 bytes"),
         (capture.head("") + b"\x06\x00\x00\x00\x10\x00\x00\x00" + bytes(8), "whose two lengths differ"),
     ],

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from netshaper.ledger import CAUSES, EVERYONE, ROW
-from netshaper.medium import UNLIMITED, Connection, Medium
+from netshaper.medium import UNLIMITED, Connections, Medium
 from protocol import packets
 from protocol.packets import Answer, Block, Delete, Fragment, Insert, Offer, Packet, Save, Target, encode
 
@@ -44,7 +44,11 @@ def play(medium: Medium, event: object) -> None:
     if isinstance(event, bool):
         medium.broadcast(0, 0, frames[0], [1] if event else [])
     else:
-        medium.connect(0, Connection(0, 0, 1, 0, [*frames, None, None][:3]))
+        connections = Connections()
+        connections.add(0, 1, 0, frames[0])
+        for said, frame in zip(connections.frames[1:], frames[1:], strict=False):
+            said[0] = frame
+        medium.play(0, connections)
 
 
 def rows(medium: Medium) -> list[tuple[int, ...]]:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from netshaper.ledger import CAUSES, EVERYONE, KIND_NUMBER, MALFORMED, ROW, balance
 from netshaper.medium import ANSWER, BROADCAST, DATA, OFFER, UNLIMITED, Medium
 from netshaper.radio import Note, RadioSettings
-from protocol import packets
+from protocol import packets, survey
 from protocol.messages import Close, Open, Outcome, Said, Turn
 from protocol.packets import Answer, Decline, Delete, Offer, Save, Target, encode
 from tests.netshaper.scripted_robots import Air, Heard, Liar, Mute, Put, Robot, Step
@@ -165,7 +165,7 @@ def test_what_was_cut_was_cut_between_packets(scene: Any) -> None:
     for step in play(scene):
         for kind, frame in step.delivered:
             if kind == "data":
-                assert packets.split(frame.payload)
+                assert survey.split(frame.payload)
 
 
 @given(scenes())

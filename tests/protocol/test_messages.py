@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from typing import Any
 
 import msgpack
@@ -29,8 +28,9 @@ from protocol.messages import (
 KINDS = [
     kind
     for kind in vars(messages).values()
-    if isinstance(kind, type) and hasattr(kind, "__dataclass_fields__")
+    if isinstance(kind, type) and issubclass(kind, messages.Record) and kind is not messages.Record
 ]
+KINDS_IN_ORDER = sorted(KINDS, key=lambda kind: kind.__struct_config__.tag)
 
 whole = st.integers(-(2**63), 2**64 - 1)
 plain = st.none() | st.booleans() | whole | st.floats(allow_nan=False) | st.text() | st.binary()
@@ -46,17 +46,17 @@ VALUES: dict[str, st.SearchStrategy[Any]] = {
     "dict[str, Any]": st.dictionaries(st.text(), trees, max_size=4),
 }
 said = st.sampled_from(KINDS).flatmap(
-    lambda kind: st.builds(kind, **{field.name: VALUES[str(field.type)] for field in fields(kind)})
+    lambda kind: st.builds(kind, **{name: VALUES[kinds_of] for name, kinds_of in kind.__annotations__.items()})
 )
 
 
 def test_every_message_is_known() -> None:
     assert len(KINDS) == 22
-    assert all(type(unpack(pack(kind(*map(_some, fields(kind)))))) is kind for kind in KINDS)
+    assert all(type(unpack(pack(kind(*map(_some, kind.__annotations__.values()))))) is kind for kind in KINDS)
 
 
-def _some(field: Any) -> Any:
-    return {"int": 1, "bool": True, "str": "a", "bytes": b"b", "list[int]": [1]}.get(field.type, {"a": 1})
+def _some(annotation: str) -> Any:
+    return {"int": 1, "bool": True, "str": "a", "bytes": b"b", "list[int]": [1]}.get(annotation, {"a": 1})
 
 
 @given(said)
@@ -65,20 +65,28 @@ def test_what_is_written_is_read(message: Any) -> None:
     assert unpack_as(type(message), pack(message)) == message
 
 
+@given(said)
+def test_a_message_is_a_msgpack_list_of_its_number_and_its_fields(message: Any) -> None:
+    kind = type(message)
+    items = [KINDS_IN_ORDER.index(kind), *(getattr(message, name) for name in kind.__annotations__)]
+    assert pack(message) == msgpack.packb(items)
+    assert unpack(msgpack.packb(items)) == message
+
+
 @given(said, st.data())
 def test_a_field_of_a_wrong_type_is_refused_by_name(message: Any, data: st.DataObject) -> None:
     items = msgpack.unpackb(pack(message))
     if len(items) == 1:
         return
     at = data.draw(st.integers(1, len(items) - 1))
-    right = fields(message)[at - 1]
+    right, annotation = list(type(message).__annotations__.items())[at - 1]
     wrong = data.draw(
-        st.sampled_from([name for name in VALUES if name != right.type]).flatmap(VALUES.__getitem__)
+        st.sampled_from([name for name in VALUES if name != annotation]).flatmap(VALUES.__getitem__)
     )
-    if right.type == "list[int]" and wrong == []:
+    if annotation == "list[int]" and wrong == []:
         return
     items[at] = wrong
-    with pytest.raises(ProtocolError, match=f"{type(message).__name__} at byte 0: {right.name} must be"):
+    with pytest.raises(ProtocolError, match=f"{type(message).__name__} at byte 0: {right} must be"):
         unpack(msgpack.packb(items))
 
 

@@ -37,11 +37,8 @@ from protocol.packets import (
     content,
     decode,
     encode,
-    fitting,
     handshake,
     length,
-    split,
-    tally,
 )
 
 GOLDEN = Path(__file__).parent / "golden" / "packets.txt"
@@ -260,24 +257,6 @@ def test_random_bytes_break_off_at_the_same_place_however_they_are_cut(noise: by
     assert read([noise]) == read([noise[:cut], noise[cut:]])
 
 
-@given(st.binary(max_size=100))
-@example(b"\xf2\x00")
-@example(b"\xf2\xff")
-@example(b"\xfc\x01")
-@example(b"\xf8\x40")
-@example(b"\x80\x01")
-def test_splitting_and_counting_accept_what_reading_accepts_and_no_more(noise: bytes) -> None:
-    try:
-        heard = decode(noise)
-    except ProtocolError as error:
-        for read in (split, tally):
-            with pytest.raises(ProtocolError) as caught:
-                read(noise)
-            assert str(caught.value) == str(error)
-    else:
-        assert [encode([packet]) for packet in heard] == split(noise)
-
-
 @pytest.mark.parametrize("packet", EXAMPLES, ids=repr)
 def test_a_packet_with_a_spare_bit_set_is_refused(packet: AnyPacket) -> None:
     buffer = encode([packet])
@@ -324,21 +303,6 @@ def test_every_field_has_bits() -> None:
     for kind, limits in LIMITS.items():
         assert [field.name for field in fields(kind)] == list(limits)
         assert len(kind.bits) == len(limits)
-
-
-@given(streams)
-def test_counts_add_up_to_what_was_written(said: list[AnyPacket]) -> None:
-    counts = tally(encode(said))
-    assert sum(packets_ for packets_, _ in counts.values()) == len(said)
-    for kind, (number, size) in counts.items():
-        these = [packet for packet in said if packet.name == kind]
-        assert (number, size) == (len(these), len(encode(these)))
-
-
-@given(streams, st.integers(-1, 300))
-def test_what_fits_is_the_longest_run_of_whole_packets(said: list[AnyPacket], room: int) -> None:
-    ends = [len(encode(said[:count])) for count in range(len(said) + 1)]
-    assert fitting(encode(said), room) == max((end for end in ends if end <= room), default=0)
 
 
 @given(streams)

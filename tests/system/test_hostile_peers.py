@@ -16,7 +16,7 @@ from agent.settings import Settings
 from deploy.run import in_memory
 from deploy.scenario.plan import Plan
 from protocol import keys as names
-from protocol import packets
+from protocol import packets, survey
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, UNKNOWN, fan
@@ -217,7 +217,7 @@ def test_hostile_data_never_stops_a_robot_nor_changes_a_saved_state(lies: list[b
         if now is not before:
             assert now is not None
             assert now.inside.sum() == 1
-            assert encode([Save()]) in packets.split(lie)
+            assert encode([Save()]) in survey.split(lie)
             assert LIAR not in robot.distrusted
         assert robot.distrusted <= {LIAR}
         assert {fault.peer for fault in robot.faults} == robot.distrusted

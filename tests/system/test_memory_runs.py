@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from agent.exchange.session import Session
@@ -23,7 +23,7 @@ from deploy.scenario.scenario import parse
 from netshaper.ledger import CAUSES, ROW, balance
 from netshaper.medium import DATA, UNLIMITED
 from netshaper.radio import Frame, Note, Outgoing, Radio, RadioSettings
-from protocol import packets
+from protocol import packets, survey
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.messages import Open, Outcome, Said, Turn
 from worldsim import generators
@@ -308,7 +308,7 @@ class Pair:
             self._say(robot, message.step, message.exchange, "data", session.data(answers))
         elif isinstance(message, Outcome):
             for peer, about, frame in session.outcome(message, heard):
-                session.accept(peer, about, packets.split(frame))
+                session.accept(peer, about, survey.split(frame))
 
     def _say(
         self, robot: int, step: int, exchange: int, phase: str, said: list[tuple[int, int, bytes]]

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from agent.exchange.session import Session
-from protocol import packets
+from protocol import survey
 from protocol.messages import Outcome
 from protocol.packets import Fragment, encode
 
@@ -129,7 +129,7 @@ class Link:
             for at, frame in enumerate(said):
                 size = len(frame)
                 if left is not None and size > left:
-                    size = packets.fitting(frame, left) if at == 2 else 0
+                    size = survey.fitting(frame, left) if at == 2 else 0
                     self._closed = True
                     left = size
                 carried[at] = size
@@ -155,7 +155,7 @@ class Link:
         for peer, about, frame in session.outcome(outcome, data):
             if peer in self.distrusted[robot]:
                 continue
-            units = packets.split(frame)
+            units = survey.split(frame)
             if self.understands(robot, about, units):
                 session.accept(peer, about, units)
             else:

@@ -1,0 +1,61 @@
+"""The survey of a frame sees what the decoder reads, packet by packet, and refuses what it refuses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from protocol.errors import ProtocolError
+from protocol.packets import ALL_KINDS, AnyPacket, decode, encode
+from protocol.survey import fitting, kinds, split
+from tests.protocol.test_packets import EXAMPLES, streams
+
+noisy = st.binary(max_size=100) | st.builds(
+    lambda said, at, more: encode(said)[:at] + more, streams, st.integers(0, 80), st.binary(max_size=3)
+)
+
+
+@given(noisy)
+@example(b"\xf2\x00")
+@example(b"\xf2\x3f" + bytes(63))
+@example(b"\xf2\xff")
+@example(b"\xfc\x01")
+@example(b"\xf8\x40")
+@example(b"\x80\x01")
+def test_a_survey_accepts_what_reading_accepts_and_gives_its_reasons(noise: bytes) -> None:
+    surveys: list[Any] = [split, kinds]
+    try:
+        heard = decode(noise)
+    except ProtocolError as error:
+        for survey in surveys:
+            with pytest.raises(ProtocolError) as caught:
+                survey(noise)
+            assert str(caught.value) == str(error)
+    else:
+        assert split(noise) == [encode([packet]) for packet in heard]
+        assert {kind for bit, kind in enumerate(ALL_KINDS) if kinds(noise) >> bit & 1} == {
+            packet.name for packet in heard
+        }
+
+
+@pytest.mark.parametrize("packet", EXAMPLES, ids=repr)
+def test_every_bit_that_is_wrong_is_found(packet: AnyPacket) -> None:
+    whole = encode([packet])
+    for bit in range(8 * len(whole)):
+        broken = (int.from_bytes(whole, "big") ^ 1 << bit).to_bytes(len(whole), "big")
+        try:
+            decode(broken)
+        except ProtocolError:
+            with pytest.raises(ProtocolError):
+                kinds(broken)
+        else:
+            assert split(broken)
+
+
+@given(streams, st.integers(-1, 300))
+def test_what_fits_is_the_longest_run_of_whole_packets(said: list[AnyPacket], room: int) -> None:
+    ends = [len(encode(said[:count])) for count in range(len(said) + 1)]
+    assert fitting(encode(said), room) == max((end for end in ends if end <= room), default=0)
