@@ -144,11 +144,46 @@ def load(path: str | os.PathLike[str]) -> Map:
     if mode != "trinary":
         raise MapError(f"{path}: mode is {mode!r}; only trinary is read (free, occupied, unknown)")
 
+    return _from_picture(path, image, resolution, origin, (free, occupied), negate=bool(negate))
+
+
+def load_picture(path: str | os.PathLike[str], resolution: float) -> Map:
+    """Read a map from a PGM or PNG picture alone: white is free, black occupied, grey unknown.
+
+    Thresholds are map_server's usual ones, and the origin is the picture's lower left corner.
+
+    Parameters
+    ----------
+    path : path
+    resolution : float
+        Metres a cell, which is a pixel.
+
+    Raises
+    ------
+    MapError
+        The picture is missing, broken, or holds no map.
+    """
+    path = Path(path)
+    return _from_picture(
+        path, path, resolution, (0.0, 0.0, 0.0), (_FREE_THRESH, _OCCUPIED_THRESH), negate=False
+    )
+
+
+def _from_picture(
+    path: Path,
+    image: Path,
+    resolution: float,
+    origin: tuple[float, float, float],
+    thresholds: tuple[float, float],
+    *,
+    negate: bool,
+) -> Map:
+    """The map that `path` is called after, of a picture; `thresholds` are those of free and of occupied."""
     shade, white = _read_picture(image)
     darkness = (shade if negate else white - shade) / white
     cells = np.full(shade.shape, UNKNOWN, np.uint8)
-    cells[darkness < free] = FREE
-    cells[darkness > occupied] = OCCUPIED
+    cells[darkness < thresholds[0]] = FREE
+    cells[darkness > thresholds[1]] = OCCUPIED
     try:
         return Map(path.stem, cells, resolution, origin)
     except MapError as error:
@@ -257,7 +292,7 @@ def _read_picture(path: Path) -> tuple[NDArray[np.float64], int]:
         data = path.read_bytes()
     except OSError as error:
         raise MapError(
-            f"{path}: cannot be read ({error.strerror}); `image` must name a PGM or PNG file"
+            f"{path}: cannot be read ({error.strerror}); a map's picture must be a PGM or PNG file"
         ) from None
     try:
         with Image.open(io.BytesIO(data), formats=("PNG", "PPM")) as picture:

@@ -7,6 +7,7 @@ from agent.exchange.laser import LaserExchange
 from agent.exchange.none import NoExchange
 from agent.exchange.polygon import PolygonExchange
 from agent.settings import Settings
+from protocol.errors import there_are
 
 EXCHANGES: dict[str, type[Exchange]] = {
     kind.name: kind for kind in (PolygonExchange, LaserExchange, NoExchange)
@@ -16,6 +17,7 @@ EXCHANGES: dict[str, type[Exchange]] = {
 def exchange(settings: Settings) -> Exchange:
     """Return the exchange that the settings name; ValueError lists the names there are."""
     if settings.exchange not in EXCHANGES:
-        names = ", ".join(EXCHANGES)
-        raise ValueError(f"no exchange is called {settings.exchange!r}; there are: {names}")
+        raise ValueError(
+            f"no exchange is called {settings.exchange!r}; {there_are(EXCHANGES, settings.exchange)}"
+        )
     return EXCHANGES[settings.exchange](settings)

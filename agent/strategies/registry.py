@@ -5,13 +5,16 @@ A new strategy is one new file here, or a class in any importable module, named 
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import pkgutil
+import sys
+import traceback
+from pathlib import Path
 from typing import Any
 
 import agent.strategies
 from agent.strategies.base import Strategy
+from protocol.errors import there_are
 
 
 def strategies() -> dict[str, type[Strategy]]:
@@ -38,22 +41,27 @@ def strategy(name: str) -> type[Strategy]:
         return _imported(name)
     known = strategies()
     if name not in known:
-        near = difflib.get_close_matches(name.lower(), known)
-        meant = f"; did you mean {' or '.join(near)}? There are: " if near else "; there are: "
         raise ValueError(
-            f"no strategy is called {name!r}{meant}{', '.join(known)}; or give one as package.module:Class"
+            f"no strategy is called {name!r}; {there_are(known, name)}; or give one as package.module:Class"
         )
     return known[name]
 
 
 def _imported(name: str) -> type[Strategy]:
     module_name, _, class_name = name.partition(":")
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)  # last: a file here that is called as one of ours hides nothing
     try:
         module = importlib.import_module(module_name)
-    except ImportError as error:
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
+            raise ValueError(f"strategy {name!r} cannot be imported:\n{traceback.format_exc()}") from None
         raise ValueError(
-            f"strategy {name!r}: {error}; is the folder of {module_name} on PYTHONPATH?"
+            f"strategy {name!r}: {error}; a module is looked for in this folder and on PYTHONPATH"
         ) from None
+    except Exception:
+        raise ValueError(f"strategy {name!r} cannot be imported:\n{traceback.format_exc()}") from None
     kind = getattr(module, class_name, None)
     if not isinstance(kind, type) or not issubclass(kind, Strategy) or "name" not in vars(kind):
         raise ValueError(

@@ -12,6 +12,7 @@ import typer
 from agent.exchange.polygon_options import THESIS_OPTIONS
 from deploy.commands.console import errors, progress, report_result, speaking_clearly
 from deploy.commands.flags import (
+    GroupedCommand,
     JsonFlag,
     OutOption,
     ScenarioFile,
@@ -26,42 +27,79 @@ from deploy.scenario.scenario import Scenario, load
 
 app = family()
 
+WORLD, ROBOTS, RADIO, RUN, SHOW = "The world", "The robots", "The radio", "The run", "What is shown of it"
+"""Groups of flags."""
 
-@app.command()
+
+@app.command(cls=GroupedCommand)
 def explore(
     scenario: ScenarioFile = None,
-    map: setting("map", str, "FILE.yaml|NAME") = None,  # type: ignore[valid-type]
-    robots: setting("robots", int, "N") = None,  # type: ignore[valid-type]
-    range: setting("range", str, "METRES|P%") = None,  # type: ignore[valid-type]
-    bandwidth: setting("bandwidth", str, "BYTES|unlimited") = None,  # type: ignore[valid-type]
-    exchange: setting("exchange", str, "NAME") = None,  # type: ignore[valid-type]
-    strategy: setting("strategy", str, "NAME") = None,  # type: ignore[valid-type]
-    sensor_range: setting("sensor_range", float, "M") = None,  # type: ignore[valid-type]
-    speed: setting("speed", float, "M_PER_STEP") = None,  # type: ignore[valid-type]
-    seed: setting("seed", int, "S") = None,  # type: ignore[valid-type]
-    map_seed: setting("map_seed", int, "S") = None,  # type: ignore[valid-type]
-    start: Annotated[str | None, typer.Option(metavar="X,Y", help=default("start"))] = None,
-    offers: setting("offers", str, "NAME") = None,  # type: ignore[valid-type]
-    thesis: Annotated[
-        bool, typer.Option("--thesis", help="the thesis' plain rules of offering, refining and drawing")
-    ] = False,
+    map: setting("map", str, "FILE|NAME", WORLD) = None,  # type: ignore[valid-type]
+    map_seed: setting("map_seed", int, "S", WORLD) = None,  # type: ignore[valid-type]
+    resolution: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M", help="metres a cell, of a generated map or a picture", rich_help_panel=WORLD
+        ),
+    ] = None,
+    start: Annotated[
+        str | None, typer.Option(metavar="X,Y", help=default("start"), rich_help_panel=WORLD)
+    ] = None,
+    robots: setting("robots", int, "N", ROBOTS) = None,  # type: ignore[valid-type]
+    strategy: setting("strategy", str, "NAME", ROBOTS) = None,  # type: ignore[valid-type]
     option: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=VALUE", help="an option of the strategy (murmur strategies); repeatable"),
+        typer.Option(
+            metavar="NAME=VALUE",
+            help="an option of the strategy (murmur strategies NAME); repeatable",
+            rich_help_panel=ROBOTS,
+        ),
     ] = None,
-    bus: setting("bus", str, "zenoh|memory") = None,  # type: ignore[valid-type]
-    steps: setting("steps", int, "MAX") = None,  # type: ignore[valid-type]
+    sensor_range: setting("sensor_range", float, "M", ROBOTS) = None,  # type: ignore[valid-type]
+    speed: setting("speed", float, "M_PER_STEP", ROBOTS) = None,  # type: ignore[valid-type]
+    range: setting("range", str, "METRES|P%", RADIO) = None,  # type: ignore[valid-type]
+    bandwidth: setting("bandwidth", str, "BYTES|unlimited", RADIO) = None,  # type: ignore[valid-type]
+    exchange: setting("exchange", str, "NAME", RADIO) = None,  # type: ignore[valid-type]
+    offers: setting("offers", str, "NAME", RADIO) = None,  # type: ignore[valid-type]
+    thesis: Annotated[
+        bool,
+        typer.Option(
+            "--thesis",
+            help="the thesis' plain rules of offering, refining and drawing",
+            rich_help_panel=RADIO,
+        ),
+    ] = False,
+    seed: setting("seed", int, "S", RUN) = None,  # type: ignore[valid-type]
+    steps: setting("steps", int, "MAX", RUN) = None,  # type: ignore[valid-type]
+    bus: setting("bus", str, "zenoh|memory", RUN) = None,  # type: ignore[valid-type]
+    set_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="any other setting of a scenario, as radius=0.2 or polygon.lazy=false; repeatable",
+            rich_help_panel=RUN,
+        ),
+    ] = None,
     view: Annotated[
-        bool, typer.Option("--view", help="show it live: a window, or a page if there is no display")
+        bool,
+        typer.Option(
+            "--view", help="show it live: a window, or a page if there is no display", rich_help_panel=SHOW
+        ),
     ] = False,
     view_as: Annotated[
-        str | None, typer.Option(metavar="native|web|file", help="show it so; file: record only")
+        str | None,
+        typer.Option(metavar="native|web|file", help="show it so; file: record only", rich_help_panel=SHOW),
     ] = None,
     pace: Annotated[
-        float | None, typer.Option(metavar="STEPS_PER_S", help="no faster than this, for watching")
+        float | None,
+        typer.Option(metavar="STEPS_PER_S", help="no faster than this, for watching", rich_help_panel=SHOW),
     ] = None,
     pictures: Annotated[
-        bool, typer.Option("--pictures", help="draw the maps over time and the channel's load")
+        bool,
+        typer.Option(
+            "--pictures", help="draw the maps over time and the channel's load", rich_help_panel=SHOW
+        ),
     ] = False,
     out: OutOption = None,
     as_json: JsonFlag = False,
@@ -71,8 +109,8 @@ def explore(
     All that comes out is in the run directory: summary.json, steps.parquet, ledger.parquet, maps.png, the
     maps themselves, and scenario.toml, from which `murmur replay` repeats the run.
 
-    A scenario file sets more than the flags do (radius, exchanges, scanner_turn, robots that differ, ...):
-    docs/protocol.md lists all settings, and the scenario.toml of any run is one to begin with.
+    docs/protocol.md lists all settings, which --set takes as well; the scenario.toml of any run is one to
+    begin with.
     """
     overrides: dict[str, Any] = {
         "map": map, "robots": robots, "range": range, "bandwidth": bandwidth, "exchange": exchange,
@@ -80,6 +118,10 @@ def explore(
         "map_seed": map_seed, "offers": offers, "bus": bus, "steps": steps,
     }  # fmt: skip
     with speaking_clearly():
+        if set_:
+            overrides |= _other_settings(set_, overrides)
+        if resolution is not None:
+            overrides["map_options.resolution"] = resolution
         if thesis:
             overrides |= {"offers": offers or "thesis", "polygon": asdict(THESIS_OPTIONS)}
         if start is not None:
@@ -106,6 +148,17 @@ def watch(
             watching.watch(directory, window)
         finally:
             window.close()
+
+
+def _other_settings(texts: list[str], flags: dict[str, Any]) -> dict[str, Any]:
+    """The settings that --set names; ValueError if a flag sets one of them too."""
+    values = named_values(texts, "set", "radius=0.2")
+    for name in values:
+        if flags.get(name) is not None:
+            raise ValueError(
+                f"set = '{name}=...': --{name.replace('_', '-')} sets it too; leave it to one of them"
+            )
+    return values
 
 
 def _explore(

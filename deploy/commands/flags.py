@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 
 def family() -> typer.Typer:
@@ -40,10 +41,28 @@ ViewAs = Annotated[
 ]
 
 
-def setting(name: str, kind: Any, metavar: str | None = None) -> Any:
-    """A flag that overrides a setting of the scenario."""
+def setting(name: str, kind: Any, metavar: str, group: str) -> Any:
+    """A flag that overrides a setting of the scenario, in a group of the help."""
     flag = "--" + name.replace("_", "-")
-    return Annotated[kind | None, typer.Option(flag, help=default(name), metavar=metavar)]
+    return Annotated[
+        kind | None, typer.Option(flag, help=default(name), metavar=metavar, rich_help_panel=group)
+    ]
+
+
+class GroupedCommand(TyperCommand):
+    """A command with so many flags that its help shows them in groups."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the flags of each group under its name, in the order in which groups come first."""
+        groups: dict[str, list[tuple[str, str]]] = {}
+        for parameter in self.get_params(ctx):
+            record = parameter.get_help_record(ctx)
+            if record is not None:
+                group = getattr(parameter, "rich_help_panel", None) or "Options"
+                groups.setdefault(group, []).append(record)
+        for group, records in groups.items():
+            with formatter.section(group):
+                formatter.write_dl(records)
 
 
 def pair(text: str) -> tuple[float, float]:

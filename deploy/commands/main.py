@@ -26,6 +26,7 @@ COMMANDS = {
     "explore": Place("explore", "Explore a building with a swarm of robots, and watch them finish."),
     "watch": Place("explore", "Look at a run that is under way, or at the recording of one."),
     "strategies": Place("strategies", "List the exploration strategies, or show one with all its options."),
+    "new": Place("new", "Write the beginning of something of your own: a strategy."),
     "map": Place("maps", "List, make and show maps."),
     "report": Place("after_run", "Draw a run and write one HTML page of it all."),
     "capture": Place("after_run", "Show what was said on the radio of a run, frame by frame."),
@@ -62,7 +63,6 @@ app = typer.Typer(
     name="murmur",
     cls=Commands,
     no_args_is_help=True,
-    add_completion=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
     help="""Robot swarms that map a building together over a radio of a kilobyte a second.

@@ -46,8 +46,11 @@ def map_make(
 
 @maps_app.command("show")
 def map_show(
-    file: Annotated[str, typer.Argument(metavar="FILE.yaml|NAME", help="a map file, or a generator's name")],
+    file: Annotated[str, typer.Argument(metavar="FILE|NAME", help="a map file, or a generator's name")],
     seed: Annotated[int, typer.Option(min=0, help="the generator's seed")] = 0,
+    resolution: Annotated[
+        float | None, typer.Option(metavar="M", help="metres a cell, of a generated map or a picture")
+    ] = None,
     png: Annotated[Path | None, typer.Option(metavar="FILE.png", help="draw it there, with metres")] = None,
 ) -> None:
     """Show a map in the terminal, with its figures."""
@@ -56,7 +59,9 @@ def map_show(
     from deploy.scenario.scenario import load  # noqa: PLC0415
 
     with speaking_clearly():
-        world_map = plan.load_map(load(None, {"map": file, "map_seed": seed}))
+        world_map = plan.load_map(
+            load(None, {"map": file, "map_seed": seed, "map_options.resolution": resolution})
+        )
         free = int((world_map.cells == 1).sum())
         screen.print(sketch(world_map.cells, screen))
         screen.print(

@@ -9,12 +9,24 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from agent.exchange.polygon_options import PolygonOptions
+from protocol.errors import there_are
 from protocol.grid import MAX_ROBOTS
 
 UNLIMITED = "unlimited"
+
+MAP_FILES = (".yaml", ".yml", ".png", ".pgm")
+"""How the names of map files end; others are names of generators."""
 
 SHIPPED = Path(__file__).with_name("shipped")
 """Scenarios that are installed with the code; their names do for a path."""
@@ -95,6 +107,15 @@ class Scenario(_Table):
     robot: tuple[RobotOverride, ...] = Field((), description="robots that differ")
     death: tuple[Death, ...] = Field((), description="robots that break down")
 
+    @field_validator("robot", "death", mode="before")
+    @classmethod
+    def _tables_are_tables(cls, value: object, info: ValidationInfo) -> object:
+        if isinstance(value, list | tuple) and all(isinstance(each, dict | _Table) for each in value):
+            return value
+        kind = RobotOverride if info.field_name == "robot" else Death
+        hint = "; how many robots explore is `robots`" if info.field_name == "robot" else ""
+        raise ValueError(f"must be tables, [[{info.field_name}]], of {', '.join(kind.model_fields)}{hint}")
+
     @field_validator("range", mode="before")
     @classmethod
     def _range_is_text(cls, value: object) -> object:
@@ -121,7 +142,7 @@ class Scenario(_Table):
         from agent.exchange.catalogue import EXCHANGES  # noqa: PLC0415  kernels, of which help needs none
 
         if value not in EXCHANGES:
-            raise ValueError(f"there are: {', '.join(EXCHANGES)}")
+            raise ValueError(there_are(EXCHANGES, value))
         return value
 
     @field_validator("options")
@@ -172,7 +193,7 @@ def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
     """Read a scenario file (None: only defaults) and lay the overrides that are not None over it.
 
     Where there is no such file, a plain name is that of a shipped scenario. A map named in a file is looked
-    for beside that file.
+    for beside that file. An override of ``table.key`` leaves the table's other keys as they are.
 
     Raises
     ------
@@ -184,9 +205,22 @@ def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
         path, data = read_toml(path, "scenario", SHIPPED)
         if "map" in data:
             data["map"] = beside(path, data["map"])
-    data |= {key: value for key, value in overrides.items() if value is not None}
+    _lay_over(data, overrides)
     where = f"scenario {path}" if path is not None else "scenario"
     return parse(data, where)
+
+
+def _lay_over(data: dict[str, Any], overrides: dict[str, Any]) -> None:
+    """Replace what the overrides set; of tables only the keys that they name (``polygon.lazy``)."""
+    for key, value in overrides.items():
+        table, _, inner = key.partition(".")
+        if value is None:
+            continue
+        if inner and isinstance(data.get(table, {}), dict):
+            data[table] = dict(data.get(table, {}))
+            _lay_over(data[table], {inner: value})
+        else:
+            data[key] = value
 
 
 def read_toml(path: Path, kind: str, shipped: Path) -> tuple[Path, dict[str, Any]]:
@@ -204,8 +238,8 @@ def read_toml(path: Path, kind: str, shipped: Path) -> tuple[Path, dict[str, Any
     try:
         return path, tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        names = ", ".join(sorted(file.name for file in shipped.glob("*.toml")))
-        raise ScenarioError(f"{kind} {path}: no such file; shipped ones are {names}") from None
+        names = there_are(sorted(file.name for file in shipped.glob("*.toml")), path.name)
+        raise ScenarioError(f"{kind} {path}: no such file, and none of the shipped ones; {names}") from None
     except OSError as error:
         raise ScenarioError(f"{kind} {path}: {error.strerror or error}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -214,7 +248,7 @@ def read_toml(path: Path, kind: str, shipped: Path) -> tuple[Path, dict[str, Any
 
 def beside(path: Path, named: Any) -> Any:
     """The map that a file names: a YAML file is looked for beside that file, a generator's name stays."""
-    is_file = isinstance(named, str) and named.endswith((".yaml", ".yml"))
+    is_file = isinstance(named, str) and named.endswith(MAP_FILES)
     return str(path.parent / named) if is_file else named
 
 
@@ -246,8 +280,8 @@ def _explain(item: Any) -> str:
     key = ".".join(str(part) for part in item["loc"] if part not in ("int", "literal['unlimited']"))
     message = str(item["msg"]).removeprefix("Value error, ")
     if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-        there_are = _KEYS[item["loc"][0] if len(item["loc"]) > 1 else ""]
-        return f"{key} is no setting; there are: {', '.join(there_are)}"
+        table = str(item["loc"][0]) if len(item["loc"]) > 1 else ""
+        return f"{key} is no setting; {there_are(_KEYS[table], str(item['loc'][-1]))}"
     if item["type"] == "missing":
         return f"{key} is missing"
     return f"{key} = {item['input']!r}: {message}" if key else message

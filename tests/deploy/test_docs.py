@@ -340,7 +340,7 @@ def test_a_file_of_one_s_own_goes_before_a_shipped_scenario(
     assert load(Path("office.toml"), {}).robots == 5
     Path("office.toml").write_text("robots = 2\n")
     assert load(Path("office.toml"), {}).robots == 2
-    with pytest.raises(ScenarioError, match=r"no such file; shipped ones are .*kilobyte\.toml"):
+    with pytest.raises(ScenarioError, match=r"no such file, .*; did you mean office.toml.*kilobyte\.toml"):
         load(Path("elsewhere") / "office.toml", {})
 
 

@@ -140,7 +140,8 @@ def test_walls_are_one_or_two_cells_thick(name: str) -> None:
 def test_an_unknown_name_lists_the_known_ones() -> None:
     for ask in (make, describe):
         with pytest.raises(
-            MapError, match=r"no environment is called 'offce'; there are unstructured, mixed"
+            MapError,
+            match=r"no environment is called 'offce'; did you mean office[?] There are: unstructured, mixed",
         ):
             ask("offce")
 

@@ -14,6 +14,7 @@ from functools import partial
 
 import numpy as np
 
+from protocol.errors import there_are
 from protocol.grid import Grid
 from worldsim.generators import alkhawaldah, burgard, faigl, leader, meier
 from worldsim.maps import Map, MapError
@@ -157,5 +158,5 @@ def make(name: str, seed: int = 0, **parameters: float) -> Map:
 
 def _environment(name: str) -> _Environment:
     if name not in _ENVIRONMENTS:
-        raise MapError(f"no environment is called {name!r}; there are {', '.join(_ENVIRONMENTS)}")
+        raise MapError(f"no environment is called {name!r}; {there_are(_ENVIRONMENTS, name)}")
     return _ENVIRONMENTS[name]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -53,3 +54,47 @@ def test_the_thesis_plain_rules_are_one_flag(floor: str) -> None:
 def test_a_run_says_where_its_pictures_are(floor: str) -> None:
     said = explore(floor, "--steps", "4", "--out", "run", "--pictures").stdout
     assert "Everything is in run; look at run/maps.png and run/pictures." in said
+
+
+def test_any_setting_can_be_set_and_tables_keep_their_other_keys(floor: str) -> None:
+    Path("mine.toml").write_text(f'map = "{floor}"\nrobots = 2\nbus = "memory"\n[polygon]\nlazy = false\n')
+    result = murmur(
+        "explore",
+        "mine.toml",
+        "--steps",
+        "2",
+        "--out",
+        "run",
+        "--set",
+        "polygon.medium_use=0.25",
+        "--set",
+        "radius=0.1",
+    )
+    assert result.exit_code == 1, result.stderr
+    written = tomllib.loads(Path("run/scenario.toml").read_text())
+    assert (written["radius"], written["polygon"]["medium_use"], written["polygon"]["lazy"]) == (
+        0.1,
+        0.25,
+        False,
+    )
+
+
+def test_a_picture_is_a_map_once_its_scale_is_said(floor: str) -> None:
+    result = murmur(
+        "explore", "--map", "floor.png", "--resolution", "0.1", "--bus", "memory", "--out", "picture"
+    )
+    assert result.exit_code == 0, result.stderr
+    explore(floor, "--robots", "3", "--out", "yaml")
+    assert murmur("replay", "picture").exit_code == 0
+    one, other = (json.loads(Path(name, "summary.json").read_text()) for name in ("picture", "yaml"))
+    assert one["map"] == other["map"] == "floor"
+
+
+def test_help_shows_flags_in_groups() -> None:
+    said = murmur("explore", "--help").stdout
+    order = [
+        said.index(f"\n{group}:\n")
+        for group in ("Options", "The world", "The robots", "The radio", "The run")
+    ]
+    assert order == sorted(order)
+    assert order[2] < said.index("--strategy NAME") < order[3] < said.index("--bandwidth BYTES")

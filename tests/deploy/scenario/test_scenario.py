@@ -246,7 +246,10 @@ def test_a_file_that_makes_no_sense_is_named(tmp_path: Path, text: str, complain
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ScenarioError, match=r"none.toml: no such file; shipped ones are .*office.toml"):
+    with pytest.raises(
+        ScenarioError,
+        match=r"none.toml: no such file, and none of the shipped ones; there are: .*office.toml",
+    ):
         load(tmp_path / "none.toml", {})
     with pytest.raises(ScenarioError, match=rf"scenario {tmp_path}: "):
         load(tmp_path, {})

@@ -64,7 +64,8 @@ def test_shipped_experiments_are_found_by_name_and_make_sense(path: Path) -> Non
 
 def test_an_unknown_experiment_is_answered_with_those_there_are() -> None:
     with pytest.raises(
-        ScenarioError, match=r"experiment none\.toml: no such file; shipped ones are claim-A1.toml"
+        ScenarioError,
+        match=r"experiment none\.toml: no such file, and none of the shipped ones; there are: claim-A1.toml",
     ):
         experiments.read(Path("none.toml"))
 

@@ -1,0 +1,84 @@
+"""`murmur new`: the beginning of something of one's own, with a test that passes."""
+
+from __future__ import annotations
+
+import keyword
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deploy.commands.console import screen, speaking_clearly
+from deploy.commands.flags import family
+
+app = family()
+new_app = typer.Typer(
+    no_args_is_help=True, rich_markup_mode=None, help="Write the beginning of something of your own."
+)
+app.add_typer(new_app, name="new")
+
+STRATEGY = '''"""An exploration strategy: {title}. Run it: murmur explore --strategy {module}:{kind}"""
+
+import numpy as np
+
+from agent.strategies.targets import TargetStrategy
+
+
+class {kind}(TargetStrategy):
+    """Each robot drives to the frontier cell that is worth most to it; here: to the farthest."""
+
+    name = "{name}"
+    summary = "each robot drives to the frontier cell that is farthest from it"
+    source = "our own"
+
+    def choose(self, situation, goals, planner):
+        """Choose one of `goals`, cells (x, y) of shape (n, 2), none of them out of reach.
+
+        `situation` is what the robot knows: its cell `here`, teammates' last `targets` and `poses`, its
+        planning `grid` (agent.strategies.base.Situation). `planner.costs(x, y)` is the cost of the way from a
+        cell to every other one, shape (h, w), in cells.
+        """
+        costs = planner.costs(*situation.here)[goals[:, 1], goals[:, 0]]
+        x, y = goals[np.argmax(costs)]
+        return int(x), int(y)
+'''
+
+TEST = '''"""Strategy {name} explores all there is, and in the same way each time. Run it: python -m pytest {test}"""
+
+from deploy import Scenario, explore
+
+SCENARIO = Scenario(map="jh-like", robots=2, strategy="{module}:{kind}", bandwidth="unlimited", bus="memory")
+
+
+def test_it_explores_all_there_is():
+    result = explore(SCENARIO, keep=False)
+    assert result.summary["finished"], result.summary["reason"]
+    assert result.summary["coverage"] > 0.99
+
+
+def test_equal_runs_are_equal():
+    first, second = (explore(SCENARIO, keep=False).summary["digest"] for _ in range(2))
+    assert first == second
+'''
+
+
+@new_app.command("strategy")
+def new_strategy(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="what it is called, as farthest or my-way")],
+) -> None:
+    """Write a strategy and its test into this folder: one class to change, and how to run it."""
+    with speaking_clearly():
+        module = name.replace("-", "_")
+        if not module.isidentifier() or keyword.iskeyword(module) or not module.islower():
+            raise ValueError(f"name = {name!r}: must be lower-case letters, digits and hyphens, as my-way")
+        file, test = Path(f"{module}.py"), Path(f"test_{module}.py")
+        for path in (file, test):
+            if path.exists():
+                raise ValueError(f"{path}: is there already; name another strategy, or move it away")
+        kind = "".join(part.capitalize() for part in module.split("_"))
+        title = name.replace("-", " ")
+        file.write_text(STRATEGY.format(name=name, module=module, kind=kind, title=title), encoding="utf-8")
+        test.write_text(TEST.format(name=name, module=module, kind=kind, test=test), encoding="utf-8")
+        screen.print(f"{file}: a strategy to change; {test}: its test")
+        screen.print(f"run it:  murmur explore --strategy {module}:{kind}")
+        screen.print(f"test it: python -m pytest {test}")
