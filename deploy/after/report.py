@@ -116,7 +116,7 @@ def _in_words(summary: dict[str, Any]) -> str:
     medium = "as much as they liked" if isinstance(budget, str) else f"at most {budget} bytes a step"
     told = f"They told each other {medium}, over {summary['range_m']:.1f} m ({summary['exchange']} exchange)."
     if summary["finished"]:
-        first = f"robot {summary['first_robot']} was the first to know it all"
+        first = f"robot {summary['first_robot']} finished first"
         return f"Explored in {summary['steps']} steps; {first}. {told}"
     return f"Not finished after {summary['steps']} steps: {summary['reason']}. {told}"
 

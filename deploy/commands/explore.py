@@ -1,4 +1,4 @@
-"""`murmur explore` and `murmur watch`: run a swarm, and look at one."""
+"""`murmur explore` and `murmur watch`: run a swarm, and view one."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def explore(
     start: Annotated[str | None, typer.Option(metavar="X,Y", help=default("start"))] = None,
     offers: setting("offers", str, "NAME") = None,  # type: ignore[valid-type]
     thesis: Annotated[
-        bool, typer.Option("--thesis", help="the thesis' plain rules of offering, refining and drawing")
+        bool, typer.Option("--thesis", help="offer, refine and draw by the thesis, without our additions")
     ] = False,
     option: Annotated[
         list[str] | None,
@@ -52,27 +52,27 @@ def explore(
     bus: setting("bus", str, "zenoh|memory") = None,  # type: ignore[valid-type]
     steps: setting("steps", int, "MAX") = None,  # type: ignore[valid-type]
     view: Annotated[
-        bool, typer.Option("--view", help="show it live: a window, or a page if there is no display")
+        bool, typer.Option("--view", help="show the run live: a window, or a page if there is no display")
     ] = False,
     view_as: Annotated[
-        str | None, typer.Option(metavar="native|web|file", help="show it so; file: record only")
+        str | None, typer.Option(metavar="native|web|file", help="how to show it; file: record only")
     ] = None,
     pace: Annotated[
-        float | None, typer.Option(metavar="STEPS_PER_S", help="no faster than this, for watching")
+        float | None, typer.Option(metavar="STEPS_PER_S", help="upper limit of the speed, for watching")
     ] = None,
     pictures: Annotated[
-        bool, typer.Option("--pictures", help="draw the maps over time and the channel's load")
+        bool, typer.Option("--pictures", help="draw the maps over time and the channel load")
     ] = False,
     out: OutOption = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Explore a building: start a world, a radio relay and N robots as processes, and watch them finish.
 
-    All that comes out is in the run directory: summary.json, steps.parquet, ledger.parquet, maps.png, the
+    All results are in the run directory: summary.json, steps.parquet, ledger.parquet, maps.png, the
     maps themselves, and scenario.toml, from which `murmur replay` repeats the run.
 
-    A scenario file sets more than the flags do (radius, exchanges, scanner_turn, robots that differ, ...):
-    docs/protocol.md lists all settings, and the scenario.toml of any run is one to begin with.
+    A scenario file has more settings than the flags (radius, exchanges, scanner_turn, robots that differ, ...):
+    docs/protocol.md lists all settings, and the scenario.toml of any run can serve as a template.
     """
     overrides: dict[str, Any] = {
         "map": map, "robots": robots, "range": range, "bandwidth": bandwidth, "exchange": exchange,
@@ -96,7 +96,7 @@ def watch(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
     view_as: ViewAs = "auto",
 ) -> None:
-    """Look at a run that is under way, or at the recording of one (docs/dashboard.md)."""
+    """View a run in progress, or the recording of one (docs/dashboard.md)."""
     from deploy.dashboard import watch as watching  # noqa: PLC0415
     from deploy.dashboard.windows import Window  # noqa: PLC0415
 
@@ -145,7 +145,7 @@ def _explore(
 
 
 def _draw(directory: Path) -> None:
-    """Draw a run's figures into its directory, whoever presses Ctrl-C meanwhile."""
+    """Draw a run's figures into its directory; Ctrl-C does not interrupt it."""
     from deploy.after import archive, figures  # noqa: PLC0415
     from deploy.record.run_directory import PICTURES  # noqa: PLC0415
     from deploy.run.interrupt import Interrupt  # noqa: PLC0415

@@ -93,7 +93,7 @@ class RunEvents:
             self.in_range = {pair for pair in self.in_range if said.robot not in pair}
             return [Event(self.step, f"robot {said.robot} is lost: {said.cause}", 2)]
         if isinstance(said, Fault):
-            return [Event(self.step, f"{said.who} said what makes no sense: {said.what}", 2)]
+            return [Event(self.step, f"{said.who} sent a malformed message: {said.what}", 2)]
         if isinstance(said, End):
             return [Event(self.step, self._ending(said), 1)]
         return []
@@ -177,7 +177,7 @@ class RunEvents:
     def _ending(self, end: End) -> str:
         if end.first < 0:
             return f"the run is over: {end.reason}"
-        return f"explored in {end.step} steps; robot {end.first} was the first to know it all"
+        return f"explored in {end.step} steps; robot {end.first} finished first"
 
 
 def _talks(carried: NDArray[np.void]) -> dict[tuple[int, int], int]:

@@ -50,7 +50,7 @@ def test_help_ends_well_and_teaches(words: str) -> None:
 
 def test_the_first_help_says_how_to_begin_and_what_exit_codes_mean() -> None:
     said = " ".join(murmur("--help").stdout.split())
-    assert "Begin with: murmur explore --robots 5" in said
+    assert "Start with: murmur explore --robots 5" in said
     assert "0 explored, 1 not finished" in said
     assert "2 bad input, 3 a process died" in said
 

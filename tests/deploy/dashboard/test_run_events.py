@@ -114,10 +114,10 @@ def test_losses_faults_and_the_end_are_told(events: RunEvents) -> None:
     assert not events.in_range
     assert not events.targets
     assert texts(events, "relay", Fault("r0", "spoke out of turn")) == [
-        "r0 said what makes no sense: spoke out of turn"
+        "r0 sent a malformed message: spoke out of turn"
     ]
     assert texts(events, "relay", End(9, "explored", 0)) == [
-        "explored in 9 steps; robot 0 was the first to know it all"
+        "explored in 9 steps; robot 0 finished first"
     ]
     assert texts(events, "relay", End(9, "out of steps", -1)) == ["the run is over: out of steps"]
 
