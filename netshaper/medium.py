@@ -1,7 +1,7 @@
 """One step's shared medium: a budget of bytes, a seeded order, what is put on the air (docs/architecture.md, A step).
 
-What is carried counts, whoever hears it; a broadcast counts once; unused budget lapses. The first packet
-that finds no room closes the medium for the rest of the step.
+What is carried counts, regardless of its receivers; a broadcast counts once; unused budget lapses. The first packet
+that does not fit closes the medium for the rest of the step.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Connection:
 
 
 class Medium:
-    """The air during one step.
+    """The medium during one step.
 
     Parameters
     ----------
@@ -53,17 +53,17 @@ class Medium:
         self.left = budget
         self.carried = 0
         self.sightings: list[Sighting] = []
-        """What was said: of this the ledger and the capture are made."""
+        """The frames that were sent: the input of the ledger and the capture."""
 
     def broadcast(self, exchange: int, sender: int, payload: bytes, hearers: Sequence[int]) -> bool:
-        """Put a target on the air, whole or not at all; say whether it was carried."""
+        """Put a target on the air, whole or not at all; return whether it was carried."""
         size = self._admit(payload)
         heard = sum(1 << hearer for hearer in hearers)
         self._see(exchange, -1, BROADCAST, sender, EVERYONE, -1, payload, size, heard)
         return size > 0
 
     def connect(self, exchange: int, connection: Connection) -> None:
-        """Put the frames of a connection on the air, as far as there is room; one that is lost is the last."""
+        """Put the frames of a connection on the air, as far as they fit; one that is lost is the last."""
         number, about = connection.number, connection.map
         for frame, payload in enumerate(connection.frames):
             if payload is None:
@@ -82,14 +82,14 @@ class Medium:
     def refuse(
         self, exchange: int, frame: int, sender: int, receiver: int, payload: bytes, cause: str, reason: str
     ) -> None:
-        """Note a frame that was never admitted to the air, and why."""
+        """Record a frame that was never admitted to the air, and why."""
         verdict = CAUSES.index(cause)
         self.sightings.append(
             Sighting(exchange, -1, frame, sender, receiver, -1, verdict, 0, payload, reason)
         )
 
     def report(self) -> RadioReport:
-        """Write down what was said: the ledger's rows, and the frames for the capture."""
+        """Report what was sent: the ledger's rows, and the frames for the capture."""
         rows = ledger.book(self.step, self.sightings)
         return RadioReport(self.step, rows, self.carried, capture.encode(self.step, self.sightings))
 
@@ -99,7 +99,7 @@ class Medium:
         if self.left != UNLIMITED:
             if size > self.left:
                 size = 0 if whole else packets.fitting(payload, self.left)
-                self.left = size  # what is left over is too small for the next packet: closed
+                self.left = size  # the remaining budget is too small for the next packet: closed
             self.left -= size
         self.carried += size
         return size
@@ -108,7 +108,7 @@ class Medium:
         self, exchange: int, number: int, frame: int, sender: int, receiver: int, about: int,
         payload: bytes, size: int, hearers: int,
     ) -> None:  # fmt: skip
-        """Note a frame of which `size` bytes were carried."""
+        """Record a frame of which `size` bytes were carried."""
         if size:
             self.sightings.append(
                 Sighting(exchange, number, frame, sender, receiver, about, _CARRIED, hearers, payload[:size])

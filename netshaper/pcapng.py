@@ -1,7 +1,7 @@
 """pcapng, the file format of packet captures (draft-ietf-opsawg-pcapng), as far as a radio needs it.
 
-One section, one interface, one enhanced packet block a frame; all little-endian. A block is whole by itself,
-so a file that a killed process left behind opens up to its last whole block.
+One section, one interface, one enhanced packet block per frame; all little-endian. Blocks are self-contained,
+so a file that a killed process left behind can be read up to its last complete block.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ class Packet:
 
 
 class CaptureError(ValueError):
-    """A file that is no capture of ours; says where and why."""
+    """A file that is not a Murmur capture; the message says where and why."""
 
 
 def head(link_type: int, application: str, name: str, description: str) -> bytes:
-    """Begin a file: the section, and its interface, whose packets have `link_type`."""
+    """Start a file: the section, and its interface, whose packets have `link_type`."""
     section = struct.pack("<IHHq", _MAGIC, 1, 0, -1) + _options((APPLICATION, application.encode()))
     options = _options((NAME, name.encode()), (DESCRIPTION, description.encode()))
     interface = struct.pack("<HHI", link_type, 0, 0) + options
@@ -45,7 +45,7 @@ def head(link_type: int, application: str, name: str, description: str) -> bytes
 
 
 def packet(time_us: int, data: bytes, size: int, comment: str) -> bytes:
-    """Write one packet of `size` bytes, of which `data` is kept, as a block."""
+    """Encode one packet of `size` bytes, of which `data` is kept, as a block."""
     tail = _tail(comment, len(data))
     opening = _PACKET.pack(
         PACKET, _PACKET.size + len(data) + len(tail), 0, time_us >> 32, time_us & 0xFFFFFFFF, len(data), size
@@ -59,7 +59,7 @@ class Reader:
     Raises
     ------
     CaptureError
-        While iterating: it is no such file, or a block is broken.
+        While iterating: it is not such a file, or a block is malformed.
     """
 
     def __init__(self, file: BinaryIO) -> None:
@@ -126,7 +126,7 @@ def _block(kind: int, body: bytes) -> bytes:
 
 @lru_cache(maxsize=1024)
 def _tail(comment: str, size: int) -> bytes:
-    """What follows `size` bytes of data in a packet's block; there are few different ones."""
+    """The bytes after `size` bytes of data in a packet's block; there are few different ones."""
     tail = bytes(-size % 4) + _options((COMMENT, comment.encode()))
     return tail + (_PACKET.size + size + len(tail) + 4).to_bytes(4, "little")
 

@@ -1,10 +1,10 @@
-"""The one error of everything that is read from the air or from a wire."""
+"""The error raised for any malformed data from the radio or the bus."""
 
 from __future__ import annotations
 
 
 class ProtocolError(ValueError):
-    """Bytes that do not say what they should.
+    """Malformed bytes.
 
     Attributes
     ----------

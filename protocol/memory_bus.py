@@ -1,4 +1,4 @@
-"""The bus within one process: queues, one a participant."""
+"""The bus within one process: one queue per participant."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from protocol.keys import Keys
 
 
 class MemoryHub:
-    """Where all ends of one run meet."""
+    """The hub that connects all ends of one run."""
 
     def __init__(self, run: str) -> None:
         self.keys = Keys(run)
         self._inboxes: dict[str, deque[Message]] = {}
 
     def join(self, name: str) -> MemoryBus:
-        """Open the end of `name`; the relay is told, of those that were here before it as well."""
+        """Open the end of `name`; the relay is notified, also of those that joined before it."""
         if name in self._inboxes:
             raise ValueError(f"{name} is on the bus already")
         present = list(self._inboxes)
@@ -27,7 +27,7 @@ class MemoryHub:
         return MemoryBus(self, name)
 
     def deliver(self, key: str, payload: bytes) -> None:
-        """Put a message into the inbox that its key belongs to, if its owner is here."""
+        """Put a message into the inbox that its key belongs to, if its owner is present."""
         _, direction, owner, _ = names.parts(key)
         inbox = self._inboxes.get(names.RELAY if direction == "tx" else owner)
         if inbox is not None:
@@ -39,7 +39,7 @@ class MemoryHub:
             self.deliver(self.keys.presence(name), b"0")
 
     def next_for(self, name: str) -> Message | None:
-        """What waits for `name`; BusClosed when there is nothing and the relay has left."""
+        """The next message for `name`; BusClosed when there is none and the relay has left."""
         if self._inboxes[name]:
             return self._inboxes[name].popleft()
         if names.RELAY not in self._inboxes:
@@ -48,7 +48,7 @@ class MemoryHub:
 
 
 class MemoryBus:
-    """One participant's end of a `MemoryHub`. It never waits: who finds nothing lets others act."""
+    """One participant's end of a `MemoryHub`. It never waits: if there is no message, others get their turn."""
 
     def __init__(self, hub: MemoryHub, name: str) -> None:
         self._hub = hub

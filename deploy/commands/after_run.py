@@ -91,13 +91,18 @@ def show_capture(
     directory: Annotated[
         Path | None, typer.Argument(metavar="DIR", help="a run directory, or its radio.pcapng")
     ] = None,
-    robot: Annotated[int | None, typer.Option(min=0, help="only frames that this robot sent or received")] = None,
+    robot: Annotated[
+        int | None, typer.Option(min=0, help="only frames that this robot sent or received")
+    ] = None,
     kind: Annotated[str | None, typer.Option(help="only frames with packets of this kind, as em")] = None,
     step: Annotated[str | None, typer.Option(metavar="S|S-T", help="only these steps")] = None,
     refused: Annotated[bool, typer.Option("--refused", help="only frames that were not carried")] = False,
     packets: Annotated[bool, typer.Option("--packets", help="list every packet with its fields")] = False,
     install_dissector: Annotated[
-        bool, typer.Option("--install-dissector", help="install the Wireshark and tshark dissector of radio.pcapng")
+        bool,
+        typer.Option(
+            "--install-dissector", help="install the Wireshark and tshark dissector of radio.pcapng"
+        ),
     ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="print JSON: all frames with their packets")

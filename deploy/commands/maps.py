@@ -48,7 +48,9 @@ def map_make(
 def map_show(
     file: Annotated[str, typer.Argument(metavar="FILE.yaml|NAME", help="a map file, or a generator's name")],
     seed: Annotated[int, typer.Option(min=0, help="the generator's seed")] = 0,
-    png: Annotated[Path | None, typer.Option(metavar="FILE.png", help="also draw it to this file, with axes in metres")] = None,
+    png: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="also draw it to this file, with axes in metres")
+    ] = None,
 ) -> None:
     """Show a map in the terminal, with its figures."""
     from deploy.commands.terminal import sketch  # noqa: PLC0415

@@ -20,7 +20,8 @@ app = family()
 )
 def strategies(
     name: Annotated[
-        str | None, typer.Argument(metavar="NAME", help="the strategy to show, or a class package.module:Class")
+        str | None,
+        typer.Argument(metavar="NAME", help="the strategy to show, or a class package.module:Class"),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="print all their data as JSON")] = False,
 ) -> None:

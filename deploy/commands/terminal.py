@@ -88,9 +88,7 @@ def summary_lines(summary: dict[str, Any], directory: Path | None) -> list[str]:
     """The figures of a run as lines of text."""
     lines = []
     if summary["finished"]:
-        lines.append(
-            f"Explored in {summary['steps']} steps; robot {summary['first_robot']} finished first."
-        )
+        lines.append(f"Explored in {summary['steps']} steps; robot {summary['first_robot']} finished first.")
     else:
         lines.append(f"Not finished after {summary['steps']} steps: {summary['reason']}.")
     agreement = summary["map_agreement"]

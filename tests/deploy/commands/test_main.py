@@ -65,8 +65,8 @@ def test_help_of_explore_names_defaults_and_choices() -> None:
     said = " ".join(murmur("explore", "--help").stdout.split())
     for words in (
         "how many robots explore (default 3)",
-        "how maps travel: polygon, laser, none (default polygon)",
-        "bytes a step for the whole team (default 1000)",
+        "how maps are shared: polygon, laser, none (default polygon)",
+        "bytes per step for the whole team (default 1000)",
         "communication range: metres, or % of the map's diagonal (default 100%)",
     ):
         assert words in said
