@@ -1,4 +1,4 @@
-"""A robot's shell: it turns what comes over the bus into calls of `Robot`, and its answers into messages."""
+"""A robot's shell: it turns bus messages into calls of `Robot`, and its answers into messages."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ UNLIMITED = -1
 
 
 class AgentNode:
-    """One robot's process; `done` once it has been sent home."""
+    """One robot's process; `done` once it has been told to shut down."""
 
     def __init__(self, bus: Bus, keys: Keys, number: int) -> None:
         self.done = False
@@ -75,7 +75,7 @@ class AgentNode:
             self._work = 0.0
             robot.perceive(said)
         elif isinstance(said, Open) and said.step > self._step:
-            self._early = message  # the world's word is still on its way
+            self._early = message  # the world's message has not arrived yet
             return
         elif isinstance(said, Open):
             self._offer(robot, said)
@@ -100,7 +100,7 @@ class AgentNode:
         self._say(frames, Said(medium.step, medium.exchange, "offers", []))
 
     def _take_turn(self, robot: Robot, turn: Turn) -> None:
-        """Answer the offers, or send data for the answers, that were passed on in this phase."""
+        """Answer the offers, or send data for the answers, that were delivered in this phase."""
         frames = self._take_frames(robot, len(turn.connections))
         phase = "answers" if turn.phase == "offers" else "data"
         said: list[tuple[int, int, bytes]] = []
@@ -132,7 +132,7 @@ class AgentNode:
             self._show(self._step)
 
     def _take_frames(self, robot: Robot, count: int) -> list[tuple[int, bytes]]:
-        """The last `count` frames that came; those before them are the broadcasts of a step's beginning."""
+        """The last `count` frames received; those before them are the broadcasts of the beginning of a step."""
         split = len(self._frames) - count
         broadcasts, frames = self._frames[:split], self._frames[split:]
         self._frames = []
@@ -148,7 +148,7 @@ class AgentNode:
             self._bus.put(self._keys.control(names.LAB, self._name), pack(maps))
 
     def _say(self, frames: list[tuple[str, bytes]], said: Said) -> None:
-        """Say all that there is to say in a phase, at one go: so the relay is woken seldom."""
+        """Send all messages of a phase in one batch, so that the relay is woken rarely."""
         puts = [(self._keys.radio_tx(self._name, receiver), frame) for receiver, frame in frames]
         puts.append((self._keys.control_tx(self._name), pack(said)))
         for key, payload in puts:
@@ -165,7 +165,7 @@ class AgentNode:
             self._bus.put(self._keys.control(names.VIEW, self._name), payload)
 
     def _show(self, step: int) -> None:
-        """Tell the viewer, if there is one, what has changed of the robot's maps."""
+        """Send the viewer, if there is one, the changes of the robot's maps."""
         if self._viewer_feed is not None and self._robot is not None:
             for news in self._viewer_feed.news(step, self._robot):
                 self._bus.put(self._keys.control(names.VIEW, self._name), pack(news))

@@ -1,4 +1,4 @@
-"""A robot's mind, without sockets or clocks: one pass of the thesis' Algorithm 10 a step.
+"""A robot's control logic, without sockets or clocks: one pass of the thesis' Algorithm 10 per step.
 
 perceive   lines 5 to 13: draw the scan on the self-explored grid, log the news
 (exchange) line 14: targets and poses, offers, answers, data, driven by the relay's phases
@@ -26,39 +26,39 @@ from protocol.messages import Move, Outcome, Sense, cells_from_bytes, cells_to_b
 from protocol.scans import Scan, check_readings, draw, mark_free
 
 REPEAT_POSE = 10
-"""Steps after which a robot that stands still says again where it is."""
+"""Steps after which a robot that stands still repeats its pose."""
 
 SURE_AFTER = 10
-"""Steps for which nothing may be left to do on a map that holds guesses, before a robot says so: by then
-teammates have told more of what looked like nothing when they first saw it."""
+"""Steps for which a map with assumptions must have nothing left to explore before a robot reports that it is done:
+by then teammates have sent more of areas that looked insignificant when they first saw them."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """Something that a teammate said and that makes no sense."""
+    """A malformed or inconsistent message from a teammate."""
 
     peer: int
     reason: str
 
 
 class Robot:
-    """One robot's mind; what it knows is in its two grids."""
+    """One robot's control logic; what it knows is in its two grids."""
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.own: Grid = np.full((settings.height, settings.width), UNKNOWN, np.uint8)
         """The self-explored grid."""
         self.planning: Grid = self.own.copy()
-        """The planning grid: the own one and what teammates told."""
+        """The planning grid: the own one merged with what teammates sent."""
         self.session = Session(settings.robot, settings.robots, settings.offers)
         self.target: Cell | None = None
         self.status = ""
-        """What it is at, for people."""
+        """Its current activity, as text."""
         self.faults: list[Fault] = []
         self.distrusted: set[int] = set()
-        """Teammates whose data is not taken any more, since some of it made no sense."""
+        """Teammates whose data is no longer accepted, since some of it was malformed or inconsistent."""
         self._told_by: dict[int, set[int]] = {}
-        """Of each map, from whom pieces were taken."""
+        """For each map, the peers from which pieces were taken."""
         self.known_cells = 0
         """Cells of the self-explored grid that are known."""
         self._fan = fan(settings.range_cells, settings.beams)
@@ -84,11 +84,11 @@ class Robot:
         return self._exchange.polygons
 
     def error(self) -> int:
-        """Cells in which its map and what it has told of it differ (thesis, Eq. 6.1)."""
+        """Cells in which its map and the approximation that it has logged differ (thesis, Eq. 6.1)."""
         return self._exchange.error(self.own)
 
     def perceive(self, sense: Sense) -> None:
-        """Take what the body senses at the beginning of a step.
+        """Take the sensor readings at the beginning of a step.
 
         Raises
         ------
@@ -116,7 +116,7 @@ class Robot:
     def announce(self, peers: list[int]) -> bytes | None:
         """Return the packets to broadcast to the `peers` in range: a target chosen in the last step, a pose.
 
-        A pose that all have heard is said again only after a while. None if there is nothing to say.
+        A pose that all have heard is repeated only after some steps. None if there is nothing to send.
         """
         assert self._sense is not None
         self._peers = tuple(peers)
@@ -158,8 +158,8 @@ class Robot:
     def settle(self, outcome: Outcome, heard: list[tuple[int, bytes]]) -> None:
         """Take the outcome of an exchange, and the data that came as (peer, frame).
 
-        Who sends what makes no sense is distrusted. Where others had told pieces of that map before, it may be
-        theirs that are false: then only this map is not taken from it any more.
+        A peer that sends malformed or inconsistent data is distrusted. If others had sent pieces of that map before,
+        theirs may be the false ones: then only this map is no longer accepted from it.
         """
         for peer, about, frame in self.session.outcome(outcome, heard):
             if (peer, about) in self.session.refused:
@@ -202,7 +202,7 @@ class Robot:
         )
 
     def _take(self, decision: Decision) -> None:
-        """Note what the strategy decided, and what of it teammates are to hear."""
+        """Record what the strategy decided, and what of it is to be sent to teammates."""
         if self._strategy.tells_target and decision.target is not None and decision.target != self.target:
             self._target_news = decision.target
         self.target = decision.target
@@ -211,7 +211,7 @@ class Robot:
             self._publish()
 
     def _publish(self) -> None:
-        """Offer teammates all that has been seen by now."""
+        """Release everything that has been seen by now to teammates."""
         self.session.record(self._withheld)
         self._withheld = []
 

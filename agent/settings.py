@@ -1,4 +1,4 @@
-"""What a robot is told before its first step (`protocol.messages.Configure`)."""
+"""The settings that a robot receives before its first step (`protocol.messages.Configure`)."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ class Settings:
     radius_cells : float
         Radius of the robot, in cells; 0 for a point.
     field_of_view : float
-        Degrees that its laser looks at, around its heading.
+        Degrees that its laser covers, around its heading.
     scanner_turn : float
-        Degrees that the scanner turns and sees a step; 0 if it looks everywhere at once.
+        Degrees that the scanner turns and covers per step; 0 if it covers everything at once.
     offers : str
         When maps are offered: ``backoff`` or ``thesis`` (`agent.exchange.session`).
     bandwidth : float or None
@@ -87,7 +87,7 @@ class Settings:
 
     @classmethod
     def from_message(cls, settings: dict[str, Any]) -> Settings:
-        """Read what came over the bus; ProtocolError where keys are missing or unknown."""
+        """Read the form sent over the bus; ProtocolError if keys are missing or unknown."""
         wanted = {item.name for item in fields(cls)}
         if set(settings) != wanted:
             odd = ", ".join(sorted(wanted ^ set(settings)))

@@ -1,4 +1,4 @@
-"""What a viewer is shown of a robot's maps: now and then, and only what has changed since the last time."""
+"""The feed of a robot's maps to a viewer: at intervals, and only what has changed since the last time."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ SHOWN_EVERY = 5
 
 
 class ViewerFeed:
-    """One viewer's end, as the robot sees it: what it has been shown."""
+    """What one viewer has been sent so far."""
 
     def __init__(self) -> None:
         self._planning: Grid | None = None
         self._polygons: dict[int, Polygons] = {}
 
     def news(self, step: int, robot: Robot) -> list[Snapshot | Outlines]:
-        """Return what the viewer has not been shown yet."""
+        """Return what the viewer has not been sent yet."""
         said: list[Snapshot | Outlines] = []
         if self._planning is None or not np.array_equal(self._planning, robot.planning):
             self._planning = robot.planning
@@ -35,7 +35,7 @@ class ViewerFeed:
 
 
 def outline_bytes(polygons: Polygons) -> bytes:
-    """Write polygons as `protocol.messages.Outlines` says."""
+    """Encode polygons as described in `protocol.messages.Outlines`."""
     sizes = np.diff(polygons.start)
     rows = np.empty((len(polygons.x), 4), "<i2")
     rows[:, 0] = np.repeat(np.arange(polygons.objects), sizes)

@@ -1,7 +1,8 @@
 """The laboratory, and Murmur from Python: ``result = explore(Scenario(robots=5))``.
 
-Rooms, each on those before it: `scenario`, `record`, `dashboard`, `run`; `after`, `study` and `bench` beside each
-other; `commands`. Begin with `run/exploration.py`, one run from its scenario to its directory.
+Rooms, each of which may import those before it: `scenario`, `record`, `dashboard`, `run`; `after`, `study` and `bench`,
+which are independent of each other; `commands`. Start with `run/exploration.py`, one run from its scenario to its
+directory.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ __all__ = ["Result", "Scenario", "explore"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import what is asked for when it is: robots import this package too and need none of it."""
+    """Import a public name on first access: robots import this package too and need none of them."""
     import importlib  # noqa: PLC0415
 
     if name not in __all__:

@@ -1,8 +1,8 @@
-"""Who may put and hear what: one credential a participant, all else refused by the hub.
+"""Access control: what each participant may send and receive, with one credential each; the hub refuses all else.
 
-Made anew for each run. A robot may put under its own name only and hear only what is addressed to it; it
-learns of no subscription but those of relay, world, laboratory and viewer, so that it cannot even see whom
-it might bypass the relay to.
+Credentials are new for each run. A robot may put under its own name only and receive only what is addressed to it;
+it sees no subscriptions except those of relay, world, laboratory and viewer, so that it cannot even find another
+robot to reach without the relay.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from protocol.zenoh_bus import Credential
 
 
 def participants(robots: int) -> list[str]:
-    """Names of all clients of a run with so many robots."""
+    """Names of all clients of a run with the given number of robots."""
     return [names.WORLD, names.LAB, names.VIEW, *(names.robot(number) for number in range(robots))]
 
 
 def issue(run: str, hub: str, robots: int) -> dict[str, Credential]:
-    """Make fresh credentials for all clients of a run, by name."""
+    """Make new credentials for all clients of a run, by name."""
     return {name: Credential(run, name, hub, secrets.token_urlsafe(18)) for name in participants(robots)}
 
 
@@ -68,7 +68,7 @@ def _may_put(keys: Keys, name: str) -> list[str]:
 
 
 def _may_see(keys: Keys, name: str, everyone: list[str]) -> list[str]:
-    """Subscriptions that a participant is told of: without that, its client sends nothing."""
+    """Subscriptions that are declared to a participant: without that, its client sends nothing."""
     relay = keys.inbox(names.RELAY)
     if name == names.VIEW:
         return []

@@ -21,7 +21,7 @@ def open_hub(run: str, endpoint: str, credentials: Mapping[str, Credential]) -> 
     Raises
     ------
     ConnectionError
-        Nobody can listen there.
+        The address cannot be listened at.
     """
     keys = Keys(run)
     robots = len(credentials) - len(access.participants(0))
@@ -41,6 +41,6 @@ def open_hub(run: str, endpoint: str, credentials: Mapping[str, Credential]) -> 
 
 
 def _reason(error: zenoh.ZError) -> str:
-    """The system's words, out of zenoh's: those that stand before the first line of its source."""
+    """The system's error message within zenoh's: the part before the first line of source."""
     words = re.split(r"(?: \(os error \d+\))? at \S+\.rs:\d+", str(error), maxsplit=1)[0]
     return words.rsplit(": ", 1)[-1]

@@ -1,7 +1,7 @@
 """One step's shared medium: a budget of bytes, a seeded order, what is put on the air (docs/architecture.md, A step).
 
-What is carried counts, whoever hears it; a broadcast counts once; unused budget lapses. The first packet
-that finds no room closes the medium for the rest of the step.
+What is carried counts, regardless of its receivers; a broadcast counts once; unused budget lapses. The first packet
+that does not fit closes the medium for the rest of the step.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Connections:
 
 
 class Medium:
-    """The air during one step.
+    """The medium during one step.
 
     Parameters
     ----------

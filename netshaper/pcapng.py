@@ -1,7 +1,7 @@
 """pcapng, the file format of packet captures (draft-ietf-opsawg-pcapng), as far as a radio needs it.
 
-One section, one interface, one enhanced packet block a frame; all little-endian. A block is whole by itself,
-so a file that a killed process left behind opens up to its last whole block.
+One section, one interface, one enhanced packet block per frame; all little-endian. Blocks are self-contained,
+so a file that a killed process left behind can be read up to its last complete block.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ class Packet:
 
 
 class CaptureError(ValueError):
-    """A file that is no capture of ours; says where and why."""
+    """A file that is not a Murmur capture; the message says where and why."""
 
 
 def head(link_type: int, application: str, name: str, description: str) -> bytes:
-    """Begin a file: the section, and its interface, whose packets have `link_type`."""
+    """Start a file: the section, and its interface, whose packets have `link_type`."""
     section = struct.pack("<IHHq", _MAGIC, 1, 0, -1) + _options((APPLICATION, application.encode()))
     options = _options((NAME, name.encode()), (DESCRIPTION, description.encode()))
     interface = struct.pack("<HHI", link_type, 0, 0) + options
@@ -49,7 +49,7 @@ class Reader:
     Raises
     ------
     CaptureError
-        While iterating: it is no such file, or a block is broken.
+        While iterating: it is not such a file, or a block is malformed.
     """
 
     def __init__(self, file: BinaryIO) -> None:

@@ -1,7 +1,7 @@
 """The relay's shell: it turns bus messages into calls of `Radio`, and answers into messages.
 
-It also keeps the list of who is here: it tells the world to begin once all are, and to go on without a robot
-that died. A viewer may come and go; nobody waits for it.
+It also keeps the list of participants present: it tells the world to begin once all have joined, and to continue
+without a robot that died. A viewer may join and leave; the run does not wait for it.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ from protocol.messages import (
 _RECEIVER = attrgetter("receiver")
 
 NOBODY = -99
-"""Whom a frame is for that is addressed to a name which no robot has."""
+"""Receiver of a frame that is addressed to a name which belongs to no robot."""
 
 
 class RelayNode:
-    """One run's relay; `done` once everyone has been sent home and has left."""
+    """One run's relay; `done` once all participants have been told to shut down and have left."""
 
     def __init__(self, bus: Bus, keys: Keys, settings: RadioSettings) -> None:
         self.done = False
         self.going_home = False
-        """Whether everyone has been told that the run is over; who stays all the same is not waited for."""
+        """Whether all have been told that the run is over; participants that stay anyway are not waited for."""
         self._bus = bus
         self._keys = keys
         self._radio = Radio(settings)
@@ -55,7 +55,7 @@ class RelayNode:
             for number, sender in enumerate(robots)
             for hearer, receiver in [(EVERYONE, names.ALL), *enumerate(robots)]
         }
-        """Who speaks to whom under each key of the robots' antennas."""
+        """Sender and receiver of each radio key of the robots."""
         self._hears_at = [[keys.radio_rx(hearer, sender) for sender in robots] for hearer in robots]
         self._told_at = [keys.control(robot, names.RELAY) for robot in robots]
         self._expected = {names.WORLD, names.LAB, *robots}
@@ -65,11 +65,11 @@ class RelayNode:
         self._ended = False
 
     def missing(self) -> list[str]:
-        """Who has not come yet; empty once the run has begun."""
+        """Participants that have not joined yet; empty once the run has begun."""
         return [] if self._begun else sorted(self._expected - self._present)
 
     def waiting_for(self) -> list[int]:
-        """Robots whose words the relay waits for now."""
+        """Robots whose messages the relay is waiting for."""
         return self._radio.waiting_for()
 
     def handle(self, message: Message) -> None:
@@ -95,7 +95,7 @@ class RelayNode:
             self._control(first, payload)
 
     def give_up_on(self, robot: int, cause: str) -> None:
-        """Go on without a robot."""
+        """Continue without a robot."""
         name = names.robot(robot)
         if name in self._present:
             self._present.discard(name)
@@ -165,7 +165,7 @@ class RelayNode:
         self.going_home = True
 
     def _send(self, outgoing: list[Outgoing]) -> None:
-        """Pass on what the radio gave, robot by robot and at one go: so each robot is woken once for all of it."""
+        """Send the radio's output, in one batch per robot, so that each robot is woken once."""
         passed_on = [item for item in outgoing if not isinstance(item, Medium)]
         passed_on.sort(key=_RECEIVER)
         puts = [

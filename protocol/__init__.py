@@ -1,4 +1,4 @@
-"""What is said: packets, messages, keys, the two buses; and what all must mean alike: cells, beams, draws.
+"""The messages: packets, messages, keys, the two buses; and the shared definitions of cells, beams, draws.
 
-It imports nothing else of ours. Begin with `packets.py`, the radio bit for bit, and `messages.py`, all else.
+It imports none of the other rooms. Start with `packets.py`, the radio bit by bit, and `messages.py`, everything else.
 """

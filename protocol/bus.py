@@ -1,4 +1,4 @@
-"""The bus, as everyone in a run sees it: put, receive, close. Two stand behind it: Zenoh and memory."""
+"""The bus interface of all participants: put, receive, close. It has two implementations: Zenoh and memory."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ from typing import NamedTuple, Protocol
 
 
 class Message(NamedTuple):
-    """What arrives: the key under which it was put, and its bytes."""
+    """A received message: the key under which it was put, and its bytes."""
 
     key: str
     payload: bytes
 
 
-class BusClosed(ConnectionError):  # noqa: N818 - it is how a run ends, not only a fault
-    """The hub is gone, or this end was closed."""
+class BusClosed(ConnectionError):  # noqa: N818 - it is also the normal end of a run
+    """The hub is not available any more, or this end was closed."""
 
 
 class Bus(Protocol):
     """One participant's end of the bus.
 
-    Each end listens to its own inbox (`Keys.inbox`) and no other. Nothing is dropped; what one sender puts
-    for one receiver arrives whole, once, and in the order in which it was put. The relay's end also receives
-    `Keys.presence` messages when others come and go, after all that the leaver had said.
+    Each end listens to its own inbox (`Keys.inbox`) and no other. Nothing is dropped; messages from one sender
+    to one receiver arrive whole, exactly once, and in order. The relay's end also receives `Keys.presence`
+    messages when others join and leave, the latter after everything that the leaving participant had sent.
     """
 
     def put(self, key: str, payload: bytes) -> None:
@@ -39,8 +39,8 @@ class Bus(Protocol):
         Raises
         ------
         BusClosed
-            Nothing will ever come again: this end was closed, or the hub is gone and its last words are read.
+            No further message can arrive: this end was closed, or the hub is gone and its last messages are read.
         """
 
     def close(self) -> None:
-        """Leave the bus; what was put before is delivered. An end that is closed already stays so."""
+        """Leave the bus; what was put before is delivered. Closing an end again has no effect."""

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 
 class ProtocolError(ValueError):
-    """Bytes that do not say what they should.
+    """Malformed bytes.
 
     Attributes
     ----------

@@ -1,11 +1,11 @@
-"""What all must mean alike by a cell, a frame and a beam.
+"""The shared definitions of cells, frames and beams.
 
 Grids are ``uint8`` arrays of shape (height, width), indexed ``grid[y, x]``: x to the right, y down, row 0
-on top, cell centres at whole numbers. A cell is unknown, free or occupied (thesis, section 3.2).
+on top, cell centres at integers. A cell is unknown, free or occupied (thesis, section 3.2).
 
-A beam is a walk over cells. `fan` lays the walks of all beams out once, in exact integer arithmetic, as
-offsets from the cell that the robot stands in; the laser that casts a scan and the robot that draws it
-follow the same table, so both mean the same cells by the same reading on every machine.
+A beam is a sequence of cells. `fan` computes the sequences of all beams once, in exact integer arithmetic, as
+offsets from the robot's cell; the laser that casts a scan and the robot that draws it use the same table, so
+that a reading stands for the same cells to both, on every machine.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ FREE = 1
 OCCUPIED = 2
 
 MAX_SIDE = 2048
-"""The widest and highest grid, in cells, that the packets can speak of."""
+"""The largest side of a grid, in cells, that the packets can represent."""
 
 MAX_ROBOTS = 64
-"""The largest team that the packets can speak of."""
+"""The largest team that the packets can represent."""
 
 Grid = NDArray[np.uint8]
 
 _REACH = 0.5
-"""A cell reaches half a cell from its centre."""
+"""A cell extends half a cell from its centre."""
 
 _DIRECTION_UNIT = 1 << 20
-"""Beam directions are whole numbers of this length, so that no platform's cosine decides a cell."""
+"""Beam directions are integer vectors of this length, so that no platform's cosine affects a cell."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Fan:
     Attributes
     ----------
     cells : int32 array of shape (n, 2)
-        Offsets (dx, dy) in cells, all beams behind each other; the robot's own cell is left out.
+        Offsets (dx, dy) in cells, all beams concatenated; the robot's own cell is left out.
     start : int32 array of shape (beams + 1,)
         Beam ``b`` crosses ``cells[start[b]:start[b + 1]]``.
     """
@@ -53,26 +53,26 @@ class Fan:
 
     @property
     def beams(self) -> int:
-        """How many beams a full turn has."""
+        """Number of beams in a full turn."""
         return len(self.start) - 1
 
 
 @lru_cache(maxsize=16)
 def fan(range_cells: float, beams: int = 360) -> Fan:
-    """Lay out the walks of `beams` beams over the grid.
+    """Compute the cells of `beams` beams over the grid.
 
     Parameters
     ----------
     range_cells : float
-        Sensor range in cells; a walk ends before the first cell whose centre lies beyond it, and at the
-        latest where the largest grid does.
+        Sensor range in cells; a beam ends before the first cell whose centre lies beyond it, and at the
+        latest at the border of the largest grid.
     beams : int
         Beams a full turn. Beam 0 points along +x, the angle grows towards +y (clockwise on a picture).
 
     Notes
     -----
-    A walk steps between 4-neighbours only, so no beam slips between two cells that touch at a corner. Where
-    a beam runs exactly through a corner it takes the cell beside it in x first.
+    A beam moves between 4-neighbours only, so that it does not pass between two cells that touch at a corner. A beam
+    that runs exactly through a corner crosses the neighbour in x first.
     """
     if not range_cells >= 1:
         raise ValueError(f"sensor range of {range_cells:g} cells: a robot must see at least its neighbours")
@@ -108,14 +108,14 @@ def _walk(direction_x: int, direction_y: int, range_cells: float) -> list[tuple[
 
 
 def disc(radius_cells: float) -> NDArray[np.bool_]:
-    """Return the cells that a round robot touches when it stands on the middle one, as a square mask."""
+    """Return the cells that a disc-shaped robot touches when it stands on the middle one, as a square mask."""
     side = np.arange(-int(radius_cells + _REACH), int(radius_cells + _REACH) + 1)
     touched: NDArray[np.bool_] = side[:, None] ** 2 + side[None, :] ** 2 < (radius_cells + _REACH) ** 2
     return touched
 
 
 def enlarge(grid: Grid, radius_cells: float) -> Grid:
-    """Return the grid with obstacles grown by a robot's radius: free is where its centre may be.
+    """Return the grid with obstacles enlarged by a robot's radius: cells where its centre may be are free.
 
     With a radius of half a cell or less, or without obstacles, nothing changes, and the grid itself is returned.
     """

@@ -1,4 +1,4 @@
-"""How hot loops are compiled.
+"""Compilation of hot loops.
 
 A kernel has an explicit signature: it is compiled when its module is first imported, and from then on read
 from numba's cache. `make setup` and the fork server import all of them in one process, so that robots never

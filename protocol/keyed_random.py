@@ -1,4 +1,4 @@
-"""Random numbers by purpose: never one shared stream, so that no order of events can change a draw."""
+"""Random numbers by purpose: never one shared stream, so that the order of events does not affect a draw."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Key expressions: who may say what to whom on the three planes.
+"""Key expressions: senders and receivers on the three planes.
 
 ``murmur/<run>/<plane>/tx/<from>/...`` goes to the relay, ``murmur/<run>/<plane>/rx/<to>/<from>`` to its
-receiver. Everyone but the relay listens to one expression, all that has its own name behind ``rx``; one
-expression is one queue, so what one sender puts arrives in the order in which it was put.
+receiver. Every participant but the relay subscribes to one expression, everything with its own name after ``rx``;
+one expression is one queue, so messages from one sender arrive in order.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def robot(number: int) -> str:
 
 @lru_cache(maxsize=1024)
 def number(name: str) -> int:
-    """Return the number of the robot called `name`; ValueError for anyone else."""
+    """Return the number of the robot called `name`; ValueError for any other name."""
     if not re.fullmatch("r(0|[1-9][0-9]{0,8})", name):
         raise ValueError(f"{name!r} is not a robot's name, which is r and a number")
     return int(name[1:])
@@ -42,27 +42,27 @@ class Keys:
             raise ValueError(f"a run cannot be called {self.run!r}: use letters, digits, '-', '_' and '.'")
 
     def radio_tx(self, sender: str, receiver: str) -> str:
-        """A robot's antenna: packets from `sender` for `receiver` (or `ALL`), not yet on the air."""
+        """A robot's transmissions: packets from `sender` for `receiver` (or `ALL`), not yet on the air."""
         return f"murmur/{self.run}/radio/tx/{sender}/{receiver}"
 
     def radio_rx(self, receiver: str, sender: str) -> str:
-        """What `receiver` hears of `sender`."""
+        """What `receiver` receives from `sender` by radio."""
         return f"murmur/{self.run}/radio/rx/{receiver}/{sender}"
 
     def body(self, receiver: str, sender: str) -> str:
-        """A robot's own wires to its sensors and motors."""
+        """A robot's own connection to its sensors and motors."""
         return f"murmur/{self.run}/body/rx/{receiver}/{sender}"
 
     def control(self, receiver: str, sender: str) -> str:
-        """The laboratory's wires."""
+        """The control plane: step barrier, phases, reports."""
         return f"murmur/{self.run}/control/rx/{receiver}/{sender}"
 
     def control_tx(self, sender: str) -> str:
-        """The laboratory's wire from `sender` to the relay."""
+        """The control plane from `sender` to the relay."""
         return f"murmur/{self.run}/control/tx/{sender}"
 
     def inbox(self, name: str) -> str:
-        """All that `name` listens to."""
+        """The expression that `name` subscribes to."""
         if name == RELAY:
             return f"murmur/{self.run}/*/tx/**"
         return f"murmur/{self.run}/*/rx/{name}/**"
@@ -72,7 +72,7 @@ class Keys:
         return f"murmur/{self.run}/alive/{name}"
 
     def presence(self, name: str) -> str:
-        """Where the relay's bus reports that `name` came (payload ``1``) or went (``0``)."""
+        """The key under which the relay's bus reports that `name` joined (payload ``1``) or left (``0``)."""
         return f"murmur/{self.run}/presence/tx/{name}"
 
 
@@ -84,6 +84,6 @@ def parts(key: str) -> tuple[str, str, str, str]:
 
 
 def may_be_dropped(key: str) -> bool:
-    """Whether what is put under a key may be lost rather than waited for: all that a viewer is told."""
+    """Whether messages under a key may be dropped rather than waited for: those to a viewer."""
     _, direction, receiver, _ = parts(key)
     return direction == "rx" and receiver == VIEW

@@ -103,7 +103,7 @@ class MemoryHub:
 
 
 class MemoryBus:
-    """One participant's end of a `MemoryHub`. It never waits: who finds nothing lets others act."""
+    """One participant's end of a `MemoryHub`. It never waits: if there is no message, others get their turn."""
 
     def __init__(self, hub: MemoryHub, inbox: _Inbox) -> None:
         self._hub = hub

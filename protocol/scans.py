@@ -1,10 +1,10 @@
-"""A laser scan: what a reading means, and the binary form in which raw scans travel.
+"""A laser scan: the meaning of readings, and the binary form in which raw scans travel.
 
 A scan is taken at the centre of the robot's cell. Beam directions are fixed to the map's frame
-(`protocol.grid.fan`), so a scan is a cell and one reading a beam. A reading is a uint16: the number of cells
-that the beam crossed, and on top the bit `HIT` if the next one stopped it. A beam without a reading (outside
+(`protocol.grid.fan`), so a scan is a cell and one reading per beam. A reading is a uint16: the number of cells
+that the beam crossed, plus the bit `HIT` if the next one stopped it. A beam without a reading (outside
 the field of view) is `NONE`. A teammate ends a beam without a hit, and its cell counts as crossed: robots
-know each other, and where one stands the floor is free.
+recognise each other, and where one stands the floor is free.
 
 On the air a scan is 2 * (beams + 2) bytes, big-endian: x, y, readings; 724 for 360 beams. It travels in
 fragments of at most 64 bytes (`protocol.packets.Fragment`), so that it can be cut and continued.
@@ -44,12 +44,12 @@ def scan_size(beams: int) -> int:
 
 
 def encode_scan(scan: Scan) -> bytes:
-    """Write a scan in its binary form."""
+    """Encode a scan in its binary form."""
     return struct.pack(">HH", scan.x, scan.y) + scan.readings.astype(">u2").tobytes()
 
 
 def decode_scan(data: bytes, fan: Fan) -> Scan:
-    """Read a scan.
+    """Decode a scan.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def decode_scan(data: bytes, fan: Fan) -> Scan:
 
 
 def check_readings(readings: Readings, fan: Fan) -> None:
-    """Raise ProtocolError where a reading speaks of cells that its beam does not have."""
+    """Raise ProtocolError if a reading has more cells than its beam."""
     if len(readings) != fan.beams:
         raise ProtocolError("scan", 0, f"{len(readings)} readings for {fan.beams} beams")
     beam = int(_first_too_long(readings, fan.start))
@@ -79,7 +79,7 @@ def check_readings(readings: Readings, fan: Fan) -> None:
 
 @kernel("int64(uint16[::1], int32[::1])")
 def _first_too_long(readings: Readings, start: NDArray[np.int32]) -> int:
-    """Return the first beam whose reading speaks of more cells than it has; past the last if there is none."""
+    """Return the first beam whose reading has more cells than the beam; past the last if there is none."""
     for beam in range(len(readings)):
         reading = readings[beam]
         if reading != NONE and (reading & NONE) + (reading >> 15) > start[beam + 1] - start[beam]:
@@ -88,14 +88,14 @@ def _first_too_long(readings: Readings, start: NDArray[np.int32]) -> int:
 
 
 def fragments(data: bytes) -> list[bytes]:
-    """Cut a scan into the packets in which it travels."""
+    """Split a scan into the packets in which it travels."""
     pieces = (data[at : at + FRAGMENT_DATA] for at in range(0, len(data), FRAGMENT_DATA))
     return [encode([Fragment(piece)]) for piece in pieces]
 
 
 @dataclass(frozen=True)
 class Change:
-    """What a drawing changed: how many cells, all within columns x0 to x1 - 1 and rows y0 to y1 - 1."""
+    """Changes made by drawing: the number of cells, all within columns x0 to x1 - 1 and rows y0 to y1 - 1."""
 
     cells: int
     x0: int
@@ -128,10 +128,10 @@ def mark_free(grid: Grid, cells: NDArray[np.int32]) -> Change:
 
 
 def draw(grid: Grid, fan: Fan, x: int, y: int, readings: Readings) -> Change:
-    """Draw a scan taken in cell (x, y) of a grid: cells crossed are free, the next if it was hit is not.
+    """Draw a scan taken in cell (x, y) of a grid: cells crossed are free, the next one is occupied if it was hit.
 
-    The readings must be such as the beams can give (`check_readings`). Only unknown cells change: lasers of
-    one world do not contradict each other. The robot's own cell is free; what lies beyond the rim falls away.
+    The readings must be valid for the beams (`check_readings`). Only unknown cells change: lasers of
+    one world do not contradict each other. The robot's own cell is free; cells beyond the border are ignored.
     """
     out = np.empty(5, np.int32)
     _draw(grid, fan.cells, fan.start, x, y, readings, out)
@@ -148,7 +148,7 @@ def _draw(
     readings: Readings,
     out: NDArray[np.int32],
 ) -> None:
-    # Without a sign what lies beyond the left or upper rim is a very large number, and indexing is twice as fast.
+    # Unsigned, a cell beyond the left or upper border is a very large number, and indexing is twice as fast.
     height, width = np.uint64(grid.shape[0]), np.uint64(grid.shape[1])
     changed = 0
     x0, y0, x1, y1 = grid.shape[1], grid.shape[0], 0, 0

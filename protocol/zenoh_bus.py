@@ -1,8 +1,8 @@
-"""The bus between processes and hosts: Eclipse Zenoh, one hub, everyone else a client with a credential.
+"""The bus between processes and hosts: Eclipse Zenoh, one hub, all others are clients with a credential.
 
 The hub is the relay's own session: it routes what its access control allows (`netshaper.access`) and nothing
-else. A session has one subscription, read in the main loop. A small thread ticks four times a second, so that
-a wait can end and a client notices that its hub is gone.
+else. A session has one subscription, read in the main loop. A thread ticks four times a second, so that
+waits can time out and a client notices that its hub is gone.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from protocol import keys as names
 from protocol.bus import BusClosed, Message
 from protocol.keys import Keys
 
-# One executor for most of zenoh's tasks is faster. Sending keeps its own: on one executor, a hub that routes
-# to a client which has just been killed waits for itself. Read when zenoh first opens.
+# One executor for most of zenoh's tasks is faster. Sending keeps its own: on a single executor, a hub that routes
+# to a client which has just been killed deadlocks. Read when zenoh first opens.
 os.environ.setdefault("ZENOH_RUNTIME", "(rx: (handover: app), acc: (handover: app), net: (handover: app))")
 import zenoh
 
@@ -32,7 +32,7 @@ CONNECT_S = 10.0
 
 @dataclass(frozen=True)
 class Credential:
-    """What a process needs to join a run: where the hub is, who it is, and its password."""
+    """What a process needs to join a run: the hub's address, its own name, and its password."""
 
     run: str
     name: str
@@ -76,7 +76,7 @@ class ZenohBus:
         self._tick_key = keys.presence("tick") if self._is_hub else keys.control(name, "tick")
         self._subscriber = session.declare_subscriber(keys.inbox(name), zenoh.handlers.FifoChannel(QUEUE))
         self._inbox = self._subscriber.handler
-        # Behind the subscription: who sees the token can count on being heard.
+        # After the subscription: a participant that sees the token can rely on its messages being received.
         self._watch: Any = None
         self._token: Any = None
         if self._is_hub:
@@ -134,7 +134,7 @@ class ZenohBus:
             self._session.close()  # type: ignore[no-untyped-call]
 
     def _report_presence(self, sample: zenoh.Sample) -> None:
-        """Turn a liveliness change into a message, so that one queue has all (runs on zenoh's thread)."""
+        """Turn a liveliness change into a message, so that one queue has everything (runs on zenoh's thread)."""
         if not self._closing.is_set():
             who = str(sample.key_expr).rsplit("/", 1)[-1]
             self._session.put(self._keys.presence(who), b"1" if sample.kind == zenoh.SampleKind.PUT else b"0")
@@ -177,10 +177,10 @@ def join(credential: Credential) -> ZenohBus:
 
 
 def plain_config(mode: str) -> zenoh.Config:
-    """A configuration that speaks to nobody whom it was not told of.
+    """A configuration without discovery: a session contacts only the addresses that it is given.
 
-    Shared memory is off: with it, what is larger than 3 kB would pass by the network, where nobody can see or
-    count it, and a killed process would leave its segment behind.
+    Shared memory is off: with it, messages larger than 3 kB would bypass the network, where they cannot be seen or
+    counted, and a killed process would leave its segment behind.
     """
     config = zenoh.Config()
     insert(config, "mode", mode)

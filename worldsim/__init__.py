@@ -1,4 +1,4 @@
 """The physical world: maps, laser, motion and the clock.
 
-It imports `protocol` only. Begin with `world.py`, the truth step by step; `process.py` is the shell around it.
+It imports `protocol` only. Start with `world.py`, the true state step by step; `process.py` is the shell around it.
 """

@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Files that are written whole or not at all."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import BinaryIO
 
 
 def write_whole(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    """Write a file under another name beside its place, then give it its own in one stroke.
+    """Write a file under a temporary name in the same directory, then rename it atomically.
 
     Raises
     ------
     OSError
-        It cannot be written; the error names `path`, where all is as it was before.
+        It cannot be written; the error names `path`, which is unchanged.
     """
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:

@@ -1,4 +1,4 @@
-"""How robots move: along free cells, 8-connected, without cutting corners, never two in one place."""
+"""Motion of robots: along free cells, 8-connected, without cutting corners, never two in one cell."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from protocol.grid import FREE, Grid
 DIAGONAL = math.sqrt(2.0)
 
 ROUNDING = 1e-9
-"""Way, in cells, that a robot may find itself short of by rounding: 0.3 m a step are 3 cells of 0.1 m."""
+"""Distance, in cells, that a robot may lack because of rounding: 0.3 m a step are 3 cells of 0.1 m."""
 
 WALL, ROBOT, INTERFERENCE, NOT_BLOCKED = "wall", "robot", "interference", ""
-"""Why a robot stopped short."""
+"""Why a robot stopped early."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """What became of one robot's move.
+    """The result of one robot's move.
 
     Attributes
     ----------
     cells : list of (x, y)
         Cells entered, in order.
     length : float
-        Way driven, in cells.
+        Distance driven, in cells.
     carry : float
-        Way that a step left over, too short for the next cell; it is added to the next step's.
+        Unused distance, too short for the next cell; it is added to the next step's.
     blocked : str
-        Why it stopped short of its path's end, if not for want of way.
+        Why it stopped before its path's end, unless the distance was used up.
     """
 
     cells: list[tuple[int, int]]
@@ -59,9 +59,9 @@ def drive(
     start : (x, y)
         Where the robot stands.
     path : list of (x, y)
-        Cells to enter, each a neighbour of the one before. A step that is none ends the path like a wall.
+        Cells to enter, each a neighbour of the one before. A step to any other cell ends the path like a wall.
     way : float
-        How far it may drive, in cells: 1 to a 4-neighbour, sqrt 2 to a diagonal one.
+        Distance that it may drive, in cells: 1 to a 4-neighbour, sqrt 2 to a diagonal one.
     """
     height, width = truth.shape
     x, y = start

@@ -1,7 +1,7 @@
-"""Continuous motion: along way points between cells' centres, never into a wall, never two robots in a cell.
+"""Continuous motion: along waypoints between cells' centres, never into a wall, never two robots in a cell.
 
-Positions are whole numbers, thousandths of a cell, so that a drive gives the same on every machine; a cell
-reaches half a cell from its centre to every side.
+Positions are integers, thousandths of a cell, so that a drive has the same result on every machine; a cell
+extends half a cell from its centre to every side.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ FINE = 1000
 """Units a cell."""
 
 _STRIDE = 100
-"""A drive is checked at least every tenth of a cell, and every tenth of its way if that is less than a cell."""
+"""A drive is checked at least every tenth of a cell, and every tenth of its distance if that is less than a cell."""
 
 Point = tuple[int, int]
 
 
 @dataclass(frozen=True)
 class Glide:
-    """What became of one robot's continuous move.
+    """The result of one robot's continuous move.
 
     Attributes
     ----------
@@ -35,9 +35,9 @@ class Glide:
     cells : list of (x, y)
         Cells entered, in order.
     length : float
-        Way driven, in cells.
+        Distance driven, in cells.
     blocked : str
-        Why it stopped short of its last way point, if not for want of way.
+        Why it stopped before its last waypoint, unless the distance was used up.
     """
 
     point: Point
@@ -63,9 +63,9 @@ def glide(truth: Grid, taken: NDArray[np.bool_], start: Point, points: list[Poin
     start : (x, y)
         Where the robot is, in thousandths of a cell.
     points : list of (x, y)
-        Way points, in thousandths of a cell.
+        Waypoints, in thousandths of a cell.
     way : float
-        How far it may drive, in cells. What it has left when the next check would lie beyond it is not driven.
+        Distance that it may drive, in cells. The remainder is not driven if the next check would lie beyond it.
     """
     stride = min(_STRIDE, max(1, int(way * _STRIDE)))
     at, length = start, 0.0

@@ -29,7 +29,7 @@ def cast(
     Parameters
     ----------
     truth : uint8 array, shape (h, w)
-        The true map; whatever is not free is solid, and so is all beyond the rim.
+        The true map; cells that are not free are solid, and so is everything beyond the border.
     teammates : bool array, shape (h, w)
         Where other robots stand. They end a beam but never count as a wall.
     heading : int
@@ -61,7 +61,7 @@ def _cast(
     y: int,
     readings: Readings,
 ) -> None:
-    # Without a sign, a cell beyond the left or upper rim is a very large one (as in `protocol.scans.draw`).
+    # Unsigned, a cell beyond the left or upper border is a very large number (as in `protocol.scans.draw`).
     height, width = np.uint64(truth.shape[0]), np.uint64(truth.shape[1])
     for beam in range(len(start) - 1):
         first, end = np.uint64(start[beam]), np.uint64(start[beam + 1])

@@ -1,8 +1,8 @@
-"""Maps of the world: what is wall, what is floor; read and written as ROS' map_server does.
+"""Maps of the world: walls and floor; read and written in the format of ROS' map_server.
 
 A map on disk is a YAML file and the picture that it names. map_server's frame is metric, with y up and its
-origin at the lower left corner of the picture; ours is in cells, with y down (`protocol.grid`). The two meet
-in `to_world` and `to_cell` and nowhere else.
+origin at the lower left corner of the picture; ours is in cells, with y down (`protocol.grid`). Only
+`to_world` and `to_cell` convert between the two.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _SHADES = np.array([205, 254, 0], np.uint8)
 """Grey values that are written for unknown, free and occupied."""
 
 _FORMATS = {".png": "PNG", ".pgm": "PPM"}
-"""The picture's format by the suffix of its name, as Pillow calls it."""
+"""Pillow's name of the picture's format, by the suffix of its name."""
 
 
 class MapError(ValueError):
@@ -42,9 +42,9 @@ class Map:
     Attributes
     ----------
     name : str
-        What the map is called in results.
+        The map's name in results.
     cells : uint8 array of shape (height, width)
-        `protocol.grid` states, row 0 on top; what is unknown can be neither seen nor entered.
+        `protocol.grid` states, row 0 on top; unknown cells can be neither seen nor entered.
     resolution : float
         Side of a cell in metres.
     origin : tuple of three floats
@@ -54,7 +54,7 @@ class Map:
     Raises
     ------
     MapError
-        The cells, the resolution or the origin are not as said, or no cell is free.
+        The cells, the resolution or the origin are not as described, or no cell is free.
     """
 
     name: str
@@ -96,7 +96,7 @@ class Map:
 
     @property
     def diagonal_m(self) -> float:
-        """Length of the map's diagonal in metres: the range at which all hear each other everywhere."""
+        """Length of the map's diagonal in metres: with this range all robots hear each other everywhere."""
         return math.hypot(self.width, self.height) * self.resolution
 
 
@@ -120,13 +120,13 @@ def load(path: str | os.PathLike[str]) -> Map:
     """Read a map from map_server's YAML file and the PGM or PNG picture that it names.
 
     A picture's darkness p runs from 0 (white) to 1 (black), the other way round with `negate`. A cell is
-    occupied where p > occupied_thresh, free where p < free_thresh, unknown between. Colours are averaged, and
-    opacity with them, as map_server does in its trinary mode. The map is called as the YAML file is.
+    occupied where p > occupied_thresh, free where p < free_thresh, unknown between. Colours are averaged, including
+    opacity, as map_server does in its trinary mode. The map has the name of the YAML file.
 
     Raises
     ------
     MapError
-        The YAML file or the picture is missing, broken, or says what cannot be.
+        The YAML file or the picture is missing, malformed, or has impossible values.
     """
     path = Path(path)
     entries = _read_yaml(path)
@@ -193,14 +193,14 @@ def _from_picture(
 def save(map_: Map, yaml_path: str | os.PathLike[str], image: str | None = None) -> None:
     """Write a map as map_server's YAML file and, beside it, a picture.
 
-    Each file appears whole or not at all, the YAML file last: a map that can be found can be read.
+    Each file is written atomically, the YAML file last: a map that can be found can be read.
 
     Parameters
     ----------
     map_ : Map
-        What to write. Its name is not kept: a map is called as its file is.
+        The map to write. Its name is not kept: a map has the name of its file.
     yaml_path : path
-        Where the YAML file goes.
+        Path of the YAML file.
     image : str, optional
         File name of the picture, ending in .png or .pgm. By default the YAML file's, with .png.
 
@@ -262,7 +262,7 @@ def _number(path: Path, entries: dict[str, Any], key: str) -> float:
 
 
 def _as_number(path: Path, key: str, value: Any) -> float:
-    """Read a number; YAML takes 1e-1 for a text, ROS does not, so neither do we."""
+    """Parse a number; YAML reads 1e-1 as a text, ROS as a number, and so do we."""
     try:
         if isinstance(value, int | float | str) and not isinstance(value, bool):
             return float(value)

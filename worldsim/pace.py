@@ -1,15 +1,15 @@
-"""The pace at which the world opens its steps, for people who watch. It decides no result."""
+"""The pace at which the world opens its steps, for people who watch. It does not affect results."""
 
 from __future__ import annotations
 
 import time
 
 SLOWEST = 0.5
-"""Steps a second; a world that sleeps longer does not hear in time that it is to stop."""
+"""Steps a second; a world that sleeps longer does not receive the request to stop in time."""
 
 
 class Pace:
-    """At most so many steps a second; a step that takes longer is not made up for.
+    """A maximum of steps a second; later steps do not catch up after a slow one.
 
     Raises
     ------

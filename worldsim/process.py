@@ -38,18 +38,18 @@ STALLED = "stalled: there is a frontier left, and no robot gets nearer to it"
 
 
 class WorldNode:
-    """One run's world; `done` once it may go home.
+    """One run's world; `done` once it may shut down.
 
     Parameters
     ----------
     minds : mapping
-        What each robot is to be told before its first step (`Configure.settings`).
+        The settings that each robot receives before its first step (`Configure.settings`).
     steps : int
         The last step.
     cell_mm : float
         Side of a cell in millimetres, for reports.
     wait : callable, optional
-        Called before each step is opened: it may wait, so that people can watch (`worldsim.pace`).
+        Called before each step is opened: it may delay the step, so that people can watch (`worldsim.pace`).
     """
 
     def __init__(
@@ -106,7 +106,7 @@ class WorldNode:
         self._open_step({})
 
     def _take_move(self, robot: int, payload: bytes) -> None:
-        """Take a robot's move; one that makes no sense is reported, and the robot stays where it is."""
+        """Take a robot's move; an invalid one is reported, and the robot stays where it is."""
         step = self._world.step
         try:
             move = unpack_as(Move, payload)
@@ -173,7 +173,7 @@ class WorldNode:
         return WorldReport(world.step, poses.tobytes(), driven, world.seen_cells, world.reachable_cells)
 
     def _millimetres(self, robot: int) -> tuple[int, int]:
-        """Where a robot is."""
+        """A robot's position."""
         (x, y), (offset_x, offset_y) = self._world.cells[robot], self._world.offsets[robot]
         scale = self._cell_mm / FINE
         return round((x * FINE + offset_x) * scale), round((y * FINE + offset_y) * scale)

@@ -1,4 +1,4 @@
-"""The physical world: where robots really are and what they really see. It owns the clock."""
+"""The physical world: the robots' true positions and scans. It owns the clock."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Body:
     speed : float
         Cells a step.
     scanner_turn : float
-        Degrees that its scanner turns and sees a step; 0 if it looks everywhere in the field of view at once.
+        Degrees that its scanner turns and covers per step; 0 if it covers the whole field of view at once.
     radius_cells : float
         The robot is a disc; 0 for a point.
     """
@@ -50,12 +50,12 @@ class Body:
 
 @dataclass(frozen=True)
 class WorldSettings:
-    """What the world is like.
+    """Settings of the world.
 
     Attributes
     ----------
     bodies : tuple of Body
-        One a robot.
+        One per robot.
     starts : tuple of (x, y)
         Cell where each robot starts.
     beams : int
@@ -63,9 +63,9 @@ class WorldSettings:
     interference_cells : float
         Robots nearer to each other than this hinder each other (0: never).
     deaths : tuple of (robot, step)
-        Robots that break down at the beginning of a step, as the scenario wants it.
+        Robots that break down at the beginning of a step, as the scenario specifies.
     ends_with_all : bool
-        Whether the run ends when all robots say that they are done, not when the first does.
+        Whether the run ends when all robots report that they are done, not when the first does.
     """
 
     bodies: tuple[Body, ...]
@@ -83,7 +83,7 @@ class World:
     Parameters
     ----------
     truth : uint8 array, shape (h, w)
-        The true map. Whatever is not free is solid.
+        The true map. Cells that are not free are solid.
     """
 
     def __init__(self, truth: Grid, settings: WorldSettings) -> None:
@@ -93,17 +93,17 @@ class World:
         self.cells: dict[int, tuple[int, int]] = dict(enumerate(settings.starts))
         """Where each living robot is."""
         self.offsets = dict.fromkeys(self.cells, (0, 0))
-        """Where in its cell each is, in thousandths of a cell from the centre."""
+        """Each robot's position in its cell, in thousandths of a cell from the centre."""
         self.headings = dict.fromkeys(self.cells, 0)
         self.driven = [0.0] * len(settings.starts)
-        """Way that each robot has driven, in cells."""
+        """Distance that each robot has driven, in cells."""
         self.floors = {body.radius_cells: enlarge(truth, body.radius_cells) for body in settings.bodies}
         """Where the centre of a robot of each radius may be."""
         self.reachable = reachable_by(truth, settings.starts[0], settings.bodies[0].radius_cells)
         self.reachable_cells = int(np.count_nonzero(self.reachable))
-        """Free cells that robots can get to."""
+        """Free cells that robots can reach."""
         self.seen = np.zeros_like(truth)
-        """What the team's lasers have truly seen, all together."""
+        """Everything that the team's lasers have seen."""
         self._fans = [fan(body.range_cells, settings.beams) for body in settings.bodies]
         self._carry = [0.0] * len(settings.starts)
         self._scanner_angle = [0.0] * len(settings.starts)
@@ -114,11 +114,11 @@ class World:
         return int(np.count_nonzero((self.seen == FREE) & self.reachable))
 
     def lose(self, robot: int) -> None:
-        """Take a broken robot out of the world: nobody runs into it."""
+        """Remove a broken robot from the world: others do not collide with it."""
         self.cells.pop(robot, None)
 
     def doomed(self) -> list[int]:
-        """Robots that the scenario wants dead by the next step."""
+        """Robots that, by the scenario, break down by the next step."""
         return [r for r, step in self.settings.deaths if step <= self.step + 1 and r in self.cells]
 
     def advance(self, moves: Mapping[int, Move]) -> dict[int, Sense]:
@@ -142,7 +142,7 @@ class World:
     def _move(
         self, robot: int, move: Move, before: Mapping[int, tuple[int, int]]
     ) -> tuple[list[tuple[int, int]], str]:
-        """Move one robot; return the cells found free on the way, and what blocked it."""
+        """Move one robot; return the cells found free on its path, and what blocked it."""
         start = self.cells[robot]
         path = [(x, y) for x, y in cells_from_bytes(move.path).tolist()]
         points = [(x, y) for x, y in points_from_bytes(move.points).tolist()]
@@ -179,7 +179,7 @@ class World:
         return swept(start, result.cells), result.blocked
 
     def _taken_for(self, robot: int) -> NDArray[np.bool_]:
-        """Cells that a robot's centre may not enter, for the others' sake."""
+        """Cells that a robot's centre may not enter because of other robots."""
         own = self.settings.bodies[robot].radius_cells
         taken = np.zeros(self.truth.shape, np.bool_)
         for other, (x, y) in self.cells.items():
@@ -253,7 +253,7 @@ def beams_outside(beams: int, angle: float, width: float) -> NDArray[np.bool_]:
 
 
 def reachable_by(truth: Grid, start: tuple[int, int], radius_cells: float) -> NDArray[np.bool_]:
-    """Free cells that a disc which starts at `start` can get to, or cover from where it gets."""
+    """Free cells that a disc starting at `start` can reach with its centre, or cover from a cell that it reaches."""
     floor = enlarge(truth, radius_cells)
     found = reachable_from(floor, start)
     if floor is truth:
@@ -264,7 +264,7 @@ def reachable_by(truth: Grid, start: tuple[int, int], radius_cells: float) -> ND
 
 
 def reachable_from(truth: Grid, start: tuple[int, int]) -> NDArray[np.bool_]:
-    """Free cells that a robot can get to from `start`: without cutting corners, that is its 4-connected part."""
+    """Free cells that a robot can reach from `start`: without cutting corners, this is its 4-connected component."""
     labels, _ = ndimage.label(truth == FREE)
     found: NDArray[np.bool_] = labels == labels[start[1], start[0]]
     found &= truth == FREE

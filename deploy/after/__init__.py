@@ -1,4 +1,4 @@
-"""What is made of a finished run: figures, a report, a listing of its capture, exports.
+"""Everything derived from a finished run: figures, a report, a listing of its capture, exports.
 
-It stands on `run`, beside `study` and `bench`. Begin with `archive.py`, a run directory read back.
+It builds on `run`, independent of `study` and `bench`. Start with `archive.py`, which reads a run directory.
 """

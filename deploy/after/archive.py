@@ -1,4 +1,4 @@
-"""A run directory, read back: what pictures, pages and exports are made of."""
+"""A run directory, read back: the input of pictures, reports and exports."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ Table = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class Archive:
-    """One run, as its directory tells it.
+    """One run, as recorded in its directory.
 
     Attributes
     ----------
     directory : Path
     plan : Plan
-        Its scenario, worked out.
+        The plan derived from its scenario.
     summary : dict
         The figures of ``summary.json``.
     """
@@ -41,12 +41,12 @@ class Archive:
 
     @cached_property
     def steps(self) -> Table:
-        """``steps.parquet``: a row a step and robot, metres in the map's frame."""
+        """``steps.parquet``: one row per step and robot, metres in the map's frame."""
         return _read_table(self.directory / run_directory.STEPS)
 
     @cached_property
     def ledger(self) -> Table:
-        """``ledger.parquet``: a row a frame and packet kind."""
+        """``ledger.parquet``: one row per frame and packet kind."""
         return _read_table(self.directory / run_directory.LEDGER)
 
     @property
@@ -60,10 +60,10 @@ class Archive:
         return {name: column[mine] for name, column in self.steps.items()}
 
     def snapshots(self, tell: Callable[[str], object] = lambda _: None) -> Snapshots | None:
-        """Robots' maps over time: those that were kept; else the run is repeated in memory to see them.
+        """Robots' maps over time: those that were kept; otherwise the run is repeated in memory to get them.
 
-        None where the run cannot be repeated (`why_unrepeatable`), or does not come out the same here. `tell`
-        hears what is done.
+        None if the run cannot be repeated (`why_unrepeatable`), or its digest differs here. `tell` is called
+        with progress messages.
         """
         kept = self.directory / SNAPSHOTS
         if kept.is_file():
@@ -71,10 +71,10 @@ class Archive:
         if reason := why_unrepeatable(self.summary):
             tell(f"No maps over time: none were kept (--pictures), and the run cannot be repeated: {reason}.")
             return None
-        tell("No maps over time were kept (--pictures); the run is repeated in memory to see them.")
+        tell("No maps over time were kept (--pictures); the run is repeated in memory to get them.")
         snapshots = maps_over_time(self.plan, self.summary["digest"])
         if snapshots is None:
-            tell("No maps over time: the run does not come out the same here (murmur replay says more).")
+            tell("No maps over time: the repeated run differs here (murmur replay says more).")
         return snapshots
 
 
@@ -89,7 +89,7 @@ def read(directory: Path) -> Archive:
 
 
 def _read_table(path: Path) -> Table:
-    from pyarrow import parquet  # noqa: PLC0415  half a second that the command line need not wait for
+    from pyarrow import parquet  # noqa: PLC0415  takes half a second to import
 
     table = parquet.read_table(path)
     return {name: np.asarray(table[name].to_numpy(zero_copy_only=False)) for name in table.column_names}

@@ -1,4 +1,4 @@
-"""`murmur capture`: what Wireshark shows of ``radio.pcapng``, as a table with filters and totals."""
+"""`murmur capture`: the frames of ``radio.pcapng``, as a table with filters and totals."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ _TITLES = ("step", "ex", "conn", "from", "to", "map", "frame", "bytes", "packets
 
 @dataclass(frozen=True)
 class Filter:
-    """Which frames are wanted: all that fit every condition that is not None.
+    """Which frames to show: those that match every condition that is not None.
 
     Attributes
     ----------
     robot : int, optional
-        It sent the frame, was meant to have it, or heard it.
+        Sender, addressee or receiver of the frame.
     kind : str, optional
         One of `ALL_KINDS`; the frame holds such a packet, and no other packets are counted.
     steps : (int, int), optional
         First and last step.
     refused : bool
-        Only what was not carried.
+        Only frames that were not carried.
     """
 
     robot: int | None = None
@@ -47,7 +47,7 @@ class Filter:
     refused: bool = False
 
     def takes(self, frame: Captured, kinds: Iterable[str]) -> bool:
-        """Whether a frame with packets of these kinds is wanted."""
+        """Whether a frame with packets of these kinds matches."""
         seen = frame.seen
         return (
             (self.robot is None or self.robot in (seen.sender, seen.receiver, *capture.hearers(seen)))
@@ -59,10 +59,10 @@ class Filter:
 
 @dataclass
 class Totals:
-    """What the frames that were shown amount to.
+    """Totals of the frames that were shown.
 
     `carried` has (packets, bytes) by kind, as the summary of a run counts them; `refused` has (frames, bytes)
-    by verdict, for of these the capture keeps the beginning only.
+    by verdict, because of these the capture keeps only the beginning.
     """
 
     frames: int = 0
@@ -106,7 +106,7 @@ def opened(path: Path) -> Iterator[Reader]:
 
 
 def select(reader: Reader, wanted: Filter, totals: Totals) -> Iterator[Captured]:
-    """Yield the frames of a capture that are wanted, and count them."""
+    """Yield the frames of a capture that match, and count them."""
     for frame in capture.read(reader):
         counts = count(frame.seen.payload)
         if wanted.takes(frame, counts):
@@ -115,7 +115,7 @@ def select(reader: Reader, wanted: Filter, totals: Totals) -> Iterator[Captured]
 
 
 def count(payload: bytes) -> dict[str, tuple[int, int]]:
-    """Count (packets, bytes) by kind up to the first bytes that are no whole packet."""
+    """Count (packets, bytes) by kind, up to the first incomplete or malformed packet."""
     counts: dict[str, tuple[int, int]] = {}
     for piece in _pieces(payload):
         kind = packets.name(piece)
@@ -125,7 +125,7 @@ def count(payload: bytes) -> dict[str, tuple[int, int]]:
 
 
 def lines(path: Path, wanted: Filter, *, every_packet: bool) -> Iterator[str]:
-    """Yield the table line by line: a frame each, its packets where they are asked for, totals at the end."""
+    """Yield the table line by line: one per frame, its packets if requested, totals at the end."""
     totals = Totals()
     with opened(path) as reader:
         frames = _begun(select(reader, wanted, totals))
@@ -137,11 +137,11 @@ def lines(path: Path, wanted: Filter, *, every_packet: bool) -> Iterator[str]:
                     yield f"{'':42}{packet.name:<5}{_said(packet)}"
         yield from _total_lines(totals)
         if reader.torn:
-            yield f"The last {reader.torn} bytes are half a packet: the run was killed."
+            yield f"The last {reader.torn} bytes are an incomplete packet: the run was killed."
 
 
 def json_lines(path: Path, wanted: Filter) -> Iterator[str]:
-    """Yield one JSON object, a frame a line: ``{"frames": [...], "totals": {...}, "torn": bytes}``."""
+    """Yield one JSON object, one frame per line: ``{"frames": [...], "totals": {...}, "torn": bytes}``."""
     totals = Totals()
     with opened(path) as reader:
         frames = _begun(select(reader, wanted, totals))
@@ -156,7 +156,7 @@ def json_lines(path: Path, wanted: Filter) -> Iterator[str]:
 
 
 def parse_steps(text: str) -> tuple[int, int]:
-    """Read ``12`` or ``10-20``."""
+    """Parse ``12`` or ``10-20``."""
     first, dash, last = text.partition("-")
     try:
         steps = int(first), int(last if dash else first)
@@ -168,7 +168,7 @@ def parse_steps(text: str) -> tuple[int, int]:
 
 
 def check_robot(path: Path, robot: int) -> int:
-    """Return a robot's number; ValueError if the run of the capture has none of it, where its scenario tells."""
+    """Return a robot's number; ValueError if the capture's scenario is available and has no such robot."""
     folder = path if path.is_dir() else path.parent
     if (folder / SCENARIO).is_file():
         robots = read_scenario(folder).robots
@@ -178,14 +178,14 @@ def check_robot(path: Path, robot: int) -> int:
 
 
 def check_kind(kind: str) -> str:
-    """Return a kind of packet; ValueError if there is none of that name."""
+    """Return a kind of packet; ValueError if the name is unknown."""
     if kind not in ALL_KINDS:
         raise ValueError(f"kind = {kind!r}: there are {', '.join(ALL_KINDS)}")
     return kind
 
 
 def _begun(frames: Iterator[Captured]) -> Iterator[Captured]:
-    """The same frames, the first of them read: what is no capture is refused before a word is said."""
+    """The same frames with the first one read, so that an invalid file is refused before anything is printed."""
     return chain(list(islice(frames, 1)), frames)
 
 
@@ -248,7 +248,7 @@ def _to_json(frame: Captured) -> dict[str, Any]:
 
 
 def _pieces(payload: bytes) -> Iterator[bytes]:
-    """Cut a frame into its packets, up to the first bytes that are no whole packet."""
+    """Split a frame into its packets, up to the first incomplete or malformed one."""
     offset = 0
     with suppress(ProtocolError):
         while offset < len(payload):
@@ -260,7 +260,7 @@ def _pieces(payload: bytes) -> Iterator[bytes]:
 
 
 def _decoded(payload: bytes) -> Iterator[AnyPacket]:
-    """Read the packets of a frame, up to the first that makes no sense."""
+    """Decode the packets of a frame, up to the first malformed one."""
     with suppress(ProtocolError):
         for piece in _pieces(payload):
             yield from packets.decode(piece)

@@ -1,11 +1,11 @@
-"""`murmur export`: a run as a ROS 2 bag in MCAP, which Foxglove and ROS' own tools open.
+"""`murmur export`: a run as a ROS 2 bag in MCAP, for Foxglove and ROS tools.
 
-    /tf                 map -> rN (as it stands), map -> rN/laser (where it is, not turned: beams are fixed
+    /tf                 map -> rN (its pose), map -> rN/laser (its position, not rotated: beams are fixed
                         to the map)
     /truth              nav_msgs/OccupancyGrid, once
     /rN/pose            geometry_msgs/PoseStamped, every step
     /rN/scan            sensor_msgs/LaserScan, every step: cast again from map and poses (`deploy.after.recast_scans`)
-    /rN/map             nav_msgs/OccupancyGrid: its planning map, where it was shown anew
+    /rN/map             nav_msgs/OccupancyGrid: its planning map, at the steps where it was updated
     /rN/polygons        visualization_msgs/MarkerArray: its own and teammates' approximations as it holds them
 
 Time is the step in seconds. The frame `map` is the map file's own: metres, y up.
@@ -42,7 +42,7 @@ Stamped = tuple[str, str, int, Any]
 
 
 class ExportError(ValueError):
-    """What is missing for an export."""
+    """A package needed for the export is missing."""
 
 
 def export_mcap(directory: Path, tell: Callable[[str], object] = lambda _: None) -> Path:
@@ -53,7 +53,7 @@ def export_mcap(directory: Path, tell: Callable[[str], object] = lambda _: None)
     ExportError
         The package that writes it is not installed.
     ScenarioError
-        It is no run directory, or too little came of the run.
+        It is not a run directory, or the run has too little data.
     """
     if importlib.util.find_spec("rosbags") is None:
         raise ExportError("an export needs the package rosbags: pip install 'murmur-robots[mcap]'")
@@ -76,10 +76,9 @@ def export_mcap(directory: Path, tell: Callable[[str], object] = lambda _: None)
 
 
 def ranges_of(readings: Readings, fan: Fan, resolution: float) -> Any:
-    """Return a scan's readings as ROS wants them: metres, counterclockwise from +x (y up).
+    """Return a scan's readings in ROS' convention: metres, counterclockwise from +x (y up).
 
-    A beam that ended at no wall is infinite, one that was not sent is not a number. A wall stands at the
-    centre of its cell.
+    A beam that hit no wall is infinite, one that was not sent is NaN. A wall lies at the centre of its cell.
     """
     crossed = (readings & NONE).astype(np.int64)
     at = np.minimum(fan.start[:-1] + crossed, len(fan.cells) - 1)
@@ -98,10 +97,10 @@ def occupancy(grid: Grid) -> Any:
 
 
 class _Messages:
-    """All messages of a run, in the order of time."""
+    """All messages of a run, in chronological order."""
 
     def __init__(self, archive: Archive, snapshots: Snapshots | None) -> None:
-        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415  only who exports needs it
+        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415  only exports need it
 
         self.types = get_typestore(Stores.ROS2_HUMBLE)
         self._archive = archive
@@ -109,7 +108,7 @@ class _Messages:
         self._lasers = Lasers(archive)
 
     def all(self) -> Iterator[Stamped]:
-        """Give them one by one."""
+        """Yield them one by one."""
         yield "/truth", "nav_msgs/msg/OccupancyGrid", 0, self._grid(0, self._archive.plan.map.cells)
         shown = self._shown()
         for step, scans in self._lasers.scans():
@@ -158,7 +157,7 @@ class _Messages:
         return self._make("geometry_msgs/msg/Pose", position=self._point(x, y), orientation=self._turn(yaw))
 
     def _pose(self, robot: int, step: int) -> Any:
-        """Where a robot stands; its heading counts clockwise, for it was reckoned with y down."""
+        """A robot's pose; its heading counts clockwise, because it was computed with y down."""
         steps = self._archive.steps
         (row,) = np.flatnonzero((steps["robot"] == robot) & (steps["step"] == step))
         return self._placed(steps["x"][row], steps["y"][row], -math.radians(steps["heading"][row]))
@@ -212,7 +211,7 @@ class _Messages:
         )
 
     def _markers(self, step: int, said: Outlines) -> Any:
-        """One marker a map: its edges, the walls among them in full colour, what is unknown beyond in pale."""
+        """One marker per map: its edges, walls in full colour, edges to unknown cells in a pale one."""
         rows = np.frombuffer(said.vertices, "<i2").reshape(-1, 4)
         world = self._archive.plan.map
         places = (np.array(corner(world)) + (rows[:, 1:3] / 4 + 0.5) * world.resolution) * (1, -1)

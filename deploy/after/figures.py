@@ -1,9 +1,9 @@
-"""Figures of a run that is over, in the manner of the thesis: maps over time, and what was on the air.
+"""Figures of a finished run, modelled on those of the thesis: maps over time, and the radio traffic.
 
-maps over time     planning maps and the approximation that each robot tells (Figure A.2)
+maps over time     planning maps and the approximation that each robot sends (Figure A.2)
 approximation      how one robot's approximation follows what it has seen itself (Figure 4.8)
-channel load       bytes a step, what found no room, news not told yet (Figures 6.17, 6.18), and what
-                   was explored meanwhile
+channel load       bytes a step, bytes that did not fit, packets not sent yet (Figures 6.17, 6.18), and the
+                   explored area over the same steps
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from protocol.grid import FREE
 
 MAPS_OVER_TIME, APPROXIMATION, CHANNEL_LOAD = "maps-over-time.png", "approximation.png", "channel-load.png"
 MOST_ROBOTS = 8
-"""Robots that a picture has columns for."""
+"""Maximum number of robots that a picture has columns for."""
 MOMENTS = 6
 RED = "#d62728"
 
@@ -52,7 +52,7 @@ def write_figures(
 
 
 def maps_over_time(archive: Archive, snapshots: Snapshots) -> Figure:
-    """Planning maps, a column a robot and a row a moment; in red what each tells of its own map."""
+    """Planning maps, one column per robot, one row per point in time; in red what each sends of its own map."""
     robots = range(min(MOST_ROBOTS, archive.plan.scenario.robots))
     moments = _moments(archive.last_step)
     shape = archive.plan.map.height / archive.plan.map.width
@@ -73,14 +73,14 @@ def maps_over_time(archive: Archive, snapshots: Snapshots) -> Figure:
         axes[row, 0].set_ylabel(f"step {step}")
     for robot in robots:
         axes[0, robot].set_title(f"robot {robot}", color=robot_color(robot))
-    figure.suptitle("What each robot's planning map holds, and (red) the approximation that it tells")
+    figure.suptitle("Each robot's planning map, and (red) the approximation that it sends")
     return figure
 
 
 def approximation(archive: Archive, snapshots: Snapshots, robot: int = 0) -> Figure:
     """What a robot has seen itself, and its approximation of that.
 
-    White outside the red line, and grey inside of it, is what the approximation has wrong at that step.
+    White outside the red line, and grey inside it, are the errors of the approximation at that step.
     """
     moments = _moments(archive.last_step)
     own = Lasers(archive).own_grids(robot, moments)
@@ -99,7 +99,7 @@ def approximation(archive: Archive, snapshots: Snapshots, robot: int = 0) -> Fig
 
 
 def channel_load(archive: Archive, snapshots: Snapshots | None) -> Figure:
-    """Bytes on the air by kind and step, what had to wait, and what was explored meanwhile."""
+    """Bytes on the air by kind and step, bytes that did not fit, and the explored area over the same steps."""
     figure = Figure(figsize=(11, 8), layout="constrained")
     load, wait, explored = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
     ledger, last = archive.ledger, archive.last_step
@@ -118,7 +118,7 @@ def channel_load(archive: Archive, snapshots: Snapshots | None) -> Figure:
     load.set_ylabel("bytes a step")
     load.set_title("Load of the channel")
     cut = _per_step(ledger, ledger["cause"] == CAUSES[CAUSES.index("budget")], last)
-    wait.fill_between(steps, cut, step="mid", color="#bbbbbb", label="bytes that found no room in the step")
+    wait.fill_between(steps, cut, step="mid", color="#bbbbbb", label="bytes that did not fit into the step")
     wait.set_ylabel("bytes a step")
     told = wait.twinx()
     for robot in range(archive.plan.scenario.robots):
@@ -126,8 +126,8 @@ def channel_load(archive: Archive, snapshots: Snapshots | None) -> Figure:
         told.plot(mine["step"], mine["backlog"], color=robot_color(robot), linewidth=0.9)
     for axes in (load, wait, told):
         axes.set_ylim(0, max(1.0, axes.get_ylim()[1]))
-    told.set_ylabel("packets not told yet\n(colours: robots)")
-    wait.set_title("What had to wait")
+    told.set_ylabel("packets not sent yet\n(colours: robots)")
+    wait.set_title("Waiting")
     _draw_explored(explored, archive, snapshots)
     for panel in (load, wait, explored):
         if panel.get_legend_handles_labels()[0]:
@@ -161,7 +161,7 @@ def _per_step(ledger: dict[str, NDArray[Any]], rows: NDArray[np.bool_], last: in
 
 
 def _moments(last: int) -> list[int]:
-    """Steps to show: evenly spread, the last one among them."""
+    """Steps to show: evenly spaced, including the last one."""
     return sorted({max(1, round(last * k / MOMENTS)) for k in range(1, MOMENTS + 1)})
 
 

@@ -1,8 +1,8 @@
-"""What the lasers saw in a run that is over: cast again from the map and the recorded poses.
+"""The scans of a finished run, cast again from the map and the recorded poses.
 
-The world casts scans from cell centres in exact arithmetic, so for lasers that look everywhere in their field
-of view at once these are the scans of the run, bit for bit. A scanner that turns, or that is off while its
-robot drives, saw only part of what is given here.
+The world casts scans from cell centres in exact arithmetic, so for lasers that cover their whole field of view
+at once these are the scans of the run, bit for bit. A scanner that turns, or that is off while its robot drives,
+saw only part of what is returned here.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from worldsim.maps import to_cell
 
 @dataclass(frozen=True)
 class Rescan:
-    """One scan: who took it where, in cells, and uint16 readings of shape (beams,) (`protocol.scans`)."""
+    """One scan: the robot, its cell, and uint16 readings of shape (beams,) (`protocol.scans`)."""
 
     robot: int
     x: int
@@ -56,7 +56,7 @@ class Lasers:
             yield int(steps["step"][first]), [self._scan(standing, *place) for place in sorted(places)]
 
     def own_grids(self, robot: int, wanted: list[int]) -> dict[int, Grid]:
-        """The self-explored grid of a robot at the wanted steps, drawn from its scans."""
+        """The self-explored grid of a robot at the given steps, drawn from its scans."""
         grid = np.full(self._archive.plan.map.cells.shape, UNKNOWN, np.uint8)
         grids = {}
         for step, scans in self.scans():

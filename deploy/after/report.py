@@ -1,4 +1,4 @@
-"""`murmur report`: one HTML page of a run, with its figures in it, that can be sent and kept by itself."""
+"""`murmur report`: one self-contained HTML page of a run, with its figures."""
 
 from __future__ import annotations
 
@@ -26,30 +26,30 @@ KINDS = {
     "em": "a new object",
     "chg": "which object the next corners belong to",
     "rm": "an object removed",
-    "conn": "handshake: who knows what",
-    "targ": "where a robot is heading",
+    "conn": "handshake of a connection",
+    "targ": "a robot's target",
     "save": "end of an update",
     "scan": "piece of a raw laser scan",
-    "pose": "where a robot is",
+    "pose": "a robot's position",
 }
-"""What each kind of packet says."""
+"""The meaning of each kind of packet."""
 assert sorted(KINDS) == sorted(ALL_KINDS)
 
 UNDELIVERED = {
     "budget": "the step's budget was spent",
     "range": "the receiver was out of range",
-    "protocol": "they made no sense",
-    "lost": "a partner had died",
+    "protocol": "they were malformed or out of turn",
+    "lost": "the other robot had died",
 }
 """Why a frame was not carried."""
 assert ("", *UNDELIVERED) == CAUSES
 
 CAPTIONS = {
-    CHANNEL_LOAD: "What each step put on the air, what had to wait, and what was explored meanwhile.",
-    MAPS_OVER_TIME: "Each robot's planning map over time, and in red what it tells of its own map.",
+    CHANNEL_LOAD: "Bytes on the air in each step, bytes that did not fit, and the explored area over the same steps.",
+    MAPS_OVER_TIME: "Each robot's planning map over time, and in red the approximation that it sends of its own map.",
     APPROXIMATION: "What robot 0 has seen itself, and in red its approximation of it: white outside the line "
-    "and grey within is what that has wrong.",
-    run_directory.PICTURE: "The world with the ways driven, what the team has seen, and all maps at the end.",
+    "and grey within are its errors.",
+    run_directory.PICTURE: "The world with the robots' paths, what the team has seen, and all maps at the end.",
 }
 
 STYLE = """
@@ -86,7 +86,7 @@ def write_report(directory: Path, tell: Callable[[str], object] = lambda _: None
 
 
 def page(archive: Archive, figures: Sequence[Path]) -> str:
-    """The page of a run, all that it shows within it."""
+    """The page of a run, with all pictures embedded."""
     summary = archive.summary
     title = f"{summary['robots']} robots on {summary['map']}"
     scenario = (archive.directory / run_directory.SCENARIO).read_text(encoding="utf-8")
@@ -96,7 +96,7 @@ def page(archive: Archive, figures: Sequence[Path]) -> str:
         *_section("The run", _rows(_figures(summary), numbers=())),
         *_section("The robots", _rows(_robots(archive))),
         *_section(
-            "What was on the air", _rows(_kinds(summary), last_is_sum=True), _rows(_undelivered(summary))
+            "Traffic on the air", _rows(_kinds(summary), last_is_sum=True), _rows(_undelivered(summary))
         ),
         *_section("Pictures", *(_picture(figure) for figure in figures)),
         *_section("The scenario", f"<pre>{escape(scenario)}</pre>"),
@@ -113,10 +113,10 @@ def page(archive: Archive, figures: Sequence[Path]) -> str:
 
 def _in_words(summary: dict[str, Any]) -> str:
     budget = summary["bandwidth"]
-    medium = "as much as they liked" if isinstance(budget, str) else f"at most {budget} bytes a step"
-    told = f"They told each other {medium}, over {summary['range_m']:.1f} m ({summary['exchange']} exchange)."
+    medium = "unlimited bandwidth" if isinstance(budget, str) else f"at most {budget} bytes a step"
+    told = f"Radio: {medium}, range {summary['range_m']:.1f} m ({summary['exchange']} exchange)."
     if summary["finished"]:
-        first = f"robot {summary['first_robot']} was the first to know it all"
+        first = f"robot {summary['first_robot']} finished first"
         return f"Explored in {summary['steps']} steps; {first}. {told}"
     return f"Not finished after {summary['steps']} steps: {summary['reason']}. {told}"
 
@@ -124,9 +124,9 @@ def _in_words(summary: dict[str, Any]) -> str:
 def _figures(summary: dict[str, Any]) -> list[list[str]]:
     agreement = summary["map_agreement"]
     rows = [
-        ["seen by the team of what can be reached", _percent(summary["coverage"])],
-        ["right on the planning map of the first robot", "-" if agreement is None else _percent(agreement)],
-        ["team knew 90 %, 99 %", f"step {summary['t90'] or '-'}, step {summary['t99'] or '-'}"],
+        ["reachable cells seen by the team", _percent(summary["coverage"])],
+        ["correct on the planning map of the first robot", "-" if agreement is None else _percent(agreement)],
+        ["team had seen 90 %, 99 %", f"step {summary['t90'] or '-'}, step {summary['t99'] or '-'}"],
         ["strategy, seed", f"{summary['strategy']}, {summary['seed']}"],
         ["on the air", f"{summary['bytes']['total']:,} bytes in {summary['packets']['total']:,} packets"],
         ["steps over the budget", str(summary["over_budget_steps"])],
@@ -142,7 +142,7 @@ def _figures(summary: dict[str, Any]) -> list[list[str]]:
 def _robots(archive: Archive) -> list[list[str]]:
     ledger, summary = archive.ledger, archive.summary
     carried = ledger["carried"].astype(bool)
-    rows = [["robot", "driven [m]", "said [bytes]", "heard [bytes]", "cells seen", "last known to be"]]
+    rows = [["robot", "driven [m]", "sent [bytes]", "received [bytes]", "cells seen", "last status"]]
     for robot in range(summary["robots"]):
         mine = archive.of_robot(robot)
         said = int(ledger["bytes"][carried & (ledger["sender"] == robot)].sum())
@@ -158,7 +158,7 @@ def _robots(archive: Archive) -> list[list[str]]:
 
 def _kinds(summary: dict[str, Any]) -> list[list[str]]:
     total = summary["bytes"]["total"]
-    rows = [["packet", "says", "packets", "bytes", "share"]]
+    rows = [["packet", "meaning", "packets", "bytes", "share"]]
     for kind in ALL_KINDS:
         if kind in summary["bytes"]:
             size, count = summary["bytes"][kind], summary["packets"][kind]
@@ -167,7 +167,7 @@ def _kinds(summary: dict[str, Any]) -> list[list[str]]:
 
 
 def _undelivered(summary: dict[str, Any]) -> list[list[str]]:
-    rows = [["frames that were not carried whole, for", "frames"]]
+    rows = [["frames not carried whole, because", "frames"]]
     return [
         *rows,
         *([UNDELIVERED[cause], f"{count:,}"] for cause, count in summary["undelivered"].items()),
@@ -179,7 +179,7 @@ def _section(title: str, *parts: str) -> list[str]:
 
 
 def _rows(rows: list[list[str]], *, numbers: Iterable[int] | None = None, last_is_sum: bool = False) -> str:
-    """A table, its first row the head, figures to the right; nothing if there are no other rows."""
+    """A table whose first row is the header, figures right-aligned; nothing if there are no other rows."""
     if len(rows) < 2:
         return ""
     right = _numeric(rows[1:]) if numbers is None else set(numbers)

@@ -1,4 +1,4 @@
-"""What the kernels are measured on: an exploration by a whole team, as each robot saw it step by step."""
+"""Input data of the kernel benches: an exploration by a whole team, as each robot saw it step by step."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Cell = tuple[int, int]
 
 @dataclass(frozen=True)
 class Moment:
-    """One robot's map after a step, the scan that it drew last, and what that changed."""
+    """One robot's map after a step, the scan that it drew last, and the cells that this changed."""
 
     grid: Grid
     scan: Scan
@@ -36,7 +36,7 @@ class Moment:
 
 
 class _Listener:
-    """A robot's end of the bus that keeps what its body senses."""
+    """A robot's end of the bus that records its sensor messages."""
 
     def __init__(self, inner: Bus) -> None:
         self.senses: list[Sense] = []
@@ -87,5 +87,5 @@ def beams(plan: Plan) -> Fan:
 
 
 def samples(walk: Sequence[Moment]) -> list[Moment]:
-    """Some moments of an exploration, the last one included."""
+    """Some moments of an exploration, including the last one."""
     return [walk[i] for i in np.linspace(0, len(walk) - 1, SAMPLES).astype(int).tolist()]

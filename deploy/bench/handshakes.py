@@ -1,4 +1,4 @@
-"""Sessions of robots on the air, without the robots: to measure what the session itself takes."""
+"""Sessions of robots without the robots, to measure the cost of the session itself."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ Result = TypeVar("Result")
 
 
 def timed(work: Callable[[], Result]) -> tuple[Result, float]:
-    """Do something; return what it gives, and the milliseconds that the processor spent on it."""
+    """Call a function; return its result, and the processor time in milliseconds."""
     began = time.thread_time_ns()
     result = work()
     return result, (time.thread_time_ns() - began) / 1e6
 
 
 class Handshakes:
-    """Sessions of robots in each other's range, and the relay between them.
+    """Sessions of robots within range of each other, and the relay between them.
 
     Attributes
     ----------
     sessions : list of Session
-        One a robot.
+        One per robot.
     in_sessions, in_relay : list of float
         Milliseconds of each step's work.
     """
@@ -77,7 +77,7 @@ class Handshakes:
 def _speak(
     session: Session, note: object, heard: list[tuple[int, bytes]]
 ) -> tuple[Said, list[tuple[int, bytes]]] | None:
-    """What a session says to a note of the relay, and to the frames that came before it."""
+    """What a session sends in response to a notification of the relay and the frames before it."""
     match note:
         case Open():
             room = None if note.budget == UNLIMITED else note.budget

@@ -1,8 +1,8 @@
-"""Bench of what a robot computes in a step: one core, processor time, each part against a named yardstick.
+"""Bench of a robot's computations in a step: one core, processor time, each part against a named yardstick.
 
 Inputs come from one exploration by 8 robots at 1 kB a step, on a generated office of 300 x 300 cells, or on
 the map ``intel`` if the environment variable MURMUR_MAPS names a folder that has it. Wherever a yardstick
-computes the same, its result is compared as well, and a difference breaks the bench off.
+computes the same, its result is compared as well, and a difference aborts the bench.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ SIDE_M = 30.0
 
 
 def kernels() -> Iterator[Figure]:
-    """Every part of a robot's step, in the order in which it comes."""
+    """Every part of a robot's step, in the order of execution."""
     cv2, graph = yardstick("cv2", "opencv-python-headless"), yardstick("skimage.graph", "scikit-image")
     cv2.setNumThreads(1)
     plan = plans.make(Scenario(robots=ROBOTS, bandwidth=BUDGET, bus="memory"), _map())
@@ -101,8 +101,8 @@ def _look(truth: Grid, nobody: NDArray[np.bool_], fan: Fan, cell: Cell, known: G
 def _contours(walks: Sequence[Sequence[Moment]], cv2: Any) -> Figure:
     """Trace exact contours, against OpenCV on the same cells.
 
-    OpenCV gives the cells along each contour; a contour point says the side of the cell as well, and whether
-    the cell is occupied. OpenCV finds one contour more: the frame of the picture.
+    OpenCV gives the cells along each contour; our contour points also have the side of the cell, and whether
+    the cell is occupied. OpenCV finds one more contour: the frame of the picture.
     """
     ours, theirs = [], []
     height, width = walks[0][0].grid.shape
@@ -119,7 +119,7 @@ def _contours(walks: Sequence[Sequence[Moment]], cv2: Any) -> Figure:
 
 
 class _Telling:
-    """What robots tell of their maps step by step, and the time that takes; all anew, for comparison."""
+    """What robots send of their maps step by step, and the time it takes; the same from scratch, for comparison."""
 
     def __init__(self, plan: Plan) -> None:
         self.units: list[list[list[bytes]]] = []
@@ -131,7 +131,7 @@ class _Telling:
         self._anew: list[float] = []
 
     def follow(self, robot: int, walk: Sequence[Moment]) -> None:
-        """Let one robot tell."""
+        """Let one robot send its updates."""
         exchange = PolygonExchange(Settings.from_message(self._plan.minds[robot]))
         self.units.append([])
         self.polygons.append([])
@@ -146,7 +146,7 @@ class _Telling:
                 self._anew.append(timed(partial(_say_anew, moment, len(told.x)))[1])
 
     def figure(self) -> Figure:
-        """All that comes before the radio."""
+        """Everything before the radio."""
         return compare(
             "contours, repair, refinement and edits",
             "ms",
@@ -158,7 +158,7 @@ class _Telling:
 
 
 def _say_anew(moment: Moment, vertices: int) -> None:
-    """Approximate a map by so many vertices, and say all of them."""
+    """Approximate a map by the given number of vertices, and send all of them."""
     nothing = Held.nothing(moment.grid.shape)
     exact = contours(moment.grid, moment.cell)
     marks = repair(nothing.polygons, exact)
@@ -197,8 +197,8 @@ def _merge(team: TeamMap, own: Grid, changed: Sequence[Polygons]) -> Grid:
 def _ways(walk: Sequence[Moment], graph: Any) -> Figure:
     """Costs to all cells, against skimage's shortest paths on the same cells.
 
-    There ways may cut corners: that is the easier question. Put to it so that they may not, as a graph in
-    three dimensions, skimage gives our result.
+    Its paths may cut corners, which is the easier problem. If that is forbidden, by a graph in three dimensions,
+    skimage gives our result.
     """
     ours, theirs = [], []
     known = [(moment.grid, moment.cell) for moment in samples(walk)[SAMPLES // 4 :]]

@@ -20,17 +20,17 @@ class Figure:
     Attributes
     ----------
     name, unit : str
-        What it is, and in what.
+        What is measured, and its unit.
     value : float
         The median over repeats.
     yardstick : str
-        What it is compared with; empty where it stands alone.
+        What it is compared with; empty if nothing.
     ratio : float or None
         Value over yardstick, in the median.
     interval : (float, float) or None
         95 % bootstrap interval of that median ratio.
     aim : str
-        What we would like it to be, in words.
+        The target value, in words.
     """
 
     name: str
@@ -42,7 +42,7 @@ class Figure:
     aim: str = ""
 
     def line(self) -> str:
-        """The figure for people."""
+        """The figure as a line of text."""
         text = f"{self.name:44} {self.value:12,.2f} {self.unit:10}"
         if self.ratio is not None:
             text += f" {self.ratio:6.2f} x {self.yardstick}"
@@ -54,7 +54,7 @@ class Figure:
 def compare(
     name: str, unit: str, values: Sequence[float], yardstick: str, against: Sequence[float], aim: str = ""
 ) -> Figure:
-    """Make a figure of paired repeats: values, and the yardstick's beside them."""
+    """Make a figure from paired repeats: values, and those of the yardstick."""
     ratios = np.array(values, float) / np.array(against, float)
     draws = keyed_random(0, "bootstrap").integers(len(ratios), size=(RESAMPLES, len(ratios)))
     medians = np.median(ratios[draws], axis=1)
@@ -78,7 +78,7 @@ def benches() -> dict[str, Bench]:
 
 
 def run_benches(names: Sequence[str], tell: Callable[[str], object]) -> list[dict[str, Any]]:
-    """Run the benches called `names` (none: all), telling each figure as it comes.
+    """Run the benches called `names` (none: all), reporting each figure as it is measured.
 
     Raises
     ------

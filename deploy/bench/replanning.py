@@ -1,8 +1,8 @@
-"""Bench of choosing anew: what a decision costs in the steps in which a robot looks for a new target.
+"""Bench of replanning: the cost of a decision in the steps in which a robot chooses a new target.
 
 Every strategy explores once with 8 robots on a planning grid of 400 x 400 cells, with raw scans over an
-unlimited radio, so that all robots know nearly all there is to know. Processor time of each `decide` is taken
-while the run is under way; decisions by which a robot just drives on are left out. The yardstick is one cost
+unlimited radio, so that all robots know nearly the whole map. Processor time of each `decide` is measured
+during the run; decisions in which a robot only continues driving are left out. The yardstick is one cost
 field of a whole planning grid, on grids of the same run.
 """
 
@@ -33,7 +33,7 @@ SIDE_M = 40.0
 SPEED = 1.0
 STEPS = 200
 YARDSTICKS = 5
-"""Planning grids of each run on which the yardstick is taken."""
+"""Planning grids of each run on which the yardstick is measured."""
 
 MEAN_AIM, P95_AIM = "at most 5 ms", "at most 15 ms"
 
@@ -57,7 +57,7 @@ def replanning() -> Iterator[Figure]:
 
 
 class _Watch:
-    """Takes the time of decisions."""
+    """Measures the time of decisions."""
 
     def __init__(self) -> None:
         self.spent: list[float] = []
@@ -115,7 +115,7 @@ def _one_field(graph: Any, grid: Grid, cell: Cell) -> float:
 
 @contextmanager
 def _replaced(kind: type, name: str, method: Callable[..., Any]) -> Iterator[None]:
-    """Put another method in the place of a class's own, or its parents', for a while."""
+    """Temporarily replace a method of a class, its own or an inherited one."""
     own = vars(kind).get(name)
     setattr(kind, name, method)
     try:

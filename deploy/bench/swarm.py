@@ -1,4 +1,4 @@
-"""Benches of whole swarms: 8 robots on 300 x 300 cells, against the bus with empty minds."""
+"""Benches of whole swarms: 8 robots on 300 x 300 cells, against the bus with participants that compute nothing."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ FLOOR = "bus with empty minds"
 
 @dataclass(frozen=True)
 class Case:
-    """A swarm to measure, and what we would like of it."""
+    """A swarm to measure, and its target value."""
 
     exchange: str
     bandwidth: int | Literal["unlimited"]
@@ -47,7 +47,7 @@ CASES = (
 
 
 def bus() -> Iterator[Figure]:
-    """The floor alone: how many steps a second the bus could carry if nobody had to think."""
+    """The floor alone: the steps a second that the bus could carry if no participant computed anything."""
     for case in CASES:
         plan = _plan(case)
         scripts, records = record(plan)
@@ -56,7 +56,7 @@ def bus() -> Iterator[Figure]:
 
 
 def swarm() -> Iterator[Figure]:
-    """The real thing against the floor, turn by turn; thinking time, memory and start as well."""
+    """The real swarm against the floor, alternating; computing time, memory and start-up as well."""
     for case in CASES:
         plan = _plan(case)
         scripts, records = record(plan)
@@ -118,7 +118,7 @@ def _swarm(plan: Plan, run: _Watched) -> None:
 
 
 def _floor(plan: Plan, scripts: dict[str, Script], steps: int) -> float:
-    """Steps a second with empty minds."""
+    """Steps a second with participants that compute nothing."""
     with (
         tempfile.TemporaryDirectory() as folder,
         ProcessTable(Path(folder), plan.scenario.robots) as processes,
@@ -133,7 +133,7 @@ def _floor(plan: Plan, scripts: dict[str, Script], steps: int) -> float:
 
 
 def _alarmed(processes: ProcessTable) -> Callable[[], None]:
-    """A check that does not let the laboratory wait for the dead."""
+    """A check that keeps the laboratory from waiting for dead processes."""
 
     def check() -> None:
         if processes.look():
@@ -143,12 +143,12 @@ def _alarmed(processes: ProcessTable) -> Callable[[], None]:
 
 
 def _median_work(records: Records) -> float:
-    """Milliseconds of thinking a robot and step, in the median, of a run in one process: on one core."""
+    """Median computing time per robot and step in milliseconds, of a run in one process, on one core."""
     return float(np.median([m.work_us for reports in records.minds for m in reports])) / 1000
 
 
 def _memory_of_robots() -> float:
-    """Median proportional set size of the robots' processes in MB; 0 where the system does not tell."""
+    """Median proportional set size of the robots' processes in MB; 0 if the system does not report it."""
     sizes = []
     for folder in Path("/proc").glob("[0-9]*"):
         try:

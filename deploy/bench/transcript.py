@@ -1,6 +1,6 @@
-"""The floor under a swarm's speed: its own traffic, message for message and byte for byte, with empty minds.
+"""An upper bound of a swarm's speed: its own traffic, message by message, without any computation.
 
-A run on the memory bus is written down: after how many received messages each participant puts what. On Zenoh
+A run on the memory bus is recorded: after how many received messages each participant puts what. On Zenoh
 the same processes then play this script, with payloads of the same sizes, and do nothing else.
 """
 
@@ -27,12 +27,12 @@ class Script:
 
     cues: list[tuple[int, list[tuple[str, int]]]] = field(default_factory=list)
     total: int = 0
-    """Messages that it receives in all."""
+    """Messages that it receives in total."""
 
 
 @dataclass
 class _Recorder:
-    """A bus end that writes down what passes through it."""
+    """A bus end that records what passes through it."""
 
     inner: Bus
     script: Script = field(default_factory=Script)
@@ -69,7 +69,7 @@ def record(plan: Plan) -> tuple[dict[str, Script], Records]:
 def play_hub(
     run: str, endpoint: str, credentials: dict[str, Credential], clients: int, script: Script
 ) -> None:
-    """Be the relay without a mind: wait for so many clients, then play."""
+    """Play the relay's script, after waiting for the given number of clients."""
     bus = open_hub(run, endpoint, credentials)
     try:
         here: set[str] = set()
@@ -88,7 +88,7 @@ def play_hub(
 
 
 def play(credential: Credential, script: Script) -> None:
-    """Be any other participant without a mind."""
+    """Play the script of any other participant."""
     bus = join(credential)
     try:
         _play(bus, Keys(credential.run), script)
@@ -97,7 +97,7 @@ def play(credential: Credential, script: Script) -> None:
 
 
 def play_lab(credential: Credential, script: Script, check: Callable[[], object]) -> float:
-    """Be the laboratory without a mind; return the seconds from the first to the last message."""
+    """Play the laboratory's script; return the seconds from the first to the last message."""
     bus = join(credential)
     try:
         return _play(bus, Keys(credential.run), script, check)

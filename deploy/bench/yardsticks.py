@@ -1,4 +1,4 @@
-"""The yardsticks of the kernels: other ways to the same results, by numpy, OpenCV and skimage."""
+"""The yardsticks of the kernels: other implementations of the same results, by numpy, OpenCV and skimage."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Cell = tuple[int, int]
 
 
 def yardstick(module: str, package: str) -> Any:
-    """Import a module that only benches need; ValueError says which package is missing."""
+    """Import a module that only benches need; ValueError names the missing package."""
     try:
         return importlib.import_module(module)
     except ImportError:
@@ -43,7 +43,7 @@ def look_in_numpy(truth: Grid, nobody: NDArray[np.bool_], beams: Fan, cell: Cell
 
 
 def trace_by_opencv(cv2: Any, grid: Grid, solid: Grid) -> Sequence[NDArray[np.int32]]:
-    """Find the contours of a grid; `solid` is an array of ones with a rim around the grid, to write to."""
+    """Find the contours of a grid; `solid` is an array of ones with a border around the grid, to write to."""
     np.not_equal(grid, FREE, out=solid[1:-1, 1:-1].view(np.bool_))
     found: Sequence[NDArray[np.int32]]
     found, _ = cv2.findContours(solid, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
@@ -51,7 +51,7 @@ def trace_by_opencv(cv2: Any, grid: Grid, solid: Grid) -> Sequence[NDArray[np.in
 
 
 def cells_along(polygons: Polygons) -> list[list[Cell]]:
-    """The cells that each contour goes along: OpenCV's form."""
+    """The cells along each contour: OpenCV's form."""
     cycles = []
     for first, end in zip(polygons.start[:-1].tolist(), polygons.start[1:].tolist(), strict=True):
         along = list(zip(polygons.x[first:end].tolist(), polygons.y[first:end].tolist(), strict=True))
@@ -61,23 +61,22 @@ def cells_along(polygons: Polygons) -> list[list[Cell]]:
 
 
 def without_frame(found: Sequence[NDArray[np.int32]]) -> list[list[Cell]]:
-    """OpenCV's contours but the frame of the picture."""
+    """OpenCV's contours without the frame of the picture."""
     cycles = [[(x - 1, y - 1) for x, y in contour[:, 0].tolist()] for contour in found]
     return sorted(_turned(cycle) for cycle in cycles if (-1, -1) not in cycle)
 
 
 def _turned(cycle: list[Cell]) -> list[Cell]:
-    """The same cycle, beginning where that makes it smallest."""
+    """The same cycle, rotated to its smallest form."""
     least = min(cycle)
     return min(cycle[i:] + cycle[:i] for i, cell in enumerate(cycle) if cell == least)
 
 
 def without_corners(graph: Any, grid: Grid, cell: Cell) -> NDArray[np.float64]:
-    """Shortest ways of which diagonal steps need both cells beside them free, by skimage.
+    """Shortest paths whose diagonal steps need both cells beside them free, by skimage.
 
-    On floor 0 stand the cells, at even places, and the middles between straight neighbours; on floor 1, at no
-    distance above, the corners of which all four cells are free. Diagonal steps change floors, straight ones
-    do not.
+    Layer 0 has the cells, at even positions, and the midpoints between straight neighbours; layer 1, at distance 0
+    above, has the corners whose four cells are all free. Diagonal steps change layers, straight ones do not.
     """
     free = grid == FREE
     open_ = np.zeros((2, 2 * grid.shape[0] - 1, 2 * grid.shape[1] - 1), np.bool_)

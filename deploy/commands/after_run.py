@@ -1,4 +1,4 @@
-"""What is made of a finished run: `murmur report`, `export`, `replay` and `capture`."""
+"""Commands on a finished run: `murmur report`, `export`, `replay` and `capture`."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ app = family()
 def report(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
 ) -> None:
-    """Draw a run's maps over time and its traffic, and write one HTML page of it all: report.html."""
+    """Draw a run's maps over time and its traffic, and write a self-contained HTML page: report.html."""
     from deploy.after.report import write_report  # noqa: PLC0415
 
     with speaking_clearly():
         page = write_report(directory, errors.print)
-        screen.print(f"{page}: the run on one page, pictures and all")
+        screen.print(f"{page}: the run on one page, including its pictures")
 
 
 @app.command()
@@ -41,12 +41,12 @@ def export(
         bool, typer.Option("--mcap", help="a ROS 2 bag in MCAP, for Foxglove and ROS tools")
     ] = False,
 ) -> None:
-    """Write a run in a form that other programs open: poses, scans, maps and polygons."""
+    """Export a run to formats of other programs: poses, scans, maps and polygons."""
     from deploy.after.export import export_mcap  # noqa: PLC0415
 
     with speaking_clearly():
         if not mcap:
-            raise ScenarioError("export: say into what; there is --mcap")
+            raise ScenarioError("export: no format given; choose --mcap")
         written = export_mcap(directory, errors.print)
         screen.print(f"{written}: open it in Foxglove, or play {written.parent} with ros2 bag")
 
@@ -55,11 +55,11 @@ def export(
 def replay(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
     bus: Annotated[
-        str | None, typer.Option(help="on this bus (default: the run's own)", metavar="zenoh|memory")
+        str | None, typer.Option(help="bus to use (default: the run's own)", metavar="zenoh|memory")
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Repeat a run from its directory alone, and check that its digest comes out again."""
+    """Repeat a run from its directory alone, and check that its digest is the same."""
     from deploy.record import run_directory  # noqa: PLC0415
     from deploy.run import exploration  # noqa: PLC0415
     from deploy.run.repeat import why_unrepeatable  # noqa: PLC0415
@@ -80,7 +80,7 @@ def replay(
         if as_json:
             print(json.dumps({"holds": same, "digest": result.summary["digest"], "before": before["digest"]}))
         elif same:
-            screen.print(f"The run holds: {result.summary['steps']} steps, digest {before['digest'][:16]}…")
+            screen.print(f"Replay matches: {result.summary['steps']} steps, digest {before['digest'][:16]}…")
         else:
             explain_difference(before, result.summary)
         raise typer.Exit(0 if same else 1)
@@ -91,21 +91,26 @@ def show_capture(
     directory: Annotated[
         Path | None, typer.Argument(metavar="DIR", help="a run directory, or its radio.pcapng")
     ] = None,
-    robot: Annotated[int | None, typer.Option(min=0, help="only what this robot said or heard")] = None,
+    robot: Annotated[
+        int | None, typer.Option(min=0, help="only frames that this robot sent or received")
+    ] = None,
     kind: Annotated[str | None, typer.Option(help="only frames with packets of this kind, as em")] = None,
     step: Annotated[str | None, typer.Option(metavar="S|S-T", help="only these steps")] = None,
-    refused: Annotated[bool, typer.Option("--refused", help="only what was not carried")] = False,
-    packets: Annotated[bool, typer.Option("--packets", help="every packet by name and field")] = False,
+    refused: Annotated[bool, typer.Option("--refused", help="only frames that were not carried")] = False,
+    packets: Annotated[bool, typer.Option("--packets", help="list every packet with its fields")] = False,
     install_dissector: Annotated[
-        bool, typer.Option("--install-dissector", help="teach Wireshark and tshark to read radio.pcapng")
+        bool,
+        typer.Option(
+            "--install-dissector", help="install the Wireshark and tshark dissector of radio.pcapng"
+        ),
     ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="print JSON: all frames with their packets")
     ] = False,
 ) -> None:
-    """Show what was said on the radio of a run, frame by frame, and why what was refused was.
+    """Show the radio traffic of a run, frame by frame, and why frames were refused.
 
-    The same opens in Wireshark: murmur capture --install-dissector, then wireshark DIR/radio.pcapng
+    To see it in Wireshark: murmur capture --install-dissector, then wireshark DIR/radio.pcapng
     """
     from deploy.after import capture  # noqa: PLC0415
     from deploy.after.wireshark.install import install  # noqa: PLC0415

@@ -15,7 +15,7 @@ app = family()
 run_app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Start one process of a run by hand (docs/several-terminals.md walks through it).",
+    help="Start one process of a run by hand (see docs/several-terminals.md).",
 )
 
 app.add_typer(run_app, name="run")
@@ -33,10 +33,10 @@ def run_netshaper(
         str, typer.Option(metavar="HOST:PORT", help="where the hub listens")
     ] = "127.0.0.1:7447",
     credentials: Annotated[
-        Path, typer.Option(metavar="DIR", help="new directory for one credential file a participant")
+        Path, typer.Option(metavar="DIR", help="new directory for the credential files, one per participant")
     ] = Path("credentials"),
 ) -> None:
-    """Start the radio relay: the hub that all others join. It writes their credentials, then waits for them."""
+    """Start the radio relay: the hub that all other processes join. It writes their credentials and waits for them."""
     from deploy.run.by_hand import serve_netshaper  # noqa: PLC0415
 
     with speaking_clearly():
@@ -50,7 +50,7 @@ def run_worldsim(
     ],
     scenario: SameScenario = None,
 ) -> None:
-    """Start the world simulator: it owns the map and the clock, and begins once all are there."""
+    """Start the world simulator: it owns the map and the clock, and begins once all processes have joined."""
     from deploy.run.by_hand import serve_worldsim  # noqa: PLC0415
 
     with speaking_clearly():
@@ -61,7 +61,7 @@ def run_worldsim(
 def run_agent(
     credential: Annotated[Path, typer.Option(metavar="FILE", help="rN.json of the netshaper's credentials")],
 ) -> None:
-    """Start one robot. It is told everything else over the bus."""
+    """Start one robot. It receives everything else over the bus."""
     from deploy.run.by_hand import serve_robot  # noqa: PLC0415
 
     with speaking_clearly():
@@ -74,10 +74,10 @@ def run_view(
         Path, typer.Option(metavar="FILE", help="view.json of the netshaper's credentials")
     ],
     scenario: SameScenario = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="where the recording goes")] = Path(),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="directory for the recording")] = Path(),
     view_as: ViewAs = "auto",
 ) -> None:
-    """Start a viewer: it may come and go while the run goes on, and nobody waits for it."""
+    """Start a viewer: it may join and leave during the run, which does not wait for it."""
     from deploy.dashboard.windows import Window  # noqa: PLC0415
     from deploy.run.by_hand import serve_viewer  # noqa: PLC0415
 

@@ -1,4 +1,4 @@
-"""What commands say: results and progress, and what a person can mend, with the exit code that goes with it."""
+"""What commands print: results, progress, and errors that the user can fix, with their exit codes."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ BAD_INPUT, BROKEN_OFF = 2, 3
 
 errors = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 screen = Console(highlight=False, soft_wrap=True, markup=False)
-"""Without markup: what is printed holds names, paths and last words, whose brackets are their own."""
+"""Without markup: names, paths and process output that are printed may contain brackets."""
 
 PAPER_WIDTH = 160
-"""Columns of a table that goes to a file or another program."""
+"""Columns of a table that is written to a file or another program."""
 
 
 def report_result(result: Any, *, as_json: bool) -> int:
-    """Print what a run brought; return its exit code."""
+    """Print the results of a run; return its exit code."""
     from deploy.commands.terminal import summary_lines  # noqa: PLC0415
 
     report_deaths(result.deaths)
     if result.view_fault:
-        errors.print(f"the viewer broke off, the run did not mind: {result.view_fault}")
+        errors.print(f"the viewer failed, the run was not affected: {result.view_fault}")
     for robot, cause in sorted(result.records.lost.items()):
         errors.print(f"robot {robot} was lost: {cause}")
     for fault in result.records.faults[:5]:
-        errors.print(f"nonsense on the air: {fault}")
+        errors.print(f"malformed message: {fault}")
     if as_json:
         print(json.dumps(result.summary))
     else:
@@ -41,16 +41,16 @@ def report_result(result: Any, *, as_json: bool) -> int:
 
 
 def report_deaths(deaths: dict[str, str]) -> None:
-    """Say which processes died, and their last words."""
+    """Print which processes died, and the last line that each printed."""
     for name, words in deaths.items():
         errors.print(f"{name} died: {words}")
 
 
 def explain_difference(before: dict[str, Any], now: dict[str, Any]) -> None:
-    """Say in what two runs that should be one differ: settings first."""
+    """Print where two runs that should be equal differ: settings first."""
     from deploy.record.run_directory import MAP  # noqa: PLC0415
 
-    errors.print("The run does not hold: its digest has changed.")
+    errors.print("Replay differs: the digest has changed.")
     settings = ("robots", "seed", "map", "strategy", "exchange", "bandwidth", "range_m")
     for key in (*settings, "steps", "coverage", "map_agreement", "bytes", "versions"):
         is_copy = key == "map" and now[key] == Path(MAP).stem
@@ -59,14 +59,14 @@ def explain_difference(before: dict[str, Any], now: dict[str, Any]) -> None:
 
 
 def progress(*, shown: bool) -> Any:
-    """A live line on the error stream, where people see it and pipes do not."""
+    """A progress line on the error stream, which is not piped to other programs."""
     from deploy.commands import terminal  # noqa: PLC0415
 
     return terminal.progress(errors, shown=shown)
 
 
-class speaking_clearly:  # noqa: N801  reads as the statement that it is
-    """Turn what a person can mend into a message: exit code 2 for bad input, 3 for what broke off the work."""
+class speaking_clearly:  # noqa: N801  used like a statement
+    """Turn errors that the user can fix into a message: exit code 2 for bad input, 3 for work that was aborted."""
 
     def __enter__(self) -> None:
         return None
@@ -79,7 +79,7 @@ class speaking_clearly:  # noqa: N801  reads as the statement that it is
 
 
 def _explain(error: OSError) -> tuple[str, int]:
-    """What the system refused, and the exit code: a file of another name mends the one, not the other."""
+    """The system's error and the exit code: bad input if another file name would help, else aborted."""
     if error.filename is None:
         return error.strerror or str(error), BROKEN_OFF
     is_bad_name = error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)

@@ -1,4 +1,4 @@
-"""`murmur doctor`: does this installation work? Each check says what it found, and what to do if it failed."""
+"""`murmur doctor`: checks the installation. Each check prints what it found, and what to do if it failed."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def _packages() -> str:
 
 
 def _kernels() -> str:
-    """Kernels must come from the cache: a robot that compiles is late for its first step."""
+    """Kernels must come from the cache: compiling them would delay a robot's first step."""
     import deploy.run.processes  # noqa: F401, PLC0415
     from protocol.kernels import compiled, loaded  # noqa: PLC0415
 

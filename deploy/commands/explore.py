@@ -1,4 +1,4 @@
-"""`murmur explore` and `murmur watch`: run a swarm, and look at one."""
+"""`murmur explore` and `murmur watch`: run a swarm, and view one."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def explore(
 ) -> None:
     """Explore a building: start a world, a radio relay and N robots as processes, and watch them finish.
 
-    All that comes out is in the run directory: summary.json, steps.parquet, ledger.parquet, maps.png, the
+    All results are in the run directory: summary.json, steps.parquet, ledger.parquet, maps.png, the
     maps themselves, and scenario.toml, from which `murmur replay` repeats the run.
 
     docs/protocol.md lists all settings, which --set takes as well; the scenario.toml of any run is one to
@@ -138,7 +138,7 @@ def watch(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
     view_as: ViewAs = "auto",
 ) -> None:
-    """Look at a run that is under way, or at the recording of one (docs/dashboard.md)."""
+    """View a run in progress, or the recording of one (docs/dashboard.md)."""
     from deploy.dashboard import watch as watching  # noqa: PLC0415
     from deploy.dashboard.windows import Window  # noqa: PLC0415
 
@@ -198,7 +198,7 @@ def _explore(
 
 
 def _draw(directory: Path) -> None:
-    """Draw a run's figures into its directory, whoever presses Ctrl-C meanwhile."""
+    """Draw a run's figures into its directory; Ctrl-C does not interrupt it."""
     from deploy.after import archive, figures  # noqa: PLC0415
     from deploy.record.run_directory import PICTURES  # noqa: PLC0415
     from deploy.run.interrupt import Interrupt  # noqa: PLC0415

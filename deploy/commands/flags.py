@@ -1,4 +1,4 @@
-"""Flags: what several commands share, what their help says, and how texts are read."""
+"""Flags shared by several commands, their help texts, and the parsing of their values."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def default(name: str) -> str:
 
 
 def preformatted(text: str) -> str:
-    """Text of which help keeps every line as it is."""
+    """Text whose line breaks help keeps."""
     return text.replace("\n\n", "\n\n\b\n")
 
 
@@ -34,10 +34,10 @@ ScenarioFile = Annotated[
 OutOption = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="run directory (default: a new one under runs/)")
 ]
-JsonFlag = Annotated[bool, typer.Option("--json", help="print what comes out as JSON and nothing else")]
+JsonFlag = Annotated[bool, typer.Option("--json", help="print the results as JSON and nothing else")]
 ViewAs = Annotated[
     str,
-    typer.Option(metavar="native|web|file", help="show it so; auto: a window where there is a display"),
+    typer.Option(metavar="native|web|file", help="how to show it; auto: a window if there is a display"),
 ]
 
 
@@ -66,7 +66,7 @@ class GroupedCommand(TyperCommand):
 
 
 def pair(text: str) -> tuple[float, float]:
-    """Read a place, X,Y in metres; ValueError if it is none."""
+    """Parse a position, X,Y in metres; ValueError if it is malformed."""
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:
@@ -75,7 +75,7 @@ def pair(text: str) -> tuple[float, float]:
 
 
 def named_values(texts: list[str], flag: str, example: str) -> dict[str, Any]:
-    """Read NAME=VALUE texts of a flag, values as JSON where they are; ValueError says what is wrong."""
+    """Parse NAME=VALUE texts of a flag, values as JSON where possible; ValueError says what is wrong."""
     values: dict[str, Any] = {}
     for text in texts:
         name, sign, value = text.partition("=")

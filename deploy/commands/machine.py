@@ -1,4 +1,4 @@
-"""`murmur doctor` and `murmur bench`: whether it works here, and how fast."""
+"""`murmur doctor` and `murmur bench`: check the installation and measure its speed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ app = family()
 
 @app.command()
 def doctor() -> None:
-    """Check that this installation works: versions, compiled kernels, the bus on loopback, a tiny swarm."""
+    """Check that this installation works: versions, compiled kernels, the bus on loopback, a small swarm."""
     from deploy.commands.doctor import examine  # noqa: PLC0415
 
     raise typer.Exit(0 if examine(screen) else 1)
@@ -28,7 +28,7 @@ def bench(
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Measure this machine: each figure as a ratio against a yardstick taken in the same run."""
+    """Benchmark this machine: each figure as a ratio against a yardstick measured in the same run."""
     from deploy.bench.ratios import run_benches  # noqa: PLC0415
 
     with speaking_clearly():

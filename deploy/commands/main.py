@@ -1,6 +1,6 @@
-"""`murmur` and its commands: a table of names, and where each is found when it is called.
+"""`murmur` and its commands: a table of names, and the module that implements each.
 
-Nothing of a command is imported before it is asked for, so that help and short commands come at once.
+Commands are imported only when they are called, so that help and short commands start quickly.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ PACKAGE = "murmur-robots"
 
 
 class Place(NamedTuple):
-    """Where a command is, and what the list of commands says of it."""
+    """A command's module, and its line in the list of commands."""
 
     module: str
     line: str
@@ -24,23 +24,23 @@ class Place(NamedTuple):
 
 COMMANDS = {
     "explore": Place("explore", "Explore a building with a swarm of robots, and watch them finish."),
-    "watch": Place("explore", "Look at a run that is under way, or at the recording of one."),
+    "watch": Place("explore", "View a run in progress, or the recording of one."),
     "strategies": Place("strategies", "List the exploration strategies, or show one with all its options."),
     "new": Place("new", "Write the beginning of something of your own: a strategy."),
     "map": Place("maps", "List, make and show maps."),
-    "report": Place("after_run", "Draw a run and write one HTML page of it all."),
-    "capture": Place("after_run", "Show what was said on the radio of a run, frame by frame."),
-    "export": Place("after_run", "Write a run in a form that other programs open."),
-    "replay": Place("after_run", "Repeat a run and check that its digest comes out again."),
-    "sweep": Place("studies", "Run a scenario over a grid of settings and print the table asked for."),
+    "report": Place("after_run", "Draw the figures of a run and write an HTML report."),
+    "capture": Place("after_run", "Show the radio traffic of a run, frame by frame."),
+    "export": Place("after_run", "Export a run to formats of other programs."),
+    "replay": Place("after_run", "Repeat a run and check that its digest is the same."),
+    "sweep": Place("studies", "Run a scenario over a grid of settings and print a table."),
     "run": Place("by_hand", "Start one process of a run by hand."),
-    "bench": Place("machine", "Measure this machine, in ratios against yardsticks of the same run."),
+    "bench": Place("machine", "Benchmark this machine, as ratios against yardsticks of the same run."),
     "doctor": Place("machine", "Check that this installation works."),
 }
 
 
 class Commands(TyperGroup):
-    """The commands of `COMMANDS`, each imported when it is asked for."""
+    """The commands of `COMMANDS`, each imported when it is called."""
 
     def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
         """All names, in the order of the table."""
@@ -68,10 +68,10 @@ app = typer.Typer(
     help="""Robot swarms that map a building together over a radio of a kilobyte a second.
 
     \b
-    Begin with:  murmur explore --robots 5        (an office, seen and shared by five robots)
-    then look at the picture that it names, and at:  murmur map list,  murmur strategies,  murmur doctor
+    Start with:  murmur explore --robots 5        (five robots explore and map an office)
+    then open the picture that it names, and try:  murmur map list,  murmur strategies,  murmur doctor
 
-    Exit codes: 0 explored, 1 not finished (or a replay that does not hold), 2 bad input, 3 a process died
+    Exit codes: 0 explored, 1 not finished (or a replay that differs), 2 bad input, 3 a process died
     or the disk is full.""",
 )
 
@@ -90,7 +90,7 @@ def murmur(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="print the version and exit")
     ] = False,
 ) -> None:
-    """Where all commands begin; what it is to say is the help of `app`."""
+    """The root command; its help text is that of `app`."""
 
 
 def main() -> None:

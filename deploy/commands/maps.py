@@ -18,7 +18,7 @@ app.add_typer(maps_app, name="map")
 
 @maps_app.command("list")
 def map_list() -> None:
-    """List the environments that can be generated; a YAML file of a ROS map does as well."""
+    """List the environments that can be generated; the YAML file of a ROS map can be used instead."""
     from worldsim import generators  # noqa: PLC0415
 
     names = generators.names()
@@ -29,8 +29,8 @@ def map_list() -> None:
 
 @maps_app.command("make")
 def map_make(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="what `murmur map list` names")],
-    seed: Annotated[int, typer.Option(min=0, help="which one of its kind")] = 0,
+    name: Annotated[str, typer.Argument(metavar="NAME", help="a name from `murmur map list`")],
+    seed: Annotated[int, typer.Option(min=0, help="seed of the generator")] = 0,
     out: Annotated[Path | None, typer.Option(metavar="FILE.yaml", help="default: NAME.yaml here")] = None,
 ) -> None:
     """Make a map and write it as ROS map_server reads it: a YAML file and its picture."""

@@ -1,4 +1,4 @@
-"""`murmur strategies`: what there is to choose from."""
+"""`murmur strategies`: list the strategies and their options."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ app = family()
 )
 def strategies(
     name: Annotated[
-        str | None, typer.Argument(metavar="NAME", help="show this one, or the class package.module:Class")
+        str | None,
+        typer.Argument(metavar="NAME", help="the strategy to show, or a class package.module:Class"),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="print all that is known of them as JSON")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="print all their data as JSON")] = False,
 ) -> None:
     """List the exploration strategies, or show one with all its options."""
     with speaking_clearly():

@@ -14,7 +14,7 @@ from agent.strategies.catalogue import Entry
 from deploy.scenario.scenario import Scenario
 
 WIDTH = 100
-"""Columns at most; a narrower terminal is used to its edge."""
+"""Maximum columns; a narrower terminal is used fully."""
 
 
 def console(terminal: Console) -> Console:
@@ -39,7 +39,7 @@ def listing(entries: list[Entry]) -> RenderableType:
 
 
 def page(entry: Entry) -> RenderableType:
-    """One strategy: what it does, its options with defaults and choices, and what it cannot have."""
+    """One strategy: what it does, its options with defaults and choices, and the options that it does not accept."""
     lines: list[RenderableType] = [
         Text.assemble((entry.name, "bold"), f": {entry.summary}"),
         Text(f"{entry.source}\n"),
@@ -63,7 +63,7 @@ def page(entry: Entry) -> RenderableType:
 
 
 def for_machines(entries: list[Entry]) -> dict[str, Any]:
-    """All that is known of strategies, by name."""
+    """All data of strategies, by name."""
     return {
         entry.name: {
             "summary": entry.summary,
@@ -81,7 +81,7 @@ def _paper(entry: Entry) -> str:
 
 
 def _shown(value: object) -> str:
-    """A value as --option takes it."""
+    """A value as --option accepts it."""
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 

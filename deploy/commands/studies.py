@@ -18,25 +18,25 @@ app = family()
 @app.command()
 def sweep(
     experiment: Annotated[
-        Path, typer.Argument(metavar="EXPERIMENT.toml", help="what to run (docs/experiments.md)")
+        Path, typer.Argument(metavar="EXPERIMENT.toml", help="the experiment's file (docs/experiments.md)")
     ],
-    jobs: Annotated[int | None, typer.Option(min=1, help="processes (default: one a core)")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="processes (default: one per core)")] = None,
     set_: Annotated[
         list[str] | None,
         typer.Option(
             "--set", metavar="KEY=VALUE", help="replace a list of the grid or a key of the base; repeatable"
         ),
     ] = None,
-    seeds: Annotated[int | None, typer.Option(min=1, metavar="N", help="the seeds 0 to N - 1")] = None,
+    seeds: Annotated[int | None, typer.Option(min=1, metavar="N", help="run the seeds 0 to N - 1")] = None,
     variant: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="run only this variant; repeatable")
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.jsonl", help="a summary a line; what is there is not run again"),
+        typer.Option(metavar="FILE.jsonl", help="one summary per line; runs already in it are not repeated"),
     ] = None,
 ) -> None:
-    """Run a scenario over a grid of settings, on the memory bus, and print the table that the file asks for."""
+    """Run a scenario over a grid of settings, on the memory bus, and print the table that the file defines."""
     from concurrent.futures import BrokenExecutor  # noqa: PLC0415
 
     from deploy.commands.terminal import counting, table  # noqa: PLC0415
@@ -58,7 +58,7 @@ def sweep(
                     outcomes.append(outcome)
                     tell(len(outcomes), len(todo))
         except KeyboardInterrupt:
-            fail("stopped" + (f"; the same command goes on with {out}" if out is not None else ""), 130)
+            fail("stopped" + (f"; the same command continues from {out}" if out is not None else ""), 130)
         except BrokenExecutor:
             fail("a process of the sweep died", 3)
         finally:

@@ -1,4 +1,4 @@
-"""What people see in a terminal: progress while a run goes on, its figures at the end, maps as sketches."""
+"""Terminal output: progress during a run, its figures at the end, maps as text sketches."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from protocol.grid import FREE, OCCUPIED, Grid
 Watch = Callable[[Plan, Records], object]
 
 COLORS = ("grey50", "white", "black")
-"""Of unknown, free and occupied cells in a sketch."""
+"""Colours of unknown, free and occupied cells in a sketch."""
 
 INK = {(2, 2): "█", (2, 1): "▀", (2, 0): "▀", (1, 2): "▄", (0, 2): "▄", (0, 0): "░"}
-"""Characters of an upper and a lower cell where there are no colours; what is free is left blank."""
+"""Characters for an upper and a lower cell if there are no colours; free cells are blank."""
 
 
 @contextlib.contextmanager
 def progress(console: Console, *, shown: bool) -> Iterator[Watch | None]:
-    """A live line, if `console` is a terminal: step, explored share, bytes of the budget, robots alive."""
+    """A progress line, if `console` is a terminal: step, explored share, bytes of the budget, robots alive."""
     if not shown or not console.is_terminal:
         yield None
         return
@@ -64,7 +64,7 @@ def progress(console: Console, *, shown: bool) -> Iterator[Watch | None]:
 
 @contextlib.contextmanager
 def counting(console: Console, what: str, total: int) -> Iterator[Callable[[int, int], object]]:
-    """A live line for work of known size."""
+    """A progress line for work of known size."""
     bar = Progress(
         TextColumn(what), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeElapsedColumn(),
         console=console, transient=True, disable=not console.is_terminal,
@@ -75,7 +75,7 @@ def counting(console: Console, what: str, total: int) -> Iterator[Callable[[int,
 
 
 def table(lines: list[list[str]]) -> Table:
-    """A table whose first line is its head; what is too long for its column goes on below."""
+    """A table whose first line is its header; text too long for its column is wrapped."""
     result = Table(box=SIMPLE)
     for head in lines[0]:
         result.add_column(head, overflow="fold")
@@ -85,12 +85,10 @@ def table(lines: list[list[str]]) -> Table:
 
 
 def summary_lines(summary: dict[str, Any], directory: Path | None) -> list[str]:
-    """The figures of a run, for people."""
+    """The figures of a run as lines of text."""
     lines = []
     if summary["finished"]:
-        lines.append(
-            f"Explored in {summary['steps']} steps; robot {summary['first_robot']} was the first to know it all."
-        )
+        lines.append(f"Explored in {summary['steps']} steps; robot {summary['first_robot']} finished first.")
     else:
         lines.append(f"Not finished after {summary['steps']} steps: {summary['reason']}.")
     agreement = summary["map_agreement"]
@@ -113,7 +111,7 @@ def summary_lines(summary: dict[str, Any], directory: Path | None) -> list[str]:
 
 
 def sketch(grid: Grid, console: Console) -> Text:
-    """Draw a grid with half-block characters as wide as `console` is, in colours if it has some."""
+    """Draw a grid with half-block characters, as wide as `console`, in colours if it supports them."""
     scale = max(1, -(-grid.shape[1] // max(20, console.width - 1)))
     rows, columns = grid.shape[0] // (2 * scale) * 2, grid.shape[1] // scale
     blocks = grid[: rows * scale, : columns * scale].reshape(rows, scale, columns, scale)

@@ -1,5 +1,5 @@
 """The live view: a viewer on the bus, what it draws, the windows that show it (docs/dashboard.md).
 
-It stands on `record`. Begin with `process.py`, the viewer; `run_events.py` follows the run, `recorder.py` draws
+It builds on `record`. Start with `process.py`, the viewer; `run_events.py` follows the run, `recorder.py` draws
 it for Rerun.
 """

@@ -1,4 +1,4 @@
-"""The words that tell a newcomer what the dashboard shows."""
+"""The text that explains the dashboard."""
 
 from __future__ import annotations
 
@@ -6,32 +6,32 @@ from deploy.scenario.plan import Plan
 from netshaper.medium import UNLIMITED
 
 TEXT = """\
-**{robots} robots explore a building that none of them knows.** Each sees {sensor:g} m far. By radio they tell \
-what they find: {medium}. They are done when one has nothing left to explore.
+**{robots} robots explore an unknown building.** Their sensor range is {sensor:g} m. They share what they find \
+by radio: {medium}. The run ends when one has nothing left to explore.
 
-**Left, the truth.** Discs are robots, a line leads from each to its target. {circles}Grey and green lines \
-join who can hear each other; on green ones they talk.
+**Left: the true map.** Discs are robots, a line leads from each to its target. {circles}Grey and green lines \
+join robots within radio range; green ones carry data in this step.
 
-**Right, what each robot knows.** White is floor, black is wall, grey is unknown. {outlines}
+**Right: what each robot knows.** White is floor, black is wall, grey is unknown. {outlines}
 
-**Below, the radio.** {budget}What the team has seen is white, what each robot's map holds has its colour; \
-between them lies news not told yet.
+**Below: the radio.** {budget}White is what the team has seen, each robot's colour what is on its map; \
+the gap between them is news that has not arrived.
 """
-OUTLINES = "Thick outlines are what it tells of its map, thin ones are what others told it."
+OUTLINES = "Thick outlines are sent by the robot itself, thin ones were received from others."
 
 
 def about(plan: Plan) -> str:
-    """Explain what is seen, in markdown, with the figures of this run."""
+    """Explain the dashboard, in markdown, with the figures of this run."""
     budget = plan.radio.budget
     polygons = plan.scenario.exchange == "polygon"
-    medium = "as much as they like" if budget == UNLIMITED else f"at most {budget} bytes a step (one second)"
-    medium += f", {plan.range_m:.0f} m far"
+    medium = "unlimited bandwidth" if budget == UNLIMITED else f"at most {budget} bytes a step (one second)"
+    medium += f", range {plan.range_m:.0f} m"
     return TEXT.format(
         robots=plan.scenario.robots,
         sensor=plan.scenario.sensor_range,
         medium=medium,
-        circles="Circles show how far each is heard. " if shows_range(plan) else "",
-        outlines=OUTLINES if polygons else "What it has not seen itself, others have told it.",
+        circles="Circles show the radio range. " if shows_range(plan) else "",
+        outlines=OUTLINES if polygons else "What it has not seen itself was received from others.",
         budget="" if budget == UNLIMITED else "The red line is the limit. ",
     )
 

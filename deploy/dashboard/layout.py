@@ -1,4 +1,4 @@
-"""Where the dashboard shows what: the truth, each robot's mind, the radio, what happens."""
+"""The layout of the dashboard: the true map, each robot's map, the radio, events."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from deploy.dashboard.shapes import corner
 from deploy.scenario.plan import Plan
 
 MOST = 8
-"""Minds that are shown at once; more of them go to tabs."""
+"""Robots that are shown at once; more of them go to tabs."""
 
 
 def layout(plan: Plan) -> rrb.Blueprint:

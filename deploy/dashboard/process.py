@@ -1,7 +1,7 @@
 """The viewer's shell: one more end of the bus, which only listens. It records, and serves what it records.
 
-Nobody waits for it: what it cannot take in time is dropped (`protocol.keys.may_be_dropped`), and when it
-hangs or dies, the run goes on as if it had never been.
+No participant waits for it: messages that it cannot take in time are dropped (`protocol.keys.may_be_dropped`),
+and if it hangs or dies, the run is not affected.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from protocol.zenoh_bus import Credential, join
 
 RECORDING = "run.rrd"
 TICK_S = 0.25
-"""How often a viewer that hears nothing looks whether it was asked to stop."""
+"""How often a viewer that receives nothing checks whether it was asked to stop."""
 
 
 class Watcher(Protocol):
-    """What makes something of a run that it is told of."""
+    """A consumer of a run's reports."""
 
     def take(self, sender: str, said: object) -> None:
         """Take what `sender` reports."""
@@ -35,12 +35,12 @@ class Watcher(Protocol):
 
 @dataclass(frozen=True)
 class ViewTask:
-    """What a viewer is to do.
+    """The task of a viewer.
 
     Attributes
     ----------
     plan : Plan
-        The run's scenario, worked out.
+        The plan derived from the run's scenario.
     directory : Path
         The run directory, where recording and snapshots go.
     records : bool
@@ -73,13 +73,13 @@ class ViewNode:
 
 @contextlib.contextmanager
 def watching(task: ViewTask) -> Iterator[ViewNode]:
-    """Open recording and snapshots; write what came of them at the end, however that comes."""
+    """Open recording and snapshots; write them at the end, however the run ends."""
     snapshots = Snapshots()
     with contextlib.ExitStack() as stack:
         stack.callback(lambda: snapshots.write(task.directory / SNAPSHOTS))
         watchers: list[Watcher] = [snapshots]
         if task.records:
-            from deploy.dashboard.recording import recording  # noqa: PLC0415  only who records needs Rerun
+            from deploy.dashboard.recording import recording  # noqa: PLC0415  only recording needs Rerun
 
             path = free_name(task.directory / RECORDING)
             watchers.append(stack.enter_context(recording(task.plan, path, task.port)))
@@ -89,7 +89,7 @@ def watching(task: ViewTask) -> Iterator[ViewNode]:
 def serve(credential: Credential, task: ViewTask, ready: Callable[[], object] = lambda: None) -> bool:
     """Watch a run until it is over, the hub is gone, or SIGTERM or Ctrl-C; call `ready` once on the bus.
 
-    Say whether it ended by itself.
+    Return whether it ended by itself.
     """
     with _requests() as asked, watching(task) as node:
         bus = join(credential)
@@ -108,7 +108,7 @@ def serve(credential: Credential, task: ViewTask, ready: Callable[[], object] = 
 
 @contextlib.contextmanager
 def _requests() -> Iterator[list[int]]:
-    """Collect SIGTERM and Ctrl-C instead of dying of them; a launcher's child goes on ignoring Ctrl-C."""
+    """Collect SIGTERM and Ctrl-C instead of being killed; a launcher's child keeps ignoring Ctrl-C."""
     asked: list[int] = []
     before = {
         number: signal.signal(number, lambda signum, _: asked.append(signum))

@@ -1,6 +1,6 @@
-"""What the dashboard shows, as Rerun logs it: to a file, and to all who look on.
+"""What the dashboard shows, as Rerun logs it: to a file, and to all connected viewers.
 
-Everything lies on one timeline, the steps of the run. What does not change (colours, names, widths) is logged
+Everything is on one timeline, the steps of the run. What does not change (colours, names, widths) is logged
 once; a step then costs some thirty small rows. Paths of entities are those that `deploy.dashboard.layout`
 puts into views.
 """
@@ -47,18 +47,18 @@ SHARES_EVERY = 5
 SHARES_HEIGHT = 150.0
 """Height of the picture of the traffic shares, whose width is 100."""
 MAP_ORDER, RANGE_ORDER, WAY_ORDER, OUTLINE_ORDER, LINK_ORDER, TARGET_ORDER, ROBOT_ORDER = range(0, 70, 10)
-"""What lies over what."""
+"""The drawing order of layers."""
 
 
 class Recorder:
-    """Draws a run as it is told.
+    """Draws a run from its reports.
 
     Parameters
     ----------
     stream : rerun.RecordingStream
-        Where it goes; its sinks are set.
+        The output; its sinks are set.
     plan : Plan
-        The run's scenario, worked out.
+        The plan derived from the run's scenario.
     """
 
     def __init__(self, stream: rr.RecordingStream, plan: Plan) -> None:
@@ -113,7 +113,7 @@ class Recorder:
             self._log(f"{tree}/axes/labels", ticks, static=True)
 
     def _draw_styles(self) -> None:
-        """All that never changes: who has which colour, how thick lines are, what series are called."""
+        """Everything that never changes: colours, line widths, names of series."""
         colors = [robot_color(robot) for robot in self._robots]
         style = rr.LineStrips2D.from_fields
         lines = {
@@ -159,7 +159,7 @@ class Recorder:
         self._log("air/budget", rr.SeriesLines(names=["budget"], colors=[ALARM], widths=[2]), static=True)
 
     def _draw_world(self) -> None:
-        """Where all are, where they go, who can hear whom, what is explored."""
+        """Positions, targets, radio links, explored area."""
         events = self.events
         robots = sorted(events.positions)
         places = [flip(events.positions[robot]) for robot in robots]
@@ -205,7 +205,7 @@ class Recorder:
         self._log("world/targets", marks)
 
     def _draw_air(self) -> None:
-        """What the step put on the air, and between whom."""
+        """The traffic of the step, in total and between robots."""
         events = self.events
         air = events.traffic
         assert air is not None
@@ -225,7 +225,7 @@ class Recorder:
             self._draw_shares()
 
     def _draw_shares(self) -> None:
-        """Bars of what the bytes so far were for, the longest on top, each with its name above it."""
+        """Bars of the bytes so far by purpose, the longest on top, each with its name above it."""
         spent = {
             group: sum(self.events.bytes.get(kind, 0) for kind in GROUPS[group].kinds) for group in GROUPS
         }

@@ -1,4 +1,4 @@
-"""A run's recording: a file that grows while it goes on, and a server on the loopback for those who look on."""
+"""A run's recording: a file that grows during the run, and a server on the loopback for viewers."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LAST_S = 5.0
 def recording(plan: Plan, path: Path, port: int | None) -> Iterator[Recorder]:
     """Record a run to a file, and serve it while it is made if a port is given.
 
-    At the end the file is put into good order: a quarter less, and faster to open.
+    At the end the file is rewritten: a quarter smaller, and faster to open.
     """
     stream = rr.RecordingStream("murmur", batcher_config=rr.ChunkBatcherConfig(flush_tick=FLUSH_S))
     sinks: list[Any] = [rr.FileSink(path)]

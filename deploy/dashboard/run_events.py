@@ -1,4 +1,4 @@
-"""What happens in a run, told step by step from what its participants report. Nothing is drawn here."""
+"""The events of a run, step by step, from the reports of its participants. Nothing is drawn here."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ NEAR = 0.5
 
 @dataclass(frozen=True)
 class Event:
-    """Something worth a line. `weight`: 0 for the everyday, 1 for what changes the picture, 2 for a loss."""
+    """An event to log. `weight`: 0 for routine events, 1 for important ones, 2 for losses."""
 
     step: int
     text: str
@@ -35,14 +35,14 @@ class Event:
 
 @dataclass
 class StepTraffic:
-    """What one step put on the air.
+    """The traffic of one step.
 
     Attributes
     ----------
     groups : dict
         Bytes carried, by group of packet kinds (`deploy.record.colors.GROUPS`).
     cut : int
-        Bytes that were said but found no room.
+        Bytes that were sent but did not fit.
     talks : dict
         Bytes carried between each pair of robots (lower number first).
     """
@@ -59,18 +59,18 @@ class StepTraffic:
 
 @dataclass
 class RunEvents:
-    """What has been told so far."""
+    """The state of the run according to the reports so far."""
 
     plan: Plan
     step: int = 0
     positions: dict[int, Point] = field(default_factory=dict)
     """Where each living robot truly is."""
     ways: dict[int, list[Point]] = field(default_factory=dict)
-    """Where each robot has driven: the corners of its way, and where it is."""
+    """Each robot's path: its corners, and the current position."""
     targets: dict[int, Point] = field(default_factory=dict)
     backlog: dict[int, int] = field(default_factory=dict)
     seen: float = 0.0
-    """Part of what can be reached that the team has seen."""
+    """Fraction of the reachable cells that the team has seen."""
     in_range: set[tuple[int, int]] = field(default_factory=set)
     traffic: StepTraffic | None = None
     bytes: dict[str, int] = field(default_factory=dict)
@@ -80,7 +80,7 @@ class RunEvents:
     _said_targets: dict[int, Point] = field(default_factory=dict)
 
     def take(self, sender: str, said: object) -> list[Event]:
-        """Take a report; return what it makes happen."""
+        """Take a report; return the resulting events."""
         if isinstance(said, WorldReport):
             return self._world(said)
         if isinstance(said, RadioReport):
@@ -93,7 +93,7 @@ class RunEvents:
             self.in_range = {pair for pair in self.in_range if said.robot not in pair}
             return [Event(self.step, f"robot {said.robot} is lost: {said.cause}", 2)]
         if isinstance(said, Fault):
-            return [Event(self.step, f"{said.who} said what makes no sense: {said.what}", 2)]
+            return [Event(self.step, f"{said.who} sent a malformed message: {said.what}", 2)]
         if isinstance(said, End):
             return [Event(self.step, self._ending(said), 1)]
         return []
@@ -177,7 +177,7 @@ class RunEvents:
     def _ending(self, end: End) -> str:
         if end.first < 0:
             return f"the run is over: {end.reason}"
-        return f"explored in {end.step} steps; robot {end.first} was the first to know it all"
+        return f"explored in {end.step} steps; robot {end.first} finished first"
 
 
 def _talks(carried: NDArray[np.void]) -> dict[tuple[int, int], int]:
@@ -192,11 +192,11 @@ def _talks(carried: NDArray[np.void]) -> dict[tuple[int, int], int]:
 
 
 def _emergences(step: int, carried: NDArray[np.void]) -> list[Event]:
-    """Objects of which a robot has told for the first time: a robot's own, whoever hears it."""
+    """Objects that a robot has sent for the first time: of its own map, to any receiver."""
     own = carried[(carried["kind"] == KIND_NUMBER["em"]) & (carried["map"] == carried["sender"])]
     events = []
     for robot in np.unique(own["sender"]).tolist():
         count = int(own["packets"][own["sender"] == robot].sum())
         what = "a new object" if count == 1 else f"{count} new objects"
-        events.append(Event(step, f"robot {robot} tells of {what}"))
+        events.append(Event(step, f"robot {robot} reports {what}"))
     return events

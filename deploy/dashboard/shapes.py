@@ -1,4 +1,4 @@
-"""Shapes for the dashboard's maps: places, axes in metres, ways, numbers on robots.
+"""Shapes for the dashboard's maps: positions, axes in metres, paths, numbers on robots.
 
 The dashboard's plane is the map's frame in metres with y turned down, as pictures have it.
 """
@@ -32,12 +32,12 @@ _STROKES: tuple[tuple[Strip, ...], ...] = (
 
 
 def flip(place: Point) -> Point:
-    """Turn a place of the map's frame into one of the dashboard's plane, or back."""
+    """Convert a position from the map's frame to the dashboard's plane, or back."""
     return place[0], -place[1]
 
 
 def number_strips(number: int, centre: Point, height: float) -> list[Strip]:
-    """Write a number as strokes around a place: readable on a disc of any colour, at any zoom."""
+    """Draw a number as strokes around a position: readable on a disc of any colour, at any zoom."""
     digits = str(number)
     unit = height / 2
     width = unit * (1.6 * len(digits) - 0.6)
@@ -62,7 +62,7 @@ def tick_values(first: float, last: float, most: int) -> list[float]:
 
 
 def axes(map_: Map, most: int) -> tuple[list[Strip], list[Point], list[str]]:
-    """Axes along a map's left and lower side: lines, and where which label stands."""
+    """Axes along a map's left and lower side: lines, and the positions of labels."""
     left, top = corner(map_)
     right, bottom = left + map_.width * map_.resolution, top + map_.height * map_.resolution
     tick = 0.012 * max(right - left, bottom - top)
@@ -92,7 +92,7 @@ def outline_strips(map_: Map, vertices: bytes) -> list[NDArray[np.float64]]:
 
 
 def extend(way: list[Point], place: Point) -> None:
-    """Add a place to a way; one straight ahead of the last two replaces the last."""
+    """Append a position to a path; one straight ahead of the last two replaces the last."""
     if way and way[-1] == place:
         return
     if len(way) > 1 and _straight(way[-2], way[-1], place):

@@ -1,7 +1,7 @@
-"""`murmur watch`: look at a run that is under way, or at the recording of one.
+"""`murmur watch`: view a run in progress, or the recording of one.
 
-A run under way says in ``live.json`` how to join it as a viewer: its credential (for its owner's eyes only),
-and at which port its own viewer serves the recording from the beginning, if it has one.
+A run in progress describes in ``live.json`` how to join it as a viewer: the credential (readable by its owner only),
+and the port at which its own viewer serves the recording from the beginning, if it has one.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ POLL_S = 0.5
 
 @dataclass(frozen=True)
 class Live:
-    """How to look at a run under way."""
+    """How to view a run in progress."""
 
     credential: Credential
     port: int | None
@@ -36,7 +36,7 @@ class Live:
 
 @contextlib.contextmanager
 def announced(directory: Path | None, credential: Credential, port: int | None) -> Iterator[None]:
-    """Say in a run directory how to look at the run, as long as it is under way."""
+    """Write to the run directory how to view the run, as long as it is in progress."""
     if directory is None:
         yield
         return
@@ -51,7 +51,7 @@ def announced(directory: Path | None, credential: Credential, port: int | None) 
 
 
 def read_live(directory: Path) -> Live | None:
-    """Read how to look at a run under way; None if there is none (a file alone may be left over).
+    """Read how to view a run in progress; None if there is none (the file alone may be left over).
 
     Raises
     ------
@@ -71,14 +71,14 @@ def read_live(directory: Path) -> Live | None:
 
 
 def watch(directory: Path, window: Window) -> None:
-    """Look at a run: under way from now on, or with its own viewer from the beginning; else its recording.
+    """View a run: live from now on, or from the beginning if it has its own viewer; else its recording.
 
-    Comes back when the run is over, or when the page is no longer wanted.
+    Returns when the run is over, or when the page is closed.
 
     Raises
     ------
     ScenarioError
-        There is nothing to look at.
+        There is nothing to view.
     """
     live = read_live(directory)
     if live is None:
@@ -98,7 +98,7 @@ def watch(directory: Path, window: Window) -> None:
 
 
 def keep_showing(directory: Path, window: Window) -> None:
-    """Once a run is over, serve its recording at the same address until Ctrl-C, so that the page lasts."""
+    """Once a run is over, serve its recording at the same address until Ctrl-C, so that the page stays available."""
     if window.mode == "web":
         _show(recording_of(directory), window)
 

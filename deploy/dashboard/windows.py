@@ -1,7 +1,7 @@
-"""Windows onto a run: Rerun's own viewer, or its page in a browser; always on the loopback, always apart.
+"""Windows that show a run: Rerun's own viewer, or its page in a browser; always on the loopback, in a separate process.
 
-Rerun itself is only looked for here, not imported: the command line stays quick without it, and says what to
-install where it is missing. Its usage statistics stay off.
+Rerun is only located here, not imported: the command line starts quickly without it, and says what to install if it
+is missing. Its usage statistics stay off.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ class WindowError(ValueError):
 
 
 class Window:
-    """One run's window: made before the run, opened once there is something to see.
+    """One run's window: created before the run, opened once there is something to show.
 
     Parameters
     ----------
     mode : str
         One of `MODES`.
     tell : callable
-        Hears where to look, once there is something to see.
+        Called with the address, once there is something to show.
 
     Raises
     ------
     WindowError
-        Rerun is not installed, or a window is wanted where there is no display.
+        Rerun is not installed, or a window is requested where there is no display.
     """
 
     def __init__(self, mode: str, tell: Callable[[str], object] = lambda _: None) -> None:
@@ -63,7 +63,7 @@ class Window:
 
     @property
     def address(self) -> str:
-        """The page's address, or nothing where there is no page."""
+        """The page's address, or empty if there is no page."""
         query = urlencode({"url": self._source, "hide_welcome_screen": "1"})
         return f"http://{LOOPBACK}:{self._page_port}/?{query}" if self._page_port else ""
 
@@ -97,7 +97,7 @@ class Window:
                 self.close()
 
     def close(self) -> None:
-        """End the page; Rerun's own window is its user's, and stays."""
+        """Close the page; Rerun's own window is left to the user."""
         if self._page is not None and self._page.poll() is None:
             self._page.terminate()
             try:
@@ -109,7 +109,7 @@ class Window:
 
 
 def binary() -> Path:
-    """Rerun's program; not its wrapper, which leaves it behind when it is ended."""
+    """Rerun's executable; not its wrapper, which leaves the child running when it is terminated."""
     found = importlib.util.find_spec("rerun_cli")
     if found is None or found.origin is None:
         raise WindowError(
@@ -143,7 +143,7 @@ def optimise(recording: Path) -> None:
 
 
 def free_port() -> int:
-    """A port of the loopback that nobody listens to now."""
+    """A free port of the loopback."""
     with socket.socket() as probe:
         probe.bind((LOOPBACK, 0))
         port: int = probe.getsockname()[1]
@@ -151,7 +151,7 @@ def free_port() -> int:
 
 
 def _start(*arguments: str, apart: bool = False) -> subprocess.Popen[bytes]:
-    """Start Rerun; `apart`: it outlives us and hears no Ctrl-C of ours."""
+    """Start Rerun; `apart`: it outlives this process and does not get its Ctrl-C."""
     return subprocess.Popen(
         [binary(), "--bind", LOOPBACK, *arguments],
         env=os.environ | QUIET,

@@ -12,11 +12,11 @@ ROBOTS: tuple[Color, ...] = (
     (214, 39, 40), (31, 119, 180), (44, 160, 44), (255, 127, 14), (148, 103, 189),
     (0, 158, 168), (227, 86, 180), (140, 86, 75), (150, 150, 0), (70, 70, 200),
 )  # fmt: skip
-"""Robots' colours, in turn: to be told apart, and read on white as well as on black."""
+"""Robots' colours, in turn: distinguishable, and readable on white as well as on black."""
 
 INK, PAPER, GREY = (20, 24, 30), (255, 255, 255), (128, 134, 142)
 IN_RANGE, SIGNAL, ALARM = (120, 150, 190), (0, 190, 90), (240, 60, 50)
-"""Robots that can hear each other, that talk just now; the budget's line, and what is lost."""
+"""Robots in range of each other; robots exchanging data in this step; the budget's line and losses."""
 
 CELLS: tuple[Color, ...] = ((176, 182, 190), PAPER, (20, 24, 30))
 """Unknown, free, occupied."""
@@ -24,7 +24,7 @@ CELLS: tuple[Color, ...] = ((176, 182, 190), PAPER, (20, 24, 30))
 
 @dataclass(frozen=True)
 class Group:
-    """Packet kinds that serve one end: in words, which kinds, in which colour."""
+    """Packet kinds with one purpose: its description, the kinds, their colour."""
 
     words: str
     kinds: tuple[str, ...]
@@ -33,17 +33,17 @@ class Group:
 
 GROUPS: dict[str, Group] = {
     "vertices": Group("corners of outlines", ("ins", "rep", "del"), (70, 140, 255)),
-    "objects": Group("new and gone outlines", ("em", "chg", "rm"), (255, 160, 40)),
+    "objects": Group("new and removed outlines", ("em", "chg", "rm"), (255, 160, 40)),
     "scans": Group("raw laser scans", ("scan",), (80, 200, 255)),
     "handshakes": Group("handshakes", ("conn",), (215, 110, 235)),
-    "targets": Group("targets, places", ("targ", "pose"), (70, 210, 120)),
+    "targets": Group("targets, poses", ("targ", "pose"), (70, 210, 120)),
     "saves": Group("ends of updates", ("save",), (170, 175, 182)),
 }
-"""What the bytes on the air are for."""
+"""Purposes of the bytes on the air."""
 
 assert sorted(kind for group in GROUPS.values() for kind in group.kinds) == sorted(ALL_KINDS)
 
 
 def robot_color(robot: int) -> Color:
-    """The colour that stands for a robot."""
+    """The colour of a robot."""
     return ROBOTS[robot % len(ROBOTS)]

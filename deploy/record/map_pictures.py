@@ -1,4 +1,4 @@
-"""Pictures of a run: the world with the robots' paths, and what each robot knows at the end."""
+"""Pictures of a run: the world with the robots' paths, and each robot's map at the end."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ COLUMNS = 4
 
 
 def robot_color(robot: int) -> tuple[float, ...]:
-    """The colour that stands for a robot in all pictures."""
+    """The colour of a robot in all pictures."""
     return tuple(part / 255 for part in colors.robot_color(robot))
 
 
 def save(path: Path, figure: Figure, dpi: int) -> None:
-    """Write a figure, whole or not at all, in the form that the file's name ends in."""
+    """Write a figure atomically, in the format of the file's suffix."""
     write_whole(path, lambda file: figure.savefig(file, format=path.suffix[1:] or "png", dpi=dpi))
 
 
@@ -84,7 +84,7 @@ def show_grid(axes: Axes, world_map: Map, grid: Grid) -> None:
 
 
 def draw_paths(axes: Axes, plan: Plan, records: Records) -> None:
-    """Draw the ways that the robots have driven, in metres."""
+    """Draw the paths of the robots, in metres."""
     poses: list[NDArray[np.int32]] = [
         np.frombuffer(report.poses, "<i4").reshape(-1, 4) for report in records.world
     ]

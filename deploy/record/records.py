@@ -1,4 +1,4 @@
-"""The laboratory: it listens to world, relay and robots, and keeps what a run's results are made of."""
+"""The laboratory: it listens to world, relay and robots, and keeps the data for a run's results."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from protocol.messages import (
 
 @dataclass
 class Records:
-    """What has been told of a run so far."""
+    """Everything reported of a run so far."""
 
     robots: int
     world: list[WorldReport] = field(default_factory=list)
@@ -41,13 +41,13 @@ class Records:
     """Self-explored grids, by robot, at the end."""
     planning: dict[int, Grid] = field(default_factory=dict)
     lost: dict[int, str] = field(default_factory=dict)
-    """Robots that died unasked, and how."""
+    """Robots that died unexpectedly, and how."""
     faults: list[str] = field(default_factory=list)
     end: End | None = None
     carried: int = 0
     """Bytes on the air in the last step."""
     wire_bytes: int | None = None
-    """Bytes that the bus moved to bring all this about (`deploy.record.wire_bytes`); None where it cannot be known."""
+    """Bytes that the bus has moved (`deploy.record.wire_bytes`); None if it is not available."""
 
     def __post_init__(self) -> None:
         self.minds = [[] for _ in range(self.robots)]
@@ -59,19 +59,19 @@ class Records:
 
     @property
     def explored(self) -> float:
-        """Part of the reachable free cells that the team has seen."""
+        """Fraction of the reachable free cells that the team has seen."""
         return self.world[-1].seen / self.world[-1].reachable if self.world else 0.0
 
     def ledger(self) -> NDArray[np.void]:
-        """All rows of the ledger so far (`netshaper.ledger.ROW`), in the order in which they were booked."""
+        """All rows of the ledger so far (`netshaper.ledger.ROW`), in the order in which they were recorded."""
         return np.frombuffer(b"".join(self.rows), ROW)
 
 
 class LabNode:
-    """The laboratory's end of the bus; `done` once all has been handed in.
+    """The laboratory's end of the bus; `done` once everything has been handed in.
 
     What the relay reports for the capture is written to `capture` step by step, and not kept; `meter` counts
-    what the bus moves.
+    the bytes that the bus moves.
     """
 
     def __init__(
@@ -122,12 +122,12 @@ class LabNode:
         self._bus.put(self._keys.control_tx(names.LAB), pack(Stop(reason)))
 
     def read_meter(self) -> None:
-        """Note what the bus has moved so far."""
+        """Record the bytes that the bus has moved so far."""
         if self._meter is not None:
             self.records.wire_bytes = self._meter.read()
 
     def send_home(self) -> None:
-        """Tell everyone that all is recorded."""
+        """Tell all participants that everything is recorded and that they can shut down."""
         self.read_meter()
         self.done = True
         self._bus.put(self._keys.control_tx(names.LAB), pack(Bye()))

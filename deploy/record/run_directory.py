@@ -1,7 +1,7 @@
-"""The run directory: all that outlives a run, and all that is needed to repeat it.
+"""The run directory: all results of a run, and everything that is needed to repeat it.
 
-Every file is written beside its place and then moved there, so that none is ever half written. Only the
-capture of the radio grows during the run, block by block, and opens up to its last whole one.
+Every file is written under a temporary name and then renamed, so that none is ever half written. Only the
+capture of the radio grows during the run, block by block, and can be read up to its last whole one.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ PICTURE = "maps.png"
 PICTURES = "pictures"
 LOGS = "logs"
 RUNS = Path("runs")
-"""Where runs go for which no directory was named."""
+"""The directory for runs without `--out`."""
 
 FIGURES = (
     "finished", "reason", "steps", "first_robot", "coverage", "map_agreement", "t90", "t99", "robots", "seed",
     "map", "bus", "strategy", "exchange", "bandwidth", "range_m", "bytes", "packets", "over_budget_steps",
     "undelivered", "lost", "digest", "steps_per_s", "versions",
 )  # fmt: skip
-"""What must be in a summary for a run to be told of, or repeated."""
+"""Keys that a summary must have for a run to be reported on or repeated."""
 
 
 def check_free(out: Path | None) -> None:
-    """Raise ScenarioError if `out` is not to be had for a new run: it is a file, or not empty."""
+    """Raise ScenarioError if `out` cannot be used for a new run: it is a file, or not empty."""
     if out is not None and out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ScenarioError(f"out = {out}: it exists already; name a new directory, or empty this one")
     if out is None and RUNS.exists() and not RUNS.is_dir():
@@ -54,7 +54,7 @@ def check_free(out: Path | None) -> None:
 
 
 def create(out: Path | None, plan: Plan) -> Path:
-    """Make the directory of a new run; without a name, one is found under ``runs``.
+    """Make the directory of a new run; without a name, a new one under ``runs``.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def create(out: Path | None, plan: Plan) -> Path:
 
 
 def _next_free(plan: Plan) -> Path:
-    """Make a directory that no other run has taken, not even one that begins at the same time."""
+    """Make a directory that no other run uses, not even one that starts at the same time."""
     scenario = plan.scenario
     stem = f"{plan.map.name}-{scenario.exchange}-{scenario.robots}robots-seed{scenario.seed}"
     RUNS.mkdir(exist_ok=True)
@@ -85,17 +85,17 @@ def _next_free(plan: Plan) -> Path:
 
 
 def write_inputs(out: Path, plan: Plan) -> None:
-    """Write what decides the run: its map, and its scenario with every setting, pointing to that map."""
+    """Write what determines the run: its map, and its scenario with every setting, referring to that map."""
     maps.save(plan.map, out / MAP)
     data = plan.scenario.model_dump(mode="json", exclude_none=True) | {"map": MAP, "map_options": {}}
-    text = f"# {plan.map.name}: everything that decides this run. Repeat it: murmur replay {out}\n"
+    text = f"# {plan.map.name}: everything that determines this run. Repeat it: murmur replay {out}\n"
     text += parse(data).to_toml()
     write_whole(out / SCENARIO, lambda file: file.write(text.encode()))
 
 
 @contextlib.contextmanager
 def open_capture(directory: Path | None, plan: Plan) -> Iterator[BinaryIO | None]:
-    """Begin ``radio.pcapng``; what is written to it is on the disk at once."""
+    """Start ``radio.pcapng``; writes go to the disk immediately."""
     if directory is None:
         yield None
         return
@@ -110,7 +110,7 @@ def open_capture(directory: Path | None, plan: Plan) -> Iterator[BinaryIO | None
 
 
 def read_scenario(directory: Path) -> Scenario:
-    """Read the scenario of a run directory, its map found in it; ScenarioError if it is none."""
+    """Read the scenario of a run directory, with the map in it; ScenarioError if it is not a run directory."""
     if not (directory / SCENARIO).is_file():
         raise ScenarioError(f"{directory}: no run directory, for it has no {SCENARIO}")
     return load(directory / SCENARIO, {})
@@ -133,7 +133,7 @@ def read_summary(directory: Path) -> dict[str, Any]:
 
 def write_results(out: Path, plan: Plan, records: Records, summary: dict[str, Any]) -> None:
     """Write summary, tables and maps."""
-    from pyarrow import parquet  # noqa: PLC0415  half a second that processes need not wait for
+    from pyarrow import parquet  # noqa: PLC0415  takes half a second to import
 
     from deploy.record.map_pictures import draw_maps  # noqa: PLC0415
 
@@ -151,7 +151,7 @@ def write_results(out: Path, plan: Plan, records: Records, summary: dict[str, An
 
 
 def steps_table(plan: Plan, records: Records) -> Any:
-    """A row a step and robot: where it was, what it was at; metres in the map's frame."""
+    """One row per step and robot: its pose and state; metres in the map's frame."""
     import pyarrow as pa  # noqa: PLC0415
 
     cell = plan.map.resolution
@@ -197,7 +197,7 @@ def steps_table(plan: Plan, records: Records) -> Any:
 
 
 def ledger_table(records: Records) -> Any:
-    """A row a frame and packet kind, as the contract names the columns."""
+    """One row per frame and packet kind, with the columns of docs/protocol.md."""
     import pyarrow as pa  # noqa: PLC0415
 
     ledger = records.ledger()

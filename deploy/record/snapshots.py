@@ -1,7 +1,7 @@
 """Robots' maps over time: what a viewer was shown, kept as ``snapshots.parquet`` in the run directory.
 
 A row is a planning grid (`about` is -1) or the outlines of one robot's map, as `robot` held them at `step`.
-Each robot tells only what has changed: what it does not tell anew still stands.
+Each robot sends only what has changed; everything else remains valid.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from worldsim.atomic_files import write_whole
 
 SNAPSHOTS = "snapshots.parquet"
 PLANNING = -1
-"""What a row is about that holds a planning grid."""
+"""The value of `about` in a row with a planning grid."""
 
 COLUMNS = ("step", "robot", "about", "width", "height", "data")
 
 
 @dataclass
 class Snapshots:
-    """All that robots have shown of their maps, in the order of steps."""
+    """All snapshots of robots' maps, in the order of steps."""
 
     steps: dict[tuple[int, int], list[int]] = field(default_factory=dict)
     shown: dict[tuple[int, int], list[Snapshot | Outlines]] = field(default_factory=dict)
 
     def take(self, sender: str, said: object) -> None:
-        """Keep what a robot shows; everything else passes by."""
+        """Keep a robot's snapshots; ignore everything else."""
         if isinstance(said, Snapshot | Outlines):
             about = said.about if isinstance(said, Outlines) else PLANNING
             self._add((names.number(sender), about), said)
@@ -47,7 +47,7 @@ class Snapshots:
         return said.vertices if isinstance(said, Outlines) else b""
 
     def told_steps(self, robot: int, about: int = PLANNING) -> list[int]:
-        """Steps at which a robot has shown its planning grid, or its outlines of `about`'s map, anew."""
+        """Steps at which a robot has sent its planning grid, or its outlines of `about`'s map."""
         return self.steps.get((robot, about), [])
 
     @property
@@ -56,7 +56,7 @@ class Snapshots:
         return any(about != PLANNING for _, about in self.steps)
 
     def write(self, path: Path) -> None:
-        """Write them as a parquet file, which appears whole or not at all."""
+        """Write them as a parquet file, atomically."""
         import pyarrow as pa  # noqa: PLC0415  half a second that the command line need not wait for
         from pyarrow import parquet  # noqa: PLC0415
 

@@ -1,4 +1,4 @@
-"""What a run amounts to: the figures of the contract, and the digest that two equal runs share."""
+"""The summary of a run: its figures (docs/architecture.md), and the digest that two equal runs share."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from protocol.packets import ALL_KINDS
 PACKAGES = ("murmur-robots", "eclipse-zenoh", "numba", "numpy", "scipy")
 
 SCAN_VALUES, VALUE_BYTES = 362, 2
-"""A raw scan by the thesis' reckoning (section 6.3): 360 ranges and a position, for each of the others."""
+"""Bytes of a raw scan by the thesis' formula (section 6.3): 360 ranges and a position, for each of the others."""
 
 Mask = NDArray[np.bool_]
 
 
 def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
-    """Work out ``summary.json`` from what was recorded; what cannot be said of a run cut short is null."""
+    """Compute ``summary.json`` from the records; figures that an aborted run does not have are null."""
     scenario = plan.scenario
     end = records.end
     finished = end is not None and end.first >= 0
@@ -92,7 +92,7 @@ def digest(records: Records) -> str:
 
 
 def versions() -> dict[str, str]:
-    """What a digest depends on besides the scenario."""
+    """The versions that a digest depends on besides the scenario."""
     found = {"python": platform.python_version()}
     for package in PACKAGES:
         try:
@@ -103,7 +103,7 @@ def versions() -> dict[str, str]:
 
 
 def _coverage(records: Records, reachable: Mask) -> float:
-    """What the team has seen, by its own grids; where a robot was lost with its grid, by the world's account."""
+    """What the team has seen, by its own grids; if a robot was lost with its grid, by the world's report."""
     if not records.own or records.lost:
         return records.explored
     team = np.zeros(reachable.shape, np.bool_)
@@ -162,6 +162,6 @@ def _undelivered(ledger: NDArray[np.void]) -> dict[str, int]:
 
 
 def _median_work(records: Records) -> float | None:
-    """Microseconds of thinking that a robot needs a step, in the median."""
+    """Median computing time of a robot per step, in microseconds."""
     work = [report.work_us for reports in records.minds for report in reports]
     return float(np.median(work)) if work else None

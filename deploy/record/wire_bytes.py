@@ -1,7 +1,7 @@
-"""What the bus itself costs: bytes on the hub's TCP connections, as the kernel counts them.
+"""The cost of the bus itself: bytes on the hub's TCP connections, as the kernel counts them.
 
-Linux tells of sockets over netlink (``sock_diag(7)``), to anyone and without special rights; the hub's port
-picks its connections. Elsewhere, or where the hub is on another host, nothing is known.
+Linux reports sockets over netlink (``sock_diag(7)``) without special rights; the hub's port selects its
+connections. On other systems, or if the hub is on another host, the figure is not available.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ _RECEIVED_AT, _SENT_AT = 128, 200
 
 
 class Meter:
-    """Counts the bytes of all connections to a hub on this host, those that have ended included.
+    """Counts the bytes of all connections to a hub on this host, including those that have ended.
 
-    A connection counts up to the last `read` before its end, so read now and then.
+    A connection counts up to the last `read` before its end, so read regularly.
     """
 
     def __init__(self, endpoint: str) -> None:
@@ -41,13 +41,13 @@ class Meter:
         self._seen: dict[bytes, int] = {}
 
     def read(self) -> int | None:
-        """Bytes so far in both directions, without TCP's own headers; None where they cannot be known."""
+        """Bytes so far in both directions, without TCP's own headers; None if not available."""
         if not self._port:
             return None
         try:
             self._seen.update(_connections(self._port))
         except OSError:
-            self._port = 0  # this kernel does not tell
+            self._port = 0  # not supported by this kernel
             return None
         return sum(self._seen.values()) if self._seen else None
 

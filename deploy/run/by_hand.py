@@ -29,12 +29,12 @@ from protocol.keys import Keys
 from protocol.zenoh_bus import Credential, join
 
 SCENARIO = "scenario.toml"
-"""Lies beside the credentials: what the netshaper was given, for the others to compare theirs with."""
+"""The netshaper's scenario, next to the credentials, for the others to compare theirs with."""
 MOST_PORT = 65535
 
 
 def serve_netshaper(scenario: Scenario, listen: str, folder: Path, tell: Callable[[str], object]) -> None:
-    """Write credentials for a new run into `folder`, then be its hub and relay."""
+    """Write credentials for a new run into `folder`, then serve as its hub and relay."""
     plan = plans.make(scenario)
     endpoint = _endpoint(listen)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -51,7 +51,7 @@ def serve_netshaper(scenario: Scenario, listen: str, folder: Path, tell: Callabl
 
 
 def _endpoint(listen: str) -> str:
-    """Where the hub listens, as zenoh has it; that address stands in every credential."""
+    """The hub's address in zenoh's form; it is part of every credential."""
     host, _, port = listen.rpartition(":")
     if not host or not port.isdecimal() or not 1 <= int(port) <= MOST_PORT:
         raise ScenarioError(
@@ -66,15 +66,15 @@ def _endpoint(listen: str) -> str:
 
 
 def _is_everywhere(host: str) -> bool:
-    """Whether a host is the address that stands for all of its own."""
+    """Whether a host is the unspecified address, which means all of its interfaces."""
     try:
         return ip_address(host.strip("[]")).is_unspecified
     except ValueError:
-        return False  # a name
+        return False  # a host name
 
 
 def serve_worldsim(scenario: Scenario, credential: Path) -> None:
-    """Be the world of the run that the credential belongs to."""
+    """Serve as the world of the run that the credential belongs to."""
     _check_same(scenario, credential)
     plan = plans.make(scenario)
     task = WorldTask(plan.make_world(), plan.minds, scenario.steps, 1000 * plan.map.resolution)
@@ -82,7 +82,7 @@ def serve_worldsim(scenario: Scenario, credential: Path) -> None:
 
 
 def serve_robot(credential: Path) -> None:
-    """Be the robot that the credential names."""
+    """Serve as the robot that the credential names."""
     read = Credential.read(credential)
     names.number(read.name)
     serve_agent(read)
@@ -95,7 +95,7 @@ def serve_lab(
     watch: Callable[[Plan, Records], object] | None,
     tell: Callable[[str], object] = lambda _: None,
 ) -> Result:
-    """Be the laboratory: record the run and write its directory; `tell` hears that Ctrl-C is heeded."""
+    """Serve as the laboratory: record the run and write its directory; `tell` is called once Ctrl-C takes effect."""
     _check_same(scenario, credential)
     plan = plans.make(scenario)
     read = _credential(credential, names.LAB)
@@ -131,7 +131,7 @@ def serve_viewer(scenario: Scenario, credential: Path, out: Path, window: Window
 
 
 def _check_same(scenario: Scenario, credential: Path) -> None:
-    """Refuse a scenario that is not the netshaper's, if that lies beside the credential; paths may differ."""
+    """Refuse a scenario that differs from the netshaper's, if that is next to the credential; paths may differ."""
     beside = credential.parent / SCENARIO
     if not beside.exists():
         return

@@ -27,7 +27,7 @@ EXPLORED, NOT_FINISHED, BAD_INPUT, BROKEN_OFF = range(4)
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What a run brought.
+    """The results of a run.
 
     Attributes
     ----------
@@ -36,13 +36,13 @@ class Result:
     exit_code : int
         `EXPLORED`, `NOT_FINISHED` or `BROKEN_OFF`.
     directory : Path or None
-        Where everything was written; None if nothing was to be.
+        Where everything was written; None if nothing was kept.
     records : Records
         All that was recorded, in memory.
     deaths : dict
-        Processes that ended before their time, with their last words.
+        Processes that ended prematurely, with their last line of output.
     view_fault : str
-        What went wrong with the viewer, without which the run went on.
+        What went wrong with the viewer; the run continued without it.
     """
 
     summary: dict[str, Any]
@@ -64,22 +64,22 @@ def explore(
     snapshots: bool = False,
     pace: float | None = None,
 ) -> Result:
-    """Run a scenario. What is shown of it, and at which pace, changes nothing in its results.
+    """Run a scenario. Viewing and pace do not affect its results.
 
     Parameters
     ----------
     scenario : Scenario
         ``deploy.scenario.scenario.parse({...})`` or ``deploy.scenario.scenario.load(path, {})`` makes one.
     out : Path, optional
-        The run directory; found under ``runs`` if left out.
+        The run directory; a new one under ``runs`` if left out.
     keep : bool
         Whether to write a run directory at all.
     watch : callable, optional
-        Called with the plan and the records while the run goes on.
+        Called with the plan and the records during the run.
     tell : callable, optional
-        Hears that Ctrl-C or SIGTERM is heeded: a run that is kept ends after the step, and is written.
+        Called once Ctrl-C or SIGTERM takes effect: a run that is kept ends after the step, and is written.
     window : Window, optional
-        Shows the run live, and has it recorded in its directory.
+        Shows the run live; it is also recorded in its directory.
     snapshots : bool
         Whether to keep the robots' maps over time (`deploy.after.figures` draws them).
     pace : float, optional
@@ -92,7 +92,7 @@ def explore(
     OSError
         Something cannot be written: the error names it.
     ValueError
-        The pace is too slow, or what is to be shown is not to be kept.
+        The pace is too slow, or a run that is shown is not kept.
     """
     if not keep and (window is not None or snapshots):
         raise ValueError("a run that is shown, or whose maps are kept, needs a directory: keep = True")
@@ -126,12 +126,12 @@ def explore(
                 )
         result = conclude(plan, outcome, directory, time.perf_counter() - began)
         if directory is not None and window is not None and outcome.view_fault:
-            optimise(directory / RECORDING)  # closed by nobody
+            optimise(directory / RECORDING)  # the failed viewer did not close it
     return result
 
 
 def conclude(plan: Plan, outcome: launch.Outcome, directory: Path | None, wall_s: float) -> Result:
-    """Sum a run up and write its results."""
+    """Summarise a run and write its results."""
     summary = summarise(plan, outcome.records, wall_s)
     if directory is not None:
         run_directory.write_results(directory, plan, outcome.records, summary)
@@ -146,4 +146,4 @@ def _exit_code(outcome: launch.Outcome, summary: dict[str, Any]) -> int:
 
 
 def _nothing() -> None:
-    """Nobody waits, nobody looks."""
+    """No pace and no viewer."""

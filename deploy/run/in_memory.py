@@ -1,4 +1,4 @@
-"""A run in one process: the same minds and shells as on Zenoh, on the memory bus. For sweeps and tests."""
+"""A run in one process: the same cores and shells as on Zenoh, on the memory bus. For sweeps and tests."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from worldsim.process import WorldNode
 
 
 class Node(Protocol):
-    """What all shells are."""
+    """The interface of all shells."""
 
     done: bool
 

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: they end a run early and lose nothing of it."""
+"""Ctrl-C and SIGTERM: they end a run early without losing data."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ REASON = "interrupted"
 
 
 class Interrupt:
-    """The wish that a run ends early.
+    """A request to end a run early.
 
     Parameters
     ----------
     tell : callable, optional
-        Hears, once, that the wish is heeded: the end takes a while.
+        Called once when the request takes effect, since the end takes a while.
     """
 
     def __init__(self, tell: Callable[[str], object] = lambda _: None) -> None:
@@ -27,13 +27,13 @@ class Interrupt:
 
     @contextlib.contextmanager
     def caught(self) -> Iterator[None]:
-        """Take Ctrl-C and SIGTERM for that wish instead of dying of them (in the main thread)."""
+        """Treat Ctrl-C and SIGTERM as that request instead of being killed by them (in the main thread)."""
         before = {}
         try:
             for number in (signal.SIGINT, signal.SIGTERM):
                 before[number] = signal.signal(number, self._come)
         except ValueError:
-            before = {}  # not the main thread: signals are its affair
+            before = {}  # not the main thread, which handles signals
         try:
             yield
         finally:
@@ -41,7 +41,7 @@ class Interrupt:
                 signal.signal(number, handler)
 
     def heed(self, lab: LabNode) -> bool:
-        """Have the run ended after this step if that is wished; say whether it is."""
+        """Have the run ended after this step if that was requested; return whether it was."""
         if self._came and not self._heeded and not lab.done:
             self._heeded = True
             self._tell("ending after this step; writing the run directory")

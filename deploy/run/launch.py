@@ -1,6 +1,6 @@
 """A run as processes: relay, world and robots in a `ProcessTable`, the laboratory in this process.
 
-One table says what runs; all of it starts at once and meets at the hub; nothing sleeps.
+One table lists the processes; all of them start at once and join the hub; nothing sleeps.
 """
 
 from __future__ import annotations
@@ -28,29 +28,29 @@ from protocol.zenoh_bus import join
 
 POLL_S = 0.25
 VIEWER_S = 10.0
-"""How long the viewer may take to come; the run begins without it then."""
+"""How long the viewer may take to join; after that the run begins without it."""
 VIEWER_END_S = 5.0
 """How long the viewer may take to write what it has at the end."""
 WRAP_UP_S = 3.0
 """How long the others may be silent once the run is over or was interrupted, and something is not handed in."""
 
 Heed = Callable[[LabNode], bool]
-"""Asked again and again: has the run ended early if someone wishes that, and says whether (`Interrupt.heed`)."""
+"""Called repeatedly: ends the run early if that was requested, and returns whether it was (`Interrupt.heed`)."""
 
 
 @dataclass
 class Outcome:
-    """What a launch brought: the records, and what went wrong, by process."""
+    """The result of a launch: the records, and what went wrong, by process."""
 
     records: Records
     deaths: dict[str, str]
     view_fault: str = ""
-    """What went wrong with the viewer, without which the run went on."""
+    """What went wrong with the viewer; the run continued without it."""
 
 
 @dataclass(frozen=True)
 class Show:
-    """A viewer of the run: what it is to do, and what to call once it is there."""
+    """A viewer of the run: its task, and what to call once it has joined."""
 
     task: ViewTask
     ready: Callable[[], object]
@@ -69,9 +69,9 @@ def run(
 ) -> Outcome:
     """Run a plan as processes; `watch` is called as records come in, at most a few times a second.
 
-    What the processes print goes to files in `logs`, or is gone after the run if that is None; `capture`
-    takes the frames (`deploy.record.records`); `heed` may end it early; `show` adds a viewer; `pace` is the steps a
-    second at most; `live` is a directory in which to say how to look at the run (`deploy.dashboard.watch`).
+    The output of the processes goes to files in `logs`, or is discarded after the run if that is None; `capture`
+    takes the frames (`deploy.record.records`); `heed` may end the run early; `show` adds a viewer; `pace` is the
+    maximum of steps a second; `live` is a directory in which to write how to view the run (`deploy.dashboard.watch`).
     """
     if logs is None:
         with tempfile.TemporaryDirectory() as folder:
@@ -98,7 +98,7 @@ def run(
 
 
 def _start_viewer(processes: ProcessTable, show: Show) -> None:
-    """Start the viewer, and wait a little for it, so that it sees the first steps; it is not needed."""
+    """Start the viewer, and wait for it briefly, so that it sees the first steps; the run does not need it."""
     here, there = multiprocessing.Pipe(duplex=False)
     processes.start(names.VIEW, serve_view, processes.credentials[names.VIEW], show.task, there, needed=False)
     there.close()
@@ -114,7 +114,7 @@ def _attend(
     watch: Callable[[Records], object] | None,
     capture: BinaryIO | None,
 ) -> Outcome:
-    """Be the laboratory until the run is over."""
+    """Serve as the laboratory until the run is over."""
     deaths = processes.deaths
     try:
         bus = join(processes.credentials[names.LAB])
@@ -127,28 +127,28 @@ def _attend(
         if watch is not None:
             watch(lab.records)
         if processes.look() and not lab.records.world:
-            lab.send_home()  # no first step can come
+            lab.send_home()  # the first step cannot begin
         return names.WORLD in deaths
 
     with contextlib.closing(bus):
         try:
             attend(bus, lab, heed, look)
         except BusClosed as error:
-            time.sleep(POLL_S)  # the system tells of the death a moment after the bus
+            time.sleep(POLL_S)  # the system reports the death slightly later than the bus
             processes.look().setdefault(names.RELAY, str(error))
     processes.look()
     return Outcome(lab.records, deaths)
 
 
 def attend(bus: Bus, lab: LabNode, heed: Heed, look: Callable[[], bool]) -> None:
-    """Be the laboratory until all is recorded, or those who have something left fall silent.
+    """Serve as the laboratory until everything is recorded, or the participants that still owe data fall silent.
 
-    `look` is called a few times a second, and says whether the run is broken: then it ends as well.
+    `look` is called a few times a second, and returns whether the run is broken: then it ends as well.
 
     Raises
     ------
     BusClosed
-        The relay is gone.
+        The connection to the relay is lost.
     """
     ending = False
     heard = looked = 0.0

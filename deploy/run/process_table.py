@@ -1,7 +1,7 @@
-"""The processes of one run: a table of children from one fork server, their credentials, their ends.
+"""The processes of one run: a table of children from one fork server, their credentials, their exits.
 
-Children start with the code imported and the kernels loaded, before any bus is opened. What ends before its
-time is reported by name and last words; none outlives the table.
+Children start with the code imported and the kernels loaded, before any bus is opened. A child that ends
+prematurely is reported with its name and last line of output; none outlives the table.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ class Child:
     process: ForkServerProcess
     log: Path
     needed: bool = True
-    """Whether the run is broken if it ends before its time."""
+    """Whether the run is broken if it ends prematurely."""
 
     def last_words(self) -> str:
-        """How it ended and the last line that it wrote."""
+        """How it ended, and its last line of output."""
         code = self.process.exitcode
         how = f"exit code {code}"
         if code is not None and code < 0:
@@ -54,9 +54,9 @@ class ProcessTable:
     Attributes
     ----------
     run, endpoint, credentials
-        What children need to meet: made anew for each run.
+        What children need to join the run: new for each run.
     deaths : dict of name to last words
-        Children that ended before their time, as far as `look` has seen.
+        Children that ended prematurely, as far as `look` has seen.
     """
 
     def __init__(self, logs: Path, robots: int) -> None:
@@ -77,7 +77,7 @@ class ProcessTable:
         self.end()
 
     def start(self, name: str, serve: Callable[..., None], *args: object, needed: bool = True) -> None:
-        """Start a child that runs ``serve(*args)``; what it prints goes to ``NAME.log``."""
+        """Start a child that runs ``serve(*args)``; its output goes to ``NAME.log``."""
         log = self._logs / f"{name}.log"
         with _blank_main():
             process = self._context.Process(target=in_background, args=(name, log, serve, *args), name=name)
@@ -85,14 +85,14 @@ class ProcessTable:
         self._children.append(Child(name, process, log, needed))
 
     def look(self) -> dict[str, str]:
-        """Look after the children; return all deaths so far."""
+        """Check the children; return all deaths so far."""
         for child in self._children:
             if child.needed and child.name not in self.deaths and child.process.exitcode not in (None, 0):
                 self.deaths[child.name] = child.last_words()
         return self.deaths
 
     def await_end(self, name: str, timeout_s: float) -> str:
-        """Wait for a child that ends by itself; say what went wrong with it, nothing if all is well."""
+        """Wait for a child that ends by itself; return what went wrong with it, or an empty text."""
         (child,) = (child for child in self._children if child.name == name)
         child.process.join(timeout_s)
         if child.process.exitcode is None:
@@ -117,7 +117,7 @@ class ProcessTable:
 
 @contextlib.contextmanager
 def _blank_main() -> Iterator[None]:
-    """Hide the main module, which children would import again, command line and all."""
+    """Hide the main module, which children would otherwise import again, including the command line."""
     main = sys.modules["__main__"]
     sys.modules["__main__"] = types.ModuleType("__main__")
     try:
@@ -127,7 +127,7 @@ def _blank_main() -> Iterator[None]:
 
 
 def _free_port() -> int:
-    """A port of the loopback that nobody listens to now."""
+    """A free port of the loopback."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]

@@ -1,6 +1,6 @@
-"""What the processes of a run do from their first line to their last: join the bus, serve, leave.
+"""The entry points of a run's processes: join the bus, serve, leave.
 
-Imported by the fork server before any bus is opened: so each robot starts with code and kernels in memory.
+Imported by the fork server before any bus is opened, so that each robot starts with code and kernels in memory.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ if TYPE_CHECKING:
 
 BROKEN_OFF = 3
 PATIENCE_S = 60.0
-"""A robot that says nothing for so long when it is its turn is given up."""
+"""A robot that is silent for this long when it is its turn is given up."""
 FAREWELL_S = 2.0
-"""How long the relay waits for others to leave, once all is recorded."""
+"""How long the relay waits for others to leave, once everything is recorded."""
 
 
 @dataclass(frozen=True)
 class WorldTask:
-    """What the world's process is given."""
+    """The task of the world's process."""
 
     world: World
     minds: Mapping[int, Mapping[str, Any]]
@@ -53,14 +53,14 @@ class WorldTask:
 
     @property
     def wait(self) -> Callable[[], object]:
-        """What the world does before it opens a step."""
+        """Called by the world before it opens a step."""
         return Pace(self.pace).wait if self.pace else lambda: None
 
 
 def serve_relay(
     run: str, endpoint: str, credentials: Mapping[str, Credential], settings: RadioSettings
 ) -> None:
-    """Be the hub and relay of a run until everyone has gone home."""
+    """Serve as the hub and relay of a run until all participants have left."""
     with closing(open_hub(run, endpoint, credentials)) as bus:
         relay(bus, run, settings)
 
@@ -68,7 +68,7 @@ def serve_relay(
 def relay(
     bus: Bus, run: str, settings: RadioSettings, tell: Callable[[str], object] = lambda _: None
 ) -> None:
-    """Be the relay at an open hub until everyone has gone home; `tell` hears whom it waits for."""
+    """Serve as the relay at an open hub until all participants have left; `tell` is called with those missing."""
     node = RelayNode(bus, Keys(run), settings)
     told: list[str] = []
     heard = time.monotonic()
@@ -90,7 +90,7 @@ def relay(
 
 
 def serve_world(credential: Credential, task: WorldTask) -> None:
-    """Be the world of a run."""
+    """Serve as the world of a run."""
     bus = join(credential)
     keys = Keys(credential.run)
     node = WorldNode(bus, keys, task.world, task.minds, task.steps, task.cell_mm, wait=task.wait)
@@ -98,14 +98,14 @@ def serve_world(credential: Credential, task: WorldTask) -> None:
 
 
 def serve_agent(credential: Credential) -> None:
-    """Be one robot of a run."""
+    """Serve as one robot of a run."""
     bus = join(credential)
     _serve(bus, AgentNode(bus, Keys(credential.run), names.number(credential.name)))
 
 
 def serve_view(credential: Credential, task: ViewTask, ready: Connection) -> None:
-    """Be the viewer of a run, which only listens; say so at `ready` once it does."""
-    from deploy.dashboard import process  # noqa: PLC0415  nobody else needs what it imports
+    """Serve as the viewer of a run, which only listens; tell `ready` once it does."""
+    from deploy.dashboard import process  # noqa: PLC0415  only the viewer needs its imports
 
     process.serve(credential, task, lambda: ready.send(True))
 
@@ -121,7 +121,7 @@ def _serve(bus: Bus, node: WorldNode | AgentNode) -> None:
 
 
 def in_background(name: str, log: Path, serve: Callable[..., None], *args: object) -> None:
-    """Run `serve` as a child of the launcher: what it prints goes to `log`; Ctrl-C is the launcher's affair."""
+    """Run `serve` as a child of the launcher: its output goes to `log`; Ctrl-C is handled by the launcher."""
     setproctitle(f"murmur {name}")
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)

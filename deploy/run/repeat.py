@@ -1,4 +1,4 @@
-"""A finished run made anew: whether it can be, and the robots' maps over time as they were."""
+"""Repeating a finished run: whether that is possible, and the robots' maps over time."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from deploy.run import in_memory
 from deploy.scenario.plan import Plan
 
 CUT_SHORT = ("interrupted", "broken off")
-"""Reasons of runs that came to no end of their own."""
+"""End reasons of runs that were cut short."""
 
 
 def why_unrepeatable(summary: dict[str, Any]) -> str:
-    """Why a run cannot be repeated: something befell it that its scenario does not tell; nothing if it can."""
+    """Why a run cannot be repeated: an event that its scenario does not contain; an empty text if it can."""
     if summary["reason"] in CUT_SHORT:
         return f"it was {summary['reason']} at step {summary['steps']}"
     lost = "; ".join(f"robot {robot} was lost: {cause}" for robot, cause in summary["lost"].items())

@@ -1,4 +1,4 @@
-"""From a scenario to what each process is given: the map, the start cells, the settings of relay, world, minds."""
+"""From a scenario to the inputs of each process: the map, the start cells, the settings of relay, world, robots."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PICTURES = (".png", ".pgm")
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """All that a run needs, worked out."""
+    """Everything that a run needs, derived from a scenario."""
 
     scenario: Scenario
     map: Map
@@ -34,12 +34,12 @@ class Plan:
     range_m: float
 
     def make_world(self) -> World:
-        """The world at its beginning."""
+        """The world in its initial state."""
         return World(self.map.cells, self.world)
 
 
 def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
-    """Work out a scenario, on `world_map` instead of the map that it names if one is given.
+    """Derive the plan of a scenario, on `world_map` instead of the map that it names if one is given.
 
     Raises
     ------

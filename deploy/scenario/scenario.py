@@ -1,4 +1,4 @@
-"""A scenario: everything that decides a run's result, as TOML, checked before anything starts."""
+"""A scenario: everything that determines a run's result, as TOML, checked before anything starts."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ MAP_FILES = (".yaml", ".yml", ".png", ".pgm")
 """How the names of map files end; others are names of generators."""
 
 SHIPPED = Path(__file__).with_name("shipped")
-"""Scenarios that are installed with the code; their names do for a path."""
+"""Scenarios that are installed with the code; they can be given by name instead of a path."""
 
 MOST_INTEGER = 2**31 - 1
-"""The largest whole number that a ledger's columns hold."""
+"""The largest integer that a ledger's columns can hold."""
 
 MOST_METRES = 1e6
 
@@ -52,7 +52,7 @@ class _Table(BaseModel):
 
 
 class RobotOverride(_Table):
-    """What one robot has that differs from the others."""
+    """Hardware of one robot that differs from the others."""
 
     robot: Whole = Field(ge=0, description="the robot's number, from 0")
     sensor_range: Positive | None = Field(None, description="metres")
@@ -77,25 +77,27 @@ class Scenario(_Table):
     )
     robots: Whole = Field(3, ge=1, le=MAX_ROBOTS, description="how many robots explore")
     range: str = Field("100%", description="communication range: metres, or % of the map's diagonal")
-    bandwidth: int | Literal["unlimited"] = Field(1000, description="bytes a step for the whole team")
-    exchange: str = Field("polygon", description="how maps travel: polygon, laser, none")
+    bandwidth: int | Literal["unlimited"] = Field(1000, description="bytes per step for the whole team")
+    exchange: str = Field("polygon", description="how maps are shared: polygon, laser, none")
     strategy: str = Field("meier", description="how targets are chosen (murmur strategies lists all)")
-    sensor_range: Positive = Field(5.0, description="metres that lasers see")
+    sensor_range: Positive = Field(5.0, description="range of the lasers, metres")
     field_of_view: Degrees = Field(360.0, gt=0, description="degrees")
-    scanner_turn: Degrees = Field(0.0, ge=0, description="degrees that scanners turn a step; 0: all")
-    beams: Whole = Field(360, ge=4, le=3600, multiple_of=4, description="laser beams a full turn")
-    speed: Positive = Field(0.5, description="metres that robots drive a step")
-    seed: Whole = Field(0, ge=0, le=MOST_INTEGER, description="decides start poses and every draw")
+    scanner_turn: Degrees = Field(
+        0.0, ge=0, description="degrees that scanners turn per step; 0: full view at once"
+    )
+    beams: Whole = Field(360, ge=4, le=3600, multiple_of=4, description="laser beams per full turn")
+    speed: Positive = Field(0.5, description="speed of the robots, metres per step")
+    seed: Whole = Field(0, ge=0, le=MOST_INTEGER, description="determines start poses and every random draw")
     bus: Literal["zenoh", "memory"] = Field("zenoh", description="processes on Zenoh, or all in one process")
     steps: Whole = Field(
         10000, ge=1, le=MOST_INTEGER, description="the run ends after this many steps at the latest"
     )
     start: tuple[Metres, Metres] | None = Field(
-        None, description="metres in the map's frame; seeded if left out"
+        None, description="metres in the map's frame; drawn from the seed if left out"
     )
     radius: NotNegative = Field(0.0, description="metres; robots are discs, 0: points")
     apart: Positive = Field(0.3, description="metres between start poses")
-    exchanges: Whole = Field(2, ge=1, le=16, description="exchanges a step (R)")
+    exchanges: Whole = Field(2, ge=1, le=16, description="exchanges per step (R)")
     offers: Literal["backoff", "thesis"] = Field(
         "backoff", description="when maps are offered: backoff, thesis"
     )
@@ -104,7 +106,7 @@ class Scenario(_Table):
         default_factory=PolygonOptions, description="options of the polygon exchange"
     )
     options: dict[str, Any] = Field(default_factory=dict, description="options of the strategy, by name")
-    robot: tuple[RobotOverride, ...] = Field((), description="robots that differ")
+    robot: tuple[RobotOverride, ...] = Field((), description="robots with different hardware")
     death: tuple[Death, ...] = Field((), description="robots that break down")
 
     @field_validator("robot", "death", mode="before")
@@ -175,7 +177,7 @@ class Scenario(_Table):
         return diagonal_m * number / 100 if is_share else number
 
     def body_of(self, number: int) -> RobotOverride:
-        """The hardware of one robot, all values filled in."""
+        """The hardware of one robot, with all values filled in."""
         own = next((entry for entry in self.robot if entry.robot == number), RobotOverride(robot=number))
         return RobotOverride(
             robot=number,
@@ -190,7 +192,7 @@ class Scenario(_Table):
 
 
 def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
-    """Read a scenario file (None: only defaults) and lay the overrides that are not None over it.
+    """Read a scenario file (None: only defaults) and apply the overrides that are not None.
 
     Where there is no such file, a plain name is that of a shipped scenario. A map named in a file is looked
     for beside that file. An override of ``table.key`` leaves the table's other keys as they are.
@@ -224,9 +226,9 @@ def _lay_over(data: dict[str, Any], overrides: dict[str, Any]) -> None:
 
 
 def read_toml(path: Path, kind: str, shipped: Path) -> tuple[Path, dict[str, Any]]:
-    """Read the file of a scenario or of an experiment (`kind`); return where it was found, and what it says.
+    """Read the file of a scenario or of an experiment (`kind`); return its path and its content.
 
-    Where there is no such file, a plain name is that of one in the directory `shipped`.
+    If there is no such file, a plain name refers to one in the directory `shipped`.
 
     Raises
     ------
@@ -258,7 +260,7 @@ def parse(data: dict[str, Any], where: str = "scenario") -> Scenario:
     Raises
     ------
     ScenarioError
-        A key or value is wrong; all that are wrong are named.
+        Keys or values are wrong; the message names all of them.
     """
     try:
         return Scenario.model_validate(data)

@@ -1,5 +1,5 @@
 """Many runs: one scenario over factors and seeds, collected and tabulated.
 
-It stands on `run`, beside `after` and `bench`. Begin with `experiment.py`; `runs.py` makes its runs,
+It builds on `run`, independent of `after` and `bench`. Start with `experiment.py`; `runs.py` makes its runs,
 `tables.py` its table, and `experiments/` holds those that are installed with the code.
 """

@@ -17,19 +17,19 @@ from deploy.scenario.scenario import ScenarioError, beside, read_toml
 from deploy.study.tables import RELATIVE, VARIANT, Table, check
 
 SHIPPED = Path(__file__).with_name("experiments")
-"""Experiments that are installed with the code; their names do for a path."""
+"""Experiments that are installed with the code; they can be given by name instead of a path."""
 
 TABLES = ("base", "grid", "follow", VARIANT, "table")
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """What an experiment's file says.
+    """The content of an experiment's file.
 
     Attributes
     ----------
     where : str
-        How errors name it.
+        Its name in error messages.
     name : str
     base : dict
         Keys of a scenario that all runs share.
@@ -53,7 +53,7 @@ class Experiment:
 
 
 def read(path: Path) -> Experiment:
-    """Read an experiment's file; files and the maps that they name are found as those of scenarios are.
+    """Read an experiment's file; files and the maps that they name are looked for as for scenarios.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def override(experiment: Experiment, settings: dict[str, Any]) -> Experiment:
     Raises
     ------
     ScenarioError
-        A list is empty, or says something twice; or the value would be without effect.
+        A list is empty or has duplicates, or the value would have no effect.
     """
     base, grid = dict(experiment.base), dict(experiment.grid)
     for key, value in settings.items():
@@ -150,7 +150,7 @@ def _check_values(key: str, values: Any) -> None:
 
 
 def _found(path: Path, value: Any) -> Any:
-    """A map of the grid, looked for as that of a scenario is."""
+    """A map of the grid, looked for as for scenarios."""
     return (
         value | {"map": beside(path, value["map"])}
         if isinstance(value, dict) and "map" in value
@@ -193,7 +193,7 @@ def _variants(entries: Any, grid: dict[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def _table(data: dict[str, Any], grid: dict[str, Any], variants: dict[str, Any]) -> Table:
-    """What to print; ValueError if there is no such thing."""
+    """What to print; ValueError if it is unknown."""
     usual = {"rows": list(grid), "columns": [VARIANT], "values": ["steps", "coverage", "map_agreement"]}
     flags = {"interval": False, "finished_only": False}
     whole: dict[str, Any] = usual | flags | data

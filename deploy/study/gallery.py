@@ -1,4 +1,4 @@
-"""All strategies in one picture: the ways that a team drives in the same environment.
+"""All strategies in one picture: the paths of a team in the same environment.
 
 ``python -m deploy.study.gallery FILE.png [--map NAME] [--robots N] [--seed S]`` draws it (docs/strategies.md).
 """
@@ -46,7 +46,7 @@ def draw(path: Path, names: list[str], scenario: dict[str, Any]) -> None:
 
 
 def main() -> None:
-    """Draw the gallery that the command line asks for."""
+    """Draw the gallery given on the command line."""
     parser = argparse.ArgumentParser(description="Draw the ways driven under each strategy.")
     parser.add_argument("file", type=Path, metavar="FILE.png")
     parser.add_argument("--map", default="office-obstacles", help="a generated environment")

@@ -1,4 +1,4 @@
-"""Many runs and their outcomes: a JSON line each as soon as it is known; what is known is not run again."""
+"""Many runs and their outcomes: one JSON line each as soon as it is known; known outcomes are not run again."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Protocol, TextIO, TypeVar
 
 
 class Keyed(Protocol):
-    """A case, or the outcome that it has led to."""
+    """A case, or its outcome."""
 
     @property
     def key(self) -> Hashable:
@@ -29,9 +29,9 @@ Outcome = TypeVar("Outcome", bound=Keyed)
 def collect(
     todo: Sequence[Case], run: Callable[[Case], Outcome], kind: type[Outcome], jobs: int, file: Path | None
 ) -> Iterator[Outcome]:
-    """Give the outcomes of all cases, first those that `file` knows, then the others as they are known.
+    """Yield the outcomes of all cases, first those in `file`, then the others as they become known.
 
-    Whatever ends it early, Ctrl-C or a run that fails, ends the processes at once; what is in the file stays.
+    Anything that ends it early, Ctrl-C or a failing run, ends the processes immediately; the file keeps its lines.
 
     Parameters
     ----------
@@ -43,12 +43,12 @@ def collect(
     jobs : int
         Processes.
     file : Path, optional
-        Where outcomes are kept, a JSON object a line.
+        Where outcomes are kept, one JSON object per line.
 
     Raises
     ------
     ValueError
-        The file cannot be written, or holds something else; nothing has been run.
+        The file cannot be written, or has other content; nothing has been run.
     """
     known = {outcome.key: outcome for outcome in read(file, kind)} if file is not None else {}
     with _processes(jobs) as pool, _opened(file) as lines:
@@ -62,7 +62,7 @@ def collect(
 
 
 def read(file: Path, kind: type[Outcome]) -> list[Outcome]:
-    """Read the outcomes that a file holds; none if it is not there yet; ValueError if it holds other things."""
+    """Read the outcomes in a file; none if it does not exist yet; ValueError if it has other content."""
     outcomes = []
     with _named(file):
         text = file.read_text(encoding="utf-8") if file.exists() else ""
@@ -101,7 +101,7 @@ def _named(file: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _processes(jobs: int) -> Iterator[ProcessPoolExecutor]:
-    """A pool whose processes end at once if the work is broken off."""
+    """A pool whose processes end immediately if the work is aborted."""
     others = multiprocessing.active_children()
     pool = ProcessPoolExecutor(jobs, initializer=_begin)
     try:
@@ -116,7 +116,7 @@ def _processes(jobs: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _begin() -> None:
-    """Leave Ctrl-C to the process that asked for the work, and do not outlive it if it is killed."""
+    """Leave Ctrl-C to the parent process, and do not outlive it if it is killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 

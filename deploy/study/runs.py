@@ -1,6 +1,6 @@
-"""The runs of an experiment: a case each, made in a pool of processes on the memory bus, and its outcome.
+"""The runs of an experiment: one case each, run in a pool of processes on the memory bus, and its outcome.
 
-All that can be known to be wrong is refused before the first run.
+Invalid input is refused before the first run.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ MEMORY = "memory"
 
 @dataclass(frozen=True)
 class Case:
-    """One run of an experiment: where it stands in the grid, its scenario, and the `identity` of the run."""
+    """One run of an experiment: its position in the grid, its scenario, and the `identity` of the run."""
 
     place: dict[str, Any]
     scenario: Scenario
@@ -40,7 +40,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a case has led to."""
+    """The outcome of a case."""
 
     key: str
     place: dict[str, Any]
@@ -48,7 +48,7 @@ class Outcome:
 
 
 def cases(experiment: Experiment) -> list[Case]:
-    """All runs of an experiment, in the order of its grid; ScenarioError if one cannot be."""
+    """All runs of an experiment, in the order of its grid; ScenarioError if one is invalid."""
     worlds: dict[str, Map] = {}
     result = []
     for combination in itertools.product(*experiment.grid.values()):
@@ -80,18 +80,18 @@ def cases(experiment: Experiment) -> list[Case]:
 
 
 def run(todo: Sequence[Case], jobs: int, keep: Path | None = None) -> Iterator[Outcome]:
-    """Run cases in `jobs` processes, equal ones once; outcomes in `keep` are given again (`collect`)."""
+    """Run cases in `jobs` processes, equal ones once; outcomes in `keep` are reused (`collect`)."""
     return collect(list({case.key: case for case in todo}.values()), _run_one, Outcome, jobs, keep)
 
 
 def summaries(todo: Sequence[Case], outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """The summaries of all cases whose outcome is known, with their places, in the order of `todo`."""
+    """The summaries of all cases whose outcome is known, with their positions, in the order of `todo`."""
     known = {outcome.key: outcome.summary for outcome in outcomes}
     return [{**known[case.key], "place": case.place} for case in todo if case.key in known]
 
 
 def identity(scenario: Scenario, world_map: Map) -> str:
-    """Sha256 over all that decides a run: settings, cells of the map, versions, and our code."""
+    """Sha256 over everything that determines a run: settings, cells of the map, versions, and our code."""
     about = (
         scenario.model_dump(mode="json"),
         (world_map.cells.shape, world_map.resolution, world_map.origin),

@@ -1,9 +1,9 @@
 """Tables of means: what a sweep prints of its runs' summaries.
 
-A figure is a name in a summary (``steps``), dotted for what stands in a table (``bytes.total``), a sum of names
-(``bytes.ins + bytes.del``), or a quotient of two of these (``bytes.conn / bytes.total``). Behind it may stand
-``relative to`` and a variant, by whose figure of the same run it is divided. ``least`` before it asks for the
-least of all runs instead of their mean.
+A figure is a name in a summary (``steps``), dotted for a value in a table (``bytes.total``), a sum of names
+(``bytes.ins + bytes.del``), or a quotient of two of these (``bytes.conn / bytes.total``). It may be followed by
+``relative to`` and a variant, by whose figure of the same run it is divided. ``least`` before it means the
+minimum over all runs instead of their mean.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ RELATIVE = " relative to "
 """Between a figure and the variant whose figure of the same run it is divided by."""
 
 LEAST = "least "
-"""Before a figure of which the least is wanted."""
+"""Before a figure of which the minimum is wanted."""
 
 LEAST_COVERAGE = 0.99
-"""What a run must have seen to count as finished, besides saying so."""
+"""Coverage that a run needs to count as finished, besides reporting so."""
 
 FIGURES = (
     "steps", "coverage", "map_agreement", "t90", "t99", "finished", "first_robot", "approximation_error",
@@ -43,7 +43,7 @@ TABLES = {
     "packets": (*ALL_KINDS, "total"),
     "undelivered": tuple(cause for cause in CAUSES if cause),
 }
-"""Tables of a summary with the numbers in them; those that are left out are 0."""
+"""Tables of a summary with the numbers in them; missing ones are 0."""
 
 
 @dataclass(frozen=True)
@@ -53,14 +53,14 @@ class Table:
     Attributes
     ----------
     rows, columns : list of str
-        Parts of a run's place that head the table's rows and columns; the rest is averaged over. Without
-        columns each figure has one of its own.
+        Keys of the grid, or ``variant``, that label the table's rows and columns; the figures are averaged over
+        the others. Without columns each figure has a column of its own.
     values : list of str
         Figures.
     interval : bool
-        Whether means come with half their 95 % interval (Student's t).
+        Whether means are printed with half their 95 % interval (Student's t).
     finished_only : bool
-        Whether means are of the runs that finished; how many did is said where not all have.
+        Whether means are over the runs that finished; their number is printed if not all did.
     """
 
     rows: list[str]
@@ -86,7 +86,7 @@ def check(text: str, variants: Iterable[str]) -> None:
 
 
 def figure(summary: dict[str, Any], text: str) -> float | None:
-    """Read a figure, not a relative one, from a summary; None where it has none, or a quotient is by 0."""
+    """Read a figure, not a relative one, from a summary; None if it is missing, or a quotient is by 0."""
     sums = []
     for part in text.split(" / "):
         found = [_look_up(summary, name) for name in part.split(" + ")]
@@ -99,7 +99,7 @@ def figure(summary: dict[str, Any], text: str) -> float | None:
 
 
 def tabulate(table: Table, summaries: Sequence[dict[str, Any]]) -> list[list[str]]:
-    """The lines of a table: one of heads, then one a row, means over all else, and one over all rows."""
+    """The lines of a table: a header, then one per row with means over all other keys, and one over all rows."""
     twins = {_key(summary["place"]): summary for summary in summaries}
     heads = _combinations(summaries, table.columns)
     rows = _combinations(summaries, table.rows)
@@ -122,12 +122,12 @@ def tabulate(table: Table, summaries: Sequence[dict[str, Any]]) -> list[list[str
 
 
 def has_finished(summary: dict[str, Any]) -> bool:
-    """Whether a run ended as explored, and had seen what there is."""
+    """Whether a run ended as explored, with sufficient coverage."""
     return bool(summary["finished"]) and summary["coverage"] >= LEAST_COVERAGE
 
 
 def _cell(table: Table, runs: Sequence[dict[str, Any]], value: str, twins: dict[Any, dict[str, Any]]) -> str:
-    """One figure of some runs: its mean, or the least."""
+    """One figure of some runs: its mean, or the minimum."""
     name = value.removeprefix(LEAST)
     if name != value:
         found = [one for run in runs if (one := _value(run, name, twins)) is not None]
@@ -139,7 +139,7 @@ def _cell(table: Table, runs: Sequence[dict[str, Any]], value: str, twins: dict[
 
 
 def _value(summary: dict[str, Any], text: str, twins: dict[Any, dict[str, Any]]) -> float | None:
-    """A figure, in relation to that of another variant's run if the text says so and that run is there."""
+    """A figure, relative to that of another variant's run if the text says so and that run exists."""
     name, _, against = text.partition(RELATIVE)
     value = figure(summary, name)
     if not against or value is None:

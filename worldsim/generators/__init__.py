@@ -1,8 +1,8 @@
 """The environments of the papers, drawn from a seed: `make("office", seed=3)`.
 
-The papers show most of them only as pictures. What is drawn here has the size and the character that each
-text gives; a seed chooses rooms, doors and objects. Where nothing is left to chance (`em`, `hilbert-*`,
-`leader-*`) all seeds draw the same.
+The papers show most of them only as pictures. The environments drawn here have the size and the character that
+the texts describe; a seed chooses rooms, doors and objects. Environments without random parts (`em`, `hilbert-*`,
+`leader-*`) are the same for all seeds.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from worldsim.maps import Map, MapError
 
 @dataclass(frozen=True)
 class _Environment:
-    """One line for people, and what draws it: called with a random generator and parameters by name."""
+    """A description, and the function that draws it: called with a random generator and parameters by name."""
 
     line: str
     draw: Callable[..., Grid]
@@ -112,7 +112,7 @@ def names() -> list[str]:
 
 
 def describe(name: str) -> str:
-    """Return one line on an environment: what it is, and which section or figure it stands for.
+    """Return one line on an environment: what it is, and which section or figure it reproduces.
 
     Raises
     ------
@@ -132,8 +132,8 @@ def make(name: str, seed: int = 0, **parameters: float) -> Map:
     seed : int
         Not negative. The same seed and parameters give the same cells.
     **parameters : float
-        What to draw it with instead of what its paper says: `resolution` (metres a cell), and where the size
-        may change `width_m` and `height_m`, or `side_m` (metres).
+        Values to use instead of the paper's: `resolution` (metres per cell), and, if the size is variable,
+        `width_m` and `height_m`, or `side_m` (metres).
 
     Raises
     ------

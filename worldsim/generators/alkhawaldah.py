@@ -25,7 +25,7 @@ from worldsim.generators.floorplan import Box, Builder, Style, inside
 def office_plain(
     random: np.random.Generator, *, width_m: float = 22.0, height_m: float = 16.0, resolution: float = 0.1
 ) -> Grid:
-    """Draw an office: wide rooms on both sides of a wide corridor, nothing in them (Fig. 2, left)."""
+    """Draw an office: wide rooms on both sides of a wide corridor, without furniture (Fig. 2, left)."""
     cells = canvas(width_m, height_m, resolution, least_m=10.0)
     wall = wall_thickness(resolution)
     floor = inside(cells, wall)
@@ -38,7 +38,7 @@ def office_plain(
 def office_obstacles(
     random: np.random.Generator, *, width_m: float = 22.0, height_m: float = 16.0, resolution: float = 0.1
 ) -> Grid:
-    """Draw the same office, of the same seed, with furniture standing about (Fig. 2, right)."""
+    """Draw the same office, of the same seed, with furniture (Fig. 2, right)."""
     cells = office_plain(random, width_m=width_m, height_m=height_m, resolution=resolution)
     count = round(0.12 * width_m * height_m)
     radii = (0.3 / resolution, 0.8 / resolution)

@@ -1,8 +1,8 @@
-"""What all environments are drawn with: free space is carved out of the unknown, objects are set into it, and
-walls grow last wherever the two meet.
+"""Drawing tools of all environments: free space is carved out of the unknown, objects are placed in it, and
+walls are drawn last wherever the two meet.
 
 Lengths are in cells here unless a name ends in ``_m``. Corners of shapes are rounded to sixteenths of a cell
-and filled in whole numbers, so that a seed means the same cells on every machine.
+and filled in integer arithmetic, so that a seed gives the same cells on every machine.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def canvas(width_m: float, height_m: float, resolution: float, least_m: float) -
 
 
 def length(name: str, side_m: float, resolution: float, least_m: float) -> int:
-    """Return the side of a world in cells; `name` is what the person who chose it calls it.
+    """Return the side of a world in cells; `name` is the parameter's name in error messages.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def scatter(
     gap: float,
     shapes: tuple[Shape, ...] = SHAPES,
 ) -> None:
-    """Set objects into free space, no two closer to each other, or to what stands already, than `gap`.
+    """Place objects in free space, at least `gap` from each other and from existing obstacles.
 
     Parameters
     ----------
@@ -164,13 +164,13 @@ def scatter(
     where : bool array of shape (height, width)
         Where centres may lie.
     count : int
-        How many objects are wanted; where no place is found for one, it is left out.
+        Number of objects; one for which no place is found is left out.
     radii : (float, float)
         Radius of the smallest and the largest object, in cells; small ones are more common.
     gap : float
         Least distance between objects, in cells: what may pass between any two.
     shapes : tuple of Shape
-        What the objects look like, each as likely as the other.
+        Shapes of the objects, all equally likely.
     """
     from scipy import ndimage  # noqa: PLC0415  slow to import, and listing names needs none
 

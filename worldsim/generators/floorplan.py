@@ -53,7 +53,7 @@ class Style:
     corridor_m : float
         Width of corridors.
     room_m : (float, float)
-        Width of rooms along the corridor; not a limit, but what a row of them is divided for.
+        Width of rooms along the corridor; not a limit, but the target for dividing a row.
     door_m : (float, float)
         Narrowest and widest door.
     joined : float

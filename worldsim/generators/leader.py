@@ -1,7 +1,7 @@
 """The environments of the exploration by potential fields with leaders (its Figs. 3 to 5): ten metres square.
 
-A trooper is drawn straight to its closest frontier. Where a wall stands across that line it stalls, and so
-does a whole team in rooms whose doors do not face what is left to explore; past a short screen it slides.
+A trooper is attracted straight to its closest frontier. If a wall crosses that line it stalls, and so does a
+whole team in rooms whose doors do not face the unexplored space; it slides along a short screen and past it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _ROOMS: _Walls = ((5.0, 1.6, 5.0, 3.6), (5.0, 6.4, 5.0, 8.4), (1.6, 5.0, 3.6, 5.
 
 
 def trap(_random: np.random.Generator, *, resolution: float = 0.1) -> Grid:
-    """Draw a hall and six rooms, each a U that holds whoever is drawn to the other side of its walls."""
+    """Draw a hall and six rooms, each a U that traps robots attracted to the other side of its walls."""
     return _draw(_TRAP, resolution)
 
 

@@ -11,7 +11,7 @@ from worldsim.generators.floorplan import Box, Builder, Style, inside
 
 _OBJECTS_PER_M2 = 0.11
 _PASSAGE_M = 0.7
-"""What is left free between any two objects."""
+"""Free distance between any two objects."""
 
 
 def unstructured(
@@ -62,7 +62,7 @@ def office(
 
 
 def _site(random: np.random.Generator, cells: Grid, margin: int) -> Box:
-    """Choose where the building stands: about half as wide and as deep as the field."""
+    """Choose the site of the building: about half as wide and as deep as the field."""
     height, width = cells.shape
     wide, deep = round(width * random.uniform(0.54, 0.66)), round(height * random.uniform(0.42, 0.5))
     left = int(random.integers(margin, width - margin - wide + 1))

@@ -1,1 +1,1 @@
-"""The dissector for Wireshark and tshark, in Lua, and how it gets to where they look for it (`install.py`)."""
+"""The dissector for Wireshark and tshark, in Lua, and its installation (`install.py`)."""

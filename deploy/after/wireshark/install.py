@@ -1,4 +1,4 @@
-"""How the dissector gets to where Wireshark and tshark look for it."""
+"""Installs the dissector into the plugin folder of Wireshark and tshark."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _OURS = "-- Murmur's radio for Wireshark"
 
 
 def plugin_folder() -> Path:
-    """The folder from which this person's Wireshark loads Lua plugins: as tshark says, else the usual one."""
+    """The folder from which the user's Wireshark loads Lua plugins: as tshark reports it, else the default."""
     tshark = shutil.which("tshark")
     if tshark is not None:
         asked = subprocess.run([tshark, "-G", "folders"], capture_output=True, text=True, check=False)
@@ -28,12 +28,12 @@ def plugin_folder() -> Path:
 
 
 def install(folder: Path | None = None) -> Path:
-    """Copy the dissector into a plugin folder, over an older one of ours; return where it is.
+    """Copy the dissector into a plugin folder, replacing an older version of it; return its path.
 
     Raises
     ------
     ValueError
-        A file of that name is there that is not ours, or the folder cannot be written.
+        Another file of that name exists, or the folder cannot be written.
     """
     target = (folder or plugin_folder()) / DISSECTOR.name
     try:

@@ -1,7 +1,7 @@
 -- Murmur's radio for Wireshark and tshark: every packet by name and field (docs/capture.md).
 --
--- The layouts repeat protocol/packets.py, and the head netshaper/capture.py. Nothing here may fail on broken
--- bytes: what makes no sense becomes an expert info, and what is left of the frame is shown as it is.
+-- The layouts repeat protocol/packets.py, and the header netshaper/capture.py. Nothing here may fail on malformed
+-- bytes: they become an expert info, and the rest of the frame is shown as raw bytes.
 
 local murmur = Proto("murmur", "Murmur radio")
 

@@ -17,7 +17,7 @@ from tests.deploy.commands.office_floor import explore, murmur
 def test_a_replay_says_whether_the_run_holds(floor: str) -> None:
     explore(floor, "--steps", "8", "--out", "run")
     result = murmur("replay", "run")
-    assert (result.exit_code, result.stdout[:13]) == (0, "The run holds")
+    assert (result.exit_code, result.stdout[:14]) == (0, "Replay matches")
     found = json.loads(murmur("replay", "run", "--json").stdout)
     assert found["holds"]
     assert found["digest"] == found["before"]
@@ -25,7 +25,7 @@ def test_a_replay_says_whether_the_run_holds(floor: str) -> None:
     Path("run/summary.json").write_text(json.dumps(summary | {"digest": "0" * 64, "steps": 7}))
     result = murmur("replay", "run")
     assert result.exit_code == 1
-    assert "does not hold" in result.stderr
+    assert "Replay differs" in result.stderr
     assert "steps: 7 then, 8 now" in result.stderr
 
 

@@ -50,7 +50,7 @@ def test_help_ends_well_and_teaches(words: str) -> None:
 
 def test_the_first_help_says_how_to_begin_and_what_exit_codes_mean() -> None:
     said = " ".join(murmur("--help").stdout.split())
-    assert "Begin with: murmur explore --robots 5" in said
+    assert "Start with: murmur explore --robots 5" in said
     assert "0 explored, 1 not finished" in said
     assert "2 bad input, 3 a process died" in said
 
@@ -65,8 +65,8 @@ def test_help_of_explore_names_defaults_and_choices() -> None:
     said = " ".join(murmur("explore", "--help").stdout.split())
     for words in (
         "how many robots explore (default 3)",
-        "how maps travel: polygon, laser, none (default polygon)",
-        "bytes a step for the whole team (default 1000)",
+        "how maps are shared: polygon, laser, none (default polygon)",
+        "bytes per step for the whole team (default 1000)",
         "communication range: metres, or % of the map's diagonal (default 100%)",
     ):
         assert words in said

@@ -85,7 +85,7 @@ def test_ctrl_c_stops_a_sweep_at_once_and_keeps_what_is_finished(tmp_path: Path)
     table, errors = sweeping.communicate(timeout=30)
     assert sweeping.returncode == 130 and time.monotonic() - asked < 10
     assert_none_is_left(sweeping.pid)
-    assert f"stopped; the same command goes on with {out}" in errors and "Traceback" not in errors
+    assert f"stopped; the same command continues from {out}" in errors and "Traceback" not in errors
     kept = len(out.read_text().splitlines())
     assert 0 < kept < 8 and f"means of {kept} of 8 runs" in table
 

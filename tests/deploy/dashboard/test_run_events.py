@@ -101,7 +101,7 @@ def test_loads_are_summed_by_what_they_are_for_and_who_talks(events: RunEvents) 
     assert events.traffic.cut == 600
     assert events.traffic.talks == {(0, 2): 77}
     assert events.bytes == {"ins": 60, "conn": 2, "em": 15, "targ": 3}
-    assert said == ["robot 2 tells of 2 new objects", "the channel is full: 600 bytes must wait"]
+    assert said == ["robot 2 reports 2 new objects", "the channel is full: 600 bytes must wait"]
     assert texts(events, "relay", air(4)) == []
 
 
@@ -114,11 +114,9 @@ def test_losses_faults_and_the_end_are_told(events: RunEvents) -> None:
     assert not events.in_range
     assert not events.targets
     assert texts(events, "relay", Fault("r0", "spoke out of turn")) == [
-        "r0 said what makes no sense: spoke out of turn"
+        "r0 sent a malformed message: spoke out of turn"
     ]
-    assert texts(events, "relay", End(9, "explored", 0)) == [
-        "explored in 9 steps; robot 0 was the first to know it all"
-    ]
+    assert texts(events, "relay", End(9, "explored", 0)) == ["explored in 9 steps; robot 0 finished first"]
     assert texts(events, "relay", End(9, "out of steps", -1)) == ["the run is over: out of steps"]
 
 
@@ -144,7 +142,7 @@ def test_the_words_that_explain_speak_of_this_run() -> None:
     assert "at most 1000 bytes a step" in words
     assert "Thick outlines" in words
     words = about(small_plan(exchange="laser", bandwidth="unlimited", range="100%"))
-    assert "as much as they like" in words
+    assert "unlimited bandwidth" in words
     assert "outlines" not in words
     assert "red line" not in words
     assert "Circles" not in words
