@@ -45,7 +45,12 @@ def draw_map(path: Path, world_map: Map) -> None:
 
 
 def draw_maps(path: Path, plan: Plan, records: Records, summary: dict[str, Any]) -> None:
-    """Draw the world with all paths, the team's map, and each robot's planning grid, in one picture."""
+    """Write the picture of `maps_figure` to a file."""
+    save(path, maps_figure(plan, records, summary), dpi=110)
+
+
+def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure:
+    """Draw the world with all paths, the team's map, and each robot's planning grid, in one figure."""
     robots = sorted(records.planning)
     panels = 2 + len(robots)
     columns = min(COLUMNS, panels)
@@ -71,7 +76,7 @@ def draw_maps(path: Path, plan: Plan, records: Records, summary: dict[str, Any])
         f"{plan.map.name}: {summary['robots']} robots, {summary['exchange']}, {medium}; "
         f"{summary['steps']} steps, {summary['bytes']['total'] / 1000:.0f} kB on the air"
     )
-    save(path, figure, dpi=110)
+    return figure
 
 
 def show_grid(axes: Axes, world_map: Map, grid: Grid) -> None:

@@ -29,7 +29,7 @@ from protocol.messages import (
 )
 
 
-@dataclass
+@dataclass(repr=False)
 class Records:
     """Everything reported of a run so far."""
 
@@ -51,6 +51,9 @@ class Records:
 
     def __post_init__(self) -> None:
         self.minds = [[] for _ in range(self.robots)]
+
+    def __repr__(self) -> str:
+        return f"<records of {self.robots} robots, up to step {self.step}>"
 
     @property
     def step(self) -> int:

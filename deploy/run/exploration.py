@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import base64
 import contextlib
+import io
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
+from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from deploy.dashboard.process import RECORDING, ViewTask, watching
 from deploy.dashboard.windows import Window, optimise
@@ -18,16 +24,21 @@ from deploy.run import in_memory, launch
 from deploy.run.interrupt import Interrupt
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import Scenario
+from deploy.scenario.scenario import Scenario, parse
+from protocol.grid import Grid
 from worldsim.pace import Pace
+
+if TYPE_CHECKING:
+    import polars as pl
+    from matplotlib.figure import Figure
 
 EXPLORED, NOT_FINISHED, BAD_INPUT, BROKEN_OFF = range(4)
 """Exit codes of the contract."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Result:
-    """The results of a run.
+    """The results of a run. In a notebook it shows its maps and figures.
 
     Attributes
     ----------
@@ -41,6 +52,8 @@ class Result:
         All that was recorded, in memory.
     deaths : dict
         Processes that ended prematurely, with their last line of output.
+    plan : Plan
+        What was run: the scenario and its map.
     view_fault : str
         What went wrong with the viewer; the run continued without it.
     """
@@ -50,11 +63,73 @@ class Result:
     directory: Path | None
     records: Records
     deaths: dict[str, str]
+    plan: Plan
     view_fault: str = ""
+
+    @cached_property
+    def steps(self) -> pl.DataFrame:
+        """One row per step and robot: its pose and state; metres in the map's frame (``steps.parquet``)."""
+        return _frame(run_directory.steps_table(self.plan, self.records))
+
+    @cached_property
+    def ledger(self) -> pl.DataFrame:
+        """One row per frame and packet kind (``ledger.parquet``, columns in docs/protocol.md)."""
+        return _frame(run_directory.ledger_table(self.records))
+
+    @property
+    def maps(self) -> dict[str | int, Grid]:
+        """The maps at the end, uint8 arrays of shape (h, w), row 0 on top.
+
+        ``"truth"``; ``"team"``, the union of what the robots have seen themselves; and by number the planning
+        grid of each robot that has handed it in.
+        """
+        named: dict[str | int, Grid] = {"truth": self.plan.map.cells}
+        if self.records.own:
+            named["team"] = np.maximum.reduce([grid for _, grid in sorted(self.records.own.items())])
+        return named | dict(sorted(self.records.planning.items()))
+
+    def plot(self) -> Figure:
+        """The world with all paths, the team's map, and each robot's planning grid, as in ``maps.png``.
+
+        Raises
+        ------
+        ValueError
+            No robot has handed in its maps.
+        """
+        from deploy.record.map_pictures import maps_figure  # noqa: PLC0415  half a second to import
+
+        if not self.records.own:
+            raise ValueError("there are no maps to plot: no robot has handed in its own")
+        return maps_figure(self.plan, self.records, self.summary)
+
+    def __repr__(self) -> str:
+        summary = self.summary
+        ended = "explored" if summary["finished"] else summary["reason"]
+        where = f", in {self.directory}" if self.directory is not None else ""
+        return (
+            f"<Result: {summary['robots']} robots on {summary['map']}, {ended} after {summary['steps']} steps, "
+            f"coverage {summary['coverage']:.3f}, {summary['bytes']['total']} bytes{where}>"
+        )
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        rows = "".join(
+            f"<tr><td>{name}</td><td>{escape(str(self.summary[name]))}</td></tr>" for name in _SHOWN
+        )
+        picture = ""
+        if self.records.own:
+            file = io.BytesIO()
+            self.plot().savefig(file, format="png", dpi=80)
+            picture = f'<img src="data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}">'
+        return f"<p>{escape(repr(self)[1:-1])}</p>{picture}<table>{rows}</table>"
+
+
+_SHOWN = ("steps", "coverage", "map_agreement", "t90", "t99", "strategy", "exchange", "bandwidth", "digest")
+"""Figures that a notebook shows."""
 
 
 def explore(
-    scenario: Scenario,
+    scenario: Scenario | None = None,
     *,
     out: Path | None = None,
     keep: bool = True,
@@ -63,13 +138,14 @@ def explore(
     window: Window | None = None,
     snapshots: bool = False,
     pace: float | None = None,
+    **settings: Any,
 ) -> Result:
     """Run a scenario. Viewing and pace do not affect its results.
 
     Parameters
     ----------
-    scenario : Scenario
-        ``deploy.scenario.scenario.parse({...})`` or ``deploy.scenario.scenario.load(path, {})`` makes one.
+    scenario : Scenario, optional
+        ``Scenario(robots=5)`` or ``deploy.scenario.scenario.load(path, {})`` makes one; the defaults if left out.
     out : Path, optional
         The run directory; a new one under ``runs`` if left out.
     keep : bool
@@ -84,6 +160,8 @@ def explore(
         Whether to keep the robots' maps over time (`deploy.after.figures` draws them).
     pace : float, optional
         Steps a second at most.
+    **settings
+        Settings of the scenario, over those of `scenario`: ``explore(robots=5, bandwidth=1000)``.
 
     Raises
     ------
@@ -96,6 +174,8 @@ def explore(
     """
     if not keep and (window is not None or snapshots):
         raise ValueError("a run that is shown, or whose maps are kept, needs a directory: keep = True")
+    if scenario is None or settings:
+        scenario = parse((scenario.model_dump() if scenario is not None else {}) | settings)
     wait: Callable[[], object] = Pace(pace).wait if pace is not None else _nothing
     plan = plans.make(scenario)
     interrupt = Interrupt(tell)
@@ -136,13 +216,21 @@ def conclude(plan: Plan, outcome: launch.Outcome, directory: Path | None, wall_s
     if directory is not None:
         run_directory.write_results(directory, plan, outcome.records, summary)
     code = _exit_code(outcome, summary)
-    return Result(summary, code, directory, outcome.records, outcome.deaths, outcome.view_fault)
+    return Result(summary, code, directory, outcome.records, outcome.deaths, plan, outcome.view_fault)
 
 
 def _exit_code(outcome: launch.Outcome, summary: dict[str, Any]) -> int:
     if outcome.deaths or outcome.records.lost or outcome.records.end is None:
         return BROKEN_OFF
     return EXPLORED if summary["finished"] else NOT_FINISHED
+
+
+def _frame(table: Any) -> pl.DataFrame:
+    import polars  # noqa: PLC0415  only who asks for a frame needs it
+
+    frame = polars.from_arrow(table)
+    assert isinstance(frame, polars.DataFrame)
+    return frame
 
 
 def _nothing() -> None:

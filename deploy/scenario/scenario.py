@@ -68,7 +68,19 @@ class Death(_Table):
 
 
 class Scenario(_Table):
-    """All settings of a run, with their defaults. One step is one second."""
+    """All settings of a run, with their defaults. One step is one second.
+
+    Raises
+    ------
+    ScenarioError
+        A key or value is wrong; all that are wrong are named.
+    """
+
+    def __init__(self, **settings: Any) -> None:
+        try:
+            super().__init__(**settings)
+        except ValidationError as error:
+            raise ScenarioError("\n".join(dict.fromkeys(_explain(item) for item in error.errors()))) from None
 
     map: str = Field("office", description="a map's YAML file, or the name of a generator (murmur map list)")
     map_seed: Whole = Field(0, ge=0, le=MOST_INTEGER, description="seed of the generator")
@@ -263,10 +275,9 @@ def parse(data: dict[str, Any], where: str = "scenario") -> Scenario:
         Keys or values are wrong; the message names all of them.
     """
     try:
-        return Scenario.model_validate(data)
-    except ValidationError as error:
-        lines = [_explain(item) for item in error.errors()]
-        raise ScenarioError("\n".join(f"{where}: {line}" for line in dict.fromkeys(lines))) from None
+        return Scenario(**data)
+    except ScenarioError as error:
+        raise ScenarioError("\n".join(f"{where}: {line}" for line in str(error).splitlines())) from None
 
 
 _KEYS = {

@@ -1,0 +1,94 @@
+"""Murmur from Python: short words to run it, short words about what came out, frames, maps and pictures."""
+
+from __future__ import annotations
+
+from functools import cache
+from html.parser import HTMLParser
+
+import numpy as np
+import polars
+import pytest
+
+import deploy
+from deploy import Result, Scenario, explore
+from deploy.scenario.scenario import ScenarioError
+from protocol.grid import FREE
+
+SMALL = {"map": "em", "robots": 2, "bus": "memory", "steps": 12}
+
+
+@cache
+def small() -> Result:
+    return explore(keep=False, **SMALL)
+
+
+def test_settings_may_be_named_in_the_call() -> None:
+    assert small().summary["digest"] == explore(Scenario(**SMALL), keep=False).summary["digest"]
+    other = explore(Scenario(**SMALL), keep=False, robots=1, seed=3)
+    assert (other.summary["robots"], other.summary["seed"], other.summary["map"]) == (1, 3, "em")
+
+
+@pytest.mark.parametrize("call", [lambda: Scenario(rnge=1), lambda: explore(rnge=1)])  # type: ignore[call-arg]
+def test_a_setting_that_there_is_not_is_named_with_the_one_that_was_meant(call: object) -> None:
+    with pytest.raises(ScenarioError, match=r"rnge is no setting; did you mean range\? There are: map,"):
+        call()  # type: ignore[operator]
+
+
+def test_all_that_is_wrong_is_named() -> None:
+    with pytest.raises(ScenarioError) as caught:
+        Scenario(robots=0, speed=-1)
+    assert [line.split(" = ")[0] for line in str(caught.value).splitlines()] == ["robots", "speed"]
+
+
+def test_a_result_is_told_in_a_line() -> None:
+    said = repr(small())
+    assert len(said) < 200
+    assert said.startswith("<Result: 2 robots on em, out of steps after 12 steps, coverage 0.")
+    assert len(repr(small().records)) < 80
+
+
+def test_a_notebook_shows_maps_and_figures() -> None:
+    class Page(HTMLParser):
+        def __init__(self) -> None:
+            super().__init__()
+            self.pictures: list[str] = []
+            self.cells: list[str] = []
+
+        def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+            if tag == "img":
+                self.pictures.append(str(dict(attrs)["src"]))
+
+        def handle_data(self, data: str) -> None:
+            self.cells.append(data)
+
+    page = Page()
+    page.feed(small()._repr_html_())
+    (picture,) = page.pictures
+    assert picture.startswith("data:image/png;base64,")
+    assert {"steps", "12", "digest", str(small().summary["digest"])} <= set(page.cells)
+
+
+def test_steps_and_ledger_are_frames_that_agree_with_the_summary() -> None:
+    steps, ledger = small().steps, small().ledger
+    assert isinstance(steps, polars.DataFrame) and isinstance(ledger, polars.DataFrame)
+    assert steps.height == 2 * 12 and steps["step"].max() == 12
+    carried = ledger.filter(polars.col("carried"))["bytes"].sum()
+    assert carried == small().summary["bytes"]["total"]
+
+
+def test_maps_are_grids_by_name_and_robot() -> None:
+    maps = small().maps
+    assert list(maps) == ["truth", "team", 0, 1]
+    assert len({grid.shape for grid in maps.values()}) == 1
+    seen = (maps["team"] == FREE) & (maps["truth"] == FREE)
+    assert np.count_nonzero(seen) == np.count_nonzero(maps["team"] == FREE) > 0
+
+
+def test_the_plot_has_a_panel_a_map() -> None:
+    titles = [axes.get_title() for axes in small().plot().axes]
+    assert len([title for title in titles if title]) == 4
+
+
+def test_a_typing_error_in_a_name_of_the_package_is_one() -> None:
+    with pytest.raises(AttributeError, match="exlpore"):
+        deploy.exlpore  # noqa: B018
