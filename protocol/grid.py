@@ -120,8 +120,10 @@ def enlarge(grid: Grid, radius_cells: float) -> Grid:
 
     With a radius of half a cell or less, or without obstacles, nothing changes, and the grid itself is returned.
     """
+    if radius_cells <= _REACH:
+        return grid
     solid = grid == OCCUPIED
-    if radius_cells <= _REACH or not solid.any():
+    if not solid.any():
         return grid
     away = np.rint(ndimage.distance_transform_edt(~solid) ** 2)
     grown = grid.copy()
