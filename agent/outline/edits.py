@@ -103,24 +103,41 @@ def edit_script(held: Held, approximation: Polygons) -> tuple[list[Edit], Held]:
 
 def symbols(polygons: Polygons) -> NDArray[np.int32]:
     """Pack each vertex, x, y, side and occupancy, into one number."""
-    packed = polygons.y.astype(np.int32) + 1
-    packed = packed << 12 | (polygons.x.astype(np.int32) + 1)
-    return packed << 3 | (polygons.side << 1 | polygons.occupied)
+    packed: NDArray[np.int32] = _pack(polygons.x, polygons.y, polygons.side, polygons.occupied)
+    return packed
 
 
 def unpacked(
     shape: tuple[int, int], symbols: NDArray[np.int32], start: NDArray[np.int32], inside: NDArray[np.bool_]
 ) -> Polygons:
     """Return the polygons that symbols stand for."""
-    return Polygons(
-        shape,
-        ((symbols >> 3 & 0xFFF) - 1).astype(np.int16),
-        ((symbols >> 15) - 1).astype(np.int16),
-        (symbols >> 1 & 3).astype(np.uint8),
-        (symbols & 1).astype(np.uint8),
-        start,
-        inside,
-    )
+    return Polygons(shape, *_unpack(symbols), start, inside)
+
+
+@kernel("Tuple((int16[::1], int16[::1], uint8[::1], uint8[::1]))(int32[::1])")
+def _unpack(
+    symbols: NDArray[np.int32],
+) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.uint8], NDArray[np.uint8]]:
+    n = len(symbols)
+    x, y = np.empty(n, np.int16), np.empty(n, np.int16)
+    side, occupied = np.empty(n, np.uint8), np.empty(n, np.uint8)
+    for i in range(n):
+        symbol = symbols[i]
+        x[i] = (symbol >> 3 & 0xFFF) - 1
+        y[i] = (symbol >> 15) - 1
+        side[i] = symbol >> 1 & 3
+        occupied[i] = symbol & 1
+    return x, y, side, occupied
+
+
+@kernel("int32[::1](int16[::1], int16[::1], uint8[::1], uint8[::1])")
+def _pack(
+    x: NDArray[np.int16], y: NDArray[np.int16], side: NDArray[np.uint8], occupied: NDArray[np.uint8]
+) -> NDArray[np.int32]:
+    symbols = np.empty(len(x), np.int32)
+    for i in range(len(x)):
+        symbols[i] = (np.int32(y[i]) + 1 << 12 | np.int32(x[i]) + 1) << 3 | side[i] << 1 | occupied[i]
+    return symbols
 
 
 def _fields(symbol: int) -> tuple[int, int, int, int]:

@@ -10,17 +10,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from agent.outline.approximation import approximation, repair
+from agent.outline.claims import THESIS, Drawing, layer
 from agent.outline.contour import contours
-from agent.outline.merge import (
-    THESIS,
-    UNDEFINED,
-    Drawing,
-    TeamMap,
-    approximation_error,
-    five_stages,
-    layer,
-    rendered,
-)
+from agent.outline.five_stages import UNDEFINED, five_stages
+from agent.outline.merge import TeamMap, approximation_error, rendered
 from agent.outline.polygons import Polygons
 from agent.outline.simplify import refine
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
