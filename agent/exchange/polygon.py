@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 from agent.exchange.base import Exchange
 from agent.outline.approximation import Marks, approximation, repair
 from agent.outline.boxes import NO_BOXES, Boxes, box_of, united
-from agent.outline.claims import Drawing, without_unknown_pairs
+from agent.outline.claims import Drawing
 from agent.outline.contour import contours
 from agent.outline.edits import edit_script
 from agent.outline.merge import ErrorCount, TeamMap
@@ -168,8 +168,7 @@ class PolygonExchange(Exchange):
 
         An object that was told and has shrunk to these is removed; should it grow, it emerges anew.
         """
-        polygons = approximation(exact, marks)
-        return polygons if self._options.unknown_pairs else without_unknown_pairs(polygons)
+        return approximation(exact, marks, unknown_pairs=self._options.unknown_pairs)
 
     def take(self, about: int, units: list[bytes]) -> None:
         """Rebuild a teammate's approximation."""

@@ -121,23 +121,3 @@ def _render(
         for k in range(len(inside)):
             if inside[k]:
                 draw(out, x, y, side, occupied, start[k], start[k + 1], INSIDE_OCCUPIED, other, 0, box)
-
-
-def without_unknown_pairs(polygons: Polygons) -> Polygons:
-    """Leave out the outside objects that have two vertices and no occupied edge."""
-    sizes = np.diff(polygons.start)
-    walls = np.add.reduceat(polygons.occupied, polygons.start[:-1], dtype=np.int64) if len(sizes) else sizes
-    kept = polygons.inside | (sizes > 2) | (walls > 0)
-    if kept.all():
-        return polygons
-    vertices = np.repeat(kept, sizes)
-    start = np.concatenate([[0], np.cumsum(sizes[kept])]).astype(np.int32)
-    return Polygons(
-        polygons.shape,
-        polygons.x[vertices],
-        polygons.y[vertices],
-        polygons.side[vertices],
-        polygons.occupied[vertices],
-        start,
-        polygons.inside[kept],
-    )

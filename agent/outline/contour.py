@@ -14,11 +14,13 @@ next along the contours below and above them must end where both rest on the sam
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.outline.polygons import LEFT, RIGHT, SIDE_X, SIDE_Y, Polygons
-from protocol.grid import FREE, OCCUPIED, Grid
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 
 
@@ -52,18 +54,18 @@ def contours(grid: Grid, robot: tuple[int, int]) -> Polygons:
     x, y = robot
     if not (0 <= x < width and 0 <= y < height) or grid[y, x] != FREE:
         raise ValueError(f"robot at ({x}, {y}): it must stand in a free cell of the {width} x {height} grid")
-    cells = np.zeros((height + 2, width + 2), np.uint8)
-    cells[1:-1, 1:-1] = grid
-    free = (cells == FREE).ravel()
-    row = width + 2
-    run_ends = np.flatnonzero(free[1:] != free[:-1]).astype(np.int32)
-    points = len(run_ends) + np.count_nonzero(free[row:] != free[:-row])
-    point_x, point_y, side, occupied, start = _trace(
-        cells.ravel(), row, run_ends, (y + 1) * row + x + 1, int(points)
-    )
+    if not grid.flags.writeable:
+        grid = grid.copy()
+    point_x, point_y, side, occupied, start = _trace(grid, x, y, _workspace((height + 2) * (width + 2)))
     inside = np.zeros(len(start) - 1, np.bool_)
     inside[0] = True
-    return Polygons(grid.shape, point_x, point_y, side, occupied, start, inside)
+    return Polygons((height, width), point_x, point_y, side, occupied, start, inside)
+
+
+@lru_cache(maxsize=1)
+def _workspace(cells: int) -> NDArray[np.int32]:
+    """Memory in which all traces of grids of one size note where they have been; each leaves it all 0."""
+    return np.zeros(cells, np.int32)
 
 
 @kernel("int64(int64[::1], int64)")
@@ -75,25 +77,72 @@ def _root(root: NDArray[np.int64], k: int) -> int:
     return k
 
 
+@kernel("Tuple((uint8[::1], int32[::1], int64))(uint8[:,::1])")
+def _lay_out(grid: Grid) -> tuple[NDArray[np.uint8], NDArray[np.int32], int]:
+    """Put a rim of unknown cells around a grid.
+
+    Returns its cells row by row, the places i where just one of the cells i and i + 1 is free, and how many
+    contour points there are, those of other free areas included.
+    """
+    height, width = grid.shape
+    row = width + 2
+    cells = np.empty((height + 2) * row, np.uint8)
+    cells[:row] = UNKNOWN
+    cells[-row:] = UNKNOWN
+    across = np.empty(height, np.int64)
+    ends = 0
+    points = 0
+    for y in range(height):
+        out = cells[(y + 1) * row : (y + 2) * row]
+        above = cells[y * row : (y + 1) * row]
+        out[0] = out[-1] = UNKNOWN
+        source = grid[y]
+        for x in range(width):
+            out[x + 1] = source[x]
+        beside, over = 0, 0
+        for x in range(row - 1):
+            beside += (out[x] == FREE) != (out[x + 1] == FREE)
+        for x in range(row):
+            over += (out[x] == FREE) != (above[x] == FREE)
+        across[y] = beside
+        ends += beside
+        points += over
+    last = cells[height * row : (height + 1) * row]
+    for x in range(row):
+        points += last[x] == FREE
+    run_ends = np.empty(ends, np.int32)
+    count = 0
+    for y in range(height):
+        at = (y + 1) * row
+        wanted = count + across[y]
+        while count < wanted:
+            if (cells[at] == FREE) != (cells[at + 1] == FREE):
+                run_ends[count] = at
+                count += 1
+            at += 1
+    return cells, run_ends, ends + points
+
+
 @kernel(
-    "Tuple((int16[::1], int16[::1], uint8[::1], uint8[::1], int32[::1]))"
-    "(uint8[::1], int64, int32[::1], int64, int64)"
+    "Tuple((int16[::1], int16[::1], uint8[::1], uint8[::1], int32[::1]))(uint8[:,::1], int64, int64, int32[::1])"
 )
 def _trace(
-    cells: NDArray[np.uint8], row: int, run_ends: NDArray[np.int32], robot: int, points: int
+    grid: Grid, robot_x: int, robot_y: int, contour_at: NDArray[np.int32]
 ) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.uint8], NDArray[np.uint8], NDArray[np.int32]]:
     """Trace all contours, keep those of the robot's free area.
 
-    `cells` is the grid with its rim, flattened, `row` cells a row. `run_ends` are the places i where just
-    one of the cells i and i + 1 is free: runs of free cells begin and end in turn. `robot` is a flat index.
+    `contour_at` has, between cells i and i + 1 of the grid with its rim, the number of the contour, from 1; it
+    is 0 before and after.
     """
+    row = grid.shape[1] + 2
+    robot = (robot_y + 1) * row + robot_x + 1
+    cells, run_ends, points = _lay_out(grid)
     offset = np.array([row, 1, -row, -1], np.int64)
     point_x = np.empty(points, np.int16)
     point_y = np.empty(points, np.int16)
     side = np.empty(points, np.uint8)
     occupied = np.empty(points, np.uint8)
     start = np.empty(len(run_ends) // 2 + 1, np.int32)
-    contour_at = np.zeros(len(cells), np.int32)  # between cells i and i + 1: number of the contour, from 1
 
     traced = 0
     count = 0
@@ -146,6 +195,8 @@ def _trace(
         if run_ends[k] < robot <= run_ends[k + 1]:
             here = contour_at[run_ends[k]] - 1
     here = _root(root, here)
+    for end in run_ends:
+        contour_at[end] = 0
 
     kept = 0
     write = 0
