@@ -17,7 +17,7 @@ from agent.outline.approximation import Marks, approximation, repair
 from agent.outline.boxes import NO_BOXES, Boxes, box_of, united
 from agent.outline.claims import Drawing
 from agent.outline.contour import contours
-from agent.outline.edits import edit_script
+from agent.outline.edits import edit_units, script_size
 from agent.outline.merge import ErrorCount, TeamMap
 from agent.outline.polygons import Polygons
 from agent.outline.receiver import Receiver
@@ -25,7 +25,6 @@ from agent.outline.simplify import by_distance, mixed_first, refine
 from agent.outline.splitting import SplitAllowance, Splitting
 from agent.settings import Settings
 from protocol.grid import Grid
-from protocol.packets import encode
 from protocol.scans import Change, Scan
 
 MAX_USE = 100
@@ -153,14 +152,13 @@ class PolygonExchange(Exchange):
         held = self._held.held
         repaired = repair(held.polygons, exact)
         refined = refine(exact, repaired, splits, self._value)
-        packets, _ = edit_script(held, self._approximation(exact, refined))
+        units = edit_units(held, self._approximation(exact, refined))
+        said = b"".join(units)
         if splits and len(refined) > len(repaired):
-            plain, _ = edit_script(held, self._approximation(exact, repaired))
-            extra = sum(p.size for p in packets) - sum(p.size for p in plain)
+            extra = len(said) - script_size(held, self._approximation(exact, repaired))
             self._allowance.spent(len(refined) - len(repaired), max(0, extra))
         self._outdated = False
-        units = [encode([packet]) for packet in packets]
-        self._held.feed(b"".join(units))
+        self._held.feed(said)
         return units
 
     def _approximation(self, exact: Polygons, marks: Marks) -> Polygons:
