@@ -16,7 +16,7 @@ from agent.exchange.base import Exchange
 from agent.outline.approximation import Marks, approximation, repair
 from agent.outline.boxes import NO_BOXES, Boxes, box_of, united
 from agent.outline.claims import Drawing
-from agent.outline.contour import contours
+from agent.outline.contour import Tracer
 from agent.outline.edits import edit_units, script_size
 from agent.outline.merge import ErrorCount, TeamMap
 from agent.outline.polygons import Polygons
@@ -128,8 +128,8 @@ class PolygonExchange(Exchange):
         self._news: set[int] = set()
         """Teammates of whom a save point has come since the last merge."""
         self._error = ErrorCount(told)
-        self._unmerged = _News()
-        self._uncounted = _News()
+        self._tracer = Tracer(shape)
+        self._untraced, self._unmerged, self._uncounted = _News(), _News(), _News()
 
     @property
     def polygons(self) -> Mapping[int, Polygons]:
@@ -141,14 +141,14 @@ class PolygonExchange(Exchange):
     def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
         """Repair, refine, and log the edits (Algorithm 10, lines 6 to 13)."""
         self._outdated = self._outdated or change.cells > 0
-        self._unmerged.add(own, change)
-        self._uncounted.add(own, change)
+        for news in (self._untraced, self._unmerged, self._uncounted):
+            news.add(own, change)
         if self._options.lazy and not delivered and self.settings.robots > 1:
             return []
         splits = self._allowance.next_step()
         if not self._outdated and not splits:
             return []
-        exact = contours(own, (scan.x, scan.y))
+        exact = self._tracer.contours(own, (scan.x, scan.y), self._untraced.take(own))
         held = self._held.held
         repaired = repair(held.polygons, exact)
         refined = refine(exact, repaired, splits, self._value)

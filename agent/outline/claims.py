@@ -76,6 +76,62 @@ def draw_anew(out: Layer, polygons: Polygons, drawing: Drawing, scratch: Layer, 
     )
 
 
+_CHUNK = 16
+"""So many edges are looked at together: those of a chunk whose bounds a box does not touch are left out."""
+
+
+@kernel("int64[::1](int32[::1])")
+def _object_of(start: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Number of the object of each vertex."""
+    owner = np.empty(start[-1], np.int64)
+    for k in range(len(start) - 1):
+        owner[start[k] : start[k + 1]] = k
+    return owner
+
+
+@kernel("int32[:,::1](int16[::1], int16[::1], int32[::1], int64[::1])")
+def _bounds(
+    x: NDArray[np.int16], y: NDArray[np.int16], start: NDArray[np.int32], group: NDArray[np.int64]
+) -> Boxes:
+    """Boxes of the edges that begin with the vertices of each group, with a cell to spare; groups ascend."""
+    bounds = np.empty((group[-1] + 1 if len(group) else 0, 4), np.int32)
+    bounds[:, :2] = 1 << 20
+    bounds[:, 2:] = -1
+    for k in range(len(start) - 1):
+        for i in range(start[k], start[k + 1]):
+            b = bounds[group[i]]
+            following = i + 1 if i + 1 < start[k + 1] else start[k]
+            for j in (np.int64(i), np.int64(following)):
+                b[0], b[1] = min(b[0], x[j] - 1), min(b[1], y[j] - 1)
+                b[2], b[3] = max(b[2], x[j] + 2), max(b[3], y[j] + 2)
+    return bounds
+
+
+@kernel("boolean(int32[::1], int32[::1], int32[::1])")
+def _overlap(one: NDArray[np.int32], other: NDArray[np.int32], part: NDArray[np.int32]) -> bool:
+    """Write what two boxes have in common; whether that is anything."""
+    part[0], part[1] = max(one[0], other[0]), max(one[1], other[1])
+    part[2], part[3] = min(one[2], other[2]), min(one[3], other[3])
+    return part[0] < part[2] and part[1] < part[3]
+
+
+@kernel("int64(int32[:,::1], int64, int64, int32[::1], int32[::1])")
+def _edges_near(
+    chunk_bounds: Boxes, first: int, end: int, box: NDArray[np.int32], edges: NDArray[np.int32]
+) -> int:
+    """Collect the edges of the vertices ``first:end`` that may cross a column of a box, in it or above it."""
+    count = 0
+    chunk = first // _CHUNK
+    while chunk * _CHUNK < end:
+        b = chunk_bounds[chunk]
+        if b[0] < box[2] and b[2] > box[0] and b[1] < box[3]:
+            for i in range(max(first, chunk * _CHUNK), min(end, (chunk + 1) * _CHUNK)):
+                edges[count] = i
+                count += 1
+        chunk += 1
+    return count
+
+
 @kernel(
     "void(uint8[:,::1], int16[::1], int16[::1], uint8[::1], uint8[::1], int32[::1], boolean[::1], boolean, "
     "boolean, uint8[:,::1], int32[:,::1])"
@@ -93,31 +149,27 @@ def _render(
     scratch: NDArray[np.uint8],
     boxes: Boxes,
 ) -> None:
-    bounds = np.empty((len(inside), 4), np.int32)  # of each object, with a cell to spare
-    for k in range(len(inside)):
-        left, top, right, bottom = x[start[k]], y[start[k]], x[start[k]], y[start[k]]
-        for i in range(start[k] + 1, start[k + 1]):
-            left, right = min(left, x[i]), max(right, x[i])
-            top, bottom = min(top, y[i]), max(bottom, y[i])
-        bounds[k, 0], bounds[k, 1], bounds[k, 2], bounds[k, 3] = left - 1, top - 1, right + 2, bottom + 2
-    box = np.empty(4, np.int32)
-    other = INSIDE_FREE if free_inside_edges else 0
+    bounds = _bounds(x, y, start, _object_of(start))
+    chunk_bounds = _bounds(x, y, start, np.arange(len(x)) // _CHUNK)
+    edges = np.empty(len(x), np.int32)
+    all_bits = np.int32(INSIDE_FREE if free_inside_edges else 0)
+    box, part = np.empty(4, np.int32), np.empty(4, np.int32)
     for number in range(len(boxes)):
         clip(boxes[number], 0, out.shape, box)
         out[box[1] : box[3], box[0] : box[2]] = 0
-        for k in range(len(inside)):
-            if inside[k]:
-                fill(out, x, y, side, start[k], start[k + 1], scratch, FREE_AREA, 0, box)
-        for k in range(len(inside)):
-            first, end = start[k], start[k + 1]
-            if inside[k] or bounds[k, 0] >= box[2] or bounds[k, 2] <= box[0]:
-                continue
-            if bounds[k, 1] >= box[3] or bounds[k, 3] <= box[1]:
-                continue
-            if not unknown_pairs and end - first == 2 and not occupied[first] and not occupied[first + 1]:
-                continue
-            fill(out, x, y, side, first, end, scratch, 0, FREE_AREA, box)
-            draw(out, x, y, side, occupied, first, end, OUTSIDE_OCCUPIED, 0, FREE_AREA, box)
-        for k in range(len(inside)):
-            if inside[k]:
-                draw(out, x, y, side, occupied, start[k], start[k + 1], INSIDE_OCCUPIED, other, 0, box)
+        for stage in range(3):
+            for k in range(len(inside)):
+                first, end = start[k], start[k + 1]
+                if inside[k] == (stage == 1) or not _overlap(bounds[k], box, part):
+                    continue
+                if not unknown_pairs and not inside[k] and end - first == 2:
+                    if not occupied[first] and not occupied[first + 1]:
+                        continue
+                found = edges[: _edges_near(chunk_bounds, first, end, part, edges)]
+                if stage == 0:
+                    fill(out, x, y, side, first, end, found, scratch, FREE_AREA, 0, part)
+                elif stage == 1:
+                    fill(out, x, y, side, first, end, found, scratch, 0, FREE_AREA, part)
+                    draw(out, x, y, side, occupied, first, end, found, OUTSIDE_OCCUPIED, 0, FREE_AREA, part)
+                else:
+                    draw(out, x, y, side, occupied, first, end, found, INSIDE_OCCUPIED, all_bits, 0, part)

@@ -168,6 +168,177 @@ def _packed(
     return number, start, is_inside, symbols
 
 
+_OPEN, _COUNT, _INSIDE, _EDITED, _TOLD, _GAP, _BOXES, _INSIDES, _LIMIT, _USED = range(10)
+"""Where the numbers of a reading are: first as in `Reading`; then how many vertices of the open object have been told,
+where the gap among them is, how many boxes, inside objects, numbers in use and symbols in the pool there are."""
+
+_ROOM = MAX_VERTICES + 1
+
+
+@kernel("int64(int64[::1], int64)")
+def _place(n: NDArray[np.int64], index: int) -> int:
+    """Where the vertex of an index is kept: those behind the gap are at the end."""
+    return index if index < n[_GAP] else _ROOM - n[_TOLD] + index
+
+
+@kernel("void(int32[::1], int64[::1], int64)")
+def _move_gap(vertices: NDArray[np.int32], n: NDArray[np.int64], to: int) -> None:
+    """Move the gap before the vertex of an index: edits that are near each other move little."""
+    behind = _ROOM - n[_TOLD]
+    for i in range(n[_GAP] - 1, to - 1, -1):
+        vertices[behind + i] = vertices[i]
+    for i in range(n[_GAP], to):
+        vertices[i] = vertices[behind + i]
+    n[_GAP] = to
+
+
+@kernel("UniTuple(int64, 3)(uint8[::1], int64)")
+def _header(data: NDArray[np.uint8], at: int) -> tuple[int, int, int]:
+    """Number, count of vertices and inside flag of an `Emerge` or `Change`."""
+    word = np.int64(0)
+    for i in range(5):
+        word = word << 8 | data[at + i]
+    return word >> 24 & 0xFFF, word >> 11 & 0x1FFF, word >> 10 & 1
+
+
+@kernel(
+    "boolean(uint8[::1], int64, int64, int64, int64, int64[::1], int32[::1], int32[::1], boolean[::1], int32[::1],"
+    " int32[::1], int32[:,::1])"
+)
+def _apply(
+    data: NDArray[np.uint8],
+    begin: int,
+    end: int,
+    height: int,
+    width: int,
+    n: NDArray[np.int64],
+    first: NDArray[np.int32],
+    length: NDArray[np.int32],
+    inside: NDArray[np.bool_],
+    pool: NDArray[np.int32],
+    vertices: NDArray[np.int32],
+    boxes: Boxes,
+) -> bool:
+    """Apply the packets from `begin` to `end`; whether all make sense.
+
+    Of each number, `first` says where its vertices are in the pool (-1: there is no such object), `length` how
+    many, `inside` whether it is an inside object. `vertices` are those of the open object, with a gap.
+    """
+    around = np.empty(4, np.int32)
+    at = begin
+    while at < end:
+        head = data[at]
+        if head >> 5 in (2, 3, 4):
+            told = n[_TOLD]
+            if n[_OPEN] < 0:
+                return False
+            if head >> 5 == 4:
+                word = np.int64(data[at]) << 8 | data[at + 1]
+                index = word >> 1 & 0xFFF
+                if word & 1 or index >= told:
+                    return False
+                around[0] = around[3] = vertices[_place(n, index)]
+                around[1] = vertices[_place(n, (index + told - 1) % told)]
+                around[2] = vertices[_place(n, (index + 1) % told)]
+                _move_gap(vertices, n, index)
+                n[_TOLD] -= 1
+                at += 2
+            else:
+                word = np.int64(0)
+                for i in range(6):
+                    word = word << 8 | data[at + i]
+                index, x, y = word >> 33 & 0xFFF, word >> 21 & 0xFFF, word >> 9 & 0xFFF
+                is_new = head >> 5 == 2
+                if word & 0x3F or x > width + 1 or y > height + 1:
+                    return False
+                if index > told or (index == told and not is_new) or (is_new and told == MAX_VERTICES):
+                    return False
+                around[:] = np.int32(y << 15 | x << 3 | (word >> 6 & 7))
+                if told:
+                    around[1] = vertices[_place(n, (index + told - 1) % told)]
+                    around[2] = vertices[_place(n, (index if is_new else index + 1) % told)]
+                if is_new:
+                    _move_gap(vertices, n, index)
+                    n[_GAP] += 1
+                    n[_TOLD] += 1
+                else:
+                    around[3] = vertices[_place(n, index)]
+                vertices[_place(n, index)] = around[0]
+                at += 6
+            if first[n[_OPEN]] >= 0:
+                n[_BOXES] = _add_box_of(boxes, n[_BOXES], around)
+            n[_EDITED] = 1
+            continue
+
+        # All other packets close the open object.
+        if n[_OPEN] >= 0:
+            number, told = n[_OPEN], n[_TOLD]
+            if told != n[_COUNT]:
+                return False
+            _move_gap(vertices, n, told)
+            known = first[number] >= 0
+            if not known or min(told, length[number]) <= SMALL or inside[number] != (n[_INSIDE] != 0):
+                n[_BOXES] = _add_box_of(boxes, n[_BOXES], vertices[:told])
+                if known:
+                    old = pool[first[number] : first[number] + length[number]]
+                    n[_BOXES] = _add_box_of(boxes, n[_BOXES], old)
+            if known:
+                n[_INSIDES] -= inside[number]
+            n[_INSIDES] += n[_INSIDE]
+            first[number], length[number], inside[number] = n[_USED], told, n[_INSIDE] != 0
+            for i in range(told):
+                pool[n[_USED] + i] = vertices[i]
+            n[_USED] += told
+            n[_LIMIT] = max(n[_LIMIT], number + 1)
+            n[_OPEN], n[_TOLD], n[_GAP] = -1, 0, 0
+        if head >> 4 == 0xA:
+            number = (np.int64(data[at]) << 8 | data[at + 1]) & 0xFFF
+            if first[number] < 0:
+                return False
+            gone = pool[first[number] : first[number] + length[number]]
+            n[_BOXES] = _add_box_of(boxes, n[_BOXES], gone)
+            n[_INSIDES] -= inside[number]
+            first[number] = -1
+            n[_EDITED] = 1
+            at += 2
+        elif head == 0xF0:
+            if not n[_EDITED] or n[_INSIDES] != 1:
+                return False
+            n[_EDITED] = 0
+            at += 1
+        else:
+            number, count, is_inside = _header(data, at)
+            known = first[number] >= 0
+            if data[at + 4] or data[at + 3] & 3 or known != (head >> 4 == 0xE):
+                return False
+            if count < 2 or count > MAX_VERTICES:
+                return False
+            n[_OPEN], n[_COUNT], n[_INSIDE] = number, count, is_inside
+            n[_TOLD] = n[_GAP] = length[number] if known else 0
+            for i in range(n[_TOLD]):
+                vertices[i] = pool[first[number] + i]
+            n[_EDITED] = 1
+            at += 5
+    return True
+
+
+@kernel("UniTuple(int64, 3)(uint8[::1])")
+def _survey(data: NDArray[np.uint8]) -> tuple[int, int, int]:
+    """Bytes of whole packets up to one that does not belong here, where the last save point ends (-1: nowhere), and
+    how many vertices the objects have in all that are told."""
+    whole, last_save, vertices = 0, -1, 0
+    while whole < len(data):
+        size = _size(data, whole)
+        if size == 0 or whole + size > len(data):
+            break
+        if size == 5:
+            vertices += _header(data, whole)[1]
+        whole += size
+        if size == 1:
+            last_save = whole
+    return whole, last_save, vertices
+
+
 @kernel(
     "Tuple((int32[::1], int32[::1], boolean[::1], int32[::1], int32[::1], int32[:,::1],"
     " int32[::1], int32[::1], boolean[::1], int32[::1], int32[:,::1]))"
@@ -195,149 +366,41 @@ def _read(
     saved.
     """
     data = piece.copy()
-    nothing = number, start, inside, symbols, vertices, unsaved, number, start, inside, symbols, unsaved
-    refused = numbers[4:5]
-    refused[0] = REFUSED
-
-    # Whole packets, and where the last save point ends.
-    whole, last_save = 0, -1
-    while whole < len(data):
-        size = _size(data, whole)
-        if size == 0 or whole + size > len(data):
-            break
-        whole += size
-        if size == 1:
-            last_save = whole
-
+    whole, last_save, announced = _survey(data)
     first = np.full(MAX_OBJECTS, -1, np.int32)
     length = np.empty(MAX_OBJECTS, np.int32)
     is_inside = np.empty(MAX_OBJECTS, np.bool_)
-    insides, limit = 0, 0
+    n = np.zeros(10, np.int64)
+    n[:4] = numbers[:4]
     for k in range(len(number)):
-        n = number[k]
-        first[n], length[n], is_inside[n] = start[k], start[k + 1] - start[k], inside[k]
-        insides += inside[k]
-        limit = n + 1
-    pool = np.empty(2 * len(symbols) + 1024, np.int32)
-    used = len(symbols)
-    pool[:used] = symbols
-    current = np.empty(MAX_VERTICES, np.int32)
-    told = len(vertices)
-    current[:told] = vertices
+        first[number[k]], length[number[k]] = start[k], start[k + 1] - start[k]
+        is_inside[number[k]] = inside[k]
+        n[_INSIDES] += inside[k]
+        n[_LIMIT] = number[k] + 1
+    pool = np.empty(len(symbols) + announced + MAX_VERTICES, np.int32)
+    pool[: len(symbols)] = symbols
+    n[_USED] = len(symbols)
+    told = np.empty(_ROOM, np.int32)
+    told[: len(vertices)] = vertices
+    n[_TOLD] = n[_GAP] = len(vertices)
     boxes = np.empty((MOST, 4), np.int32)
-    box_count = len(unsaved)
-    boxes[:box_count] = unsaved
-    around = np.empty(4, np.int32)
-    opened, count, opened_inside, edited = numbers[0], numbers[1], numbers[2], numbers[3]
+    boxes[: len(unsaved)] = unsaved
+    n[_BOXES] = len(unsaved)
 
-    s_number, s_start, s_inside, s_symbols, s_boxes = number, start, inside, symbols, unsaved
-    at = 0
-    while at < whole:
-        head = data[at]
-        if head >> 5 in (2, 3, 4):
-            if opened < 0:
-                return nothing
-            if head >> 5 == 4:
-                word = np.int64(data[at]) << 8 | data[at + 1]
-                index = word >> 1 & 0xFFF
-                if word & 1 or index >= told:
-                    return nothing
-                around[0] = around[3] = current[index]
-                around[1] = current[(index + told - 1) % told]
-                around[2] = current[(index + 1) % told]
-                told -= 1
-                for i in range(index, told):
-                    current[i] = current[i + 1]
-                at += 2
-            else:
-                word = np.int64(0)
-                for i in range(6):
-                    word = word << 8 | data[at + i]
-                index, x, y = word >> 33 & 0xFFF, word >> 21 & 0xFFF, word >> 9 & 0xFFF
-                inserted = head >> 5 == 2
-                if word & 0x3F or x > width + 1 or y > height + 1:
-                    return nothing
-                if index > told or (index == told and not inserted) or (inserted and told == MAX_VERTICES):
-                    return nothing
-                around[:] = np.int32(y << 15 | x << 3 | (word >> 6 & 7))
-                if told:
-                    around[1] = current[(index + told - 1) % told]
-                    around[2] = current[(index if inserted else index + 1) % told]
-                if inserted:
-                    for i in range(told, index, -1):
-                        current[i] = current[i - 1]
-                    told += 1
-                else:
-                    around[3] = current[index]
-                current[index] = around[0]
-                at += 6
-            if first[opened] >= 0:
-                box_count = _add_box_of(boxes, box_count, around)
-            edited = 1
-            continue
-
-        # All other packets close the open object.
-        if opened >= 0:
-            if told != count:
-                return nothing
-            known = first[opened] >= 0
-            if not known or min(told, length[opened]) <= SMALL or is_inside[opened] != (opened_inside != 0):
-                box_count = _add_box_of(boxes, box_count, current[:told])
-                if known:
-                    old = pool[first[opened] : first[opened] + length[opened]]
-                    box_count = _add_box_of(boxes, box_count, old)
-            if known:
-                insides -= is_inside[opened]
-            insides += opened_inside
-            if used + told > len(pool):
-                larger = np.empty(2 * (used + told), np.int32)
-                larger[:used] = pool[:used]
-                pool = larger
-            first[opened], length[opened], is_inside[opened] = used, told, opened_inside != 0
-            limit = max(limit, opened + 1)
-            for i in range(told):
-                pool[used + i] = current[i]
-            used += told
-            opened, told = np.int64(-1), 0
-        if head >> 4 == 0xA:
-            n = (np.int64(data[at]) << 8 | data[at + 1]) & 0xFFF
-            if first[n] < 0:
-                return nothing
-            box_count = _add_box_of(boxes, box_count, pool[first[n] : first[n] + length[n]])
-            insides -= is_inside[n]
-            first[n] = -1
-            edited = 1
-            at += 2
-        elif head == 0xF0:
-            if not edited or insides != 1:
-                return nothing
-            edited = 0
-            at += 1
-            if at == last_save:
-                s_number, s_start, s_inside, s_symbols = _packed(first, length, is_inside, pool, limit)
-                s_boxes = boxes[:box_count].copy()
-                box_count = 0
-        else:
-            word = np.int64(0)
-            for i in range(5):
-                word = word << 8 | data[at + i]
-            opened, count, opened_inside = word >> 24 & 0xFFF, word >> 11 & 0x1FFF, word >> 10 & 1
-            known = first[opened] >= 0
-            if word & 0x3FF or known != (head >> 4 == 0xE) or count < 2 or count > MAX_VERTICES:
-                return nothing
-            told = length[opened] if known else 0
-            for i in range(told):
-                current[i] = pool[first[opened] + i]
-            edited = 1
-            at += 5
-
-    numbers[0], numbers[1], numbers[2], numbers[3] = opened, count, opened_inside, edited
-    numbers[4], numbers[5] = whole, last_save >= 0
-    if last_save == whole:
-        d_number, d_start, d_inside, d_symbols = s_number, s_start, s_inside, s_symbols
-    else:
-        d_number, d_start, d_inside, d_symbols = _packed(first, length, is_inside, pool, limit)
+    saves = max(last_save, 0)
+    makes_sense = _apply(data, 0, saves, height, width, n, first, length, is_inside, pool, told, boxes)
+    s_number, s_start, s_inside, s_symbols = _packed(first, length, is_inside, pool, n[_LIMIT])
+    s_boxes = boxes[: n[_BOXES]].copy()
+    d_number, d_start, d_inside, d_symbols = s_number, s_start, s_inside, s_symbols
+    if last_save >= 0:
+        n[_BOXES] = 0
+    if makes_sense and saves < whole:
+        makes_sense = _apply(data, saves, whole, height, width, n, first, length, is_inside, pool, told, boxes)
+        d_number, d_start, d_inside, d_symbols = _packed(first, length, is_inside, pool, n[_LIMIT])
+    _move_gap(told, n, n[_TOLD])
+    numbers[:4] = n[:4]
+    numbers[4], numbers[5] = whole if makes_sense else REFUSED, last_save >= 0
     return (
-        d_number, d_start, d_inside, d_symbols, current[:told].copy(), boxes[:box_count].copy(),
+        d_number, d_start, d_inside, d_symbols, told[: n[_TOLD]].copy(), boxes[: n[_BOXES]].copy(),
         s_number, s_start, s_inside, s_symbols, s_boxes,
     )  # fmt: skip

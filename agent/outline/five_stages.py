@@ -101,8 +101,8 @@ def _objects(polygons: Polygons, drawing: Drawing) -> list[_Object]:
         if not (inside or drawing.unknown_pairs or end - first > 2 or occupied[first:end].any()):
             continue
         area, edges, scratch = (np.zeros(polygons.shape, np.uint8) for _ in range(3))
-        everywhere = whole(polygons.shape)[0]
-        fill(area, x, y, side, first, end, scratch, 1, 0, everywhere)
-        draw(edges, x, y, side, occupied, first, end, 1, 2, 0, everywhere)
+        all_edges, everywhere = np.arange(first, end, dtype=np.int32), whole(polygons.shape)[0]
+        fill(area, x, y, side, first, end, all_edges, scratch, 1, 0, everywhere)
+        draw(edges, x, y, side, occupied, first, end, all_edges, 1, 2, 0, everywhere)
         objects.append(_Object(bool(inside), area == 1, edges & 1 > 0, edges & 2 > 0))
     return objects

@@ -20,7 +20,8 @@ from protocol.kernels import kernel
 
 
 @kernel(
-    "void(uint8[:,::1], int16[::1], int16[::1], uint8[::1], int64, int64, uint8[:,::1], uint8, uint8, int32[::1])"
+    "void(uint8[:,::1], int16[::1], int16[::1], uint8[::1], int64, int64, int32[::1], uint8[:,::1], uint8, uint8,"
+    " int32[::1])"
 )
 def fill(
     layer: NDArray[np.uint8],
@@ -29,6 +30,7 @@ def fill(
     side: NDArray[np.uint8],
     first: int,
     end: int,
+    edges: NDArray[np.int32],
     scratch: NDArray[np.uint8],
     set_bits: int,
     clear_bits: int,
@@ -36,25 +38,20 @@ def fill(
 ) -> None:
     """Set and clear bits of the cells in a box that the polygon of the vertices ``first:end`` encloses.
 
+    `edges` has the vertices with which the edges begin that cross a column of the box, in it or above it, at least.
     `scratch` has the shape of `layer`, and is zero before and after. The box, (x0, y0, x1, y1), is on the grid.
     """
     x0, y0, x1, y1 = np.int64(box[0]), np.int64(box[1]), np.int64(box[2]), np.int64(box[3])
-    top, bottom, left, right = y1, y0 - 1, x1, x0 - 1
-    a_x = 4 * x[end - 1] + SIDE_X[side[end - 1]]
-    a_y = 4 * y[end - 1] + SIDE_Y[side[end - 1]]
-    for i in range(first, end):
-        b_x, b_y = 4 * x[i] + SIDE_X[side[i]], 4 * y[i] + SIDE_Y[side[i]]
+    for i in edges:
+        j = i + 1 if i + 1 < end else first
+        a_x, a_y = 4 * x[i] + SIDE_X[side[i]], 4 * y[i] + SIDE_Y[side[i]]
+        b_x, b_y = 4 * x[j] + SIDE_X[side[j]], 4 * y[j] + SIDE_Y[side[j]]
         # The edge crosses the columns whose middle lies in [low, high); all cells below it there toggle.
         low_x, low_y, high_x, high_y = (a_x, a_y, b_x, b_y) if a_x <= b_x else (b_x, b_y, a_x, a_y)
         column, last = max((low_x + 3) >> 2, x0), min((high_x + 3) >> 2, x1) - 1
-        if column <= last:
-            left, right = min(left, column), max(right, last)
-        if column > last:
-            pass
-        elif min(low_y, high_y) > 4 * y1:
-            bottom = y1 - 1
-        elif max(low_y, high_y) <= 4 * y0:
-            top, bottom = y0, max(bottom, y0)
+        if column > last or min(low_y, high_y) > 4 * y1:
+            continue
+        if max(low_y, high_y) <= 4 * y0:
             for at in range(column, last + 1):
                 scratch[y0, at] ^= 255
         else:
@@ -65,25 +62,22 @@ def fill(
                 row = max(numerator // denominator, y0)
                 if row < y1:
                     scratch[row, at] ^= 255
-                    top = min(top, row)
-                bottom = max(bottom, min(row, y1 - 1))
                 numerator += 4 * rise
-        a_x, a_y = b_x, b_y
-    for row in range(top, bottom + 1):
-        within = scratch[row, left : right + 1]
-        bits = layer[row, left : right + 1]
-        if row > top:
-            above = scratch[row - 1, left : right + 1]
+    for row in range(y0, y1):
+        within = scratch[row, x0:x1]
+        bits = layer[row, x0:x1]
+        if row > y0:
+            above = scratch[row - 1, x0:x1]
             for at in range(len(within)):
                 within[at] ^= above[at]
         for at in range(len(bits)):
             bits[at] = bits[at] & ~(clear_bits & within[at]) | set_bits & within[at]
-    for row in range(top, bottom + 1):
-        scratch[row, left : right + 1] = 0
+    for row in range(y0, y1):
+        scratch[row, x0:x1] = 0
 
 
 @kernel(
-    "void(uint8[:,::1], int16[::1], int16[::1], uint8[::1], uint8[::1], int64, int64, uint8, uint8, uint8,"
+    "void(uint8[:,::1], int16[::1], int16[::1], uint8[::1], uint8[::1], int64, int64, int32[::1], uint8, uint8, uint8,"
     " int32[::1])"
 )
 def draw(
@@ -94,6 +88,7 @@ def draw(
     occupied: NDArray[np.uint8],
     first: int,
     end: int,
+    edges: NDArray[np.int32],
     occupied_bits: int,
     other_bits: int,
     clear_bits: int,
@@ -101,10 +96,11 @@ def draw(
 ) -> None:
     """Draw the edges of the polygon of the vertices ``first:end``, as far as they lie in a box on the grid.
 
-    Clears `clear_bits` in all their cells; sets `occupied_bits` on occupied edges, `other_bits` on others.
+    Clears `clear_bits` in all their cells; sets `occupied_bits` on occupied edges, `other_bits` on others. `edges`
+    has the vertices with which the edges begin that pass through the box, at least.
     """
     x0, y0, x1, y1 = np.int64(box[0]), np.int64(box[1]), np.int64(box[2]), np.int64(box[3])
-    for i in range(first, end):
+    for i in edges:
         j = i + 1 if i + 1 < end else first
         if (x[i] > x1 and x[j] > x1) or (x[i] < x0 - 1 and x[j] < x0 - 1):
             continue
