@@ -37,7 +37,7 @@ _DIRECTION_UNIT = 1 << 20
 """Beam directions are whole numbers of this length, so that no platform's cosine decides a cell."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fan:
     """The cells that each beam crosses, nearest first, relative to the robot's own cell.
 
@@ -52,10 +52,20 @@ class Fan:
     cells: NDArray[np.int32]
     start: NDArray[np.int32]
 
+    def flat(self, width: int) -> NDArray[np.int64]:
+        """The same cells as steps in a grid of so many columns that lies flat, row after row."""
+        return _flat(self, width)
+
     @property
     def beams(self) -> int:
         """How many beams a full turn has."""
         return len(self.start) - 1
+
+
+@lru_cache(maxsize=16)
+def _flat(beams: Fan, width: int) -> NDArray[np.int64]:
+    steps: NDArray[np.int64] = beams.cells[:, 1].astype(np.int64) * width + beams.cells[:, 0]
+    return steps
 
 
 @lru_cache(maxsize=16)
