@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from agent.exchange.base import Exchange
+from agent.exchange.changed_cells import ChangedCells
 from agent.outline.approximation import Marks, approximation, repair
-from agent.outline.boxes import NO_BOXES, Boxes, box_of, united
 from agent.outline.claims import Drawing
 from agent.outline.contour import Tracer
 from agent.outline.edits import edit_units, script_size
@@ -129,7 +129,7 @@ class PolygonExchange(Exchange):
         """Teammates of whom a save point has come since the last merge."""
         self._error = ErrorCount(told)
         self._tracer = Tracer(shape)
-        self._untraced, self._unmerged, self._uncounted = _News(), _News(), _News()
+        self._untraced, self._unmerged, self._uncounted = ChangedCells(), ChangedCells(), ChangedCells()
 
     @property
     def polygons(self) -> Mapping[int, Polygons]:
@@ -188,22 +188,3 @@ class PolygonExchange(Exchange):
         """
         changed = self._held.changed()
         return self._error.count(own, self._held.held.polygons, self._uncounted.take(own), changed)
-
-
-class _News:
-    """Where one's own grid has changed since it was last looked at."""
-
-    def __init__(self) -> None:
-        self._seen: Grid | None = None
-        self._boxes: Boxes = NO_BOXES
-
-    def add(self, own: Grid, change: Change) -> None:
-        """A scan has been drawn."""
-        if own is self._seen:
-            self._boxes = united(self._boxes, box_of(change))
-
-    def take(self, own: Grid) -> Boxes | None:
-        """Return the boxes, and begin anew; None where this is another grid than the last time."""
-        boxes = self._boxes if own is self._seen else None
-        self._seen, self._boxes = own, NO_BOXES
-        return boxes

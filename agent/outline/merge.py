@@ -65,6 +65,8 @@ class TeamMap:
         self._layers: NDArray[np.uint8] = np.zeros((0, 0, 0), np.uint8)
         self._scratch: Layer = np.zeros((0, 0), np.uint8)
         self._near: Set[int] = frozenset()
+        self._rows = _numbers([]), _numbers([])
+        """Of the teammates near, and of the others, where in `_layers` they are."""
         self._changed: Boxes = NO_BOXES
         """Where claims have changed since the last merge."""
         self._merged: _Merged | None = None
@@ -77,6 +79,7 @@ class TeamMap:
         if robot not in self._slots:
             self._make_room(approximation.shape)
             self._slots[robot] = len(self._slots)
+            self._sort_out(self._near)
             changed = None
         if changed is None:
             changed = whole(approximation.shape)
@@ -94,27 +97,26 @@ class TeamMap:
         The grid that is returned is written over by the next call.
         """
         near = self._slots.keys() & (self._slots if near is None else near)
+        if near != self._near:
+            self._sort_out(near)
+            if self._drawing.wide_walls:
+                self._changed = whole(own.shape)
         if self._merged is None or changed is None:
             self._merged, changed = _Merged(own, self._drawing.close_slivers), NO_BOXES
             self._changed = whole(own.shape)
-        if near != self._near and self._drawing.wide_walls:
-            self._changed = whole(own.shape)
-        self._near = near
-        slots = [self._slots[robot] for robot in sorted(near)]
-        others = [slot for robot, slot in sorted(self._slots.items()) if robot not in near]
-        _merge(
-            own,
-            self._layers,
-            np.array(slots, np.int64),
-            np.array(others, np.int64),
-            self._drawing.wide_walls,
-            self._drawing.close_slivers,
-            self._changed,
-            changed,
-            *self._merged.grids,
-        )
-        self._changed = NO_BOXES
+        if len(self._changed) or len(changed):
+            guesses = self._drawing.wide_walls, self._drawing.close_slivers
+            _merge(own, self._layers, *self._rows, *guesses, self._changed, changed, *self._merged.grids)
+            self._changed = NO_BOXES
         return self._merged.plan
+
+    def _sort_out(self, near: Set[int]) -> None:
+        """Note who is near."""
+        self._near = near
+        self._rows = (
+            _numbers([slot for robot, slot in self._slots.items() if robot in near]),
+            _numbers([slot for robot, slot in self._slots.items() if robot not in near]),
+        )
 
     def _make_room(self, shape: tuple[int, int]) -> None:
         """See to it that one more layer fits."""
@@ -125,6 +127,10 @@ class TeamMap:
             more = np.zeros((max(1, 2 * held), *shape), np.uint8)
             more[:held] = self._layers[:held]
             self._layers = more
+
+
+def _numbers(slots: list[int]) -> NDArray[np.int64]:
+    return np.array(slots, np.int64)
 
 
 class _Merged:
@@ -165,6 +171,7 @@ class ErrorCount:
             raise ValueError(f"{drawing}: what receivers guess is no error of the approximation")
         self._drawing = drawing
         self._layer: Layer | None = None
+        self._scratch: Layer = np.zeros((0, 0), np.uint8)
         self._wrong: NDArray[np.bool_] = np.zeros((0, 0), np.bool_)
         self._count = 0
 
@@ -178,13 +185,13 @@ class ErrorCount:
         """Return the error now; both differ from the last ones in the boxes at most (None: anywhere)."""
         if self._layer is None or changed is None or own_changed is None:
             self._layer = layer(approximation, self._drawing)
-            self._wrong = np.zeros(own.shape, np.bool_)
+            self._wrong, self._scratch = np.zeros(own.shape, np.bool_), np.zeros(own.shape, np.uint8)
             self._count = 0
             boxes = whole(own.shape)
         else:
             boxes = united(own_changed, changed)
             if len(changed):
-                draw_anew(self._layer, approximation, self._drawing, np.zeros_like(self._layer), changed)
+                draw_anew(self._layer, approximation, self._drawing, self._scratch, changed)
         if len(boxes):
             self._count += int(_count_wrong(own, self._layer, boxes, self._wrong))
         return self._count
