@@ -56,9 +56,9 @@ def add_box(boxes: Boxes, count: int, x0: int, y0: int, x1: int, y1: int) -> int
     """Add a box to the first `count` of `MOST`, or join it with one; how many there are then. For other kernels."""
     least, best = np.int64(1) << 60, -1
     for at in range(count):
-        b = boxes[at]
-        joined = (max(b[2], x1) - min(b[0], x0)) * (max(b[3], y1) - min(b[1], y0))
-        more = joined - (b[2] - b[0]) * (b[3] - b[1]) - (x1 - x0) * (y1 - y0)
+        b0, b1, b2, b3 = boxes[at, 0], boxes[at, 1], boxes[at, 2], boxes[at, 3]
+        joined = (max(b2, x1) - min(b0, x0)) * (max(b3, y1) - min(b1, y0))
+        more = joined - (b2 - b0) * (b3 - b1) - (x1 - x0) * (y1 - y0)
         if more < least:
             least, best = more, at
     if best >= 0 and (least <= _SLACK or count == MOST):

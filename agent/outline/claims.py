@@ -80,52 +80,58 @@ _CHUNK = 16
 """So many edges are looked at together: those of a chunk whose bounds a box does not touch are left out."""
 
 
-@kernel("int64[::1](int32[::1])")
-def _object_of(start: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Number of the object of each vertex."""
-    owner = np.empty(start[-1], np.int64)
+@kernel("void(int16[::1], int16[::1], int32[::1], int32[::1], int32[:,::1], int32[:,::1])")
+def _measure(
+    x: NDArray[np.int16],
+    y: NDArray[np.int16],
+    start: NDArray[np.int32],
+    chunk_of: NDArray[np.int32],
+    chunks: Boxes,
+    objects: Boxes,
+) -> None:
+    """Write the boxes in which the edges of each chunk and each object lie, with a cell to spare.
+
+    An object's chunks begin with number ``chunk_of[k]``.
+    """
+    chunk = 0
     for k in range(len(start) - 1):
-        owner[start[k] : start[k + 1]] = k
-    return owner
+        first, end = start[k], start[k + 1]
+        chunk_of[k] = chunk
+        left, top, right, bottom = 1 << 20, 1 << 20, -1, -1
+        for begin in range(first, end, _CHUNK):
+            behind = min(begin + _CHUNK, end)
+            after = behind if behind < end else first  # where the last edge of the chunk ends
+            x0 = x1 = np.int64(x[after])
+            y0 = y1 = np.int64(y[after])
+            for i in range(begin, behind):
+                x0, x1 = min(x0, x[i]), max(x1, x[i])
+                y0, y1 = min(y0, y[i]), max(y1, y[i])
+            chunks[chunk, 0], chunks[chunk, 1] = x0 - 1, y0 - 1
+            chunks[chunk, 2], chunks[chunk, 3] = x1 + 2, y1 + 2
+            chunk += 1
+            left, top, right, bottom = min(left, x0), min(top, y0), max(right, x1), max(bottom, y1)
+        objects[k, 0], objects[k, 1], objects[k, 2], objects[k, 3] = left - 1, top - 1, right + 2, bottom + 2
 
 
-@kernel("int32[:,::1](int16[::1], int16[::1], int32[::1], int64[::1])")
-def _bounds(
-    x: NDArray[np.int16], y: NDArray[np.int16], start: NDArray[np.int32], group: NDArray[np.int64]
-) -> Boxes:
-    """Boxes of the edges that begin with the vertices of each group, with a cell to spare; groups ascend."""
-    bounds = np.empty((group[-1] + 1 if len(group) else 0, 4), np.int32)
-    bounds[:, :2] = 1 << 20
-    bounds[:, 2:] = -1
-    for k in range(len(start) - 1):
-        for i in range(start[k], start[k + 1]):
-            b = bounds[group[i]]
-            following = i + 1 if i + 1 < start[k + 1] else start[k]
-            for j in (np.int64(i), np.int64(following)):
-                b[0], b[1] = min(b[0], x[j] - 1), min(b[1], y[j] - 1)
-                b[2], b[3] = max(b[2], x[j] + 2), max(b[3], y[j] + 2)
-    return bounds
+@kernel("boolean(int32[:,::1], int64, int32[::1], int32[::1])")
+def _overlap(objects: Boxes, k: int, box: NDArray[np.int32], part: NDArray[np.int32]) -> bool:
+    """Write what a box and that of object `k` have in common; whether that is anything."""
+    if objects[k, 0] >= box[2] or objects[k, 2] <= box[0] or objects[k, 1] >= box[3] or objects[k, 3] <= box[1]:
+        return False
+    part[0], part[1] = max(objects[k, 0], box[0]), max(objects[k, 1], box[1])
+    part[2], part[3] = min(objects[k, 2], box[2]), min(objects[k, 3], box[3])
+    return True
 
 
-@kernel("boolean(int32[::1], int32[::1], int32[::1])")
-def _overlap(one: NDArray[np.int32], other: NDArray[np.int32], part: NDArray[np.int32]) -> bool:
-    """Write what two boxes have in common; whether that is anything."""
-    part[0], part[1] = max(one[0], other[0]), max(one[1], other[1])
-    part[2], part[3] = min(one[2], other[2]), min(one[3], other[3])
-    return part[0] < part[2] and part[1] < part[3]
-
-
-@kernel("int64(int32[:,::1], int64, int64, int32[::1], int32[::1])")
+@kernel("int64(int32[:,::1], int64, int64, int64, int32[::1], int32[::1])")
 def _edges_near(
-    chunk_bounds: Boxes, first: int, end: int, box: NDArray[np.int32], edges: NDArray[np.int32]
+    chunks: Boxes, chunk: int, first: int, end: int, box: NDArray[np.int32], edges: NDArray[np.int32]
 ) -> int:
     """Collect the edges of the vertices ``first:end`` that may cross a column of a box, in it or above it."""
     count = 0
-    chunk = first // _CHUNK
-    while chunk * _CHUNK < end:
-        b = chunk_bounds[chunk]
-        if b[0] < box[2] and b[2] > box[0] and b[1] < box[3]:
-            for i in range(max(first, chunk * _CHUNK), min(end, (chunk + 1) * _CHUNK)):
+    for begin in range(first, end, _CHUNK):
+        if chunks[chunk, 0] < box[2] and chunks[chunk, 2] > box[0] and chunks[chunk, 1] < box[3]:
+            for i in range(begin, min(begin + _CHUNK, end)):
                 edges[count] = i
                 count += 1
         chunk += 1
@@ -149,8 +155,10 @@ def _render(
     scratch: NDArray[np.uint8],
     boxes: Boxes,
 ) -> None:
-    bounds = _bounds(x, y, start, _object_of(start))
-    chunk_bounds = _bounds(x, y, start, np.arange(len(x)) // _CHUNK)
+    bounds = np.empty((len(inside), 4), np.int32)
+    chunks = np.empty((len(x) // _CHUNK + len(inside), 4), np.int32)
+    chunk_of = np.empty(len(inside), np.int32)
+    _measure(x, y, start, chunk_of, chunks, bounds)
     edges = np.empty(len(x), np.int32)
     all_bits = np.int32(INSIDE_FREE if free_inside_edges else 0)
     box, part = np.empty(4, np.int32), np.empty(4, np.int32)
@@ -160,12 +168,12 @@ def _render(
         for stage in range(3):
             for k in range(len(inside)):
                 first, end = start[k], start[k + 1]
-                if inside[k] == (stage == 1) or not _overlap(bounds[k], box, part):
+                if inside[k] == (stage == 1) or not _overlap(bounds, k, box, part):
                     continue
                 if not unknown_pairs and not inside[k] and end - first == 2:
                     if not occupied[first] and not occupied[first + 1]:
                         continue
-                found = edges[: _edges_near(chunk_bounds, first, end, part, edges)]
+                found = edges[: _edges_near(chunks, chunk_of[k], first, end, part, edges)]
                 if stage == 0:
                     fill(out, x, y, side, first, end, found, scratch, FREE_AREA, 0, part)
                 elif stage == 1:
