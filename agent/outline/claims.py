@@ -101,8 +101,8 @@ def _measure(
         for begin in range(first, end, _CHUNK):
             behind = min(begin + _CHUNK, end)
             after = behind if behind < end else first  # where the last edge of the chunk ends
-            x0 = x1 = np.int64(x[after])
-            y0 = y1 = np.int64(y[after])
+            x0 = x1 = int(x[after])
+            y0 = y1 = int(y[after])
             for i in range(begin, behind):
                 x0, x1 = min(x0, x[i]), max(x1, x[i])
                 y0, y1 = min(y0, y[i]), max(y1, y[i])
@@ -116,7 +116,12 @@ def _measure(
 @kernel("boolean(int32[:,::1], int64, int32[::1], int32[::1])")
 def _overlap(objects: Boxes, k: int, box: NDArray[np.int32], part: NDArray[np.int32]) -> bool:
     """Write what a box and that of object `k` have in common; whether that is anything."""
-    if objects[k, 0] >= box[2] or objects[k, 2] <= box[0] or objects[k, 1] >= box[3] or objects[k, 3] <= box[1]:
+    if (
+        objects[k, 0] >= box[2]
+        or objects[k, 2] <= box[0]
+        or objects[k, 1] >= box[3]
+        or objects[k, 3] <= box[1]
+    ):
         return False
     part[0], part[1] = max(objects[k, 0], box[0]), max(objects[k, 1], box[1])
     part[2], part[3] = min(objects[k, 2], box[2]), min(objects[k, 3], box[3])
@@ -160,7 +165,7 @@ def _render(
     chunk_of = np.empty(len(inside), np.int32)
     _measure(x, y, start, chunk_of, chunks, bounds)
     edges = np.empty(len(x), np.int32)
-    all_bits = np.int32(INSIDE_FREE if free_inside_edges else 0)
+    other = INSIDE_FREE if free_inside_edges else 0
     box, part = np.empty(4, np.int32), np.empty(4, np.int32)
     for number in range(len(boxes)):
         clip(boxes[number], 0, out.shape, box)
@@ -170,9 +175,9 @@ def _render(
                 first, end = start[k], start[k + 1]
                 if inside[k] == (stage == 1) or not _overlap(bounds, k, box, part):
                     continue
-                if not unknown_pairs and not inside[k] and end - first == 2:
-                    if not occupied[first] and not occupied[first + 1]:
-                        continue
+                has_wall = occupied[first] or occupied[first + 1]
+                if not (unknown_pairs or inside[k] or end - first > 2 or has_wall):
+                    continue
                 found = edges[: _edges_near(chunks, chunk_of[k], first, end, part, edges)]
                 if stage == 0:
                     fill(out, x, y, side, first, end, found, scratch, FREE_AREA, 0, part)
@@ -180,4 +185,4 @@ def _render(
                     fill(out, x, y, side, first, end, found, scratch, 0, FREE_AREA, part)
                     draw(out, x, y, side, occupied, first, end, found, OUTSIDE_OCCUPIED, 0, FREE_AREA, part)
                 else:
-                    draw(out, x, y, side, occupied, first, end, found, INSIDE_OCCUPIED, all_bits, 0, part)
+                    draw(out, x, y, side, occupied, first, end, found, INSIDE_OCCUPIED, other, 0, part)

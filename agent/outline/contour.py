@@ -75,7 +75,9 @@ class Tracer:
         height, width = self._shape
         x, y = robot
         if not (0 <= x < width and 0 <= y < height) or grid[y, x] != FREE:
-            raise ValueError(f"robot at ({x}, {y}): it must stand in a free cell of the {width} x {height} grid")
+            raise ValueError(
+                f"robot at ({x}, {y}): it must stand in a free cell of the {width} x {height} grid"
+            )
         if not grid.flags.writeable:
             grid = grid.copy()
         boxes = whole(self._shape) if changed is None else changed
@@ -102,7 +104,7 @@ def _lay_out(
 
     ``ends[y]`` has `counts[y]` columns x, from -1, where just one of the cells x and x + 1 is free.
     """
-    height, width = grid.shape
+    width = grid.shape[1]
     box = np.empty(4, np.int32)
     row_ends = np.empty(width + 1, np.int16)
     for number in range(len(boxes)):
@@ -156,18 +158,15 @@ def _count_points(ends: NDArray[np.int16], counts: NDArray[np.int64]) -> int:
     Between two cells of a row there is one where a run begins or ends; between two rows, in the columns where just one
     of them is free.
     """
-    points = counts.sum()
+    points = int(counts.sum())
     for y in range(len(counts) + 1):
         above = counts[y - 1] if y > 0 else 0
         below = counts[y] if y < len(counts) else 0
         a, b, since, differ = 0, 0, 0, False
         while a < above or b < below:
-            if b == below or (a < above and ends[y - 1, a] < ends[y, b]):
-                at = np.int64(ends[y - 1, a])
-                a += 1
-            else:
-                at = np.int64(ends[y, b])
-                b += 1
+            is_above = b == below or (a < above and ends[y - 1, a] < ends[y, b])
+            at = int(ends[y - 1, a] if is_above else ends[y, b])
+            a, b = a + is_above, b + (not is_above)
             if differ:
                 points += at - since
             differ = not differ

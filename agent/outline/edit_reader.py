@@ -6,7 +6,7 @@ the box of the vertex and its neighbours; so a receiver knows what to draw anew.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,9 +40,7 @@ class Objects(NamedTuple):
     symbols: NDArray[np.int32]
 
 
-NOTHING = Objects(
-    np.empty(0, np.int32), np.zeros(1, np.int32), np.empty(0, np.bool_), np.empty(0, np.int32)
-)
+NOTHING = Objects(np.empty(0, np.int32), np.zeros(1, np.int32), np.empty(0, np.bool_), np.empty(0, np.int32))
 
 
 class Reading(NamedTuple):
@@ -58,7 +56,7 @@ class Reading(NamedTuple):
         Where something has changed since the last save point.
     open : int
         Number of the open object, -1 if there is none.
-    count, inside : int
+    announced, inside : int
         How many vertices it is to have, and whether it is the inside object.
     edited : int
         Whether anything has come since the last save point.
@@ -68,7 +66,7 @@ class Reading(NamedTuple):
     vertices: NDArray[np.int32] = np.empty(0, np.int32)
     boxes: Boxes = NO_BOXES
     open: int = -1
-    count: int = 0
+    announced: int = 0
     inside: int = 0
     edited: int = 0
 
@@ -99,16 +97,18 @@ def read(shape: tuple[int, int], before: Reading, piece: bytes) -> tuple[int, Re
         If there was a save point.
         None instead of all if the piece makes no sense (`agent.outline.draft` says why).
     """
-    numbers = np.array([before.open, before.count, before.inside, before.edited, 0, 0], np.int64)
+    numbers = np.array([before.open, before.announced, before.inside, before.edited, 0, 0], np.int64)
     data = np.frombuffer(piece, np.uint8)
-    number, start, inside, symbols, vertices, boxes, *at_save, saved_boxes = _read(
-        data, *shape, numbers, *before.objects, before.vertices, before.boxes
-    )
+    arrays: tuple[Any, ...] = *before.objects, before.vertices, before.boxes
+    number, start, inside, symbols, vertices, boxes, *at_save = _read(data, *shape, numbers, *arrays)
+    saved: Any = at_save
     opened, count, is_inside, edited, used, saves = numbers.tolist()
     if used == REFUSED:
         return None
-    after = Reading(Objects(number, start, inside, symbols), vertices, boxes, opened, count, is_inside, edited)
-    return used, after, Saved(Objects(*at_save), saved_boxes) if saves else None
+    after = Reading(
+        Objects(number, start, inside, symbols), vertices, boxes, opened, count, is_inside, edited
+    )
+    return used, after, Saved(Objects(*saved[:4]), saved[4]) if saves else None
 
 
 @kernel("int64(uint8[::1], int64)")
@@ -127,8 +127,8 @@ def _size(data: NDArray[np.uint8], at: int) -> int:
 @kernel("int64(int32[:,::1], int64, int32[::1])")
 def _add_box_of(boxes: Boxes, count: int, symbols: NDArray[np.int32]) -> int:
     """Add the box of some vertices, and a cell around them."""
-    x0 = y0 = np.int64(1 << 20)
-    x1 = y1 = np.int64(-1)
+    x0 = y0 = 1 << 20
+    x1 = y1 = -1
     for symbol in symbols:
         x, y = (symbol >> 3 & 0xFFF) - 1, (symbol >> 15) - 1
         x0, x1 = min(x0, x), max(x1, x)
@@ -195,9 +195,9 @@ def _move_gap(vertices: NDArray[np.int32], n: NDArray[np.int64], to: int) -> Non
 @kernel("UniTuple(int64, 3)(uint8[::1], int64)")
 def _header(data: NDArray[np.uint8], at: int) -> tuple[int, int, int]:
     """Number, count of vertices and inside flag of an `Emerge` or `Change`."""
-    word = np.int64(0)
+    word = 0
     for i in range(5):
-        word = word << 8 | data[at + i]
+        word = word << 8 | int(data[at + i])
     return word >> 24 & 0xFFF, word >> 11 & 0x1FFF, word >> 10 & 1
 
 
@@ -395,7 +395,9 @@ def _read(
     if last_save >= 0:
         n[_BOXES] = 0
     if makes_sense and saves < whole:
-        makes_sense = _apply(data, saves, whole, height, width, n, first, length, is_inside, pool, told, boxes)
+        makes_sense = _apply(
+            data, saves, whole, height, width, n, first, length, is_inside, pool, told, boxes
+        )
         d_number, d_start, d_inside, d_symbols = _packed(first, length, is_inside, pool, n[_LIMIT])
     _move_gap(told, n, n[_TOLD])
     numbers[:4] = n[:4]

@@ -213,7 +213,7 @@ def _succeed(
     key = np.empty(len(kin), np.int64)  # by saving, then old object, then new object
     offers = 0
     for pair in range(len(kin)):
-        old_object, new_object = np.int64(kin[pair, 0]), np.int64(kin[pair, 1])
+        old_object, new_object = kin[pair]
         cost, _, _ = _align_pair(
             old_symbols, old_start, new_symbols, new_start, twins, old_object, new_object
         )

@@ -86,9 +86,7 @@ class TeamMap:
         draw_anew(self._layers[self._slots[robot]], approximation, self._drawing, self._scratch, changed)
         self._changed = united(self._changed, changed)
 
-    def merged(
-        self, own: Grid, near: Collection[int] | None = None, changed: Boxes | None = None
-    ) -> Grid:
+    def merged(self, own: Grid, near: Collection[int] | None = None, changed: Boxes | None = None) -> Grid:
         """Return the planning grid of a robot whose self-explored grid is `own`.
 
         Walls are wide only of the teammates `near` (None: all): what they have just begun to see they will soon
@@ -218,7 +216,7 @@ def _count_wrong(own: Grid, claims: Layer, boxes: Boxes, wrong: NDArray[np.bool_
         for y in range(box[1], box[3]):
             for x in range(box[0], box[2]):
                 is_wrong = own[y, x] != _strongest(UNKNOWN, claims[y, x], 0)
-                more += np.int64(is_wrong) - np.int64(wrong[y, x])
+                more += int(is_wrong) - int(wrong[y, x])
                 wrong[y, x] = is_wrong
     return more
 
@@ -273,15 +271,14 @@ def _close_slivers(own: Grid, resolved: Grid, box: NDArray[np.int32], plan: Grid
     height, width = own.shape
     for y in range(box[1], box[3]):
         for x in range(box[0], box[2]):
-            cell = resolved[y, x]
-            if cell == UNKNOWN:
-                if 0 < x < width - 1 and resolved[y, x - 1] == FREE and resolved[y, x + 1] == FREE:
-                    if own[y, x - 1] == UNKNOWN or own[y, x + 1] == UNKNOWN:
-                        cell = FREE
-                if 0 < y < height - 1 and resolved[y - 1, x] == FREE and resolved[y + 1, x] == FREE:
-                    if own[y - 1, x] == UNKNOWN or own[y + 1, x] == UNKNOWN:
-                        cell = FREE
-            plan[y, x] = cell
+            plan[y, x] = resolved[y, x]
+            if resolved[y, x] != UNKNOWN:
+                continue
+            if 0 < x < width - 1 and resolved[y, x - 1] == FREE and resolved[y, x + 1] == FREE:
+                plan[y, x] = FREE if own[y, x - 1] == UNKNOWN or own[y, x + 1] == UNKNOWN else UNKNOWN
+            if 0 < y < height - 1 and resolved[y - 1, x] == FREE and resolved[y + 1, x] == FREE:
+                is_heard = own[y - 1, x] == UNKNOWN or own[y + 1, x] == UNKNOWN
+                plan[y, x] = FREE if is_heard else plan[y, x]
 
 
 @kernel(

@@ -74,7 +74,7 @@ def _draft_of(shape: tuple[int, int], reading: Reading) -> Draft:
         _outlines(reading.objects),
         None if reading.open < 0 else reading.open,
         reading.vertices.tolist(),
-        reading.count,
+        reading.announced,
         bool(reading.inside),
         bool(reading.edited),
     )

@@ -138,10 +138,10 @@ def _split_all(
 
     Which comes first makes no difference.
     """
-    waiting = np.empty((64, 3), np.int64)
+    waiting = np.empty((len(x) + 2, 3), np.int64)
     for edge in edges:
         k = edge[3]
-        first, end = np.int64(start[k]), np.int64(start[k + 1])
+        first, end = start[k], start[k + 1]
         waiting[0] = edge[:3]
         left = 1
         while left:
@@ -149,10 +149,6 @@ def _split_all(
             a, b, split = waiting[left]
             marked[split] = True
             vertices[k] += 1
-            if left + 2 > len(waiting):
-                longer = np.empty((2 * len(waiting), 3), np.int64)
-                longer[:left] = waiting[:left]
-                waiting = longer
             for one, other in ((a, split), (split, b)):
                 _, next_split, _ = _split_of(x, y, occupied, first, end, one, other)
                 if next_split >= 0:
@@ -163,9 +159,7 @@ def _split_all(
     return True
 
 
-@kernel(
-    "int32[::1](int16[::1], int16[::1], uint8[::1], uint8[::1], int32[::1], int32[::1], int64, float64)"
-)
+@kernel("int32[::1](int16[::1], int16[::1], uint8[::1], uint8[::1], int32[::1], int32[::1], int64, float64)")
 def _refine(
     cell_x: NDArray[np.int16],
     cell_y: NDArray[np.int16],
@@ -198,7 +192,7 @@ def _refine(
         if vertices[k] >= MAX_VERTICES:
             continue
         for e in range(begin, m):
-            a, b = np.int64(marks[e]), np.int64(marks[e + 1 if e + 1 < m else begin])
+            a, b = marks[e], marks[e + 1 if e + 1 < m else begin]
             distance, split, mixed = _split_of(x, y, occupied, start[k], start[k + 1], a, b)
             if split >= 0:
                 worth[count] = distance + worth_of_mixed if mixed else distance
@@ -213,13 +207,13 @@ def _refine(
         splits = len(x)
 
     # Of the edges that there are, no more than `splits` are split.
-    least = -np.inf
+    least = np.full(1, -np.inf)
     if splits < count and most + splits <= MAX_VERTICES:
-        least = np.partition(worth[:count], count - splits)[count - splits]
+        least = np.partition(worth[:count], count - splits)[count - splits :]
     queue = [(0.0, 0, 0, 0, 0)]  # minus the value, the edge's two points, where to split it, its object
     queue.clear()
     for e in range(count):
-        if worth[e] >= least:
+        if worth[e] >= least[0]:
             heappush(queue, (-worth[e], edges[e, 0], edges[e, 1], edges[e, 2], edges[e, 3]))
     while splits > 0 and len(queue) > 0:
         _, a, b, split, k = heappop(queue)

@@ -81,7 +81,9 @@ def way_between(floor: Floor, start: tuple[int, int], end: tuple[int, int]) -> N
     The same way as `way` finds in a whole field, at the price of the cells that are no farther than its end.
     """
     cells: NDArray[np.int32]
-    found, cells = _lead(floor.free, floor.stride, floor.at(*start), floor.at(*end), *workspace(len(floor.free)))
+    found, cells = _lead(
+        floor.free, floor.stride, floor.at(*start), floor.at(*end), *workspace(len(floor.free))
+    )
     return cells if found else None
 
 

@@ -42,9 +42,7 @@ def reachable_frontier(floor: Floor, grid: Grid, x: int, y: int) -> NDArray[np.i
 
 
 @kernel("int32[:,::1](boolean[::1], int64, int64, boolean[::1])")
-def _flood(
-    free: NDArray[np.bool_], stride: int, start: int, reached: NDArray[np.bool_]
-) -> NDArray[np.int32]:
+def _flood(free: NDArray[np.bool_], stride: int, start: int, reached: NDArray[np.bool_]) -> NDArray[np.int32]:
     """Fill the 4-connected part of the floor around a cell, run after run of its rows.
 
     Returns the runs that were filled, each as its first and last cell.
@@ -86,7 +84,6 @@ def _flood(
 @kernel("int32[:,::1](uint8[:,::1], int64, int32[:,::1])")
 def _collect(grid: Grid, stride: int, runs: NDArray[np.int32]) -> NDArray[np.int32]:
     """Frontier cells (x, y) of some runs, row by row."""
-    height, width = grid.shape
     out = np.empty((256, 2), np.int32)
     count = 0
     order = np.argsort(runs[:, 0])

@@ -59,10 +59,10 @@ def _cells_up_to(cells: NDArray[np.int32], x: int, y: int) -> int:
 def _is_open(floor: Grid, x: int, y: int, cells: NDArray[np.int32]) -> bool:
     for at in range(len(cells)):
         next_x, next_y = cells[at, 0], cells[at, 1]
-        if floor[next_y, next_x] != FREE or floor[y, next_x] != FREE or floor[next_y, x] != FREE:
-            # The cell itself, and on a diagonal step those beside it; else these are the step's own two ends.
-            if floor[next_y, next_x] != FREE or (next_x != x and next_y != y):
-                return False
+        if floor[next_y, next_x] != FREE:
+            return False
+        if next_x != x and next_y != y and (floor[y, next_x] != FREE or floor[next_y, x] != FREE):
+            return False
         x, y = next_x, next_y
     return True
 

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from agent.exchange.polygon import PolygonExchange
 from agent.outline.approximation import approximation, repair
+from agent.outline.claims import Drawing
 from agent.outline.contour import contours
 from agent.outline.edits import Held, edit_script
-from agent.outline.claims import Drawing
 from agent.outline.five_stages import five_stages
 from agent.outline.merge import TeamMap
 from agent.outline.polygons import Polygons

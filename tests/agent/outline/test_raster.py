@@ -42,7 +42,18 @@ def filled(polygon: list[Vertex], shape: tuple[int, int] = SHAPE) -> NDArray[np.
 
 def drawn(polygon: list[Vertex], shape: tuple[int, int] = SHAPE) -> NDArray[np.bool_]:
     layer = np.zeros(shape, np.uint8)
-    draw(layer, *columns(polygon), np.ones(len(polygon), np.uint8), 0, len(polygon), every(polygon), 1, 0, 0, whole(shape)[0])
+    draw(
+        layer,
+        *columns(polygon),
+        np.ones(len(polygon), np.uint8),
+        0,
+        len(polygon),
+        every(polygon),
+        1,
+        0,
+        0,
+        whole(shape)[0],
+    )
     return layer.astype(np.bool_)
 
 
@@ -92,7 +103,18 @@ def test_an_edge_is_drawn_in_the_cell_nearest_to_it_in_each_column_or_row(one: V
                 expected.add((int((ax + (bx - ax) * (y - ay) / (by - ay) + Fraction(1, 2)) // 1), y))
     layer = np.zeros(SHAPE, np.uint8)
     # Only the first of the two edges is occupied.
-    draw(layer, *columns([one, other]), np.array([1, 0], np.uint8), 0, 2, every([one, other]), 1, 0, 0, whole(SHAPE)[0])
+    draw(
+        layer,
+        *columns([one, other]),
+        np.array([1, 0], np.uint8),
+        0,
+        2,
+        every([one, other]),
+        1,
+        0,
+        0,
+        whole(SHAPE)[0],
+    )
     cells = {(int(x), int(y)) for y, x in np.argwhere(layer)}
     assert cells == {(x, y) for x, y in expected if 0 <= x < SHAPE[1] and 0 <= y < SHAPE[0]}
 
@@ -111,7 +133,18 @@ def test_an_exact_edge_is_drawn_in_the_cells_of_its_points_but_the_last(
     one: Vertex, other: Vertex, cells: list[tuple[int, int]]
 ) -> None:
     layer = np.zeros(SHAPE, np.uint8)
-    draw(layer, *columns([one, other]), np.array([1, 0], np.uint8), 0, 2, every([one, other]), 1, 0, 0, whole(SHAPE)[0])
+    draw(
+        layer,
+        *columns([one, other]),
+        np.array([1, 0], np.uint8),
+        0,
+        2,
+        every([one, other]),
+        1,
+        0,
+        0,
+        whole(SHAPE)[0],
+    )
     assert sorted((int(x), int(y)) for y, x in np.argwhere(layer)) == cells
 
 
@@ -131,7 +164,18 @@ def test_bits_are_set_and_cleared_where_they_should_be() -> None:
     layer, scratch = np.full(SHAPE, 0b101, np.uint8), np.zeros(SHAPE, np.uint8)
     fill(layer, *columns(square), 0, 4, every(square), scratch, 0b010, 0b100, whole(layer.shape)[0])
     assert (layer == np.where(filled(square), 0b011, 0b101)).all()
-    draw(layer, *columns(square), np.array([1, 0, 1, 0], np.uint8), 0, 4, every(square), 0b1000, 0b10000, 0b1, whole(layer.shape)[0])
+    draw(
+        layer,
+        *columns(square),
+        np.array([1, 0, 1, 0], np.uint8),
+        0,
+        4,
+        every(square),
+        0b1000,
+        0b10000,
+        0b1,
+        whole(layer.shape)[0],
+    )
     assert layer[3, 1] == 0b1010, "an occupied edge"
     assert layer[5, 3] == 0b10010, "another edge"
     assert layer[3, 3] == 0b011
