@@ -179,3 +179,21 @@ def test_bits_are_set_and_cleared_where_they_should_be() -> None:
     assert layer[3, 1] == 0b1010, "an occupied edge"
     assert layer[5, 3] == 0b10010, "another edge"
     assert layer[3, 3] == 0b011
+
+
+@quick
+@given(polygons, st.tuples(*2 * [st.tuples(st.integers(0, SHAPE[1]), st.integers(0, SHAPE[0]))]))
+def test_in_a_box_just_what_lies_in_it_is_drawn(
+    polygon: list[Vertex], corners: tuple[tuple[int, int], tuple[int, int]]
+) -> None:
+    (x0, x1), (y0, y1) = (sorted(pair) for pair in zip(*corners, strict=True))
+    box = np.array((x0, y0, x1, y1), np.int32)
+    area, edges, scratch = (np.zeros(SHAPE, np.uint8) for _ in range(3))
+    fill(area, *columns(polygon), 0, len(polygon), every(polygon), scratch, 1, 0, box)
+    walls = np.ones(len(polygon), np.uint8)
+    draw(edges, *columns(polygon), walls, 0, len(polygon), every(polygon), 1, 0, 0, box)
+    within = np.zeros(SHAPE, np.bool_)
+    within[y0:y1, x0:x1] = True
+    assert area.tolist() == (filled(polygon) & within).tolist()
+    assert edges.tolist() == (drawn(polygon) & within).tolist()
+    assert not scratch.any()
