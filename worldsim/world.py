@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from protocol.grid import FREE, Grid, disc, enlarge, fan
+from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes, points_from_bytes
 from protocol.scans import NONE, draw, mark_free
@@ -242,13 +243,25 @@ class World:
         driven_over = np.array(entered, np.int32).reshape(-1, 2)
         news = mark_free(self.seen, driven_over) + draw(self.seen, self._fans[robot], x, y, readings)
         if news.cells:
-            here = np.s_[news.y0 : news.y1, news.x0 : news.x1]
-            fresh = (self.seen[here] == FREE) & self.reachable[here] & ~self._counted[here]
-            self._counted[here] |= fresh
-            self.seen_cells += int(np.count_nonzero(fresh))
+            box = news.x0, news.y0, news.x1, news.y1
+            self.seen_cells += int(_count_seen(self.seen, self.reachable, *box, self._counted))
         driven = cells_to_bytes(driven_over)
         offset_x, offset_y = self.offsets[robot]
         return Sense(self.step, x, y, heading, driven, readings.tobytes(), blocked, offset_x, offset_y)
+
+
+@kernel("int64(uint8[:,::1], boolean[:,::1], int64, int64, int64, int64, boolean[:,::1])")
+def _count_seen(
+    seen: Grid, reachable: NDArray[np.bool_], x0: int, y0: int, x1: int, y1: int, counted: NDArray[np.bool_]
+) -> int:
+    """Count the reachable free cells of a box that have been seen, once each."""
+    fresh = 0
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            if seen[y, x] == FREE and reachable[y, x] and not counted[y, x]:
+                counted[y, x] = True
+                fresh += 1
+    return fresh
 
 
 @lru_cache(maxsize=64)

@@ -55,13 +55,23 @@ class Floor:
         self.height: int = grid.shape[0]
         self.width: int = grid.shape[1]
         self.stride: int = self.width + 2
-        padded = np.zeros((self.height + 2, self.stride), np.bool_)
-        padded[1:-1, 1:-1] = grid == FREE
-        self.free = padded.ravel()
+        self.free: NDArray[np.bool_] = _laid_out(grid)
 
     def at(self, x: int, y: int) -> int:
         """Where cell (x, y) lies in `free`."""
         return (y + 1) * self.stride + x + 1
+
+
+@kernel("boolean[::1](Array(uint8, 2, 'C', readonly=True))")
+def _laid_out(grid: Grid) -> NDArray[np.bool_]:
+    height, width = grid.shape
+    free = np.zeros((height + 2) * (width + 2), np.bool_)
+    for y in range(height):
+        begin = (y + 1) * (width + 2) + 1
+        row, cells = free[begin : begin + width], grid[y]
+        for x in range(width):
+            row[x] = cells[x] == FREE
+    return free
 
 
 @lru_cache(maxsize=1)
