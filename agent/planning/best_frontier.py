@@ -1,13 +1,16 @@
 """The frontier cell of the best trade-off of utility and cost, found without a look at those that are too far.
 
-Thesis, section 4.4: it is the cell t with the largest U(t) - beta V(t). No utility is above 1, so once the
-search has come so far that 1 - beta V is below the best trade-off found, nothing farther can be better. Of
-the map only what lies that near is looked at, and utilities are reckoned of the frontier cells there.
+Thesis, section 4.4: it is the cell t with the largest U(t) - beta V(t). No utility is above 1, and each
+teammate's target that is counted lowers it or leaves it. So what has been counted so far bounds a cell's
+trade-off from above, and 1 - beta V that of all cells beyond the search. Always the cell, or the search, of
+the highest bound goes on; the first cell that is there with all targets counted is the best. Of the map
+only what lies near is looked at, and of most cells few targets are counted.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from heapq import heappop, heappush
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,26 +95,37 @@ def _search(
     buckets = begin(length, came, touched, fill, start)
     offset = offsets(stride)
     here = np.empty(2, np.int32)
+    # Minus a bound on the trade-off, the cell, how many targets have been counted, the utility that they leave.
+    queue = [(0.0, buckets[0, 0], 0, 0.0)]
+    queue.clear()
     level = 0
-    best, best_cell = -np.inf, -1
-    while fill[:4].any() and not best > 1.0 - beta * (level / range_cells):
-        buckets = settle(free, length, came, touched, buckets, fill, offset, level, start)
-        for at in range(fill[level & 3]):
-            cell = buckets[level & 3, at]
-            here[0], here[1] = cell % stride - 1, cell // stride - 1
-            if length[cell] >> SHIFT != level or not frontier_at(grid, here[0], here[1]):
-                continue
-            cost = beta * (length[cell] * UNIT / range_cells)
-            if 1.0 - cost < best:
-                continue
-            utility = 1.0
-            for target in range(len(targets)):
-                utility -= weights[target] * sees(grid, here, targets[target], range_cells)
-            value = utility - cost
-            if value > best or (value == best and cell < best_cell):
-                best, best_cell = value, cell
-        fill[level & 3] = 0
-        level += 1
+    best_cell = -1
+    while best_cell < 0:
+        if fill[:4].any() and (len(queue) == 0 or -queue[0][0] <= 1.0 - beta * (level / range_cells)):
+            buckets = settle(free, length, came, touched, buckets, fill, offset, level, start)
+            for at in range(fill[level & 3]):
+                cell = buckets[level & 3, at]
+                if length[cell] >> SHIFT == level and frontier_at(
+                    grid, cell % stride - 1, cell // stride - 1
+                ):
+                    cost = beta * (length[cell] * UNIT / range_cells)
+                    heappush(queue, (cost - 1.0, cell, 0, 1.0))
+            fill[level & 3] = 0
+            level += 1
+            continue
+        if len(queue) == 0:
+            break
+        _, cell, counted, utility = heappop(queue)
+        if counted == len(targets):
+            best_cell = cell
+            continue
+        here[0], here[1] = cell % stride - 1, cell // stride - 1
+        before = utility
+        while counted < len(targets) and utility == before:
+            utility -= weights[counted] * sees(grid, here, targets[counted], range_cells)
+            counted += 1
+        cost = beta * (length[cell] * UNIT / range_cells)
+        heappush(queue, (cost - utility, cell, counted, utility))
     cells = way_back(free, length, offset, best_cell) if best_cell >= 0 else np.empty((0, 2), np.int32)
     tidy(length, came, touched, fill)
     return best_cell, cells
