@@ -158,7 +158,8 @@ class PolygonExchange(Exchange):
             extra = len(said) - script_size(held, self._approximation(exact, repaired))
             self._allowance.spent(len(refined) - len(repaired), max(0, extra))
         self._outdated = False
-        self._held.feed(said)
+        if said:
+            self._held.feed(said)
         return units
 
     def _approximation(self, exact: Polygons, marks: Marks) -> Polygons:

@@ -56,12 +56,13 @@ def layer(polygons: Polygons, drawing: Drawing = THESIS) -> Layer:
     return out
 
 
-def draw_anew(out: Layer, polygons: Polygons, drawing: Drawing, scratch: Layer, boxes: Boxes) -> None:
+def draw_anew(out: Layer, polygons: Polygons, drawing: Drawing, scratch: Layer, boxes: Boxes) -> Boxes:
     """Render the claims of an approximation in some boxes, in place of what was claimed there.
 
-    `scratch` has the shape of the layer, and is zero before and after.
+    `scratch` has the shape of the layer, and is zero before and after. Returns boxes around the claims that are others
+    than before.
     """
-    _render(
+    changed: Boxes = _render(
         out,
         polygons.x,
         polygons.y,
@@ -74,6 +75,7 @@ def draw_anew(out: Layer, polygons: Polygons, drawing: Drawing, scratch: Layer, 
         scratch,
         boxes,
     )
+    return changed
 
 
 _CHUNK = 16
@@ -143,8 +145,23 @@ def _edges_near(
     return count
 
 
+@kernel("boolean(uint8[:,::1], uint8[:,::1], int32[::1], int32[::1])")
+def _around_change(before: Layer, layer: Layer, box: NDArray[np.int32], changed: NDArray[np.int32]) -> bool:
+    """Write the box around what has changed in a box; whether anything has."""
+    x0, y0 = box[0], box[1]
+    height, width = before.shape
+    top, bottom, left, right = height, -1, width, -1
+    for y in range(height):
+        for x in range(width):
+            if before[y, x] != layer[y0 + y, x0 + x]:
+                top, bottom = min(top, y), y
+                left, right = min(left, x), max(right, x)
+    changed[0], changed[1], changed[2], changed[3] = x0 + left, y0 + top, x0 + right + 1, y0 + bottom + 1
+    return bottom >= 0
+
+
 @kernel(
-    "void(uint8[:,::1], int16[::1], int16[::1], uint8[::1], uint8[::1], int32[::1], boolean[::1], boolean, "
+    "int32[:,::1](uint8[:,::1], int16[::1], int16[::1], uint8[::1], uint8[::1], int32[::1], boolean[::1], boolean, "
     "boolean, uint8[:,::1], int32[:,::1])"
 )
 def _render(
@@ -159,7 +176,7 @@ def _render(
     unknown_pairs: bool,
     scratch: NDArray[np.uint8],
     boxes: Boxes,
-) -> None:
+) -> Boxes:
     bounds = np.empty((len(inside), 4), np.int32)
     chunks = np.empty((len(x) // _CHUNK + len(inside), 4), np.int32)
     chunk_of = np.empty(len(inside), np.int32)
@@ -167,8 +184,11 @@ def _render(
     edges = np.empty(len(x), np.int32)
     other = INSIDE_FREE if free_inside_edges else 0
     box, part = np.empty(4, np.int32), np.empty(4, np.int32)
+    changed = np.empty((len(boxes), 4), np.int32)
+    count = 0
     for number in range(len(boxes)):
         clip(boxes[number], 0, out.shape, box)
+        before = out[box[1] : box[3], box[0] : box[2]].copy()
         out[box[1] : box[3], box[0] : box[2]] = 0
         for stage in range(3):
             for k in range(len(inside)):
@@ -186,3 +206,6 @@ def _render(
                     draw(out, x, y, side, occupied, first, end, found, OUTSIDE_OCCUPIED, 0, FREE_AREA, part)
                 else:
                     draw(out, x, y, side, occupied, first, end, found, INSIDE_OCCUPIED, other, 0, part)
+        if _around_change(before, out, box, changed[count]):
+            count += 1
+    return changed[:count].copy()

@@ -83,8 +83,9 @@ class TeamMap:
             changed = None
         if changed is None:
             changed = whole(approximation.shape)
-        draw_anew(self._layers[self._slots[robot]], approximation, self._drawing, self._scratch, changed)
-        self._changed = united(self._changed, changed)
+        claims = self._layers[self._slots[robot]]
+        drawn = draw_anew(claims, approximation, self._drawing, self._scratch, changed)
+        self._changed = united(self._changed, drawn)
 
     def merged(self, own: Grid, near: Collection[int] | None = None, changed: Boxes | None = None) -> Grid:
         """Return the planning grid of a robot whose self-explored grid is `own`.
@@ -187,9 +188,10 @@ class ErrorCount:
             self._count = 0
             boxes = whole(own.shape)
         else:
-            boxes = united(own_changed, changed)
+            boxes = own_changed
             if len(changed):
-                draw_anew(self._layer, approximation, self._drawing, self._scratch, changed)
+                drawn = draw_anew(self._layer, approximation, self._drawing, self._scratch, changed)
+                boxes = united(boxes, drawn)
         if len(boxes):
             self._count += int(_count_wrong(own, self._layer, boxes, self._wrong))
         return self._count
