@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 
@@ -24,6 +26,8 @@ from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Grid, fan
 from protocol.messages import Move, Outcome, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
 from protocol.scans import Scan, check_readings, draw, mark_free
+
+_Value = TypeVar("_Value")
 
 REPEAT_POSE = 10
 """Steps after which a robot that stands still repeats its pose."""
@@ -133,7 +137,7 @@ class Robot:
     def hear_broadcast(self, peer: int, payload: bytes) -> None:
         """Take a teammate's broadcast."""
         try:
-            said = packets.decode(payload)
+            said = _read_broadcast(payload)
         except ProtocolError as error:
             self.faults.append(Fault(peer, str(error)))
             return
@@ -228,16 +232,29 @@ class Robot:
             offset=(sense.offset_x, sense.offset_y),
             heading=sense.heading,
             blocked=sense.blocked,
-            homes=dict(sorted(self._homes.items())),
+            homes=_ascending(self._homes),
             home=self._homes[self.settings.robot],
             peers=self._peers,
-            poses=dict(sorted(self._poses.items())),
-            travelled=dict(sorted(self._travelled.items())),
-            targets=dict(sorted(self._targets.items())),
-            heard=dict(sorted(self._heard.items())),
+            poses=_ascending(self._poses),
+            travelled=_ascending(self._travelled),
+            targets=_ascending(self._targets),
+            heard=_ascending(self._heard),
             news=news,
         )
 
     def _travel(self, robot: int, start: Cell, end: Cell) -> None:
         way = math.hypot(end[0] - start[0], end[1] - start[1])
         self._travelled[robot] = self._travelled.get(robot, 0.0) + way
+
+
+@lru_cache(maxsize=1 << 12)
+def _read_broadcast(payload: bytes) -> tuple[packets.AnyPacket, ...]:
+    """Read what all in range hear alike."""
+    return tuple(packets.decode(payload))
+
+
+def _ascending(of_robots: dict[int, _Value]) -> dict[int, _Value]:
+    """What is known of robots, by ascending number; a dictionary that is so already is copied in a moment."""
+    numbers = list(of_robots)
+    ordered = sorted(numbers)
+    return dict(of_robots) if numbers == ordered else {robot: of_robots[robot] for robot in ordered}

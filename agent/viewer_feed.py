@@ -24,7 +24,7 @@ class ViewerFeed:
         """Return what the viewer has not been sent yet."""
         said: list[Snapshot | Outlines] = []
         if self._planning is None or not np.array_equal(self._planning, robot.planning):
-            self._planning = robot.planning
+            self._planning = robot.planning.copy()
             height, width = robot.planning.shape
             said.append(Snapshot(step, width, height, grid_to_bytes(robot.planning)))
         for about, polygons in sorted(robot.polygons.items()):

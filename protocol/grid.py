@@ -36,7 +36,7 @@ _DIRECTION_UNIT = 1 << 20
 """Beam directions are integer vectors of this length, so that no platform's cosine affects a cell."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fan:
     """The cells that each beam crosses, nearest first, relative to the robot's own cell.
 
@@ -51,10 +51,20 @@ class Fan:
     cells: NDArray[np.int32]
     start: NDArray[np.int32]
 
+    def flat(self, width: int) -> NDArray[np.int64]:
+        """The same cells as steps in a grid of so many columns that lies flat, row after row."""
+        return _flat(self, width)
+
     @property
     def beams(self) -> int:
         """Number of beams in a full turn."""
         return len(self.start) - 1
+
+
+@lru_cache(maxsize=16)
+def _flat(beams: Fan, width: int) -> NDArray[np.int64]:
+    steps: NDArray[np.int64] = beams.cells[:, 1].astype(np.int64) * width + beams.cells[:, 0]
+    return steps
 
 
 @lru_cache(maxsize=16)
@@ -119,10 +129,12 @@ def enlarge(grid: Grid, radius_cells: float) -> Grid:
 
     With a radius of half a cell or less, or without obstacles, nothing changes, and the grid itself is returned.
     """
+    if radius_cells <= _REACH:
+        return grid
     from scipy import ndimage  # noqa: PLC0415  slow to import, and few need it
 
     solid = grid == OCCUPIED
-    if radius_cells <= _REACH or not solid.any():
+    if not solid.any():
         return grid
     away = np.rint(ndimage.distance_transform_edt(~solid) ** 2)
     grown = grid.copy()

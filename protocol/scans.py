@@ -130,18 +130,20 @@ def mark_free(grid: Grid, cells: NDArray[np.int32]) -> Change:
 def draw(grid: Grid, fan: Fan, x: int, y: int, readings: Readings) -> Change:
     """Draw a scan taken in cell (x, y) of a grid: cells crossed are free, the next one is occupied if it was hit.
 
-    The readings must be valid for the beams (`check_readings`). Only unknown cells change: lasers of
-    one world do not contradict each other. The robot's own cell is free; cells beyond the border are ignored.
+    The readings must be such as the beams can give (`check_readings`). Only unknown cells change: lasers of
+    one world do not contradict each other. The robot's own cell is free; what lies beyond the rim falls away, and so
+    does a scan that was taken there.
     """
     out = np.empty(5, np.int32)
-    _draw(grid, fan.cells, fan.start, x, y, readings, out)
+    _draw(grid, fan.cells, fan.flat(grid.shape[1]), fan.start, x, y, readings, out)
     return Change(*out.tolist())
 
 
-@kernel("void(uint8[:,::1], int32[:,::1], int32[::1], int64, int64, uint16[::1], int32[::1])")
+@kernel("void(uint8[:,::1], int32[:,::1], int64[::1], int32[::1], int64, int64, uint16[::1], int32[::1])")
 def _draw(
     grid: Grid,
     cells: NDArray[np.int32],
+    flat: NDArray[np.int64],
     start: NDArray[np.int32],
     x: int,
     y: int,
@@ -150,23 +152,31 @@ def _draw(
 ) -> None:
     # Unsigned, a cell beyond the left or upper border is a very large number, and indexing is twice as fast.
     height, width = np.uint64(grid.shape[0]), np.uint64(grid.shape[1])
+    lying = grid.reshape(grid.size)
+    here = y * grid.shape[1] + x
     changed = 0
     x0, y0, x1, y1 = grid.shape[1], grid.shape[0], 0, 0
-    if np.uint64(x) < width and np.uint64(y) < height and grid[y, x] == UNKNOWN:
+    on_grid = np.uint64(x) < width and np.uint64(y) < height
+    if on_grid and grid[y, x] == UNKNOWN:
         grid[y, x] = FREE
         changed, x0, y0, x1, y1 = 1, x, y, x + 1, y + 1
     for beam in range(len(readings)):
         reading = readings[beam]
-        if reading == NONE:
+        if reading == NONE or not on_grid:
             continue
         first = np.uint64(start[beam])
         hit = first + np.uint64(reading & NONE)
-        for at in range(first, hit + np.uint64(reading >> 15)):
-            column, row = np.uint64(x + cells[at, 0]), np.uint64(y + cells[at, 1])
-            if column >= width or row >= height:
+        end = hit + np.uint64(reading >> 15)
+        # A walk never turns back: it stays on the grid if it ends there.
+        while end > first:
+            last = end - np.uint64(1)
+            if np.uint64(x + cells[last, 0]) < width and np.uint64(y + cells[last, 1]) < height:
                 break
-            if grid[row, column] == UNKNOWN:
-                grid[row, column] = FREE if at < hit else OCCUPIED
+            end = last
+        for at in range(first, end):
+            cell = np.uint64(here + flat[at])
+            if lying[cell] == UNKNOWN:
+                lying[cell] = FREE if at < hit else OCCUPIED
                 changed += 1
                 x0, x1 = min(x0, x + cells[at, 0]), max(x1, x + cells[at, 0] + 1)
                 y0, y1 = min(y0, y + cells[at, 1]), max(y1, y + cells[at, 1] + 1)

@@ -43,7 +43,8 @@ def cast(
         Readings as `protocol.scans` defines them.
     """
     readings = np.empty(fan.beams, np.uint16)
-    _cast(truth, teammates.view(np.uint8), fan.cells, fan.start, x, y, readings)
+    flat = fan.flat(truth.shape[1])
+    _cast(truth, teammates.view(np.uint8), fan.cells, flat, fan.start, x, y, readings)
     if field_of_view < FULL_TURN:
         angles = np.arange(fan.beams) * (FULL_TURN / fan.beams)
         off = np.abs((angles - heading * FULL_TURN / HEADINGS + FULL_TURN / 2) % FULL_TURN - FULL_TURN / 2)
@@ -51,11 +52,12 @@ def cast(
     return readings
 
 
-@kernel("void(uint8[:,::1], uint8[:,::1], int32[:,::1], int32[::1], int64, int64, uint16[::1])")
+@kernel("void(uint8[:,::1], uint8[:,::1], int32[:,::1], int64[::1], int32[::1], int64, int64, uint16[::1])")
 def _cast(
     truth: Grid,
     teammates: NDArray[np.uint8],
     cells: NDArray[np.int32],
+    flat: NDArray[np.int64],
     start: NDArray[np.int32],
     x: int,
     y: int,
@@ -63,16 +65,24 @@ def _cast(
 ) -> None:
     # Unsigned, a cell beyond the left or upper border is a very large number (as in `protocol.scans.draw`).
     height, width = np.uint64(truth.shape[0]), np.uint64(truth.shape[1])
+    lying, others = truth.reshape(truth.size), teammates.reshape(truth.size)
+    here = y * truth.shape[1] + x
     for beam in range(len(start) - 1):
         first, end = np.uint64(start[beam]), np.uint64(start[beam + 1])
-        reading = end - first
-        for at in range(first, end):
-            cx = np.uint64(x + cells[at, 0])
-            cy = np.uint64(y + cells[at, 1])
-            if cx >= width or cy >= height or truth[cy, cx] != FREE:
+        # A walk never turns back: it stays on the grid if it ends there. Where it leaves the grid, there is a wall.
+        on_grid = end
+        while on_grid > first:
+            last = on_grid - np.uint64(1)
+            if np.uint64(x + cells[last, 0]) < width and np.uint64(y + cells[last, 1]) < height:
+                break
+            on_grid = last
+        reading = end - first if on_grid == end else on_grid - first | np.uint64(HIT)
+        for at in range(first, on_grid):
+            cell = np.uint64(here + flat[at])
+            if lying[cell] != FREE:
                 reading = at - first | np.uint64(HIT)
                 break
-            if teammates[cy, cx]:
+            if others[cell]:
                 reading = at - first + np.uint64(1)
                 break
         readings[beam] = reading

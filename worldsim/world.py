@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -12,9 +13,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from protocol.grid import FREE, Grid, disc, enlarge, fan
+from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes, points_from_bytes
-from protocol.scans import NONE, draw
+from protocol.scans import NONE, draw, mark_free
 from worldsim.cell_motion import INTERFERENCE, NOT_BLOCKED, drive, heading_of, swept
 from worldsim.continuous_motion import FINE, cell_of, glide
 from worldsim.laser import FULL_TURN, HEADINGS, cast
@@ -103,15 +105,14 @@ class World:
         self.reachable_cells = int(np.count_nonzero(self.reachable))
         """Free cells that robots can reach."""
         self.seen = np.zeros_like(truth)
-        """Everything that the team's lasers have seen."""
+        """What the team's lasers have truly seen, all together."""
+        self.seen_cells = 0
+        """Reachable free cells that the team has seen."""
+        self._counted = np.zeros(truth.shape, np.bool_)
+        self._taken = np.zeros(truth.shape, np.bool_)
         self._fans = [fan(body.range_cells, settings.beams) for body in settings.bodies]
         self._carry = [0.0] * len(settings.starts)
         self._scanner_angle = [0.0] * len(settings.starts)
-
-    @property
-    def seen_cells(self) -> int:
-        """Reachable free cells that the team has seen."""
-        return int(np.count_nonzero((self.seen == FREE) & self.reachable))
 
     def lose(self, robot: int) -> None:
         """Remove a broken robot from the world: others do not collide with it."""
@@ -150,10 +151,12 @@ class World:
         if (path or points) and self._hindered(robot, before):
             return [], INTERFERENCE
         body = self.settings.bodies[robot]
-        taken = self._taken_for(robot)
+        way = body.speed + self._carry[robot]
         if points:
-            return self._glide(robot, points, taken)
-        result = drive(self.floors[body.radius_cells], taken, start, path, body.speed + self._carry[robot])
+            with self._teammates_in_the_way(robot, way) as taken:
+                return self._glide(robot, points, taken)
+        with self._teammates_in_the_way(robot, way) as taken:
+            result = drive(self.floors[body.radius_cells], taken, start, path, way)
         self.offsets[robot] = (0, 0) if result.cells else self.offsets[robot]
         self._carry[robot] = result.carry
         self.driven[robot] += result.length
@@ -178,19 +181,27 @@ class World:
             self.headings[robot] = heading_of(dx, dy)
         return swept(start, result.cells), result.blocked
 
-    def _taken_for(self, robot: int) -> NDArray[np.bool_]:
-        """Cells that a robot's centre may not enter because of other robots."""
+    @contextmanager
+    def _teammates_in_the_way(self, robot: int, way: float) -> Iterator[NDArray[np.bool_]]:
+        """Mark the cells that a robot's centre may not enter, for the sake of those that it could meet on its way."""
         own = self.settings.bodies[robot].radius_cells
-        taken = np.zeros(self.truth.shape, np.bool_)
-        for other, (x, y) in self.cells.items():
-            if other == robot:
+        x, y = self.cells[robot]
+        marked = []
+        for other, (other_x, other_y) in self.cells.items():
+            reach = own + self.settings.bodies[other].radius_cells
+            far = way + reach + 4
+            if other == robot or abs(other_x - x) > far or abs(other_y - y) > far:
                 continue
-            near = too_near(own + self.settings.bodies[other].radius_cells)
+            near = too_near(reach)
             side = len(near) // 2
-            left, top = max(0, side - x), max(0, side - y)
-            here = taken[max(0, y - side) : y + side + 1, max(0, x - side) : x + side + 1]
+            left, top = max(0, side - other_x), max(0, side - other_y)
+            rows = slice(max(0, other_y - side), other_y + side + 1)
+            here = self._taken[rows, max(0, other_x - side) : other_x + side + 1]
             here |= near[top : top + here.shape[0], left : left + here.shape[1]]
-        return taken
+            marked.append(here)
+        yield self._taken
+        for here in marked:
+            here[:] = False
 
     def _hindered(self, robot: int, before: Mapping[int, tuple[int, int]]) -> bool:
         limit = self.settings.interference_cells
@@ -229,12 +240,28 @@ class World:
             angle = self._scanner_angle[robot]
             readings[beams_outside(len(readings), angle, body.scanner_turn)] = NONE
             self._scanner_angle[robot] = (angle + body.scanner_turn) % FULL_TURN
-        for cell_x, cell_y in entered:
-            self.seen[cell_y, cell_x] = FREE
-        draw(self.seen, self._fans[robot], x, y, readings)
-        driven = cells_to_bytes(np.array(entered, np.int32).reshape(-1, 2))
+        driven_over = np.array(entered, np.int32).reshape(-1, 2)
+        news = mark_free(self.seen, driven_over) + draw(self.seen, self._fans[robot], x, y, readings)
+        if news.cells:
+            box = news.x0, news.y0, news.x1, news.y1
+            self.seen_cells += int(_count_seen(self.seen, self.reachable, *box, self._counted))
+        driven = cells_to_bytes(driven_over)
         offset_x, offset_y = self.offsets[robot]
         return Sense(self.step, x, y, heading, driven, readings.tobytes(), blocked, offset_x, offset_y)
+
+
+@kernel("int64(uint8[:,::1], boolean[:,::1], int64, int64, int64, int64, boolean[:,::1])")
+def _count_seen(
+    seen: Grid, reachable: NDArray[np.bool_], x0: int, y0: int, x1: int, y1: int, counted: NDArray[np.bool_]
+) -> int:
+    """Count the reachable free cells of a box that have been seen, once each."""
+    fresh = 0
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            if seen[y, x] == FREE and reachable[y, x] and not counted[y, x]:
+                counted[y, x] = True
+                fresh += 1
+    return fresh
 
 
 @lru_cache(maxsize=64)

@@ -49,6 +49,7 @@ class Exchange(ABC):
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
         """Return the planning grid: what all have told, and the robot's own grid, which counts most.
 
+        It is written over by the next call. All that changes `own` in between has been recorded.
         `peers` are the teammates in range: what they have told so far they can still correct.
         """
 

@@ -11,6 +11,8 @@ from collections.abc import Collection
 import numpy as np
 
 from agent.exchange.base import Exchange
+from agent.exchange.changed_cells import ChangedCells
+from agent.outline.boxes import NO_BOXES, Boxes, box_of, united, whole
 from agent.settings import Settings
 from protocol import packets
 from protocol.errors import ProtocolError
@@ -29,12 +31,16 @@ class LaserExchange(Exchange):
         self._fans = [fan(cells, settings.beams) for cells in settings.ranges_cells]
         self._size = scan_size(settings.beams)
         self._heard = np.zeros((settings.height, settings.width), np.uint8)
+        self._heard_boxes = NO_BOXES
+        self._own_news = ChangedCells()
+        self._planning: Grid | None = None
         self._partial: dict[int, bytes] = {}
         self._last = b""
 
     def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
         """Log the scan, unless it is the last one again or the scanner did not work."""
-        del own, change, delivered
+        del delivered
+        self._own_news.add(own, change)
         data = encode_scan(scan)
         if data == self._last or (scan.readings == NONE).all():
             return []
@@ -55,14 +61,20 @@ class LaserExchange(Exchange):
                 buffer = b""
         self._partial[about] = buffer
         for scan in scans:
-            draw(self._heard, self._fans[about], scan.x, scan.y, scan.readings)
+            change = draw(self._heard, self._fans[about], scan.x, scan.y, scan.readings)
+            self._heard_boxes = united(self._heard_boxes, box_of(change))
 
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
-        """Lay the robot's own grid over what it heard."""
+        """Lay the robot's own grid over what it heard, where either has changed."""
         del peers
-        planning = np.empty_like(own)
-        _lay_over(self._heard, own, planning)
-        return planning
+        changed = self._own_news.take(own)
+        if self._planning is None or changed is None:
+            self._planning, changed = np.empty_like(own), whole(own.shape)
+        for boxes in (changed, self._heard_boxes):
+            if len(boxes):
+                _lay_over(self._heard, own, boxes, self._planning)
+        self._heard_boxes = NO_BOXES
+        return self._planning
 
     def _read(self, about: int, data: bytes) -> Scan:
         scan = decode_scan(data, self._fans[about])
@@ -73,10 +85,10 @@ class LaserExchange(Exchange):
         return scan
 
 
-@kernel("void(uint8[:,::1], uint8[:,::1], uint8[:,::1])")
-def _lay_over(below: Grid, above: Grid, both: Grid) -> None:
-    """Write what is above where that is known, else what is below."""
-    height, width = both.shape
-    for y in range(height):
-        for x in range(width):
-            both[y, x] = below[y, x] if above[y, x] == UNKNOWN else above[y, x]
+@kernel("void(uint8[:,::1], uint8[:,::1], int32[:,::1], uint8[:,::1])")
+def _lay_over(below: Grid, above: Grid, boxes: Boxes, both: Grid) -> None:
+    """Write what is above where that is known, else what is below, in some boxes."""
+    for box in boxes:
+        for y in range(box[1], box[3]):
+            for x in range(box[0], box[2]):
+                both[y, x] = below[y, x] if above[y, x] == UNKNOWN else above[y, x]

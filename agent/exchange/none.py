@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
+import numpy as np
+
 from agent.exchange.base import Exchange
+from agent.exchange.changed_cells import ChangedCells
+from agent.settings import Settings
 from protocol.errors import ProtocolError
 from protocol.grid import Grid
 from protocol.scans import Change, Scan
@@ -15,9 +19,15 @@ class NoExchange(Exchange):
 
     name = "none"
 
+    def __init__(self, settings: Settings) -> None:
+        super().__init__(settings)
+        self._news = ChangedCells()
+        self._planning: Grid = np.zeros((0, 0), np.uint8)
+
     def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
         """Tell nothing."""
-        del own, scan, change, delivered
+        del scan, delivered
+        self._news.add(own, change)
         return []
 
     def take(self, about: int, units: list[bytes]) -> None:
@@ -27,4 +37,10 @@ class NoExchange(Exchange):
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
         """Plan on the robot's own grid."""
         del peers
-        return own.copy()
+        changed = self._news.take(own)
+        if changed is None:
+            self._planning = own.copy()
+        else:
+            for x0, y0, x1, y1 in changed.tolist():
+                self._planning[y0:y1, x0:x1] = own[y0:y1, x0:x1]
+        return self._planning

@@ -11,18 +11,19 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 from agent.exchange.base import Exchange
+from agent.exchange.changed_cells import ChangedCells
 from agent.exchange.polygon_options import PolygonOptions
 from agent.outline.approximation import Marks, approximation, repair
-from agent.outline.contour import contours
-from agent.outline.edits import Held, edit_script
-from agent.outline.merge import Drawing, TeamMap, approximation_error, without_unknown_pairs
+from agent.outline.claims import Drawing
+from agent.outline.contour import Tracer
+from agent.outline.edits import edit_units, script_size
+from agent.outline.merge import ErrorCount, TeamMap
 from agent.outline.polygons import Polygons
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import by_distance, mixed_first, refine
 from agent.outline.splitting import SplitAllowance, Splitting
 from agent.settings import Settings
 from protocol.grid import Grid
-from protocol.packets import encode
 from protocol.scans import Change, Scan
 
 
@@ -40,7 +41,7 @@ class PolygonExchange(Exchange):
         self._drawing = Drawing(
             options.free_inside_edges, options.unknown_pairs, options.wide_walls, options.close_slivers
         )
-        self._told = replace(self._drawing, wide_walls=False, close_slivers=False)
+        told = replace(self._drawing, wide_walls=False, close_slivers=False)
         self.guesses = settings.robots > 1 and (options.wide_walls or options.close_slivers)
         self._allowance = SplitAllowance(
             Splitting(
@@ -53,7 +54,8 @@ class PolygonExchange(Exchange):
                 options.bytes_per_split or None,
             )
         )
-        self._held = Held.nothing(shape)
+        self._held = Receiver(shape)
+        """One's own words, heard as teammates hear them."""
         self._outdated = True
         self._receivers = {
             robot: Receiver(shape) for robot in range(settings.robots) if robot != settings.robot
@@ -61,41 +63,47 @@ class PolygonExchange(Exchange):
         self._team = TeamMap(self._drawing)
         self._news: set[int] = set()
         """Teammates of whom a save point has come since the last merge."""
+        self._error = ErrorCount(told)
+        self._tracer = Tracer(shape)
+        self._untraced, self._unmerged, self._uncounted = ChangedCells(), ChangedCells(), ChangedCells()
 
     @property
     def polygons(self) -> Mapping[int, Polygons]:
         """One's own approximation as far as it has been logged, and teammates' as far as they came."""
         held = {robot: receiver.held.polygons for robot, receiver in self._receivers.items()}
-        held[self.settings.robot] = self._held.polygons
+        held[self.settings.robot] = self._held.held.polygons
         return {robot: polygons for robot, polygons in held.items() if polygons.objects}
 
     def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
         """Repair, refine, and log the edits (Algorithm 10, lines 6 to 13)."""
         self._outdated = self._outdated or change.cells > 0
+        for news in (self._untraced, self._unmerged, self._uncounted):
+            news.add(own, change)
         if self._options.lazy and not delivered and self.settings.robots > 1:
             return []
         splits = self._allowance.next_step()
         if not self._outdated and not splits:
             return []
-        exact = contours(own, (scan.x, scan.y))
-        repaired = repair(self._held.polygons, exact)
+        exact = self._tracer.contours(own, (scan.x, scan.y), self._untraced.take(own))
+        held = self._held.held
+        repaired = repair(held.polygons, exact)
         refined = refine(exact, repaired, splits, self._value)
-        packets, held = edit_script(self._held, self._approximation(exact, refined))
+        units = edit_units(held, self._approximation(exact, refined))
+        said = b"".join(units)
         if splits and len(refined) > len(repaired):
-            plain, _ = edit_script(self._held, self._approximation(exact, repaired))
-            extra = sum(p.size for p in packets) - sum(p.size for p in plain)
+            extra = len(said) - script_size(held, self._approximation(exact, repaired))
             self._allowance.spent(len(refined) - len(repaired), max(0, extra))
         self._outdated = False
-        self._held = held
-        return [encode([packet]) for packet in packets]
+        if said:
+            self._held.feed(said)
+        return units
 
     def _approximation(self, exact: Polygons, marks: Marks) -> Polygons:
         """What is told of the contours: unless they are drawn, not the objects of two unknown edges.
 
         An object that was told and has shrunk to these is removed; should it grow, it emerges anew.
         """
-        polygons = approximation(exact, marks)
-        return polygons if self._options.unknown_pairs else without_unknown_pairs(polygons)
+        return approximation(exact, marks, unknown_pairs=self._options.unknown_pairs)
 
     def take(self, about: int, units: list[bytes]) -> None:
         """Rebuild a teammate's approximation."""
@@ -105,13 +113,15 @@ class PolygonExchange(Exchange):
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
         """Merge all approximations with the robot's own grid (Algorithm 9); draw those anew that have changed."""
         for about in sorted(self._news):
-            self._team.update(about, self._receivers[about].held.polygons)
+            receiver = self._receivers[about]
+            self._team.update(about, receiver.held.polygons, receiver.changed())
         self._news.clear()
-        return self._team.merged(own, peers)
+        return self._team.merged(own, peers, self._unmerged.take(own))
 
     def error(self, own: Grid) -> int:
         """Cells in which one's own grid and the drawing of its approximation differ: d(t) of Eq. 6.1.
 
         Without what receivers guess.
         """
-        return approximation_error(own, self._held.polygons, self._told)
+        changed = self._held.changed()
+        return self._error.count(own, self._held.held.polygons, self._uncounted.take(own), changed)

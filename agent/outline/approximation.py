@@ -12,6 +12,7 @@ P(t). So a vertex that is still a contour point is never moved, which is what ma
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -56,31 +57,30 @@ def repair(previous: Polygons, contours: Polygons) -> Marks:
         contours.side,
         contours.start,
         _approximated(contours),
-        contours.shape[0] + 2,
         contours.shape[1] + 2,
+        _workspace((contours.shape[0] + 2) * (contours.shape[1] + 2)),
     )
     if len(marks) > MAX_VERTICES:
         marks = _coarsen(contours, marks)
     return marks
 
 
-def approximation(contours: Polygons, marks: Marks) -> Polygons:
+@lru_cache(maxsize=1)
+def _workspace(cells: int) -> NDArray[np.uint8]:
+    """Memory in which repairs on grids of one size look vertices up, a bit a side; each leaves it all 0."""
+    return np.zeros(cells, np.uint8)
+
+
+def approximation(contours: Polygons, marks: Marks, *, unknown_pairs: bool = True) -> Polygons:
     """Return the polygons that the marked contour points span.
 
     An edge stands for the contour points from its first vertex up to the one before its second. It is
     occupied only where all of them are (section 4.2.2): when in doubt, nothing is claimed as explored.
+
+    Without `unknown_pairs`, outside objects of two vertices and no occupied edge are left out.
     """
-    occupied, start = _edges(contours.occupied, contours.start, marks)
-    some = start[1:] > start[:-1]
-    return Polygons(
-        contours.shape,
-        contours.x[marks],
-        contours.y[marks],
-        contours.side[marks],
-        occupied,
-        np.concatenate((start[:1], start[1:][some])),
-        contours.inside[some],
-    )
+    columns = contours.x, contours.y, contours.side, contours.occupied, contours.start, contours.inside
+    return Polygons(contours.shape, *_span(*columns, marks, unknown_pairs))
 
 
 def _approximated(contours: Polygons) -> NDArray[np.bool_]:
@@ -129,7 +129,7 @@ def _farthest(
 
 @kernel(
     "int32[::1](int16[::1], int16[::1], uint8[::1], int16[::1], int16[::1], uint8[::1], int32[::1], "
-    "boolean[::1], int64, int64)"
+    "boolean[::1], int64, uint8[::1])"
 )
 def _collect(
     old_x: NDArray[np.int16],
@@ -140,10 +140,9 @@ def _collect(
     side: NDArray[np.uint8],
     start: NDArray[np.int32],
     approximated: NDArray[np.bool_],
-    rows: int,
     row: int,
+    marked: NDArray[np.uint8],
 ) -> NDArray[np.int32]:
-    marked = np.zeros(rows * row, np.uint8)  # a bit a side
     for i in range(len(old_x)):
         marked[(old_y[i] + 1) * row + old_x[i] + 1] |= 1 << old_side[i]
     marks = np.empty(len(old_x) + 2 * len(approximated), np.int32)
@@ -166,30 +165,60 @@ def _collect(
             other = _farthest(x, y, side, first, end, one)
             marks[before], marks[before + 1] = min(one, other), max(one, other)
             count += 1
+    for i in range(len(old_x)):
+        marked[(old_y[i] + 1) * row + old_x[i] + 1] = 0
     return marks[:count].copy()
 
 
-@kernel("Tuple((uint8[::1], int32[::1]))(uint8[::1], int32[::1], int32[::1])")
-def _edges(
-    occupied: NDArray[np.uint8], start: NDArray[np.int32], marks: NDArray[np.int32]
-) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
-    """Occupancy of the edges, and where the vertices of each object begin."""
-    edge = np.ones(len(marks), np.uint8)
-    begins = np.empty(len(start), np.int32)
-    m = 0
-    for k in range(len(start) - 1):
-        begins[k] = m
-        first = m
+@kernel(
+    "Tuple((int16[::1], int16[::1], uint8[::1], uint8[::1], int32[::1], boolean[::1]))"
+    "(int16[::1], int16[::1], uint8[::1], uint8[::1], int32[::1], boolean[::1], int32[::1], boolean)"
+)
+def _span(
+    x: NDArray[np.int16],
+    y: NDArray[np.int16],
+    side: NDArray[np.uint8],
+    occupied: NDArray[np.uint8],
+    start: NDArray[np.int32],
+    inside: NDArray[np.bool_],
+    marks: NDArray[np.int32],
+    unknown_pairs: bool,
+) -> tuple[
+    NDArray[np.int16], NDArray[np.int16], NDArray[np.uint8], NDArray[np.uint8], NDArray[np.int32],
+    NDArray[np.bool_],
+]:  # fmt: skip
+    """Vertices, occupancy of the edges, where the objects begin, and which is inside."""
+    span_x, span_y = np.empty(len(marks), np.int16), np.empty(len(marks), np.int16)
+    span_side, edge = np.empty(len(marks), np.uint8), np.empty(len(marks), np.uint8)
+    span_start = np.zeros(len(start), np.int32)
+    span_inside = np.empty(len(inside), np.bool_)
+    m, count, objects = 0, 0, 0
+    for k in range(len(inside)):
+        first, begin = m, count
         while m < len(marks) and marks[m] < start[k + 1]:
             m += 1
-        if m == first:
+        walls = 0
+        for e in range(first, m):
+            at = marks[e]
+            span_x[count], span_y[count], span_side[count] = x[at], y[at], side[at]
+            all_occupied = 1
+            for i in range(at, marks[e + 1] if e + 1 < m else start[k + 1]):
+                all_occupied &= occupied[i]
+            if e + 1 == m:  # points before the first mark belong to the edge from the last one
+                for i in range(start[k], marks[first]):
+                    all_occupied &= occupied[i]
+            edge[count] = all_occupied
+            walls += all_occupied
+            count += 1
+        if count == begin:
             continue
-        e = m - 1  # points before the first mark belong to the edge from the last one
-        for i in range(start[k], start[k + 1]):
-            if e + 1 < m and marks[e + 1] == i:
-                e += 1
-            elif e == m - 1 and marks[first] == i:
-                e = first
-            edge[e] &= occupied[i]
-    begins[len(start) - 1] = m
-    return edge, begins
+        if not unknown_pairs and not inside[k] and count - begin <= 2 and not walls:
+            count = begin
+            continue
+        span_inside[objects] = inside[k]
+        objects += 1
+        span_start[objects] = count
+    return (
+        span_x[:count].copy(), span_y[:count].copy(), span_side[:count].copy(), edge[:count].copy(),
+        span_start[: objects + 1].copy(), span_inside[:objects].copy(),
+    )  # fmt: skip

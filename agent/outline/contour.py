@@ -14,56 +14,132 @@ next along the contours below and above them must end where both rest on the sam
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.outline.boxes import Boxes, clip, whole
 from agent.outline.polygons import LEFT, RIGHT, SIDE_X, SIDE_Y, Polygons
 from protocol.grid import FREE, OCCUPIED, Grid
 from protocol.kernels import kernel
 
 
 def contours(grid: Grid, robot: tuple[int, int]) -> Polygons:
-    """Extract the contours of the free space around the robot.
+    """Extract the contours of the free space around the robot: `Tracer.contours`, of a grid seen once."""
+    return Tracer(grid.shape).contours(grid, robot)
+
+
+class Tracer:
+    """Extracts the contours of a grid that changes little by little.
+
+    Where the runs of free cells begin and end is kept from one time to the next. The contours themselves are
+    traced anew: 9000 contour points take 0.03 ms.
 
     Parameters
     ----------
-    grid : uint8 array of shape (height, width)
-        What the robot knows: unknown, free and occupied cells.
-    robot : (int, int)
-        The cell (x, y) that the robot stands in; it must be free.
-
-    Returns
-    -------
-    Polygons
-        All contour points. Objects stand in the order in which a raster scan first meets the left or right
-        side of one of their cells, and begin there. So the inside object is the first.
-
-    Raises
-    ------
-    ValueError
-        The robot does not stand in a free cell of the grid.
-
-    Notes
-    -----
-    Nothing is kept from one step to the next: a map of 290 x 291 cells with 9000 contour points is traced
-    anew in 0.1 ms.
+    shape : (int, int)
+        Height and width of the grid.
     """
-    height, width = grid.shape
-    x, y = robot
-    if not (0 <= x < width and 0 <= y < height) or grid[y, x] != FREE:
-        raise ValueError(f"robot at ({x}, {y}): it must stand in a free cell of the {width} x {height} grid")
-    cells = np.zeros((height + 2, width + 2), np.uint8)
-    cells[1:-1, 1:-1] = grid
-    free = (cells == FREE).ravel()
-    row = width + 2
-    run_ends = np.flatnonzero(free[1:] != free[:-1]).astype(np.int32)
-    points = len(run_ends) + np.count_nonzero(free[row:] != free[:-row])
-    point_x, point_y, side, occupied, start = _trace(
-        cells.ravel(), row, run_ends, (y + 1) * row + x + 1, int(points)
-    )
-    inside = np.zeros(len(start) - 1, np.bool_)
-    inside[0] = True
-    return Polygons(grid.shape, point_x, point_y, side, occupied, start, inside)
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        height, width = shape
+        self._shape = height, width
+        self._cells = np.zeros((height + 2) * (width + 2), np.uint8)
+        self._ends = np.empty((height, width + 1), np.int16)
+        self._counts = np.zeros(height, np.int64)
+
+    def contours(self, grid: Grid, robot: tuple[int, int], changed: Boxes | None = None) -> Polygons:
+        """Extract the contours of the free space around the robot.
+
+        Parameters
+        ----------
+        grid : uint8 array of shape (height, width)
+            What the robot knows: unknown, free and occupied cells.
+        robot : (int, int)
+            The cell (x, y) that the robot stands in; it must be free.
+        changed : int32 array of shape (n, 4), optional
+            Boxes in which the grid may differ from the one before; None: anywhere.
+
+        Returns
+        -------
+        Polygons
+            All contour points. Objects stand in the order in which a raster scan first meets the left or right
+            side of one of their cells, and begin there. So the inside object is the first.
+
+        Raises
+        ------
+        ValueError
+            The robot does not stand in a free cell of the grid.
+        """
+        height, width = self._shape
+        x, y = robot
+        if not (0 <= x < width and 0 <= y < height) or grid[y, x] != FREE:
+            raise ValueError(
+                f"robot at ({x}, {y}): it must stand in a free cell of the {width} x {height} grid"
+            )
+        if not grid.flags.writeable:
+            grid = grid.copy()
+        boxes = whole(self._shape) if changed is None else changed
+        _lay_out(grid, boxes, self._cells, self._ends, self._counts)
+        point_x, point_y, side, occupied, start = _trace(
+            self._cells, width + 2, self._ends, self._counts, x, y, _workspace(len(self._cells))
+        )
+        inside = np.zeros(len(start) - 1, np.bool_)
+        inside[0] = True
+        return Polygons(self._shape, point_x, point_y, side, occupied, start, inside)
+
+
+@lru_cache(maxsize=1)
+def _workspace(cells: int) -> NDArray[np.int32]:
+    """Memory in which all traces of grids of one size note where they have been; each leaves it all 0."""
+    return np.zeros(cells, np.int32)
+
+
+@kernel("void(uint8[:,::1], int32[:,::1], uint8[::1], int16[:,::1], int64[::1])")
+def _lay_out(
+    grid: Grid, boxes: Boxes, cells: NDArray[np.uint8], ends: NDArray[np.int16], counts: NDArray[np.int64]
+) -> None:
+    """Bring up to date the cells with an unknown rim, and for each row where runs of free cells begin and end.
+
+    ``ends[y]`` has `counts[y]` columns x, from -1, where just one of the cells x and x + 1 is free.
+    """
+    width = grid.shape[1]
+    box = np.empty(4, np.int32)
+    row_ends = np.empty(width + 1, np.int16)
+    for number in range(len(boxes)):
+        clip(boxes[number], 0, grid.shape, box)
+        x0, x1 = np.int64(box[0]), np.int64(box[2])
+        if x0 >= x1:
+            continue
+        for y in range(box[1], box[3]):
+            out = cells[(y + 1) * (width + 2) : (y + 2) * (width + 2)]
+            for x in range(x0, x1):
+                out[x + 1] = grid[y, x]
+            count = 0
+            at = 0
+            while at < counts[y] and ends[y, at] < x0 - 1:
+                at += 1
+            kept = at
+            while at < counts[y] and ends[y, at] < x1:
+                at += 1
+            is_free = out[x0] == FREE
+            for x in range(x0, x1 + 1):
+                next_is_free = out[x + 1] == FREE
+                if next_is_free != is_free:
+                    row_ends[count] = x - 1
+                    count += 1
+                is_free = next_is_free
+            moved = kept + count - at
+            if moved > 0:
+                for i in range(counts[y] - 1, at - 1, -1):
+                    ends[y, i + moved] = ends[y, i]
+            elif moved < 0:
+                for i in range(at, counts[y]):
+                    ends[y, i + moved] = ends[y, i]
+            counts[y] += moved
+            for i in range(count):
+                ends[y, kept + i] = row_ends[i]
 
 
 @kernel("int64(int64[::1], int64)")
@@ -75,25 +151,61 @@ def _root(root: NDArray[np.int64], k: int) -> int:
     return k
 
 
+@kernel("int64(int16[:,::1], int64[::1])")
+def _count_points(ends: NDArray[np.int16], counts: NDArray[np.int64]) -> int:
+    """How many contour points there are, those of other free areas included.
+
+    Between two cells of a row there is one where a run begins or ends; between two rows, in the columns where just one
+    of them is free.
+    """
+    points = int(counts.sum())
+    for y in range(len(counts) + 1):
+        above = counts[y - 1] if y > 0 else 0
+        below = counts[y] if y < len(counts) else 0
+        a, b, since, differ = 0, 0, 0, False
+        while a < above or b < below:
+            is_above = b == below or (a < above and ends[y - 1, a] < ends[y, b])
+            at = int(ends[y - 1, a] if is_above else ends[y, b])
+            a, b = a + is_above, b + (not is_above)
+            if differ:
+                points += at - since
+            differ = not differ
+            since = at
+    return points
+
+
 @kernel(
     "Tuple((int16[::1], int16[::1], uint8[::1], uint8[::1], int32[::1]))"
-    "(uint8[::1], int64, int32[::1], int64, int64)"
+    "(uint8[::1], int64, int16[:,::1], int64[::1], int64, int64, int32[::1])"
 )
 def _trace(
-    cells: NDArray[np.uint8], row: int, run_ends: NDArray[np.int32], robot: int, points: int
+    cells: NDArray[np.uint8],
+    row: int,
+    ends: NDArray[np.int16],
+    counts: NDArray[np.int64],
+    robot_x: int,
+    robot_y: int,
+    contour_at: NDArray[np.int32],
 ) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.uint8], NDArray[np.uint8], NDArray[np.int32]]:
     """Trace all contours, keep those of the robot's free area.
 
-    `cells` is the grid with its rim, flattened, `row` cells a row. `run_ends` are the places i where just
-    one of the cells i and i + 1 is free: runs of free cells begin and end in turn. `robot` is a flat index.
+    `cells` has the grid with its rim, `row` cells a row; `ends` and `counts` are as `_lay_out` leaves them.
+    `contour_at` has, between cells i and i + 1, the number of the contour, from 1; it is 0 before and after.
     """
+    robot = (robot_y + 1) * row + robot_x + 1
+    run_ends = np.empty(counts.sum(), np.int32)
+    gathered = 0
+    for y in range(len(counts)):
+        for i in range(counts[y]):
+            run_ends[gathered] = (y + 1) * row + 1 + ends[y, i]
+            gathered += 1
     offset = np.array([row, 1, -row, -1], np.int64)
+    points = _count_points(ends, counts)
     point_x = np.empty(points, np.int16)
     point_y = np.empty(points, np.int16)
     side = np.empty(points, np.uint8)
     occupied = np.empty(points, np.uint8)
     start = np.empty(len(run_ends) // 2 + 1, np.int32)
-    contour_at = np.zeros(len(cells), np.int32)  # between cells i and i + 1: number of the contour, from 1
 
     traced = 0
     count = 0
@@ -146,6 +258,8 @@ def _trace(
         if run_ends[k] < robot <= run_ends[k + 1]:
             here = contour_at[run_ends[k]] - 1
     here = _root(root, here)
+    for end in run_ends:
+        contour_at[end] = 0
 
     kept = 0
     write = 0

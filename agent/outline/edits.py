@@ -10,6 +10,8 @@ objects costs nothing.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +19,24 @@ from numpy.typing import NDArray
 from agent.outline.alignment import align, find_twins, kinship
 from agent.outline.polygons import Polygons
 from protocol.kernels import kernel
-from protocol.packets import Change, Delete, Edit, Emerge, Insert, Remove, Replace, Save
+from protocol.packets import (
+    MAX_OBJECTS,
+    Change,
+    Delete,
+    Edit,
+    Emerge,
+    Insert,
+    Remove,
+    Save,
+    decode,
+)
+
+_INSERT, _DELETE, _EMERGE, _CHANGE, _REMOVE, _SAVE = (
+    kind.size for kind in (Insert, Delete, Emerge, Change, Remove, Save)
+)
+_APART = _REMOVE + _EMERGE
+"""Bytes that an object costs, beside its vertices, which is told anew instead of changed."""
+_MOST_SAVED = 1 << 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,123 +80,241 @@ def edit_script(held: Held, approximation: Polygons) -> tuple[list[Edit], Held]:
     Held
         What is held after these packets.
     """
-    old, new = held.polygons, approximation
-    old_symbols, new_symbols = symbols(old), symbols(new)
-    twins = find_twins(old_symbols, new_symbols)
-    successor, shift, kin = kinship(
-        old_symbols, old.start, old.inside, new_symbols, new.start, new.inside, twins
-    )
-    alignments: dict[int, tuple[int, NDArray[np.int32]]] = {}
-    for old_object, new_object, alignment in _successions(old, new, old_symbols, new_symbols, twins, kin):
-        successor[new_object] = old_object
-        alignments[new_object] = alignment
-        shift[new_object] = alignment[0]
-
-    number = np.empty(new.objects, np.int32)
-    kept = successor >= 0
-    number[kept] = held.number[successor[kept]]
-    taken = set(number[kept].tolist())
-    free = (n for n in range(new.objects) if n not in taken)
-    emerging = np.flatnonzero(~kept).tolist()
-    for new_object in emerging:
-        number[new_object] = next(free)
+    stream, _, number, shift = _write(held, approximation)
     order = np.argsort(number)
-    after = Held(number[order], _rearranged(new, order, shift))
+    after = Held(number[order], _rearranged(approximation, order, shift))
+    packets = decode(stream.tobytes())
+    return cast("list[Edit]", packets), after
 
-    packets: list[Edit] = [Remove(n) for n in held.number.tolist() if n not in taken]
-    for new_object in sorted(alignments, key=lambda k: int(number[k])):
-        _, source = alignments[new_object]
-        k = int(successor[new_object])
-        before = old_symbols[old.start[k] : old.start[k + 1]]
-        cycle = np.roll(new_symbols[new.start[new_object] : new.start[new_object + 1]], -shift[new_object])
-        packets.append(Change(int(number[new_object]), len(cycle), int(new.inside[new_object])))
-        packets += _vertex_edits(before, cycle, source)
-    for new_object in emerging:
-        cycle = new_symbols[new.start[new_object] : new.start[new_object + 1]]
-        packets.append(Emerge(int(number[new_object]), len(cycle), int(new.inside[new_object])))
-        packets += [Insert(i, *_fields(symbol)) for i, symbol in enumerate(cycle.tolist())]
-    if packets:
-        packets.append(Save())
-    return packets, after
+
+def edit_units(held: Held, approximation: Polygons) -> list[bytes]:
+    """As `edit_script`, as they go on the air: one piece a packet."""
+    stream, ends, _, _ = _write(held, approximation)
+    data = stream.tobytes()
+    return [data[begin:end] for begin, end in pairwise(ends.tolist())]
+
+
+def script_size(held: Held, approximation: Polygons) -> int:
+    """Bytes of the packets that `edit_script` finds."""
+    return len(_write(held, approximation)[0])
 
 
 def symbols(polygons: Polygons) -> NDArray[np.int32]:
     """Pack each vertex, x, y, side and occupancy, into one number."""
-    packed = polygons.y.astype(np.int32) + 1
-    packed = packed << 12 | (polygons.x.astype(np.int32) + 1)
-    return packed << 3 | (polygons.side << 1 | polygons.occupied)
+    packed: NDArray[np.int32] = _pack(polygons.x, polygons.y, polygons.side, polygons.occupied)
+    return packed
 
 
 def unpacked(
     shape: tuple[int, int], symbols: NDArray[np.int32], start: NDArray[np.int32], inside: NDArray[np.bool_]
 ) -> Polygons:
     """Return the polygons that symbols stand for."""
-    return Polygons(
-        shape,
-        ((symbols >> 3 & 0xFFF) - 1).astype(np.int16),
-        ((symbols >> 15) - 1).astype(np.int16),
-        (symbols >> 1 & 3).astype(np.uint8),
-        (symbols & 1).astype(np.uint8),
-        start,
-        inside,
+    return Polygons(shape, *_unpack(symbols), start, inside)
+
+
+@kernel("Tuple((int16[::1], int16[::1], uint8[::1], uint8[::1]))(int32[::1])")
+def _unpack(
+    symbols: NDArray[np.int32],
+) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.uint8], NDArray[np.uint8]]:
+    n = len(symbols)
+    x, y = np.empty(n, np.int16), np.empty(n, np.int16)
+    side, occupied = np.empty(n, np.uint8), np.empty(n, np.uint8)
+    for i in range(n):
+        symbol = symbols[i]
+        x[i] = (symbol >> 3 & 0xFFF) - 1
+        y[i] = (symbol >> 15) - 1
+        side[i] = symbol >> 1 & 3
+        occupied[i] = symbol & 1
+    return x, y, side, occupied
+
+
+@kernel("int32[::1](int16[::1], int16[::1], uint8[::1], uint8[::1])")
+def _pack(
+    x: NDArray[np.int16], y: NDArray[np.int16], side: NDArray[np.uint8], occupied: NDArray[np.uint8]
+) -> NDArray[np.int32]:
+    symbols = np.empty(len(x), np.int32)
+    for i in range(len(x)):
+        symbols[i] = (np.int32(y[i]) + 1 << 12 | np.int32(x[i]) + 1) << 3 | side[i] << 1 | occupied[i]
+    return symbols
+
+
+_Symbols = NDArray[np.int32]
+
+
+def _write(
+    held: Held, approximation: Polygons
+) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+    """Write the script: its bytes, where its packets end, and for each new object its number and where it begins."""
+    old, new = held.polygons, approximation
+    written: tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]] = _script(
+        symbols(old), held.number, old.start, old.inside, symbols(new), new.start, new.inside
     )
+    return written
 
 
-def _fields(symbol: int) -> tuple[int, int, int, int]:
-    return (symbol >> 3 & 0xFFF) - 1, (symbol >> 15) - 1, symbol >> 1 & 3, symbol & 1
+@kernel("int64(uint8[::1], int64, int64, int64)")
+def _put(out: NDArray[np.uint8], at: int, word: int, size: int) -> int:
+    """Write a packet, most significant byte first; where the next one begins."""
+    for i in range(size):
+        out[at + i] = word >> 8 * (size - 1 - i) & 0xFF
+    return at + size
 
 
-def _vertex_edits(
-    before: NDArray[np.int32], after: NDArray[np.int32], source: NDArray[np.int32]
-) -> list[Edit]:
-    """Write out one object's edits; ``after[i]`` was ``before[source[i]]`` (-1: it is new)."""
-    stays = np.zeros(len(before), np.bool_)
-    stays[source[source >= 0]] = True
-    edits: list[Edit] = [Delete(i) for i in np.flatnonzero(~stays)[::-1].tolist()]
-    is_new = source < 0
-    edits += [
-        (Insert if is_new[i] else Replace)(i, *_fields(int(after[i])))
-        for i in np.flatnonzero(is_new | (before[source] != after)).tolist()
-    ]
-    return edits
+@kernel("int64(int64, int64, int64)")
+def _vertex_word(code: int, index: int, symbol: int) -> int:
+    """An `Insert` or a `Replace` by its code."""
+    x, y = symbol >> 3 & 0xFFF, symbol >> 15
+    return code << 45 | index << 33 | x << 21 | y << 9 | (symbol & 7) << 6
 
 
-def _successions(
-    old: Polygons,
-    new: Polygons,
-    old_symbols: NDArray[np.int32],
-    new_symbols: NDArray[np.int32],
+@kernel("int64(int64, int64, int64, int64)")
+def _object_word(code: int, number: int, count: int, inside: int) -> int:
+    """An `Emerge` or a `Change` by its code."""
+    return code << 36 | number << 24 | count << 11 | inside << 10
+
+
+@kernel(
+    "Tuple((int64, int64, int32[::1]))"
+    "(int32[::1], int32[::1], int32[::1], int32[::1], int32[::1], int64, int64)"
+)
+def _align_pair(
+    old_symbols: _Symbols,
+    old_start: NDArray[np.int32],
+    new_symbols: _Symbols,
+    new_start: NDArray[np.int32],
+    twins: NDArray[np.int32],
+    old_object: int,
+    new_object: int,
+) -> tuple[int, int, NDArray[np.int32]]:
+    """Align one old and one new object (`align`)."""
+    first, begin, end = old_start[old_object], new_start[new_object], new_start[new_object + 1]
+    own = twins[begin:end] - np.int32(first)
+    return align(old_symbols[first : old_start[old_object + 1]], new_symbols[begin:end], own)
+
+
+@kernel(
+    "int32[::1](int32[::1], int32[::1], int32[::1], int32[::1], int32[::1], int32[:,::1])",
+)
+def _succeed(
+    old_symbols: _Symbols,
+    old_start: NDArray[np.int32],
+    new_symbols: _Symbols,
+    new_start: NDArray[np.int32],
     twins: NDArray[np.int32],
     kin: NDArray[np.int32],
-) -> list[tuple[int, int, tuple[int, NDArray[np.int32]]]]:
+) -> NDArray[np.int32]:
     """Choose who takes over whose number among objects that share vertices, the largest saving first.
 
-    Returns old object, new object and their alignment (`align`). Where an object has split, the others
-    emerge; where objects have joined, the others are removed.
+    Returns for each new object the old one, or -1. Where an object has split, the others emerge; where objects have
+    joined, the others are removed.
     """
-    offers = []
-    for old_object, new_object in kin.tolist():
-        cycle, former = new_symbols[_part(new, new_object)], old_symbols[_part(old, old_object)]
-        first = int(old.start[old_object])
-        cost, begin, source = align(former, cycle, twins[_part(new, new_object)] - first)
-        apart = Remove.size + Emerge.size + Insert.size * len(cycle)
-        saving = apart - Change.size - cost
+    successor = np.full(len(new_start) - 1, -1, np.int32)
+    is_gone = np.zeros(len(old_start) - 1, np.bool_)
+    key = np.empty(len(kin), np.int64)  # by saving, then old object, then new object
+    offers = 0
+    for pair in range(len(kin)):
+        old_object, new_object = kin[pair]
+        cost, _, _ = _align_pair(
+            old_symbols, old_start, new_symbols, new_start, twins, old_object, new_object
+        )
+        length = new_start[new_object + 1] - new_start[new_object]
+        saving = _APART + _INSERT * length - _CHANGE - cost
         if saving > 0:
-            offers.append((-saving, old_object, new_object, (begin, source)))
-    offers.sort(key=lambda offer: offer[:3])
-    gone: set[int] = set()
-    settled: set[int] = set()
-    chosen = []
-    for _, old_object, new_object, alignment in offers:
-        if old_object not in gone and new_object not in settled:
-            gone.add(old_object)
-            settled.add(new_object)
-            chosen.append((old_object, new_object, alignment))
-    return chosen
+            key[offers] = (_MOST_SAVED - saving) << 24 | old_object << 12 | new_object
+            offers += 1
+    for one in np.sort(key[:offers]):
+        old_object, new_object = one >> 12 & 0xFFF, one & 0xFFF
+        if not is_gone[old_object] and successor[new_object] < 0:
+            is_gone[old_object] = True
+            successor[new_object] = old_object
+    return successor
 
 
-def _part(polygons: Polygons, k: int) -> slice:
-    return slice(int(polygons.start[k]), int(polygons.start[k + 1]))
+@kernel(
+    "Tuple((uint8[::1], int32[::1], int32[::1], int32[::1]))"
+    "(int32[::1], int32[::1], int32[::1], boolean[::1], int32[::1], int32[::1], boolean[::1])"
+)
+def _script(
+    old_symbols: _Symbols,
+    old_number: NDArray[np.int32],
+    old_start: NDArray[np.int32],
+    old_inside: NDArray[np.bool_],
+    new_symbols: _Symbols,
+    new_start: NDArray[np.int32],
+    new_inside: NDArray[np.bool_],
+) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+    old_objects, new_objects = len(old_start) - 1, len(new_start) - 1
+    twins = find_twins(old_symbols, new_symbols)
+    equal, shift, kin = kinship(old_symbols, old_start, old_inside, new_symbols, new_start, new_inside, twins)
+    successor = _succeed(old_symbols, old_start, new_symbols, new_start, twins, kin)
+
+    # Numbers: those that are taken over, and for the others the lowest that nobody has.
+    number = np.full(new_objects, -1, np.int32)
+    is_taken = np.zeros(MAX_OBJECTS, np.bool_)
+    for k in range(new_objects):
+        former = equal[k] if equal[k] >= 0 else successor[k]
+        if former >= 0:
+            number[k] = old_number[former]
+            is_taken[number[k]] = True
+    most = _SAVE + _REMOVE * old_objects + _EMERGE * new_objects
+    most += _DELETE * len(old_symbols) + _INSERT * len(new_symbols)
+    out = np.empty(most, np.uint8)
+    ends = np.zeros(2 + old_objects + new_objects + len(old_symbols) + len(new_symbols), np.int32)
+    size, packets = 0, 1
+    for n in old_number:
+        if not is_taken[n]:
+            size = _put(out, size, 0b1010 << 12 | n, _REMOVE)
+            ends[packets] = size
+            packets += 1
+    is_changed = successor >= 0
+    for k in np.argsort(number):
+        if not is_changed[k]:
+            continue
+        former = successor[k]
+        _, begin, source = _align_pair(old_symbols, old_start, new_symbols, new_start, twins, former, k)
+        shift[k] = begin
+        before = old_symbols[old_start[former] : old_start[former + 1]]
+        after = new_symbols[new_start[k] : new_start[k + 1]]
+        word = _object_word(0b1110, number[k], len(after), new_inside[k])
+        size = _put(out, size, word, _EMERGE)
+        ends[packets] = size
+        packets += 1
+        stays = np.zeros(len(before), np.bool_)
+        for i in source:
+            if i >= 0:
+                stays[i] = True
+        for i in range(len(before) - 1, -1, -1):
+            if not stays[i]:
+                size = _put(out, size, 0b100 << 13 | i << 1, _DELETE)
+                ends[packets] = size
+                packets += 1
+        for i in range(len(after)):
+            symbol = after[(i + begin) % len(after)]
+            if source[i] < 0 or before[source[i]] != symbol:
+                size = _put(out, size, _vertex_word(0b010 if source[i] < 0 else 0b011, i, symbol), _INSERT)
+                ends[packets] = size
+                packets += 1
+    lowest = 0
+    for k in range(new_objects):
+        if number[k] >= 0:
+            continue
+        while is_taken[lowest]:
+            lowest += 1
+        number[k] = lowest
+        lowest += 1
+        cycle = new_symbols[new_start[k] : new_start[k + 1]]
+        size = _put(out, size, _object_word(0b1101, number[k], len(cycle), new_inside[k]), _EMERGE)
+        ends[packets] = size
+        packets += 1
+        for i in range(len(cycle)):
+            size = _put(out, size, _vertex_word(0b010, i, cycle[i]), _INSERT)
+            ends[packets] = size
+            packets += 1
+    if size:
+        size = _put(out, size, 0xF0, _SAVE)
+        ends[packets] = size
+        packets += 1
+    return out[:size].copy(), ends[:packets].copy(), number, shift
 
 
 def _rearranged(polygons: Polygons, order: NDArray[np.int64], shift: NDArray[np.int32]) -> Polygons:

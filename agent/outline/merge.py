@@ -1,13 +1,13 @@
 """Merging teammates' approximations with one's own map into the planning grid (section 5.2, Algorithm 9).
 
-Twice: `five_stages` goes step by step as Figure 5.6 does; `TeamMap` gets the same grid in an order-free form
-that is fast. There each approximation becomes a layer of bits a cell, layers are joined by OR, and of the
-claims that a cell has gathered the strongest counts:
+Twice: `agent.outline.five_stages` goes step by step as Figure 5.6 does; `TeamMap` gets the same grid in an
+order-free form that is fast. There each approximation becomes a layer of bits a cell, layers are joined by OR, and
+of the claims that a cell has gathered the strongest counts:
 
     occupied by an inside boundary > free by one > occupied by an outside boundary > free area > beside a wall
 
-Free area of an approximation is what its inside object encloses and none of its outside objects encloses
-or bounds. What the robot has seen itself overrides all claims.
+What the robot has seen itself overrides all claims. A cell of the planning grid follows from the cells around it,
+two away at most; so only where something has changed it is merged anew.
 
 Two guesses, which the thesis does not make, keep robots from driving to what only looks unexplored
 because approximations are coarse (`Drawing`). A coarse wall runs a cell beside the true one, so who has seen
@@ -25,139 +25,32 @@ the cells of which Algorithm 9 cannot know:
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence, Set
-from dataclasses import dataclass
-from itertools import chain
+from collections.abc import Collection, Set
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
 
+from agent.outline.boxes import NO_BOXES, Boxes, clip, united, whole
+from agent.outline.claims import (
+    FREE_AREA,
+    INSIDE_FREE,
+    INSIDE_OCCUPIED,
+    OUTSIDE_OCCUPIED,
+    THESIS,
+    Drawing,
+    Layer,
+    draw_anew,
+    layer,
+)
 from agent.outline.polygons import Polygons
-from agent.outline.raster import draw, fill
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 
-UNDEFINED = 3
-"""A cell of which no approximation has said anything yet (only between the stages)."""
-
-BESIDE_WALL, FREE_AREA, OUTSIDE_OCCUPIED, INSIDE_FREE, INSIDE_OCCUPIED = 1, 2, 4, 8, 16
-"""The claims of a layer; the stronger has the higher bit."""
-
-Layer = NDArray[np.uint8]
-
-
-@dataclass(frozen=True)
-class Drawing:
-    """What of an approximation is drawn. By default all of it, as in the thesis.
-
-    Attributes
-    ----------
-    free_inside_edges : bool
-        Draw inside edges that are labelled free. They claim cells free which their robot has not seen.
-    unknown_pairs : bool
-        Draw outside objects of two vertices and no occupied edge. They are the unseen specks between beams.
-    wide_walls : bool
-        Take the eight neighbours of a wall's cells for wall where nothing else is claimed of them.
-    close_slivers : bool
-        Take an unknown cell for free if its neighbours on the left and right or above and below are free, and
-        not both by the robot's own sight.
-    """
-
-    free_inside_edges: bool = True
-    unknown_pairs: bool = True
-    wide_walls: bool = False
-    close_slivers: bool = False
-
-
-THESIS = Drawing()
-"""All is drawn, as Algorithm 9 says."""
-
-
-def layer(polygons: Polygons, drawing: Drawing = THESIS) -> Layer:
-    """Render an approximation into the claims that it makes, a byte of bits a cell."""
-    out = np.zeros(polygons.shape, np.uint8)
-    _render(
-        out,
-        polygons.x,
-        polygons.y,
-        polygons.side,
-        polygons.occupied,
-        polygons.start,
-        polygons.inside,
-        drawing.free_inside_edges,
-        drawing.unknown_pairs,
-    )
-    return out
-
-
-@kernel(
-    "void(uint8[:,::1], int16[::1], int16[::1], uint8[::1], uint8[::1], int32[::1], boolean[::1], boolean, "
-    "boolean)"
-)
-def _render(
-    out: NDArray[np.uint8],
-    x: NDArray[np.int16],
-    y: NDArray[np.int16],
-    side: NDArray[np.uint8],
-    occupied: NDArray[np.uint8],
-    start: NDArray[np.int32],
-    inside: NDArray[np.bool_],
-    free_inside_edges: bool,
-    unknown_pairs: bool,
-) -> None:
-    scratch = np.zeros(out.shape, np.uint8)
-    for k in range(len(inside)):
-        if inside[k]:
-            fill(out, x, y, side, start[k], start[k + 1], scratch, FREE_AREA, 0)
-    for k in range(len(inside)):
-        first, end = start[k], start[k + 1]
-        if inside[k]:
-            continue
-        if not unknown_pairs and end - first == 2 and not occupied[first] and not occupied[first + 1]:
-            continue
-        fill(out, x, y, side, first, end, scratch, 0, FREE_AREA)
-        draw(out, x, y, side, occupied, first, end, OUTSIDE_OCCUPIED, 0, FREE_AREA)
-    for k in range(len(inside)):
-        if inside[k]:
-            other = INSIDE_FREE if free_inside_edges else 0
-            draw(out, x, y, side, occupied, start[k], start[k + 1], INSIDE_OCCUPIED, other, 0)
-
-
-def _widen(claims: Layer) -> None:
-    """Claim that the eight neighbours of walls are beside one."""
-    walls = (claims & (OUTSIDE_OCCUPIED | INSIDE_OCCUPIED)) > 0
-    across = walls.copy()
-    across[:, 1:] |= walls[:, :-1]
-    across[:, :-1] |= walls[:, 1:]
-    beside = across * np.uint8(BESIDE_WALL)
-    claims |= beside
-    claims[1:] |= beside[:-1]
-    claims[:-1] |= beside[1:]
-
-
-def without_unknown_pairs(polygons: Polygons) -> Polygons:
-    """Leave out the outside objects that have two vertices and no occupied edge."""
-    sizes = np.diff(polygons.start)
-    walls = np.add.reduceat(polygons.occupied, polygons.start[:-1], dtype=np.int64) if len(sizes) else sizes
-    kept = polygons.inside | (sizes > 2) | (walls > 0)
-    if kept.all():
-        return polygons
-    vertices = np.repeat(kept, sizes)
-    start = np.concatenate([[0], np.cumsum(sizes[kept])]).astype(np.int32)
-    return Polygons(
-        polygons.shape,
-        polygons.x[vertices],
-        polygons.y[vertices],
-        polygons.side[vertices],
-        polygons.occupied[vertices],
-        start,
-        polygons.inside[kept],
-    )
+_WALL = OUTSIDE_OCCUPIED | INSIDE_OCCUPIED
 
 
 class TeamMap:
-    """What a robot's teammates claim, ready for merging; only what changes is rendered anew.
+    """What a robot's teammates claim, merged with what it has seen itself; only what changes is done anew.
 
     Parameters
     ----------
@@ -167,45 +60,92 @@ class TeamMap:
 
     def __init__(self, drawing: Drawing = THESIS) -> None:
         self._drawing = drawing
-        self._layers: dict[int, Layer] = {}
+        self._slots: dict[int, int] = {}
+        """Where in `_layers` each teammate's claims are."""
+        self._layers: NDArray[np.uint8] = np.zeros((0, 0, 0), np.uint8)
+        self._scratch: Layer = np.zeros((0, 0), np.uint8)
         self._near: Set[int] = frozenset()
-        self._claims: Layer | None = None
+        self._rows = _numbers([]), _numbers([])
+        """Of the teammates near, and of the others, where in `_layers` they are."""
+        self._changed: Boxes = NO_BOXES
+        """Where claims have changed since the last merge."""
+        self._merged: _Merged | None = None
 
-    def update(self, robot: int, approximation: Polygons) -> None:
-        """Take over the approximation that `robot` has last saved."""
-        self._layers[robot] = layer(approximation, self._drawing)
-        self._claims = None
+    def update(self, robot: int, approximation: Polygons, changed: Boxes | None = None) -> None:
+        """Take over the approximation that `robot` has last saved.
 
-    def merged(self, own: Grid, near: Collection[int] | None = None) -> Grid:
+        It differs from the one before in the boxes `changed` at most (None: anywhere).
+        """
+        if robot not in self._slots:
+            self._make_room(approximation.shape)
+            self._slots[robot] = len(self._slots)
+            self._sort_out(self._near)
+            changed = None
+        if changed is None:
+            changed = whole(approximation.shape)
+        claims = self._layers[self._slots[robot]]
+        drawn = draw_anew(claims, approximation, self._drawing, self._scratch, changed)
+        self._changed = united(self._changed, drawn)
+
+    def merged(self, own: Grid, near: Collection[int] | None = None, changed: Boxes | None = None) -> Grid:
         """Return the planning grid of a robot whose self-explored grid is `own`.
 
         Walls are wide only of the teammates `near` (None: all): what they have just begun to see they will soon
-        tell better.
-        """
-        near = self._layers.keys() & (self._layers if near is None else near)
-        if self._claims is None or near != self._near:
-            self._near = near
-            self._claims = self._united(own, near)
-            if self._drawing.wide_walls:
-                _widen(self._claims)
-            self._claims |= self._united(own, self._layers.keys() - near)
-        plan = _resolve(own, self._claims)
-        return _close_slivers(own, plan) if self._drawing.close_slivers else plan
+        tell better. `own` differs from the one merged last in the boxes `changed` at most (None: anywhere).
 
-    def _united(self, own: Grid, robots: Set[int]) -> Layer:
-        """Return all claims of some teammates together."""
-        claims = np.zeros(own.shape, np.uint8)
-        for robot in robots:
-            claims |= self._layers[robot]
-        return claims
+        The grid that is returned is written over by the next call.
+        """
+        near = self._slots.keys() & (self._slots if near is None else near)
+        if near != self._near:
+            self._sort_out(near)
+            if self._drawing.wide_walls:
+                self._changed = whole(own.shape)
+        if self._merged is None or changed is None:
+            self._merged, changed = _Merged(own, self._drawing.close_slivers), NO_BOXES
+            self._changed = whole(own.shape)
+        if len(self._changed) or len(changed):
+            guesses = self._drawing.wide_walls, self._drawing.close_slivers
+            _merge(own, self._layers, *self._rows, *guesses, self._changed, changed, *self._merged.grids)
+            self._changed = NO_BOXES
+        return self._merged.plan
+
+    def _sort_out(self, near: Set[int]) -> None:
+        """Note who is near."""
+        self._near = near
+        self._rows = (
+            _numbers([slot for robot, slot in self._slots.items() if robot in near]),
+            _numbers([slot for robot, slot in self._slots.items() if robot not in near]),
+        )
+
+    def _make_room(self, shape: tuple[int, int]) -> None:
+        """See to it that one more layer fits."""
+        held = len(self._slots)
+        if not held:
+            self._layers, self._scratch = np.zeros((0, *shape), np.uint8), np.zeros(shape, np.uint8)
+        if held == len(self._layers):
+            more = np.zeros((max(1, 2 * held), *shape), np.uint8)
+            more[:held] = self._layers[:held]
+            self._layers = more
+
+
+def _numbers(slots: list[int]) -> NDArray[np.int64]:
+    return np.array(slots, np.int64)
+
+
+class _Merged:
+    """What has been merged: the claims of those near and of the others, what they and the robot say, the plan."""
+
+    def __init__(self, own: Grid, close_slivers: bool) -> None:
+        near, others, resolved = (np.zeros_like(own) for _ in range(3))
+        self.plan = np.zeros_like(own) if close_slivers else resolved
+        self.grids = near, others, resolved, self.plan
 
 
 def rendered(approximation: Polygons, drawing: Drawing = THESIS) -> Grid:
     """Return the grid that one approximation describes by itself."""
-    claims = layer(approximation, drawing)
-    if drawing.wide_walls:
-        _widen(claims)
-    return _resolve(np.zeros_like(claims), claims)
+    team = TeamMap(drawing)
+    team.update(0, approximation)
+    return team.merged(np.zeros(approximation.shape, np.uint8))
 
 
 def approximation_error(own: Grid, approximation: Polygons, drawing: Drawing = THESIS) -> int:
@@ -216,124 +156,169 @@ def approximation_error(own: Grid, approximation: Polygons, drawing: Drawing = T
     return int(np.count_nonzero(own != rendered(approximation, drawing)))
 
 
-@dataclass(frozen=True, eq=False)
-class Stages:
-    """The planning grid after each of the five steps of Figure 5.6."""
+class ErrorCount:
+    """`approximation_error` of a grid and an approximation that change little by little.
 
-    outside_filled: Grid
-    """(a) Outside objects are filled with unknown; all else is undefined."""
-    outside_bounded: Grid
-    """(b) Their boundaries are drawn, unknown ones never over occupied ones."""
-    inside_filled: Grid
-    """(c), (d) Within an inside object, what is undefined, or unknown but in none of the same robot's outside
-    objects, is free."""
-    inside_bounded: Grid
-    """(e) The boundaries of the inside objects are drawn over it, occupied ones over free ones."""
-    complete: Grid
-    """(f) What is undefined is unknown, and what the robot has seen itself stands. Then the guesses: what is
-    unknown beside a wall of any boundary is occupied, and unknown slivers are free."""
+    Parameters
+    ----------
+    drawing : Drawing
+        What is drawn; without guesses.
+    """
 
+    def __init__(self, drawing: Drawing = THESIS) -> None:
+        if drawing.wide_walls or drawing.close_slivers:
+            raise ValueError(f"{drawing}: what receivers guess is no error of the approximation")
+        self._drawing = drawing
+        self._layer: Layer | None = None
+        self._scratch: Layer = np.zeros((0, 0), np.uint8)
+        self._wrong: NDArray[np.bool_] = np.zeros((0, 0), np.bool_)
+        self._count = 0
 
-def five_stages(own: Grid, approximations: Sequence[Polygons], drawing: Drawing = THESIS) -> Stages:
-    """Merge approximations with one's own grid as Algorithm 9 does, line by line."""
-    plan = np.full(own.shape, UNDEFINED, np.uint8)
-    objects = [_objects(polygons, drawing) for polygons in approximations]
-    outside = [[each for each in team_object if not each.inside] for team_object in objects]
-    inside = [[each for each in team_object if each.inside] for team_object in objects]
-
-    for each in chain(*outside):
-        plan[each.filled] = UNKNOWN
-    outside_filled = plan.copy()
-
-    for each in chain(*outside):
-        plan[each.other_edges & (plan != OCCUPIED)] = UNKNOWN
-        plan[each.occupied_edges] = OCCUPIED
-    outside_bounded = plan.copy()
-
-    for around, within in zip(inside, outside, strict=True):
-        contained = np.zeros(own.shape, np.bool_)
-        for each in within:
-            contained |= each.filled | each.other_edges | each.occupied_edges
-        for each in around:
-            plan[each.filled & (plan == UNKNOWN) & ~contained] = FREE
-            plan[each.filled & (plan == UNDEFINED)] = FREE
-    inside_filled = plan.copy()
-
-    if drawing.free_inside_edges:
-        for each in chain(*inside):
-            plan[each.other_edges] = FREE
-    for each in chain(*inside):
-        plan[each.occupied_edges] = OCCUPIED
-    inside_bounded = plan.copy()
-
-    plan[plan == UNDEFINED] = UNKNOWN
-    if drawing.wide_walls:
-        walls = np.zeros(own.shape, np.bool_)
-        for each in chain(*outside, *inside):
-            walls |= each.occupied_edges
-        plan[binary_dilation(walls, np.ones((3, 3))) & (plan == UNKNOWN)] = OCCUPIED
-    plan[own != UNKNOWN] = own[own != UNKNOWN]
-    if drawing.close_slivers:
-        free, seen = np.pad(plan == FREE, 1), np.pad(own != UNKNOWN, 1)
-        beside, above = (np.s_[1:-1, :-2], np.s_[1:-1, 2:]), (np.s_[:-2, 1:-1], np.s_[2:, 1:-1])
-        for one, other in (beside, above):
-            plan[(plan == UNKNOWN) & free[one] & free[other] & ~(seen[one] & seen[other])] = FREE
-    return Stages(outside_filled, outside_bounded, inside_filled, inside_bounded, plan)
+    def count(
+        self,
+        own: Grid,
+        approximation: Polygons,
+        own_changed: Boxes | None = None,
+        changed: Boxes | None = None,
+    ) -> int:
+        """Return the error now; both differ from the last ones in the boxes at most (None: anywhere)."""
+        if self._layer is None or changed is None or own_changed is None:
+            self._layer = layer(approximation, self._drawing)
+            self._wrong, self._scratch = np.zeros(own.shape, np.bool_), np.zeros(own.shape, np.uint8)
+            self._count = 0
+            boxes = whole(own.shape)
+        else:
+            boxes = own_changed
+            if len(changed):
+                drawn = draw_anew(self._layer, approximation, self._drawing, self._scratch, changed)
+                boxes = united(boxes, drawn)
+        if len(boxes):
+            self._count += int(_count_wrong(own, self._layer, boxes, self._wrong))
+        return self._count
 
 
-@dataclass(frozen=True, eq=False)
-class _Object:
-    inside: bool
-    filled: NDArray[np.bool_]
-    occupied_edges: NDArray[np.bool_]
-    other_edges: NDArray[np.bool_]
+@kernel("uint8(uint8, uint8, uint8)")
+def _strongest(known: int, claim: int, beside_wall: int) -> int:
+    """What a cell is by its claims and what the robot knows itself; and beside a wall."""
+    cell = OCCUPIED if beside_wall else UNKNOWN
+    cell = FREE if claim & FREE_AREA else cell
+    cell = OCCUPIED if claim & OUTSIDE_OCCUPIED else cell
+    cell = FREE if claim & INSIDE_FREE else cell
+    cell = OCCUPIED if claim & INSIDE_OCCUPIED else cell
+    return cell if known == UNKNOWN else known
 
 
-def _objects(polygons: Polygons, drawing: Drawing) -> list[_Object]:
-    """Rasterise each object by itself."""
-    objects = []
-    x, y, side, occupied = polygons.x, polygons.y, polygons.side, polygons.occupied
-    for inside, first, end in zip(polygons.inside, polygons.start[:-1], polygons.start[1:], strict=True):
-        if not (inside or drawing.unknown_pairs or end - first > 2 or occupied[first:end].any()):
-            continue
-        area, edges, scratch = (np.zeros(polygons.shape, np.uint8) for _ in range(3))
-        fill(area, x, y, side, first, end, scratch, 1, 0)
-        draw(edges, x, y, side, occupied, first, end, 1, 2, 0)
-        objects.append(_Object(bool(inside), area == 1, edges & 1 > 0, edges & 2 > 0))
-    return objects
+@kernel("int64(uint8[:,::1], uint8[:,::1], int32[:,::1], boolean[:,::1])")
+def _count_wrong(own: Grid, claims: Layer, boxes: Boxes, wrong: NDArray[np.bool_]) -> int:
+    """Note in some boxes which cells are wrong; how many more there are than before."""
+    more = 0
+    box = np.empty(4, np.int32)
+    for number in range(len(boxes)):
+        clip(boxes[number], 0, own.shape, box)
+        for y in range(box[1], box[3]):
+            for x in range(box[0], box[2]):
+                is_wrong = own[y, x] != _strongest(UNKNOWN, claims[y, x], 0)
+                more += int(is_wrong) - int(wrong[y, x])
+                wrong[y, x] = is_wrong
+    return more
 
 
-@kernel("uint8[:,::1](uint8[:,::1], uint8[:,::1])")
-def _resolve(own: NDArray[np.uint8], claims: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Let the strongest claim of each cell count, and what the robot knows itself above all."""
-    out = np.empty_like(own)
-    for row in range(len(own)):
-        known, claim, cells = own[row], claims[row], out[row]
-        for at in range(len(cells)):
-            c = claim[at]
-            cell = OCCUPIED if c & BESIDE_WALL else UNKNOWN
-            cell = FREE if c & FREE_AREA else cell
-            cell = OCCUPIED if c & OUTSIDE_OCCUPIED else cell
-            cell = FREE if c & INSIDE_FREE else cell
-            cell = OCCUPIED if c & INSIDE_OCCUPIED else cell
-            cells[at] = cell if known[at] == UNKNOWN else known[at]
-    return out
+@kernel("void(uint8[:,:,::1], int64[::1], int32[::1], uint8[:,::1])")
+def _unite(
+    layers: NDArray[np.uint8], slots: NDArray[np.int64], box: NDArray[np.int32], claims: Layer
+) -> None:
+    """Write all claims of some teammates together."""
+    x0, x1 = box[0], box[2]
+    for y in range(box[1], box[3]):
+        together = claims[y, x0:x1]
+        together[:] = 0
+        for slot in slots:
+            row = layers[slot, y, x0:x1]
+            for x in range(len(row)):
+                together[x] |= row[x]
 
 
-@kernel("uint8[:,::1](uint8[:,::1], uint8[:,::1])")
-def _close_slivers(own: NDArray[np.uint8], plan: NDArray[np.uint8]) -> NDArray[np.uint8]:
+@kernel("void(uint8[:,::1], uint8[:,::1], uint8[:,::1], boolean, int32[::1], uint8[:,::1])")
+def _resolve(
+    own: Grid, near: Layer, others: Layer, wide_walls: bool, box: NDArray[np.int32], resolved: Grid
+) -> None:
+    """Let the strongest claim of each cell count, and what the robot knows itself above all.
+
+    The eight neighbours of walls of those near are beside one, if walls are wide.
+    """
+    x0, x1 = box[0], box[2]
+    height, width = own.shape
+    beside = np.zeros(x1 - x0, np.uint8)
+    walls = np.zeros(x1 - x0 + 2, np.uint8)
+    for y in range(box[1], box[3]):
+        if wide_walls:
+            left, right = max(x0 - 1, 0), min(x1 + 1, width)
+            column = walls[left - x0 + 1 : right - x0 + 1]
+            here = near[y, left:right]
+            above = near[max(y - 1, 0), left:right]
+            below = near[min(y + 1, height - 1), left:right]
+            for x in range(len(column)):
+                column[x] = (here[x] | above[x] | below[x]) & _WALL
+            for x in range(len(beside)):
+                beside[x] = walls[x] | walls[x + 1] | walls[x + 2]
+        known, out = own[y, x0:x1], resolved[y, x0:x1]
+        one, other = near[y, x0:x1], others[y, x0:x1]
+        for x in range(len(beside)):
+            out[x] = _strongest(known[x], one[x] | other[x], beside[x])
+
+
+@kernel("void(uint8[:,::1], uint8[:,::1], int32[::1], uint8[:,::1])")
+def _close_slivers(own: Grid, resolved: Grid, box: NDArray[np.int32], plan: Grid) -> None:
     """Free the unknown cells between two free ones that the robot has not both seen itself."""
-    out = plan.copy()
-    height, width = plan.shape
-    for y in range(height):
-        for x in range(width):
-            if plan[y, x] != UNKNOWN:
+    height, width = own.shape
+    for y in range(box[1], box[3]):
+        for x in range(box[0], box[2]):
+            plan[y, x] = resolved[y, x]
+            if resolved[y, x] != UNKNOWN:
                 continue
-            for dy, dx in ((0, 1), (1, 0)):
-                if not (dy <= y < height - dy and dx <= x < width - dx):
-                    continue
-                if plan[y - dy, x - dx] != FREE or plan[y + dy, x + dx] != FREE:
-                    continue
-                if own[y - dy, x - dx] == UNKNOWN or own[y + dy, x + dx] == UNKNOWN:
-                    out[y, x] = FREE
-    return out
+            if 0 < x < width - 1 and resolved[y, x - 1] == FREE and resolved[y, x + 1] == FREE:
+                plan[y, x] = FREE if own[y, x - 1] == UNKNOWN or own[y, x + 1] == UNKNOWN else UNKNOWN
+            if 0 < y < height - 1 and resolved[y - 1, x] == FREE and resolved[y + 1, x] == FREE:
+                is_heard = own[y - 1, x] == UNKNOWN or own[y + 1, x] == UNKNOWN
+                plan[y, x] = FREE if is_heard else plan[y, x]
+
+
+@kernel(
+    "void(uint8[:,::1], uint8[:,:,::1], int64[::1], int64[::1], boolean, boolean, int32[:,::1], int32[:,::1],"
+    " uint8[:,::1], uint8[:,::1], uint8[:,::1], uint8[:,::1])"
+)
+def _merge(
+    own: Grid,
+    layers: NDArray[np.uint8],
+    near_slots: NDArray[np.int64],
+    other_slots: NDArray[np.int64],
+    wide_walls: bool,
+    close_slivers: bool,
+    claims_changed: Boxes,
+    own_changed: Boxes,
+    near: Layer,
+    others: Layer,
+    resolved: Grid,
+    plan: Grid,
+) -> None:
+    """Bring all up to date that follows from what has changed."""
+    box = np.empty(4, np.int32)
+    for number in range(len(claims_changed)):
+        clip(claims_changed[number], 0, own.shape, box)
+        _unite(layers, near_slots, box, near)
+        _unite(layers, other_slots, box, others)
+    spread = 1 if wide_walls else 0
+    for number in range(len(claims_changed)):
+        clip(claims_changed[number], spread, own.shape, box)
+        _resolve(own, near, others, wide_walls, box, resolved)
+    for number in range(len(own_changed)):
+        clip(own_changed[number], 0, own.shape, box)
+        _resolve(own, near, others, wide_walls, box, resolved)
+    if not close_slivers:
+        return
+    for number in range(len(claims_changed)):
+        clip(claims_changed[number], spread + 1, own.shape, box)
+        _close_slivers(own, resolved, box, plan)
+    for number in range(len(own_changed)):
+        clip(own_changed[number], 1, own.shape, box)
+        _close_slivers(own, resolved, box, plan)

@@ -19,7 +19,10 @@ from agent.outline.polygons import SIDE_X, SIDE_Y
 from protocol.kernels import kernel
 
 
-@kernel("void(uint8[:,::1], int16[::1], int16[::1], uint8[::1], int64, int64, uint8[:,::1], uint8, uint8)")
+@kernel(
+    "void(uint8[:,::1], int16[::1], int16[::1], uint8[::1], int64, int64, int32[::1], uint8[:,::1], uint8, uint8,"
+    " int32[::1])"
+)
 def fill(
     layer: NDArray[np.uint8],
     x: NDArray[np.int16],
@@ -27,51 +30,55 @@ def fill(
     side: NDArray[np.uint8],
     first: int,
     end: int,
+    edges: NDArray[np.int32],
     scratch: NDArray[np.uint8],
     set_bits: int,
     clear_bits: int,
+    box: NDArray[np.int32],
 ) -> None:
-    """Set and clear bits of the cells that the polygon of the vertices ``first:end`` encloses.
+    """Set and clear bits of the cells in a box that the polygon of the vertices ``first:end`` encloses.
 
-    `scratch` has the shape of `layer`, and is zero before and after.
+    `edges` has the vertices with which the edges begin that cross a column of the box, in it or above it, at least.
+    `scratch` has the shape of `layer`, and is zero before and after. The box, (x0, y0, x1, y1), is on the grid.
     """
-    height, width = layer.shape
-    top, bottom, left, right = height, -1, width, -1
-    a_x = 4 * x[end - 1] + SIDE_X[side[end - 1]]
-    a_y = 4 * y[end - 1] + SIDE_Y[side[end - 1]]
-    for i in range(first, end):
-        b_x, b_y = 4 * x[i] + SIDE_X[side[i]], 4 * y[i] + SIDE_Y[side[i]]
+    x0, y0, x1, y1 = np.int64(box[0]), np.int64(box[1]), np.int64(box[2]), np.int64(box[3])
+    for i in edges:
+        j = i + 1 if i + 1 < end else first
+        a_x, a_y = 4 * x[i] + SIDE_X[side[i]], 4 * y[i] + SIDE_Y[side[i]]
+        b_x, b_y = 4 * x[j] + SIDE_X[side[j]], 4 * y[j] + SIDE_Y[side[j]]
         # The edge crosses the columns whose middle lies in [low, high); all cells below it there toggle.
         low_x, low_y, high_x, high_y = (a_x, a_y, b_x, b_y) if a_x <= b_x else (b_x, b_y, a_x, a_y)
-        column, last = max((low_x + 3) // 4, 0), min((high_x + 3) // 4, width) - 1
-        if column <= last:
-            left, right = min(left, column), max(right, last)
+        column, last = max((low_x + 3) >> 2, x0), min((high_x + 3) >> 2, x1) - 1
+        if column > last or min(low_y, high_y) > 4 * y1:
+            continue
+        if max(low_y, high_y) <= 4 * y0:
+            for at in range(column, last + 1):
+                scratch[y0, at] ^= 255
+        else:
             run, rise = high_x - low_x, high_y - low_y
             denominator = 4 * run
             numerator = low_y * run + rise * (4 * column - low_x) + denominator - 1  # rounds up
             for at in range(column, last + 1):
-                row = max(numerator // denominator, 0)
-                if row < height:
+                row = max(numerator // denominator, y0)
+                if row < y1:
                     scratch[row, at] ^= 255
-                    top = min(top, row)
-                bottom = max(bottom, min(row, height - 1))
                 numerator += 4 * rise
-        a_x, a_y = b_x, b_y
-    for row in range(top, bottom + 1):
-        within = scratch[row, left : right + 1]
-        bits = layer[row, left : right + 1]
-        if row > top:
-            above = scratch[row - 1, left : right + 1]
+    for row in range(y0, y1):
+        within = scratch[row, x0:x1]
+        bits = layer[row, x0:x1]
+        if row > y0:
+            above = scratch[row - 1, x0:x1]
             for at in range(len(within)):
                 within[at] ^= above[at]
         for at in range(len(bits)):
             bits[at] = bits[at] & ~(clear_bits & within[at]) | set_bits & within[at]
-    for row in range(top, bottom + 1):
-        scratch[row, left : right + 1] = 0
+    for row in range(y0, y1):
+        scratch[row, x0:x1] = 0
 
 
 @kernel(
-    "void(uint8[:,::1], int16[::1], int16[::1], uint8[::1], uint8[::1], int64, int64, uint8, uint8, uint8)"
+    "void(uint8[:,::1], int16[::1], int16[::1], uint8[::1], uint8[::1], int64, int64, int32[::1], uint8, uint8, uint8,"
+    " int32[::1])"
 )
 def draw(
     layer: NDArray[np.uint8],
@@ -81,17 +88,24 @@ def draw(
     occupied: NDArray[np.uint8],
     first: int,
     end: int,
+    edges: NDArray[np.int32],
     occupied_bits: int,
     other_bits: int,
     clear_bits: int,
+    box: NDArray[np.int32],
 ) -> None:
-    """Draw the edges of the polygon of the vertices ``first:end``.
+    """Draw the edges of the polygon of the vertices ``first:end``, as far as they lie in a box on the grid.
 
-    Clears `clear_bits` in all their cells; sets `occupied_bits` on occupied edges, `other_bits` on others.
+    Clears `clear_bits` in all their cells; sets `occupied_bits` on occupied edges, `other_bits` on others. `edges`
+    has the vertices with which the edges begin that pass through the box, at least.
     """
-    height, width = layer.shape
-    for i in range(first, end):
+    x0, y0, x1, y1 = np.int64(box[0]), np.int64(box[1]), np.int64(box[2]), np.int64(box[3])
+    for i in edges:
         j = i + 1 if i + 1 < end else first
+        if (x[i] > x1 and x[j] > x1) or (x[i] < x0 - 1 and x[j] < x0 - 1):
+            continue
+        if (y[i] > y1 and y[j] > y1) or (y[i] < y0 - 1 and y[j] < y0 - 1):
+            continue
         bits = occupied_bits if occupied[i] else other_bits
         a_x, a_y = 4 * x[i] + SIDE_X[side[i]], 4 * y[i] + SIDE_Y[side[i]]
         run, rise = 4 * x[j] + SIDE_X[side[j]] - a_x, 4 * y[j] + SIDE_Y[side[j]] - a_y
@@ -111,7 +125,7 @@ def draw(
         while True:
             across = numerator // denominator
             column, row = (at, across) if flat else (across, at)
-            if 0 <= column < width and 0 <= row < height:
+            if x0 <= column < x1 and y0 <= row < y1:
                 layer[row, column] = layer[row, column] & ~clear_bits | bits
             at += step
             numerator += slope

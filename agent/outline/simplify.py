@@ -8,7 +8,7 @@ segment, in exact integers: coordinates count quarters of a cell.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 from heapq import heappop, heappush
 
 import numpy as np
@@ -19,24 +19,31 @@ from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
 from protocol.kernels import kernel
 from protocol.packets import MAX_VERTICES
 
-ValueFunction = Callable[[float, bool], float]
-"""What it is worth to split an edge, from the distance of its farthest contour point, in cells, and whether
-its occupancy is mixed. A kernel of signature ``float64(float64, boolean)``; larger is sooner."""
 
+@dataclass(frozen=True)
+class ValueFunction:
+    """What it is worth to split an edge; larger is sooner.
 
-@kernel("float64(float64, boolean)")
-def by_distance(distance: float, mixed: bool) -> float:  # noqa: ARG001 - the form of a value function
-    """Value an edge by its distance alone: the thesis' rule."""
-    return distance
-
-
-@kernel("float64(float64, boolean)")
-def mixed_first(distance: float, mixed: bool) -> float:
-    """Value edges that stand for occupied and unknown points alike above all others.
-
-    Such an edge counts as unexplored, so it sends teammates to walls that are known.
+    Attributes
+    ----------
+    mixed : float
+        What an edge of mixed occupancy is worth beyond the distance of its farthest contour point, in cells.
     """
-    return distance + 1e6 if mixed else distance
+
+    mixed: float
+
+    def __call__(self, distance: float, mixed: bool) -> float:
+        """Value an edge by the distance of its farthest contour point, and whether its occupancy is mixed."""
+        return distance + self.mixed if mixed else distance
+
+
+by_distance = ValueFunction(0.0)
+"""An edge counts by its distance alone: the thesis' rule."""
+
+mixed_first = ValueFunction(1e6)
+"""Edges that stand for occupied and unknown points alike count above all others.
+
+Such an edge counts as unexplored, so it sends teammates to walls that are known."""
 
 
 def refine(
@@ -68,42 +75,35 @@ def refine(
     """
     if splits == 0:
         return marks
-    wanted = len(contours.x) if splits is None else splits
-    return _refine(
-        contours.x, contours.y, contours.side, contours.occupied, contours.start, marks, wanted, value
-    )
+    columns = contours.x, contours.y, contours.side, contours.occupied, contours.start
+    refined: Marks = _refine(*columns, marks, -1 if splits is None else splits, value.mixed)
+    return refined
 
 
-@kernel(
-    "Tuple((float64, int64, boolean))"
-    "(int16[::1], int16[::1], uint8[::1], uint8[::1], int64, int64, int64, int64)"
-)
+_Places = NDArray[np.int32]
+
+
+@kernel("Tuple((float64, int64, boolean))(int32[::1], int32[::1], uint8[::1], int64, int64, int64, int64)")
 def _split_of(
-    x: NDArray[np.int16],
-    y: NDArray[np.int16],
-    side: NDArray[np.uint8],
-    occupied: NDArray[np.uint8],
-    first: int,
-    end: int,
-    a: int,
-    b: int,
+    x: _Places, y: _Places, occupied: NDArray[np.uint8], first: int, end: int, a: int, b: int
 ) -> tuple[float, int, bool]:
-    """Look at the edge from point `a` to point `b` of the object ``first:end``.
+    """Look at the edge from point `a` to point `b` of the object ``first:end``; places in quarters of a cell.
 
     Returns the distance of the farthest point in cells, where to split (-1: the edge is exact), and
     whether the occupancy is mixed.
     """
-    a_x, a_y = 4 * x[a] + SIDE_X[side[a]], 4 * y[a] + SIDE_Y[side[a]]
-    edge_x, edge_y = 4 * x[b] + SIDE_X[side[b]] - a_x, 4 * y[b] + SIDE_Y[side[b]] - a_y
+    i = a + 1 if a + 1 < end else first
+    if i == b:
+        return 0.0, -1, False
+    a_x, a_y = np.int64(x[a]), np.int64(y[a])
+    edge_x, edge_y = x[b] - a_x, y[b] - a_y
     square = edge_x * edge_x + edge_y * edge_y
     farthest, largest, change = -1, 0, -1
-    before, i = a, a + 1
-    if i == end:
-        i = first
+    before = a
     while i != b:
         if change < 0 and occupied[i] != occupied[before]:
             change = i
-        p_x, p_y = 4 * x[i] + SIDE_X[side[i]] - a_x, 4 * y[i] + SIDE_Y[side[i]] - a_y
+        p_x, p_y = x[i] - a_x, y[i] - a_y
         along = p_x * edge_x + p_y * edge_y
         if along <= 0:
             distance = (p_x * p_x + p_y * p_y) * square
@@ -123,36 +123,98 @@ def _split_of(
 
 
 @kernel(
-    "int32[::1](int16[::1], int16[::1], uint8[::1], uint8[::1], int32[::1], int32[::1], int64, "
-    "FunctionType(float64(float64, boolean)))"
+    "boolean(int32[::1], int32[::1], uint8[::1], int32[::1], int64[:,::1], boolean[::1], int64[::1])",
 )
+def _split_all(
+    x: _Places,
+    y: _Places,
+    occupied: NDArray[np.uint8],
+    start: NDArray[np.int32],
+    edges: NDArray[np.int64],
+    marked: NDArray[np.bool_],
+    vertices: NDArray[np.int64],
+) -> bool:
+    """Split edges (a, b, split, object) until all are exact; whether no object has too many vertices then.
+
+    Which comes first makes no difference.
+    """
+    waiting = np.empty((len(x) + 2, 3), np.int64)
+    for edge in edges:
+        k = edge[3]
+        first, end = start[k], start[k + 1]
+        waiting[0] = edge[:3]
+        left = 1
+        while left:
+            left -= 1
+            a, b, split = waiting[left]
+            marked[split] = True
+            vertices[k] += 1
+            for one, other in ((a, split), (split, b)):
+                _, next_split, _ = _split_of(x, y, occupied, first, end, one, other)
+                if next_split >= 0:
+                    waiting[left, 0], waiting[left, 1], waiting[left, 2] = one, other, next_split
+                    left += 1
+        if vertices[k] > MAX_VERTICES:
+            return False
+    return True
+
+
+@kernel("int32[::1](int16[::1], int16[::1], uint8[::1], uint8[::1], int32[::1], int32[::1], int64, float64)")
 def _refine(
-    x: NDArray[np.int16],
-    y: NDArray[np.int16],
+    cell_x: NDArray[np.int16],
+    cell_y: NDArray[np.int16],
     side: NDArray[np.uint8],
     occupied: NDArray[np.uint8],
     start: NDArray[np.int32],
     marks: NDArray[np.int32],
     splits: int,
-    value: ValueFunction,
+    worth_of_mixed: float,
 ) -> NDArray[np.int32]:
-    queue = [(0.0, 0, 0, 0, 0)]  # minus the value, the edge's two points, where to split it, its object
-    queue.clear()
-    points = marks.astype(np.int64)
+    """Split as many edges as wanted; all that are not exact where `splits` is negative."""
+    x, y = np.empty(len(cell_x), np.int32), np.empty(len(cell_x), np.int32)
+    for i in range(len(cell_x)):
+        x[i] = 4 * cell_x[i] + SIDE_X[side[i]]
+        y[i] = 4 * cell_y[i] + SIDE_Y[side[i]]
     marked = np.zeros(len(x), np.bool_)
     vertices = np.zeros(len(start) - 1, np.int64)
+    worth = np.empty(len(marks))  # of the edges that are not exact
+    edges = np.empty((len(marks), 4), np.int64)
+    count = 0
+    most = 0
     m = 0
     for k in range(len(start) - 1):
-        first = m
+        begin = m
         while m < len(marks) and marks[m] < start[k + 1]:
             marked[marks[m]] = True
             m += 1
-        vertices[k] = m - first
-        for e in range(first, m):
-            a, b = points[e], points[e + 1 if e + 1 < m else first]
-            distance, split, mixed = _split_of(x, y, side, occupied, start[k], start[k + 1], a, b)
+        vertices[k] = m - begin
+        most = max(most, vertices[k])
+        if vertices[k] >= MAX_VERTICES:
+            continue
+        for e in range(begin, m):
+            a, b = marks[e], marks[e + 1 if e + 1 < m else begin]
+            distance, split, mixed = _split_of(x, y, occupied, start[k], start[k + 1], a, b)
             if split >= 0:
-                heappush(queue, (-value(distance, mixed), a, b, split, k))
+                worth[count] = distance + worth_of_mixed if mixed else distance
+                edges[count, 0], edges[count, 1], edges[count, 2], edges[count, 3] = a, b, split, k
+                count += 1
+
+    if splits < 0:
+        so_far, so_many = marked.copy(), vertices.copy()
+        if _split_all(x, y, occupied, start, edges[:count], marked, vertices):
+            return np.flatnonzero(marked).astype(np.int32)
+        marked, vertices = so_far, so_many  # an object is full: now it matters which edge comes first
+        splits = len(x)
+
+    # Of the edges that there are, no more than `splits` are split.
+    least = np.full(1, -np.inf)
+    if splits < count and most + splits <= MAX_VERTICES:
+        least = np.partition(worth[:count], count - splits)[count - splits :]
+    queue = [(0.0, 0, 0, 0, 0)]  # minus the value, the edge's two points, where to split it, its object
+    queue.clear()
+    for e in range(count):
+        if worth[e] >= least[0]:
+            heappush(queue, (-worth[e], edges[e, 0], edges[e, 1], edges[e, 2], edges[e, 3]))
     while splits > 0 and len(queue) > 0:
         _, a, b, split, k = heappop(queue)
         if vertices[k] >= MAX_VERTICES:
@@ -161,7 +223,8 @@ def _refine(
         vertices[k] += 1
         splits -= 1
         for one, other in ((a, split), (split, b)):
-            distance, next_split, mixed = _split_of(x, y, side, occupied, start[k], start[k + 1], one, other)
+            distance, next_split, mixed = _split_of(x, y, occupied, start[k], start[k + 1], one, other)
             if next_split >= 0:
-                heappush(queue, (-value(distance, mixed), one, other, next_split, k))
+                value = distance + worth_of_mixed if mixed else distance
+                heappush(queue, (-value, one, other, next_split, k))
     return np.flatnonzero(marked).astype(np.int32)

@@ -55,23 +55,46 @@ class Floor:
         self.height: int = grid.shape[0]
         self.width: int = grid.shape[1]
         self.stride: int = self.width + 2
-        padded = np.zeros((self.height + 2, self.stride), np.bool_)
-        padded[1:-1, 1:-1] = grid == FREE
-        self.free = padded.ravel()
+        self.free: NDArray[np.bool_] = _laid_out(grid)
 
     def at(self, x: int, y: int) -> int:
         """Where cell (x, y) lies in `free`."""
         return (y + 1) * self.stride + x + 1
 
 
-@lru_cache(maxsize=1)
-def workspace(cells: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
-    """Memory that all searches on floors of one size share: a length a cell, and how it was reached.
+@kernel("boolean[::1](Array(uint8, 2, 'C', readonly=True))")
+def _laid_out(grid: Grid) -> NDArray[np.bool_]:
+    height, width = grid.shape
+    free = np.zeros((height + 2) * (width + 2), np.bool_)
+    for y in range(height):
+        begin = (y + 1) * (width + 2) + 1
+        row, cells = free[begin : begin + width], grid[y]
+        for x in range(width):
+            row[x] = cells[x] == FREE
+    return free
 
-    Fresh pages of memory take nearly as long as a search. What one leaves in here means nothing to the next;
-    kernels hold the interpreter's lock, so no two are ever at work in here.
+
+@lru_cache(maxsize=1)
+def workspace(cells: int) -> tuple[NDArray[np.int64], NDArray[np.uint8], NDArray[np.int32]]:
+    """Memory that all searches on floors of one size share.
+
+    A length a cell, how it was reached, and a list of the cells that were. Fresh pages of memory take nearly as
+    long as a search, so each tidies up behind itself (`tidy`), and only where it has been: the next finds all
+    lengths `FAR`. Kernels hold the interpreter's lock, so no two are ever at work in here.
     """
-    return np.empty(cells, np.int64), np.empty(cells, np.uint8)
+    return np.full(cells, FAR, np.int64), np.zeros(cells, np.uint8), np.empty(cells, np.int32)
+
+
+def way_between(floor: Floor, start: tuple[int, int], end: tuple[int, int]) -> NDArray[np.int32] | None:
+    """Cells of a shortest way between two cells, by a search that ends there; None where none leads.
+
+    The same way as `way` finds in a whole field, at the price of the cells that are no farther than its end.
+    """
+    cells: NDArray[np.int32]
+    found, cells = _lead(
+        floor.free, floor.stride, floor.at(*start), floor.at(*end), *workspace(len(floor.free))
+    )
+    return cells if found else None
 
 
 def costs(grid: Grid, x: int, y: int) -> Field:
@@ -151,17 +174,45 @@ _NO_WEIGHTS = np.empty((0, 0))
 
 _Lengths = NDArray[np.int64]
 _Buckets = NDArray[np.int32]
+_Fill = NDArray[np.int64]
 
 
 @kernel(
-    "int32[:,::1](boolean[::1], int64[::1], uint8[::1], int32[:,::1], int64[::1], int64[::1], int64, int64)"
+    "int32[:,::1](int64[::1], uint8[::1], int32[::1], int64[::1], int64)",
 )
-def _settle(
+def begin(
+    length: _Lengths, came: NDArray[np.uint8], touched: NDArray[np.int32], fill: _Fill, start: int
+) -> _Buckets:
+    """Put the start into the first of four empty buckets.
+
+    `fill` says how many cells are in each, and behind that how many the search has touched in all.
+    """
+    buckets = np.empty((4, 1024), np.int32)
+    length[start], came[start], buckets[0, 0], touched[0] = 0, 0, start, start
+    fill[:] = 0
+    fill[0] = fill[4] = 1
+    return buckets
+
+
+@kernel("void(int64[::1], uint8[::1], int32[::1], int64[::1])")
+def tidy(length: _Lengths, came: NDArray[np.uint8], touched: NDArray[np.int32], fill: _Fill) -> None:
+    """Leave the workspace as it was found."""
+    for at in range(fill[4]):
+        length[touched[at]] = FAR
+        came[touched[at]] = 0
+
+
+@kernel(
+    "int32[:,::1](boolean[::1], int64[::1], uint8[::1], int32[::1], int32[:,::1], int64[::1], int64[::1],"
+    " int64, int64)"
+)
+def settle(
     free: NDArray[np.bool_],
     length: _Lengths,
     came: NDArray[np.uint8],
+    touched: NDArray[np.int32],
     buckets: _Buckets,
-    fill: NDArray[np.int64],
+    fill: _Fill,
     offset: NDArray[np.int64],
     level: int,
     start: int,
@@ -217,6 +268,9 @@ def _settle(
                     continue
                 new = base + ROOT
             if new < length[to_cell]:
+                if length[to_cell] == FAR:
+                    touched[fill[4]] = to_cell
+                    fill[4] += 1
                 length[to_cell] = new
                 came[to_cell] = number
                 to = (new >> SHIFT) & 3
@@ -244,7 +298,7 @@ def _unpad(length: _Lengths, field: Field) -> None:
             field[row, column] = source[column] * UNIT if source[column] != FAR else np.inf
 
 
-@kernel("void(boolean[::1], int64, int64, int64, int64[::1], uint8[::1], float64[:,::1])")
+@kernel("void(boolean[::1], int64, int64, int64, int64[::1], uint8[::1], int32[::1], float64[:,::1])")
 def _spread(
     free: NDArray[np.bool_],
     x: int,
@@ -252,27 +306,26 @@ def _spread(
     end: int,
     length: _Lengths,
     came: NDArray[np.uint8],
+    touched: NDArray[np.int32],
     field: Field,
 ) -> None:
     stride = field.shape[1] + 2
     start = (y + 1) * stride + x + 1
-    length[:] = FAR
-    came[:] = 0
-    buckets = np.empty((4, 4096), np.int32)
-    fill = np.zeros(4, np.int64)
+    fill = np.empty(5, np.int64)
+    buckets = begin(length, came, touched, fill, start)
     offset = offsets(stride)
-    length[start], buckets[0, 0], fill[0] = 0, start, 1
     level = 0
-    while fill.any() and (end < 0 or came[end] != 8):
-        buckets = _settle(free, length, came, buckets, fill, offset, level, start)
+    while fill[:4].any() and (end < 0 or came[end] != 8):
+        buckets = settle(free, length, came, touched, buckets, fill, offset, level, start)
         fill[level & 3] = 0
         level += 1
     _unpad(length, field)
+    tidy(length, came, touched, fill)
 
 
 @kernel(
     "int64(boolean[::1], uint8[:,::1], int64, int64, int32[:,::1], float64,"
-    " int64[::1], uint8[::1], float64[:,::1])"
+    " int64[::1], uint8[::1], int32[::1], float64[:,::1])"
 )
 def _spread_to_frontier(
     free: NDArray[np.bool_],
@@ -283,21 +336,19 @@ def _spread_to_frontier(
     range_cells: float,
     length: _Lengths,
     came: NDArray[np.uint8],
+    touched: NDArray[np.int32],
     field: Field,
 ) -> int:
     stride = field.shape[1] + 2
     start = (y + 1) * stride + x + 1
-    length[:] = FAR
-    came[:] = 0
-    buckets = np.empty((4, 4096), np.int32)
-    fill = np.zeros(4, np.int64)
+    fill = np.empty(5, np.int64)
+    buckets = begin(length, came, touched, fill, start)
     offset = offsets(stride)
-    length[start], buckets[0, 0], fill[0] = 0, start, 1
     level = 0
     first = -1
     found = -1
-    while fill.any() and found < 0:
-        buckets = _settle(free, length, came, buckets, fill, offset, level, start)
+    while fill[:4].any() and found < 0:
+        buckets = settle(free, length, came, touched, buckets, fill, offset, level, start)
         nearest = -1
         for at in range(fill[level & 3]):
             cell = buckets[level & 3, at]
@@ -317,9 +368,71 @@ def _spread_to_frontier(
         fill[level & 3] = 0
         level += 1
     _unpad(length, field)
+    tidy(length, came, touched, fill)
     if found < 0:
         found = first
     return -1 if found < 0 else (found // stride - 1) * field.shape[1] + found % stride - 1
+
+
+@kernel("int32[:,::1](boolean[::1], int64[::1], int64[::1], int64)")
+def way_back(
+    free: NDArray[np.bool_], length: _Lengths, offset: NDArray[np.int64], end: int
+) -> NDArray[np.int32]:
+    """Cells (x, y) of the way to a cell that a search has settled, in the order of driving; for other kernels.
+
+    As `_descend`, in lengths instead of a field, with the same sums: the choice among ways is the same.
+    """
+    stride = offset[1]
+    count = (length[end] >> SHIFT) + 1  # no step is shorter than a cell
+    cells = np.empty((count, 2), np.int32)
+    first = count
+    at = end
+    while length[at] > 0:
+        first -= 1
+        cells[first, 0] = at % stride - 1
+        cells[first, 1] = at // stride - 1
+        best = np.inf
+        next_one = at
+        for number in range(8):
+            before = at + offset[number]
+            if length[before] == FAR:
+                continue
+            step = 1.0
+            if number >= 4:
+                if not free[at + offset[number - 4]] or not free[at + offset[(number - 3) & 3]]:
+                    continue
+                step = DIAGONAL
+            if length[before] * UNIT + step < best:
+                best = length[before] * UNIT + step
+                next_one = before
+        at = next_one
+    return cells[first:].copy()
+
+
+@kernel(
+    "Tuple((boolean, int32[:,::1]))(boolean[::1], int64, int64, int64, int64[::1], uint8[::1], int32[::1])"
+)
+def _lead(
+    free: NDArray[np.bool_],
+    stride: int,
+    start: int,
+    end: int,
+    length: _Lengths,
+    came: NDArray[np.uint8],
+    touched: NDArray[np.int32],
+) -> tuple[bool, NDArray[np.int32]]:
+    fill = np.empty(5, np.int64)
+    buckets = begin(length, came, touched, fill, start)
+    offset = offsets(stride)
+    level = 0
+    while fill[:4].any() and came[end] != 8:
+        buckets = settle(free, length, came, touched, buckets, fill, offset, level, start)
+        fill[level & 3] = 0
+        level += 1
+    found = length[end] != FAR
+    cells = way_back(free, length, offset, end) if found else np.empty((0, 2), np.int32)
+    tidy(length, came, touched, fill)
+    return found, cells
 
 
 @kernel("int64(uint8[:,::1], float64[:,::1], float64[:,::1], int64, int64, int32[:,::1])")

@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.planning.cost_field import ONE, ROOT, SHIFT, UNIT, Floor, offsets, workspace
+from agent.planning.cost_field import ONE, ROOT, SHIFT, UNIT, Floor, offsets
 from protocol.kernels import kernel
 
 _Flags = NDArray[np.bool_]
@@ -49,15 +49,19 @@ def costs_between(floor: Floor, starts: NDArray[np.int32], goals: NDArray[np.int
     is_goal = np.zeros(len(floor.free), np.bool_)
     is_goal[goal] = True
     costs = np.empty((len(starts), len(goals)))
-    jumps = _workspace(floor.height + 2, floor.stride)
-    _search(floor.free, is_goal, jumps, start, goal, *workspace(len(floor.free)), costs)
+    jumps, length, came = _workspace(floor.height + 2, floor.stride)
+    _search(floor.free, is_goal, jumps, start, goal, length, came, costs)
     return costs
 
 
 @lru_cache(maxsize=1)
-def _workspace(height: int, stride: int) -> _Jumps:
-    """Memory that all searches on floors of one size share (`agent.planning.cost_field.workspace`)."""
-    return np.zeros((4, height, stride), np.int16)
+def _workspace(height: int, stride: int) -> tuple[_Jumps, _Numbers, NDArray[np.uint8]]:
+    """Memory that all searches on floors of one size share: jumps, a length a cell, how it was reached.
+
+    What one leaves in here means nothing to the next.
+    """
+    cells = height * stride
+    return np.zeros((4, height, stride), np.int16), np.empty(cells, np.int64), np.empty(cells, np.uint8)
 
 
 @kernel("void(boolean[:,::1], boolean[:,::1], int16[:,:,::1])")

@@ -1,15 +1,17 @@
-"""PathPlanner on one planning grid: what they cost from a cell, each computed when first asked for."""
+"""The ways on one planning grid: where they lead and what they cost, each found when first asked for."""
 
 from __future__ import annotations
+
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.planning.cost_field import Field, Floor, costs_on, nearest_first, way, weighted_way
-from agent.planning.frontier import frontier_cells
+from agent.planning.best_frontier import Appeal, best_frontier
+from agent.planning.cost_field import Field, Floor, costs_on, nearest_first, way, way_between, weighted_way
 from agent.planning.jump_point_search import costs_between
 from agent.planning.occupancy import Terrain, weighted_costs
-from agent.planning.reachability import reachable
+from agent.planning.reachability import reachable_frontier
 from protocol.grid import OCCUPIED, Grid, enlarge
 
 COSTS = ("shortest", "weighted")
@@ -45,10 +47,17 @@ class PathPlanner:
         self.grid = grid
         self.floor = enlarge(grid, radius_cells) if floor is None else floor
         self._kind = kind
-        self._laid_out = Floor(self.floor)
-        self._terrain = Terrain(grid, self.floor) if kind == "weighted" else None
         self._fields: dict[tuple[int, int], Field] = {}
         self._near: dict[tuple[int, int], Field] = {}
+        self._ways: dict[tuple[tuple[int, int], tuple[int, int]], NDArray[np.int32]] = {}
+
+    @cached_property
+    def _laid_out(self) -> Floor:
+        return Floor(self.floor)
+
+    @cached_property
+    def _terrain(self) -> Terrain | None:
+        return Terrain(self.grid, self.floor) if self._kind == "weighted" else None
 
     def costs(self, x: int, y: int) -> Field:
         """Cost of the best way from cell (x, y) to every cell; infinite where none leads."""
@@ -79,16 +88,33 @@ class PathPlanner:
 
     def path(self, start: tuple[int, int], end: tuple[int, int]) -> NDArray[np.int32] | None:
         """Cells of a best way, without its start; None if there is none."""
-        field = self._field_to(start, end)
-        if not np.isfinite(field[end[1], end[0]]):
-            return None
-        if self._terrain is None:
-            return way(self.floor, field, *end)
-        return weighted_way(self.floor, self._terrain.weights, field, *end)
+        if self._terrain is not None:
+            field = self.costs(*start)
+            found = np.isfinite(field[end[1], end[0]])
+            return weighted_way(self.floor, self._terrain.weights, field, *end) if found else None
+        if (start, end) in self._ways:
+            return self._ways[start, end]
+        near = self._near.get(start)
+        if near is not None and np.isfinite(near[end[1], end[0]]):
+            return way(self.floor, near, *end)
+        return way_between(self._laid_out, start, end)
 
     def frontier(self, x: int, y: int) -> NDArray[np.int32]:
         """All frontier cells that can be reached from (x, y), row by row, shape (n, 2)."""
-        return frontier_cells(self.grid, reachable(self._laid_out, x, y))
+        return reachable_frontier(self._laid_out, self.grid, x, y)
+
+    def best_frontier(self, x: int, y: int, appeal: Appeal) -> tuple[int, int] | None:
+        """The frontier cell of the best trade-off of utility and length of way; None where there is none.
+
+        Ways are counted by their length, of whatever kind the planner is. The way there is found at once.
+        """
+        found = best_frontier(self._laid_out, self.grid, x, y, appeal)
+        if found is None:
+            return None
+        cell, cells = found
+        if self._kind == "shortest":
+            self._ways[(x, y), cell] = cells
+        return cell
 
     def first_frontier(
         self, x: int, y: int, taken: NDArray[np.int32], range_cells: float
@@ -107,12 +133,3 @@ class PathPlanner:
         grid, floor = self.grid.copy(), self.floor.copy()
         grid[y, x] = floor[y, x] = OCCUPIED
         return PathPlanner(grid, self._kind, floor=floor)
-
-    def _field_to(self, start: tuple[int, int], end: tuple[int, int]) -> Field:
-        """Costs from `start` that are right as far as `end`: of a search that has been there, or a new one."""
-        near = self._near.get(start)
-        if near is not None and np.isfinite(near[end[1], end[0]]):
-            return near
-        if self._terrain is None and start not in self._fields:
-            return costs_on(self._laid_out, *start, end)
-        return self.costs(*start)

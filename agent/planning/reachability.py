@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning.cost_field import Floor
+from agent.planning.frontier import frontier_at
+from protocol.grid import Grid
 from protocol.kernels import kernel
 
 
@@ -24,10 +26,30 @@ def reachable(floor: Floor, x: int, y: int) -> NDArray[np.bool_]:
     return reached.reshape(-1, floor.stride)[1:-1, 1:-1]
 
 
-@kernel("void(boolean[::1], int64, int64, boolean[::1])")
-def _flood(free: NDArray[np.bool_], stride: int, start: int, reached: NDArray[np.bool_]) -> None:
-    """Fill the 4-connected part of the floor around a cell, run after run of its rows."""
-    waiting = np.empty(2 * len(free), np.int32)
+def reachable_frontier(floor: Floor, grid: Grid, x: int, y: int) -> NDArray[np.int32]:
+    """All frontier cells of `grid` that can be reached from cell (x, y), row by row.
+
+    As `agent.planning.frontier.frontier_cells` of `reachable`, met on the way.
+
+    Returns
+    -------
+    int32 array, shape (n, 2)
+        Cells (x, y).
+    """
+    reached = np.zeros(len(floor.free), np.bool_)
+    runs = _flood(floor.free, floor.stride, floor.at(x, y), reached)
+    return _collect(grid, floor.stride, runs)
+
+
+@kernel("int32[:,::1](boolean[::1], int64, int64, boolean[::1])")
+def _flood(free: NDArray[np.bool_], stride: int, start: int, reached: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Fill the 4-connected part of the floor around a cell, run after run of its rows.
+
+    Returns the runs that were filled, each as its first and last cell.
+    """
+    waiting = np.empty(1024, np.int32)
+    runs = np.empty((1024, 2), np.int32)
+    filled = 0
     waiting[0], count = start, 1
     while count:
         count -= 1
@@ -39,6 +61,16 @@ def _flood(free: NDArray[np.bool_], stride: int, start: int, reached: NDArray[np
         while free[last + 1]:
             last += 1
         reached[first : last + 1] = True
+        if filled == len(runs):
+            more_runs = np.empty((2 * filled, 2), np.int32)
+            more_runs[:filled] = runs
+            runs = more_runs
+        runs[filled, 0], runs[filled, 1] = first, last
+        filled += 1
+        if count + 2 * (last - first + 1) > len(waiting):
+            longer = np.empty(2 * (count + 2 * (last - first + 1)), np.int32)
+            longer[:count] = waiting[:count]
+            waiting = longer
         for side in (-stride, stride):
             within = False
             for cell in range(first + side, last + side + 1):
@@ -46,3 +78,25 @@ def _flood(free: NDArray[np.bool_], stride: int, start: int, reached: NDArray[np
                     waiting[count] = cell
                     count += 1
                 within = free[cell]
+    return runs[:filled].copy()
+
+
+@kernel("int32[:,::1](uint8[:,::1], int64, int32[:,::1])")
+def _collect(grid: Grid, stride: int, runs: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Frontier cells (x, y) of some runs, row by row."""
+    out = np.empty((256, 2), np.int32)
+    count = 0
+    order = np.argsort(runs[:, 0])
+    for index in order:
+        y = runs[index, 0] // stride - 1
+        x0, x1 = runs[index, 0] % stride - 1, runs[index, 1] % stride - 1
+        if count + x1 - x0 + 1 > len(out):
+            longer = np.empty((2 * (count + x1 - x0 + 1), 2), np.int32)
+            longer[:count] = out[:count]
+            out = longer
+        for x in range(x0, x1 + 1):
+            if frontier_at(grid, x, y):
+                out[count, 0] = x
+                out[count, 1] = y
+                count += 1
+    return out[:count].copy()

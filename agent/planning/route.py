@@ -33,21 +33,38 @@ class Route:
 
     def drive_to(self, x: int, y: int) -> None:
         """The robot is at (x, y) now: drop the cells up to there."""
-        at = np.flatnonzero((self.cells == (x, y)).all(axis=1))
-        if len(at):
-            self.cells = self.cells[at[-1] + 1 :]
+        done = _cells_up_to(self.cells, x, y)
+        if done:
+            self.cells = self.cells[done:]
 
     def is_open(self, floor: Grid, start: tuple[int, int]) -> bool:
         """Whether all cells still to be driven from `start` are free on `floor`, and both beside each diagonal."""
-        xs, ys = self.cells[:, 0], self.cells[:, 1]
-        before = np.concatenate([np.array([start], np.int32), self.cells])[:-1]
-        cuts = (before[:, 0] != xs) & (before[:, 1] != ys)
-        sides = (floor[ys, before[:, 0]] == FREE) & (floor[before[:, 1], xs] == FREE)
-        return bool((floor[ys, xs] == FREE).all() and sides[cuts].all())
+        return bool(_is_open(floor, *start, self.cells))
 
     def next_cells(self, count: int) -> NDArray[np.int32]:
         """The next cells to enter, shape (at most `count`, 2)."""
         return self.cells[:count]
+
+
+@kernel("int64(int32[:,::1], int64, int64)")
+def _cells_up_to(cells: NDArray[np.int32], x: int, y: int) -> int:
+    """How many cells of a way lead up to (x, y), that one included; 0 if it is not on the way."""
+    for at in range(len(cells) - 1, -1, -1):
+        if cells[at, 0] == x and cells[at, 1] == y:
+            return at + 1
+    return 0
+
+
+@kernel("boolean(uint8[:,::1], int64, int64, int32[:,::1])")
+def _is_open(floor: Grid, x: int, y: int, cells: NDArray[np.int32]) -> bool:
+    for at in range(len(cells)):
+        next_x, next_y = cells[at, 0], cells[at, 1]
+        if floor[next_y, next_x] != FREE:
+            return False
+        if next_x != x and next_y != y and (floor[y, next_x] != FREE or floor[next_y, x] != FREE):
+            return False
+        x, y = next_x, next_y
+    return True
 
 
 def straighten(floor: Grid, start: tuple[int, int], cells: NDArray[np.int32]) -> NDArray[np.int32]:

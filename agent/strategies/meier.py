@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.planning.best_frontier import Appeal
 from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import in_sight, utilities
 from agent.strategies.base import Cell, Situation
@@ -51,6 +52,17 @@ class Meier(TargetStrategy):
     def is_due(self, situation: Situation) -> bool:
         """As the parts say, and once for each target heard that the rule against herding speaks of."""
         return super().is_due(situation) or self._herds(situation)
+
+    def select(self, situation: Situation, planner: PathPlanner) -> tuple[Cell | None, bool]:
+        """Take the largest trade-off; where all cells of the frontier are goals, those too far are not looked at."""
+        if self.options.candidates != "cells" or self.options.costs != "shortest":
+            return super().select(situation, planner)
+        targets = np.array(list(situation.targets.values()), np.int32).reshape(-1, 2)
+        weights = self._weights(situation)
+        counted = np.ones(len(targets)) if weights is None else np.array(weights, np.float64)
+        appeal = Appeal(targets, counted, self.settings.range_cells, self.options.beta)
+        best = planner.best_frontier(*situation.here, appeal)
+        return best, best is not None
 
     def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
         """Take the largest trade-off; of equals the first cell, row by row."""

@@ -175,6 +175,11 @@ class TargetStrategy(Strategy):
             list(situation.targets.values()),
         )
 
+    def select(self, situation: Situation, planner: PathPlanner) -> tuple[Cell | None, bool]:
+        """Choose one of all goals, as `choose` has it; and whether there are any."""
+        goals = self.goals(situation, planner)
+        return (self.choose(situation, goals, planner) if len(goals) else None), len(goals) > 0
+
     def _count_turn(self, here: Cell) -> None:
         """Count the sectors that the scanner has seen from this cell."""
         self._turned = (self._turned if here == self._at else 0) + self._looked
@@ -182,12 +187,11 @@ class TargetStrategy(Strategy):
 
     def _renew(self, situation: Situation, planner: PathPlanner) -> bool:
         """Choose a target; whether there was any goal."""
-        goals = self.goals(situation, planner)
-        self.target = self.choose(situation, goals, planner) if len(goals) else None
+        self.target, left = self.select(situation, planner)
         goal = situation.home if self.target is None and self.options.mission == "return" else self.target
         if self.target is not None or not self._is_under_way(situation.here, goal, planner):
             self._drive(situation, planner, goal)
-        return len(goals) > 0
+        return left
 
     def _drive(self, situation: Situation, planner: PathPlanner, goal: Cell | None) -> bool:
         """Take a way to a cell, or stay where that is none; whether there is one."""

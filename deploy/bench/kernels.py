@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 
 from agent.exchange.polygon import PolygonExchange
 from agent.outline.approximation import approximation, repair
+from agent.outline.claims import Drawing
 from agent.outline.contour import contours
 from agent.outline.edits import Held, edit_script
-from agent.outline.merge import Drawing, TeamMap, five_stages
+from agent.outline.five_stages import five_stages
+from agent.outline.merge import TeamMap
 from agent.outline.polygons import Polygons
 from agent.outline.simplify import mixed_first, refine
 from agent.planning.cost_field import costs

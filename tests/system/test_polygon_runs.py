@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from agent.exchange.polygon_options import THESIS_OPTIONS
-from agent.outline.merge import Drawing, rendered
+from agent.outline.claims import Drawing
+from agent.outline.merge import rendered
 from deploy.record.records import Records
 from deploy.record.summary import summarise
 from deploy.run import in_memory

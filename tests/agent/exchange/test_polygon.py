@@ -15,8 +15,9 @@ from agent.exchange.catalogue import exchange
 from agent.exchange.polygon import PolygonExchange
 from agent.exchange.polygon_options import THESIS_OPTIONS, PolygonOptions
 from agent.outline.approximation import repair
+from agent.outline.claims import Drawing
 from agent.outline.contour import contours
-from agent.outline.merge import Drawing, TeamMap, approximation_error
+from agent.outline.merge import TeamMap, approximation_error
 from agent.outline.polygons import Polygons
 from agent.outline.simplify import refine
 from agent.settings import Settings

@@ -9,10 +9,18 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from agent.outline.contour import contours
+from agent.outline.contour import Tracer, contours
 from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
-from tests.agent.explorations import REAL_MAPS, Cell, exploration, grids, real_fragment, real_map
+from tests.agent.explorations import (
+    REAL_MAPS,
+    Cell,
+    exploration,
+    grids,
+    growing_maps,
+    real_fragment,
+    real_map,
+)
 
 MAPS = sorted(path.stem for path in REAL_MAPS.glob("*.png")) or ["intel"]
 
@@ -214,3 +222,32 @@ def test_fragments_of_real_maps_follow_the_rule(name: str, seed: int) -> None:
 def test_a_growing_map_follows_the_rule_at_every_step() -> None:
     for grid, robot in exploration(real_map("fr079"), np.random.default_rng(7), 40, 30.0):
         assert cycles(contours(grid, robot)) == contours_by_the_book(grid, robot)
+
+
+def flat(polygons: Polygons) -> list[list[int]]:
+    columns = polygons.x, polygons.y, polygons.side, polygons.occupied, polygons.start, polygons.inside
+    return [column.tolist() for column in columns]
+
+
+@quick
+@given(growing_maps())
+def test_a_tracer_told_what_has_changed_finds_what_a_new_one_finds(steps: list[tuple[Grid, Cell]]) -> None:
+    tracer = Tracer(steps[0][0].shape)
+    before = np.full(steps[0][0].shape, UNKNOWN, np.uint8)
+    for grid, robot in steps:
+        ys, xs = np.nonzero(grid != before)
+        boxes = np.array([(x, y, x + 1, y + 1) for x, y in zip(xs, ys, strict=True)], np.int32).reshape(-1, 4)
+        assert flat(tracer.contours(grid, robot, boxes)) == flat(contours(grid, robot))
+        before = grid
+
+
+def test_a_tracer_follows_a_real_exploration() -> None:
+    world = real_map("intel")
+    tracer = Tracer(world.shape)
+    before = np.full(world.shape, UNKNOWN, np.uint8)
+    for grid, robot in exploration(world, np.random.default_rng(4), 25, 40.0):
+        ys, xs = np.nonzero(grid != before)
+        box = [(xs.min(), ys.min(), xs.max() + 1, ys.max() + 1)] if len(xs) else []
+        traced = tracer.contours(grid, robot, np.array(box, np.int32).reshape(-1, 4))
+        assert flat(traced) == flat(contours(grid, robot))
+        before = grid

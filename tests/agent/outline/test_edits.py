@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from agent.outline.approximation import approximation, repair
 from agent.outline.contour import contours
-from agent.outline.edits import Held, edit_script
+from agent.outline.edits import Held, edit_script, edit_units, script_size
 from agent.outline.polygons import Polygons
 from agent.outline.simplify import refine
 from protocol.grid import FREE, UNKNOWN, Grid
@@ -238,3 +238,18 @@ def test_objects_at_the_limits_of_the_packets_are_spoken_of() -> None:
     grid = np.full((21, 2048), FREE, np.uint8)
     grid[:6, ::2] = grid[-6:, ::2] = UNKNOWN
     assert_scripts_lead_through([(np.full_like(grid, FREE), (0, 10)), (grid, (0, 10))], None)
+
+
+@quick
+@given(growing_maps(), st.sampled_from([0, 1, None]))
+def test_units_are_the_packets_of_the_script_as_they_go_on_the_air(
+    steps: list[tuple[np.ndarray, Cell]], splits: int | None
+) -> None:
+    held = Held.nothing(steps[0][0].shape)
+    for grid, robot in steps:
+        exact = contours(grid, robot)
+        coarse = approximation(exact, refine(exact, repair(held.polygons, exact), splits))
+        units, size_told = edit_units(held, coarse), script_size(held, coarse)
+        packets, held = edit_script(held, coarse)
+        assert units == [encode([packet]) for packet in packets]
+        assert size_told == sum(map(len, units))

@@ -10,20 +10,17 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from agent.outline.approximation import approximation, repair
+from agent.outline.boxes import NO_BOXES, Boxes
+from agent.outline.claims import THESIS, Drawing, layer
 from agent.outline.contour import contours
-from agent.outline.merge import (
-    THESIS,
-    UNDEFINED,
-    Drawing,
-    TeamMap,
-    approximation_error,
-    five_stages,
-    layer,
-    rendered,
-)
+from agent.outline.edits import Held, edit_script
+from agent.outline.five_stages import UNDEFINED, five_stages
+from agent.outline.merge import ErrorCount, TeamMap, approximation_error, rendered
 from agent.outline.polygons import Polygons
+from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from protocol.packets import encode
 from tests.agent.explorations import Cell, exploration, grids, growing_maps, real_map
 
 quick = settings(deadline=None)
@@ -138,6 +135,70 @@ def test_a_teammates_new_approximation_takes_the_place_of_its_old_one(
     for polygons in approximations:
         team.update(1, polygons)
         assert (team.merged(own) == merged(own, [polygons])).all()
+
+
+def where_they_differ(one: Grid, other: Grid) -> Boxes:
+    """A box around all cells in which two grids differ."""
+    ys, xs = np.nonzero(one != other)
+    if not len(xs):
+        return NO_BOXES
+    return np.array([(xs.min(), ys.min(), xs.max() + 1, ys.max() + 1)], np.int32)
+
+
+@quick
+@given(growing_maps(), growing_maps(), st.sampled_from([0, 1, None]), drawings, st.data())
+def test_a_plan_merged_where_something_has_changed_is_the_plan_merged_anew(
+    own_steps: list[tuple[Grid, Cell]],
+    told_steps: list[tuple[Grid, Cell]],
+    splits: int | None,
+    drawing: Drawing,
+    data: st.DataObject,
+) -> None:
+    shape = own_steps[0][0].shape
+    told_steps = [step for step in told_steps if step[0].shape == shape] or own_steps[::2]
+    team, receivers, held = TeamMap(drawing), [Receiver(shape) for _ in range(3)], [Held.nothing(shape)] * 3
+    before = own_steps[0][0]
+    team.merged(before)
+    for step, (own, _) in enumerate(own_steps):
+        for robot in data.draw(st.sets(st.integers(0, 2))):
+            grid, cell = told_steps[min(step, len(told_steps) - 1)]
+            exact = contours(grid, cell)
+            refined = refine(exact, repair(held[robot].polygons, exact), splits)
+            packets, held[robot] = edit_script(held[robot], approximation(exact, refined))
+            receivers[robot].feed(encode(packets))
+            team.update(robot, receivers[robot].held.polygons, receivers[robot].changed())
+        near = data.draw(st.sets(st.integers(0, 3)))
+        plan = team.merged(own, near, where_they_differ(before, own))
+        anew = TeamMap(drawing)
+        for robot, receiver in enumerate(receivers):
+            if receiver.held.polygons.objects:
+                anew.update(robot, receiver.held.polygons)
+        assert plan.tolist() == anew.merged(own, near).tolist()
+        before = own
+
+
+@pytest.mark.parametrize("splits", [2, None])
+def test_an_error_counted_where_something_has_changed_is_the_error_counted_anew(splits: int | None) -> None:
+    shape = real_map("fr079").shape
+    receiver, held, before = Receiver(shape), Held.nothing(shape), np.full(shape, UNKNOWN, np.uint8)
+    drawing = Drawing(free_inside_edges=False, unknown_pairs=False)
+    error = ErrorCount(drawing)
+    error.count(before, receiver.held.polygons)
+    for step, (grid, cell) in enumerate(exploration(real_map("fr079"), np.random.default_rng(8), 20, 40.0)):
+        if step % 3:
+            exact = contours(grid, cell)
+            refined = refine(exact, repair(held.polygons, exact), splits)
+            packets, held = edit_script(held, approximation(exact, refined))
+            receiver.feed(encode(packets))
+        polygons = receiver.held.polygons
+        counted = error.count(grid, polygons, where_they_differ(before, grid), receiver.changed())
+        assert counted == approximation_error(grid, polygons, drawing)
+        before = grid
+
+
+def test_guesses_are_no_error() -> None:
+    with pytest.raises(ValueError, match="what receivers guess"):
+        ErrorCount(Drawing(wide_walls=True))
 
 
 def reachable(grid: Grid, robot: Cell) -> NDArray[np.bool_]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from copy import deepcopy
 from functools import cache
 from itertools import pairwise
 
@@ -11,8 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.outline.approximation import approximation, repair
+from agent.outline.claims import THESIS, Drawing, draw_anew, layer
 from agent.outline.contour import contours
-from agent.outline.edits import Held, edit_script
+from agent.outline.draft import Draft, Outline
+from agent.outline.edits import Held, edit_script, symbols
 from agent.outline.merge import rendered
 from agent.outline.polygons import Polygons
 from agent.outline.receiver import Receiver
@@ -229,6 +233,87 @@ def test_after_a_damaged_piece_the_whole_one_still_leads_on(step: int, data: st.
         receiver.feed(rest)
         assert receiver.held.polygons.canonical() == said[step][1].canonical()
     assert_well_formed(receiver, shape)
+
+
+def plainly(objects: dict[int, Outline]) -> list[tuple[int, list[int], bool]]:
+    return [(number, vertices.tolist(), inside) for number, (vertices, inside) in sorted(objects.items())]
+
+
+def held_plainly(receiver: Receiver) -> list[tuple[int, list[int], bool]]:
+    held = receiver.held
+    parts = np.split(symbols(held.polygons), held.polygons.start[1:-1])
+    return list(
+        zip(held.number.tolist(), [p.tolist() for p in parts], held.polygons.inside.tolist(), strict=False)
+    )
+
+
+@quick
+@given(st.lists(nearly_right(), max_size=6), st.lists(st.integers(0, 2**20), max_size=6), st.booleans())
+def test_whole_pieces_are_read_as_packet_by_packet(
+    steps: list[list[Packet]], cuts: list[int], damage: bool
+) -> None:
+    receiver, draft, pending = Receiver(SHAPE), Draft(SHAPE), b""
+    data = bytearray(b"".join(map(encode, [SQUARE, *steps])))
+    if damage:
+        data[cuts[0] % len(data) if cuts else -1] ^= 0x10
+    for piece in pieces(bytes(data), cuts):
+        attempt = deepcopy(draft)
+        try:
+            pending_then = attempt.read(pending, piece)
+        except ProtocolError as error:
+            with pytest.raises(ProtocolError) as caught:
+                receiver.feed(piece)
+            assert str(caught.value) == str(error)
+        else:
+            receiver.feed(piece)
+            draft, pending = attempt, pending_then
+        assert held_plainly(receiver) == plainly(draft.saved or {})
+
+
+@quick
+@given(
+    st.lists(nearly_right(), max_size=6),
+    st.lists(st.integers(0, 2**20), max_size=6),
+    st.builds(Drawing, *2 * [st.booleans()]),
+)
+def test_what_has_not_changed_is_drawn_as_before(
+    steps: list[list[Packet]], cuts: list[int], drawing: Drawing
+) -> None:
+    receiver = Receiver(SHAPE)
+    drawn = layer(receiver.held.polygons, drawing)
+    for piece in pieces(b"".join(map(encode, [SQUARE, *steps])), cuts):
+        with suppress(ProtocolError):
+            receiver.feed(piece)
+        now = layer(receiver.held.polygons, drawing)
+        draw_anew(drawn, receiver.held.polygons, drawing, np.zeros_like(drawn), receiver.changed())
+        assert drawn.tolist() == now.tolist()
+
+
+@quick
+@given(growing_maps(), st.sampled_from([0, 1, 4, None]), st.builds(Drawing, *2 * [st.booleans()]))
+def test_of_what_a_robot_tells_all_that_looks_different_has_changed(
+    steps: list[tuple[np.ndarray, tuple[int, int]]], splits: int | None, drawing: Drawing
+) -> None:
+    receiver = Receiver(steps[0][0].shape)
+    drawn = layer(receiver.held.polygons, drawing)
+    for data, approximated in told(splits, steps):
+        receiver.feed(data)
+        draw_anew(drawn, approximated, drawing, np.zeros_like(drawn), receiver.changed())
+        assert drawn.tolist() == layer(approximated, drawing).tolist()
+
+
+def test_of_a_real_story_little_is_drawn_anew_and_it_comes_to_the_same() -> None:
+    receiver = Receiver(real_map("fr079").shape)
+    drawn = layer(receiver.held.polygons)
+    areas = []
+    for data, approximated in real_story():
+        receiver.feed(data)
+        boxes = receiver.changed()
+        draw_anew(drawn, approximated, THESIS, np.zeros_like(drawn), boxes)
+        assert (drawn == layer(approximated)).all()
+        areas.append(int(((boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1])).sum()))
+    assert np.median(areas) < drawn.size / 10
+    assert not len(receiver.changed()), "it has been asked"
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,108 @@
+"""Algorithm 9 line by line, as Figure 5.6 of the thesis draws it: what `agent.outline.merge` must come to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import chain
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
+
+from agent.outline.boxes import whole
+from agent.outline.claims import THESIS, Drawing
+from agent.outline.polygons import Polygons
+from agent.outline.raster import draw, fill
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+
+UNDEFINED = 3
+"""A cell of which no approximation has said anything yet (only between the stages)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stages:
+    """The planning grid after each of the five steps of Figure 5.6."""
+
+    outside_filled: Grid
+    """(a) Outside objects are filled with unknown; all else is undefined."""
+    outside_bounded: Grid
+    """(b) Their boundaries are drawn, unknown ones never over occupied ones."""
+    inside_filled: Grid
+    """(c), (d) Within an inside object, what is undefined, or unknown but in none of the same robot's outside
+    objects, is free."""
+    inside_bounded: Grid
+    """(e) The boundaries of the inside objects are drawn over it, occupied ones over free ones."""
+    complete: Grid
+    """(f) What is undefined is unknown, and what the robot has seen itself stands. Then the guesses: what is
+    unknown beside a wall of any boundary is occupied, and unknown slivers are free."""
+
+
+def five_stages(own: Grid, approximations: Sequence[Polygons], drawing: Drawing = THESIS) -> Stages:
+    """Merge approximations with one's own grid as Algorithm 9 does, line by line."""
+    plan = np.full(own.shape, UNDEFINED, np.uint8)
+    objects = [_objects(polygons, drawing) for polygons in approximations]
+    outside = [[each for each in team_object if not each.inside] for team_object in objects]
+    inside = [[each for each in team_object if each.inside] for team_object in objects]
+
+    for each in chain(*outside):
+        plan[each.filled] = UNKNOWN
+    outside_filled = plan.copy()
+
+    for each in chain(*outside):
+        plan[each.other_edges & (plan != OCCUPIED)] = UNKNOWN
+        plan[each.occupied_edges] = OCCUPIED
+    outside_bounded = plan.copy()
+
+    for around, within in zip(inside, outside, strict=True):
+        contained = np.zeros(own.shape, np.bool_)
+        for each in within:
+            contained |= each.filled | each.other_edges | each.occupied_edges
+        for each in around:
+            plan[each.filled & (plan == UNKNOWN) & ~contained] = FREE
+            plan[each.filled & (plan == UNDEFINED)] = FREE
+    inside_filled = plan.copy()
+
+    if drawing.free_inside_edges:
+        for each in chain(*inside):
+            plan[each.other_edges] = FREE
+    for each in chain(*inside):
+        plan[each.occupied_edges] = OCCUPIED
+    inside_bounded = plan.copy()
+
+    plan[plan == UNDEFINED] = UNKNOWN
+    if drawing.wide_walls:
+        walls = np.zeros(own.shape, np.bool_)
+        for each in chain(*outside, *inside):
+            walls |= each.occupied_edges
+        plan[binary_dilation(walls, np.ones((3, 3))) & (plan == UNKNOWN)] = OCCUPIED
+    plan[own != UNKNOWN] = own[own != UNKNOWN]
+    if drawing.close_slivers:
+        free, seen = np.pad(plan == FREE, 1), np.pad(own != UNKNOWN, 1)
+        beside, above = (np.s_[1:-1, :-2], np.s_[1:-1, 2:]), (np.s_[:-2, 1:-1], np.s_[2:, 1:-1])
+        for one, other in (beside, above):
+            plan[(plan == UNKNOWN) & free[one] & free[other] & ~(seen[one] & seen[other])] = FREE
+    return Stages(outside_filled, outside_bounded, inside_filled, inside_bounded, plan)
+
+
+@dataclass(frozen=True, eq=False)
+class _Object:
+    inside: bool
+    filled: NDArray[np.bool_]
+    occupied_edges: NDArray[np.bool_]
+    other_edges: NDArray[np.bool_]
+
+
+def _objects(polygons: Polygons, drawing: Drawing) -> list[_Object]:
+    """Rasterise each object by itself."""
+    objects = []
+    x, y, side, occupied = polygons.x, polygons.y, polygons.side, polygons.occupied
+    for inside, first, end in zip(polygons.inside, polygons.start[:-1], polygons.start[1:], strict=True):
+        if not (inside or drawing.unknown_pairs or end - first > 2 or occupied[first:end].any()):
+            continue
+        area, edges, scratch = (np.zeros(polygons.shape, np.uint8) for _ in range(3))
+        all_edges, everywhere = np.arange(first, end, dtype=np.int32), whole(polygons.shape)[0]
+        fill(area, x, y, side, first, end, all_edges, scratch, 1, 0, everywhere)
+        draw(edges, x, y, side, occupied, first, end, all_edges, 1, 2, 0, everywhere)
+        objects.append(_Object(bool(inside), area == 1, edges & 1 > 0, edges & 2 > 0))
+    return objects

@@ -1,0 +1,131 @@
+"""The frontier cell of the best trade-off of utility and cost, found without a look at those that are too far.
+
+Thesis, section 4.4: it is the cell t with the largest U(t) - beta V(t). No utility is above 1, and each
+teammate's target that is counted lowers it or leaves it. So what has been counted so far bounds a cell's
+trade-off from above, and 1 - beta V that of all cells beyond the search. Always the cell, or the search, of
+the highest bound goes on; the first cell that is there with all targets counted is the best. Of the map
+only what lies near is looked at, and of most cells few targets are counted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from heapq import heappop, heappush
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.planning.cost_field import SHIFT, UNIT, Floor, begin, offsets, settle, tidy, way_back, workspace
+from agent.planning.frontier import frontier_at
+from agent.planning.utility import sees
+from protocol.grid import Grid
+from protocol.kernels import kernel
+
+
+@dataclass(frozen=True)
+class Appeal:
+    """What makes a frontier cell worth going to.
+
+    Attributes
+    ----------
+    targets : int32 array, shape (n, 2)
+        Cells (x, y) to which teammates are headed.
+    weights : float64 array, shape (n,)
+        How much each counts, 0 or more.
+    range_cells : float
+        Sensor range: utilities are lowered within it, and ways are counted in it.
+    beta : float
+        Weight of cost against utility, 0 or more.
+    """
+
+    targets: NDArray[np.int32]
+    weights: NDArray[np.float64]
+    range_cells: float
+    beta: float
+
+
+def best_frontier(
+    floor: Floor, grid: Grid, x: int, y: int, appeal: Appeal
+) -> tuple[tuple[int, int], NDArray[np.int32]] | None:
+    """Find the frontier cell of the largest U - beta V among those that can be reached from (x, y).
+
+    The same cell as by `agent.planning.utility.utilities` and `agent.planning.cost_field.costs` of all; of
+    equals the first, row by row.
+
+    Parameters
+    ----------
+    floor : Floor
+        Where the robot may drive.
+    grid : uint8 array, shape (h, w)
+        What is known: a frontier cell is a free one with an unknown 4-neighbour.
+
+    Returns
+    -------
+    cell : (x, y)
+    way : int32 array, shape (n, 2)
+        Cells (x, y) of a shortest way there, without its start (`agent.planning.cost_field.way`).
+        None instead of both if no frontier cell can be reached.
+    """
+    work = workspace(len(floor.free))
+    targets, weights = appeal.targets, appeal.weights
+    cell, way = _search(floor.free, grid, x, y, targets, weights, appeal.range_cells, appeal.beta, *work)
+    return None if cell < 0 else ((cell % floor.stride - 1, cell // floor.stride - 1), way)
+
+
+@kernel(
+    "Tuple((int64, int32[:,::1]))(boolean[::1], uint8[:,::1], int64, int64, int32[:,::1], float64[::1], float64,"
+    " float64, int64[::1], uint8[::1], int32[::1])"
+)
+def _search(
+    free: NDArray[np.bool_],
+    grid: Grid,
+    x: int,
+    y: int,
+    targets: NDArray[np.int32],
+    weights: NDArray[np.float64],
+    range_cells: float,
+    beta: float,
+    length: NDArray[np.int64],
+    came: NDArray[np.uint8],
+    touched: NDArray[np.int32],
+) -> tuple[int, NDArray[np.int32]]:
+    stride = grid.shape[1] + 2
+    start = (y + 1) * stride + x + 1
+    fill = np.empty(5, np.int64)
+    buckets = begin(length, came, touched, fill, start)
+    offset = offsets(stride)
+    here = np.empty(2, np.int32)
+    # Minus a bound on the trade-off, the cell, how many targets have been counted, the utility that they leave.
+    queue = [(0.0, buckets[0, 0], 0, 0.0)]
+    queue.clear()
+    level = 0
+    best_cell = -1
+    while best_cell < 0:
+        if fill[:4].any() and (len(queue) == 0 or -queue[0][0] <= 1.0 - beta * (level / range_cells)):
+            buckets = settle(free, length, came, touched, buckets, fill, offset, level, start)
+            for at in range(fill[level & 3]):
+                cell = buckets[level & 3, at]
+                if length[cell] >> SHIFT == level and frontier_at(
+                    grid, cell % stride - 1, cell // stride - 1
+                ):
+                    cost = beta * (length[cell] * UNIT / range_cells)
+                    heappush(queue, (cost - 1.0, cell, 0, 1.0))
+            fill[level & 3] = 0
+            level += 1
+            continue
+        if len(queue) == 0:
+            break
+        _, cell, counted, utility = heappop(queue)
+        if counted == len(targets):
+            best_cell = cell
+            continue
+        here[0], here[1] = cell % stride - 1, cell // stride - 1
+        before = utility
+        while counted < len(targets) and utility == before:
+            utility -= weights[counted] * sees(grid, here, targets[counted], range_cells)
+            counted += 1
+        cost = beta * (length[cell] * UNIT / range_cells)
+        heappush(queue, (cost - utility, cell, counted, utility))
+    cells = way_back(free, length, offset, best_cell) if best_cell >= 0 else np.empty((0, 2), np.int32)
+    tidy(length, came, touched, fill)
+    return best_cell, cells

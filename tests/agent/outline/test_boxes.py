@@ -1,0 +1,43 @@
+"""Boxes of changes: whatever is put in is covered, by a few boxes."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from agent.outline.boxes import MOST, NO_BOXES, Boxes, box_of, united, whole
+from protocol.scans import Change
+
+SIDE = 60
+corners = st.tuples(*[st.integers(-2, SIDE)] * 2, *[st.integers(1, 12)] * 2)
+
+
+def covered(boxes: Boxes) -> NDArray[np.bool_]:
+    cells = np.zeros((SIDE + 20, SIDE + 20), np.bool_)
+    for x0, y0, x1, y1 in boxes.tolist():
+        cells[y0 + 2 : y1 + 2, x0 + 2 : x1 + 2] = True
+    return cells
+
+
+@given(st.lists(st.lists(corners, max_size=9), max_size=6))
+def test_boxes_put_together_cover_all_and_stay_few(lots: list[list[tuple[int, int, int, int]]]) -> None:
+    together, wanted = NO_BOXES, covered(NO_BOXES)
+    for lot in lots:
+        boxes = np.array([(x, y, x + w, y + h) for x, y, w, h in lot], np.int32).reshape(-1, 4)
+        together, wanted = united(together, boxes), wanted | covered(boxes)
+        assert len(together) <= MOST
+        assert (covered(together) | ~wanted).all()
+
+
+def test_boxes_far_apart_stay_apart() -> None:
+    one, other = np.array([(0, 0, 3, 3)], np.int32), np.array([(50, 50, 53, 53)], np.int32)
+    assert united(one, other).tolist() == [[0, 0, 3, 3], [50, 50, 53, 53]]
+    assert united(one, one + 2).tolist() == [[0, 0, 5, 5]]
+
+
+def test_a_change_of_no_cell_has_no_box() -> None:
+    assert box_of(Change(0, 9, 9, 0, 0)).tolist() == []
+    assert box_of(Change(2, 3, 4, 5, 6)).tolist() == [[3, 4, 5, 6]]
+    assert whole((4, 7)).tolist() == [[0, 0, 7, 4]]

@@ -1,0 +1,104 @@
+"""The best frontier cell, compared with a look at all of them; and searches that leave no trace."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.planning.best_frontier import Appeal, best_frontier
+from agent.planning.cost_field import FAR, Floor, costs, way, way_between, workspace
+from agent.planning.frontier import frontier_cells
+from agent.planning.reachability import reachable, reachable_frontier
+from agent.planning.utility import utilities
+from protocol.grid import FREE, Grid
+from tests.agent.explorations import exploration, real_map
+from tests.agent.planning.planning_references import floors
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def plain(grid: Grid, x: int, y: int, appeal: Appeal) -> tuple[int, int] | None:
+    """Look at all frontier cells, on the whole cost field."""
+    field = costs(grid, x, y)
+    cells = frontier_cells(grid, np.isfinite(field))
+    if not len(cells):
+        return None
+    targets = [(int(tx), int(ty)) for tx, ty in appeal.targets]
+    worth = utilities(grid, cells, targets, appeal.range_cells, appeal.weights.tolist())
+    cost = field[cells[:, 1], cells[:, 0]] / appeal.range_cells
+    best = cells[np.argmax(worth - appeal.beta * cost)]
+    return int(best[0]), int(best[1])
+
+
+def check(grid: Grid, x: int, y: int, appeal: Appeal) -> None:
+    found = best_frontier(Floor(grid), grid, x, y, appeal)
+    assert (None if found is None else found[0]) == plain(grid, x, y, appeal)
+    if found is not None:
+        cell, cells = found
+        assert cells.tolist() == way(grid, costs(grid, x, y), *cell).tolist()
+
+
+def appeal_of(rng: np.random.Generator, grid: Grid, range_cells: float, beta: float) -> Appeal:
+    height, width = grid.shape
+    count = int(rng.integers(0, 5))
+    targets = np.stack([rng.integers(0, width, count), rng.integers(0, height, count)], axis=1)
+    weights = rng.choice([1.0, 0.5, 0.25], count)
+    return Appeal(targets.astype(np.int32), weights, range_cells, beta)
+
+
+@given(floors(), seeds, st.floats(1, 30), st.sampled_from([0.0, 0.1, 1.0, 7.0]))
+def test_it_is_the_one_that_a_look_at_all_finds_and_the_way_is_the_same(
+    case: tuple[Grid, int, int], seed: int, range_cells: float, beta: float
+) -> None:
+    grid, x, y = case
+    check(grid, x, y, appeal_of(np.random.default_rng(seed), grid, range_cells, beta))
+
+
+def test_it_is_the_same_step_by_step_of_a_real_exploration() -> None:
+    rng = np.random.default_rng(3)
+    for grid, (x, y) in exploration(real_map("fr079"), rng, 25, 40.0):
+        check(grid, x, y, appeal_of(rng, grid, 40.0, 1.0))
+
+
+@given(floors(), seeds)
+def test_a_way_between_two_cells_is_that_of_the_whole_field(case: tuple[Grid, int, int], seed: int) -> None:
+    grid, x, y = case
+    field = costs(grid, x, y)
+    rng = np.random.default_rng(seed)
+    for _ in range(4):
+        end_y, end_x = (int(rng.integers(side)) for side in grid.shape)
+        cells = way_between(Floor(grid), (x, y), (end_x, end_y))
+        if np.isfinite(field[end_y, end_x]):
+            assert cells is not None
+            assert cells.dtype == np.int32
+            assert cells.tolist() == way(grid, field, end_x, end_y).tolist()
+        else:
+            assert cells is None
+
+
+@given(floors())
+def test_searches_leave_the_memory_that_they_share_as_they_found_it(case: tuple[Grid, int, int]) -> None:
+    grid, x, y = case
+    floor = Floor(grid)
+    way_between(floor, (x, y), (0, 0))
+    check(grid, x, y, Appeal(np.empty((0, 2), np.int32), np.empty(0), 5.0, 1.0))
+    length, came, _ = workspace(len(floor.free))
+    assert (length == FAR).all()
+    assert not came.any()
+
+
+@given(floors())
+def test_the_frontier_met_while_flooding_is_the_frontier_of_what_is_reached(
+    case: tuple[Grid, int, int],
+) -> None:
+    grid, x, y = case
+    floor = Floor(grid)
+    found = reachable_frontier(floor, grid, x, y)
+    assert found.tolist() == frontier_cells(grid, reachable(floor, x, y)).tolist()
+
+
+def test_without_a_frontier_there_is_none() -> None:
+    grid = np.full((4, 5), FREE, np.uint8)
+    nobody = Appeal(np.empty((0, 2), np.int32), np.empty(0), 5.0, 1.0)
+    assert best_frontier(Floor(grid), grid, 1, 1, nobody) is None
