@@ -133,7 +133,7 @@ class Robot:
     def hear_broadcast(self, peer: int, payload: bytes) -> None:
         """Take a teammate's broadcast."""
         try:
-            said = packets.decode(payload)
+            said = packets.broadcast(payload)
         except ProtocolError as error:
             self.faults.append(Fault(peer, str(error)))
             return

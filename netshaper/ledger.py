@@ -36,6 +36,7 @@ KIND_NUMBER = {kind: number for number, kind in enumerate(ALL_KINDS)}
 MALFORMED = -1
 """The kind of bytes that are no packets."""
 
+
 def sort_rows(rows: NDArray[np.void]) -> NDArray[np.void]:
     """Sort rows by all their fields, first to last: the order in which the digest reads them."""
     return rows[np.lexsort([rows[name] for name in reversed(ROW.names or ())])]

@@ -137,9 +137,7 @@ class Medium:
     def report(self) -> RadioReport:
         """Write down what was said: the ledger's rows, and the frames for the capture."""
         seen = self.sightings.columns()
-        return RadioReport(
-            self.step, book(self.step, seen), self.carried, capture.encode(self.step, seen)
-        )
+        return RadioReport(self.step, book(self.step, seen), self.carried, capture.encode(self.step, seen))
 
 
 @kernel(

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from netshaper.ledger import EVERYONE
 from netshaper.medium import Medium
-from netshaper.radio import Frame, Note, Outgoing, Radio, RadioSettings
+from netshaper.radio import Frame, Outgoing, Radio, RadioSettings
 from protocol import keys as names
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError

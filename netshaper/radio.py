@@ -335,11 +335,10 @@ class Radio:
             self.faults.append((sender, reason))
 
 
-@lru_cache(maxsize=1 << 12)
 def _is_broadcast(payload: bytes) -> bool:
     """Whether a frame says a target, a pose, or a pose and a target."""
     try:
-        kinds = [type(packet) for packet in packets.decode(payload)]
+        kinds = [type(packet) for packet in packets.broadcast(payload)]
     except ProtocolError:
         return False
     return kinds in ([packets.Target], [packets.Pose], [packets.Pose, packets.Target])

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from netshaper.ledger import CAUSES, EVERYONE
 
-EXCHANGE, CONNECTION, FRAME, SENDER, RECEIVER, MAP, VERDICT, WORDS, HEARD_FROM, HEARD_TO, BEGIN, END = range(12)
+EXCHANGE, CONNECTION, FRAME, SENDER, RECEIVER, MAP, VERDICT, WORDS, HEARD_FROM, HEARD_TO, BEGIN, END = range(
+    12
+)
 COLUMNS = 12
 """Of each frame, or of the part of it that was carried or not, a row of these: where in `Columns.hearers`, `texts` and
 `payload` the rest of it stands, and numbers as in `Sighting`."""

@@ -347,6 +347,20 @@ def handshake(frame: bytes) -> tuple[AnyPacket, ...]:
     return _read_handshake(frame)
 
 
+BROADCAST_SIZE = Pose.size + Target.size
+"""Bytes of the longest broadcast."""
+
+
+def broadcast(frame: bytes) -> tuple[AnyPacket, ...]:
+    """Read a frame that many hear, as `decode` does; what has the size of a broadcast is read only once."""
+    return _read_broadcast(frame) if len(frame) <= BROADCAST_SIZE else tuple(decode(frame))
+
+
+@lru_cache(maxsize=1 << 12)
+def _read_broadcast(frame: bytes) -> tuple[AnyPacket, ...]:
+    return tuple(decode(frame))
+
+
 @lru_cache(maxsize=1 << 14)
 def _read_handshake(frame: bytes) -> tuple[AnyPacket, ...]:
     return tuple(decode(frame))

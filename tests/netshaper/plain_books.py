@@ -81,7 +81,9 @@ def parts(seen: Sighting) -> Iterator[tuple[bytes, int]]:
 def packet(time_us: int, data: bytes, size: int, comment: str) -> bytes:
     """One enhanced packet block with a comment."""
     said = comment.encode()
-    tail = bytes(-len(data) % 4) + struct.pack("<HH", pcapng.COMMENT, len(said)) + said + bytes(-len(said) % 4)
+    tail = (
+        bytes(-len(data) % 4) + struct.pack("<HH", pcapng.COMMENT, len(said)) + said + bytes(-len(said) % 4)
+    )
     tail += bytes(4)
     length = 28 + len(data) + len(tail) + 4
     times = time_us >> 32, time_us & 0xFFFFFFFF

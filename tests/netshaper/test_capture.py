@@ -204,7 +204,10 @@ def test_the_comment_says_in_words_what_became_of_a_frame(
     [
         (b"", "not a pcapng file"),
         (b"a picture, perhaps", "not a pcapng file"),
-        (pcapng.head(1, "x", "y", "z") + plain_books.packet(0, bytes(40), 40, ""), "link type 1 instead of 147"),
+        (
+            pcapng.head(1, "x", "y", "z") + plain_books.packet(0, bytes(40), 40, ""),
+            "link type 1 instead of 147",
+        ),
         (capture.head("") + plain_books.packet(0, b"\x07", 1, ""), "without a head of version 1 or 2: 07"),
         (capture.head("") + plain_books.packet(0, b"\x01\x09" + bytes(22), 24, ""), "frame 9 and verdict 0"),
         (capture.head("") + b"\x06\x00\x00\x00\x0d\x00\x00\x00" + bytes(8), "a block of 13 bytes"),

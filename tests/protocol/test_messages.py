@@ -46,7 +46,9 @@ VALUES: dict[str, st.SearchStrategy[Any]] = {
     "dict[str, Any]": st.dictionaries(st.text(), trees, max_size=4),
 }
 said = st.sampled_from(KINDS).flatmap(
-    lambda kind: st.builds(kind, **{name: VALUES[kinds_of] for name, kinds_of in kind.__annotations__.items()})
+    lambda kind: st.builds(
+        kind, **{name: VALUES[kinds_of] for name, kinds_of in kind.__annotations__.items()}
+    )
 )
 
 
