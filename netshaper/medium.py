@@ -54,14 +54,15 @@ class Connections:
     def __len__(self) -> int:
         return len(self.senders)
 
-    def add(self, sender: int, receiver: int, about: int, offer: bytes) -> None:
-        """Add a connection of which the offer has been said."""
-        self.senders.append(sender)
-        self.receivers.append(receiver)
-        self.maps.append(about)
-        for frames, said in zip(self.frames, (offer, None, None), strict=True):
-            frames.append(said)
-        self.lost.append(-1)
+    def add(self, ends: Sequence[tuple[int, int, int]], offers: Sequence[bytes]) -> None:
+        """Add connections, as (sender, receiver, map), of which the offers have been said."""
+        for column, values in zip(
+            (self.senders, self.receivers, self.maps), zip(*ends, strict=True), strict=False
+        ):
+            column += values
+        for frames, said in zip(self.frames, (offers, [None] * len(ends), [None] * len(ends)), strict=True):
+            frames += said
+        self.lost += [-1] * len(ends)
 
 
 class Medium:

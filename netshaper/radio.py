@@ -191,8 +191,8 @@ class Radio:
                     self._refuse(sender, receiver, OFFER, payload, "protocol", problem)
                 else:
                     offers[sender, receiver, about] = payload
-        for ends in self._drawn("contention", sorted(offers)):
-            self._connections.add(*ends, offers[ends])
+        ends = self._drawn("contention", sorted(offers))
+        self._connections.add(ends, [offers[each] for each in ends])
         return out + self._pass_on(OFFER, "answers")
 
     def _put_broadcasts_on_air(self) -> list[Outgoing]:

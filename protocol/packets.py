@@ -245,7 +245,7 @@ _FIXED = {kind: _fixed(kind) for kind in _TYPES}
 _LAYOUT = {kind: _layout(kind) for kind in _TYPES}
 
 LAYOUT_BY_BYTE = [
-    (ALL_KINDS.index(kind.name) if kind else -1, size, *_FIXED.get(kind, (0, 0)))
+    (ALL_KINDS.index(kind.name) if kind else -1, size, *(_FIXED.get(kind, (0, 0)) if kind else (0, 0)))
     for kind, size in zip(_FIRST_BYTE, _SIZE, strict=True)
 ]
 """For each possible first byte the number of the packet's kind (-1: none), its size (0: the next byte tells), which
