@@ -56,13 +56,14 @@ class Connections:
 
     def add(self, ends: Sequence[tuple[int, int, int]], offers: Sequence[bytes]) -> None:
         """Add connections, as (sender, receiver, map), of which the offers have been said."""
-        for column, values in zip(
-            (self.senders, self.receivers, self.maps), zip(*ends, strict=True), strict=False
-        ):
-            column += values
-        for frames, said in zip(self.frames, (offers, [None] * len(ends), [None] * len(ends)), strict=True):
-            frames += said
-        self.lost += [-1] * len(ends)
+        for sender, receiver, about in ends:
+            self.senders.append(sender)
+            self.receivers.append(receiver)
+            self.maps.append(about)
+        self.frames[OFFER].extend(offers)
+        self.frames[ANSWER].extend([None] * len(ends))
+        self.frames[DATA].extend([None] * len(ends))
+        self.lost.extend([-1] * len(ends))
 
 
 class Medium:
