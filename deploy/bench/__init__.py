@@ -71,10 +71,11 @@ Bench = Callable[[], Iterator[Figure]]
 
 def benches() -> dict[str, Bench]:
     """All benches, by name."""
-    from deploy.bench import kernels, replanning, swarm  # noqa: PLC0415
+    from deploy.bench import kernels, relay, replanning, swarm  # noqa: PLC0415
 
     return {
         "kernels": kernels.kernels,
+        "relay": relay.relay,
         "bus": swarm.bus,
         "swarm": swarm.swarm,
         "replanning": replanning.replanning,
