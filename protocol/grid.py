@@ -25,8 +25,8 @@ OCCUPIED = 2
 MAX_SIDE = 2048
 """The widest and highest grid, in cells, that the packets can speak of."""
 
-MAX_ROBOTS = 64
-"""The largest team that the packets can speak of."""
+MAX_ROBOTS = 256
+"""The largest team. Packets can name the maps of fewer (`protocol.packets.MAX_MAPS`)."""
 
 Grid = NDArray[np.uint8]
 

@@ -23,6 +23,9 @@ MAX_OBJECTS = 4096
 INDEX_WINDOW = 4096
 """Units of a log that one `Answer` can tell apart; the block says which window is meant."""
 
+MAX_MAPS = 64
+"""Robots whose maps an `Offer` can tell apart: the largest team that exchanges maps by packets."""
+
 BLOCKS = 64
 """Blocks that an `Offer` can tell apart; in a longer log they begin again at block 0, in the next round."""
 

@@ -69,28 +69,33 @@ def compare(
 Bench = Callable[[], Iterator[Figure]]
 
 
-def benches() -> dict[str, Bench]:
-    """All benches, by name."""
-    from deploy.bench import kernels, relay, replanning, swarm  # noqa: PLC0415
+def benches(robots: Sequence[int] = ()) -> dict[str, Bench]:
+    """All benches, by name; `robots` are the sizes of teams for the one that has many."""
+    from deploy.bench import kernels, relay, replanning, scale, swarm  # noqa: PLC0415
 
     return {
         "kernels": kernels.kernels,
-        "relay": relay.relay,
         "bus": swarm.bus,
         "swarm": swarm.swarm,
         "replanning": replanning.replanning,
+        "relay": relay.relay,
+        "scale": lambda: scale.scale(robots or scale.ROBOTS),
     }
 
 
-def run_benches(names: Sequence[str], tell: Callable[[str], object]) -> list[dict[str, Any]]:
+def run_benches(
+    names: Sequence[str], tell: Callable[[str], object], robots: Sequence[int] = ()
+) -> list[dict[str, Any]]:
     """Run the benches called `names` (none: all), telling each figure as it comes.
+
+    `robots` are the sizes of teams that ``scale`` measures; none: its own.
 
     Raises
     ------
     ValueError
         There is no bench of that name.
     """
-    known = benches()
+    known = benches(robots)
     unknown = [name for name in names if name not in known]
     if unknown:
         raise ValueError(f"no bench is called {unknown[0]!r}; there are: {', '.join(known)}")

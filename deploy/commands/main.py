@@ -380,7 +380,10 @@ def doctor() -> None:
 @app.command()
 def bench(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="NAME", help="kernels, bus, swarm, replanning; default: all")
+        list[str] | None, typer.Argument(metavar="NAME", help="kernels, bus, swarm, replanning, relay, scale; default: all")
+    ] = None,
+    robots: Annotated[
+        list[int] | None, typer.Option(min=1, max=256, help="sizes of the teams of scale, one each time")
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -388,7 +391,7 @@ def bench(
     from deploy.bench import run_benches  # noqa: PLC0415
 
     with speaking_clearly():
-        figures = run_benches(names or [], (lambda _: None) if as_json else screen.print)
+        figures = run_benches(names or [], (lambda _: None) if as_json else screen.print, robots or [])
         if as_json:
             print(json.dumps(figures, indent=2))
 

@@ -12,10 +12,12 @@ import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from agent.exchange.catalogue import EXCHANGES
+from agent.exchange.none import NoExchange
 from agent.exchange.polygon import PolygonOptions
 from agent.exchange.session import POLICIES
 from agent.strategies.registry import strategy
 from protocol.grid import MAX_ROBOTS
+from protocol.packets import MAX_MAPS
 
 UNLIMITED = "unlimited"
 
@@ -133,6 +135,11 @@ class Scenario(_Table):
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         strategy(self.strategy).check(self.options)
+        if self.robots > MAX_MAPS and self.exchange != NoExchange.name:
+            raise ValueError(
+                f"robots = {self.robots}: packets can name the maps of {MAX_MAPS} robots; "
+                f"more need exchange = {NoExchange.name!r}"
+            )
         for table, entries in (("robot", self.robot), ("death", self.death)):
             numbers = [entry.robot for entry in entries]
             for number in numbers:
