@@ -188,7 +188,7 @@ class World:
             if other != robot:
                 reaches.setdefault(own + self.settings.bodies[other].radius_cells, []).append(cell)
         for reach, cells in reaches.items():
-            _stamp(taken, too_near(reach), np.array(cells, np.int64))
+            stamp(taken, too_near(reach), np.array(cells, np.int64))
         return taken
 
     def _hindered(self, robot: int, before: Mapping[int, tuple[int, int]]) -> bool:
@@ -237,7 +237,7 @@ class World:
 
 
 @kernel("void(boolean[:,::1], boolean[:,::1], int64[:,::1])")
-def _stamp(taken: NDArray[np.bool_], mask: NDArray[np.bool_], cells: NDArray[np.int64]) -> None:
+def stamp(taken: NDArray[np.bool_], mask: NDArray[np.bool_], cells: NDArray[np.int64]) -> None:
     """Set what a mask covers around each cell (x, y)."""
     height, width = taken.shape
     side = len(mask) // 2

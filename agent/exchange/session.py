@@ -301,7 +301,7 @@ class Session:
         if not any(self.logs):
             return
         reached = np.empty(self._robots, np.int64)
-        _reached_all(self.known, self._robot, reached)
+        reached_by_all(self.known, self._robot, reached)
         for log, before in zip(self.logs, reached.tolist(), strict=True):
             log.forget(before)
 
@@ -311,7 +311,7 @@ class Session:
         if self._policy == "thesis":
             return _all_news(self._robot, self._peers, self.known, held)
         chosen = np.empty(len(peers), np.int64)
-        _choose(
+        choose_offers(
             self.known, self._due, held, peers, self._robot, self._now, exchange, self._only_first, chosen
         )
         offers = [
@@ -369,7 +369,7 @@ def _all_news(robot: int, peers: Sequence[int], known: Table, held: Table) -> li
 
 
 @kernel("void(int64[:,::1], int64[:,::1], int64[::1], int64[::1], int64, int64, int64, boolean, int64[::1])")
-def _choose(
+def choose_offers(
     known: Table,
     due: Table,
     held: Table,
@@ -397,7 +397,7 @@ def _choose(
 
 
 @kernel("void(int64[:,::1], int64, int64[::1])")
-def _reached_all(known: Table, robot: int, reached: Table) -> None:
+def reached_by_all(known: Table, robot: int, reached: Table) -> None:
     """Note of each map up to which unit all have it but the robot itself and the map's own robot."""
     robots = len(known)
     reached[:] = np.iinfo(np.int64).max

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -69,8 +70,8 @@ def compare(
 Bench = Callable[[], Iterator[Figure]]
 
 
-def benches(robots: Sequence[int] = ()) -> dict[str, Bench]:
-    """All benches, by name; `robots` are the sizes of teams for the one that has many."""
+def benches() -> dict[str, Bench]:
+    """All benches, by name."""
     from deploy.bench import kernels, relay, replanning, scale, swarm  # noqa: PLC0415
 
     return {
@@ -79,7 +80,7 @@ def benches(robots: Sequence[int] = ()) -> dict[str, Bench]:
         "swarm": swarm.swarm,
         "replanning": replanning.replanning,
         "relay": relay.relay,
-        "scale": lambda: scale.scale(robots or scale.ROBOTS),
+        "scale": scale.scale,
     }
 
 
@@ -95,7 +96,11 @@ def run_benches(
     ValueError
         There is no bench of that name.
     """
-    known = benches(robots)
+    known = benches()
+    if robots:
+        from deploy.bench.scale import scale  # noqa: PLC0415
+
+        known["scale"] = partial(scale, robots)
     unknown = [name for name in names if name not in known]
     if unknown:
         raise ValueError(f"no bench is called {unknown[0]!r}; there are: {', '.join(known)}")

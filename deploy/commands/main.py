@@ -380,7 +380,8 @@ def doctor() -> None:
 @app.command()
 def bench(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="NAME", help="kernels, bus, swarm, replanning, relay, scale; default: all")
+        list[str] | None,
+        typer.Argument(metavar="NAME", help="kernels, bus, swarm, replanning, relay, scale; default: all"),
     ] = None,
     robots: Annotated[
         list[int] | None, typer.Option(min=1, max=256, help="sizes of the teams of scale, one each time")
