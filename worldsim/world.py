@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from protocol.grid import FREE, Grid, disc, enlarge, fan
-from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes, points_from_bytes
 from protocol.scans import NONE, draw
@@ -183,12 +182,14 @@ class World:
         """Cells that a robot's centre may not enter, for the others' sake."""
         own = self.settings.bodies[robot].radius_cells
         taken = np.zeros(self.truth.shape, np.bool_)
-        reaches: dict[float, list[tuple[int, int]]] = {}
-        for other, cell in self.cells.items():
-            if other != robot:
-                reaches.setdefault(own + self.settings.bodies[other].radius_cells, []).append(cell)
-        for reach, cells in reaches.items():
-            stamp(taken, too_near(reach), np.array(cells, np.int64))
+        for other, (x, y) in self.cells.items():
+            if other == robot:
+                continue
+            near = too_near(own + self.settings.bodies[other].radius_cells)
+            side = len(near) // 2
+            left, top = max(0, side - x), max(0, side - y)
+            here = taken[max(0, y - side) : y + side + 1, max(0, x - side) : x + side + 1]
+            here |= near[top : top + here.shape[0], left : left + here.shape[1]]
         return taken
 
     def _hindered(self, robot: int, before: Mapping[int, tuple[int, int]]) -> bool:
@@ -234,21 +235,6 @@ class World:
         driven = cells_to_bytes(np.array(entered, np.int32).reshape(-1, 2))
         offset_x, offset_y = self.offsets[robot]
         return Sense(self.step, x, y, heading, driven, readings.tobytes(), blocked, offset_x, offset_y)
-
-
-@kernel("void(boolean[:,::1], boolean[:,::1], int64[:,::1])")
-def stamp(taken: NDArray[np.bool_], mask: NDArray[np.bool_], cells: NDArray[np.int64]) -> None:
-    """Set what a mask covers around each cell (x, y)."""
-    height, width = taken.shape
-    side = len(mask) // 2
-    for each in range(len(cells)):
-        for row in range(len(mask)):
-            y = cells[each, 1] + row - side
-            if 0 <= y < height:
-                for column in range(len(mask)):
-                    x = cells[each, 0] + column - side
-                    if 0 <= x < width and mask[row, column]:
-                        taken[y, x] = True
 
 
 @lru_cache(maxsize=64)

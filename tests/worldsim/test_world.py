@@ -16,16 +16,7 @@ from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, disc, fan
 from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
 from protocol.scans import NONE, Readings, check_readings, draw
 from worldsim.cell_motion import INTERFERENCE, NOT_BLOCKED, ROBOT, WALL
-from worldsim.world import (
-    MOVES_AS_PLANNED,
-    Body,
-    World,
-    WorldSettings,
-    reachable_by,
-    stamp,
-    start_cells,
-    too_near,
-)
+from worldsim.world import MOVES_AS_PLANNED, Body, World, WorldSettings, reachable_by, start_cells
 
 Cell = tuple[int, int]
 seeds = st.integers(0, 2**32 - 1)
@@ -395,13 +386,3 @@ def test_reachable_is_what_a_robot_can_drive_to_without_cutting_corners(seed: in
                 queue.append((nx, ny))
     reachable = reachable_by(truth, (10, 10), 0.0)
     assert {(int(x), int(y)) for y, x in np.argwhere(reachable)} == found
-
-
-@given(seeds, st.floats(0, 4), st.integers(0, 5))
-def test_cells_too_near_to_others_are_those_within_reach_of_one(seed: int, reach: float, others: int) -> None:
-    rng = np.random.default_rng(seed)
-    cells = np.column_stack([rng.integers(0, 12, others), rng.integers(0, 9, others)]).astype(np.int64)
-    taken = np.zeros((9, 12), np.bool_)
-    stamp(taken, too_near(reach), cells)
-    for y, x in np.ndindex(taken.shape):
-        assert taken[y, x] == any((x - ox) ** 2 + (y - oy) ** 2 < max(reach, 1) ** 2 for ox, oy in cells)
