@@ -43,6 +43,8 @@ class AgentNode:
         self._number = number
         self._name = names.robot(number)
         self._robot: Robot | None = None
+        self._speaks_at: dict[str, int] = {}
+        """Who speaks under each key of the radio that has been heard."""
         self._frames: list[tuple[int, bytes]] = []
         self._early: Message | None = None
         self._viewer_feed: ViewerFeed | None = None
@@ -51,11 +53,14 @@ class AgentNode:
 
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
-        plane, _, _, sender = names.parts(message.key)
-        if plane == "radio":
-            self._frames.append((names.number(sender), message.payload))
+        key, payload = message
+        sender = self._speaks_at.get(key)
+        if sender is None and names.parts(key)[0] == "radio":
+            sender = self._speaks_at[key] = names.number(names.parts(key)[3])
+        if sender is not None:
+            self._frames.append((sender, payload))
             return
-        said = unpack(message.payload)
+        said = unpack(payload)
         if isinstance(said, Configure):
             self._robot = Robot(Settings.from_message(said.settings))
         elif isinstance(said, Watched):

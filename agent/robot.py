@@ -137,7 +137,7 @@ class Robot:
     def hear_broadcast(self, peer: int, payload: bytes) -> None:
         """Take a teammate's broadcast."""
         try:
-            said = _read_broadcast(payload)
+            said = packets.broadcast(payload)
         except ProtocolError as error:
             self.faults.append(Fault(peer, str(error)))
             return

@@ -54,14 +54,16 @@ class Connections:
     def __len__(self) -> int:
         return len(self.senders)
 
-    def add(self, sender: int, receiver: int, about: int, offer: bytes) -> None:
-        """Add a connection of which the offer has been said."""
-        self.senders.append(sender)
-        self.receivers.append(receiver)
-        self.maps.append(about)
-        for frames, said in zip(self.frames, (offer, None, None), strict=True):
-            frames.append(said)
-        self.lost.append(-1)
+    def add(self, ends: Sequence[tuple[int, int, int]], offers: Sequence[bytes]) -> None:
+        """Add connections, as (sender, receiver, map), of which the offers have been said."""
+        for sender, receiver, about in ends:
+            self.senders.append(sender)
+            self.receivers.append(receiver)
+            self.maps.append(about)
+        self.frames[OFFER].extend(offers)
+        self.frames[ANSWER].extend([None] * len(ends))
+        self.frames[DATA].extend([None] * len(ends))
+        self.lost.extend([-1] * len(ends))
 
 
 class Medium:

@@ -6,7 +6,7 @@ without a robot that died. A viewer may join and leave; the run does not wait fo
 
 from __future__ import annotations
 
-from operator import attrgetter
+from operator import itemgetter
 
 from msgspec.structs import replace
 
@@ -33,7 +33,7 @@ from protocol.messages import (
     unpack,
 )
 
-_RECEIVER = attrgetter("receiver")
+_RECEIVER = itemgetter(0)
 
 NOBODY = -99
 """Receiver of a frame that is addressed to a name which belongs to no robot."""
@@ -165,13 +165,15 @@ class RelayNode:
         self.going_home = True
 
     def _send(self, outgoing: list[Outgoing]) -> None:
-        """Send the radio's output, in one batch per robot, so that each robot is woken once."""
+        """Pass on what the radio gave, robot by robot and at one go: so each robot is woken once for all of it."""
+        if not outgoing:
+            return
         passed_on = [item for item in outgoing if not isinstance(item, Medium)]
         passed_on.sort(key=_RECEIVER)
         puts = [
-            (self._hears_at[item.receiver][item.sender], item.payload)
+            (self._hears_at[item[0]][item[1]], item[2])
             if isinstance(item, Frame)
-            else (self._told_at[item.receiver], pack(item.message))
+            else (self._told_at[item[0]], pack(item[1]))
             for item in passed_on
         ]
         for key, payload in puts:

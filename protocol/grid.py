@@ -24,8 +24,8 @@ OCCUPIED = 2
 MAX_SIDE = 2048
 """The largest side of a grid, in cells, that the packets can represent."""
 
-MAX_ROBOTS = 64
-"""The largest team that the packets can represent."""
+MAX_ROBOTS = 256
+"""The largest team. Packets can name the maps of fewer (`protocol.packets.MAX_MAPS`)."""
 
 Grid = NDArray[np.uint8]
 

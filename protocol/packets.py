@@ -23,6 +23,9 @@ MAX_OBJECTS = 4096
 INDEX_WINDOW = 4096
 """Units of a log that one `Answer` can tell apart; the block says which window is meant."""
 
+MAX_MAPS = 64
+"""Robots whose maps an `Offer` can tell apart: the largest team that exchanges maps by packets."""
+
 BLOCKS = 64
 """Blocks that an `Offer` can tell apart; in a longer log they begin again at block 0, in the next round."""
 
@@ -245,7 +248,7 @@ _FIXED = {kind: _fixed(kind) for kind in _TYPES}
 _LAYOUT = {kind: _layout(kind) for kind in _TYPES}
 
 LAYOUT_BY_BYTE = [
-    (ALL_KINDS.index(kind.name) if kind else -1, size, *_FIXED.get(kind, (0, 0)))
+    (ALL_KINDS.index(kind.name) if kind else -1, size, *(_FIXED.get(kind, (0, 0)) if kind else (0, 0)))
     for kind, size in zip(_FIRST_BYTE, _SIZE, strict=True)
 ]
 """For each possible first byte the number of the packet's kind (-1: none), its size (0: the next byte tells), which
@@ -345,6 +348,20 @@ def handshake(frame: bytes) -> tuple[AnyPacket, ...]:
     if len(frame) > HANDSHAKE_SIZE:
         raise ProtocolError(Offer.name, 0, f"{len(frame)} bytes instead of {HANDSHAKE_SIZE} at most")
     return _read_handshake(frame)
+
+
+BROADCAST_SIZE = Pose.size + Target.size
+"""Bytes of the longest broadcast."""
+
+
+def broadcast(frame: bytes) -> tuple[AnyPacket, ...]:
+    """Read a frame that many hear, as `decode` does; what has the size of a broadcast is read only once."""
+    return _read_broadcast(frame) if len(frame) <= BROADCAST_SIZE else tuple(decode(frame))
+
+
+@lru_cache(maxsize=1 << 12)
+def _read_broadcast(frame: bytes) -> tuple[AnyPacket, ...]:
+    return tuple(decode(frame))
 
 
 @lru_cache(maxsize=1 << 14)

@@ -86,7 +86,7 @@ def packet_end(data: Bytes, at: int, end: int, table: Table) -> int:
             word = word << 8 | np.int64(data[byte])
         if word & mask != table[first, 3]:
             return -1
-    return at + size
+    return int(at + size)
 
 
 @kernel(f"int64({FRAME}, int64[:,::1])")

@@ -39,7 +39,7 @@ class Log:
 
     def forget(self, before: int) -> None:
         """Drop the units before number `before`."""
-        drop = min(before, len(self)) - self._forgotten
+        drop = min(before - self._forgotten, len(self._units))
         if drop > 0:
             del self._units[:drop]
             self._forgotten += drop

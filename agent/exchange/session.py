@@ -28,15 +28,20 @@ it counts as level.
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import accumulate
+
+import numpy as np
+from numpy.typing import NDArray
 
 from agent.exchange.log import Log
 from protocol import packets
 from protocol.errors import ProtocolError
+from protocol.kernels import kernel
 from protocol.messages import Outcome
 from protocol.packets import BLOCKS, INDEX_WINDOW
 
@@ -52,11 +57,23 @@ PATIENCE = 4
 POLICIES = ("backoff", "thesis")
 """When maps are offered. ``thesis``: in every exchange all maps, to all for whom they are news. ``backoff``:
 at most one map to each teammate, the robot's own if it is news, else, after a step's first exchange, the one
-with most news; where steps have only one exchange these take turns; after a refusal twice as long a wait."""
+with most news; where steps have only one exchange these take turns; after a refusal twice as long a wait. And in a
+crowd (`CROWD`) to no more teammates than the medium could carry answers of, in turn."""
+
+CROWD = 16
+"""Robots in range of each other from which on, ``backoff``, handshakes are bounded by what the medium can carry: all
+of these could make 240 offers an exchange, which with their answers are 960 bytes."""
+
+LEAST_HANDSHAKE = packets.Offer.size + packets.Answer.size
+"""Bytes of an offer and the shortest answer."""
+
+Table = NDArray[np.int64]
 
 
 class State(StrEnum):
     """Where a connection stands."""
+
+    __hash__ = str.__hash__  # the one of enumerations is not compiled
 
     IDLE = "idle"
     OFFERED = "offered"
@@ -68,6 +85,8 @@ class State(StrEnum):
 
 class Event(StrEnum):
     """What can happen to a connection."""
+
+    __hash__ = str.__hash__
 
     NEWS = "the medium opens and there is news"
     BEHIND = "the answer's index is below one's own"
@@ -124,28 +143,38 @@ class Session:
             raise ValueError(f"no offer policy is called {policy!r}; there are: {', '.join(POLICIES)}")
         self.logs = [Log() for _ in range(robots)]
         """What is held of every robot's map."""
-        self.known = [[0] * robots for _ in range(robots)]
-        """``known[peer][map]``: up to which unit the map has reached the peer, as far as one can know."""
         self.refused: set[tuple[int, int]] = set()
         """(peer, map): offers that are declined, for what came of them made no sense."""
         self._robot = robot
+        self._robots = robots
         self._policy = policy
         self._now = 0
         self._only_first = True
-        self._wait = [[1] * robots for _ in range(robots)]
-        """``_wait[peer][map]``: for how many exchanges offers of a map to a peer are put off if it refuses."""
-        self._due = [[0] * robots for _ in range(robots)]
-        """``_due[peer][map]``: the exchange before which it is not offered again."""
-        self._passed_on = [
-            [about for about in range(robots) if about not in (robot, peer)] for peer in range(robots)
-        ]
-        """The maps that might be passed on to each peer."""
+        self._next = robot + 1
+        """The teammate whose turn it is, where not all are made offers."""
         self._room: int | None = None
         self._peers: list[int] = []
         self._said: dict[tuple[int, int], Connection] = {}
         self._offered: dict[int, Connection] = {}
         self._taken: dict[int, Connection] = {}
         self._being_taken: set[int] = set()
+
+    # Tables are made when the first map is to be offered: where none are exchanged there are none.
+
+    @cached_property
+    def known(self) -> Table:
+        """``known[peer, map]``: up to which unit the map has reached the peer, as far as one can know."""
+        return np.zeros((self._robots, self._robots), np.int64)
+
+    @cached_property
+    def _wait(self) -> Table:
+        """``_wait[peer, map]``: for how many exchanges offers of a map to a peer are put off if it refuses."""
+        return np.ones((self._robots, self._robots), np.int64)
+
+    @cached_property
+    def _due(self) -> Table:
+        """``_due[peer, map]``: the exchange before which it is not offered again."""
+        return np.zeros((self._robots, self._robots), np.int64)
 
     def record(self, units: list[bytes]) -> None:
         """Append to the log of one's own map."""
@@ -162,13 +191,14 @@ class Session:
         self._peers = peers
         for of_last_exchange in (self._said, self._offered, self._taken, self._being_taken):
             of_last_exchange.clear()
-        held = [len(log) for log in self.logs]
+        held = np.array([len(log) for log in self.logs], np.int64)
+        if not peers or not held.any():
+            return []
         frames = []
-        for peer in peers:
-            for about in self._worth_offering(exchange, peer, held):
-                connection = self._said[peer, about] = Connection(peer, about)
-                connection.on(Event.NEWS)
-                frames.append((peer, about, _offer(about, self.known[peer][about] // INDEX_WINDOW % BLOCKS)))
+        for peer, about in self._worth_offering(exchange, held):
+            connection = self._said[peer, about] = Connection(peer, about)
+            connection.on(Event.NEWS)
+            frames.append((peer, about, _offer(about, int(self.known[peer, about]) // INDEX_WINDOW % BLOCKS)))
         return frames
 
     def answers(self, heard: list[tuple[int, int, bytes]]) -> list[tuple[int, int, bytes]]:
@@ -246,7 +276,7 @@ class Session:
     def accept(self, peer: int, about: int, units: list[bytes]) -> None:
         """Append units of a map that a peer sent; the peer holds them too."""
         self.logs[about].append(units)
-        self.known[peer][about] = max(self.known[peer][about], len(self.logs[about]))
+        self.known[peer, about] = max(self.known[peer, about], len(self.logs[about]))
 
     def delivered(self) -> bool:
         """Whether teammates were in range when the medium last opened, and all hold one's own log.
@@ -254,54 +284,62 @@ class Session:
         But for those who refuse it again and again (`PATIENCE`): nobody can silence the others.
         """
         held = len(self.logs[self._robot])
-        return bool(self._peers) and all(
-            self.known[peer][self._robot] == held or self._wait[peer][self._robot] > PATIENCE
-            for peer in self._peers
-        )
+        if not self._peers or not held:
+            return bool(self._peers)
+        known, wait = self.known[:, self._robot], self._wait[:, self._robot]
+        return all(known[peer] == held or wait[peer] > PATIENCE for peer in self._peers)
 
     def undelivered(self) -> int:
         """Units of one's own map that have not reached a teammate yet, all teammates counted."""
         held = len(self.logs[self._robot])
-        return sum(held - known[self._robot] for peer, known in enumerate(self.known) if peer != self._robot)
+        if not held:
+            return 0
+        return held * (self._robots - 1) - int(self.known[:, self._robot].sum())
 
     def forget(self) -> None:
         """Drop what all teammates hold."""
-        for about, (log, known) in enumerate(zip(self.logs, zip(*self.known, strict=True), strict=True)):
-            others = [reached for peer, reached in enumerate(known) if peer not in (self._robot, about)]
-            log.forget(min(others, default=len(log)))
+        if not any(self.logs):
+            return
+        reached = np.empty(self._robots, np.int64)
+        reached_by_all(self.known, self._robot, reached)
+        for log, before in zip(self.logs, reached.tolist(), strict=True):
+            log.forget(before)
 
-    def _worth_offering(self, exchange: int, peer: int, held: list[int]) -> list[int]:
-        """Maps to offer a peer now, as the policy has it; `held`: the length of each log."""
-        robot, known, due = self._robot, self.known[peer], self._due[peer]
-        own = [robot] if held[robot] > known[robot] else []
+    def _worth_offering(self, exchange: int, held: Table) -> list[tuple[int, int]]:
+        """Offers to make now, as (peer, map), as the policy has it; `held`: the length of each log."""
+        peers = np.array(self._peers, np.int64)
         if self._policy == "thesis":
-            return own + [about for about in self._passed_on[peer] if held[about] > known[about]]
-        if own and self._now < due[robot]:
-            own = []
-        if own and not self._only_first:
-            return own
-        if exchange == 0 and not (self._only_first and self._now % 2 == 0):
-            return own
-        others = [
-            about for about in self._passed_on[peer] if held[about] > known[about] and self._now >= due[about]
+            return _all_news(self._robot, self._peers, self.known, held)
+        chosen = np.empty(len(peers), np.int64)
+        choose_offers(
+            self.known, self._due, held, peers, self._robot, self._now, exchange, self._only_first, chosen
+        )
+        offers = [
+            (peer, about) for peer, about in zip(self._peers, chosen.tolist(), strict=True) if about >= 0
         ]
-        return [max(others, key=lambda about: held[about] - known[about])] if others else own
+        around = len(self._peers) + 1
+        if self._room is None or around <= CROWD:
+            return offers
+        return self._in_turn(offers, max(1, self._room // (LEAST_HANDSHAKE * around)))
+
+    def _in_turn(self, offers: list[tuple[int, int]], most: int) -> list[tuple[int, int]]:
+        """Of offers by ascending peer so many, of those whose turn it is."""
+        if len(offers) > most:
+            first = bisect_left(offers, (self._next,))
+            offers = [*offers[first:], *offers[:first]][:most]
+        if offers:
+            self._next = offers[-1][0] + 1
+        return offers
 
     def _read_answer(self, connection: Connection, payload: bytes) -> Event:
         """Put the index of an answer together, and compare it with what is held."""
-        known, held = self.known[connection.peer][connection.map], len(self.logs[connection.map])
-        turn, block = 0, known // INDEX_WINDOW % BLOCKS
-        match packets.handshake(payload):
-            case (packets.Decline(),):
-                return Event.DECLINED
-            case (packets.Answer(index),):
-                pass
-            case (packets.Block(block), packets.Answer(index)):
-                pass
-            case (packets.Block(turn), packets.Block(block), packets.Answer(index)):
-                pass
-            case _:
-                raise ProtocolError("conn", 0, "expected an answer behind at most two blocks, or a decline")
+        known = int(self.known[connection.peer, connection.map])
+        held = len(self.logs[connection.map])
+        said = _read_answer(payload)
+        if said is None:
+            return Event.DECLINED
+        turn, block, index = said
+        block = known // INDEX_WINDOW % BLOCKS if block is None else block
         index += turn * ROUND + block * INDEX_WINDOW
         connection.index = index if known <= index < held else held
         return Event.BEHIND if connection.index < held else Event.LEVEL
@@ -311,14 +349,83 @@ class Session:
         peer, about = connection.peer, connection.map
         reached = connection.index
         if connection.state is State.REFUSED:
-            wait = self._wait[peer][about]
-            self._due[peer][about], self._wait[peer][about] = self._now + wait, min(2 * wait, MAX_WAIT)
+            wait = int(self._wait[peer, about])
+            self._due[peer, about], self._wait[peer, about] = self._now + wait, min(2 * wait, MAX_WAIT)
         elif connection.state is State.SENDING:
-            self._wait[peer][about] = 1
+            self._wait[peer, about] = 1
             reached += bisect_right(list(accumulate(map(len, connection.sent))), sent)
-        self.known[peer][about] = max(self.known[peer][about], reached)
+        self.known[peer, about] = max(self.known[peer, about], reached)
 
 
+def _all_news(robot: int, peers: Sequence[int], known: Table, held: Table) -> list[tuple[int, int]]:
+    """All maps to all for whom they are news, the robot's own first: the thesis' policy."""
+    news = known < held
+    return [
+        (peer, about)
+        for peer in peers
+        for about in (robot, *(about for about in range(len(held)) if about not in (robot, peer)))
+        if news[peer, about]
+    ]
+
+
+@kernel("void(int64[:,::1], int64[:,::1], int64[::1], int64[::1], int64, int64, int64, boolean, int64[::1])")
+def choose_offers(
+    known: Table,
+    due: Table,
+    held: Table,
+    peers: Table,
+    robot: int,
+    now: int,
+    exchange: int,
+    only_first: bool,
+    chosen: Table,
+) -> None:
+    """Choose for each peer the map to offer it, by the rule ``backoff``; -1: none."""
+    turn_of_others = exchange != 0 or (only_first and now % 2 == 0)
+    for each in range(len(peers)):
+        peer = peers[each]
+        own = held[robot] > known[peer, robot] and now >= due[peer, robot]
+        chosen[each] = robot if own else -1
+        if (own and not only_first) or not turn_of_others:
+            continue
+        most = 0
+        for about in range(len(held)):
+            news = held[about] - known[peer, about]
+            if news > most and about not in (robot, peer) and now >= due[peer, about]:
+                most = news
+                chosen[each] = about
+
+
+@kernel("void(int64[:,::1], int64, int64[::1])")
+def reached_by_all(known: Table, robot: int, reached: Table) -> None:
+    """Note of each map up to which unit all have it but the robot itself and the map's own robot."""
+    robots = len(known)
+    reached[:] = np.iinfo(np.int64).max
+    for peer in range(robots):
+        if peer == robot:
+            continue
+        for about in range(robots):
+            if about != peer:
+                reached[about] = min(reached[about], known[peer, about])
+
+
+@lru_cache(maxsize=1 << 14)
+def _read_answer(payload: bytes) -> tuple[int, int | None, int] | None:
+    """Read an answer: round, block (None: the one that the offer assumed), index; None if it declines."""
+    match packets.handshake(payload):
+        case (packets.Decline(),):
+            return None
+        case (packets.Answer(index),):
+            return 0, None, index
+        case (packets.Block(block), packets.Answer(index)):
+            return 0, block, index
+        case (packets.Block(turn), packets.Block(block), packets.Answer(index)):
+            return turn, block, index
+        case _:
+            raise ProtocolError("conn", 0, "expected an answer behind at most two blocks, or a decline")
+
+
+@lru_cache(maxsize=1 << 12)
 def _only_offer(payload: bytes) -> packets.Offer:
     said = packets.handshake(payload)
     if len(said) != 1 or not isinstance(said[0], packets.Offer):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -67,18 +68,24 @@ Bench = Callable[[], Iterator[Figure]]
 
 def benches() -> dict[str, Bench]:
     """All benches, by name."""
-    from deploy.bench import kernels, replanning, swarm  # noqa: PLC0415
+    from deploy.bench import kernels, relay, replanning, scale, swarm  # noqa: PLC0415
 
     return {
         "kernels": kernels.kernels,
         "bus": swarm.bus,
         "swarm": swarm.swarm,
         "replanning": replanning.replanning,
+        "relay": relay.relay,
+        "scale": scale.scale,
     }
 
 
-def run_benches(names: Sequence[str], tell: Callable[[str], object]) -> list[dict[str, Any]]:
+def run_benches(
+    names: Sequence[str], tell: Callable[[str], object], robots: Sequence[int] = ()
+) -> list[dict[str, Any]]:
     """Run the benches called `names` (none: all), reporting each figure as it is measured.
+
+    `robots` are the team sizes that ``scale`` measures; none: its own.
 
     Raises
     ------
@@ -86,6 +93,10 @@ def run_benches(names: Sequence[str], tell: Callable[[str], object]) -> list[dic
         There is no bench of that name.
     """
     known = benches()
+    if robots:
+        from deploy.bench.scale import scale  # noqa: PLC0415
+
+        known["scale"] = partial(scale, robots)
     unknown = [name for name in names if name not in known]
     if unknown:
         raise ValueError(f"no bench is called {unknown[0]!r}; there are: {', '.join(known)}")

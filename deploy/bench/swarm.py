@@ -97,7 +97,7 @@ class _Watched:
             self._first = now, records.step
         self._last = now, records.step
         if not self.memory_mb:
-            self.memory_mb = _memory_of_robots()
+            self.memory_mb = memory_of_robots()
 
     def speed(self) -> float:
         """Steps a second between the first and the last look."""
@@ -147,8 +147,8 @@ def _median_work(records: Records) -> float:
     return float(np.median([m.work_us for reports in records.minds for m in reports])) / 1000
 
 
-def _memory_of_robots() -> float:
-    """Median proportional set size of the robots' processes in MB; 0 if the system does not report it."""
+def memory_of_robots() -> float:
+    """Median proportional set size of the robots' processes in MB; 0 where the system does not tell."""
     sizes = []
     for folder in Path("/proc").glob("[0-9]*"):
         try:

@@ -24,7 +24,11 @@ def doctor() -> None:
 @app.command()
 def bench(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="NAME", help="kernels, bus, swarm, replanning; default: all")
+        list[str] | None,
+        typer.Argument(metavar="NAME", help="kernels, bus, swarm, replanning, relay, scale; default: all"),
+    ] = None,
+    robots: Annotated[
+        list[int] | None, typer.Option(min=1, max=256, help="a team size for scale; repeatable")
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -32,6 +36,6 @@ def bench(
     from deploy.bench.ratios import run_benches  # noqa: PLC0415
 
     with speaking_clearly():
-        figures = run_benches(names or [], (lambda _: None) if as_json else screen.print)
+        figures = run_benches(names or [], (lambda _: None) if as_json else screen.print, robots or [])
         if as_json:
             print(json.dumps(figures, indent=2))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import BinaryIO, Protocol
 
 from agent.process import AgentNode
@@ -73,7 +73,7 @@ def run(
         heed(lab)
         for name in hub.in_turn():
             node, bus = nodes[name], buses[name]
-            while (message := _next(bus)) is not None:
+            for message in _waiting(bus):
                 node.handle(message)
                 spoke = True
             if node.done:
@@ -86,8 +86,13 @@ def run(
     return lab.records
 
 
-def _next(bus: Bus) -> Message | None:
-    try:
-        return bus.receive(0)
-    except BusClosed:
-        return None
+def _waiting(bus: Bus) -> Iterator[Message]:
+    """What waits at an end of the bus, what comes meanwhile included."""
+    while True:
+        try:
+            message = bus.receive(0)
+        except BusClosed:
+            return
+        if message is None:
+            return
+        yield message

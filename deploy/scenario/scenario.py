@@ -22,6 +22,7 @@ from pydantic import (
 from agent.exchange.polygon_options import PolygonOptions
 from protocol.errors import there_are
 from protocol.grid import MAX_ROBOTS
+from protocol.packets import MAX_MAPS
 
 UNLIMITED = "unlimited"
 
@@ -172,6 +173,11 @@ class Scenario(_Table):
         from agent.strategies.registry import strategy  # noqa: PLC0415  kernels, of which help needs none
 
         strategy(self.strategy).check(self.options)
+        if self.robots > MAX_MAPS and self.exchange != "none":
+            raise ValueError(
+                f"robots = {self.robots}: packets can name the maps of {MAX_MAPS} robots; "
+                "more need exchange = 'none'"
+            )
         for table, entries in (("robot", self.robot), ("death", self.death)):
             numbers = [entry.robot for entry in entries]
             for number in numbers:

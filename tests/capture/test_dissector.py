@@ -90,6 +90,8 @@ def test_the_head_is_shown_field_by_field(tshark: Tshark, tmp_path: Path) -> Non
         Sighting(1, 70000, DATA, 63, 0, 62, 0, 1 << 63 | 1, b"\xf0"),
         Sighting(0, -1, 3, 4, EVERYONE, -1, 0, 0b101, b"\x00\x00\x00"),
         Sighting(0, -1, 0, 4, -99, -1, 2, 0, b"\xc0\x00"),
+        Sighting(0, 3, 2, 255, 64, 200, 0, 1 << 255 | 1 << 64 | 1, b"\xf0"),
+        Sighting(0, -1, 0, 4, 100, -1, 2, 0, b"\xc0\x00"),
     ]
     file.write_bytes(capture.head("a test") + encoded(86401, said))
     names = (
@@ -124,6 +126,22 @@ def test_the_head_is_shown_field_by_field(tshark: Tshark, tmp_path: Path) -> Non
             "3",
         ],
         ["86401.000002000", "out of range", "86401", "0", "-1", "0", "4", "-99", "-1,0", "0", "2", "", "2"],
+        [
+            "86401.000003000",
+            "delivered",
+            "86401",
+            "0",
+            "3",
+            "2",
+            "255",
+            "64",
+            "200",
+            "0",
+            "0",
+            "0,64,255",
+            "1",
+        ],
+        ["86401.000004000", "out of range", "86401", "0", "-1", "0", "4", "100", "-1,0", "0", "2", "", "2"],
     ]
     columns = tshark.run("-r", file).splitlines()
     for words in ("r63", "r0", "MURMUR", "data of map 62: 1 save (1 bytes), carried"):

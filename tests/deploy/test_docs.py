@@ -187,6 +187,7 @@ def test_limits_are_those_of_the_code() -> None:
     assert limits == {
         "cells a side of the grid": str(MAX_SIDE),
         "robots": str(MAX_ROBOTS),
+        "robots whose maps travel": str(packets.MAX_MAPS),
         "objects an approximation": str(packets.MAX_OBJECTS),
         "vertices an object": str(packets.MAX_VERTICES),
         "units of a log in a block": str(packets.INDEX_WINDOW),

@@ -45,7 +45,7 @@ def play(medium: Medium, event: object) -> None:
         medium.broadcast(0, 0, frames[0], [1] if event else [])
     else:
         connections = Connections()
-        connections.add(0, 1, 0, frames[0])
+        connections.add([(0, 1, 0)], frames[:1])
         for said, frame in zip(connections.frames[1:], frames[1:], strict=False):
             said[0] = frame
         medium.play(0, connections)

@@ -282,3 +282,36 @@ def test_a_relay_that_comes_last_is_told_of_everyone_in_memory() -> None:
         Message(KEYS.presence(R0), b"1"),
         None,
     ]
+
+
+def test_who_has_mail_takes_turns_in_their_order_in_memory() -> None:
+    hub = MemoryHub("contract", [RELAY, WORLD, R0, R1])
+    ends = {name: hub.join(name) for name in (R1, RELAY, LAB, R0, WORLD)}
+    while ends[RELAY].receive() is not None:
+        pass
+    assert list(hub.in_turn()) == []
+    ends[RELAY].put(KEYS.control(LAB, RELAY), b"")
+    ends[RELAY].put(KEYS.control(R1, RELAY), b"")
+    ends[RELAY].put(KEYS.control(WORLD, RELAY), b"")
+    ends[RELAY].put(KEYS.control("r7", RELAY), b"nobody has it")
+    turns = []
+    for name in hub.in_turn():
+        turns.append(name)
+        if name == WORLD:  # behind it in this round, and before it in the next one
+            ends[WORLD].put(KEYS.body(R0, WORLD), b"")
+            ends[WORLD].put(KEYS.control_tx(WORLD), b"")
+        while ends[name].receive() is not None:
+            pass
+    assert turns == [WORLD, R0, R1, LAB]
+    assert list(hub.in_turn()) == [RELAY]
+    ends[RELAY].close()
+    assert list(hub.in_turn()) == []
+
+
+def test_what_waits_for_who_leaves_is_nobody_s_mail_in_memory() -> None:
+    hub = MemoryHub("contract")
+    relay, robot = hub.join(RELAY), hub.join(R0)
+    relay.put(KEYS.control(R0, RELAY), b"")
+    assert list(hub.in_turn()) == [RELAY, R0]
+    robot.close()
+    assert list(hub.in_turn()) == [RELAY]

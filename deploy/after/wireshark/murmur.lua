@@ -7,7 +7,10 @@ local murmur = Proto("murmur", "Murmur radio")
 
 local FRAMES = { [0] = "offer", [1] = "answer", [2] = "data", [3] = "broadcast" }
 local VERDICTS = { [0] = "carried", [1] = "budget", [2] = "range", [3] = "protocol", [4] = "lost" }
-local VERSION, HEAD, FULL_SCAN, SHORT_SCAN, SCAN = 1, 24, 0xF1, 0xF2, 63
+local FULL_SCAN, SHORT_SCAN, SCAN = 0xF1, 0xF2, 63
+
+-- Of each version of the head: bytes of a robot's number, of the mask of those who heard it, and of all.
+local HEADS = { [1] = { number = 1, mask = 8, size = 24 }, [2] = { number = 2, mask = 32, size = 52 } }
 
 -- Each packet: kind, name of its layout, bytes, code, bits of the code, and its fields in order as
 -- {name, bits} or {name, bits, what is added on the air}.
@@ -34,13 +37,13 @@ local f = {
   frame = ProtoField.uint8("murmur.frame", "Frame", base.DEC, FRAMES),
   verdict = ProtoField.uint8("murmur.verdict", "Verdict", base.DEC, VERDICTS),
   exchange = ProtoField.uint8("murmur.exchange", "Exchange"),
-  sender = ProtoField.int8("murmur.sender", "Sender"),
-  receiver = ProtoField.int8("murmur.receiver", "Receiver"),
-  map = ProtoField.int8("murmur.map", "Map"),
-  part = ProtoField.uint8("murmur.part", "Part"),
+  sender = ProtoField.int16("murmur.sender", "Sender"),
+  receiver = ProtoField.int16("murmur.receiver", "Receiver"),
+  map = ProtoField.int16("murmur.map", "Map"),
+  part = ProtoField.uint16("murmur.part", "Part"),
   step = ProtoField.uint32("murmur.step", "Step"),
   connection = ProtoField.int32("murmur.connection", "Connection"),
-  hearers = ProtoField.uint64("murmur.hearers", "Heard by", base.HEX),
+  hearers = ProtoField.bytes("murmur.hearers", "Heard by"),
   hearer = ProtoField.uint8("murmur.hearer", "Heard by robot"),
   bytes = ProtoField.uint32("murmur.bytes", "Bytes said"),
   unkept = ProtoField.uint32("murmur.unkept", "Bytes said that were not kept"),
@@ -153,9 +156,9 @@ local function show_packet(tree, tvb, offset)
   return layout.kind, layout.size
 end
 
--- Show all packets of a frame; return them counted, as "12 ins, 1 save".
-local function show_packets(tree, tvb)
-  local offset, unkept = HEAD, tvb:reported_len() - tvb:len()
+-- Show all packets of a frame, which begins after a head; return them counted, as "12 ins, 1 save".
+local function show_packets(tree, tvb, begin)
+  local offset, unkept = begin, tvb:reported_len() - tvb:len()
   local counts, kinds = {}, {}
   while offset < tvb:len() do
     local kind, size, wanted = show_packet(tree, tvb, offset)
@@ -163,7 +166,7 @@ local function show_packets(tree, tvb)
       local have = tvb:len() - offset
       local item = tree:add(f.rest, tvb(offset))
       if unkept == 0 or wanted <= have then
-        item:add_proto_expert_info(broken, size .. ", at byte " .. (offset - HEAD))
+        item:add_proto_expert_info(broken, size .. ", at byte " .. (offset - begin))
         kinds[#kinds + 1] = "broken"
       end
       break
@@ -188,10 +191,10 @@ local function show_packets(tree, tvb)
   return table.concat(words, ", ")
 end
 
-local function show_hearers(tree, tvb)
-  local item, names = tree:add(f.hearers, tvb(16, 8)), {}
-  for number = 0, 63 do
-    local byte = tvb(23 - math.floor(number / 8), 1)
+local function show_hearers(tree, mask)
+  local item, names = tree:add(f.hearers, mask), {}
+  for number = 0, 8 * mask:len() - 1 do
+    local byte = mask(mask:len() - 1 - math.floor(number / 8), 1)
     if byte:bitfield(7 - number % 8, 1) == 1 then
       item:add(f.hearer, byte, number):set_generated()
       names[#names + 1] = "r" .. number
@@ -203,33 +206,38 @@ end
 function murmur.dissector(tvb, pinfo, root)
   pinfo.cols.protocol = "MURMUR"
   local tree = root:add(murmur, tvb())
-  if tvb:len() < HEAD or tvb(0, 1):uint() ~= VERSION then
-    tree:add_proto_expert_info(broken, "no head of version " .. VERSION .. ": another program's capture, or a newer one")
-    pinfo.cols.info = "no head of version " .. VERSION
+  local head = tvb:len() > 0 and HEADS[tvb(0, 1):uint()]
+  if not head or tvb:len() < head.size then
+    tree:add_proto_expert_info(broken, "no head of version 1 or 2: another program's capture, or a newer one")
+    pinfo.cols.info = "no head of version 1 or 2"
     return tvb:len()
   end
-  local frame, verdict = tvb(1, 1):uint(), tvb(2, 1):uint()
-  local from, to, about = robot(tvb(4, 1):int()), robot(tvb(5, 1):int()), tvb(6, 1):int()
+  local function numbered(place)
+    return tvb(4 + place * head.number, head.number)
+  end
+  local rest = 4 + 4 * head.number
+  local frame, verdict, step = tvb(1, 1):uint(), tvb(2, 1):uint(), tvb(rest, 4)
+  local from, to, about = robot(numbered(0):int()), robot(numbered(1):int()), numbered(2):int()
   tree:add(f.version, tvb(0, 1))
   tree:add(f.frame, tvb(1, 1))
   local result = tree:add(f.verdict, tvb(2, 1))
   if verdict ~= 0 then
     result:add_proto_expert_info(refused, "not carried: " .. (VERDICTS[verdict] or "?"))
   end
-  tree:add(f.step, tvb(8, 4))
+  tree:add(f.step, step)
   tree:add(f.exchange, tvb(3, 1))
-  tree:add(f.connection, tvb(12, 4))
-  tree:add(f.sender, tvb(4, 1)):append_text(" (" .. from .. ")")
-  tree:add(f.receiver, tvb(5, 1)):append_text(" (" .. to .. ")")
-  tree:add(f.map, tvb(6, 1))
-  tree:add(f.part, tvb(7, 1))
-  show_hearers(tree, tvb)
-  local said = tvb:reported_len() - HEAD
+  tree:add(f.connection, tvb(rest + 4, 4))
+  tree:add(f.sender, numbered(0)):append_text(" (" .. from .. ")")
+  tree:add(f.receiver, numbered(1)):append_text(" (" .. to .. ")")
+  tree:add(f.map, numbered(2))
+  tree:add(f.part, numbered(3))
+  show_hearers(tree, tvb(rest + 8, head.mask))
+  local said = tvb:reported_len() - head.size
   tree:add(f.bytes, tvb(0, 0), said):set_generated()
-  local packets = show_packets(tree, tvb)
+  local packets = show_packets(tree, tvb, head.size)
   local what = (FRAMES[frame] or "frame " .. frame) .. (about >= 0 and " of map " .. about or "")
   local outcome = VERDICTS[verdict] or "verdict " .. verdict
-  tree:set_text("Murmur radio, step " .. tvb(8, 4):uint() .. ": " .. from .. " to " .. to .. ", " .. what .. ", " .. outcome)
+  tree:set_text("Murmur radio, step " .. step:uint() .. ": " .. from .. " to " .. to .. ", " .. what .. ", " .. outcome)
   pinfo.cols.src, pinfo.cols.dst = from, to
   pinfo.cols.info = what .. ": " .. packets .. " (" .. said .. " bytes), " .. outcome
   return tvb:len()

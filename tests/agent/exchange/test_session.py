@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 from agent.exchange import session as state_table
 from agent.exchange.log import Log
 from agent.exchange.session import (
+    CROWD,
+    LEAST_HANDSHAKE,
     MAX_WAIT,
     PATIENCE,
     POLICIES,
@@ -22,6 +24,8 @@ from agent.exchange.session import (
     Event,
     Session,
     State,
+    choose_offers,
+    reached_by_all,
 )
 from protocol import packets
 from protocol.errors import ProtocolError
@@ -398,6 +402,106 @@ def test_a_log_gives_what_fits_from_where_it_is_asked(sizes: list[int], data: st
         assert sum(map(len, got)) <= room
         if begin + len(got) < len(units):
             assert sum(map(len, got)) + len(units[begin + len(got)]) > room
+
+
+# The tables, against the rules read line by line.
+
+
+@st.composite
+def tables(draw: st.DrawFn) -> tuple[int, np.random.Generator, Any, Any, Any]:
+    """How many robots there are, and what one of them knows: of the peers, when offers are due, its logs."""
+    robots, rng = draw(st.integers(2, 9)), np.random.default_rng(draw(seeds))
+    known = rng.integers(0, 4, (robots, robots))
+    due = rng.integers(0, 6, (robots, robots))
+    return robots, rng, known, due, rng.integers(0, 6, robots)
+
+
+def offered_by_the_rule(
+    robot: int, peer: int, known: Any, due: Any, held: Any, now: int, exchange: int, only_first: bool
+) -> int:
+    own = held[robot] > known[peer][robot] and now >= due[peer][robot]
+    if own and not only_first:
+        return robot
+    if exchange == 0 and not (only_first and now % 2 == 0):
+        return robot if own else -1
+    others = [
+        about
+        for about in range(len(held))
+        if about not in (robot, peer) and held[about] > known[peer][about] and now >= due[peer][about]
+    ]
+    if others:
+        return max(others, key=lambda about: held[about] - known[peer][about])
+    return robot if own else -1
+
+
+@given(tables(), st.integers(0, 1), st.integers(1, 6), st.booleans())
+def test_what_is_offered_is_what_the_rule_says(team: Any, exchange: int, now: int, only_first: bool) -> None:
+    robots, rng, known, due, held = team
+    robot = int(rng.integers(robots))
+    peers = np.array([peer for peer in range(robots) if peer != robot], np.int64)
+    chosen = np.empty(len(peers), np.int64)
+    choose_offers(known, due, held, peers, robot, now, exchange, only_first, chosen)
+    wanted = [
+        offered_by_the_rule(robot, peer, known, due, held, now, exchange, only_first)
+        for peer in peers.tolist()
+    ]
+    assert chosen.tolist() == wanted
+
+
+@given(tables())
+def test_what_all_hold_is_the_least_that_any_other_holds(team: Any) -> None:
+    robots, rng, known, _, _ = team
+    robot = int(rng.integers(robots))
+    reached = np.empty(robots, np.int64)
+    reached_by_all(known, robot, reached)
+    for about in range(robots):
+        others = [known[peer][about] for peer in range(robots) if peer not in (robot, about)]
+        assert reached[about] == min(others, default=np.iinfo(np.int64).max)
+
+
+# Crowds: handshakes grow with the square of the team, the medium does not.
+
+
+@given(st.integers(2, 40), st.none() | st.integers(0, 3000), policies)
+def test_a_crowd_makes_no_more_offers_than_the_medium_could_carry_answers_of(
+    robots: int, room: int | None, policy: str
+) -> None:
+    link = Link(robots, policy)
+    for robot in range(robots):
+        link.record(robot, 1)
+    made = [session.offers(0, everyone(robots)[n], room) for n, session in enumerate(link.sessions)]
+    assert all(len({peer for peer, _, _ in offers}) == len(offers) for offers in made)
+    if policy == "thesis" or room is None or robots <= CROWD:
+        assert all(len(offers) == robots - 1 for offers in made)
+    else:
+        assert all(
+            len(offers) == min(robots - 1, max(1, room // LEAST_HANDSHAKE // robots)) for offers in made
+        )
+        assert sum(map(len, made)) * LEAST_HANDSHAKE <= max(room, robots * LEAST_HANDSHAKE)
+
+
+def test_in_a_crowd_everyone_s_turn_comes() -> None:
+    robots, room = 30, 400
+    session = Session(7, robots)
+    session.record(words(7, 0, 1))
+    offered: list[int] = []
+    while len(offered) < robots - 1:
+        offered += [peer for peer, _, _ in session.offers(0, everyone(robots)[7], room)]
+    assert offered[: robots - 1] == [*range(8, robots), *range(7)]
+
+
+def test_a_crowd_s_maps_reach_everyone_all_the_same() -> None:
+    robots = CROWD + 4
+    link = Link(robots, seed=1)
+    for robot in range(robots):
+        link.record(robot, 3)
+    for _ in range(400):
+        link.step(everyone(robots), 500)
+        if all(len(log) == 3 for session in link.sessions for log in session.logs):
+            break
+    assert all(
+        held(session, about) == link.recorded(about) for session in link.sessions for about in range(robots)
+    )
 
 
 # Liars. The relay has checked the form of their frames, not their sense.

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from agent.outline.contour import contours
 from agent.planning.cost_field import costs
 from agent.strategies.registry import strategies
-from deploy.bench import kernels, ratios, replanning, yardsticks
+from deploy.bench import kernels, ratios, relay, replanning, scale, yardsticks
 from deploy.bench.ratios import Figure, compare, run_benches
 from deploy.commands.main import app
 from protocol.grid import FREE, OCCUPIED, Grid, fan
@@ -124,6 +124,34 @@ def test_every_strategy_is_measured_when_it_replans_and_is_itself_again_afterwar
         assert figure.ratio > 0
     without_aim = {figure.name.split(",")[0] for figure in figures if not figure.aim}
     assert without_aim == {"burgard-optimal", "mtsp", "mtsp-depot"}
+
+
+def test_the_relay_s_work_is_measured_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(relay, "STEPS", 5)
+    monkeypatch.setattr(relay, "SIDE_M", 10.0)
+    monkeypatch.setattr(relay, "CASES", (relay.Case(3, "polygon", 1000), relay.Case(2, "laser", "unlimited")))
+    figures = list(relay.relay())
+    assert [figure.name for figure in figures] == [
+        "relay, 3 robots, polygon, 1000: work a frame",
+        "relay, 2 robots, laser, unlimited: work a frame",
+    ]
+    assert all(figure.unit == "us" and figure.yardstick == "reading its packets" for figure in figures)
+    assert all(figure.value > 0 and (figure.ratio or 0) > 0 for figure in figures)
+
+
+def test_teams_of_the_sizes_asked_for_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scale, "STEPS", 6)
+    monkeypatch.setattr(scale, "SIDE_M", 15.0)
+    monkeypatch.setattr(scale, "PROCESSES", 0)
+    said: list[str] = []
+    figures = run_benches(["scale"], said.append, [2, 66])
+    names = [figure["name"] for figure in figures]
+    for size in (2, 66):
+        for what in ("speed", "processor time a robot and step", "on the air a step"):
+            assert f"{size} robots, memory: {what}" in names
+    work = {figure["name"]: figure for figure in figures if figure["unit"] == "ms"}
+    assert work["2 robots, memory: processor time a robot and step"]["ratio"] == 1.0
+    assert all(figure["value"] > 0 for figure in figures if figure["unit"] != "MB")
 
 
 # --- yardsticks ----------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from agent.exchange.catalogue import EXCHANGES
 from agent.exchange.session import POLICIES
 from deploy.scenario.scenario import SHIPPED, UNLIMITED, Scenario, ScenarioError, load, parse
 from protocol.grid import MAX_ROBOTS
+from protocol.packets import MAX_MAPS
 
 MOST = 2**31 - 1
 
@@ -24,7 +25,8 @@ metres = st.floats(0.001, 1e6)
 @st.composite
 def scenarios(draw: st.DrawFn) -> dict[str, Any]:
     """Any settings that make sense, with some of them left out."""
-    robots = draw(st.integers(1, MAX_ROBOTS))
+    exchange = draw(st.sampled_from(sorted(EXCHANGES)))
+    robots = draw(st.integers(1, MAX_ROBOTS if exchange == "none" else MAX_MAPS))
     number = st.integers(0, robots - 1)
     override = st.fixed_dictionaries(
         {"robot": number},
@@ -37,7 +39,6 @@ def scenarios(draw: st.DrawFn) -> dict[str, Any]:
         "map_seed": whole,
         "range": metres.map(str) | metres.map(lambda share: f"{share}%") | metres | st.integers(0, 10**6),
         "bandwidth": whole | st.just(UNLIMITED),
-        "exchange": st.sampled_from(sorted(EXCHANGES)),
         "sensor_range": metres,
         "field_of_view": st.floats(0.1, 360),
         "beams": st.integers(1, 900).map(lambda quarter: 4 * quarter),
@@ -55,7 +56,7 @@ def scenarios(draw: st.DrawFn) -> dict[str, Any]:
         "robot": st.lists(override, max_size=3, unique_by=lambda entry: entry["robot"]),
         "death": st.lists(death, max_size=3, unique_by=lambda entry: entry["robot"]),
     }
-    return {"robots": robots, **draw(st.fixed_dictionaries({}, optional=settings))}
+    return {"robots": robots, "exchange": exchange, **draw(st.fixed_dictionaries({}, optional=settings))}
 
 
 @given(scenarios())
@@ -81,7 +82,8 @@ def test_all_settings_have_defaults_that_make_sense_and_a_line_for_people() -> N
 
 WRONG = [
     ({"robots": 0}, "robots = 0: .*greater than or equal to 1"),
-    ({"robots": 65}, "robots = 65: .*less than or equal to 64"),
+    ({"robots": 257}, "robots = 257: .*less than or equal to 256"),
+    ({"robots": 65}, "robots = 65: packets can name the maps of 64 robots; more need exchange = 'none'"),
     ({"robots": True}, "robots = True: .*integer"),
     ({"robots": 2.5}, "robots = 2.5: .*integer"),
     ({"robots": "three"}, "robots = 'three': .*integer"),

@@ -1,0 +1,117 @@
+"""Bench of the relay: what a frame costs from the word that says it to ledger and capture, without any bus.
+
+All that the relay hears in a run in memory is written down, and told again to a relay whose words go nowhere. The
+yardstick is to read the packets of the same frames one by one (`protocol.packets.decode`), and nothing else.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from deploy.bench.ratios import Figure, compare
+from deploy.run import in_memory
+from deploy.scenario import plan as plans
+from deploy.scenario.plan import Plan
+from deploy.scenario.scenario import Scenario
+from netshaper.process import RelayNode
+from protocol import keys as names
+from protocol import packets
+from protocol.bus import Bus, Message
+from protocol.errors import ProtocolError
+from protocol.keys import Keys
+from worldsim import generators
+
+STEPS = 60
+REPEATS = 5
+SIDE_M = 30.0
+
+
+@dataclass(frozen=True)
+class Case:
+    """A team whose relay is measured."""
+
+    robots: int
+    exchange: str
+    bandwidth: int | Literal["unlimited"]
+
+
+CASES = (Case(8, "polygon", 1000), Case(8, "laser", "unlimited"), Case(32, "polygon", 1000))
+
+
+class _Heard:
+    """The relay's end of the bus, which keeps what it hears; where nobody is behind it, its words go nowhere."""
+
+    def __init__(self, inner: Bus | None = None) -> None:
+        self.messages: list[Message] = []
+        self._inner = inner
+
+    def put(self, key: str, payload: bytes) -> None:
+        if self._inner is not None:
+            self._inner.put(key, payload)
+
+    def receive(self, timeout_s: float | None = None) -> Message | None:
+        message = self._inner.receive(timeout_s) if self._inner is not None else None
+        if message is not None:
+            self.messages.append(message)
+        return message
+
+    def close(self) -> None:
+        if self._inner is not None:
+            self._inner.close()
+
+
+def relay() -> Iterator[Figure]:
+    """The relay's work a frame, in microseconds."""
+    for case in CASES:
+        plan = _plan(case)
+        heard = _listen(plan)
+        frames = [message.payload for message in heard if names.parts(message.key)[0] == "radio"]
+        ours, theirs = [], []
+        for _ in range(REPEATS):
+            ours.append(_relaying(plan, heard) / len(frames))
+            theirs.append(_decoding(frames) / len(frames))
+        what = f"relay, {case.robots} robots, {case.exchange}, {case.bandwidth}: work a frame"
+        yield compare(what, "us", ours, "reading its packets", theirs)
+
+
+def _plan(case: Case) -> Plan:
+    scenario = Scenario(
+        robots=case.robots, steps=STEPS, exchange=case.exchange, bandwidth=case.bandwidth, bus="memory"
+    )
+    return plans.make(scenario, generators.make("office", width_m=SIDE_M, height_m=SIDE_M))
+
+
+def _listen(plan: Plan) -> list[Message]:
+    """Run the plan in memory; return all that the relay hears."""
+    ends: dict[str, _Heard] = {}
+
+    def listen(name: str, bus: Bus) -> Bus:
+        if name != names.RELAY:
+            return bus
+        ends[name] = _Heard(bus)
+        return ends[name]
+
+    in_memory.run(plan, wrap=listen)
+    return ends[names.RELAY].messages
+
+
+def _relaying(plan: Plan, heard: list[Message]) -> float:
+    """Tell a new relay all of it; return the microseconds of processor time that it takes."""
+    node = RelayNode(_Heard(), Keys("memory"), plan.radio)
+    began = time.thread_time_ns()
+    for message in heard:
+        node.handle(message)
+    return (time.thread_time_ns() - began) / 1000
+
+
+def _decoding(frames: list[bytes]) -> float:
+    began = time.thread_time_ns()
+    for frame in frames:
+        try:
+            packets.decode(frame)
+        except ProtocolError:
+            continue
+    return (time.thread_time_ns() - began) / 1000
