@@ -32,6 +32,7 @@ COMMANDS = {
     "export": Place("after_run", "Write a run in a form that other programs open."),
     "replay": Place("after_run", "Repeat a run and check that its digest comes out again."),
     "sweep": Place("studies", "Run a scenario over a grid of settings and print the table asked for."),
+    "keys": Place("keys", "Make the certificates of a run whose hub asks for them."),
     "run": Place("by_hand", "Start one process of a run by hand."),
     "bench": Place("machine", "Measure this machine, in ratios against yardsticks of the same run."),
     "doctor": Place("machine", "Check that this installation works."),

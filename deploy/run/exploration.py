@@ -15,10 +15,12 @@ from deploy.record import run_directory
 from deploy.record.records import Records
 from deploy.record.summary import summarise
 from deploy.run import in_memory, launch
+from deploy.run.hosts import Hosts
 from deploy.run.interrupt import Interrupt
+from deploy.run.ssh import Fleet
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import Scenario
+from deploy.scenario.scenario import Scenario, ScenarioError
 from worldsim.pace import Pace
 
 EXPLORED, NOT_FINISHED, BAD_INPUT, BROKEN_OFF = range(4)
@@ -63,6 +65,7 @@ def explore(
     window: Window | None = None,
     snapshots: bool = False,
     pace: float | None = None,
+    hosts: Hosts | None = None,
 ) -> Result:
     """Run a scenario. What is shown of it, and at which pace, changes nothing in its results.
 
@@ -84,11 +87,13 @@ def explore(
         Whether to keep the robots' maps over time (`deploy.after.figures` draws them).
     pace : float, optional
         Steps a second at most.
+    hosts : Hosts, optional
+        Other hosts that robots run on (`deploy.run.hosts`).
 
     Raises
     ------
     ScenarioError
-        The scenario cannot be run; nothing has been started.
+        The scenario cannot be run, or a host cannot take its robots; nothing has been started.
     OSError
         Something cannot be written: the error names it.
     ValueError
@@ -98,8 +103,13 @@ def explore(
         raise ValueError("a run that is shown, or whose maps are kept, needs a directory: keep = True")
     wait: Callable[[], object] = Pace(pace).wait if pace is not None else _nothing
     plan = plans.make(scenario)
+    if hosts is not None and scenario.bus == "memory":
+        raise ScenarioError("bus = 'memory': is one process of one host; with hosts it must be 'zenoh'")
     interrupt = Interrupt(tell)
-    with interrupt.caught() if keep else contextlib.nullcontext():
+    with (
+        Fleet(hosts, scenario.robots, tell) if hosts is not None else contextlib.nullcontext() as fleet,
+        interrupt.caught() if keep else contextlib.nullcontext(),
+    ):
         directory = run_directory.create(out, plan) if keep else None
         began = time.perf_counter()
 
@@ -122,7 +132,15 @@ def explore(
                 show = launch.Show(task, ready) if task is not None else None
                 logs = directory / run_directory.LOGS if directory else None
                 outcome = launch.run(
-                    plan, logs, look, capture, heed=interrupt.heed, show=show, pace=pace, live=directory
+                    plan,
+                    logs,
+                    look,
+                    capture,
+                    heed=interrupt.heed,
+                    show=show,
+                    pace=pace,
+                    live=directory,
+                    fleet=fleet,
                 )
         result = conclude(plan, outcome, directory, time.perf_counter() - began)
         if directory is not None and window is not None and outcome.view_fault:

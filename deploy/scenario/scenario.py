@@ -189,23 +189,24 @@ def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
     return parse(data, where)
 
 
-def read_toml(path: Path, kind: str, shipped: Path) -> tuple[Path, dict[str, Any]]:
+def read_toml(path: Path, kind: str, shipped: Path | None = None) -> tuple[Path, dict[str, Any]]:
     """Read the file of a scenario or of an experiment (`kind`); return where it was found, and what it says.
 
-    Where there is no such file, a plain name is that of one in the directory `shipped`.
+    Where there is no such file, a plain name is that of one in the directory `shipped`, if there is such a directory.
 
     Raises
     ------
     ScenarioError
         The file cannot be read, or is not TOML.
     """
-    if len(path.parts) == 1 and not path.exists() and (shipped / path.name).exists():
+    if shipped and len(path.parts) == 1 and not path.exists() and (shipped / path.name).exists():
         path = shipped / path.name
     try:
         return path, tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        names = ", ".join(sorted(file.name for file in shipped.glob("*.toml")))
-        raise ScenarioError(f"{kind} {path}: no such file; shipped ones are {names}") from None
+        names = ", ".join(sorted(file.name for file in shipped.glob("*.toml"))) if shipped else ""
+        there_are = f"; shipped ones are {names}" if names else ""
+        raise ScenarioError(f"{kind} {path}: no such file{there_are}") from None
     except OSError as error:
         raise ScenarioError(f"{kind} {path}: {error.strerror or error}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
