@@ -10,7 +10,7 @@ Both ways go lines of JSON. Here to the launcher: ``{"murmur", "code", "versions
 from __future__ import annotations
 
 import hashlib
-import importlib
+import importlib.util
 import json
 import os
 import select
@@ -23,7 +23,7 @@ from typing import Any
 
 from setproctitle import setproctitle
 
-from deploy.record.summary import versions
+from deploy.record.versions import versions
 from protocol import keys as names
 from protocol.zenoh_bus import Credential
 
@@ -35,15 +35,21 @@ STARTERS = ("deploy.run.far_end", "deploy.run.processes", "deploy.run.process_ta
 
 def code_digest() -> str:
     """Digest of the code that a robot runs: equal digests, equal robots."""
-    files = []
+    files = [(name, _file_of(name)) for name in STARTERS]
     for room in ROOMS:
-        root = Path(str(importlib.import_module(room).__file__)).parent
+        root = _file_of(room).parent
         files += [(f"{room}/{path.relative_to(root).as_posix()}", path) for path in root.rglob("*.py")]
-    files += [(name, Path(str(importlib.import_module(name).__file__))) for name in STARTERS]
     digest = hashlib.sha256()
     for name, path in sorted(files):
         digest.update(f"{name}\0".encode() + hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()[:16]
+
+
+def _file_of(module: str) -> Path:
+    """Where a module's code is, without importing it."""
+    spec = importlib.util.find_spec(module)
+    assert spec is not None and spec.origin is not None
+    return Path(spec.origin)
 
 
 @cache
@@ -92,7 +98,7 @@ def _run(credentials: list[Credential], channel: _Channel) -> None:
     from deploy.run.process_table import ProcessTable  # noqa: PLC0415  hello comes first
     from deploy.run.processes import serve_agent  # noqa: PLC0415
 
-    with tempfile.TemporaryDirectory(prefix="murmur-") as folder:
+    with tempfile.TemporaryDirectory(prefix="murmur-far-") as folder:
         logs = Path(folder) / "logs"
         read = {credential.name: 0 for credential in credentials}
         running = set(read)

@@ -149,7 +149,7 @@ def _attend(
     except ConnectionError as error:
         look_after_all().setdefault(names.RELAY, str(error))
         return Outcome(Records(robots), deaths)
-    lab = LabNode(bus, Keys(meeting.run), robots, capture, Meter(meeting.endpoint))
+    lab = LabNode(bus, Keys(meeting.run), robots, capture, Meter(meeting.endpoint, here=True))
 
     def look() -> bool:
         if watch is not None:
