@@ -67,13 +67,15 @@ Bench = Callable[[], Iterator[Figure]]
 
 def benches() -> dict[str, Bench]:
     """All benches, by name."""
-    from deploy.bench import kernels, replanning, swarm  # noqa: PLC0415
+    from deploy.bench import hosts, kernels, replanning, swarm  # noqa: PLC0415
 
     return {
         "kernels": kernels.kernels,
         "bus": swarm.bus,
         "swarm": swarm.swarm,
         "replanning": replanning.replanning,
+        "link": hosts.link,
+        "hub": hosts.hub,
     }
 
 

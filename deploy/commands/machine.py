@@ -24,7 +24,8 @@ def doctor() -> None:
 @app.command()
 def bench(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="NAME", help="kernels, bus, swarm, replanning; default: all")
+        list[str] | None,
+        typer.Argument(metavar="NAME", help="kernels, bus, swarm, replanning, link, hub; default: all"),
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:

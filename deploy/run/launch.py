@@ -70,22 +70,33 @@ def run(
     pace: float | None = None,
     live: Path | None = None,
     fleet: Fleet | None = None,
+    meeting: Meeting | None = None,
 ) -> Outcome:
     """Run a plan as processes; `watch` is called as records come in, at most a few times a second.
 
     What the processes print goes to files in `logs`, or is gone after the run if that is None; `capture`
     takes the frames (`deploy.record.records`); `heed` may end it early; `show` adds a viewer; `pace` is the steps a
     second at most; `live` is a directory in which to say how to look at the run (`deploy.dashboard.watch`);
-    `fleet`, whose hosts have been reached, runs its robots there, and says where all meet.
+    `fleet`, whose hosts have been reached, runs its robots there, and says where all meet; without it that is
+    `meeting`, or on the loopback.
     """
     if logs is None:
         with tempfile.TemporaryDirectory() as folder:
             return run(
-                plan, Path(folder), watch, capture, heed=heed, show=show, pace=pace, live=live, fleet=fleet
+                plan,
+                Path(folder),
+                watch,
+                capture,
+                heed=heed,
+                show=show,
+                pace=pace,
+                live=live,
+                fleet=fleet,
+                meeting=meeting,
             )
     robots = plan.scenario.robots
     world = WorldTask(plan.make_world(), plan.minds, plan.scenario.steps, 1000 * plan.map.resolution, pace)
-    meeting = fleet.meeting if fleet is not None else on_loopback(robots)
+    meeting = fleet.meeting if fleet is not None else meeting or on_loopback(robots)
     elsewhere = fleet.robots if fleet is not None else set()
     with (
         ProcessTable(logs) as processes,
