@@ -29,12 +29,14 @@ from protocol import keys as names
 from worldsim import generators
 
 ROBOTS = 4
-STEPS = 60
+LINK_STEPS, HUB_STEPS = 120, 60
 SIDE_M = 30.0
 REPEATS = 3
 ROUND_TRIPS_MS = (0, 5, 20)
 TEAMS = (4, 8, 16, 32)
 CHUNK = 1 << 16
+FIRST_THREAD = "of it its first thread"
+"""The relay's Python; its other threads are Zenoh's."""
 
 
 @dataclass
@@ -141,7 +143,8 @@ class Link:
 class _Watch:
     """What grows by the step, between the first and the last look at a run: `read` says how far it has grown."""
 
-    def __init__(self, read: Callable[[], dict[str, float]]) -> None:
+    def __init__(self, plan: Plan, read: Callable[[], dict[str, float]]) -> None:
+        self._steps = plan.scenario.steps
         self._read = read
         self._looks: list[tuple[float, int, dict[str, float]]] = []
 
@@ -160,7 +163,7 @@ class _Watch:
 
     def _ends(self) -> tuple[tuple[float, int, dict[str, float]], tuple[float, int, dict[str, float]]]:
         """The first look, and the last one before the end, when robots hand in their maps."""
-        looks = [look for look in self._looks if look[1] < STEPS]
+        looks = [look for look in self._looks if look[1] < self._steps]
         if len(looks) < 2 or looks[0][1] == looks[-1][1]:
             raise ConnectionError("the bench's swarm was over before it could be measured")
         return looks[0], looks[-1]
@@ -169,7 +172,7 @@ class _Watch:
 def link() -> Iterator[Figure]:
     """What the link between the hub's host and a robot's carries, and what its delay costs."""
     for exchange, bandwidth in (("polygon", 1000), ("laser", "unlimited")):
-        plan = _plan(ROBOTS, exchange, bandwidth)
+        plan = _plan(ROBOTS, LINK_STEPS, exchange, bandwidth)
         what = f"{ROBOTS} robots, {exchange}"
         speeds: dict[int, list[float]] = {delay: [] for delay in ROUND_TRIPS_MS}
         carried: list[dict[str, float]] = []
@@ -190,14 +193,14 @@ def link() -> Iterator[Figure]:
 def hub() -> Iterator[Figure]:
     """Processor time a step of relay, world and laboratory, which one host has to bear, by the team's size."""
     for robots in TEAMS:
-        plan = _plan(robots, "polygon", 1000)
+        plan = _plan(robots, HUB_STEPS, "polygon", 1000)
         for meeting in (on_loopback(robots), by_certificates(LOOPBACK, None, robots)):
             by = "passwords" if meeting.certificate is None else "certificates"
-            watch = _Watch(processor_ms)
+            watch = _Watch(plan, processor_ms)
             _run(plan, meeting, watch)
             spent = watch.a_step()
-            fleet = [ms for name, ms in spent.items() if name[:1] == "r" and name != names.RELAY]
-            for name in (names.RELAY, names.WORLD, names.LAB):
+            fleet = [spent[name] for name in map(names.robot, range(robots)) if name in spent]
+            for name in (names.RELAY, FIRST_THREAD, names.WORLD, names.LAB):
                 yield Figure(f"{robots} robots, {by}: {name}, a step", "ms", spent[name])
             yield Figure(f"{robots} robots, {by}: a robot, a step", "ms", float(np.mean(fleet)))
 
@@ -210,7 +213,7 @@ def _delayed(plan: Plan, round_trip_ms: float) -> tuple[float, dict[str, float]]
         credentials = dict(meeting.credentials)
         for name in map(names.robot, range(robots)):
             credentials[name] = replace(credentials[name], hub=f"tls/{LOOPBACK}:{forwarder.port}")
-        watch = _Watch(forwarder.carried)
+        watch = _Watch(plan, forwarder.carried)
         _run(plan, replace(meeting, credentials=credentials), watch)
     return watch.steps_per_s(), watch.a_step()
 
@@ -221,32 +224,39 @@ def _run(plan: Plan, meeting: Meeting, watch: _Watch) -> None:
         raise ConnectionError(f"the bench's swarm broke off: {outcome.deaths}")
 
 
-def _plan(robots: int, exchange: str, bandwidth: int | str) -> Plan:
+def _plan(robots: int, steps: int, exchange: str, bandwidth: int | str) -> Plan:
     scenario = Scenario.model_validate(
-        {"robots": robots, "steps": STEPS, "exchange": exchange, "bandwidth": bandwidth}
+        {"robots": robots, "steps": steps, "exchange": exchange, "bandwidth": bandwidth}
     )
     return plans.make(scenario, generators.make("office", width_m=SIDE_M, height_m=SIDE_M))
 
 
 def processor_ms() -> dict[str, float]:
-    """Processor time of this run's processes, by name, where Linux tells; this process is the laboratory."""
-    tick = os.sysconf("SC_CLK_TCK") / 1000
-    titles: dict[str, tuple[int, float]] = {}
+    """Processor time of this run's processes, by name, and of the relay's first thread, where Linux tells.
+
+    This process is the laboratory.
+    """
     parents: dict[int, int] = {}
+    spent: dict[int, tuple[str, float]] = {}
     for folder in Path("/proc").glob("[0-9]*"):
         try:
-            head, _, tail = (folder / "stat").read_text().rpartition(")")
-            words = (folder / "cmdline").read_bytes().split(b"\0")[0].decode().split()
+            pid, (parents[pid], ms) = int(folder.name), _stat(folder)
+            title = (folder / "cmdline").read_bytes().split(b"\0")[0].decode().split()
         except OSError:
             continue
-        fields = tail.split()
-        pid = int(head.split()[0])
-        parents[pid] = int(fields[1])
-        if len(words) == 2 and words[0] == "murmur":
-            titles[f"{pid} {words[1]}"] = pid, (int(fields[11]) + int(fields[12])) / tick
-    here = os.getpid()
+        if len(title) == 2 and title[0] == "murmur":
+            spent[pid] = title[1], ms
     times = {names.LAB: 1000 * time.process_time()}
-    for title, (pid, spent) in titles.items():
-        if parents.get(parents[pid]) == here:  # the fork server stands in between
-            times[title.split()[1]] = spent
+    for pid, (name, ms) in spent.items():
+        if parents.get(parents[pid]) == os.getpid():  # the fork server stands in between
+            times[name] = ms
+            if name == names.RELAY:
+                with contextlib.suppress(OSError):
+                    times[FIRST_THREAD] = _stat(Path(f"/proc/{pid}/task/{pid}"))[1]
     return times
+
+
+def _stat(folder: Path) -> tuple[int, float]:
+    """Parent, and milliseconds of processor time, of a process or thread."""
+    fields = (folder / "stat").read_text().rpartition(")")[2].split()
+    return int(fields[1]), 1000 * (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

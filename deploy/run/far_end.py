@@ -12,11 +12,13 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import json
+import multiprocessing
 import os
 import select
 import signal
 import sys
 import tempfile
+import threading
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -96,7 +98,6 @@ def serve() -> None:
 
 def _run(credentials: list[Credential], channel: _Channel) -> None:
     from deploy.run.process_table import ProcessTable  # noqa: PLC0415  hello comes first
-    from deploy.run.processes import serve_agent  # noqa: PLC0415
 
     with tempfile.TemporaryDirectory(prefix="murmur-far-") as folder:
         logs = Path(folder) / "logs"
@@ -112,7 +113,7 @@ def _run(credentials: list[Credential], channel: _Channel) -> None:
 
         with ProcessTable(logs) as processes:
             for credential in credentials:
-                processes.start(credential.name, serve_agent, credential)
+                processes.start(credential.name, serve_tied, credential)
             while running:
                 is_over = bool(select.select([0], [], [], POLL_S)[0])
                 ended, deaths = processes.ended(), processes.look()
@@ -123,6 +124,21 @@ def _run(credentials: list[Credential], channel: _Channel) -> None:
                 running -= ended.keys()
                 if is_over:
                     break
+
+
+def serve_tied(credential: Credential) -> None:
+    """Be one robot, and die with the far end, even if that is killed."""
+    from deploy.run.processes import serve_agent  # noqa: PLC0415  hello comes first
+
+    threading.Thread(target=_die_with_parent, name="far end", daemon=True).start()
+    serve_agent(credential)
+
+
+def _die_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os.kill(os.getpid(), signal.SIGKILL)
 
 
 def _credentials(order: bytes) -> list[Credential]:

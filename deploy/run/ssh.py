@@ -92,12 +92,12 @@ class Fleet:
                 link.open()
             self._check()
         except BaseException:
-            self._hang_up()
-            self._end()
+            self.__exit__()
             raise
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._hang_up()  # who has run and ended is gone already
         self._end()
 
     @contextlib.contextmanager

@@ -107,7 +107,7 @@ def test_delay_and_loss_change_no_result_and_no_secret_is_on_a_command_line(
 def test_a_far_robot_that_dies_is_named_with_its_host_and_the_others_finish(
     far: FarHost, tmp_path: Path
 ) -> None:
-    write_inputs(tmp_path, far, "steps = 60\n", robots="[0, 2]")
+    write_inputs(tmp_path, far, f"steps = {STEPS + 10}\n", robots="[0, 2]")
     with launched(tmp_path, far) as run:
         wait_until(lambda: has_begun(tmp_path), run)
         (victim,) = (pid for pid in far.processes() if title(pid) == "murmur r2")
@@ -117,7 +117,7 @@ def test_a_far_robot_that_dies_is_named_with_its_host_and_the_others_finish(
     assert "r2 died: on far: killed by SIGKILL, without a word" in faults
     assert "robot 2 was lost: its process ended" in faults
     assert list(json.loads(said)["lost"]) == ["2"]
-    assert json.loads(said)["steps"] == 60
+    assert json.loads(said)["steps"] == STEPS + 10
     assert far.processes() == []
 
 

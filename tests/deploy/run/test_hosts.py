@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from deploy.run.hosts import Hosts, load, parse
+from deploy.run.hosts import Host, Hosts, load, parse
 from deploy.run.ssh import command_line
 from deploy.scenario.scenario import ScenarioError
 
@@ -103,3 +105,30 @@ def test_ssh_is_given_the_options_before_its_own_and_asks_for_nothing() -> None:
     assert line[-3:] == ["--", "me@a", "murmur run agents"]
     assert line.index("BatchMode=no") < line.index("BatchMode=yes")
     assert line[line.index("-p") + 1] == "22"
+
+
+DOCUMENT = (Path(__file__).parents[3] / "docs" / "hosts.md").read_text(encoding="utf-8")
+
+
+def test_the_document_s_hosts_files_are_right() -> None:
+    files = re.findall(r"^```toml\n(.*?)^```$", DOCUMENT, re.M | re.S)
+    two_laptops, rack = (parse(tomllib.loads(text)) for text in files)
+    assert two_laptops.placing(4) == {"second": [0, 1]}
+    assert rack.placing(25) == {
+        "rack-1": [n for n in range(1, 23) if n not in (7, 21)],
+        "rack-2": [0, 7, 21],
+    }
+
+
+def test_every_setting_stands_in_the_document_with_its_default() -> None:
+    told_of = dict(re.findall(r"^\| `([a-z.]+)` \| (.*?) \| .* \|$", DOCUMENT, re.M))
+    plain: dict[object, str] = {None: "-", "": '`""`', (): "`()`"}
+    wanted = {}
+    for prefix, kind in (("", Hosts), ("host.", Host)):
+        for name, info in kind.model_fields.items():
+            if (prefix, name) != ("", "host"):
+                default = info.default
+                value = "required" if info.is_required() else plain.get(default, f'`"{default}"`')
+                wanted[prefix + name] = value
+                assert f"| {value} | {info.description} |" in DOCUMENT, name
+    assert told_of == wanted

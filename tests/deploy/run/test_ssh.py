@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -24,7 +26,7 @@ from protocol.bus import Message
 from protocol.keys import Keys
 
 ROOT = Path(__file__).parents[3]
-MURMUR = f"env PYTHONPATH={ROOT} {sys.executable} -m deploy.commands.main"
+MURMUR = f"exec env PYTHONPATH={ROOT} {sys.executable} -m deploy.commands.main"
 PATIENCE_S = 60
 
 
@@ -117,6 +119,38 @@ def test_what_far_robots_print_and_how_they_end_comes_back(tmp_path: Path) -> No
     assert {path.name: path.read_text() for path in logs.iterdir()} == {
         f"r{n}.log": f"r{n}: {lost}\n" for n in range(2)
     }
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are found by /proc")
+def test_far_robots_die_with_a_far_end_that_is_killed(tmp_path: Path) -> None:
+    one = parse({"address": "127.0.0.1", "host": [{"name": "h0", "robots": 1, "command": MURMUR}]})
+    with Fleet(one, 1) as fleet:
+        meeting = fleet.meeting
+        presence = Keys(meeting.run).presence("r0")
+        with (
+            closing(open_hub(meeting.run, meeting.endpoint, meeting.credentials, meeting.certificate)) as hub,
+            fleet.running(meeting.credentials, tmp_path),
+        ):
+            assert hub.receive(PATIENCE_S) == Message(presence, b"1")
+            (far_end,) = (pid for pid in children() if title(pid) == "murmur robots")
+            os.kill(far_end, signal.SIGKILL)
+            assert hub.receive(PATIENCE_S) == Message(presence, b"0")
+            deaths: dict[str, str] = {}
+            wait_until(lambda: fleet.look(deaths) or deaths)
+    assert list(deaths) == ["h0"]
+    assert deaths["h0"].endswith("; with it r0")
+
+
+def children() -> list[int]:
+    return [
+        int(stat.parent.name)
+        for stat in Path("/proc").glob("[0-9]*/stat")
+        if int(stat.read_text().rpartition(")")[2].split()[1]) == os.getpid()
+    ]
+
+
+def title(pid: int) -> str:
+    return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode().strip()
 
 
 @pytest.mark.parametrize("order", ["", "nonsense\n", '{"credentials": [{}]}\n'])
