@@ -74,9 +74,9 @@ def run_agent(
         serve_robot(credential)
 
 
-@run_app.command("agents", hidden=True)
+@run_app.command("agents")
 def run_agents() -> None:
-    """Start robots for a launcher on another host, which speaks over standard input and output."""
+    """Start robots for murmur explore --hosts on another host, which speaks over standard input and output."""
     from deploy.run.far_end import serve  # noqa: PLC0415
 
     with speaking_clearly():
