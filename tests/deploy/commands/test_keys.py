@@ -7,7 +7,9 @@ import threading
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from deploy.commands.main import app
 from deploy.run.by_hand import serve_netshaper
 from deploy.scenario.scenario import parse
 from protocol import keys as names
@@ -55,6 +57,23 @@ def test_a_hub_by_hand_asks_for_the_keys_that_were_made(tmp_path: Path) -> None:
     lab.close()
     hub.join(30)
     assert not hub.is_alive()
+
+
+@pytest.mark.parametrize(
+    ("said", "message"),
+    [
+        ("", "credential on standard input: not JSON"),
+        ("{}", "credential on standard input: needs the texts run, name, hub, password"),
+        (
+            '{"run": "a", "name": "lab", "hub": "tcp/127.0.0.1:1", "password": "x"}',
+            "'lab' is not a robot's name",
+        ),
+    ],
+)
+def test_a_robot_s_credential_on_standard_input_is_checked(said: str, message: str) -> None:
+    result = CliRunner().invoke(app, ["run", "agent", "--credential", "-"], input=said)
+    assert result.exit_code == 2
+    assert message in result.stderr
 
 
 def test_keys_of_a_smaller_run_are_refused_by_the_hub(tmp_path: Path) -> None:
