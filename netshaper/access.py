@@ -14,6 +14,9 @@ from protocol import keys as names
 from protocol.keys import Keys
 from protocol.zenoh_bus import Credential
 
+PASSWORDS, CERTIFICATES = "usernames", "cert_common_names"
+"""By what the hub knows who somebody is, in zenoh's words."""
+
 
 def participants(robots: int) -> list[str]:
     """Names of all clients of a run with the given number of robots."""
@@ -25,7 +28,7 @@ def issue(run: str, hub: str, robots: int) -> dict[str, Credential]:
     return {name: Credential(run, name, hub, secrets.token_urlsafe(18)) for name in participants(robots)}
 
 
-def rules(keys: Keys, robots: int) -> dict[str, Any]:
+def rules(keys: Keys, robots: int, by: str = PASSWORDS) -> dict[str, Any]:
     """Access control of the hub, in zenoh's form: deny by default, at most five rules a participant."""
     everyone = participants(robots)
     config: dict[str, Any] = {"enabled": True, "default_permission": "deny"}
@@ -51,7 +54,7 @@ def rules(keys: Keys, robots: int) -> dict[str, Any]:
             if expressions
         ]
         config["rules"] += rules
-        config["subjects"].append({"id": name, "usernames": [name]})
+        config["subjects"].append({"id": name, by: [name]})
         config["policies"].append({"rules": [rule["id"] for rule in rules], "subjects": [name]})
     return config
 

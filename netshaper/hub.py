@@ -12,11 +12,16 @@ import zenoh
 from netshaper import access
 from protocol import keys as names
 from protocol.keys import Keys
-from protocol.zenoh_bus import Credential, ZenohBus, insert, plain_config
+from protocol.zenoh_bus import Certificate, Credential, ZenohBus, insert, mutual_tls, plain_config
 
 
-def open_hub(run: str, endpoint: str, credentials: Mapping[str, Credential]) -> ZenohBus:
-    """Listen at `endpoint` (``tcp/HOST:PORT``) for the holders of `credentials`.
+def open_hub(
+    run: str, endpoint: str, credentials: Mapping[str, Credential], certificate: Certificate | None = None
+) -> ZenohBus:
+    """Listen at `endpoint` for the holders of `credentials`.
+
+    Passwords are asked for at ``tcp/HOST:PORT``. At ``tls/HOST:PORT`` the hub shows its own `certificate`, and asks for
+    one of the same authority whose common name is that of a participant.
 
     Raises
     ------
@@ -27,12 +32,16 @@ def open_hub(run: str, endpoint: str, credentials: Mapping[str, Credential]) -> 
     robots = len(credentials) - len(access.participants(0))
     config = plain_config("router")
     insert(config, "listen/endpoints", [endpoint])
-    insert(config, "access_control", access.rules(keys, robots))
+    by = access.PASSWORDS if certificate is None else access.CERTIFICATES
+    insert(config, "access_control", access.rules(keys, robots, by))
     with tempfile.TemporaryDirectory() as folder:
-        dictionary = Path(folder) / "passwords"
-        dictionary.touch(mode=0o600)
-        dictionary.write_text("".join(f"{c.name}:{c.password}\n" for c in credentials.values()))
-        insert(config, "transport/auth/usrpwd/dictionary_file", str(dictionary))
+        if certificate is not None:
+            insert(config, "transport/link/tls", mutual_tls(certificate, "listen"))
+        else:
+            dictionary = Path(folder) / "passwords"
+            dictionary.touch(mode=0o600)
+            dictionary.write_text("".join(f"{c.name}:{c.password}\n" for c in credentials.values()))
+            insert(config, "transport/auth/usrpwd/dictionary_file", str(dictionary))
         try:
             session = zenoh.open(config)
         except zenoh.ZError as error:

@@ -7,6 +7,7 @@ waits can time out and a client notices that its hub is gone.
 
 from __future__ import annotations
 
+import base64
 import json
 import os
 import re
@@ -31,13 +32,23 @@ CONNECT_S = 10.0
 
 
 @dataclass(frozen=True)
+class Certificate:
+    """A participant of a run over mutual TLS, in PEM: the run's authority, its own certificate, its private key."""
+
+    authority: str
+    certificate: str
+    key: str
+
+
+@dataclass(frozen=True)
 class Credential:
-    """What a process needs to join a run: the hub's address, its own name, and its password."""
+    """What a process needs to join a run: the hub's address, its own name, and its password or certificate."""
 
     run: str
     name: str
     hub: str
-    password: str
+    password: str = ""
+    certificate: Certificate | None = None
 
     def write(self, path: Path) -> None:
         """Write a JSON file that only its owner can read."""
@@ -48,18 +59,36 @@ class Credential:
     @classmethod
     def read(cls, path: Path) -> Credential:
         """Read a credential file; ValueError says what is wrong with it."""
-        wanted = [field.name for field in fields(cls)]
         try:
-            data = json.loads(path.read_text(encoding="utf-8"))
+            text = path.read_text(encoding="utf-8")
         except OSError as error:
             raise ValueError(f"credential {path}: {error.strerror}") from None
         except ValueError as error:
             raise ValueError(f"credential {path}: not JSON ({error})") from None
+        return cls.parse(text, f"credential {path}")
+
+    @classmethod
+    def parse(cls, text: str, where: str = "credential") -> Credential:
+        """Read a credential from JSON; ValueError says what is wrong with it, and `where` it came from."""
+        try:
+            data = json.loads(text)
+        except ValueError as error:
+            raise ValueError(f"{where}: not JSON ({error})") from None
+        certificate = data.get("certificate") if isinstance(data, dict) else None
+        wanted = ["run", "name", "hub", *(["password"] if certificate is None else [])]
         if not isinstance(data, dict) or any(not isinstance(data.get(key), str) for key in wanted):
-            raise ValueError(f"credential {path}: needs the texts {', '.join(wanted)}")
+            raise ValueError(f"{where}: needs the texts {', '.join(wanted)}")
+        parts = [field.name for field in fields(Certificate)]
+        if certificate is not None and (
+            not isinstance(certificate, dict)
+            or any(not isinstance(certificate.get(key), str) for key in parts)
+        ):
+            raise ValueError(f"{where}: its certificate needs the texts {', '.join(parts)}")
         if not re.fullmatch(r"(tcp|tls)/\S+:\d{1,5}", data["hub"]):
-            raise ValueError(f"credential {path}: hub = {data['hub']!r}: must be as tcp/127.0.0.1:7447")
-        return cls(**{key: data[key] for key in wanted})
+            raise ValueError(f"{where}: hub = {data['hub']!r}: must be as tcp/127.0.0.1:7447")
+        found = Certificate(**{key: certificate[key] for key in parts}) if certificate is not None else None
+        password = data["password"] if found is None else ""
+        return cls(data["run"], data["name"], data["hub"], password, found)
 
 
 class ZenohBus:
@@ -164,14 +193,18 @@ def join(credential: Credential) -> ZenohBus:
         "connect/retry",
         {"period_init_ms": 20, "period_max_ms": 200, "period_increase_factor": 1.5},
     )
-    insert(config, "transport/auth/usrpwd/user", credential.name)
-    insert(config, "transport/auth/usrpwd/password", credential.password)
+    if credential.certificate is not None:
+        insert(config, "transport/link/tls", mutual_tls(credential.certificate, "connect"))
+    else:
+        insert(config, "transport/auth/usrpwd/user", credential.name)
+        insert(config, "transport/auth/usrpwd/password", credential.password)
     try:
         session = zenoh.open(config)
     except zenoh.ZError:
+        shown = "password" if credential.certificate is None else "certificate"
         raise ConnectionError(
             f"{credential.name}: no hub let us in at {credential.hub} within {CONNECT_S:g} s: it is not there, "
-            f"or the password is not of its run ({credential.run})"
+            f"or the {shown} is not of its run ({credential.run})"
         ) from None
     return ZenohBus(session, Keys(credential.run), credential.name)
 
@@ -189,6 +222,17 @@ def plain_config(mode: str) -> zenoh.Config:
         insert(config, key, False)
     insert(config, "scouting/delay", 0)
     return config
+
+
+def mutual_tls(certificate: Certificate, side: str) -> dict[str, object]:
+    """Zenoh's settings of mutual TLS for the side that is to ``listen`` or to ``connect``; nothing goes by files."""
+    texts = {
+        "root_ca_certificate": certificate.authority,
+        f"{side}_certificate": certificate.certificate,
+        f"{side}_private_key": certificate.key,
+    }
+    coded = {f"{key}_base64": base64.b64encode(pem.encode()).decode() for key, pem in texts.items()}
+    return {"enable_mtls": True, **coded}
 
 
 def insert(config: zenoh.Config, key: str, value: object) -> None:

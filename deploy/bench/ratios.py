@@ -68,7 +68,7 @@ Bench = Callable[[], Iterator[Figure]]
 
 def benches() -> dict[str, Bench]:
     """All benches, by name."""
-    from deploy.bench import kernels, relay, replanning, scale, swarm  # noqa: PLC0415
+    from deploy.bench import hosts, kernels, relay, replanning, scale, swarm  # noqa: PLC0415
 
     return {
         "kernels": kernels.kernels,
@@ -77,6 +77,8 @@ def benches() -> dict[str, Bench]:
         "replanning": replanning.replanning,
         "relay": relay.relay,
         "scale": scale.scale,
+        "link": hosts.link,
+        "hub": hosts.hub,
     }
 
 

@@ -15,6 +15,7 @@ from deploy.bench.ratios import Figure, compare
 from deploy.bench.transcript import Script, play, play_hub, play_lab, record
 from deploy.record.records import Records
 from deploy.run import launch
+from deploy.run.meeting import on_loopback
 from deploy.run.process_table import ProcessTable
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
@@ -121,14 +122,15 @@ def _floor(plan: Plan, scripts: dict[str, Script], steps: int) -> float:
     """Steps a second with participants that compute nothing."""
     with (
         tempfile.TemporaryDirectory() as folder,
-        ProcessTable(Path(folder), plan.scenario.robots) as processes,
+        ProcessTable(Path(folder)) as processes,
     ):
-        meeting = processes.run, processes.endpoint, processes.credentials
-        processes.start(names.RELAY, play_hub, *meeting, len(scripts) - 1, scripts[names.RELAY])
+        meeting = on_loopback(plan.scenario.robots)
+        where = meeting.run, meeting.endpoint, meeting.credentials
+        processes.start(names.RELAY, play_hub, *where, len(scripts) - 1, scripts[names.RELAY])
         for name, script in scripts.items():
             if name not in (names.RELAY, names.LAB):
-                processes.start(name, play, processes.credentials[name], script)
-        seconds = play_lab(processes.credentials[names.LAB], scripts[names.LAB], _alarmed(processes))
+                processes.start(name, play, meeting.credentials[name], script)
+        seconds = play_lab(meeting.credentials[names.LAB], scripts[names.LAB], _alarmed(processes))
     return steps / seconds
 
 

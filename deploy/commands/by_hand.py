@@ -35,12 +35,16 @@ def run_netshaper(
     credentials: Annotated[
         Path, typer.Option(metavar="DIR", help="new directory for the credential files, one per participant")
     ] = Path("credentials"),
+    keys: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="certificates of murmur keys: mutual TLS instead of passwords"),
+    ] = None,
 ) -> None:
     """Start the radio relay: the hub that all other processes join. It writes their credentials and waits for them."""
     from deploy.run.by_hand import serve_netshaper  # noqa: PLC0415
 
     with speaking_clearly():
-        serve_netshaper(load(scenario, {}), listen, credentials, screen.print)
+        serve_netshaper(load(scenario, {}), listen, credentials, screen.print, keys)
 
 
 @run_app.command("worldsim")
@@ -59,13 +63,24 @@ def run_worldsim(
 
 @run_app.command("agent")
 def run_agent(
-    credential: Annotated[Path, typer.Option(metavar="FILE", help="rN.json of the netshaper's credentials")],
+    credential: Annotated[
+        Path, typer.Option(metavar="FILE", help="rN.json of the netshaper's credentials; -: standard input")
+    ],
 ) -> None:
     """Start one robot. It receives everything else over the bus."""
     from deploy.run.by_hand import serve_robot  # noqa: PLC0415
 
     with speaking_clearly():
         serve_robot(credential)
+
+
+@run_app.command("agents")
+def run_agents() -> None:
+    """Start robots for murmur explore --hosts on another host, which speaks over standard input and output."""
+    from deploy.run.far_end import serve  # noqa: PLC0415
+
+    with speaking_clearly():
+        serve()
 
 
 @run_app.command("view")

@@ -39,7 +39,7 @@ def _python() -> str:
 
 
 def _packages() -> str:
-    from deploy.record.summary import versions  # noqa: PLC0415
+    from deploy.record.versions import versions  # noqa: PLC0415
 
     return ", ".join(f"{name} {version}" for name, version in versions().items() if name != "python")
 

@@ -101,6 +101,9 @@ def explore(
             "--pictures", help="draw the maps over time and the channel's load", rich_help_panel=SHOW
         ),
     ] = False,
+    hosts: Annotated[
+        Path | None, typer.Option(metavar="HOSTS.toml", help="run robots on other hosts too (docs/hosts.md)")
+    ] = None,
     out: OutOption = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -130,7 +133,8 @@ def explore(
             overrides["options"] = named_values(option, "option", "beta=0.5")
         chosen = load(scenario, overrides)
         show = view_as or ("auto" if view else None)
-        raise typer.Exit(_explore(chosen, out, show, pictures=pictures, pace=pace, as_json=as_json))
+        code = _explore(chosen, out, show, hosts, pictures=pictures, pace=pace, as_json=as_json)
+        raise typer.Exit(code)
 
 
 @app.command()
@@ -165,6 +169,7 @@ def _explore(
     scenario: Scenario,
     out: Path | None,
     show: str | None,
+    hosts: Path | None,
     *,
     pictures: bool,
     pace: float | None,
@@ -173,7 +178,9 @@ def _explore(
     from deploy.dashboard.watch import keep_showing  # noqa: PLC0415
     from deploy.dashboard.windows import Window  # noqa: PLC0415
     from deploy.run import exploration  # noqa: PLC0415
+    from deploy.run.hosts import load as load_hosts  # noqa: PLC0415
 
+    placed = load_hosts(hosts) if hosts is not None else None
     window = Window(show, errors.print) if show else None
     try:
         with progress(shown=not as_json) as watch:
@@ -185,6 +192,7 @@ def _explore(
                 window=window,
                 snapshots=pictures,
                 pace=pace,
+                hosts=placed,
             )
         if pictures and result.directory is not None and result.records.world:
             _draw(result.directory)

@@ -25,7 +25,9 @@ def doctor() -> None:
 def bench(
     names: Annotated[
         list[str] | None,
-        typer.Argument(metavar="NAME", help="kernels, bus, swarm, replanning, relay, scale; default: all"),
+        typer.Argument(
+            metavar="NAME", help="kernels, bus, swarm, replanning, relay, scale, link, hub; default: all"
+        ),
     ] = None,
     robots: Annotated[
         list[int] | None, typer.Option(min=1, max=256, help="a team size for scale; repeatable")

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
-import platform
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deploy.record.records import Records
+from deploy.record.versions import versions
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import UNLIMITED
 from netshaper.ledger import CAUSES, sort_rows
 from protocol.grid import FREE
 from protocol.packets import ALL_KINDS
-
-PACKAGES = ("murmur-robots", "eclipse-zenoh", "numba", "numpy", "scipy")
 
 SCAN_VALUES, VALUE_BYTES = 362, 2
 """Bytes of a raw scan by the thesis' formula (section 6.3): 360 ranges and a position, for each of the others."""
@@ -89,17 +86,6 @@ def digest(records: Records) -> str:
         for robot, grid in sorted(grids.items()):
             total.update(np.array([robot, *grid.shape], "<i8").tobytes() + grid.tobytes())
     return total.hexdigest()
-
-
-def versions() -> dict[str, str]:
-    """The versions that a digest depends on besides the scenario."""
-    found = {"python": platform.python_version()}
-    for package in PACKAGES:
-        try:
-            found[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            found[package] = "not installed"
-    return found
 
 
 def _coverage(records: Records, reachable: Mask) -> float:

@@ -32,12 +32,20 @@ _RECEIVED_AT, _SENT_AT = 128, 200
 class Meter:
     """Counts the bytes of all connections to a hub on this host, including those that have ended.
 
-    A connection counts up to the last `read` before its end, so read regularly.
+    A connection counts up to the last `read` before its end, so read now and then.
+
+    Parameters
+    ----------
+    endpoint : str
+        Where the hub listens, as ``tcp/127.0.0.1:7447``.
+    here : bool
+        Whether that is known to be on this host; on the loopback it always is.
     """
 
-    def __init__(self, endpoint: str) -> None:
-        host, _, port = endpoint.removeprefix("tcp/").rpartition(":")
-        self._port = int(port) if host == LOOPBACK and hasattr(socket, "AF_NETLINK") else 0
+    def __init__(self, endpoint: str, *, here: bool = False) -> None:
+        host, _, port = endpoint.partition("/")[2].rpartition(":")
+        is_here = (here or host == LOOPBACK) and hasattr(socket, "AF_NETLINK")
+        self._port = int(port) if is_here else 0
         self._seen: dict[bytes, int] = {}
 
     def read(self) -> int | None:

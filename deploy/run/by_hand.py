@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+import sys
 import time
 from collections.abc import Callable
 from contextlib import closing
@@ -29,19 +30,32 @@ from protocol.keys import Keys
 from protocol.zenoh_bus import Credential, join
 
 SCENARIO = "scenario.toml"
-"""The netshaper's scenario, next to the credentials, for the others to compare theirs with."""
+"""Lies beside the credentials: what the netshaper was given, for the others to compare theirs with."""
+STANDARD_INPUT = Path("-")
 MOST_PORT = 65535
 
 
-def serve_netshaper(scenario: Scenario, listen: str, folder: Path, tell: Callable[[str], object]) -> None:
-    """Write credentials for a new run into `folder`, then serve as its hub and relay."""
+def serve_netshaper(
+    scenario: Scenario, listen: str, folder: Path, tell: Callable[[str], object], keys: Path | None = None
+) -> None:
+    """Write credentials for a new run into `folder`, then be its hub and relay.
+
+    With `keys`, a directory that `murmur keys` made, the hub asks for its certificates, else for passwords.
+    """
     plan = plans.make(scenario)
     endpoint = _endpoint(listen)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise ScenarioError(f"credentials = {folder}: it exists already; name a new directory")
     run = secrets.token_hex(4)
     credentials = access.issue(run, endpoint, scenario.robots)
-    with closing(open_hub(run, endpoint, credentials)) as bus:
+    certificate = None
+    if keys is not None:
+        from netshaper import certificates  # noqa: PLC0415  not needed for passwords
+
+        endpoint = endpoint.replace("tcp/", "tls/", 1)
+        made = certificates.read(keys, scenario.robots)
+        credentials, certificate = certificates.credentials(run, endpoint, made), made[names.RELAY]
+    with closing(open_hub(run, endpoint, credentials, certificate)) as bus:
         folder.mkdir(parents=True, exist_ok=True)
         for name, credential in credentials.items():
             credential.write(folder / f"{name}.json")
@@ -82,8 +96,11 @@ def serve_worldsim(scenario: Scenario, credential: Path) -> None:
 
 
 def serve_robot(credential: Path) -> None:
-    """Serve as the robot that the credential names."""
-    read = Credential.read(credential)
+    """Be the robot that the credential names; ``-`` is standard input."""
+    if credential == STANDARD_INPUT:
+        read = Credential.parse(sys.stdin.read(), "credential on standard input")
+    else:
+        read = Credential.read(credential)
     names.number(read.name)
     serve_agent(read)
 

@@ -21,10 +21,12 @@ from deploy.record import run_directory
 from deploy.record.records import Records
 from deploy.record.summary import summarise
 from deploy.run import in_memory, launch
+from deploy.run.hosts import Hosts
 from deploy.run.interrupt import Interrupt
+from deploy.run.ssh import Fleet
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import Scenario, parse
+from deploy.scenario.scenario import Scenario, ScenarioError, parse
 from protocol.grid import Grid
 from worldsim.pace import Pace
 
@@ -138,6 +140,7 @@ def explore(
     window: Window | None = None,
     snapshots: bool = False,
     pace: float | None = None,
+    hosts: Hosts | None = None,
     **settings: Any,
 ) -> Result:
     """Run a scenario. Viewing and pace do not affect its results.
@@ -160,13 +163,15 @@ def explore(
         Whether to keep the robots' maps over time (`deploy.after.figures` draws them).
     pace : float, optional
         Steps a second at most.
+    hosts : Hosts, optional
+        Other hosts that robots run on (`deploy.run.hosts`).
     **settings
         Settings of the scenario, over those of `scenario`: ``explore(robots=5, bandwidth=1000)``.
 
     Raises
     ------
     ScenarioError
-        The scenario cannot be run; nothing has been started.
+        The scenario cannot be run, or a host cannot take its robots; nothing has been started.
     OSError
         Something cannot be written: the error names it.
     ValueError
@@ -178,8 +183,13 @@ def explore(
         scenario = parse((scenario.model_dump() if scenario is not None else {}) | settings)
     wait: Callable[[], object] = Pace(pace).wait if pace is not None else _nothing
     plan = plans.make(scenario)
+    if hosts is not None and scenario.bus == "memory":
+        raise ScenarioError("bus = 'memory': is one process of one host; with hosts it must be 'zenoh'")
     interrupt = Interrupt(tell)
-    with interrupt.caught() if keep else contextlib.nullcontext():
+    with (
+        Fleet(hosts, scenario.robots, tell) if hosts is not None else contextlib.nullcontext() as fleet,
+        interrupt.caught() if keep else contextlib.nullcontext(),
+    ):
         directory = run_directory.create(out, plan) if keep else None
         began = time.perf_counter()
 
@@ -202,7 +212,15 @@ def explore(
                 show = launch.Show(task, ready) if task is not None else None
                 logs = directory / run_directory.LOGS if directory else None
                 outcome = launch.run(
-                    plan, logs, look, capture, heed=interrupt.heed, show=show, pace=pace, live=directory
+                    plan,
+                    logs,
+                    look,
+                    capture,
+                    heed=interrupt.heed,
+                    show=show,
+                    pace=pace,
+                    live=directory,
+                    fleet=fleet,
                 )
         result = conclude(plan, outcome, directory, time.perf_counter() - began)
         if directory is not None and window is not None and outcome.view_fault:

@@ -1,6 +1,7 @@
 """A run as processes: relay, world and robots in a `ProcessTable`, the laboratory in this process.
 
-One table lists the processes; all of them start at once and join the hub; nothing sleeps.
+One table says what runs; all of it starts at once and meets at the hub; nothing sleeps. Robots that a `Fleet` has
+run on other hosts, and meet the rest at the same hub.
 """
 
 from __future__ import annotations
@@ -18,8 +19,10 @@ from deploy.dashboard.process import ViewTask
 from deploy.dashboard.watch import announced
 from deploy.record.records import LabNode, Records
 from deploy.record.wire_bytes import Meter
+from deploy.run.meeting import Meeting, on_loopback
 from deploy.run.process_table import ProcessTable
 from deploy.run.processes import WorldTask, serve_agent, serve_relay, serve_view, serve_world
+from deploy.run.ssh import Fleet
 from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol.bus import Bus, BusClosed
@@ -66,41 +69,69 @@ def run(
     show: Show | None = None,
     pace: float | None = None,
     live: Path | None = None,
+    fleet: Fleet | None = None,
+    meeting: Meeting | None = None,
 ) -> Outcome:
     """Run a plan as processes; `watch` is called as records come in, at most a few times a second.
 
-    The output of the processes goes to files in `logs`, or is discarded after the run if that is None; `capture`
-    takes the frames (`deploy.record.records`); `heed` may end the run early; `show` adds a viewer; `pace` is the
-    maximum of steps a second; `live` is a directory in which to write how to view the run (`deploy.dashboard.watch`).
+    What the processes print goes to files in `logs`, or is gone after the run if that is None; `capture`
+    takes the frames (`deploy.record.records`); `heed` may end it early; `show` adds a viewer; `pace` is the steps a
+    second at most; `live` is a directory in which to say how to look at the run (`deploy.dashboard.watch`);
+    `fleet`, whose hosts have been reached, runs its robots there, and says where all meet; without it that is
+    `meeting`, or on the loopback.
     """
     if logs is None:
         with tempfile.TemporaryDirectory() as folder:
-            return run(plan, Path(folder), watch, capture, heed=heed, show=show, pace=pace, live=live)
+            return run(
+                plan,
+                Path(folder),
+                watch,
+                capture,
+                heed=heed,
+                show=show,
+                pace=pace,
+                live=live,
+                fleet=fleet,
+                meeting=meeting,
+            )
     robots = plan.scenario.robots
     world = WorldTask(plan.make_world(), plan.minds, plan.scenario.steps, 1000 * plan.map.resolution, pace)
-    with ProcessTable(logs, robots) as processes:
+    meeting = fleet.meeting if fleet is not None else meeting or on_loopback(robots)
+    elsewhere = fleet.robots if fleet is not None else set()
+    with (
+        ProcessTable(logs) as processes,
+        fleet.running(meeting.credentials, logs) if fleet is not None else contextlib.nullcontext(),
+    ):
         table: dict[str, tuple[Callable[..., None], *tuple[object, ...]]] = {
-            names.RELAY: (serve_relay, processes.run, processes.endpoint, processes.credentials, plan.radio),
-            names.WORLD: (serve_world, processes.credentials[names.WORLD], world),
+            names.RELAY: (
+                serve_relay,
+                meeting.run,
+                meeting.endpoint,
+                meeting.credentials,
+                plan.radio,
+                meeting.certificate,
+            ),
+            names.WORLD: (serve_world, meeting.credentials[names.WORLD], world),
         }
         for name in map(names.robot, range(robots)):
-            table[name] = (serve_agent, processes.credentials[name])
+            if name not in elsewhere:
+                table[name] = (serve_agent, meeting.credentials[name])
         port = show.task.port if show is not None else None
-        with announced(live, processes.credentials[names.VIEW], port):
+        with announced(live, meeting.credentials[names.VIEW], port):
             for name, (serve, *args) in table.items():
                 processes.start(name, serve, *args)
             if show is not None:
-                _start_viewer(processes, show)
-            outcome = _attend(processes, robots, heed, watch, capture)
+                _start_viewer(processes, meeting, show)
+            outcome = _attend(processes, meeting, fleet, robots, heed, watch, capture)
             if show is not None:
                 outcome.view_fault = processes.await_end(names.VIEW, VIEWER_END_S)
             return outcome
 
 
-def _start_viewer(processes: ProcessTable, show: Show) -> None:
-    """Start the viewer, and wait for it briefly, so that it sees the first steps; the run does not need it."""
+def _start_viewer(processes: ProcessTable, meeting: Meeting, show: Show) -> None:
+    """Start the viewer, and wait a little for it, so that it sees the first steps; it is not needed."""
     here, there = multiprocessing.Pipe(duplex=False)
-    processes.start(names.VIEW, serve_view, processes.credentials[names.VIEW], show.task, there, needed=False)
+    processes.start(names.VIEW, serve_view, meeting.credentials[names.VIEW], show.task, there, needed=False)
     there.close()
     with contextlib.suppress(EOFError):
         if here.poll(VIEWER_S) and here.recv():
@@ -109,6 +140,8 @@ def _start_viewer(processes: ProcessTable, show: Show) -> None:
 
 def _attend(
     processes: ProcessTable,
+    meeting: Meeting,
+    fleet: Fleet | None,
     robots: int,
     heed: Heed,
     watch: Callable[[Records], object] | None,
@@ -116,27 +149,33 @@ def _attend(
 ) -> Outcome:
     """Serve as the laboratory until the run is over."""
     deaths = processes.deaths
+
+    def look_after_all() -> dict[str, str]:
+        if fleet is not None:
+            fleet.look(deaths)
+        return processes.look()
+
     try:
-        bus = join(processes.credentials[names.LAB])
+        bus = join(meeting.credentials[names.LAB])
     except ConnectionError as error:
-        processes.look().setdefault(names.RELAY, str(error))
+        look_after_all().setdefault(names.RELAY, str(error))
         return Outcome(Records(robots), deaths)
-    lab = LabNode(bus, Keys(processes.run), robots, capture, Meter(processes.endpoint))
+    lab = LabNode(bus, Keys(meeting.run), robots, capture, Meter(meeting.endpoint, here=True))
 
     def look() -> bool:
         if watch is not None:
             watch(lab.records)
-        if processes.look() and not lab.records.world:
-            lab.send_home()  # the first step cannot begin
+        if look_after_all() and not lab.records.world:
+            lab.send_home()  # no first step can come
         return names.WORLD in deaths
 
     with contextlib.closing(bus):
         try:
             attend(bus, lab, heed, look)
         except BusClosed as error:
-            time.sleep(POLL_S)  # the system reports the death slightly later than the bus
-            processes.look().setdefault(names.RELAY, str(error))
-    processes.look()
+            time.sleep(POLL_S)  # the system tells of the death a moment after the bus
+            look_after_all().setdefault(names.RELAY, str(error))
+    look_after_all()
     return Outcome(lab.records, deaths)
 
 

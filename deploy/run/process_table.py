@@ -1,4 +1,4 @@
-"""The processes of one run: a table of children from one fork server, their credentials, their exits.
+"""The processes of one run on this host: a table of children from one fork server, and their exits.
 
 Children start with the code imported and the kernels loaded, before any bus is opened. A child that ends
 prematurely is reported with its name and last line of output; none outlives the table.
@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
-import secrets
 import signal
-import socket
 import sys
 import time
 import types
@@ -21,7 +19,6 @@ from pathlib import Path
 from typing import Self
 
 from deploy.run.processes import in_background
-from netshaper import access
 
 GRACE_S = 1.0
 """How long a child may take to end by itself before it is terminated, and then killed."""
@@ -53,16 +50,11 @@ class ProcessTable:
 
     Attributes
     ----------
-    run, endpoint, credentials
-        What children need to join the run: new for each run.
     deaths : dict of name to last words
         Children that ended prematurely, as far as `look` has seen.
     """
 
-    def __init__(self, logs: Path, robots: int) -> None:
-        self.run = secrets.token_hex(4)
-        self.endpoint = f"tcp/127.0.0.1:{_free_port()}"
-        self.credentials = access.issue(self.run, self.endpoint, robots)
+    def __init__(self, logs: Path) -> None:
         self.deaths: dict[str, str] = {}
         self._logs = logs
         self._children: list[Child] = []
@@ -90,6 +82,11 @@ class ProcessTable:
             if child.needed and child.name not in self.deaths and child.process.exitcode not in (None, 0):
                 self.deaths[child.name] = child.last_words()
         return self.deaths
+
+    def ended(self) -> dict[str, int]:
+        """Children that have ended, with their exit codes; below 0: by that signal."""
+        codes = {child.name: child.process.exitcode for child in self._children}
+        return {name: code for name, code in codes.items() if code is not None}
 
     def await_end(self, name: str, timeout_s: float) -> str:
         """Wait for a child that ends by itself; return what went wrong with it, or an empty text."""
@@ -124,11 +121,3 @@ def _blank_main() -> Iterator[None]:
         yield
     finally:
         sys.modules["__main__"] = main
-
-
-def _free_port() -> int:
-    """A free port of the loopback."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port

@@ -25,7 +25,7 @@ from netshaper.radio import RadioSettings
 from protocol import keys as names
 from protocol.bus import Bus, BusClosed
 from protocol.keys import Keys
-from protocol.zenoh_bus import Credential, join
+from protocol.zenoh_bus import Certificate, Credential, join
 from worldsim.pace import Pace
 from worldsim.process import WorldNode
 from worldsim.world import World
@@ -58,10 +58,14 @@ class WorldTask:
 
 
 def serve_relay(
-    run: str, endpoint: str, credentials: Mapping[str, Credential], settings: RadioSettings
+    run: str,
+    endpoint: str,
+    credentials: Mapping[str, Credential],
+    settings: RadioSettings,
+    certificate: Certificate | None = None,
 ) -> None:
     """Serve as the hub and relay of a run until all participants have left."""
-    with closing(open_hub(run, endpoint, credentials)) as bus:
+    with closing(open_hub(run, endpoint, credentials, certificate)) as bus:
         relay(bus, run, settings)
 
 

@@ -243,23 +243,24 @@ def _lay_over(data: dict[str, Any], overrides: dict[str, Any]) -> None:
             data[key] = value
 
 
-def read_toml(path: Path, kind: str, shipped: Path) -> tuple[Path, dict[str, Any]]:
+def read_toml(path: Path, kind: str, shipped: Path | None = None) -> tuple[Path, dict[str, Any]]:
     """Read the file of a scenario or of an experiment (`kind`); return its path and its content.
 
-    If there is no such file, a plain name refers to one in the directory `shipped`.
+    If there is no such file, a plain name refers to one in the directory `shipped`, if there is such a directory.
 
     Raises
     ------
     ScenarioError
         The file cannot be read, or is not TOML.
     """
-    if len(path.parts) == 1 and not path.exists() and (shipped / path.name).exists():
+    if shipped and len(path.parts) == 1 and not path.exists() and (shipped / path.name).exists():
         path = shipped / path.name
     try:
         return path, tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        names = there_are(sorted(file.name for file in shipped.glob("*.toml")), path.name)
-        raise ScenarioError(f"{kind} {path}: no such file, and none of the shipped ones; {names}") from None
+        names = [file.name for file in shipped.glob("*.toml")] if shipped else []
+        others = f", and none of the shipped ones; {there_are(sorted(names), path.name)}" if names else ""
+        raise ScenarioError(f"{kind} {path}: no such file{others}") from None
     except OSError as error:
         raise ScenarioError(f"{kind} {path}: {error.strerror or error}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

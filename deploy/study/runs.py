@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.strategies.registry import strategy
-from deploy.record.summary import versions
+from deploy.record.versions import versions
 from deploy.run import exploration
 from deploy.scenario import plan
 from deploy.scenario.scenario import Scenario, ScenarioError, parse

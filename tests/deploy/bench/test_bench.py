@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import socket
 import sys
+import threading
+import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -13,7 +16,7 @@ from typer.testing import CliRunner
 from agent.outline.contour import contours
 from agent.planning.cost_field import costs
 from agent.strategies.registry import strategies
-from deploy.bench import kernels, ratios, relay, replanning, scale, yardsticks
+from deploy.bench import hosts, kernels, ratios, relay, replanning, scale, yardsticks
 from deploy.bench.ratios import Figure, compare, run_benches
 from deploy.commands.main import app
 from protocol.grid import FREE, OCCUPIED, Grid, fan
@@ -191,3 +194,43 @@ def test_numpy_sees_the_same_cells(seed: int) -> None:
     draw(mine, beams, *cell, cast(grid, nobody, beams, *cell))
     yardsticks.look_in_numpy(grid, nobody, beams, cell, theirs)
     assert (mine == theirs).all()
+
+
+def test_a_link_delays_counts_and_changes_nothing() -> None:
+    def echo(server: socket.socket) -> None:
+        connection, _ = server.accept()
+        with connection:
+            while heard := connection.recv(1000):
+                connection.sendall(2 * heard)
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        threading.Thread(target=echo, args=(server,), daemon=True).start()
+        with (
+            hosts.Link(server.getsockname()[1], 0.02) as link,
+            socket.create_connection(("127.0.0.1", link.port), timeout=10) as end,
+        ):
+            for word in (b"a", b"bc", b"def"):
+                began = time.monotonic()
+                end.sendall(word)
+                heard = b""
+                while len(heard) < 2 * len(word):
+                    heard += end.recv(100)
+                assert heard == 2 * word
+                assert time.monotonic() - began >= 0.04
+            assert link.carried() == {"from the hub": 12, "to the hub": 6, "round trips": 3}
+
+
+@pytest.mark.long
+def test_links_are_measured_and_delay_costs_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {"ROBOTS": 2, "LINK_STEPS": 80, "REPEATS": 1, "ROUND_TRIPS_MS": (0, 20)}.items():
+        monkeypatch.setattr(hosts, name, value)
+    by_name = {figure.name: figure for figure in hosts.link()}
+    for exchange in ("polygon", "laser"):
+        what = f"2 robots, {exchange}"
+        assert by_name[f"{what}: from the hub, a robot and step"].value > 100
+        assert by_name[f"{what}: to the hub, a robot and step"].value > 100
+        assert by_name[f"{what}: round trips, a robot and step"].value >= 1
+        slowed = by_name[f"{what}, 20 ms"]
+        assert slowed.value < 50
+        assert slowed.ratio is not None
+        assert slowed.ratio < 1

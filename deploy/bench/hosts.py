@@ -1,0 +1,262 @@
+"""Benches for planning on several hosts: what a link carries, what its delay costs, what the hub's host works.
+
+The links are forwarders on this machine, one TCP connection a robot, that hold back what they carry. So they show what
+delay does, to the byte and to the round trip, and nothing of what loss and narrow links do.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from deploy.bench.ratios import Figure, compare
+from deploy.record.records import Records
+from deploy.run import launch
+from deploy.run.meeting import LOOPBACK, Meeting, by_certificates, on_loopback
+from deploy.scenario import plan as plans
+from deploy.scenario.plan import Plan
+from deploy.scenario.scenario import Scenario
+from protocol import keys as names
+from worldsim import generators
+
+ROBOTS = 4
+LINK_STEPS, HUB_STEPS = 120, 60
+SIDE_M = 30.0
+REPEATS = 3
+ROUND_TRIPS_MS = (0, 5, 20)
+TEAMS = (4, 8, 16, 32)
+CHUNK = 1 << 16
+FIRST_THREAD = "of it its first thread"
+"""The relay's Python; its other threads are Zenoh's."""
+
+
+@dataclass
+class Traffic:
+    """What one connection carried."""
+
+    to_hub: int = 0
+    from_hub: int = 0
+    turns: int = 0
+    """How often its robot answered what it had heard: round trips."""
+    speaks: bool = False
+    """Whether the last word was the robot's."""
+
+
+class Link:
+    """A forwarder to the hub that holds back what it carries; a context manager.
+
+    Parameters
+    ----------
+    hub : int
+        The hub's port on the loopback.
+    delay_s : float
+        How long each way takes.
+    """
+
+    def __init__(self, hub: int, delay_s: float) -> None:
+        self.traffic: list[Traffic] = []
+        self.port = 0
+        self._hub = hub
+        self._delay_s = delay_s
+        self._loop = asyncio.new_event_loop()
+        self._over = asyncio.Event()
+        self._ready = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="link", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        self._ready.wait()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._loop.call_soon_threadsafe(self._over.set)
+        self._thread.join()
+
+    def carried(self) -> dict[str, float]:
+        """What all connections have carried so far."""
+        return {
+            "from the hub": sum(traffic.from_hub for traffic in self.traffic),
+            "to the hub": sum(traffic.to_hub for traffic in self.traffic),
+            "round trips": sum(traffic.turns for traffic in self.traffic),
+        }
+
+    def _run(self) -> None:
+        with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
+            runner.run(self._serve())
+
+    async def _serve(self) -> None:
+        server = await asyncio.start_server(self._forward, LOOPBACK)
+        self.port = server.sockets[0].getsockname()[1]
+        self._ready.set()
+        await self._over.wait()
+        server.close()
+
+    async def _forward(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        traffic = Traffic()
+        self.traffic.append(traffic)
+        try:
+            from_hub, to_hub = await asyncio.open_connection(LOOPBACK, self._hub)
+        except OSError:
+            writer.close()  # the hub is not there yet: whoever knocks tries again
+            return
+        ways = (self._carry(reader, to_hub, traffic, True), self._carry(from_hub, writer, traffic, False))
+        with contextlib.suppress(asyncio.CancelledError):  # the run is over
+            await asyncio.gather(*ways, return_exceptions=True)
+
+    async def _carry(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, traffic: Traffic, up: bool
+    ) -> None:
+        under_way: asyncio.Queue[tuple[float, bytes]] = asyncio.Queue()
+
+        async def hand_over() -> None:
+            while True:
+                due, data = await under_way.get()
+                await asyncio.sleep(due - self._loop.time())
+                if not data:
+                    writer.close()
+                    return
+                writer.write(data)
+
+        handing_over = asyncio.create_task(hand_over())
+        data = b"first"
+        while data:
+            data = await reader.read(CHUNK)
+            if up:
+                traffic.to_hub += len(data)
+                traffic.turns += not traffic.speaks
+            else:
+                traffic.from_hub += len(data)
+            traffic.speaks = up
+            under_way.put_nowait((self._loop.time() + self._delay_s, data))
+        await handing_over
+
+
+class _Watch:
+    """What grows by the step, between the first and the last look at a run: `read` says how far it has grown."""
+
+    def __init__(self, plan: Plan, read: Callable[[], dict[str, float]]) -> None:
+        self._steps = plan.scenario.steps
+        self._read = read
+        self._looks: list[tuple[float, int, dict[str, float]]] = []
+
+    def look(self, records: Records) -> None:
+        if records.step:
+            self._looks.append((time.perf_counter(), records.step, self._read()))
+
+    def steps_per_s(self) -> float:
+        (began, first, _), (ended, last, _) = self._ends()
+        return (last - first) / (ended - began)
+
+    def a_step(self) -> dict[str, float]:
+        """How much it grew a step."""
+        (_, first, before), (_, last, after) = self._ends()
+        return {name: (after[name] - before[name]) / (last - first) for name in before if name in after}
+
+    def _ends(self) -> tuple[tuple[float, int, dict[str, float]], tuple[float, int, dict[str, float]]]:
+        """The first look, and the last one before the end, when robots hand in their maps."""
+        looks = [look for look in self._looks if look[1] < self._steps]
+        if len(looks) < 2 or looks[0][1] == looks[-1][1]:
+            raise ConnectionError("the bench's swarm was over before it could be measured")
+        return looks[0], looks[-1]
+
+
+def link() -> Iterator[Figure]:
+    """What the link between the hub's host and a robot's carries, and what its delay costs."""
+    for exchange, bandwidth in (("polygon", 1000), ("laser", "unlimited")):
+        plan = _plan(ROBOTS, LINK_STEPS, exchange, bandwidth)
+        what = f"{ROBOTS} robots, {exchange}"
+        speeds: dict[int, list[float]] = {delay: [] for delay in ROUND_TRIPS_MS}
+        carried: list[dict[str, float]] = []
+        for _ in range(REPEATS):
+            for delay in ROUND_TRIPS_MS:
+                speed, traffic = _delayed(plan, delay)
+                speeds[delay].append(speed)
+                carried += [traffic] if delay == ROUND_TRIPS_MS[-1] else []
+        for name, unit in (("from the hub", "bytes"), ("to the hub", "bytes"), ("round trips", "")):
+            mean = float(np.median([traffic[name] for traffic in carried])) / ROBOTS
+            yield Figure(f"{what}: {name}, a robot and step", unit, mean)
+        none, *delays = ROUND_TRIPS_MS
+        yield Figure(f"{what}, no delay", "steps/s", float(np.median(speeds[none])))
+        for delay in delays:
+            yield compare(f"{what}, {delay} ms", "steps/s", speeds[delay], "no delay", speeds[none])
+
+
+def hub() -> Iterator[Figure]:
+    """Processor time a step of relay, world and laboratory, which one host has to bear, by the team's size."""
+    for robots in TEAMS:
+        plan = _plan(robots, HUB_STEPS, "polygon", 1000)
+        for meeting in (on_loopback(robots), by_certificates(LOOPBACK, None, robots)):
+            by = "passwords" if meeting.certificate is None else "certificates"
+            watch = _Watch(plan, processor_ms)
+            _run(plan, meeting, watch)
+            spent = watch.a_step()
+            fleet = [spent[name] for name in map(names.robot, range(robots)) if name in spent]
+            for name in (names.RELAY, FIRST_THREAD, names.WORLD, names.LAB):
+                yield Figure(f"{robots} robots, {by}: {name}, a step", "ms", spent[name])
+            yield Figure(f"{robots} robots, {by}: a robot, a step", "ms", float(np.mean(fleet)))
+
+
+def _delayed(plan: Plan, round_trip_ms: float) -> tuple[float, dict[str, float]]:
+    """Steps a second with all robots behind links, and what the links carried a step."""
+    robots = plan.scenario.robots
+    meeting = by_certificates(LOOPBACK, None, robots)
+    with Link(int(meeting.endpoint.rpartition(":")[2]), round_trip_ms / 2000) as forwarder:
+        credentials = dict(meeting.credentials)
+        for name in map(names.robot, range(robots)):
+            credentials[name] = replace(credentials[name], hub=f"tls/{LOOPBACK}:{forwarder.port}")
+        watch = _Watch(plan, forwarder.carried)
+        _run(plan, replace(meeting, credentials=credentials), watch)
+    return watch.steps_per_s(), watch.a_step()
+
+
+def _run(plan: Plan, meeting: Meeting, watch: _Watch) -> None:
+    outcome = launch.run(plan, None, watch.look, meeting=meeting)
+    if outcome.deaths:
+        raise ConnectionError(f"the bench's swarm broke off: {outcome.deaths}")
+
+
+def _plan(robots: int, steps: int, exchange: str, bandwidth: int | str) -> Plan:
+    scenario = Scenario.model_validate(
+        {"robots": robots, "steps": steps, "exchange": exchange, "bandwidth": bandwidth}
+    )
+    return plans.make(scenario, generators.make("office", width_m=SIDE_M, height_m=SIDE_M))
+
+
+def processor_ms() -> dict[str, float]:
+    """Processor time of this run's processes, by name, and of the relay's first thread, where Linux tells.
+
+    This process is the laboratory.
+    """
+    parents: dict[int, int] = {}
+    spent: dict[int, tuple[str, float]] = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            pid, (parents[pid], ms) = int(folder.name), _stat(folder)
+            title = (folder / "cmdline").read_bytes().split(b"\0")[0].decode().split()
+        except OSError:
+            continue
+        if len(title) == 2 and title[0] == "murmur":
+            spent[pid] = title[1], ms
+    times = {names.LAB: 1000 * time.process_time()}
+    for pid, (name, ms) in spent.items():
+        if parents.get(parents[pid]) == os.getpid():  # the fork server stands in between
+            times[name] = ms
+            if name == names.RELAY:
+                with contextlib.suppress(OSError):
+                    times[FIRST_THREAD] = _stat(Path(f"/proc/{pid}/task/{pid}"))[1]
+    return times
+
+
+def _stat(folder: Path) -> tuple[int, float]:
+    """Parent, and milliseconds of processor time, of a process or thread."""
+    fields = (folder / "stat").read_text().rpartition(")")[2].split()
+    return int(fields[1]), 1000 * (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

@@ -1,0 +1,42 @@
+"""`murmur keys`: the certificates by which the participants of a run know each other (docs/hosts.md)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deploy.commands.console import screen, speaking_clearly
+from deploy.commands.flags import family
+
+app = family()
+
+
+@app.command()
+def keys(
+    directory: Annotated[
+        Path, typer.Argument(metavar="DIR", help="where they go; nothing there is overwritten")
+    ] = Path("keys"),
+    robots: Annotated[int, typer.Option(metavar="N", min=1, help="how many robots the run has")] = 3,
+    address: Annotated[
+        list[str] | None,
+        typer.Option(metavar="HOST", help="where participants reach the hub; repeatable (default 127.0.0.1)"),
+    ] = None,
+    days: Annotated[int, typer.Option(metavar="N", min=1, max=3650, help="for how long they hold")] = 30,
+) -> None:
+    """Make a run's own authority, and one certificate and private key a participant.
+
+    The authority's key is not kept: what is not made now cannot be added. `murmur explore --hosts` makes its own
+    anew for each run and needs none of this; it is for processes started by hand (murmur run netshaper --keys DIR).
+    """
+    from netshaper import certificates  # noqa: PLC0415
+
+    with speaking_clearly():
+        known_as = address or ["127.0.0.1"]
+        made = certificates.make(robots, known_as, days)
+        written = certificates.write(made, directory)
+        screen.print(
+            f"{len(written)} files in {directory}, for a hub at {', '.join(known_as)}; they hold {days} days.\n"
+            f"murmur run netshaper --keys {directory} puts each one's into its credential."
+        )

@@ -1,0 +1,165 @@
+"""Hosts of a run: which robots run where, and how SSH gets there. A TOML file, checked before anything starts."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from deploy.scenario.scenario import ScenarioError, read_toml
+from protocol.grid import MAX_ROBOTS
+
+MOST_PORT = 65535
+
+Whole = Annotated[int, Field(strict=True)]
+Port = Annotated[int, Field(strict=True, ge=1, le=MOST_PORT)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Host(_Table):
+    """One other host, and the robots that run there."""
+
+    name: str = Field(description="what messages and logs call it")
+    ssh: str = Field(
+        "", description="where ssh goes: HOST, USER@HOST, or a name of ~/.ssh/config; empty: the name"
+    )
+    port: Port | None = Field(None, description="port of its SSH server")
+    options: tuple[str, ...] = Field((), description="options of ssh, as ssh_config(5) has them")
+    command: str = Field("murmur", description="how Murmur is called there, as its shell has it")
+    robots: Whole | tuple[Whole, ...] = Field(description="how many robots run there, or which")
+
+    @field_validator("name")
+    @classmethod
+    def _name_does_for_a_file(cls, value: str) -> str:
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", value):
+            raise ValueError("must be letters, digits, '-', '_' and dots")
+        if re.fullmatch(r"relay|world|lab|view|r[0-9]+", value):
+            raise ValueError("is the name of a process of the run; call the host something else")
+        return value
+
+    @field_validator("ssh")
+    @classmethod
+    def _is_no_option(cls, value: str) -> str:
+        if not re.fullmatch(r"([^-\s]\S*)?", value):
+            raise ValueError("must be HOST or USER@HOST, without blanks")
+        return value
+
+    @field_validator("options")
+    @classmethod
+    def _options_are_settings(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        for option in value:
+            if not re.fullmatch(r"[A-Za-z0-9]+\s*[=\s]\s*\S.*", option):
+                raise ValueError(f"{option!r} must be NAME=VALUE, as IdentityFile=~/.ssh/robots")
+        return value
+
+    @field_validator("command")
+    @classmethod
+    def _command_is_something(cls, value: str) -> str:
+        if not value.strip() or "\n" in value:
+            raise ValueError("must be a command on one line, as murmur or /opt/murmur/bin/murmur")
+        return value
+
+    @field_validator("robots")
+    @classmethod
+    def _robots_are_some(cls, value: int | tuple[int, ...]) -> int | tuple[int, ...]:
+        numbers = value if isinstance(value, tuple) else range(value)
+        if not 1 <= len(numbers) <= MAX_ROBOTS or len(set(numbers)) < len(numbers) or min(numbers) < 0:
+            raise ValueError("must be how many, 1 or more, or a list of different numbers of robots, from 0")
+        return value
+
+    @property
+    def target(self) -> str:
+        """Where ssh goes."""
+        return self.ssh or self.name
+
+
+class Hosts(_Table):
+    """Where the hub listens, and the other hosts. Robots that are on none of them run on this one."""
+
+    address: str = Field(description="the name or IP address by which the other hosts reach this one")
+    port: Port | None = Field(None, description="where the hub listens; left out: at any free port")
+    host: tuple[Host, ...] = Field(description="the other hosts")
+
+    @field_validator("address")
+    @classmethod
+    def _address_can_be_reached(cls, value: str) -> str:
+        if not re.fullmatch(r"[A-Za-z0-9.:_-]+", value):
+            raise ValueError("must be a host's name or an IP address, as 192.168.1.10")
+        if value in ("0.0.0.0", "::"):
+            raise ValueError("nobody can be reached there; give the address by which others know this host")
+        return value
+
+    @model_validator(mode="after")
+    def _hosts_differ(self) -> Self:
+        called = [host.name for host in self.host]
+        if not called:
+            raise ValueError("[[host]] is missing: without another host there is no need of this file")
+        if len(set(called)) < len(called):
+            raise ValueError(f"[[host]] names must differ: {', '.join(called)}")
+        listed = [number for host in self.host if isinstance(host.robots, tuple) for number in host.robots]
+        if len(set(listed)) < len(listed):
+            raise ValueError(f"[[host]] robots: one is on two hosts: {sorted(listed)}")
+        return self
+
+    def placing(self, robots: int) -> dict[str, list[int]]:
+        """Numbers of the robots on each other host: those that are listed, then the lowest that are left.
+
+        Raises
+        ------
+        ScenarioError
+            The hosts have more robots than the run.
+        """
+        listed = {host.name: list(host.robots) for host in self.host if isinstance(host.robots, tuple)}
+        taken = {number for numbers in listed.values() for number in numbers}
+        free = [number for number in range(robots) if number not in taken]
+        for host in self.host:
+            if isinstance(host.robots, int):
+                listed[host.name], free = free[: host.robots], free[host.robots :]
+        missing = [number for number in taken if number >= robots]
+        if missing or sum(len(numbers) for numbers in listed.values()) < self._wanted():
+            of = f"robot {min(missing)}" if missing else f"{self._wanted()} robots"
+            raise ScenarioError(f"hosts: they speak of {of}, but the scenario has robots = {robots}")
+        return {host.name: listed[host.name] for host in self.host}
+
+    def _wanted(self) -> int:
+        """How many robots all other hosts have."""
+        return sum(host.robots if isinstance(host.robots, int) else len(host.robots) for host in self.host)
+
+
+def load(path: Path) -> Hosts:
+    """Read a hosts file.
+
+    Raises
+    ------
+    ScenarioError
+        It cannot be read, or a key or value is wrong; all that are wrong are named.
+    """
+    path, data = read_toml(path, "hosts")
+    return parse(data, f"hosts {path}")
+
+
+def parse(data: dict[str, Any], where: str = "hosts") -> Hosts:
+    """Check hosts given as a dictionary; ScenarioError names what is wrong."""
+    try:
+        return Hosts.model_validate(data)
+    except ValidationError as error:
+        lines = [_explain(item) for item in error.errors()]
+        raise ScenarioError("\n".join(f"{where}: {line}" for line in dict.fromkeys(lines))) from None
+
+
+def _explain(item: Any) -> str:
+    key = ".".join(
+        str(part) for part in item["loc"] if part not in ("int", "tuple[int, ...]") and part != "tuple"
+    )
+    message = str(item["msg"]).removeprefix("Value error, ")
+    if item["type"] == "extra_forbidden":
+        table = Host if item["loc"][0] == "host" and len(item["loc"]) > 1 else Hosts
+        return f"{key} is no setting; there are: {', '.join(table.model_fields)}"
+    if item["type"] == "missing":
+        return f"{key} is missing"
+    return f"{key} = {item['input']!r}: {message}" if key else message

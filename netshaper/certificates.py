@@ -1,0 +1,160 @@
+"""Certificates of a run: an authority made for it alone, and one certificate a participant.
+
+The authority's private key is thrown away once it has signed: nobody can be added later, not even by who made the
+run. The relay's certificate may only be shown by a server, all others only by clients, so that no robot can pass
+itself off as the hub. Common names are the participants' names, which the hub's access control goes by.
+"""
+
+from __future__ import annotations
+
+import datetime
+import os
+import re
+from collections.abc import Mapping, Sequence
+from ipaddress import ip_address
+from pathlib import Path
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from netshaper import access
+from protocol import keys as names
+from protocol.zenoh_bus import Certificate, Credential
+
+AUTHORITY = "authority.pem"
+DAYS = 30
+CLOCKS_DIFFER = datetime.timedelta(days=1)
+"""A certificate holds from so long before it was made, for hosts whose clocks are behind."""
+
+
+def make(robots: int, addresses: Sequence[str], days: int = DAYS) -> dict[str, Certificate]:
+    """Make certificates for the relay and all clients of a run, by name.
+
+    Parameters
+    ----------
+    robots : int
+        How many robots the run has.
+    addresses : sequence of str
+        Names or IP addresses by which participants reach the hub; they refuse one that shows no such certificate.
+    days : int
+        For how long the certificates hold.
+
+    Raises
+    ------
+    ValueError
+        An address is neither an IP address nor a host's name.
+    """
+    known_as = x509.SubjectAlternativeName([_known_as(address) for address in addresses])
+    signer = ec.generate_private_key(ec.SECP256R1())
+    now = datetime.datetime.now(datetime.UTC)
+
+    def build(name: str, key: ec.EllipticCurvePublicKey, path_length: int | None) -> x509.CertificateBuilder:
+        return (
+            x509.CertificateBuilder()
+            .subject_name(_called(name))
+            .issuer_name(_called("murmur"))
+            .public_key(key)
+            .serial_number(x509.random_serial_number())
+            .not_valid_before(now - CLOCKS_DIFFER)
+            .not_valid_after(now + datetime.timedelta(days=days))
+            .add_extension(x509.BasicConstraints(path_length is not None, path_length), critical=True)
+        )
+
+    authority = _pem(build("murmur", signer.public_key(), 0).sign(signer, hashes.SHA256()))
+    made = {}
+    for name in (names.RELAY, *access.participants(robots)):
+        is_hub = name == names.RELAY
+        key = ec.generate_private_key(ec.SECP256R1())
+        usage = ExtendedKeyUsageOID.SERVER_AUTH if is_hub else ExtendedKeyUsageOID.CLIENT_AUTH
+        builder = build(name, key.public_key(), None)
+        builder = builder.add_extension(x509.ExtendedKeyUsage([usage]), critical=True)
+        if is_hub:
+            builder = builder.add_extension(known_as, critical=False)
+        made[name] = Certificate(authority, _pem(builder.sign(signer, hashes.SHA256())), _private(key))
+    return made
+
+
+def credentials(run: str, hub: str, certificates: Mapping[str, Certificate]) -> dict[str, Credential]:
+    """Credentials of all clients who have a certificate, by name."""
+    return {
+        name: Credential(run, name, hub, certificate=certificate)
+        for name, certificate in certificates.items()
+        if name != names.RELAY
+    }
+
+
+def write(certificates: Mapping[str, Certificate], folder: Path) -> list[Path]:
+    """Write ``authority.pem``, and ``NAME.pem`` and ``NAME.key`` of all; keys are for their owner's eyes only.
+
+    Raises
+    ------
+    FileExistsError
+        There is something of that name already.
+    """
+    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    texts = {AUTHORITY: (0o644, next(iter(certificates.values())).authority)}
+    for name, certificate in certificates.items():
+        texts[f"{name}.pem"] = 0o644, certificate.certificate
+        texts[f"{name}.key"] = 0o600, certificate.key
+    for name, (mode, text) in texts.items():
+        handle = os.open(folder / name, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+        with os.fdopen(handle, "w", encoding="ascii") as file:
+            file.write(text)
+    return [folder / name for name in texts]
+
+
+def read(folder: Path, robots: int) -> dict[str, Certificate]:
+    """Read what `write` wrote, of relay and all clients.
+
+    Raises
+    ------
+    ValueError
+        Something is missing or not PEM; the message names the file.
+    """
+
+    def text(name: str) -> str:
+        path = folder / name
+        try:
+            found = path.read_text(encoding="ascii")
+        except OSError as error:
+            raise ValueError(f"keys {path}: {error.strerror}; murmur keys makes what a run needs") from None
+        except ValueError:
+            found = ""
+        if "-----BEGIN " not in found:
+            raise ValueError(f"keys {path}: is not PEM")
+        return found
+
+    authority = text(AUTHORITY)
+    return {
+        name: Certificate(authority, text(f"{name}.pem"), text(f"{name}.key"))
+        for name in (names.RELAY, *access.participants(robots))
+    }
+
+
+def _known_as(address: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ip_address(address.strip("[]")))
+    except ValueError:
+        pass
+    if not re.fullmatch(
+        r"[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?(\.[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?)*", address
+    ):
+        raise ValueError(
+            f"address = {address!r}: must be a host's name or IP address, as 192.168.1.10, without a port"
+        )
+    return x509.DNSName(address)
+
+
+def _called(name: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+
+
+def _pem(certificate: x509.Certificate) -> str:
+    return certificate.public_bytes(serialization.Encoding.PEM).decode()
+
+
+def _private(key: ec.EllipticCurvePrivateKey) -> str:
+    form = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    return key.private_bytes(*form).decode()
