@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -245,12 +244,6 @@ class Robot:
     def _travel(self, robot: int, start: Cell, end: Cell) -> None:
         way = math.hypot(end[0] - start[0], end[1] - start[1])
         self._travelled[robot] = self._travelled.get(robot, 0.0) + way
-
-
-@lru_cache(maxsize=1 << 12)
-def _read_broadcast(payload: bytes) -> tuple[packets.AnyPacket, ...]:
-    """Read what all in range hear alike."""
-    return tuple(packets.decode(payload))
 
 
 def _ascending(of_robots: dict[int, _Value]) -> dict[int, _Value]:

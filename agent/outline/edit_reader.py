@@ -22,7 +22,7 @@ SMALL = 3
 
 
 class Objects(NamedTuple):
-    """Numbered objects, and since a draft may end anywhere, what has been told of one that is still open.
+    """Numbered objects in flat arrays.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ NOTHING = Objects(np.empty(0, np.int32), np.zeros(1, np.int32), np.empty(0, np.b
 
 
 class Reading(NamedTuple):
-    """How far a stream has been read.
+    """How far a stream has been read; it may end anywhere, also while an object is being told.
 
     Attributes
     ----------

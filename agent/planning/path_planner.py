@@ -94,9 +94,9 @@ class PathPlanner:
             return weighted_way(self.floor, self._terrain.weights, field, *end) if found else None
         if (start, end) in self._ways:
             return self._ways[start, end]
-        near = self._near.get(start)
-        if near is not None and np.isfinite(near[end[1], end[0]]):
-            return way(self.floor, near, *end)
+        for known in (self._fields.get(start), self._near.get(start)):
+            if known is not None and np.isfinite(known[end[1], end[0]]):
+                return way(self.floor, known, *end)
         return way_between(self._laid_out, start, end)
 
     def frontier(self, x: int, y: int) -> NDArray[np.int32]:

@@ -85,17 +85,17 @@ class _Watch:
             if replans_always:
                 yield
             else:
-                with _replaced(kind, "goals", self._noting(kind.goals)):  # type: ignore[attr-defined]
+                with _replaced(kind, "select", self._noting(kind.select)):  # type: ignore[attr-defined]
                     yield
 
     def _noting(self, plain: Callable[..., Any]) -> Callable[..., Any]:
-        """Note that a robot asks for its goals."""
+        """Note that a robot selects a target."""
 
-        def goals(*situation: Any) -> Any:
+        def select(*situation: Any) -> Any:
             self._chooses = True
             return plain(*situation)
 
-        return goals
+        return select
 
     def figures(self, name: str, graph: Any) -> Iterator[Figure]:
         """Mean and 95th percentile against the yardstick's median."""
