@@ -109,7 +109,7 @@ EXPLORE = {
     "--range -5%": "range = '-5%': must be a distance",
     "--range far": "range = 'far': must be a distance",
     "--robots 0": "robots = 0: Input should be greater than or equal to 1",
-    "--robots 65": "robots = 65: Input should be less than or equal to 64",
+    "--robots 65": "robots = 65: packets can name the maps of 64 robots",
     "--robots three": "Invalid value for '--robots'",
     "--robots 30 --map small.yaml": "30 robots do not fit: 16 free cells lie 3 cells apart",
     "--strategy best": "no strategy is called 'best'; there are: burgard,",
