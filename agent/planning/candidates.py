@@ -64,16 +64,21 @@ def goal_candidates(
 
 
 def free_edges(cells: NDArray[np.int32]) -> list[NDArray[np.int32]]:
-    """Part frontier cells into 8-connected components, in the order of their first cells.
+    """Part frontier cells as `components`.
 
     Edges of fewer than `LEAST_CELLS` cells are left out, unless all are that small: they are taken up last,
     so that nothing which can be reached stays unexplored.
     """
+    edges = components(cells)
+    return [edge for edge in edges if len(edge) >= LEAST_CELLS] or edges
+
+
+def components(cells: NDArray[np.int32]) -> list[NDArray[np.int32]]:
+    """Part frontier cells, at least one, into 8-connected components, in the order of their first cells."""
     owner = np.full(len(cells), -1)
     _part(cells, owner)
     order = np.argsort(owner, kind="stable")
-    edges = np.split(cells[order], np.flatnonzero(np.diff(owner[order])) + 1)
-    return [edge for edge in edges if len(edge) >= LEAST_CELLS] or edges
+    return np.split(cells[order], np.flatnonzero(np.diff(owner[order])) + 1)
 
 
 def count_representatives(cells: int, range_cells: float) -> int:

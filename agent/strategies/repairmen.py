@@ -1,0 +1,111 @@
+"""Tours for the whole team that reach much soon and leave nothing for late: our own strategy, of no paper.
+
+Every free edge is a goal, however small. What it promises is predicted from the unknown area in sight of it; a
+crumb promises next to nothing, but it must be fetched some time, and what is left behind is a long way back. So
+robots plan as k travelling repairmen (`agent.planning.team_tours`): together they order all goals into tours, in
+which a goal costs by what it promises and by when it is reached, a crumb the more the later, and the last robot's
+end counts on top. Each drives to the first goal of its own tour and plans anew in every step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.planning.assignment import Assignment
+from agent.planning.candidates import components, count_representatives
+from agent.planning.clusters import medoids
+from agent.planning.gain import promise
+from agent.planning.path_planner import PathPlanner
+from agent.planning.team_tours import team_tours
+from agent.settings import Settings
+from agent.strategies.base import Situation
+from agent.strategies.options import option
+from agent.strategies.targets import Parts
+from agent.strategies.team import Table, TeamStrategy
+
+PLENTY = 1 / 8
+"""An edge that promises this share of the sensor's disc, or more, has the weight 1."""
+
+SAME = 1 / 4
+"""An edge within this many sensor ranges of a robot's last target may be what is left of it."""
+
+
+EACH_STEP = "each-step"
+
+
+@dataclass(frozen=True)
+class Options(Parts):
+    """Options of the strategy."""
+
+    candidates: str = option("edges", "which cells are worth going to", ("edges",))
+    replan: str = option(EACH_STEP, "when a new target is chosen", (EACH_STEP, "at-once", "at-goal"))
+    crumb: float = option(
+        0.1, "weight of an edge that promises nothing; one that promises much has 1", least=0
+    )
+    lateness: float = option(
+        0.1, "by how much an edge's weight grows with each sensor range of way until it is reached", least=0
+    )
+    last: float = option(2.0, "weight of the longest tour", least=0)
+    loyalty: float = option(0.1, "by how many sensor ranges a robot's last target seems nearer", least=0)
+
+
+class Repairmen(TeamStrategy):
+    """Weighted arrivals over tours of the whole team."""
+
+    name = "repairmen"
+    summary = "the team plans tours through all free edges that reach much soon and leave nothing for late"
+    source = "of this project, after the k-travelling repairmen problem"
+    options_type = Options
+
+    def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
+        super().__init__(options, settings)
+        self._lengths: list[int] = []
+
+    def is_due(self, situation: Situation) -> bool:
+        """In each step, or as a team's."""
+        return self.options.replan == EACH_STEP or super().is_due(situation)
+
+    def goals(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:
+        """Representatives of all free edges that can be reached, however small."""
+        frontier = planner.frontier(*situation.here)
+        if not len(frontier):
+            return frontier
+        cells = []
+        self._lengths = []
+        for edge in components(frontier):
+            count = count_representatives(len(edge), self.settings.range_cells)
+            cells.append(medoids(edge, min(len(edge), count)))
+            self._lengths += [len(edge)] * len(cells[-1])
+        return np.concatenate(cells)
+
+    def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
+        """With which goal the tour of each robot begins."""
+        range_cells = self.settings.range_cells
+        promised = promise(situation.grid, table.goals, np.array(self._lengths), range_cells)
+        between = planner.costs_between(table.goals, table.goals)
+        tours = team_tours(
+            self._loyal(table, situation),
+            np.minimum(between, between.T),
+            np.minimum(promised / PLENTY, 1.0) + self.options.crumb,
+            np.full(len(table.goals), self.options.lateness / (2 * range_cells)),
+            self.options.last,
+        )
+        return np.array([tour[0] if tour else -1 for tour in tours])
+
+    def _loyal(self, table: Table, situation: Situation) -> NDArray[np.float64]:
+        """The ways to all goals, a little shorter to what is left of each robot's last target."""
+        range_cells = self.settings.range_cells
+        ways = table.costs.copy()
+        for way, robot in zip(ways, table.robots, strict=True):
+            target = self.target if robot == self.settings.robot else situation.targets.get(robot)
+            if target is not None:
+                gap = np.abs(table.goals - target).max(axis=1)
+                nearest = int(np.argmin(gap))
+                if gap[nearest] <= SAME * range_cells:
+                    way[nearest] = max(0.0, way[nearest] - self.options.loyalty * range_cells)
+        return ways
