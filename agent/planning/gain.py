@@ -78,7 +78,8 @@ def promise(
     unknown = np.empty(len(cells))
     _look(grid, cells, around.cells, around.start, unknown)
     floor = np.minimum(_LEAST_FLOOR + _A_LENGTH * lengths / range_cells, _MOST_FLOOR)
-    return floor * unknown / (BEAMS * range_cells**2 / 2)
+    shares: NDArray[np.float64] = floor * unknown / (BEAMS * range_cells**2 / 2)
+    return shares
 
 
 @kernel("void(uint8[:,::1], int32[:,::1], int32[:,::1], int32[::1], float64[::1])")

@@ -55,7 +55,12 @@ def team_tours(
 
 
 def tours_cost(
-    tours: list[list[int]], starts: Numbers, between: Numbers, weights: Numbers, lateness: Numbers, last: float
+    tours: list[list[int]],
+    starts: Numbers,
+    between: Numbers,
+    weights: Numbers,
+    lateness: Numbers,
+    last: float,
 ) -> float:
     """What `team_tours` makes small."""
     total, longest = 0.0, 0.0
@@ -184,14 +189,10 @@ def _move(
     if robot >= 0:
         others = _longest(books, counts, robot, robot)
         gain = last * max(others, _end(books, counts, robot))
-        gain += _drive(
-            tours[robot], counts[robot], starts[robot], between, weights, lateness, books[robot]
-        )
+        gain += _drive(tours[robot], counts[robot], starts[robot], between, weights, lateness, books[robot])
         tours[robot, place : counts[robot] - 1] = tours[robot, place + 1 : counts[robot]].copy()
         counts[robot] -= 1
-        gain -= _drive(
-            tours[robot], counts[robot], starts[robot], between, weights, lateness, books[robot]
-        )
+        gain -= _drive(tours[robot], counts[robot], starts[robot], between, weights, lateness, books[robot])
         gain -= last * max(others, _end(books, counts, robot))
     cost, to_robot, to_place = _best_place(
         goal, starts, between, weights, lateness, last, tours, counts, books
@@ -227,7 +228,7 @@ def _swap_ends(
     """Swap the ends of two tours where that gains most; whether it gains anything."""
     others = _longest(books, counts, one, other)
     end_one, end_other = _end(books, counts, one), _end(books, counts, other)
-    now = max(others, max(end_one, end_other))
+    now = max(others, end_one, end_other)
     best, best_one, best_other = -_LEAST, -1, -1
     for place in range(counts[one] + 1):
         gone = books[one, place - 1, 0] if place else 0.0
@@ -246,7 +247,7 @@ def _swap_ends(
                 later = run + step - books[one, place, 0]
                 cost += _delay(books[one], place, later)
                 new_other = end_one + later
-            cost += last * (max(others, max(new_one, new_other)) - now)
+            cost += last * (max(others, new_one, new_other) - now)
             if cost < best:
                 best, best_one, best_other = cost, place, at
     if best_one < 0:

@@ -23,10 +23,10 @@ from agent.planning.gain import promise
 from agent.planning.path_planner import PathPlanner
 from agent.planning.team_tours import team_tours
 from agent.settings import Settings
-from agent.strategies.base import Situation
+from agent.strategies.base import Cell, Situation
 from agent.strategies.options import option
 from agent.strategies.targets import Parts
-from agent.strategies.team import Table, TeamStrategy
+from agent.strategies.team import PATIENCE, Table, TeamStrategy
 
 PLENTY = 1 / 8
 """An edge that promises this share of the sensor's disc, or more, has the weight 1."""
@@ -34,6 +34,9 @@ PLENTY = 1 / 8
 SAME = 1 / 4
 """An edge within this many sensor ranges of a robot's last target may be what is left of it."""
 
+
+RECALL = 50
+"""Steps for which a teammate out of range is believed to be at the last target that it told of."""
 
 EACH_STEP = "each-step"
 
@@ -59,7 +62,7 @@ class Repairmen(TeamStrategy):
 
     name = "repairmen"
     summary = "the team plans tours through all free edges that reach much soon and leave nothing for late"
-    source = "of this project, after the k-travelling repairmen problem"
+    source = "Murmur, after the k-travelling repairmen problem (minimum latency)"
     options_type = Options
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
@@ -69,6 +72,15 @@ class Repairmen(TeamStrategy):
     def is_due(self, situation: Situation) -> bool:
         """In each step, or as a team's."""
         return self.options.replan == EACH_STEP or super().is_due(situation)
+
+    def team(self, situation: Situation) -> dict[int, Cell]:
+        """The sub-team, and who left it not long ago: they are taken to be where they were headed."""
+        members = super().team(situation)
+        if self._waited < PATIENCE:
+            for peer, target in situation.targets.items():
+                if situation.step - situation.heard.get(peer, 0) <= RECALL:
+                    members.setdefault(peer, target)
+        return dict(sorted(members.items()))
 
     def goals(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:
         """Representatives of all free edges that can be reached, however small."""

@@ -63,7 +63,7 @@ PAPERS = (
         {"leader-trap": {}, "leader-rooms": {}},
     ),
     Paper(
-        ("meier",),
+        ("meier", "repairmen"),
         {"sensor_range": 5.0, "speed": 0.5},
         {"unstructured": {}, "mixed": {}, "office": {}},
     ),
