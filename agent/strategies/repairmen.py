@@ -31,6 +31,9 @@ from agent.strategies.team import PATIENCE, Table, TeamStrategy
 PLENTY = 1 / 8
 """An edge that promises this share of the sensor's disc, or more, has the weight 1."""
 
+WORTHWHILE = 1 / 2
+"""A robot without a tour goes where others explore an edge of this weight or more."""
+
 SAME = 1 / 4
 """An edge within this many sensor ranges of a robot's last target may be what is left of it."""
 
@@ -99,15 +102,16 @@ class Repairmen(TeamStrategy):
         """With which goal the tour of each robot begins."""
         range_cells = self.settings.range_cells
         promised = promise(situation.grid, table.goals, np.array(self._lengths), range_cells)
+        worth = np.minimum(promised / PLENTY, 1.0)
         between = planner.costs_between(table.goals, table.goals)
         tours = team_tours(
             self._loyal(table, situation),
             np.minimum(between, between.T),
-            np.minimum(promised / PLENTY, 1.0) + self.options.crumb,
+            worth + self.options.crumb,
             np.full(len(table.goals), self.options.lateness / (2 * range_cells)),
             self.options.last,
         )
-        return np.array([tour[0] if tour else -1 for tour in tours])
+        return _follow(np.array([tour[0] if tour else -1 for tour in tours]), table.costs, worth)
 
     def _loyal(self, table: Table, situation: Situation) -> NDArray[np.float64]:
         """The ways to all goals, a little shorter to what is left of each robot's last target."""
@@ -121,3 +125,19 @@ class Repairmen(TeamStrategy):
                 if gap[nearest] <= SAME * range_cells:
                     way[nearest] = max(0.0, way[nearest] - self.options.loyalty * range_cells)
         return ways
+
+
+def _follow(firsts: Assignment, ways: NDArray[np.float64], worth: NDArray[np.float64]) -> Assignment:
+    """Send robots without a tour after the others, to where much more is to be found than is known.
+
+    Each goes to the nearest of the goals of some worth to which the fewest are headed.
+    """
+    headed = np.bincount(firsts[firsts >= 0], minlength=len(worth)).astype(np.float64)
+    headed[worth < WORTHWHILE] = np.inf
+    for robot in np.flatnonzero(firsts < 0):
+        near = np.where(headed == headed.min(), ways[robot], np.inf)
+        goal = int(np.argmin(near))
+        if np.isfinite(headed[goal]) and np.isfinite(near[goal]):
+            firsts[robot] = goal
+            headed[goal] += 1
+    return firsts
