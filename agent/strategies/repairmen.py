@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning.assignment import Assignment
-from agent.planning.candidates import components, count_representatives
+from agent.planning.candidates import components, count_representatives, thin_out
 from agent.planning.clusters import medoids
 from agent.planning.gain import promise
 from agent.planning.path_planner import PathPlanner
@@ -38,6 +38,13 @@ SAME = 1 / 4
 """An edge within this many sensor ranges of a robot's last target may be what is left of it."""
 
 
+GAP = 1 / 10
+"""Goals nearer to each other than this many sensor ranges, in sight of each other, are one, or those farther
+apart where there are more than `MOST`."""
+
+MOST = 48
+"""Goals of a plan, more or less: ways between all pairs of them are searched in every step."""
+
 RECALL = 50
 """Steps for which a teammate out of range is believed to be at the last target that it told of."""
 
@@ -54,10 +61,10 @@ class Options(Parts):
         0.1, "weight of an edge that promises nothing; one that promises much has 1", least=0
     )
     lateness: float = option(
-        0.1, "by how much an edge's weight grows with each sensor range of way until it is reached", least=0
+        0.2, "by how much an edge's weight grows with each sensor range of way until it is reached", least=0
     )
     last: float = option(2.0, "weight of the longest tour", least=0)
-    loyalty: float = option(0.1, "by how many sensor ranges a robot's last target seems nearer", least=0)
+    loyalty: float = option(0.2, "by how many sensor ranges a robot's last target seems nearer", least=0)
 
 
 class Repairmen(TeamStrategy):
@@ -70,7 +77,8 @@ class Repairmen(TeamStrategy):
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)
-        self._lengths: list[int] = []
+        self._lengths = np.empty(0, np.int64)
+        self._between = np.empty((0, 0))
 
     def is_due(self, situation: Situation) -> bool:
         """In each step, or as a team's."""
@@ -86,27 +94,41 @@ class Repairmen(TeamStrategy):
         return dict(sorted(members.items()))
 
     def goals(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:
-        """Representatives of all free edges that can be reached, however small."""
+        """Representatives of all free edges that can be reached, however small; of those in a place one."""
         frontier = planner.frontier(*situation.here)
         if not len(frontier):
             return frontier
-        cells = []
-        self._lengths = []
+        range_cells = self.settings.range_cells
+        found, sizes = [], []
         for edge in components(frontier):
-            count = count_representatives(len(edge), self.settings.range_cells)
-            cells.append(medoids(edge, min(len(edge), count)))
-            self._lengths += [len(edge)] * len(cells[-1])
-        return np.concatenate(cells)
+            found.append(medoids(edge, min(len(edge), count_representatives(len(edge), range_cells))))
+            sizes += [len(edge)] * len(found[-1])
+        cells, lengths = np.concatenate(found), np.array(sizes)
+        gap = GAP * range_cells
+        stays = thin_out(situation.grid, cells, lengths, gap)
+        while len(stays) > MOST and gap < range_cells:
+            gap *= 1.5
+            stays = thin_out(situation.grid, cells, lengths, gap)
+        self._lengths = lengths[stays]
+        return cells[stays]
+
+    def table(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Table:
+        """As a team's; ways between goals are searched for at once with those of the robots."""
+        team = self.team(situation)
+        cells = np.array(list(team.values()), np.int32)
+        ways = planner.costs_between(goals, np.concatenate([cells, goals]))
+        self._between = np.ascontiguousarray(ways[:, len(cells) :])
+        return Table(tuple(team), cells, goals, np.ascontiguousarray(ways[:, : len(cells)].T))
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """With which goal the tour of each robot begins."""
         range_cells = self.settings.range_cells
-        promised = promise(situation.grid, table.goals, np.array(self._lengths), range_cells)
+        promised = promise(situation.grid, table.goals, self._lengths, range_cells)
         worth = np.minimum(promised / PLENTY, 1.0)
-        between = planner.costs_between(table.goals, table.goals)
+        del planner
         tours = team_tours(
             self._loyal(table, situation),
-            np.minimum(between, between.T),
+            np.minimum(self._between, self._between.T),
             worth + self.options.crumb,
             np.full(len(table.goals), self.options.lateness / (2 * range_cells)),
             self.options.last,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agent.planning.path_planner import PathPlanner
 from agent.settings import Settings
 from agent.strategies.base import Decision, Pose, Situation
 from agent.strategies.repairmen import RECALL, Repairmen
@@ -81,6 +82,17 @@ def test_it_plans_anew_in_every_step_unless_told_otherwise() -> None:
         robot = mind(options=options)
         assert robot.decide(robot_at(5, 4)).target == GAP
         assert robot.decide(replace(robot_at(5, 4, opened), step=2)).target == expected
+
+
+def test_of_crumbs_in_one_place_one_is_a_goal_and_a_wall_parts_places() -> None:
+    for wall, goals in ((FREE, 2), (OCCUPIED, 3)):
+        grid = HALL.copy()
+        grid[0, 20] = grid[0, 24] = UNKNOWN
+        grid[1:-2, 22] = wall
+        grid[1:-1, 50:] = OCCUPIED
+        robot, situation = mind(grid=grid), robot_at(22, 7, grid)
+        robot.settings = settings_for(grid, 0, 2, ranges_cells=[50.0, 50.0])
+        assert len(robot.goals(situation, PathPlanner(grid))) == goals
 
 
 def test_loyalty_keeps_a_robot_from_turning_for_little() -> None:
