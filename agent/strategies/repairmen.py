@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 from agent.planning.assignment import Assignment
 from agent.planning.candidates import components, count_representatives, thin_out
 from agent.planning.clusters import medoids
+from agent.planning.frontier import is_frontier
 from agent.planning.gain import promise
+from agent.planning.giving_way import MEMORY
 from agent.planning.path_planner import PathPlanner
 from agent.planning.team_tours import team_tours
 from agent.settings import Settings
@@ -77,12 +79,24 @@ class Repairmen(TeamStrategy):
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)
+        self._past = 0
         self._lengths = np.empty(0, np.int64)
         self._between = np.empty((0, 0))
 
     def is_due(self, situation: Situation) -> bool:
-        """In each step, or as a team's."""
-        return self.options.replan == EACH_STEP or super().is_due(situation)
+        """In each step; as a team's where that is wanted, and while it gets past a teammate."""
+        each_step = self.options.replan == EACH_STEP and situation.step >= self._past
+        return each_step or super().is_due(situation)
+
+    def is_spent(self, situation: Situation, target: Cell, at: Cell) -> bool:
+        """As the parts say; with plans in each step as with `at-once`."""
+        if self.options.replan == EACH_STEP:
+            return not is_frontier(situation.grid, *target)
+        return super().is_spent(situation, target, at)
+
+    def _pass_by(self, situation: Situation, planner: PathPlanner) -> bool:
+        self._past = situation.step + MEMORY
+        return super()._pass_by(situation, planner)
 
     def team(self, situation: Situation) -> dict[int, Cell]:
         """The sub-team, and who left it not long ago: they are taken to be where they were headed."""

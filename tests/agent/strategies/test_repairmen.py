@@ -95,6 +95,17 @@ def test_of_crumbs_in_one_place_one_is_a_goal_and_a_wall_parts_places() -> None:
         assert len(robot.goals(situation, PathPlanner(grid))) == goals
 
 
+def test_a_robot_that_drives_around_a_teammate_does_not_turn_back_to_where_it_was_stopped() -> None:
+    robot = mind()
+    straight = robot.decide(robot_at(35, 4)).path[0].tolist()
+    for step in (2, 3):
+        around = robot.decide(replace(robot_at(35, 4, blocked="robot"), step=step)).path
+    assert around[0].tolist() != straight
+    x, y = around[0].tolist()
+    later = robot.decide(replace(robot_at(x, y), step=4))
+    assert later.path[: len(around) - 1].tolist() == around[1:].tolist()
+
+
 def test_loyalty_keeps_a_robot_from_turning_for_little() -> None:
     # Two gaps in the walls above and below, at the same way from the middle but for a cell.
     grid = HALL.copy()

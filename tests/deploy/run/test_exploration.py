@@ -30,6 +30,7 @@ from deploy.run.exploration import BROKEN_OFF, EXPLORED, NOT_FINISHED, Result
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario, parse
+from protocol.grid import FREE
 from protocol.packets import ALL_KINDS
 from worldsim import generators, maps
 
@@ -81,6 +82,15 @@ def test_a_run_leaves_the_files_of_the_contract_and_nothing_else(out: Path) -> N
         "scenario.toml", "summary.json", "steps.parquet", "ledger.parquet", "radio.pcapng", "maps.png",
         "map.yaml", "map.png", "team.yaml", "team.png",
     }  # fmt: skip
+
+
+def test_overlap_is_what_more_than_one_robot_has_seen_itself(floor: str) -> None:
+    alone = exploration.explore(scenario(floor, robots=1, steps=5), keep=False)
+    assert alone.summary["overlap"] == 0
+    result = exploration.explore(scenario(floor, steps=5), keep=False)
+    seen = sum((grid == FREE).astype(int) for grid in result.records.own.values())
+    assert result.summary["overlap"] == pytest.approx((seen > 1).sum() / (seen > 0).sum())
+    assert result.summary["overlap"] > 0
 
 
 def test_the_summary_has_every_name_of_the_contract(run: Result, out: Path) -> None:
