@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from agent.planning.clusters import medoids
 from agent.planning.path_planner import PathPlanner
+from agent.planning.utility import sees
+from protocol.grid import Grid
 from protocol.kernels import kernel
 
 CANDIDATES = ("cells", "rfe", "anr", "breadth-first")
@@ -64,16 +66,21 @@ def goal_candidates(
 
 
 def free_edges(cells: NDArray[np.int32]) -> list[NDArray[np.int32]]:
-    """Part frontier cells into 8-connected components, in the order of their first cells.
+    """Part frontier cells as `components`.
 
     Edges of fewer than `LEAST_CELLS` cells are left out, unless all are that small: they are taken up last,
     so that nothing which can be reached stays unexplored.
     """
+    edges = components(cells)
+    return [edge for edge in edges if len(edge) >= LEAST_CELLS] or edges
+
+
+def components(cells: NDArray[np.int32]) -> list[NDArray[np.int32]]:
+    """Part frontier cells, at least one, into 8-connected components, in the order of their first cells."""
     owner = np.full(len(cells), -1)
     _part(cells, owner)
     order = np.argsort(owner, kind="stable")
-    edges = np.split(cells[order], np.flatnonzero(np.diff(owner[order])) + 1)
-    return [edge for edge in edges if len(edge) >= LEAST_CELLS] or edges
+    return np.split(cells[order], np.flatnonzero(np.diff(owner[order])) + 1)
 
 
 def count_representatives(cells: int, range_cells: float) -> int:
@@ -109,6 +116,48 @@ def representatives(cells: NDArray[np.int32], range_cells: float, at_least: int 
             break
         counts[int(np.argmax(shares))] += 1
     return np.concatenate([medoids(edge, count) for edge, count in zip(edges, counts, strict=True)])
+
+
+def thin_out(
+    grid: Grid, cells: NDArray[np.int32], lengths: NDArray[np.int64], gap: float
+) -> NDArray[np.int64]:
+    """Leave out representatives that lie nearer than `gap` to one of a longer edge, and in its sight.
+
+    Parameters
+    ----------
+    grid : uint8 array, shape (h, w)
+        The planning grid; occupied cells on it hide cells from each other.
+    cells : int32 array, shape (n, 2)
+        Representatives (x, y).
+    lengths : int64 array, shape (n,)
+        How many cells the edge of each has; of equally long ones the first counts.
+    gap : float
+        In cells.
+
+    Returns
+    -------
+    int64 array, shape (m,)
+        The numbers of those that stay, the longest edge's first.
+    """
+    order = np.argsort(-lengths, kind="stable")
+    return order[: _thin_out(grid, cells, gap, order)]
+
+
+@kernel("int64(uint8[:,::1], int32[:,::1], float64, int64[::1])")
+def _thin_out(grid: Grid, cells: NDArray[np.int32], gap: float, order: NDArray[np.int64]) -> int:
+    """Move those that stay to the front of `order`; return how many they are."""
+    kept = 0
+    for number in order:
+        stays = True
+        for other in order[:kept]:
+            dx, dy = cells[number, 0] - cells[other, 0], cells[number, 1] - cells[other, 1]
+            if dx * dx + dy * dy < gap * gap and sees(grid, cells[number], cells[other], gap) > 0.0:
+                stays = False
+                break
+        if stays:
+            order[kept] = number
+            kept += 1
+    return kept
 
 
 @kernel("void(int32[:,::1], int64[::1])")

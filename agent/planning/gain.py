@@ -1,4 +1,8 @@
-"""Information gain of frontier cells: unknown cells in sensor range that nobody else is about to see."""
+"""Information gain of frontier cells: how much there is to see from them.
+
+information_gain  unknown cells in sensor range that nobody else is about to see
+promise           the unknown area in sight, and how much of that is likely to be floor
+"""
 
 from __future__ import annotations
 
@@ -7,8 +11,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.grid import UNKNOWN, Grid
+from protocol.grid import OCCUPIED, UNKNOWN, Grid, fan
 from protocol.kernels import kernel
+
+BEAMS = 92
+"""Beams by which the unknown in sight is measured."""
+
+_LEAST_FLOOR, _MOST_FLOOR, _A_LENGTH = 0.13, 0.35, 0.3
+"""How much of the unknown in sight of a free edge turns out to be floor that is seen from there: the least, the
+most, and how much more for an edge as long as the sensor's range."""
 
 
 def information_gain(
@@ -37,6 +48,63 @@ def information_gain(
     gain = np.zeros(len(cells), np.int64)
     _count(grid, cells, np.array(others, np.int32).reshape(-1, 2), reach, gain)
     return gain
+
+
+def promise(
+    grid: Grid, cells: NDArray[np.int32], lengths: NDArray[np.int64], range_cells: float
+) -> NDArray[np.float64]:
+    """Predict what is to be seen from representatives of free edges.
+
+    The unknown area in sight through what is free or unknown itself bounds it. Most of that lies behind walls
+    which nobody has seen yet: the shorter the edge, the more.
+
+    Parameters
+    ----------
+    grid : uint8 array, shape (h, w)
+        The planning grid.
+    cells : int32 array, shape (n, 2)
+        Frontier cells (x, y).
+    lengths : int64 array, shape (n,)
+        How many cells the free edge of each has.
+    range_cells : float
+        Sensor range.
+
+    Returns
+    -------
+    float64 array, shape (n,)
+        Shares of the sensor's disc.
+    """
+    around = fan(range_cells, BEAMS)
+    unknown = np.empty(len(cells))
+    _look(grid, cells, around.cells, around.start, unknown)
+    floor = np.minimum(_LEAST_FLOOR + _A_LENGTH * lengths / range_cells, _MOST_FLOOR)
+    shares: NDArray[np.float64] = floor * unknown / (BEAMS * range_cells**2 / 2)
+    return shares
+
+
+@kernel("void(uint8[:,::1], int32[:,::1], int32[:,::1], int32[::1], float64[::1])")
+def _look(
+    grid: Grid,
+    cells: NDArray[np.int32],
+    fan_cells: NDArray[np.int32],
+    start: NDArray[np.int32],
+    unknown: NDArray[np.float64],
+) -> None:
+    """Sum, over all beams of each cell, the way over unknown cells times the distance at which it is."""
+    height, width = grid.shape
+    for index in range(len(cells)):
+        total = 0.0
+        for beam in range(len(start) - 1):
+            before = 0.0
+            for at in range(start[beam], start[beam + 1]):
+                x, y = cells[index, 0] + fan_cells[at, 0], cells[index, 1] + fan_cells[at, 1]
+                if x < 0 or y < 0 or x >= width or y >= height or grid[y, x] == OCCUPIED:
+                    break
+                squared = float(fan_cells[at, 0] ** 2 + fan_cells[at, 1] ** 2)
+                if grid[y, x] == UNKNOWN:
+                    total += (squared - before) / 2
+                before = squared
+        unknown[index] = total
 
 
 @kernel("void(uint8[:,::1], int32[:,::1], int32[:,::1], int64[::1], int64[::1])")

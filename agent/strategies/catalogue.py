@@ -17,6 +17,7 @@ A strategy is made of parts. Each names its own; options exchange them:
     rfe            representatives of free edges
     anr            representatives, at least as many as robots
     breadth-first  the nearest that nobody is headed for
+    edges          representatives of all free edges, crumbs included (repairmen)
   costs        how ways are counted
     shortest       by their length
     weighted       by length times occupancy of a smoothed map
@@ -24,6 +25,7 @@ A strategy is made of parts. Each names its own; options exchange them:
     at-goal        at the target
     at-once        when the target is no frontier any more
     after-turn     at the target, after a full turn of the scanner
+    each-step      in every step (repairmen)
   mission      what comes after the last target
     open           the run ends with the first robot that has nothing left
     return         all drive home, then it ends

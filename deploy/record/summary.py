@@ -41,8 +41,10 @@ def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "map_agreement": _share_free(records.planning[wanted], reachable)
         if wanted in records.planning
         else None,
+        "t50": _first_step(records, 0.50),
         "t90": _first_step(records, 0.90),
         "t99": _first_step(records, 0.99),
+        "overlap": _overlap(records, reachable),
         "path_length": [mm / 1000 for mm in records.world[-1].driven] if records.world else [],
         "robots": scenario.robots,
         "seed": scenario.seed,
@@ -96,6 +98,16 @@ def _coverage(records: Records, reachable: Mask) -> float:
     for grid in records.own.values():
         team |= grid == FREE
     return float((team & reachable).sum() / reachable.sum())
+
+
+def _overlap(records: Records, reachable: Mask) -> float | None:
+    """Cells that more than one robot has seen itself, over cells seen; None where not all have told their grids."""
+    if not records.own or records.lost:
+        return None
+    seen = np.zeros(reachable.shape, np.int64)
+    for grid in records.own.values():
+        seen += (grid == FREE) & reachable
+    return float((seen > 1).sum() / (seen > 0).sum())
 
 
 def _share_free(grid: NDArray[np.uint8], reachable: Mask) -> float:

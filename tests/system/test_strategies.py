@@ -20,8 +20,8 @@ from worldsim.process import STALLED
 
 NAMES = [
     "burgard", "burgard-optimal", "classical", "continuous-replan", "greedy", "hungarian", "hungarian-depot",
-    "iterative", "leaders", "meier", "mtsp", "mtsp-depot", "nearest", "potential-field", "scan-replan",
-    "sheng-bid", "stop-scan-replan",
+    "iterative", "leaders", "meier", "mtsp", "mtsp-depot", "nearest", "potential-field", "repairmen",
+    "scan-replan", "sheng-bid", "stop-scan-replan",
 ]  # fmt: skip
 
 STALLS = "potential-field"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hypothesis import given
+from hypothesis import strategies as st
 from scipy import ndimage
 
 from agent.planning.candidates import (
@@ -13,12 +14,14 @@ from agent.planning.candidates import (
     free_edges,
     goal_candidates,
     representatives,
+    thin_out,
 )
 from agent.planning.clusters import k_means, medoids
 from agent.planning.frontier import is_frontier
 from agent.planning.gain import information_gain
 from agent.planning.path_planner import PathPlanner
-from protocol.grid import FREE, UNKNOWN, Grid
+from agent.planning.utility import in_sight
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from tests.agent.planning.planning_references import drawn, grids
 
 
@@ -108,3 +111,24 @@ def test_information_gain_counts_unknown_cells_in_a_disc_that_no_teammate_will_s
         for cx, cy in cells
     ]
     assert information_gain(grid, cells, reach, others).tolist() == slow
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.5, 20.0))
+def test_thinned_out_nobody_is_near_one_that_stays_and_all_others_are_near_a_longer_edge(
+    seed: int, gap: float
+) -> None:
+    random = np.random.default_rng(seed)
+    grid = random.choice(np.array([FREE, OCCUPIED], np.uint8), (30, 30), p=[0.9, 0.1])
+    ys, xs = np.nonzero(grid == FREE)
+    pick = random.permutation(len(xs))[:40]
+    cells = np.stack([xs[pick], ys[pick]], axis=1).astype(np.int32)
+    lengths = random.integers(1, 6, len(cells))
+    stay = thin_out(grid, cells, lengths, gap).tolist()
+
+    def near(one: int, other: int) -> bool:
+        (x0, y0), (x1, y1) = cells[one].tolist(), cells[other].tolist()
+        return (x0 - x1) ** 2 + (y0 - y1) ** 2 < gap**2 and in_sight(grid, x0, y0, x1, y1)
+
+    assert not any(near(one, other) for one in stay for other in stay if one != other)
+    for number in set(range(len(cells))) - set(stay):
+        assert any(near(number, other) and lengths[other] >= lengths[number] for other in stay)

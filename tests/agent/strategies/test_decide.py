@@ -88,7 +88,9 @@ def test_nearest_does_not_care_for_others_and_tells_nothing() -> None:
     assert decide("nearest", robot_at(4, targets={1: (0, 1)}, heard={1: 1})).target == (0, 1)
 
 
-@pytest.mark.parametrize("name", ["burgard", "burgard-optimal", "greedy", "iterative", "hungarian", "mtsp"])
+@pytest.mark.parametrize(
+    "name", ["burgard", "burgard-optimal", "greedy", "iterative", "hungarian", "mtsp", "repairmen"]
+)
 def test_members_of_a_sub_team_compute_one_assignment(name: str) -> None:
     cells = {0: (4, 1), 1: (5, 1)}
     targets = []

@@ -13,8 +13,8 @@ from agent.strategies.targets import Parts
 
 NAMES = [
     "burgard", "burgard-optimal", "classical", "continuous-replan", "greedy", "hungarian", "hungarian-depot",
-    "iterative", "leaders", "meier", "mtsp", "mtsp-depot", "nearest", "potential-field", "scan-replan",
-    "sheng-bid", "stop-scan-replan",
+    "iterative", "leaders", "meier", "mtsp", "mtsp-depot", "nearest", "potential-field", "repairmen",
+    "scan-replan", "sheng-bid", "stop-scan-replan",
 ]  # fmt: skip
 
 
@@ -64,6 +64,8 @@ def test_an_unknown_strategy_is_refused_with_the_list_of_those_there_are() -> No
         ("burgard", {"replan": "after-turn"}, r"would wait for its last scanner"),
         ("greedy", {"candidates": "breadth-first"}, r"one robot's goal, not a team's"),
         ("mtsp", {"candidates": "cells"}, r"a tour needs the way between every two goals"),
+        ("repairmen", {"candidates": "cells"}, r"candidates of repairmen is one of edges; not 'cells'"),
+        ("repairmen", {"lateness": -1.0}, r"option lateness of repairmen must be 0 or more"),
         ("hungarian-depot", {"mission": "open"}, r"count the way back to the depot"),
         ("mtsp-depot", {"mission": "open"}, r"count the way back to the depot"),
         (

@@ -30,12 +30,13 @@ from deploy.run.exploration import BROKEN_OFF, EXPLORED, NOT_FINISHED, Result
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario, parse
+from protocol.grid import FREE
 from protocol.packets import ALL_KINDS
 from worldsim import generators, maps
 
 CONTRACT = {
-    "finished", "steps", "first_robot", "coverage", "map_agreement", "t90", "t99", "path_length", "robots",
-    "seed", "bus", "strategy", "exchange", "bandwidth", "range_m", "bytes", "packets", "wire_bytes",
+    "finished", "steps", "first_robot", "coverage", "map_agreement", "t50", "t90", "t99", "overlap", "path_length",
+    "robots", "seed", "bus", "strategy", "exchange", "bandwidth", "range_m", "bytes", "packets", "wire_bytes",
     "raw_scan_bytes", "over_budget_steps", "undelivered",
     "approximation_error", "digest", "wall_s", "steps_per_s", "versions",
 }  # fmt: skip
@@ -83,6 +84,15 @@ def test_a_run_leaves_the_files_of_the_contract_and_nothing_else(out: Path) -> N
     }  # fmt: skip
 
 
+def test_overlap_is_what_more_than_one_robot_has_seen_itself(floor: str) -> None:
+    alone = exploration.explore(scenario(floor, robots=1, steps=5), keep=False)
+    assert alone.summary["overlap"] == 0
+    result = exploration.explore(scenario(floor, steps=5), keep=False)
+    seen = sum((grid == FREE).astype(int) for grid in result.records.own.values())
+    assert result.summary["overlap"] == pytest.approx((seen > 1).sum() / (seen > 0).sum())
+    assert result.summary["overlap"] > 0
+
+
 def test_the_summary_has_every_name_of_the_contract(run: Result, out: Path) -> None:
     summary = json.loads((out / "summary.json").read_text())
     assert summary == run.summary
@@ -90,7 +100,7 @@ def test_the_summary_has_every_name_of_the_contract(run: Result, out: Path) -> N
     assert summary["finished"]
     assert summary["steps"] == run.records.step
     assert summary["coverage"] == summary["map_agreement"] == 1
-    assert summary["t90"] <= summary["t99"] <= summary["steps"]
+    assert summary["t50"] <= summary["t90"] <= summary["t99"] <= summary["steps"]
     assert summary["over_budget_steps"] == 0
     assert summary["wire_bytes"] is None
     assert len(summary["path_length"]) == summary["robots"] == 3

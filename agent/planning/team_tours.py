@@ -1,0 +1,291 @@
+"""Tours of a whole team through all goals: who serves which, and in which order.
+
+The problem is the k-travelling repairmen's: not the length of the tours counts, but how late each goal is
+reached. A goal costs its weight times its arrival and its lateness times the square of that, so that small
+goals may wait for a while but not for long; and on top counts when the last robot is done. Goals are inserted
+one by one where they cost least; then a goal moves elsewhere, or two robots swap the ends of their tours, for
+as long as that helps. What a move costs is known from sums over the rest of a tour, without driving along it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.kernels import kernel
+
+ROUNDS = 10
+"""The search ends when no move helps, or after so many rounds of all."""
+
+Numbers = NDArray[np.float64]
+
+_LEAST = 1e-7
+"""What a move must gain: less is rounding."""
+
+
+def team_tours(
+    starts: Numbers, between: Numbers, weights: Numbers, lateness: Numbers, last: float
+) -> list[list[int]]:
+    """Plan one tour a robot, so that goals of weight are reached soon and none very late.
+
+    Parameters
+    ----------
+    starts : float64 array, shape (m, n)
+        Way from each robot to each goal; infinite where none leads.
+    between : float64 array, shape (n, n)
+        Way from goal to goal, symmetric.
+    weights : float64 array, shape (n,)
+        Cost of each goal a unit of way at its arrival.
+    lateness : float64 array, shape (n,)
+        The same of the arrival's square.
+    last : float
+        Cost of the longest tour, a unit of way.
+
+    Returns
+    -------
+    list of lists of int
+        The numbers of each robot's goals, in its order; goals that no robot can reach are in none.
+    """
+    robots, goals = starts.shape
+    tours = np.full((robots, goals), -1)
+    counts = np.zeros(robots, np.int64)
+    order = np.lexsort((starts.min(axis=0), -weights)) if goals else np.empty(0, np.int64)
+    _plan(starts, between, weights, lateness, last, order, tours, counts)
+    return [tour[:count].tolist() for tour, count in zip(tours, counts, strict=True)]
+
+
+def tours_cost(
+    tours: list[list[int]],
+    starts: Numbers,
+    between: Numbers,
+    weights: Numbers,
+    lateness: Numbers,
+    last: float,
+) -> float:
+    """What `team_tours` makes small."""
+    total, longest = 0.0, 0.0
+    for robot, tour in enumerate(tours):
+        arrival = 0.0
+        for place, goal in enumerate(tour):
+            arrival += starts[robot, goal] if place == 0 else between[tour[place - 1], goal]
+            total += float(weights[goal] * arrival + lateness[goal] * arrival**2)
+        longest = max(longest, float(arrival))
+    return total + last * longest
+
+
+_TOUR = "int64[::1], int64, float64[::1], float64[:,::1], float64[::1], float64[::1], float64[:,::1]"
+
+
+@kernel(f"float64({_TOUR})")
+def _drive(
+    tour: NDArray[np.int64],
+    count: int,
+    start: Numbers,
+    between: Numbers,
+    weights: Numbers,
+    lateness: Numbers,
+    book: Numbers,
+) -> float:
+    """Note the arrival at each place of a tour, and sums over the goals from there on; return the tour's cost.
+
+    `book[k]` has the arrival, the sums of weight, of lateness, and of lateness times arrival.
+    """
+    arrival = 0.0
+    total = 0.0
+    for place in range(count):
+        goal = tour[place]
+        arrival += start[goal] if place == 0 else between[tour[place - 1], goal]
+        book[place, 0] = arrival
+        total += weights[goal] * arrival + lateness[goal] * arrival * arrival
+    book[count] = 0.0
+    for place in range(count - 1, -1, -1):
+        goal = tour[place]
+        book[place, 1] = book[place + 1, 1] + weights[goal]
+        book[place, 2] = book[place + 1, 2] + lateness[goal]
+        book[place, 3] = book[place + 1, 3] + lateness[goal] * book[place, 0]
+    return total
+
+
+@kernel("float64(float64[:,::1], int64, float64)")
+def _delay(book: Numbers, place: int, later: float) -> float:
+    """What it costs if all goals of a tour from `place` on are reached `later`."""
+    return float(later * (book[place, 1] + 2.0 * book[place, 3] + later * book[place, 2]))
+
+
+@kernel("float64(float64[:,:,::1], int64[::1], int64)")
+def _end(books: Numbers, counts: NDArray[np.int64], robot: int) -> float:
+    """When a robot is done."""
+    return float(books[robot, counts[robot] - 1, 0]) if counts[robot] else 0.0
+
+
+@kernel("float64(float64[:,:,::1], int64[::1], int64, int64)")
+def _longest(books: Numbers, counts: NDArray[np.int64], one: int, other: int) -> float:
+    """When the last robot but these two is done."""
+    longest = 0.0
+    for robot in range(len(counts)):
+        if robot not in (one, other):
+            longest = max(longest, _end(books, counts, robot))
+    return longest
+
+
+_ALL = "float64[:,::1], float64[:,::1], float64[::1], float64[::1], float64"
+_STATE = "int64[:,::1], int64[::1], float64[:,:,::1]"
+
+
+@kernel(f"Tuple((float64, int64, int64))(int64, {_ALL}, {_STATE})")
+def _best_place(
+    goal: int,
+    starts: Numbers,
+    between: Numbers,
+    weights: Numbers,
+    lateness: Numbers,
+    last: float,
+    tours: NDArray[np.int64],
+    counts: NDArray[np.int64],
+    books: Numbers,
+) -> tuple[float, int, int]:
+    """Where a goal costs least: the cost, the robot (-1 if none can reach it) and the place in its tour."""
+    least, best_robot, best_place = np.inf, -1, -1
+    for robot in range(len(counts)):
+        if not np.isfinite(starts[robot, goal]):
+            continue
+        others = _longest(books, counts, robot, robot)
+        end = _end(books, counts, robot)
+        for place in range(counts[robot] + 1):
+            arrival = starts[robot, goal]
+            if place:
+                before = tours[robot, place - 1]
+                arrival = books[robot, place - 1, 0] + between[before, goal]
+            cost = arrival * (weights[goal] + arrival * lateness[goal])
+            new_end = arrival
+            if place < counts[robot]:
+                later = arrival + between[goal, tours[robot, place]] - books[robot, place, 0]
+                cost += _delay(books[robot], place, later)
+                new_end = end + later
+            cost += last * (max(others, new_end) - max(others, end))
+            if cost < least:
+                least, best_robot, best_place = cost, robot, place
+    return least, best_robot, best_place
+
+
+@kernel(f"boolean(int64, {_ALL}, {_STATE})")
+def _move(
+    goal: int,
+    starts: Numbers,
+    between: Numbers,
+    weights: Numbers,
+    lateness: Numbers,
+    last: float,
+    tours: NDArray[np.int64],
+    counts: NDArray[np.int64],
+    books: Numbers,
+) -> bool:
+    """Put a goal where it costs least; whether it was elsewhere before."""
+    robot, place, gain = -1, -1, np.inf
+    for each in range(len(counts)):
+        for at in range(counts[each]):
+            if tours[each, at] == goal:
+                robot, place = each, at
+    if robot >= 0:
+        others = _longest(books, counts, robot, robot)
+        gain = last * max(others, _end(books, counts, robot))
+        gain += _drive(tours[robot], counts[robot], starts[robot], between, weights, lateness, books[robot])
+        tours[robot, place : counts[robot] - 1] = tours[robot, place + 1 : counts[robot]].copy()
+        counts[robot] -= 1
+        gain -= _drive(tours[robot], counts[robot], starts[robot], between, weights, lateness, books[robot])
+        gain -= last * max(others, _end(books, counts, robot))
+    cost, to_robot, to_place = _best_place(
+        goal, starts, between, weights, lateness, last, tours, counts, books
+    )
+    moved = to_robot >= 0 and cost < gain - _LEAST
+    if not moved:
+        to_robot, to_place = robot, place
+    if to_robot >= 0:
+        tours[to_robot, to_place + 1 : counts[to_robot] + 1] = tours[
+            to_robot, to_place : counts[to_robot]
+        ].copy()
+        tours[to_robot, to_place] = goal
+        counts[to_robot] += 1
+        _drive(
+            tours[to_robot], counts[to_robot], starts[to_robot], between, weights, lateness, books[to_robot]
+        )
+    return moved
+
+
+@kernel(f"boolean(int64, int64, {_ALL}, {_STATE})")
+def _swap_ends(
+    one: int,
+    other: int,
+    starts: Numbers,
+    between: Numbers,
+    weights: Numbers,
+    lateness: Numbers,
+    last: float,
+    tours: NDArray[np.int64],
+    counts: NDArray[np.int64],
+    books: Numbers,
+) -> bool:
+    """Swap the ends of two tours where that gains most; whether it gains anything."""
+    others = _longest(books, counts, one, other)
+    end_one, end_other = _end(books, counts, one), _end(books, counts, other)
+    now = max(others, end_one, end_other)
+    best, best_one, best_other = -_LEAST, -1, -1
+    for place in range(counts[one] + 1):
+        gone = books[one, place - 1, 0] if place else 0.0
+        for at in range(counts[other] + 1):
+            run = books[other, at - 1, 0] if at else 0.0
+            cost, new_one, new_other = 0.0, gone, run
+            if at < counts[other]:
+                goal = tours[other, at]
+                step = between[tours[one, place - 1], goal] if place else starts[one, goal]
+                later = gone + step - books[other, at, 0]
+                cost += _delay(books[other], at, later)
+                new_one = end_other + later
+            if place < counts[one]:
+                goal = tours[one, place]
+                step = between[tours[other, at - 1], goal] if at else starts[other, goal]
+                later = run + step - books[one, place, 0]
+                cost += _delay(books[one], place, later)
+                new_other = end_one + later
+            cost += last * (max(others, new_one, new_other) - now)
+            if cost < best:
+                best, best_one, best_other = cost, place, at
+    if best_one < 0:
+        return False
+    tail_one = tours[one, best_one : counts[one]].copy()
+    tail_other = tours[other, best_other : counts[other]].copy()
+    counts[one], counts[other] = best_one + len(tail_other), best_other + len(tail_one)
+    tours[one, best_one : counts[one]] = tail_other
+    tours[other, best_other : counts[other]] = tail_one
+    for robot in (one, other):
+        _drive(tours[robot], counts[robot], starts[robot], between, weights, lateness, books[robot])
+    return True
+
+
+@kernel(f"void({_ALL}, int64[::1], int64[:,::1], int64[::1])")
+def _plan(
+    starts: Numbers,
+    between: Numbers,
+    weights: Numbers,
+    lateness: Numbers,
+    last: float,
+    order: NDArray[np.int64],
+    tours: NDArray[np.int64],
+    counts: NDArray[np.int64],
+) -> None:
+    """Insert the goals in their order, and improve; `tours` and `counts` begin empty."""
+    robots, goals = starts.shape
+    books = np.zeros((robots, goals + 1, 4))
+    for goal in order:
+        _move(goal, starts, between, weights, lateness, last, tours, counts, books)
+    for _ in range(ROUNDS):
+        improved = False
+        for goal in order:
+            improved |= _move(goal, starts, between, weights, lateness, last, tours, counts, books)
+        for one in range(robots):
+            for other in range(one):
+                improved |= _swap_ends(
+                    one, other, starts, between, weights, lateness, last, tours, counts, books
+                )
+        if not improved:
+            break

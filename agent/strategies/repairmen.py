@@ -1,0 +1,179 @@
+"""Tours for the whole team that reach much soon and leave nothing for late: our own strategy, of no paper.
+
+Every free edge is a goal, however small. What it promises is predicted from the unknown area in sight of it; a
+crumb promises next to nothing, but it must be fetched some time, and what is left behind is a long way back. So
+robots plan as k travelling repairmen (`agent.planning.team_tours`): together they order all goals into tours, in
+which a goal costs by what it promises and by when it is reached, a crumb the more the later, and the last robot's
+end counts on top. Each drives to the first goal of its own tour and plans anew in every step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.planning.assignment import Assignment
+from agent.planning.candidates import components, count_representatives, thin_out
+from agent.planning.clusters import medoids
+from agent.planning.frontier import is_frontier
+from agent.planning.gain import promise
+from agent.planning.giving_way import MEMORY
+from agent.planning.path_planner import PathPlanner
+from agent.planning.team_tours import team_tours
+from agent.settings import Settings
+from agent.strategies.base import Cell, Situation
+from agent.strategies.options import option
+from agent.strategies.targets import Parts
+from agent.strategies.team import PATIENCE, Table, TeamStrategy
+
+PLENTY = 1 / 8
+"""An edge that promises this share of the sensor's disc, or more, has the weight 1."""
+
+WORTHWHILE = 1 / 2
+"""A robot without a tour goes where others explore an edge of this weight or more."""
+
+SAME = 1 / 4
+"""An edge within this many sensor ranges of a robot's last target may be what is left of it."""
+
+
+GAP = 1 / 10
+"""Goals nearer to each other than this many sensor ranges, in sight of each other, are one, or those farther
+apart where there are more than `MOST`."""
+
+MOST = 48
+"""Goals of a plan, more or less: ways between all pairs of them are searched in every step."""
+
+RECALL = 50
+"""Steps for which a teammate out of range is believed to be at the last target that it told of."""
+
+EACH_STEP = "each-step"
+
+
+@dataclass(frozen=True)
+class Options(Parts):
+    """Options of the strategy."""
+
+    candidates: str = option("edges", "which cells are worth going to", ("edges",))
+    replan: str = option(EACH_STEP, "when a new target is chosen", (EACH_STEP, "at-once", "at-goal"))
+    crumb: float = option(
+        0.1, "weight of an edge that promises nothing; one that promises much has 1", least=0
+    )
+    lateness: float = option(
+        0.2, "by how much an edge's weight grows with each sensor range of way until it is reached", least=0
+    )
+    last: float = option(2.0, "weight of the longest tour", least=0)
+    loyalty: float = option(0.2, "by how many sensor ranges a robot's last target seems nearer", least=0)
+
+
+class Repairmen(TeamStrategy):
+    """Weighted arrivals over tours of the whole team."""
+
+    name = "repairmen"
+    summary = "the team plans tours through all free edges that reach much soon and leave nothing for late"
+    source = "Murmur, after the k-travelling repairmen problem (minimum latency)"
+    options_type = Options
+
+    def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
+        super().__init__(options, settings)
+        self._past = 0
+        self._lengths = np.empty(0, np.int64)
+        self._between = np.empty((0, 0))
+
+    def is_due(self, situation: Situation) -> bool:
+        """In each step; as a team's where that is wanted, and while it gets past a teammate."""
+        each_step = self.options.replan == EACH_STEP and situation.step >= self._past
+        return each_step or super().is_due(situation)
+
+    def is_spent(self, situation: Situation, target: Cell, at: Cell) -> bool:
+        """As the parts say; with plans in each step as with `at-once`."""
+        if self.options.replan == EACH_STEP:
+            return not is_frontier(situation.grid, *target)
+        return super().is_spent(situation, target, at)
+
+    def _pass_by(self, situation: Situation, planner: PathPlanner) -> bool:
+        self._past = situation.step + MEMORY
+        return super()._pass_by(situation, planner)
+
+    def team(self, situation: Situation) -> dict[int, Cell]:
+        """The sub-team, and who left it not long ago: they are taken to be where they were headed."""
+        members = super().team(situation)
+        if self._waited < PATIENCE:
+            for peer, target in situation.targets.items():
+                if situation.step - situation.heard.get(peer, 0) <= RECALL:
+                    members.setdefault(peer, target)
+        return dict(sorted(members.items()))
+
+    def goals(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:
+        """Representatives of all free edges that can be reached, however small; of those in a place one."""
+        frontier = planner.frontier(*situation.here)
+        if not len(frontier):
+            return frontier
+        range_cells = self.settings.range_cells
+        found, sizes = [], []
+        for edge in components(frontier):
+            found.append(medoids(edge, min(len(edge), count_representatives(len(edge), range_cells))))
+            sizes += [len(edge)] * len(found[-1])
+        cells, lengths = np.concatenate(found), np.array(sizes)
+        gap = GAP * range_cells
+        stays = thin_out(situation.grid, cells, lengths, gap)
+        while len(stays) > MOST and gap < range_cells:
+            gap *= 1.5
+            stays = thin_out(situation.grid, cells, lengths, gap)
+        self._lengths = lengths[stays]
+        return cells[stays]
+
+    def table(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Table:
+        """As a team's; ways between goals are searched for at once with those of the robots."""
+        team = self.team(situation)
+        cells = np.array(list(team.values()), np.int32)
+        ways = planner.costs_between(goals, np.concatenate([cells, goals]))
+        self._between = np.ascontiguousarray(ways[:, len(cells) :])
+        return Table(tuple(team), cells, goals, np.ascontiguousarray(ways[:, : len(cells)].T))
+
+    def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
+        """With which goal the tour of each robot begins."""
+        range_cells = self.settings.range_cells
+        promised = promise(situation.grid, table.goals, self._lengths, range_cells)
+        worth = np.minimum(promised / PLENTY, 1.0)
+        del planner
+        tours = team_tours(
+            self._loyal(table, situation),
+            np.minimum(self._between, self._between.T),
+            worth + self.options.crumb,
+            np.full(len(table.goals), self.options.lateness / (2 * range_cells)),
+            self.options.last,
+        )
+        return _follow(np.array([tour[0] if tour else -1 for tour in tours]), table.costs, worth)
+
+    def _loyal(self, table: Table, situation: Situation) -> NDArray[np.float64]:
+        """The ways to all goals, a little shorter to what is left of each robot's last target."""
+        range_cells = self.settings.range_cells
+        ways = table.costs.copy()
+        for way, robot in zip(ways, table.robots, strict=True):
+            target = self.target if robot == self.settings.robot else situation.targets.get(robot)
+            if target is not None:
+                gap = np.abs(table.goals - target).max(axis=1)
+                nearest = int(np.argmin(gap))
+                if gap[nearest] <= SAME * range_cells:
+                    way[nearest] = max(0.0, way[nearest] - self.options.loyalty * range_cells)
+        return ways
+
+
+def _follow(firsts: Assignment, ways: NDArray[np.float64], worth: NDArray[np.float64]) -> Assignment:
+    """Send robots without a tour after the others, to where much more is to be found than is known.
+
+    Each goes to the nearest of the goals of some worth to which the fewest are headed.
+    """
+    headed = np.bincount(firsts[firsts >= 0], minlength=len(worth)).astype(np.float64)
+    headed[worth < WORTHWHILE] = np.inf
+    for robot in np.flatnonzero(firsts < 0):
+        near = np.where(headed == headed.min(), ways[robot], np.inf)
+        goal = int(np.argmin(near))
+        if np.isfinite(headed[goal]) and np.isfinite(near[goal]):
+            firsts[robot] = goal
+            headed[goal] += 1
+    return firsts

@@ -1,0 +1,118 @@
+"""What repairmen decide, worked out by hand on small maps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agent.planning.path_planner import PathPlanner
+from agent.settings import Settings
+from agent.strategies.base import Decision, Pose, Situation
+from agent.strategies.repairmen import RECALL, Repairmen
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from tests.agent.planning.planning_references import settings_for
+
+# A hall of which the left end is a wall with one gap, a cell wide, and the right end is not known yet.
+HALL: Grid = np.full((9, 60), FREE, np.uint8)
+HALL[[0, -1]] = OCCUPIED
+HALL[:, 0] = OCCUPIED
+HALL[4, 0] = UNKNOWN
+HALL[1:-1, 50:] = UNKNOWN
+GAP, END = (1, 4), (49, 4)
+
+
+def mind(robot: int = 0, options: dict[str, Any] | None = None, grid: Grid = HALL) -> Repairmen:
+    task: Settings = settings_for(grid, robot, 2, ranges_cells=[10.0, 10.0])
+    return Repairmen(options or {}, task)
+
+
+def robot_at(x: int, y: int, grid: Grid = HALL, **others: Any) -> Situation:
+    return Situation(step=1, grid=grid, x=x, y=y, home=(x, y), **others)
+
+
+def target(x: int, options: dict[str, Any] | None = None) -> Any:
+    return mind(0, options).decide(robot_at(x, 4)).target
+
+
+def test_what_promises_much_comes_first_and_a_crumb_where_it_is_near() -> None:
+    assert target(5) == GAP
+    assert target(35) == END
+
+
+@pytest.mark.parametrize(("crumb", "first"), [(0.0, END), (1.0, GAP)])
+def test_the_weight_of_crumbs_says_how_near(crumb: float, first: tuple[int, int]) -> None:
+    assert target(15, {"crumb": crumb, "lateness": 0.0, "last": 0.0}) == first
+
+
+def test_a_crumb_is_not_left_behind_where_lateness_or_the_last_robots_end_counts() -> None:
+    alone = {"crumb": 0.01, "lateness": 0.0, "last": 0.0}
+    assert target(12, alone) == END
+    assert target(12, alone | {"lateness": 1.0}) == GAP
+    assert target(12, alone | {"last": 5.0}) == GAP
+
+
+def both(situations: list[Situation]) -> list[Decision]:
+    return [mind(robot).decide(situation) for robot, situation in enumerate(situations)]
+
+
+def test_two_that_hear_each_other_share_what_there_is() -> None:
+    poses = [Pose(20, 4, leads=False), Pose(22, 4, leads=False)]
+    found = both([
+        robot_at(*poses[robot][:2], peers=(1 - robot,), poses={1 - robot: poses[1 - robot]})
+        for robot in (0, 1)
+    ])  # fmt: skip
+    assert [each.target for each in found] == [GAP, END]
+
+
+def test_a_teammate_out_of_range_is_believed_to_be_where_it_was_headed_but_not_for_long() -> None:
+    away = robot_at(35, 4, targets={1: (45, 4)}, heard={1: 1})
+    assert mind().decide(away).target == GAP
+    assert mind().decide(replace(away, step=1 + RECALL)).target == GAP
+    assert mind().decide(replace(away, step=2 + RECALL)).target == END
+
+
+def test_it_plans_anew_in_every_step_unless_told_otherwise() -> None:
+    opened = HALL.copy()
+    opened[4, 0] = OCCUPIED
+    opened[0, 12] = UNKNOWN
+    for options, expected in (({}, (12, 1)), ({"replan": "at-goal"}, GAP)):
+        robot = mind(options=options)
+        assert robot.decide(robot_at(5, 4)).target == GAP
+        assert robot.decide(replace(robot_at(5, 4, opened), step=2)).target == expected
+
+
+def test_of_crumbs_in_one_place_one_is_a_goal_and_a_wall_parts_places() -> None:
+    for wall, goals in ((FREE, 2), (OCCUPIED, 3)):
+        grid = HALL.copy()
+        grid[0, 20] = grid[0, 24] = UNKNOWN
+        grid[1:-2, 22] = wall
+        grid[1:-1, 50:] = OCCUPIED
+        robot, situation = mind(grid=grid), robot_at(22, 7, grid)
+        robot.settings = settings_for(grid, 0, 2, ranges_cells=[50.0, 50.0])
+        assert len(robot.goals(situation, PathPlanner(grid))) == goals
+
+
+def test_a_robot_that_drives_around_a_teammate_does_not_turn_back_to_where_it_was_stopped() -> None:
+    robot = mind()
+    straight = robot.decide(robot_at(35, 4)).path[0].tolist()
+    for step in (2, 3):
+        around = robot.decide(replace(robot_at(35, 4, blocked="robot"), step=step)).path
+    assert around[0].tolist() != straight
+    x, y = around[0].tolist()
+    later = robot.decide(replace(robot_at(x, y), step=4))
+    assert later.path[: len(around) - 1].tolist() == around[1:].tolist()
+
+
+def test_loyalty_keeps_a_robot_from_turning_for_little() -> None:
+    # Two gaps in the walls above and below, at the same way from the middle but for a cell.
+    grid = HALL.copy()
+    grid[4, 0] = OCCUPIED
+    grid[1:-1, 50:] = OCCUPIED
+    grid[0, 10] = grid[0, 31] = UNKNOWN
+    for loyalty, expected in ((0.0, (10, 1)), (0.5, (31, 1))):
+        robot = mind(options={"loyalty": loyalty}, grid=grid)
+        assert robot.decide(robot_at(22, 1, grid)).target == (31, 1)
+        assert robot.decide(replace(robot_at(20, 1, grid), step=2)).target == expected
