@@ -25,7 +25,7 @@ A strategy is made of parts. Each names its own; options exchange them:
     at-goal        at the target
     at-once        when the target is no frontier any more
     after-turn     at the target, after a full turn of the scanner
-    each-step      in every step (repairmen)
+    each-step      in every step with news (repairmen)
   mission      what comes after the last target
     open           the run ends with the first robot that has nothing left
     return         all drive home, then it ends

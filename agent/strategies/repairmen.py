@@ -80,13 +80,19 @@ class Repairmen(TeamStrategy):
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)
         self._past = 0
+        self._known = 0
         self._lengths = np.empty(0, np.int64)
         self._between = np.empty((0, 0))
 
     def is_due(self, situation: Situation) -> bool:
-        """In each step; as a team's where that is wanted, and while it gets past a teammate."""
+        """In each step that brings news of the map: a robot that hears nothing new does not turn to and fro.
+
+        As a team's where that is wanted, and while it gets past a teammate.
+        """
+        known = int(np.count_nonzero(situation.grid))
+        news, self._known = known != self._known, known
         each_step = self.options.replan == EACH_STEP and situation.step >= self._past
-        return each_step or super().is_due(situation)
+        return (each_step and news) or super().is_due(situation)
 
     def is_spent(self, situation: Situation, target: Cell, at: Cell) -> bool:
         """As the parts say; with plans in each step as with `at-once`."""
@@ -115,7 +121,8 @@ class Repairmen(TeamStrategy):
         range_cells = self.settings.range_cells
         found, sizes = [], []
         for edge in components(frontier):
-            found.append(medoids(edge, min(len(edge), count_representatives(len(edge), range_cells))))
+            count = min(len(edge), count_representatives(len(edge), range_cells))
+            found.append(medoids(edge, count) if len(edge) > 1 else edge)
             sizes += [len(edge)] * len(found[-1])
         cells, lengths = np.concatenate(found), np.array(sizes)
         gap = GAP * range_cells

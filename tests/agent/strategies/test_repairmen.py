@@ -74,7 +74,7 @@ def test_a_teammate_out_of_range_is_believed_to_be_where_it_was_headed_but_not_f
     assert mind().decide(replace(away, step=2 + RECALL)).target == END
 
 
-def test_it_plans_anew_in_every_step_unless_told_otherwise() -> None:
+def test_it_plans_anew_with_all_news_unless_told_otherwise() -> None:
     opened = HALL.copy()
     opened[4, 0] = OCCUPIED
     opened[0, 12] = UNKNOWN
@@ -106,13 +106,15 @@ def test_a_robot_that_drives_around_a_teammate_does_not_turn_back_to_where_it_wa
     assert later.path[: len(around) - 1].tolist() == around[1:].tolist()
 
 
-def test_loyalty_keeps_a_robot_from_turning_for_little() -> None:
+def test_a_robot_does_not_turn_for_little_and_never_without_news_of_the_map() -> None:
     # Two gaps in the walls above and below, at the same way from the middle but for a cell.
     grid = HALL.copy()
     grid[4, 0] = OCCUPIED
     grid[1:-1, 50:] = OCCUPIED
-    grid[0, 10] = grid[0, 31] = UNKNOWN
-    for loyalty, expected in ((0.0, (10, 1)), (0.5, (31, 1))):
+    grid[0, 0] = grid[0, 10] = grid[0, 31] = UNKNOWN
+    news = grid.copy()
+    news[0, 0] = OCCUPIED
+    for loyalty, later, expected in ((0.0, news, (10, 1)), (0.5, news, (31, 1)), (0.0, grid, (31, 1))):
         robot = mind(options={"loyalty": loyalty}, grid=grid)
         assert robot.decide(robot_at(22, 1, grid)).target == (31, 1)
-        assert robot.decide(replace(robot_at(20, 1, grid), step=2)).target == expected
+        assert robot.decide(replace(robot_at(20, 1, later), step=2)).target == expected
