@@ -13,8 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.exchange.catalogue import exchange
-from agent.exchange.session import Session
+from agent.exchange.catalogue import distribution, exchange
 from agent.outline.polygons import Polygons
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Pose, Situation
@@ -50,7 +49,7 @@ class Robot:
         """The self-explored grid."""
         self.planning: Grid = self.own.copy()
         """The planning grid: the own one and what teammates told."""
-        self.session = Session(settings.robot, settings.robots, settings.offers)
+        self.session = distribution(settings)
         self.target: Cell | None = None
         self.status = ""
         """What it is at, for people."""
@@ -106,6 +105,8 @@ class Robot:
             self._travel(self.settings.robot, (self._sense.x, self._sense.y), (sense.x, sense.y))
         self._sense = sense
         scan = Scan(sense.x, sense.y, readings)
+        if self._exchange.revisable and not self._withheld and self.session.retract(self._exchange.revisable):
+            self._exchange.retract()
         delivered = self.session.delivered() and not self._withheld
         self._withheld += self._exchange.record(self.own, scan, change, delivered=delivered)
         if not self._strategy.withholds:

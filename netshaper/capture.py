@@ -3,7 +3,7 @@
 A packet is a head of 24 bytes, big-endian, and behind it the frame's bytes as they were said, nothing else:
 
     version   u8   1
-    frame     u8   offer, answer, data, broadcast (`FRAMES`)
+    frame     u8   offer, answer, data, broadcast, news (`FRAMES`)
     verdict   u8   carried, budget, range, protocol, lost (`VERDICTS`)
     exchange  u8
     sender    i8
@@ -46,7 +46,7 @@ CAPTURED_AT_MOST = 262_144
 PART = 200_000
 """Bytes of a frame in one packet at most."""
 
-FRAMES = ("offer", "answer", "data", "broadcast")
+FRAMES = ("offer", "answer", "data", "broadcast", "news")
 
 VERDICTS = ("carried", *CAUSES[1:])
 

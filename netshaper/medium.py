@@ -9,15 +9,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from netshaper import capture, ledger
+from netshaper import airtime, capture, ledger
 from netshaper.ledger import CAUSES, EVERYONE, Sighting
 from protocol import packets
 from protocol.messages import RadioReport
 
-OFFER, ANSWER, DATA, BROADCAST = range(4)
-"""The frames of a connection in their order, and the broadcast that has no connection."""
+OFFER, ANSWER, DATA, BROADCAST, NEWS = range(5)
+"""The frames of a connection in their order, and broadcasts, which have none: targets and poses, and news of maps."""
 
-UNLIMITED = -1
+UNLIMITED = airtime.UNLIMITED
 
 _CARRIED, _BUDGET, _LOST = (CAUSES.index(cause) for cause in ("", "budget", "lost"))
 
@@ -61,6 +61,26 @@ class Medium:
         heard = sum(1 << hearer for hearer in hearers)
         self._see(exchange, -1, BROADCAST, sender, EVERYONE, -1, payload, size, heard)
         return size > 0
+
+    def leave_out(self, exchange: int, sender: int, payload: bytes) -> None:
+        """Note a broadcast that has to wait, though there is room."""
+        self._see(exchange, -1, BROADCAST, sender, EVERYONE, -1, payload, 0, 0)
+
+    def tell(self, exchange: int, told: Sequence[tuple[int, bytes, Sequence[int]]]) -> list[int]:
+        """Put news on the air, each as (sender, payload, hearers), as far as there is room; return the bytes of each.
+
+        Where not all find room, the medium is closed behind them.
+        """
+        sizes = airtime.shares([payload for _, payload, _ in told], self.left)
+        for (sender, payload, hearers), size in zip(told, sizes, strict=True):
+            heard = sum(1 << hearer for hearer in hearers)
+            self._see(exchange, -1, NEWS, sender, EVERYONE, -1, payload, size, heard)
+            self.carried += size
+            if self.left != UNLIMITED:
+                self.left -= size
+        if any(size < len(payload) for size, (_, payload, _) in zip(sizes, told, strict=True)):
+            self.left = 0
+        return sizes
 
     def connect(self, exchange: int, connection: Connection) -> None:
         """Put the frames of a connection on the air, as far as there is room; one that is lost is the last."""

@@ -61,7 +61,7 @@ class LaserExchange(Exchange):
         """Lay the robot's own grid over what it heard."""
         del peers
         planning = np.empty_like(own)
-        _lay_over(self._heard, own, planning)
+        lay_over(self._heard, own, planning)
         return planning
 
     def _read(self, about: int, data: bytes) -> Scan:
@@ -74,7 +74,7 @@ class LaserExchange(Exchange):
 
 
 @kernel("void(uint8[:,::1], uint8[:,::1], uint8[:,::1])")
-def _lay_over(below: Grid, above: Grid, both: Grid) -> None:
+def lay_over(below: Grid, above: Grid, both: Grid) -> None:
     """Write what is above where that is known, else what is below."""
     height, width = both.shape
     for y in range(height):

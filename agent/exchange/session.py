@@ -126,6 +126,8 @@ class Session:
         """What is held of every robot's map."""
         self.known = [[0] * robots for _ in range(robots)]
         """``known[peer][map]``: up to which unit the map has reached the peer, as far as one can know."""
+        self.urgency = 0
+        """Offers wait for nothing: their order is drawn."""
         self.refused: set[tuple[int, int]] = set()
         """(peer, map): offers that are declined, for what came of them made no sense."""
         self._robot = robot
@@ -150,6 +152,14 @@ class Session:
     def record(self, units: list[bytes]) -> None:
         """Append to the log of one's own map."""
         self.logs[self._robot].append(units)
+
+    def retract(self, count: int) -> bool:
+        """Take the last `count` units of one's own log back, if nobody has heard any of them; say whether."""
+        log = self.logs[self._robot]
+        if len(log) - count < max((known[self._robot] for known in self.known), default=0):
+            return False
+        log.retract(count)
+        return True
 
     def offers(self, exchange: int, peers: list[int], room: int | None) -> list[tuple[int, int, bytes]]:
         """Open an exchange: return offers as (peer, map, frame).

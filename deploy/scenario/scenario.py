@@ -11,9 +11,9 @@ from typing import Annotated, Any, Literal, Self
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from agent.exchange.catalogue import EXCHANGES
+from agent.exchange.catalogue import EXCHANGES, OFFERS
 from agent.exchange.polygon import PolygonOptions
-from agent.exchange.session import POLICIES
+from agent.exchange.sight import SightOptions
 from agent.strategies.registry import strategy
 from protocol.grid import MAX_ROBOTS
 
@@ -84,13 +84,14 @@ class Scenario(_Table):
     radius: NotNegative = Field(0.0, description="metres; robots are discs, 0: points")
     apart: Positive = Field(0.3, description="metres between start poses")
     exchanges: Whole = Field(2, ge=1, le=16, description="exchanges a step (R)")
-    offers: Literal["backoff", "thesis"] = Field(
-        "backoff", description="when maps are offered: backoff, thesis"
+    offers: Literal["backoff", "thesis", "gossip"] = Field(
+        "backoff", description="when maps are offered: backoff, thesis, gossip"
     )
     interference: NotNegative = Field(0.0, description="metres; nearer robots hinder each other")
     polygon: PolygonOptions = Field(
         default_factory=PolygonOptions, description="options of the polygon exchange"
     )
+    sight: SightOptions = Field(default_factory=SightOptions, description="options of the sight exchange")
     options: dict[str, Any] = Field(default_factory=dict, description="options of the strategy, by name")
     robot: tuple[RobotOverride, ...] = Field((), description="robots that differ")
     death: tuple[Death, ...] = Field((), description="robots that break down")
@@ -164,7 +165,7 @@ class Scenario(_Table):
         return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
 
 
-assert set(Scenario.model_fields["offers"].annotation.__args__) == set(POLICIES)  # type: ignore[union-attr]
+assert set(Scenario.model_fields["offers"].annotation.__args__) == set(OFFERS)  # type: ignore[union-attr]
 
 
 def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
@@ -237,6 +238,7 @@ _KEYS = {
     "robot": list(RobotOverride.model_fields),
     "death": list(Death.model_fields),
     "polygon": [field.name for field in fields(PolygonOptions)],
+    "sight": [field.name for field in fields(SightOptions)],
 }
 """What may be set in each table."""
 
