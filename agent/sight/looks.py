@@ -178,23 +178,39 @@ def code_look(
     return changed
 
 
-@kernel("int64(uint8[:,::1], uint8[:,::1], int32[:,::1], int32[::1], int64, int64)")
-def shows(grid: Grid, own: Grid, cells: Cells, start: NDArray[np.int32], x: int, y: int) -> int:
-    """Whether a look from (x, y) would tell of a cell: its beams meet one that is unknown in `grid` and known in `own`."""
+@kernel("int64(uint8[:,::1], uint8[:,::1], boolean[:,::1], int32[:,::1], int32[::1], int64, int64)")
+def claims(
+    grid: Grid,
+    own: Grid,
+    claimed: NDArray[np.bool_],
+    cells: Cells,
+    start: NDArray[np.int32],
+    x: int,
+    y: int,
+) -> int:
+    """Count the cells of which a look from (x, y) would tell, and no look has that was asked before; claim them.
+
+    They are those that its beams meet, unknown in `grid` and known in `own`; what they tell is known to it already.
+    """
     height, width = np.uint64(grid.shape[0]), np.uint64(grid.shape[1])
-    if grid[y, x] & STATE == UNKNOWN and own[y, x] == FREE:
-        return 1
+    count = 0
+    if grid[y, x] & STATE == UNKNOWN and own[y, x] == FREE and not claimed[y, x]:
+        claimed[y, x] = True
+        count = 1
     for beam in range(len(start) - 1):
         for at in range(np.uint64(start[beam]), np.uint64(start[beam + 1])):
             column, row = np.uint64(x + cells[at, 0]), np.uint64(y + cells[at, 1])
             if column >= width or row >= height:
                 break
             known = grid[row, column] & STATE
-            if known == UNKNOWN and own[row, column] != UNKNOWN:
-                return 1
+            if known == UNKNOWN:
+                known = own[row, column]
+                if known != UNKNOWN and not claimed[row, column]:
+                    claimed[row, column] = True
+                    count += 1
             if known != FREE:
                 break
-    return 0
+    return count
 
 
 @kernel("int64(uint8[:,::1], uint8[:,::1], int64, int64, int64, int64, int32[::1])")

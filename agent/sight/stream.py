@@ -28,13 +28,16 @@ from agent.sight.looks import (
     code_exceptions,
     code_look,
     code_pose,
+    claims,
     differing,
-    shows,
 )
 from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Fan, Grid
 from protocol.kernels import kernel
 from protocol.packets import Look
+
+WORTH = 1
+"""Cells that need not be told again, for which it is worth to say on what a unit is built."""
 
 _ROOM = 1 << 10
 """Bytes that a unit may take at first; twice as many if it needs more."""
@@ -111,10 +114,13 @@ class Stream:
         Room for the cells that a unit changes; streams may share it.
     team : bool
         Whether it is built on what others told as well.
+    counts : uint16 array, shape (CONTEXTS, 2), optional
+        What its contexts begin with, if not with the shipped table.
     """
 
     def __init__(
-        self, maker: int, grid: Grid, fan: Fan, histories: Sequence[History], scratch: Cells, *, team: bool
+        self, maker: int, grid: Grid, fan: Fan, histories: Sequence[History], scratch: Cells, *, team: bool,
+        counts: Counts | None = None,
     ) -> None:
         self.maker = maker
         self.grid = grid
@@ -125,11 +131,16 @@ class Stream:
         self._scratch = scratch
         self._others = [robot for robot in range(len(histories)) if robot != maker] if team else []
         self._grew = [False] * len(histories)
-        self._counts = contexts.start()
+        self._counts = contexts.start() if counts is None else counts
         self._way: Way = np.zeros(PLACES + 1, np.int64)
         self._before: _Moment | None = None
         self._overwritten: list[tuple[NDArray[np.int32], NDArray[np.uint8]]] = []
         """Cells that the last unit has written, and what they were before, in that order."""
+
+    @property
+    def counts(self) -> Counts:
+        """What has come how often in each context."""
+        return self._counts
 
     @property
     def pose(self) -> tuple[int, int] | None:
@@ -221,8 +232,10 @@ class Stream:
         cells, start = self._fan.cells, self._fan.start
         box = around([box, *self._build(state, data, own, poses, box), *((x, y, x + 1, y + 1) for x, y in poses)])
         changed = looks = 0
-        for x, y in poses:
-            if shows(grid, own, cells, start, x, y):
+        claimed = np.zeros(grid.shape, np.bool_)
+        needed = [claims(grid, own, claimed, cells, start, x, y) for x, y in reversed(poses)]
+        for (x, y), alone in zip(poses, reversed(needed), strict=True):
+            if alone:
                 code_bit(state, data, counts, contexts.MORE + min(looks, 3), 1, contexts.REST_MOST)
                 code_pose(state, data, counts, way, x, y)
                 changed = code_look(state, data, counts, grid, own, cells, start, x, y, scratch, changed)
@@ -282,7 +295,10 @@ class Stream:
         for robot in self._others:
             history = self._histories[robot]
             units = history.between(self.built[robot], len(history))
-            more = max((number for number, unit in enumerate(units, 1) if _meet(unit.box, near)), default=0)
+            more = 0
+            for number, unit in enumerate(units, 1):
+                if _meet(unit.box, near) and _spares(self.grid, own, unit.places, *near) >= WORTH:
+                    more = number
             self._code_more(state, data, robot, more)
             for unit in units[:more]:
                 self._lay(unit)
@@ -330,6 +346,18 @@ def _places(grid: Grid, own: Grid, box: Box) -> NDArray[np.int32]:
         found = np.empty(count, np.int32)
         differing(grid, own, *box, found)
     return found[:count]
+
+
+@kernel("int64(uint8[:,::1], uint8[:,::1], int32[::1], int64, int64, int64, int64)")
+def _spares(grid: Grid, own: Grid, places: NDArray[np.int32], x0: int, y0: int, x1: int, y1: int) -> int:
+    """Count the cells of a box that a robot knows, would have to tell, and need not for a unit that tells of them."""
+    width = grid.shape[1]
+    count = 0
+    for place in places:
+        x, y = place % width, place // width
+        inside = x0 <= x < x1 and y0 <= y < y1
+        count += inside and own[y, x] != UNKNOWN and grid[y, x] & STATE == UNKNOWN
+    return count
 
 
 @kernel("void(uint8[::1], int32[::1], uint8[::1], uint8[::1])")
