@@ -1,8 +1,8 @@
 """Who speaks how long: the air of one exchange shared among robots that all have something to broadcast.
 
-As a medium does it on which everyone listens before speaking: who waits the shortest time begins, and nobody speaks for
-more than half of what is left of the step before all others have had their turn. What does not fit is cut at a
-packet boundary, and whoever has a shorter packet may still use the rest.
+As on a medium where everyone listens before speaking: the more urgent what one has to say, the shorter one waits. What
+finds no room is cut at a packet boundary, and whoever has a shorter packet may still use the rest. Who has had more
+than half of the air of late waits longer than all others (`Shares`), so that nobody can shout the others down.
 """
 
 from __future__ import annotations
@@ -13,19 +13,46 @@ from protocol import packets
 
 UNLIMITED = -1
 
+LATE = 8
+"""Steps that count as of late, more or less: what was said before fades."""
 
-def shares(payloads: Sequence[bytes], left: int) -> list[int]:
+MOST_URGENT = 255
+"""How urgent anything can be; who says more is believed no more."""
+
+
+def fill(payloads: Sequence[bytes], left: int) -> list[int]:
     """Return how many bytes of each frame go on the air, given in the order of speaking, with `left` bytes of budget."""
-    if left == UNLIMITED:
-        return [len(payload) for payload in payloads]
-    sizes = [0] * len(payloads)
-    most = left // 2 if len(payloads) > 1 else left
-    for limit in (most, left):
-        for turn, payload in enumerate(payloads):
-            rest = payload[sizes[turn] :]
-            if rest and limit:
-                room = min(left, max(limit, packets.length(rest)))
-                size = packets.fitting(rest, room)
-                sizes[turn] += size
-                left -= size
+    sizes = []
+    for payload in payloads:
+        size = len(payload) if left == UNLIMITED else packets.fitting(payload, left)
+        if left != UNLIMITED:
+            left -= size
+        sizes.append(size)
     return sizes
+
+
+class Shares:
+    """How much each robot has had of the air of late.
+
+    Parameters
+    ----------
+    budget : int
+        Bytes a step that all share.
+    """
+
+    def __init__(self, budget: int) -> None:
+        self._budget = budget
+        self._had: dict[int, int] = {}
+
+    def rank(self, robot: int, urgency: int) -> tuple[bool, int]:
+        """What decides who speaks first: the least."""
+        shouts = self._budget != UNLIMITED and 2 * self._had.get(robot, 0) > self._budget * LATE
+        return shouts, -min(max(urgency, 0), MOST_URGENT)
+
+    def book(self, robot: int, size: int) -> None:
+        """A robot has had so many bytes of the air."""
+        self._had[robot] = self._had.get(robot, 0) + size
+
+    def next_step(self) -> None:
+        """Let what was said fade."""
+        self._had = {robot: had * (LATE - 1) // LATE for robot, had in self._had.items()}

@@ -71,7 +71,7 @@ class Medium:
 
         Where not all find room, the medium is closed behind them.
         """
-        sizes = airtime.shares([payload for _, payload, _ in told], self.left)
+        sizes = airtime.fill([payload for _, payload, _ in told], self.left)
         for (sender, payload, hearers), size in zip(told, sizes, strict=True):
             heard = sum(1 << hearer for hearer in hearers)
             self._see(exchange, -1, NEWS, sender, EVERYONE, -1, payload, size, heard)

@@ -23,6 +23,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar
 
+from netshaper import airtime
 from netshaper.connectivity import in_range
 from netshaper.ledger import EVERYONE, tally
 from netshaper.medium import ANSWER, BROADCAST, DATA, NEWS, OFFER, UNLIMITED, Connection, Medium
@@ -35,11 +36,8 @@ Item = TypeVar("Item")
 
 PHASES = ("offers", "answers", "data")
 
-TARGETS_SHARE = 8
+TARGETS_SHARE = 16
 """Where maps travel by gossip, targets and poses may take the so-manieth part of a step's budget."""
-
-MOST_URGENT = 255
-"""How urgent news can be at most; who says more is believed no more."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +107,7 @@ class Radio:
         self._phase = ""
         self._reach: dict[int, list[int]] = {}
         self._medium = Medium(0, 0)
+        self._shares = airtime.Shares(settings.budget)
         self._waiting: set[int] = set()
         self._spoken: dict[int, _Spoken] = {}
         self._connections: list[Connection] = []
@@ -127,6 +126,7 @@ class Radio:
         self._reach = in_range(living, self.settings.range_cells)
         between = self._medium
         self._medium = Medium(step, self.settings.budget)
+        self._shares.next_step()
         self._medium.sightings += between.sightings
         return self._open()
 
@@ -227,10 +227,12 @@ class Radio:
                     told.append((sender, payload))
         out = self._put_broadcasts_on_air(self._medium.left // TARGETS_SHARE)
         order = self._drawn("back-off", told)
-        order.sort(key=lambda item: -self._urgency(item[0]))
+        order.sort(key=lambda item: self._shares.rank(item[0], self._urgency(item[0])))
         hearers = {sender: [r for r in self._reach[sender] if r not in self._dead] for sender, _ in order}
         sizes = self._medium.tell(self._exchange, [(s, payload, hearers[s]) for s, payload in order])
         carried = {sender: size for (sender, _), size in zip(order, sizes, strict=True)}
+        for sender, size in carried.items():
+            self._shares.book(sender, size)
         heard: dict[int, int] = {}
         for (sender, payload), size in zip(order, sizes, strict=True):
             for hearer in hearers[sender] if size else ():
@@ -251,7 +253,7 @@ class Radio:
 
     def _urgency(self, sender: int) -> int:
         said = self._spoken[sender].said
-        return min(max(said.urgency, 0), MOST_URGENT) if said is not None else 0
+        return said.urgency if said is not None else 0
 
     def _put_broadcasts_on_air(self, share: int | None = None) -> list[Outgoing]:
         """Put targets and poses on the air; behind the first, in all no more bytes than `share`, if it is given."""

@@ -228,9 +228,9 @@ _FULL, _SHORT = 0xF1, 0xF2
 
 LOOK_DATA = Look.size - 1
 """Bytes of content in a piece of a unit behind which there are more."""
-LAST_LOOK_DATA = 15
+LAST_LOOK_DATA = 63
 """Bytes of content in the last piece, at most."""
-LOOK_NUMBERS = 16
+LOOK_NUMBERS = 4
 """Units that the last piece can tell apart."""
 _LOOK, _LAST_LOOK = 0xF4, 0xF5
 
@@ -345,7 +345,7 @@ def length(buffer: bytes, offset: int = 0) -> int:
     if offset + 1 == len(buffer):
         return 2
     if kind is Look:
-        return 2 + (buffer[offset + 1] >> 4)
+        return 2 + (buffer[offset + 1] >> 2)
     size = buffer[offset + 1]
     if not 1 <= size < FRAGMENT_DATA:
         reason = f"a short fragment of {size} bytes is outside 1 to {FRAGMENT_DATA - 1}"
@@ -527,7 +527,7 @@ def _write_look(packet: Look, offset: int) -> bytes:
     if size > LAST_LOOK_DATA or not 0 <= number < LOOK_NUMBERS:
         reason = f"unit {number} of {size} bytes is outside 0 to {LOOK_NUMBERS - 1} or {LAST_LOOK_DATA}"
         raise ProtocolError(packet.name, offset, reason)
-    return bytes([_LAST_LOOK, size << 4 | number]) + packet.data
+    return bytes([_LAST_LOOK, size << 2 | number]) + packet.data
 
 
 def _kind(buffer: bytes, offset: int) -> type[Packet]:

@@ -32,6 +32,11 @@ ENOUGH_STEPS = 3
 """Steps that fewer new cells wait at most."""
 
 
+PACKETS_A_STEP = 3
+"""Packets that a step's budget is to have room for at least, where it has room for the shortest: for what finds no
+room at the end of a step is lost."""
+
+
 @dataclass(frozen=True)
 class SightOptions:
     """Options of the sight exchange.
@@ -94,6 +99,8 @@ class SightExchange(Exchange):
         ]
         self._heard: Grid = np.zeros(shape, np.uint8)
         """What all have told."""
+        room = LAST_LOOK_DATA if settings.bandwidth is None else int(settings.bandwidth) // PACKETS_A_STEP - 2
+        self._most = min(max(room, LOOK_DATA), LAST_LOOK_DATA)
         self._waiting = _Waiting()
         self._said = _Waiting()
         """What the last unit told of."""
@@ -131,7 +138,7 @@ class SightExchange(Exchange):
             if unit is not None:
                 message, told = unit
                 _update(self._grids, told.places, self._heard)
-                packets += pieces(message, number)
+                packets += pieces(message, number, self._most)
                 self._last = told
                 self.revisable = len(packets) if number == len(history) - 1 and not first else 0
         return packets
@@ -202,10 +209,10 @@ class SightExchange(Exchange):
         return planning
 
 
-def pieces(message: bytes, number: int) -> list[bytes]:
-    """Cut a unit into the packets in which it travels."""
+def pieces(message: bytes, number: int, most: int) -> list[bytes]:
+    """Cut a unit into the packets in which it travels; the last has `most` bytes of content at most."""
     packets = []
-    while len(message) > LAST_LOOK_DATA:
+    while len(message) > most:
         packets.append(encode([Look(None, message[:LOOK_DATA])]))
         message = message[LOOK_DATA:]
     return [*packets, encode([Look(number % LOOK_NUMBERS, message)])]
