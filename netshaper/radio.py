@@ -214,7 +214,9 @@ class Radio:
         """Put broadcasts and then news on the air, the most urgent first, and tell all what became of them."""
         told: list[tuple[int, bytes]] = []
         for sender, spoken in sorted(self._spoken.items()):
-            news = [frame for frame in spoken.frames if not (frame[0] == EVERYONE and _is_broadcast(frame[1]))]
+            news = [
+                frame for frame in spoken.frames if not (frame[0] == EVERYONE and _is_broadcast(frame[1]))
+            ]
             spoken.frames = [frame for frame in spoken.frames if frame not in news]
             for receiver, payload in news:
                 problem = _is_news(receiver, payload) or ("twice" if told and told[-1][0] == sender else "")
@@ -270,7 +272,11 @@ class Radio:
                 self._refuse(sender, EVERYONE, BROADCAST, payload, "protocol", reason)
                 continue
             hearers = [robot for robot in self._reach[sender] if robot not in self._dead]
-            if share is not None and self._medium.carried and self._medium.carried + len(payload) > share >= 0:
+            if (
+                share is not None
+                and self._medium.carried
+                and self._medium.carried + len(payload) > share >= 0
+            ):
                 self._medium.leave_out(self._exchange, sender, payload)
                 self._broadcast_carried[sender] = False
                 continue

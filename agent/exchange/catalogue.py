@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from agent.exchange.base import Exchange
 from agent.exchange import gossip, session
+from agent.exchange.base import Exchange
 from agent.exchange.gossip import Gossip
 from agent.exchange.laser import LaserExchange
 from agent.exchange.none import NoExchange
 from agent.exchange.polygon import PolygonExchange
-from agent.exchange.sight import SightExchange
 from agent.exchange.session import Session
+from agent.exchange.sight import SightExchange
 from agent.settings import Settings
 
 EXCHANGES: dict[str, type[Exchange]] = {

@@ -41,6 +41,9 @@ EVERYONE = -1
 PATIENCE = 6
 """Steps after which a robot says again what it lacks, and after which the next one may pass it on."""
 
+GREETING = 1
+"""Steps after its coming into range in which a robot is not told what it may hold by then."""
+
 MOST_URGENT = 255
 
 
@@ -83,6 +86,8 @@ class Gossip:
         self._robots = robots
         self._step = 0
         self._peers: list[int] = []
+        self._sure: list[int] = []
+        """Those in range who have said what they hold, or had the time to."""
         self._near = [set(range(robots)) - {each} for each in range(robots)]
         """Who is in whose range, as they said; all, until they say otherwise."""
         self._told_near = set(range(robots)) - {robot}
@@ -91,12 +96,16 @@ class Gossip:
         """``_told[peer][map]``: how much of a map the peer knows one to hold."""
         self._met: set[int] = set()
         """Who has come into range and has not been told what one holds."""
+        self._unsure: dict[int, int] = {}
+        """Until which step, at most, one waits for those who have come into range to say what they hold."""
         self._gaps: set[int] = set()
         """Maps of which a unit came behind others that are lacking."""
         self._asked = [-PATIENCE] * robots
         """The step in which one last said of a map what one holds."""
         self._begun = 0
         """Where what was last recorded begins in one's own log."""
+        self._aired = 0
+        """Up to which unit one's own log has been on the air."""
         self._cursor = 0
         """Where the last broadcast of one's own log ended."""
         self._synced = set(range(robots)) - {robot}
@@ -118,7 +127,7 @@ class Gossip:
     def retract(self, count: int) -> bool:
         """Take the last `count` units of one's own log back, if nobody has heard any of them; say whether."""
         log = self.logs[self._robot]
-        if len(log) - count < max(self._cursor, self._reached(self._robot)):
+        if len(log) - count < self._aired:
             return False
         log.retract(count)
         return True
@@ -167,7 +176,7 @@ class Gossip:
 
     def delivered(self) -> bool:
         """Whether teammates are in range, and all that one has logged has been on the air."""
-        return bool(self._peers) and self._reached(self._robot) == len(self.logs[self._robot])
+        return bool(self._peers) and self._aired == len(self.logs[self._robot])
 
     def undelivered(self) -> int:
         """Units of one's own map that have not reached a teammate yet, all teammates counted."""
@@ -187,6 +196,7 @@ class Gossip:
         self._step += 1
         come = set(peers) - set(self._peers) if self._step > 1 else set()
         self._met = (self._met | come) & set(peers)
+        self._unsure |= dict.fromkeys(come, self._step + GREETING)
         self._synced &= set(peers)
         for peer in range(self._robots):
             if peer not in peers:
@@ -194,9 +204,10 @@ class Gossip:
         self._peers = peers
 
     def _look_who_lacks(self) -> None:
+        self._sure = [peer for peer in self._peers if self._unsure.get(peer, 0) < self._step]
         lacking = {
             (peer, about)
-            for peer in self._peers
+            for peer in self._sure
             for about, log in enumerate(self.logs)
             if about != peer and self.known[peer][about] < len(log)
         }
@@ -220,12 +231,12 @@ class Gossip:
     def _tell_own(self, said: _Said, room: int | None) -> None:
         """Go on with one's own log; then say again what somebody in range has missed of it."""
         robot, log = self._robot, self.logs[self._robot]
-        reached = self._reached(robot)
-        if reached < len(log):
-            self._stretch(said, robot, reached, len(log), room)
-        lowest = min(self.known[peer][robot] for peer in self._peers)
-        if lowest < min(reached, len(log)):
-            self._stretch(said, robot, lowest, reached, room)
+        aired = self._aired
+        if aired < len(log):
+            self._stretch(said, robot, aired, len(log), room)
+        lowest = min((self.known[peer][robot] for peer in self._sure), default=aired)
+        if lowest < aired:
+            self._stretch(said, robot, lowest, aired, room)
 
     def _to_pass_on(self) -> list[int]:
         """Maps of others that somebody in range lacks units of, and that are for oneself to say; most first."""
@@ -254,7 +265,7 @@ class Gossip:
 
     def _tell(self, said: _Said, about: int, room: int | None) -> None:
         """Pass a map on, from where the peer is that lacks most."""
-        first = min(self.known[peer][about] for peer in self._peers if peer != about)
+        first = min(self.known[peer][about] for peer in self._sure if peer != about)
         self._stretch(said, about, first, len(self.logs[about]), room)
 
     def _stretch(self, said: _Said, about: int, first: int, end: int, room: int | None) -> None:
@@ -280,7 +291,7 @@ class Gossip:
         if not said.payload:
             self._waits = self._step
         waited = self._step - self._waits
-        begun = self._begun < self._reached(self._robot) < len(self.logs[self._robot])
+        begun = self._begun < self._aired < len(self.logs[self._robot])
         self.urgency = MOST_URGENT if begun else min(MOST_URGENT - 1, len(said.payload) + 8 * waited)
 
     # --- what was heard
@@ -308,6 +319,7 @@ class Gossip:
                 self._reach(peer, stretch.map, stretch.first, end)
             if stretch.map == self._robot:
                 self._cursor, self._synced = end, peers
+                self._aired = max(self._aired, end)
         if sent:
             self._waits = self._step
 
@@ -334,13 +346,16 @@ class Gossip:
                     (self._near[peer].add if here else self._near[peer].discard)(robot)
                 case Held(told_of, count) if told_of < self._robots and told_of != peer:
                     self.known[peer][told_of] = self._unwrap(told_of, count)
+                    self._unsure.pop(peer, None)
                     self._near[peer].add(self._robot)
                 case From(told_of, first) if told_of < self._robots:
                     about, index = told_of, self._unwrap(told_of, first)
                 case other:
                     yield peer, peer, packets.encode([other])
 
-    def _take(self, peer: int, about: int, index: int | None, units: list[bytes]) -> Iterator[tuple[int, int, bytes]]:
+    def _take(
+        self, peer: int, about: int, index: int | None, units: list[bytes]
+    ) -> Iterator[tuple[int, int, bytes]]:
         """A peer said units of a map, from number `index` on: yield those that are news."""
         if index is None:
             self._gaps.add(about)
@@ -370,12 +385,6 @@ class Gossip:
         """All in range have heard that one holds so many units of a map."""
         for peer in self._peers:
             self._told[peer][about] = max(self._told[peer][about], held)
-
-    def _reached(self, about: int) -> int:
-        """Up to which unit a map has reached anybody."""
-        return max(
-            (known[about] for peer, known in enumerate(self.known) if peer != self._robot), default=0
-        )
 
     def _unwrap(self, about: int, index: int) -> int:
         """The number that is meant by one modulo `GOSSIP_WINDOW`: the nearest to what one holds."""

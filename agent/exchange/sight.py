@@ -140,7 +140,7 @@ class SightExchange(Exchange):
                 _update(self._grids, told.places, self._heard)
                 packets += pieces(message, number, self._most)
                 self._last = told
-                self.revisable = len(packets) if number == len(history) - 1 and not first else 0
+                self.revisable = len(packets) if len(waiting.poses) <= MAX_LOOKS else 0
         return packets
 
     def retract(self) -> None:
@@ -167,7 +167,9 @@ class SightExchange(Exchange):
             rest += data
             if said is not None:
                 if said != number % LOOK_NUMBERS:
-                    raise ProtocolError(Look.name, 0, f"unit {said} where {number % LOOK_NUMBERS} is the next")
+                    raise ProtocolError(
+                        Look.name, 0, f"unit {said} where {number % LOOK_NUMBERS} is the next"
+                    )
                 whole.append(rest)
                 number += 1
                 rest = b""

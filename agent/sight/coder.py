@@ -163,7 +163,9 @@ def code_number(state: State, data: Data, counts: Counts, context: int, value: i
     while value >> length > 1:
         length += 1
     read = 0
-    while read < LONGEST - 1 and code_bit(state, data, counts, context + _LENGTH + read, 1 if read < length else 0, most):
+    while read < LONGEST - 1 and code_bit(
+        state, data, counts, context + _LENGTH + read, 1 if read < length else 0, most
+    ):
         read += 1
     number = 1
     for place in range(read - 1, -1, -1):

@@ -23,7 +23,6 @@ from agent.sight.contexts import (
     EXCEPTIONS,
     FIRST_X,
     FIRST_Y,
-    MORE,
     NEXT_ROW,
     OTHER_ROW,
     PLACED,
@@ -79,7 +78,9 @@ def code_pose(state: State, data: Data, counts: Counts, way: Way, x: int, y: int
         along, across = across, along
         went_x, went_y = went_y, went_x
     kind = 0 if along == 0 else 1 if across == 0 else 3 if across == along else 2
-    same = code_bit(state, data, counts, SAME + kind, 1 if went_x == along and went_y == across else 0, REST_MOST)
+    same = code_bit(
+        state, data, counts, SAME + kind, 1 if went_x == along and went_y == across else 0, REST_MOST
+    )
     if same:
         went_x, went_y = along, across
     else:
@@ -156,7 +157,12 @@ def code_look(
             asked_before = asked
             asked = 1
             seen = code_bit(
-                state, data, counts, SEEN + 2 * unseen_before + asked_before, 1 if truth != UNKNOWN else 0, REST_MOST
+                state,
+                data,
+                counts,
+                SEEN + 2 * unseen_before + asked_before,
+                1 if truth != UNKNOWN else 0,
+                REST_MOST,
             )
             if state[BROKEN]:
                 return changed
@@ -272,7 +278,9 @@ def code_exceptions(
             return -1 - changed
         before = np.int64(grid[y, x] & STATE)
         truth = (before + 1) % 3 if state[READS] else np.int64(own[y, x])
-        other = code_bit(state, data, counts, CHANGED + before, 1 if truth == (before + 2) % 3 else 0, REST_MOST)
+        other = code_bit(
+            state, data, counts, CHANGED + before, 1 if truth == (before + 2) % 3 else 0, REST_MOST
+        )
         now = (before + 1 + other) % 3
         changes[changed, 0], changes[changed, 1] = y * width + x, grid[y, x]
         changed += 1

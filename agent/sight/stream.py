@@ -15,7 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.sight import contexts
-from agent.sight.coder import BROKEN, NUMBER, Counts, Data, State, check_end, code_bit, code_number, reader, writer, written
+from agent.sight.coder import (
+    BROKEN,
+    NUMBER,
+    Counts,
+    Data,
+    State,
+    check_end,
+    code_bit,
+    code_number,
+    reader,
+    writer,
+    written,
+)
 from agent.sight.looks import (
     MAX_LOOKS,
     PLACES,
@@ -25,10 +37,10 @@ from agent.sight.looks import (
     Way,
     X,
     Y,
+    claims,
     code_exceptions,
     code_look,
     code_pose,
-    claims,
     differing,
 )
 from protocol.errors import ProtocolError
@@ -119,7 +131,14 @@ class Stream:
     """
 
     def __init__(
-        self, maker: int, grid: Grid, fan: Fan, histories: Sequence[History], scratch: Cells, *, team: bool,
+        self,
+        maker: int,
+        grid: Grid,
+        fan: Fan,
+        histories: Sequence[History],
+        scratch: Cells,
+        *,
+        team: bool,
         counts: Counts | None = None,
     ) -> None:
         self.maker = maker
@@ -147,7 +166,9 @@ class Stream:
         """Where the maker looked from last, as (x, y)."""
         return (int(self._way[X]), int(self._way[Y])) if self._way[PLACES] else None
 
-    def encode(self, own: Grid, poses: Sequence[tuple[int, int]], box: Box, *, last: bool = True) -> tuple[bytes, Told] | None:
+    def encode(
+        self, own: Grid, poses: Sequence[tuple[int, int]], box: Box, *, last: bool = True
+    ) -> tuple[bytes, Told] | None:
         """Write the unit that tells of what has changed in a self-explored grid.
 
         Parameters
@@ -230,7 +251,9 @@ class Stream:
         """Write a unit, and what it says into the grid; None if that is nothing."""
         counts, way, grid, scratch = self._counts, self._way, self.grid, self._scratch
         cells, start = self._fan.cells, self._fan.start
-        box = around([box, *self._build(state, data, own, poses, box), *((x, y, x + 1, y + 1) for x, y in poses)])
+        box = around(
+            [box, *self._build(state, data, own, poses, box), *((x, y, x + 1, y + 1) for x, y in poses)]
+        )
         changed = looks = 0
         claimed = np.zeros(grid.shape, np.bool_)
         needed = [claims(grid, own, claimed, cells, start, x, y) for x, y in reversed(poses)]
@@ -243,9 +266,7 @@ class Stream:
         if looks < MAX_LOOKS:
             code_bit(state, data, counts, contexts.MORE + min(looks, 3), 0, contexts.REST_MOST)
         places = _places(grid, own, box) if last else np.empty(0, np.int32)
-        changed = code_exceptions(
-            state, data, counts, grid, own, places, len(places), way, scratch, changed
-        )
+        changed = code_exceptions(state, data, counts, grid, own, places, len(places), way, scratch, changed)
         return self._keep(changed if changed >= 0 else -1 - changed) if changed else None
 
     def _read(self, state: State, data: Data) -> Told | None:
@@ -382,6 +403,6 @@ def _contradicts(own: Grid, places: NDArray[np.int32], states: Grid) -> bool:
     """Whether a unit says otherwise of a cell than the robot's own grid."""
     for index in range(len(places)):
         truth = own[places[index]]
-        if truth != UNKNOWN and truth != states[index]:  # noqa: PLR1714  numba has no `in` for these
+        if truth != UNKNOWN and truth != states[index]:
             return True
     return False

@@ -88,7 +88,12 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
     )
     budget = medium.UNLIMITED if scenario.bandwidth == UNLIMITED else int(scenario.bandwidth)
     radio = RadioSettings(
-        scenario.robots, scenario.seed, range_m / cell, budget, scenario.exchanges, scenario.offers == gossip.POLICY
+        scenario.robots,
+        scenario.seed,
+        range_m / cell,
+        budget,
+        scenario.exchanges,
+        scenario.offers == gossip.POLICY,
     )
     minds = {
         number: Settings(

@@ -76,7 +76,9 @@ def counted(plan: Plan, senses: list[list[Sense]]) -> Iterator[NDArray[np.uint16
     histories = [History() for _ in senses]
     scratch = np.empty((2 * shape[0] * shape[1], 3), np.int32)
     even = np.zeros((contexts.CONTEXTS, 2), np.uint16)
-    streams = [Stream(n, grids[n], fans[n], histories, scratch, team=True, counts=even.copy()) for n in range(robots)]
+    streams = [
+        Stream(n, grids[n], fans[n], histories, scratch, team=True, counts=even.copy()) for n in range(robots)
+    ]
     own = np.full((robots, *shape), UNKNOWN, np.uint8)
     poses: list[list[tuple[int, int]]] = [[] for _ in senses]
     boxes: list[list[Box]] = [[] for _ in senses]
