@@ -213,8 +213,8 @@ class Fragment(Packet):
 class Look(Packet):
     """A piece of a unit of the sight exchange (`agent.sight`).
 
-    Pieces of `LOOK_DATA` bytes, which need no length, and then one that ends the unit: up to `LAST_LOOK_DATA` bytes, and
-    the number of the unit in its maker's stream, modulo `LOOK_NUMBERS`. `number` is None where the piece is not the last.
+    Pieces of `LOOK_DATA` bytes, which need no length, and then one that ends the unit: up to `LAST_LOOK_DATA` bytes,
+    and the number of the unit in its maker's stream, modulo `LOOK_NUMBERS`. `number` is None where it is not the last.
     """
 
     name, size, code, code_bits, bits = "look", 9, 0xF4, 8, ()

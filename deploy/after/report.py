@@ -30,6 +30,7 @@ KINDS = {
     "targ": "where a robot is heading",
     "save": "end of an update",
     "scan": "piece of a raw laser scan",
+    "look": "piece of a unit of looks",
     "pose": "where a robot is",
 }
 """What each kind of packet says."""

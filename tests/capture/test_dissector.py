@@ -20,7 +20,7 @@ from netshaper.capture import HEAD, KEPT, VERDICTS
 from netshaper.ledger import CAUSES, EVERYONE, Sighting
 from protocol import packets
 from protocol.errors import ProtocolError
-from protocol.packets import ALL_KINDS, Fragment, Packet
+from protocol.packets import ALL_KINDS, Fragment, Look, Packet
 from tests.capture import tshark as tsharks
 from tests.capture.tshark import Tshark
 
@@ -38,6 +38,10 @@ def drawn(kind: type[Packet], chance: random.Random) -> bytes:
     """A packet of one kind: all bits of its fields set, or none, or drawn."""
     if kind is Fragment:
         return packets.encode([Fragment(chance.randbytes(chance.randint(1, packets.FRAGMENT_DATA)))])
+    if kind is Look:
+        size = chance.choice((None, chance.randint(0, packets.LAST_LOOK_DATA)))
+        number = None if size is None else chance.randrange(packets.LOOK_NUMBERS)
+        return packets.encode([Look(number, chance.randbytes(packets.LOOK_DATA if size is None else size))])
     width = sum(kind.bits)
     fields = chance.choice((0, (1 << width) - 1, chance.getrandbits(width))) if width else 0
     spare = 8 * kind.size - kind.code_bits - width
