@@ -40,7 +40,8 @@ class Settings:
     scanner_turn : float
         Degrees that the scanner turns and sees a step; 0 if it looks everywhere at once.
     offers : str
-        When maps are offered: ``backoff``, ``thesis`` (`agent.exchange.session`) or ``gossip`` (`agent.exchange.gossip`).
+        When maps are told: ``backoff``, ``thesis`` (`agent.exchange.session`) or ``gossip``
+        (`agent.exchange.gossip`).
     bandwidth : float or None
         Bytes a step that the team shares; None: unlimited.
     reach_cells : float

@@ -21,7 +21,7 @@ MOST_URGENT = 255
 
 
 def fill(payloads: Sequence[bytes], left: int) -> list[int]:
-    """Return how many bytes of each frame go on the air, given in the order of speaking, with `left` bytes of budget."""
+    """Return how many bytes of each frame go on the air, given in the order of speaking; `left`: the budget's rest."""
     sizes = []
     for payload in payloads:
         size = len(payload) if left == UNLIMITED else packets.fitting(payload, left)

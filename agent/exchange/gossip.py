@@ -280,7 +280,8 @@ class Gossip:
         if not units:
             return
         said.payload += head
-        begin, ends = len(said.payload), []
+        begin = len(said.payload)
+        ends: list[int] = []
         for unit in units:
             ends.append((ends[-1] if ends else begin) + len(unit))
         said.payload += b"".join(units)

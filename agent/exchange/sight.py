@@ -1,9 +1,9 @@
 """The sight exchange: a robot says from where it looked, and what was surprising (docs/sight.md; ours, of no paper).
 
-It is as exact as raw scans, and hundreds of times shorter: who holds the same map casts the scan again (`agent.sight`). A
-robot waits until there are a few new cells, or a few steps have gone by, then tells in one unit all that has not been
-told: by itself, or with base `team` by anybody. A unit of which nobody has heard anything yet is written anew in the
-next step, for by then others have told some of it.
+It is as exact as raw scans, and hundreds of times shorter: who holds the same map casts the scan again
+(`agent.sight`). A robot waits until there are a few new cells, or a few steps have gone by, then tells in one unit all
+that has not been told: by itself, or with base `team` by anybody. A unit of which nobody has heard anything yet is
+written anew in the next step, for by then others have told some of it.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.exchange.base import Exchange
 from agent.exchange.laser import lay_over
@@ -235,7 +236,7 @@ def _news(heard: Grid, told: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int
 
 
 @kernel("void(uint8[:,:,::1], int32[::1], uint8[:,::1])")
-def _update(grids: Grid, places: Grid, heard: Grid) -> None:
+def _update(grids: NDArray[np.uint8], places: NDArray[np.int32], heard: Grid) -> None:
     """Put cells of all makers' grids together anew: a wall if one has told so, else free if one has."""
     makers, _, width = grids.shape
     for place in places:

@@ -142,13 +142,13 @@ def _end(state: State, data: Data) -> int:
         number = low + behind & ~behind
         if number <= last:
             if size == 0 and number >= _TOP:  # all that is left to write is a carry
-                _put(state, data, np.int64(256))
-                return state[PLACE] - 1
-            for byte in range(size):
+                _put(state, data, 256)
+                return int(state[PLACE]) - 1
+            for _ in range(size):
                 _put(state, data, number >> 24)
                 number = number << 8 & _TOP - 1
-            return state[PLACE]
-    return state[PLACE]
+            break
+    return int(state[PLACE])
 
 
 @kernel("int64(int64[::1], uint8[::1], uint16[:,::1], int64, int64, int64)")

@@ -2,8 +2,8 @@
 
 Sender and receiver hold the same grid. From a pose they cast the same scan again (`protocol.grid.fan`): along each
 beam cells known to be free pass, the first known wall ends it, and where it enters an unknown cell one decision tells
-whether the robot has seen it, and another whether it is free or a wall. The cells so told are known from then on, to the
-next beam too. Whatever the robot knows otherwise than this leads one to expect is told cell by cell: exceptions.
+whether the robot has seen it, and another whether it is free or a wall. The cells so told are known from then on, to
+the next beam too. Whatever the robot knows otherwise than this leads one to expect is told cell by cell: exceptions.
 
 A grid here has a byte a cell: its state in the low two bits, and `TOLD` where the maker itself has said so.
 """
@@ -153,7 +153,7 @@ def code_look(
                 continue
             if known == OCCUPIED:
                 break
-            truth = np.int64(UNKNOWN) if reads else np.int64(own[row, column])
+            truth = UNKNOWN if reads else int(own[row, column])
             asked_before = asked
             asked = 1
             seen = code_bit(
@@ -170,7 +170,7 @@ def code_look(
                 unseen = 1
                 break
             wall = code_bit(
-                state, data, counts, CELLS + neighbours(grid, np.int64(column), np.int64(row)),
+                state, data, counts, CELLS + neighbours(grid, int(column), int(row)),
                 1 if truth == OCCUPIED else 0, CELLS_MOST,
             )  # fmt: skip
             changes[changed, 0] = np.int64(row) * grid.shape[1] + np.int64(column)
@@ -276,8 +276,8 @@ def code_exceptions(
                 x += 1 + code_number(state, data, counts, SAME_ROW, to_x - x - 1, REST_MOST)
         if state[BROKEN] or not (0 <= x < width and 0 <= y < height) or changed >= len(changes):
             return -1 - changed
-        before = np.int64(grid[y, x] & STATE)
-        truth = (before + 1) % 3 if state[READS] else np.int64(own[y, x])
+        before = int(grid[y, x] & STATE)
+        truth = (before + 1) % 3 if state[READS] else int(own[y, x])
         other = code_bit(
             state, data, counts, CHANGED + before, 1 if truth == (before + 2) % 3 else 0, REST_MOST
         )

@@ -1,7 +1,7 @@
 """All that one robot tells of its map, unit by unit, and what it is built on.
 
-A stream belongs to a maker. Who follows it holds the grid that the next unit is built on: what the maker itself has told
-by then, and with base `team` what others have told in those of their units that the maker says it builds on. A unit
+A stream belongs to a maker. Who follows it holds the grid that the next unit is built on: what the maker itself has
+told by then, and with base `team` what others have told in those of their units that the maker says it builds on. A unit
 says first how many more units of each teammate that are, and can be read by who has read those; then come looks and
 exceptions (`agent.sight.looks`). What the maker has told itself counts more in its stream than what others told.
 """
@@ -47,9 +47,6 @@ from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Fan, Grid
 from protocol.kernels import kernel
 from protocol.packets import Look
-
-WORTH = 1
-"""Cells that need not be told again, for which it is worth to say on what a unit is built."""
 
 _ROOM = 1 << 10
 """Bytes that a unit may take at first; twice as many if it needs more."""
@@ -318,7 +315,7 @@ class Stream:
             units = history.between(self.built[robot], len(history))
             more = 0
             for number, unit in enumerate(units, 1):
-                if _meet(unit.box, near) and _spares(self.grid, own, unit.places, *near) >= WORTH:
+                if _meet(unit.box, near) and _spares(self.grid, own, unit.places, *near):
                     more = number
             self._code_more(state, data, robot, more)
             for unit in units[:more]:
@@ -346,7 +343,7 @@ class Stream:
         self._overwritten.append((places, before))
         y, x = np.divmod(places, self.grid.shape[1])
         box = (int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1) if changed else NO_BOX
-        return Told(places, self.grid.reshape(-1)[places] & STATE, box)
+        return Told(places, self.grid.reshape(-1)[places] & np.uint8(STATE), box)
 
 
 def around(boxes: Sequence[Box]) -> Box:
@@ -369,16 +366,16 @@ def _places(grid: Grid, own: Grid, box: Box) -> NDArray[np.int32]:
     return found[:count]
 
 
-@kernel("int64(uint8[:,::1], uint8[:,::1], int32[::1], int64, int64, int64, int64)")
-def _spares(grid: Grid, own: Grid, places: NDArray[np.int32], x0: int, y0: int, x1: int, y1: int) -> int:
-    """Count the cells of a box that a robot knows, would have to tell, and need not for a unit that tells of them."""
+@kernel("boolean(uint8[:,::1], uint8[:,::1], int32[::1], int64, int64, int64, int64)")
+def _spares(grid: Grid, own: Grid, places: NDArray[np.int32], x0: int, y0: int, x1: int, y1: int) -> bool:
+    """Whether a unit tells of a cell of a box that a robot knows, and would have to tell itself otherwise."""
     width = grid.shape[1]
-    count = 0
     for place in places:
         x, y = place % width, place // width
         inside = x0 <= x < x1 and y0 <= y < y1
-        count += inside and own[y, x] != UNKNOWN and grid[y, x] & STATE == UNKNOWN
-    return count
+        if inside and own[y, x] != UNKNOWN and grid[y, x] & STATE == UNKNOWN:
+            return True
+    return False
 
 
 @kernel("void(uint8[::1], int32[::1], uint8[::1], uint8[::1])")

@@ -1,4 +1,6 @@
-"""The counts with which sight's streams begin, learnt on generated maps: ``python -m deploy.study.starting_table FILE.npz``.
+"""The counts with which sight's streams begin, learnt on generated maps.
+
+``python -m deploy.study.starting_table FILE.npz`` writes them to a file.
 
 Explorations of generated maps are run, and told again in units as the sight exchange tells them. What came how often
 in each context is summed up over all robots and runs, and scaled down, so that a robot's own building soon counts more.
@@ -114,7 +116,8 @@ def learn() -> NDArray[np.uint16]:
     most[: contexts.SEEN] = CELLS_WEIGHT
     most[contexts.SEEN : contexts.MORE] = contexts.REST_MOST // 2
     weight = np.minimum(1, most / np.maximum(total.sum(axis=1), 1))
-    return np.rint(total * weight[:, None]).astype(np.uint16)
+    learnt: NDArray[np.uint16] = np.rint(total * weight[:, None]).astype(np.uint16)
+    return learnt
 
 
 def main(path: Path) -> None:

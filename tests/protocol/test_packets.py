@@ -155,7 +155,9 @@ def by_the_book(packet: AnyPacket) -> str:
             last = f"11110101{len(packet.data):06b}{packet.number or 0:02b}"
             said = ("11110100" if packet.number is None else last) + bits(packet.data)
         case From() | Held():
-            said = f"{'11110110' if isinstance(packet, From) else '11110111'}{packet.map:06b}{packet.index:018b}"
+            said = (
+                f"{'11110110' if isinstance(packet, From) else '11110111'}{packet.map:06b}{packet.index:018b}"
+            )
         case Near():
             said = f"11111001{packet.robot:06b}{packet.here:b}0"
     return said
@@ -422,7 +424,9 @@ def test_a_look_gives_back_what_it_carries(packet: Look) -> None:
     assert look(encode([packet])) == (packet.number, packet.data)
 
 
-@pytest.mark.parametrize("packet", [encode([Save()]), encode([Near(3, 1)]), b"\xff", b"\xf4short", b"\xf5\x14abc"])
+@pytest.mark.parametrize(
+    "packet", [encode([Save()]), encode([Near(3, 1)]), b"\xff", b"\xf4short", b"\xf5\x14abc"]
+)
 def test_what_is_no_whole_look_carries_nothing(packet: bytes) -> None:
     with pytest.raises(ProtocolError):
         look(packet)
