@@ -14,6 +14,7 @@ Events and what follows from them; the tables move with the relay's word of what
     one's range has changed                           near: who has come, who has left
     a teammate has come into range                    held: of each map of which one may hold more than it was told
     a unit came behind others that one lacks          held: how far one is; once in `PATIENCE` steps
+    somebody has been out of range before             held: of one map, in turn; once in `SELDOM` steps
     one's own log has units that nobody has heard     them, from where one's last broadcast ended
     a teammate in range lacks units of one's own log  from, and these
     one is chosen to pass on what a teammate lacks    from, and these, the map of which it lacks most first
@@ -40,6 +41,9 @@ EVERYONE = -1
 
 PATIENCE = 6
 """Steps after which a robot says again what it lacks, and after which the next one may pass it on."""
+
+SELDOM = 16
+"""Steps after which a robot that has not always had all others in range says what it holds of one more map."""
 
 GREETING = 1
 """Steps after its coming into range in which a robot is not told what it may hold by then."""
@@ -90,8 +94,10 @@ class Gossip:
         """Those in range who have said what they hold, or had the time to."""
         self._near = [set(range(robots)) - {each} for each in range(robots)]
         """Who is in whose range, as they said; all, until they say otherwise."""
-        self._told_near = set(range(robots)) - {robot}
-        """One's own range as others have been told."""
+        self._told_near = [set(range(robots)) - {robot} for _ in range(robots)]
+        """Who is in one's own range, as each teammate has been told."""
+        self._parted = False
+        """Whether anybody has ever been out of one's range."""
         self._told = [[0] * robots for _ in range(robots)]
         """``_told[peer][map]``: how much of a map the peer knows one to hold."""
         self._met: set[int] = set()
@@ -143,7 +149,7 @@ class Gossip:
         said = self._said = _Said()
         if not peers:
             return []
-        self._report(said)
+        self._report(said, room)
         self._tell_own(said, room)
         for about in self._to_pass_on():
             self._tell(said, about, room)
@@ -202,8 +208,10 @@ class Gossip:
             if peer not in peers:
                 self._cursors[peer] = None
         self._peers = peers
+        self._parted = self._parted or len(peers) < self._robots - 1
 
     def _look_who_lacks(self) -> None:
+        """Note who in range lacks what, and since when, as far as one can know."""
         self._sure = [peer for peer in self._peers if self._unsure.get(peer, 0) < self._step]
         lacking = {
             (peer, about)
@@ -213,17 +221,22 @@ class Gossip:
         }
         self._lacking = {pair: self._lacking.get(pair, self._step) for pair in sorted(lacking)}
 
-    def _report(self, said: _Said) -> None:
+    def _report(self, said: _Said, room: int | None) -> None:
         """Say who is in range, where that has changed, and what one holds, where somebody should know."""
-        for peer in sorted(self._told_near ^ set(self._peers)):
-            near = Near(peer, int(peer in self._peers))
-            said.payload += packets.encode([near])
-            said.near.append((len(said.payload), near))
+        peers = set(self._peers)
+        left = (1 << 30) if room is None else room
+        for peer in sorted(set().union(*((self._told_near[each] ^ peers) - {each} for each in peers))):
+            near = Near(peer, int(peer in peers))
+            if len(said.payload) + near.size <= left:
+                said.payload += packets.encode([near])
+                said.near.append((len(said.payload), near))
+        reminds = self._parted and self._step % SELDOM == self._robot % SELDOM
         said.met = set(self._met)
         for about, log in enumerate(self.logs):
             met = any(self._told[peer][about] < len(log) for peer in self._met)
             gap = about in self._gaps and self._step >= self._asked[about] + PATIENCE
-            if about != self._robot and (met or gap):
+            remind = reminds and self._step // SELDOM % self._robots == about
+            if about != self._robot and (met or gap or remind) and len(said.payload) + Held.size <= left:
                 held = Held(about, len(log) % GOSSIP_WINDOW)
                 said.payload += packets.encode([held])
                 said.held.append((len(said.payload), held))
@@ -302,7 +315,9 @@ class Gossip:
         said, peers = self._said, set(self._peers)
         for end, near in said.near:
             if end <= sent:
-                (self._told_near.add if near.here else self._told_near.discard)(near.robot)
+                for peer in peers:
+                    told = self._told_near[peer]
+                    (told.add if near.here else told.discard)(near.robot)
         for end, held in said.held:
             if end <= sent:
                 self._asked[held.map] = self._step

@@ -168,7 +168,8 @@ def test_few_new_cells_wait_for_a_few_steps() -> None:
     own = unknown()
     own[5, 5] = FREE
     said = [
-        explorer.exchange.record(own, scan, Change(1, 5, 5, 6, 6), delivered=True) for _ in range(ENOUGH_STEPS)
+        explorer.exchange.record(own, scan, Change(1, 5, 5, 6, 6), delivered=True)
+        for _ in range(ENOUGH_STEPS)
     ]
     assert [bool(units) for units in said] == [False] * (ENOUGH_STEPS - 1) + [True]
 

@@ -140,7 +140,9 @@ class PlainStream:
         went = x - self.last[0], y - self.last[1]
         flip = [-1 if part < 0 else 1 for part in self.went]
         swap = abs(self.went[1]) > abs(self.went[0])
-        before, now = ([part * sign for part, sign in zip(way, flip, strict=True)] for way in (self.went, went))
+        before, now = (
+            [part * sign for part, sign in zip(way, flip, strict=True)] for way in (self.went, went)
+        )
         if swap:
             before, now = before[::-1], now[::-1]
         along, across = before

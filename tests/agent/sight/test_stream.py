@@ -30,7 +30,9 @@ Cell = tuple[int, int]
 class Group:
     """All streams, as one robot holds them."""
 
-    def __init__(self, shape: tuple[int, int], *, team: bool = True, ranges: tuple[float, ...] = RANGES) -> None:
+    def __init__(
+        self, shape: tuple[int, int], *, team: bool = True, ranges: tuple[float, ...] = RANGES
+    ) -> None:
         self.grids = np.zeros((len(ranges), *shape), np.uint8)
         self.histories = [History() for _ in ranges]
         scratch = np.empty((2 * shape[0] * shape[1], 2), np.int32)
@@ -69,9 +71,7 @@ class Scene:
         rng, own = self.rng, self.own[robot]
         height, width = own.shape
         truth = np.random.default_rng(3).choice((FREE, FREE, OCCUPIED), own.shape).astype(np.uint8)
-        poses = [
-            (int(rng.integers(width)), int(rng.integers(height))) for _ in range(rng.integers(0, 4))
-        ]
+        poses = [(int(rng.integers(width)), int(rng.integers(height))) for _ in range(rng.integers(0, 4))]
         nobody = np.zeros(own.shape, np.bool_)
         beams = fan(RANGES[robot], BEAMS)
         for x, y in poses:
@@ -150,7 +150,9 @@ def test_a_unit_that_is_taken_back_leaves_no_trace(seed: int) -> None:
             maker.streams[robot].undo()
             maker.histories[robot].pop()
         poses += scene.change(robot)
-        once, again = (group.streams[robot].encode(scene.own[robot], poses, whole) for group in (maker, other))
+        once, again = (
+            group.streams[robot].encode(scene.own[robot], poses, whole) for group in (maker, other)
+        )
         assert (once is None) == (again is None)
         if once is not None and again is not None:
             assert once[0] == again[0]
@@ -182,7 +184,12 @@ def exploration(steps: int = 25) -> tuple[Grid, list[tuple[Grid, Cell]]]:
     for _ in range(steps):
         ahead = [
             (y, x)
-            for y, x in ((cell[0] + 4, cell[1]), (cell[0] - 4, cell[1]), (cell[0], cell[1] + 4), (cell[0], cell[1] - 4))
+            for y, x in (
+                (cell[0] + 4, cell[1]),
+                (cell[0] - 4, cell[1]),
+                (cell[0], cell[1] + 4),
+                (cell[0], cell[1] - 4),
+            )
             if 0 <= y < truth.shape[0] and 0 <= x < truth.shape[1] and truth[y, x] == FREE
         ]
         cell = ahead[rng.integers(len(ahead))]
