@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.exchange import gossip
 from agent.exchange.catalogue import distribution, exchange
 from agent.outline.polygons import Polygons
 from agent.settings import Settings
@@ -26,6 +27,10 @@ from protocol.scans import Scan, check_readings, draw, mark_free
 
 REPEAT_POSE = 10
 """Steps after which a robot that stands still says again where it is."""
+
+TARGET_SLACK = 10
+"""Where maps travel by gossip, a target that is nearer to the one told last than the so-manieth part of the sensor's
+range is not told: utilities around it are almost the same."""
 
 SURE_AFTER = 10
 """Steps for which nothing may be left to do on a map that holds guesses, before a robot says so: by then
@@ -68,6 +73,9 @@ class Robot:
         self._withheld: list[bytes] = []
         self._peers: tuple[int, ...] = ()
         self._target_news: Cell | None = None
+        self._told_target: Cell | None = None
+        """The target that teammates have heard of last."""
+        self._slack = settings.range_cells / TARGET_SLACK if settings.offers == gossip.POLICY else 0.0
         self._pose_news: packets.Pose | None = None
         self._told: tuple[packets.Pose | None, tuple[int, ...], int] = (None, (), 0)
         self._targets: dict[int, Cell] = {}
@@ -179,7 +187,7 @@ class Robot:
                 self.session.accept(peer, about, units)
                 told_by.add(peer)
         if outcome.broadcast:
-            self._target_news = None
+            self._told_target, self._target_news = self._target_news or self._told_target, None
             self._told = self._pose_news, self._peers, outcome.step
 
     def decide(self) -> Move:
@@ -205,7 +213,10 @@ class Robot:
     def _take(self, decision: Decision) -> None:
         """Note what the strategy decided, and what of it teammates are to hear."""
         if self._strategy.tells_target and decision.target is not None and decision.target != self.target:
-            self._target_news = decision.target
+            known = (
+                self._told_target is not None and math.dist(self._told_target, decision.target) < self._slack
+            )
+            self._target_news = None if known else decision.target
         self.target = decision.target
         self.status = decision.status
         if decision.publish:

@@ -8,6 +8,7 @@ written anew in the next step, for by then others have told some of it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
@@ -30,7 +31,10 @@ ENOUGH_CELLS = 8
 """New cells for which a unit is worth its head."""
 
 ENOUGH_STEPS = 3
-"""Steps that fewer new cells wait at most."""
+"""Steps that fewer new cells wait at most, on a narrow medium."""
+
+FAIR_SHARE = 20
+"""Bytes a robot and step with which they wait for one step, with half of it for two, and so on."""
 
 
 PACKETS_A_STEP = 3
@@ -102,6 +106,10 @@ class SightExchange(Exchange):
         """What all have told."""
         room = LAST_LOOK_DATA if settings.bandwidth is None else int(settings.bandwidth) // PACKETS_A_STEP - 2
         self._most = min(max(room, LOOK_DATA), LAST_LOOK_DATA)
+        self._patience = 1
+        if settings.bandwidth is not None:
+            scarce = FAIR_SHARE * settings.robots / max(settings.bandwidth, 1)
+            self._patience = min(max(math.ceil(scarce), 1), ENOUGH_STEPS)
         self._waiting = _Waiting()
         self._said = _Waiting()
         """What the last unit told of."""
@@ -122,7 +130,7 @@ class SightExchange(Exchange):
             return []
         mine = self._grids[self.settings.robot]
         news = int(_news(self._heard, mine, own, *around(waiting.boxes)))
-        if 0 < news < ENOUGH_CELLS and waiting.steps < ENOUGH_STEPS:
+        if 0 < news < ENOUGH_CELLS and waiting.steps < self._patience:
             return []
         self._said, self._waiting = waiting, _Waiting()
         return self._tell(own, waiting) if news else []
