@@ -170,10 +170,18 @@ class Gossip:
         The caller appends the units of each with `accept` before it asks for the next, once it has made sense of
         them.
         """
+        frames: list[tuple[int, list[bytes]]] = []
+        for peer, payload in heard:
+            try:
+                frames.append((peer, packets.split(payload)))
+            except ProtocolError:
+                yield peer, peer, payload  # whoever makes sense of it will say what is wrong
+        for peer, pieces in frames:  # reports speak of what was before this exchange
+            yield from self._hear_reports(peer, pieces)
         for sent in outcome.data:
             self._settle(sent)
-        for peer, payload in heard:
-            yield from self._hear(peer, payload)
+        for peer, pieces in frames:
+            yield from self._hear_units(peer, pieces)
 
     def accept(self, peer: int, about: int, units: list[bytes]) -> None:
         """Append units of a map that a peer said."""
@@ -339,40 +347,43 @@ class Gossip:
         if sent:
             self._waits = self._step
 
-    def _hear(self, peer: int, payload: bytes) -> Iterator[tuple[int, int, bytes]]:
-        """Take a peer's broadcast: its reports, and what is news of the logs in it."""
-        try:
-            pieces = packets.split(payload)
-        except ProtocolError:
-            yield peer, peer, payload  # whoever makes sense of it will say what is wrong
-            return
-        about, index = peer, self._cursors[peer]
-        units: list[bytes] = []
-        for piece in [*pieces, None]:
-            if piece is not None and packets.name(piece) != From.name:
-                units.append(piece)
+    def _hear_reports(self, peer: int, pieces: list[bytes]) -> Iterator[tuple[int, int, bytes]]:
+        """Take who is near a peer, and what it holds; yield what does not belong here."""
+        for piece in pieces:
+            if packets.name(piece) != From.name:
                 continue
-            if units:
-                yield from self._take(peer, about, index, units)
-                units = []
-            if piece is None:
-                return
             match packets.decode(piece)[0]:
                 case Near(robot, here) if robot < self._robots:
                     (self._near[peer].add if here else self._near[peer].discard)(robot)
-                case Held(told_of, count) if told_of < self._robots and told_of != peer:
-                    self.known[peer][told_of] = self._unwrap(told_of, count)
+                case Held(about, count) if about < self._robots and about != peer:
+                    self.known[peer][about] = self._unwrap(about, count)
                     self._unsure.pop(peer, None)
                     self._near[peer].add(self._robot)
-                case From(told_of, first) if told_of < self._robots:
-                    about, index = told_of, self._unwrap(told_of, first)
+                case From(about, _) if about < self._robots:
+                    pass
                 case other:
                     yield peer, peer, packets.encode([other])
+
+    def _hear_units(self, peer: int, pieces: list[bytes]) -> Iterator[tuple[int, int, bytes]]:
+        """Take what a peer said of logs; yield what is news."""
+        about, index = peer, self._cursors[peer]
+        units: list[bytes] = []
+        for piece in pieces:
+            if packets.name(piece) != From.name:
+                units.append(piece)
+                continue
+            said = packets.decode(piece)[0]
+            if isinstance(said, From) and said.map < self._robots:
+                yield from self._take(peer, about, index, units)
+                about, index, units = said.map, self._unwrap(said.map, said.index), []
+        yield from self._take(peer, about, index, units)
 
     def _take(
         self, peer: int, about: int, index: int | None, units: list[bytes]
     ) -> Iterator[tuple[int, int, bytes]]:
         """A peer said units of a map, from number `index` on: yield those that are news."""
+        if not units:
+            return
         if index is None:
             self._gaps.add(about)
             return
