@@ -36,9 +36,6 @@ Item = TypeVar("Item")
 
 PHASES = ("offers", "answers", "data")
 
-TARGETS_SHARE = 16
-"""Where maps travel by gossip, targets and poses may take the so-manieth part of a step's budget."""
-
 
 @dataclass(frozen=True)
 class RadioSettings:
@@ -227,7 +224,7 @@ class Radio:
                     self._refuse(sender, receiver, NEWS, payload, "protocol", reason)
                 else:
                     told.append((sender, payload))
-        out = self._put_broadcasts_on_air(self._medium.left // TARGETS_SHARE)
+        out = self._put_broadcasts_on_air(self._medium.left // (len(self._spoken) + 1))
         order = self._drawn("back-off", told)
         order.sort(key=lambda item: self._shares.rank(item[0], self._urgency(item[0])))
         hearers = {sender: [r for r in self._reach[sender] if r not in self._dead] for sender, _ in order}
@@ -258,7 +255,10 @@ class Radio:
         return said.urgency if said is not None else 0
 
     def _put_broadcasts_on_air(self, share: int | None = None) -> list[Outgoing]:
-        """Put targets and poses on the air; behind the first, in all no more bytes than `share`, if it is given."""
+        """Put targets and poses on the air; behind the first, in all no more bytes than `share`, if it is given.
+
+        Where news travel by gossip it is a fair share of the step, as if targets were one robot more.
+        """
         said = [
             (sender, payload)
             for sender, spoken in sorted(self._spoken.items())
