@@ -300,3 +300,18 @@ def test_the_shipped_table_speaks_of_contexts_that_there_are() -> None:
     assert counts.sum(axis=1).max() < contexts.REST_MOST
     counts[:] = 0
     assert contexts.start().any(), "each stream has counts of its own"
+
+
+@pytest.mark.parametrize(("cells", "at_most"), [(1, 6.0), (10, 3.0), (100, 2.0)])
+def test_a_cell_that_is_not_as_expected_costs_some_two_bytes(cells: int, at_most: float) -> None:
+    truth, walk = exploration()
+    stream = Group((truth.shape[0], truth.shape[1]), team=False, ranges=(30.0,)).streams[0]
+    height, width = truth.shape
+    for own, pose in walk:
+        stream.encode(own, [pose], (0, 0, width, height))
+    noisy = walk[-1][0].copy()
+    places = np.flatnonzero(noisy)[np.random.default_rng(4).permutation(np.count_nonzero(noisy))[:cells]]
+    noisy.flat[places] = FREE + OCCUPIED - noisy.flat[places]
+    unit = stream.encode(noisy, [walk[-1][1]], (0, 0, width, height))
+    assert unit is not None
+    assert 0.5 * cells <= len(unit[0]) <= at_most * cells
