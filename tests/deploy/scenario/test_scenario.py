@@ -128,7 +128,7 @@ WRONG = [
     ({"range": True}, "range = True: "),
     ({"exchange": "smoke"}, "exchange = 'smoke': there are: .*laser"),
     ({"strategy": "best"}, "no strategy is called 'best'; there are: .*meier"),
-    ({"offers": "never"}, "offers = 'never': .*'backoff' or 'thesis'"),
+    ({"offers": "never"}, "offers = 'never': .*'backoff', 'thesis' or 'gossip'"),
     ({"bus": "tram"}, "bus = 'tram': .*'zenoh' or 'memory'"),
     ({"map": 3}, "map = 3: .*string"),
     ({"options": {"gamma": 1.0}}, "meier has no option 'gamma'; there are: .*beta"),
