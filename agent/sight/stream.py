@@ -2,8 +2,8 @@
 
 A stream belongs to a maker. Who follows it holds the grid that the next unit is built on: what the maker itself has
 told by then, and with base `team` what others have told in those of their units that the maker says it builds on. A
-unit says first how many more units of each teammate that are, and can be read by who has read those; then come looks and
-exceptions (`agent.sight.looks`). What the maker has told itself counts more in its stream than what others told.
+unit says first how many more units of each teammate that are, and can be read by who has read those; then come looks
+and exceptions (`agent.sight.looks`). What the maker has told itself counts more in its stream than what others told.
 """
 
 from __future__ import annotations
