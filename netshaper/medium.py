@@ -69,7 +69,7 @@ class Medium:
     def tell(self, exchange: int, told: Sequence[tuple[int, bytes, Sequence[int]]]) -> list[int]:
         """Put news on the air, each as (sender, payload, hearers), as far as there is room; return the bytes of each.
 
-        Where not all find room, the medium is closed behind them.
+        What is left where not all find room is for shorter ones, in the next exchange.
         """
         sizes = airtime.fill([payload for _, payload, _ in told], self.left)
         for (sender, payload, hearers), size in zip(told, sizes, strict=True):
@@ -78,8 +78,6 @@ class Medium:
             self.carried += size
             if self.left != UNLIMITED:
                 self.left -= size
-        if any(size < len(payload) for size, (_, payload, _) in zip(sizes, told, strict=True)):
-            self.left = 0
         return sizes
 
     def connect(self, exchange: int, connection: Connection) -> None:
