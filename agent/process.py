@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from agent.exchange.gossip import EVERYONE
 from agent.robot import Robot
 from agent.settings import Settings
 from agent.viewer_feed import SHOWN_EVERY, ViewerFeed
@@ -99,10 +100,10 @@ class AgentNode:
         said = robot.announce(medium.peers) if medium.exchange == 0 else None
         room = None if medium.budget == UNLIMITED else medium.budget
         offers = robot.session.offers(medium.exchange, medium.peers, room)
-        frames = [(names.robot(peer), frame) for peer, _, frame in offers]
+        frames = [(names.ALL if peer == EVERYONE else names.robot(peer), frame) for peer, _, frame in offers]
         if said is not None and medium.peers:
             frames.insert(0, (names.ALL, said))
-        self._say(frames, Said(medium.step, medium.exchange, "offers", []))
+        self._say(frames, Said(medium.step, medium.exchange, "offers", [], robot.session.urgency))
 
     def _take_turn(self, robot: Robot, turn: Turn) -> None:
         """Answer the offers, or send data for the answers, that were delivered in this phase."""

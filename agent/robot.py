@@ -14,8 +14,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from agent.exchange.catalogue import exchange
-from agent.exchange.session import Session
+from agent.exchange import gossip
+from agent.exchange.catalogue import distribution, exchange
 from agent.outline.polygons import Polygons
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Pose, Situation
@@ -30,6 +30,10 @@ _Value = TypeVar("_Value")
 
 REPEAT_POSE = 10
 """Steps after which a robot that stands still repeats its pose."""
+
+TARGET_SLACK = 10
+"""Where maps travel by gossip, a target that is nearer to the one told last than the so-manieth part of the sensor's
+range is not told: utilities around it are almost the same."""
 
 SURE_AFTER = 10
 """Steps for which a map with assumptions must have nothing left to explore before a robot reports that it is done:
@@ -53,7 +57,7 @@ class Robot:
         """The self-explored grid."""
         self.planning: Grid = self.own.copy()
         """The planning grid: the own one merged with what teammates sent."""
-        self.session = Session(settings.robot, settings.robots, settings.offers)
+        self.session = distribution(settings)
         self.target: Cell | None = None
         self.status = ""
         """Its current activity, as text."""
@@ -72,6 +76,9 @@ class Robot:
         self._withheld: list[bytes] = []
         self._peers: tuple[int, ...] = ()
         self._target_news: Cell | None = None
+        self._told_target: Cell | None = None
+        """The target that teammates have heard of last."""
+        self._slack = settings.range_cells / TARGET_SLACK if settings.offers == gossip.POLICY else 0.0
         self._pose_news: packets.Pose | None = None
         self._told: tuple[packets.Pose | None, tuple[int, ...], int] = (None, (), 0)
         self._targets: dict[int, Cell] = {}
@@ -109,6 +116,8 @@ class Robot:
             self._travel(self.settings.robot, (self._sense.x, self._sense.y), (sense.x, sense.y))
         self._sense = sense
         scan = Scan(sense.x, sense.y, readings)
+        if self._exchange.revisable and not self._withheld and self.session.retract(self._exchange.revisable):
+            self._exchange.retract()
         delivered = self.session.delivered() and not self._withheld
         self._withheld += self._exchange.record(self.own, scan, change, delivered=delivered)
         if not self._strategy.withholds:
@@ -181,7 +190,7 @@ class Robot:
                 self.session.accept(peer, about, units)
                 told_by.add(peer)
         if outcome.broadcast:
-            self._target_news = None
+            self._told_target, self._target_news = self._target_news or self._told_target, None
             self._told = self._pose_news, self._peers, outcome.step
 
     def decide(self) -> Move:
@@ -207,7 +216,10 @@ class Robot:
     def _take(self, decision: Decision) -> None:
         """Record what the strategy decided, and what of it is to be sent to teammates."""
         if self._strategy.tells_target and decision.target is not None and decision.target != self.target:
-            self._target_news = decision.target
+            known = (
+                self._told_target is not None and math.dist(self._told_target, decision.target) < self._slack
+            )
+            self._target_news = None if known else decision.target
         self.target = decision.target
         self.status = decision.status
         if decision.publish:

@@ -40,13 +40,16 @@ class Settings:
     scanner_turn : float
         Degrees that the scanner turns and covers per step; 0 if it covers everything at once.
     offers : str
-        When maps are offered: ``backoff`` or ``thesis`` (`agent.exchange.session`).
+        When maps are told: ``backoff``, ``thesis`` (`agent.exchange.session`) or ``gossip``
+        (`agent.exchange.gossip`).
     bandwidth : float or None
         Bytes a step that the team shares; None: unlimited.
     reach_cells : float
         Communication range in cells.
     polygon : dict
         Options of the polygon exchange, by name (`agent.exchange.polygon`).
+    sight : dict
+        Options of the sight exchange, by name (`agent.exchange.sight`).
     options : dict
         Options of the strategy, by name.
     """
@@ -65,6 +68,7 @@ class Settings:
     bandwidth: float | None
     reach_cells: float
     polygon: dict[str, Any] = field(default_factory=dict)
+    sight: dict[str, Any] = field(default_factory=dict)
     options: dict[str, Any] = field(default_factory=dict)
     resolution: float = 0.1
     radius_cells: float = 0.0

@@ -4,7 +4,7 @@ A packet is a head of 24 bytes, big-endian, and behind it the frame's bytes as t
 robot's number does not fit into it (from 64 on), the head is of version 2, with 52 bytes:
 
     version   u8   1           2
-    frame     u8   offer, answer, data, broadcast (`FRAMES`)
+    frame     u8   offer, answer, data, broadcast, news (`FRAMES`)
     verdict   u8   carried, budget, range, protocol, lost (`VERDICTS`)
     exchange  u8
     sender    i8          i16
@@ -72,7 +72,7 @@ CAPTURED_AT_MOST = 262_144
 PART = 200_000
 """Bytes of a frame in one packet at most."""
 
-FRAMES = ("offer", "answer", "data", "broadcast")
+FRAMES = ("offer", "answer", "data", "broadcast", "news")
 
 VERDICTS = ("carried", *CAUSES[1:])
 

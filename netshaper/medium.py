@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from netshaper import capture
+from netshaper import airtime, capture
 from netshaper.booking import book
 from netshaper.ledger import CAUSES, EVERYONE
 from netshaper.sightings import BEGIN, COLUMNS, HEARD_FROM, HEARD_TO, VERDICT, WORDS, Rows, Sightings
@@ -21,10 +21,10 @@ from protocol.kernels import kernel
 from protocol.messages import RadioReport
 from protocol.survey import TABLE, Bytes, Table, fitting_part
 
-OFFER, ANSWER, DATA, BROADCAST = range(4)
-"""The frames of a connection in their order, and the broadcast that has no connection."""
+OFFER, ANSWER, DATA, BROADCAST, NEWS = range(5)
+"""The frames of a connection in their order, and broadcasts, which have none: targets and poses, and news of maps."""
 
-UNLIMITED = -1
+UNLIMITED = airtime.UNLIMITED
 
 NOTHING = -1
 """The size of a frame that was not said."""
@@ -127,6 +127,28 @@ class Medium:
         self.carried += int(carried.sum())
         self.sightings.extend(rows[:written], hearers[:heard], payload)
         return carried
+
+    def leave_out(self, exchange: int, sender: int, payload: bytes) -> None:
+        """Note a broadcast that has to wait, though there is room."""
+        self.sightings.add(exchange, -1, BROADCAST, sender, EVERYONE, -1, _BUDGET, payload)
+
+    def tell(self, exchange: int, told: Sequence[tuple[int, bytes, Sequence[int]]]) -> list[int]:
+        """Put news on the air, each as (sender, payload, hearers), as far as there is room; return the bytes of each.
+
+        What is left where not all find room is for shorter ones, in the next exchange.
+        """
+        sizes = airtime.fill([payload for _, payload, _ in told], self.left)
+        for (sender, payload, hearers), size in zip(told, sizes, strict=True):
+            if size:
+                self.sightings.add(
+                    exchange, -1, NEWS, sender, EVERYONE, -1, _CARRIED, payload[:size], hearers
+                )
+            if size < len(payload):
+                self.sightings.add(exchange, -1, NEWS, sender, EVERYONE, -1, _BUDGET, payload[size:])
+            self.carried += size
+            if self.left != UNLIMITED:
+                self.left -= size
+        return sizes
 
     def refuse(
         self, exchange: int, frame: int, sender: int, receiver: int, payload: bytes, cause: str, reason: str

@@ -7,6 +7,12 @@
 
 A further exchange is opened while something is left of the budget.
 
+Where maps travel by gossip there is one phase, and no connections:
+
+    offers    all robots say their targets (first exchange), and news; targets go on the air first, then news,
+              the most urgent first
+    (played)  the news go on the air until the budget is spent; all in range hear them, and what was carried
+
 A phase ends when all whom it concerns have spoken or are known to be dead. Nothing that robots say is
 believed: a frame that is malformed, out of range or out of turn is booked as such and passed on to nobody.
 """
@@ -18,9 +24,10 @@ from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from typing import NamedTuple, TypeVar
 
+from netshaper import airtime
 from netshaper.connectivity import in_range
 from netshaper.ledger import EVERYONE, KIND_NUMBER
-from netshaper.medium import ANSWER, BROADCAST, DATA, OFFER, UNLIMITED, Connections, Medium
+from netshaper.medium import ANSWER, BROADCAST, DATA, NEWS, OFFER, UNLIMITED, Connections, Medium
 from protocol import packets, survey
 from protocol.errors import ProtocolError
 from protocol.keyed_random import keyed_random
@@ -52,6 +59,8 @@ class RadioSettings:
     range_cells: float
     budget: int = UNLIMITED
     exchanges: int = 2
+    gossip: bool = False
+    """Whether news of maps are broadcast; else robots offer them to each other."""
 
 
 class Frame(NamedTuple):
@@ -98,6 +107,7 @@ class Radio:
         self._phase = ""
         self._reach: dict[int, list[int]] = {}
         self._medium = Medium(0, 0)
+        self._shares = airtime.Shares(settings.budget)
         self._waiting: set[int] = set()
         self._spoken: dict[int, _Spoken] = {}
         self._connections = Connections()
@@ -116,6 +126,7 @@ class Radio:
         between = self._medium
         self._medium = Medium(step, self.settings.budget)
         self._medium.sightings = between.sightings
+        self._shares.next_step()
         return self._open()
 
     def hear(self, sender: int, receiver: int, payload: bytes) -> None:
@@ -178,6 +189,8 @@ class Radio:
         ]
 
     def _end_offers(self) -> list[Outgoing]:
+        if self.settings.gossip:
+            return self._end_news()
         out = self._put_broadcasts_on_air()
         offers: dict[tuple[int, int, int], bytes] = {}
         for sender, spoken in sorted(self._spoken.items()):
@@ -199,7 +212,58 @@ class Radio:
         self._connections.add(ends, [offers[each] for each in ends])
         return out + self._pass_on(OFFER, "answers")
 
-    def _put_broadcasts_on_air(self) -> list[Outgoing]:
+    def _end_news(self) -> list[Outgoing]:
+        """Put broadcasts and then news on the air, the most urgent first, and tell all what became of them."""
+        told: list[tuple[int, bytes]] = []
+        for sender, spoken in sorted(self._spoken.items()):
+            news = [
+                frame for frame in spoken.frames if not (frame[0] == EVERYONE and _is_broadcast(frame[1]))
+            ]
+            spoken.frames = [frame for frame in spoken.frames if frame not in news]
+            for receiver, payload in news:
+                problem = _is_news(receiver, payload) or ("twice" if told and told[-1][0] == sender else "")
+                if spoken.said is None:
+                    self._refuse(sender, receiver, NEWS, payload, "lost", "")
+                elif problem:
+                    reason = f"news are one broadcast of units: {problem}"
+                    self._refuse(sender, receiver, NEWS, payload, "protocol", reason)
+                else:
+                    told.append((sender, payload))
+        out = self._put_broadcasts_on_air(self._medium.left // (len(self._spoken) + 1))
+        order = self._drawn("back-off", told)
+        order.sort(key=lambda item: self._shares.rank(item[0], self._urgency(item[0])))
+        hearers = {sender: [r for r in self._reach[sender] if r not in self._dead] for sender, _ in order}
+        sizes = self._medium.tell(self._exchange, [(s, payload, hearers[s]) for s, payload in order])
+        carried = {sender: size for (sender, _), size in zip(order, sizes, strict=True)}
+        for sender, size in carried.items():
+            self._shares.book(sender, size)
+        heard: dict[int, int] = {}
+        for (sender, payload), size in zip(order, sizes, strict=True):
+            for hearer in hearers[sender] if size else ():
+                out.append(_frame((hearer, sender, payload[:size])))
+                heard[hearer] = heard.get(hearer, 0) + 1
+        for robot in sorted({*carried, *heard, *self._broadcast_carried} - self._dead):
+            own = [carried[robot]] if robot in carried else []
+            nothing = [0] * len(own)
+            note = Outcome(
+                self._step, self._exchange, [-1] * len(own), nothing, nothing, own,
+                [-1] * heard.get(robot, 0), self._broadcast_carried.get(robot, False),
+            )  # fmt: skip
+            out.append(Note(robot, note))
+        self._exchange += 1
+        if any(sizes) and self._exchange < self.settings.exchanges and self._medium.left:
+            return out + self._open()
+        return out + self._close()
+
+    def _urgency(self, sender: int) -> int:
+        said = self._spoken[sender].said
+        return said.urgency if said is not None else 0
+
+    def _put_broadcasts_on_air(self, share: int | None = None) -> list[Outgoing]:
+        """Put targets and poses on the air; behind the first, in all no more bytes than `share`, if it is given.
+
+        Where news travel by gossip it is a fair share of the step, as if targets were one robot more.
+        """
         said = [
             (sender, payload)
             for sender, spoken in sorted(self._spoken.items())
@@ -213,6 +277,14 @@ class Radio:
                 self._refuse(sender, EVERYONE, BROADCAST, payload, "protocol", reason)
                 continue
             hearers = [robot for robot in self._reach[sender] if robot not in self._dead]
+            if (
+                share is not None
+                and self._medium.carried
+                and self._medium.carried + len(payload) > share >= 0
+            ):
+                self._medium.leave_out(self._exchange, sender, payload)
+                self._broadcast_carried[sender] = False
+                continue
             carried = self._medium.broadcast(self._exchange, sender, payload, hearers)
             self._broadcast_carried[sender] = carried
             if carried:
@@ -346,6 +418,25 @@ def _is_broadcast(payload: bytes) -> bool:
     except ProtocolError:
         return False
     return kinds in ([packets.Target], [packets.Pose], [packets.Pose, packets.Target])
+
+
+def _is_news(receiver: int, payload: bytes) -> str:
+    """Say what is wrong with news; nothing if it is a broadcast of whole packets that may be units or reports."""
+    if receiver != EVERYONE:
+        return "said to one robot"
+    try:
+        pieces = survey.split(payload)
+    except ProtocolError as error:
+        return str(error)
+    strange = [packets.name(piece) for piece in pieces if _is_strange(piece)]
+    return f"no {strange[0]} of this kind" if strange else "" if pieces else "nothing in it"
+
+
+def _is_strange(piece: bytes) -> bool:
+    """Whether a packet does not belong into news."""
+    if packets.name(piece) == packets.Offer.name:
+        return not isinstance(packets.decode(piece)[0], packets.Gossip)
+    return packets.name(piece) in (packets.Target.name, packets.Pose.name)
 
 
 @lru_cache(maxsize=1 << 12)

@@ -106,12 +106,15 @@ class Said(Record, tag=7, frozen=True):
     """Robot to relay: it has put all its frames of a phase.
 
     `connections` names them, in that order; it is empty for offers, which the relay has not numbered yet.
+    `urgency`: how soon the news that it broadcasts should be on the air, 0 to 255; the more, the shorter it would
+    wait for a free medium.
     """
 
     step: int
     exchange: int
     phase: str
     connections: list[int]
+    urgency: int = 0
 
 
 class Outcome(Record, tag=8, frozen=True):
@@ -119,7 +122,7 @@ class Outcome(Record, tag=8, frozen=True):
 
     `connections`, `offers`, `answers`, `data` are parallel: the bytes of each frame that were carried.
     `heard` names the connections whose data frames were passed on to this robot, in that order.
-    `broadcast` tells whether its own was carried.
+    `broadcast` tells whether its own was carried. News that are broadcast are of connection -1.
     """
 
     step: int

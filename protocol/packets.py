@@ -20,6 +20,9 @@ MAX_VERTICES = 4096
 MAX_OBJECTS = 4096
 """Objects an approximation may have."""
 
+GOSSIP_WINDOW = 1 << 18
+"""Units of a log that `From` and `Held` can tell apart."""
+
 INDEX_WINDOW = 4096
 """Units of a log that one `Answer` can tell apart; the block says which window is meant."""
 
@@ -146,6 +149,33 @@ class Decline(Packet):
 
 
 @dataclass(frozen=True, slots=True)
+class From(Packet):
+    """Gossip: what follows are units of robot `map`'s log, the first of them number `index`, modulo `GOSSIP_WINDOW`."""
+
+    name, size, code, code_bits, bits = "conn", 4, 0xF6, 8, (6, 18)
+    map: int
+    index: int
+
+
+@dataclass(frozen=True, slots=True)
+class Held(Packet):
+    """Gossip: the sender holds `index` units of robot `map`'s log, modulo `GOSSIP_WINDOW`."""
+
+    name, size, code, code_bits, bits = "conn", 4, 0xF7, 8, (6, 18)
+    map: int
+    index: int
+
+
+@dataclass(frozen=True, slots=True)
+class Near(Packet):
+    """Gossip: `robot` has come into the sender's range, or has left it."""
+
+    name, size, code, code_bits, bits = "conn", 2, 0xF9, 8, (6, 1)
+    robot: int
+    here: int
+
+
+@dataclass(frozen=True, slots=True)
 class Target(Packet):
     """Broadcast: the sender moves to cell (x, y) next."""
 
@@ -182,17 +212,40 @@ class Fragment(Packet):
     data: bytes
 
 
+@dataclass(frozen=True, slots=True)
+class Look(Packet):
+    """A piece of a unit of the sight exchange (`agent.sight`).
+
+    Pieces of `LOOK_DATA` bytes, which need no length, and then one that ends the unit: up to `LAST_LOOK_DATA` bytes,
+    and the number of the unit in its maker's stream, modulo `LOOK_NUMBERS`. `number` is None where it is not the last.
+    """
+
+    name, size, code, code_bits, bits = "look", 9, 0xF4, 8, ()
+    number: int | None
+    data: bytes
+
+
 FRAGMENT_DATA = Fragment.size - 1
 """Bytes of content in a full fragment."""
 _FULL, _SHORT = 0xF1, 0xF2
 
+LOOK_DATA = Look.size - 1
+"""Bytes of content in a piece of a unit behind which there are more."""
+LAST_LOOK_DATA = 63
+"""Bytes of content in the last piece, at most."""
+LOOK_NUMBERS = 4
+"""Units that the last piece can tell apart."""
+_LOOK, _LAST_LOOK = 0xF4, 0xF5
+
 VertexEdit = Insert | Replace | Delete
 Edit = Insert | Replace | Delete | Emerge | Change | Remove | Save
 Handshake = Offer | Answer | Block | Decline
-AnyPacket = Edit | Handshake | Target | Pose | Fragment
+Gossip = From | Held | Near
+AnyPacket = Edit | Handshake | Gossip | Target | Pose | Fragment | Look
 
 _TYPES: tuple[type[Packet], ...] = (
     Insert, Replace, Delete, Emerge, Change, Remove, Offer, Answer, Block, Decline, Target, Save, Pose,
+    From, Held, Near,
 )  # fmt: skip
 
 HANDSHAKE_SIZE = 3 * Answer.size
@@ -201,7 +254,7 @@ HANDSHAKE_SIZE = 3 * Answer.size
 KINDS = ("ins", "rep", "del", "em", "chg", "rm", "conn", "targ", "save")
 """The nine kinds of Table 6.1."""
 
-ALL_KINDS = (*KINDS, Fragment.name, Pose.name)
+ALL_KINDS = (*KINDS, Fragment.name, Pose.name, Look.name)
 """All kinds that may be on the air, in the order of reports."""
 
 _RIM = 1
@@ -215,6 +268,7 @@ def _by_first_byte() -> list[type[Packet] | None]:
         fits = [kind for kind in _TYPES if byte >> max(8 - kind.code_bits, 0) == _first_bits(kind)]
         table.append(fits[0] if fits else None)
     table[_FULL] = table[_SHORT] = Fragment
+    table[_LOOK] = table[_LAST_LOOK] = Look
     return table
 
 
@@ -242,7 +296,9 @@ def _layout(kind: type[Packet]) -> tuple[tuple[str, int, int, int], ...]:
 
 
 _FIRST_BYTE = _by_first_byte()
-_SIZE = [0 if kind is None or byte == _SHORT else kind.size for byte, kind in enumerate(_FIRST_BYTE)]
+_SIZE = [
+    0 if kind is None or byte in (_SHORT, _LAST_LOOK) else kind.size for byte, kind in enumerate(_FIRST_BYTE)
+]
 """For each possible first byte the size of the packet, 0 where it does not tell."""
 _FIXED = {kind: _fixed(kind) for kind in _TYPES}
 _LAYOUT = {kind: _layout(kind) for kind in _TYPES}
@@ -251,8 +307,9 @@ LAYOUT_BY_BYTE = [
     (ALL_KINDS.index(kind.name) if kind else -1, size, *(_FIXED.get(kind, (0, 0)) if kind else (0, 0)))
     for kind, size in zip(_FIRST_BYTE, _SIZE, strict=True)
 ]
-"""For each possible first byte the number of the packet's kind (-1: none), its size (0: the next byte tells), which
-of its bits are the same in all such packets, and what they are (`protocol.survey`)."""
+"""For each possible first byte the number of the packet's kind (-1: none), its size (0: the next byte tells, for a
+scan or a look as in `length`), which of its bits are the same in all such packets, and what they are
+(`protocol.survey`)."""
 
 
 def encode(packets: Iterable[Packet]) -> bytes:
@@ -267,6 +324,9 @@ def encode(packets: Iterable[Packet]) -> bytes:
     for packet in packets:
         if isinstance(packet, Fragment):
             out += _write_fragment(packet, len(out))
+            continue
+        if isinstance(packet, Look):
+            out += _write_look(packet, len(out))
             continue
         kind = type(packet)
         word = _FIXED[kind][1]
@@ -289,10 +349,12 @@ def length(buffer: bytes, offset: int = 0) -> int:
         No packet begins like this.
     """
     kind = _kind(buffer, offset)
-    if buffer[offset] != _SHORT:
+    if buffer[offset] not in (_SHORT, _LAST_LOOK):
         return kind.size
     if offset + 1 == len(buffer):
         return 2
+    if kind is Look:
+        return 2 + (buffer[offset + 1] >> 2)
     size = buffer[offset + 1]
     if not 1 <= size < FRAGMENT_DATA:
         reason = f"a short fragment of {size} bytes is outside 1 to {FRAGMENT_DATA - 1}"
@@ -320,6 +382,23 @@ def content(packet: bytes) -> bytes:
     if _kind(packet, 0) is Fragment:
         raise _cut_off(packet, 0)
     raise ProtocolError(name(packet), 0, "only fragments of scans travel in this exchange")
+
+
+def look(packet: bytes) -> tuple[int | None, bytes]:
+    """Return the fields of one piece of a unit of the sight exchange: `Look.number` and `Look.data`.
+
+    Raises
+    ------
+    ProtocolError
+        It is another packet, or cut off.
+    """
+    if packet[0] == _LOOK and len(packet) == Look.size:
+        return None, packet[1:]
+    if packet[0] == _LAST_LOOK and len(packet) == length(packet):
+        return packet[1] & LOOK_NUMBERS - 1, packet[2:]
+    if _kind(packet, 0) is Look:
+        raise _cut_off(packet, 0)
+    raise ProtocolError(name(packet), 0, "only looks travel in this exchange")
 
 
 def decode(buffer: bytes) -> list[AnyPacket]:
@@ -410,6 +489,19 @@ def _write_fragment(packet: Fragment, offset: int) -> bytes:
     return head + packet.data
 
 
+def _write_look(packet: Look, offset: int) -> bytes:
+    size, number = len(packet.data), packet.number
+    if number is None:
+        if size != LOOK_DATA:
+            reason = f"{size} bytes of content instead of {LOOK_DATA}"
+            raise ProtocolError(packet.name, offset, reason)
+        return bytes([_LOOK]) + packet.data
+    if size > LAST_LOOK_DATA or not 0 <= number < LOOK_NUMBERS:
+        reason = f"unit {number} of {size} bytes is outside 0 to {LOOK_NUMBERS - 1} or {LAST_LOOK_DATA}"
+        raise ProtocolError(packet.name, offset, reason)
+    return bytes([_LAST_LOOK, size << 2 | number]) + packet.data
+
+
 def _kind(buffer: bytes, offset: int) -> type[Packet]:
     kind = _FIRST_BYTE[buffer[offset]]
     if kind is None:
@@ -430,6 +522,8 @@ def _misfit(kind: type[Packet], word: int, offset: int) -> ProtocolError:
 def _read(buffer: bytes, offset: int, size: int) -> AnyPacket:
     if buffer[offset] in (_FULL, _SHORT):
         return Fragment(content(buffer[offset : offset + size]))
+    if buffer[offset] in (_LOOK, _LAST_LOOK):
+        return Look(*look(buffer[offset : offset + size]))
     kind = _kind(buffer, offset)
     word = int.from_bytes(buffer[offset : offset + size], "big")
     mask, bits = _FIXED[kind]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.kernels import kernel
-from protocol.packets import ALL_KINDS, FRAGMENT_DATA, LAYOUT_BY_BYTE, decode
+from protocol.packets import ALL_KINDS, FRAGMENT_DATA, LAYOUT_BY_BYTE, Look, decode
 
 Bytes = NDArray[np.uint8]
 Table = NDArray[np.int64]
@@ -19,6 +19,8 @@ TABLE: Table = np.array(LAYOUT_BY_BYTE, np.int64)
 which of its bits are the same in all packets, and what they are."""
 
 KINDS = len(ALL_KINDS)
+
+_LOOK = ALL_KINDS.index(Look.name)
 
 FRAME = "Array(uint8, 1, 'C', readonly=True)"
 """Bytes as kernels take them: what is read from `bytes` cannot be written to."""
@@ -74,7 +76,9 @@ def packet_end(data: Bytes, at: int, end: int, table: Table) -> int:
         if at + 1 >= end:
             return -1
         size = np.int64(data[at + 1])
-        if size < 1 or size >= FRAGMENT_DATA:
+        if table[first, 0] == _LOOK:
+            size >>= 2
+        elif size < 1 or size >= FRAGMENT_DATA:
             return -1
         size += 2
     if at + size > end:

@@ -19,6 +19,9 @@ class Exchange(ABC):
     guesses: bool = False
     """Whether planning grids hold more than was told: then "nothing is left" must hold for a while."""
 
+    revisable: int = 0
+    """Packets of the last unit that would be told otherwise by now (`retract`); 0: what is logged stands."""
+
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
 
@@ -34,6 +37,10 @@ class Exchange(ABC):
         `own` is the self-explored grid with `scan` drawn on it; `change` says where it changed.
         `delivered` tells whether there are teammates in range who all hold what was logged before.
         """
+
+    def retract(self) -> None:
+        """Take the last unit back, of which nobody has heard anything: its `revisable` packets leave the log."""
+        raise NotImplementedError(f"what {self.name} logs stands")
 
     @abstractmethod
     def take(self, about: int, units: list[bytes]) -> None:

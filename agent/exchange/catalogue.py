@@ -1,17 +1,32 @@
-"""The exchanges there are, by name."""
+"""The exchanges there are, by name, and the ways of distributing what they log."""
 
 from __future__ import annotations
 
+from agent.exchange import gossip, session
 from agent.exchange.base import Exchange
+from agent.exchange.gossip import Gossip
 from agent.exchange.laser import LaserExchange
 from agent.exchange.none import NoExchange
 from agent.exchange.polygon import PolygonExchange
+from agent.exchange.session import Session
+from agent.exchange.sight import SightExchange
 from agent.settings import Settings
 from protocol.errors import there_are
 
 EXCHANGES: dict[str, type[Exchange]] = {
-    kind.name: kind for kind in (PolygonExchange, LaserExchange, NoExchange)
+    kind.name: kind for kind in (PolygonExchange, LaserExchange, SightExchange, NoExchange)
 }
+
+
+OFFERS = (*session.POLICIES, gossip.POLICY)
+"""When, and to whom, maps are told."""
+
+
+def distribution(settings: Settings) -> Session | Gossip:
+    """Return the robot's end of what distributes logs; ValueError lists the policies there are."""
+    if settings.offers == gossip.POLICY:
+        return Gossip(settings.robot, settings.robots)
+    return Session(settings.robot, settings.robots, settings.offers)
 
 
 def exchange(settings: Settings) -> Exchange:

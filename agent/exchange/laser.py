@@ -72,7 +72,7 @@ class LaserExchange(Exchange):
             self._planning, changed = np.empty_like(own), whole(own.shape)
         for boxes in (changed, self._heard_boxes):
             if len(boxes):
-                _lay_over(self._heard, own, boxes, self._planning)
+                lay_over(self._heard, own, boxes, self._planning)
         self._heard_boxes = NO_BOXES
         return self._planning
 
@@ -86,7 +86,7 @@ class LaserExchange(Exchange):
 
 
 @kernel("void(uint8[:,::1], uint8[:,::1], int32[:,::1], uint8[:,::1])")
-def _lay_over(below: Grid, above: Grid, boxes: Boxes, both: Grid) -> None:
+def lay_over(below: Grid, above: Grid, boxes: Boxes, both: Grid) -> None:
     """Write what is above where that is known, else what is below, in some boxes."""
     for box in boxes:
         for y in range(box[1], box[3]):

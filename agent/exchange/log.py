@@ -23,6 +23,10 @@ class Log:
         """Add units at the end."""
         self._units += units
 
+    def retract(self, count: int) -> None:
+        """Take the last `count` units back, of which nobody has heard."""
+        del self._units[len(self._units) - count :]
+
     def since(self, index: int, room: int | None) -> list[bytes]:
         """Units from `index` on, as many as fit into `room` bytes (None: all).
 

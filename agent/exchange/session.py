@@ -143,6 +143,8 @@ class Session:
             raise ValueError(f"no offer policy is called {policy!r}; there are: {', '.join(POLICIES)}")
         self.logs = [Log() for _ in range(robots)]
         """What is held of every robot's map."""
+        self.urgency = 0
+        """Offers wait for nothing: their order is drawn."""
         self.refused: set[tuple[int, int]] = set()
         """(peer, map): offers that are declined, for what came of them made no sense."""
         self._robot = robot
@@ -179,6 +181,14 @@ class Session:
     def record(self, units: list[bytes]) -> None:
         """Append to the log of one's own map."""
         self.logs[self._robot].append(units)
+
+    def retract(self, count: int) -> bool:
+        """Take the last `count` units of one's own log back, if nobody has heard any of them; say whether."""
+        log = self.logs[self._robot]
+        if len(log) - count < max((known[self._robot] for known in self.known), default=0):
+            return False
+        log.retract(count)
+        return True
 
     def offers(self, exchange: int, peers: list[int], room: int | None) -> list[tuple[int, int, bytes]]:
         """Open an exchange: return offers as (peer, map, frame).

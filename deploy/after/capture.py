@@ -17,7 +17,7 @@ from netshaper.ledger import EVERYONE
 from netshaper.pcapng import CaptureError, Reader
 from protocol import packets
 from protocol.errors import ProtocolError
-from protocol.packets import ALL_KINDS, AnyPacket, Fragment
+from protocol.packets import ALL_KINDS, AnyPacket, Fragment, Look
 
 CARRIED = 0
 
@@ -268,7 +268,7 @@ def _decoded(payload: bytes) -> Iterator[AnyPacket]:
 
 def _fields(packet: AnyPacket) -> dict[str, Any]:
     values = {item.name: getattr(packet, item.name) for item in fields(packet)}
-    return values | {"data": packet.data.hex()} if isinstance(packet, Fragment) else values
+    return values | {"data": packet.data.hex()} if isinstance(packet, Fragment | Look) else values
 
 
 def _said(packet: AnyPacket) -> str:

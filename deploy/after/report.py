@@ -30,6 +30,7 @@ KINDS = {
     "targ": "a robot's target",
     "save": "end of an update",
     "scan": "piece of a raw laser scan",
+    "look": "piece of a unit of looks",
     "pose": "a robot's position",
 }
 """The meaning of each kind of packet."""

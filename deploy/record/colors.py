@@ -35,6 +35,7 @@ GROUPS: dict[str, Group] = {
     "vertices": Group("corners of outlines", ("ins", "rep", "del"), (70, 140, 255)),
     "objects": Group("new and removed outlines", ("em", "chg", "rm"), (255, 160, 40)),
     "scans": Group("raw laser scans", ("scan",), (80, 200, 255)),
+    "looks": Group("looks and surprises", ("look",), (40, 190, 200)),
     "handshakes": Group("handshakes", ("conn",), (215, 110, 235)),
     "targets": Group("targets, poses", ("targ", "pose"), (70, 210, 120)),
     "saves": Group("ends of updates", ("save",), (170, 175, 182)),

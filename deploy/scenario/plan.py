@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from agent.exchange import gossip
 from agent.settings import Settings
 from agent.strategies.registry import strategy
 from deploy.scenario.scenario import MAP_FILES, UNLIMITED, Scenario, ScenarioError
@@ -88,7 +89,14 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
         chosen.returns(scenario.options),
     )
     budget = medium.UNLIMITED if scenario.bandwidth == UNLIMITED else int(scenario.bandwidth)
-    radio = RadioSettings(scenario.robots, scenario.seed, range_m / cell, budget, scenario.exchanges)
+    radio = RadioSettings(
+        scenario.robots,
+        scenario.seed,
+        range_m / cell,
+        budget,
+        scenario.exchanges,
+        scenario.offers == gossip.POLICY,
+    )
     minds = {
         number: Settings(
             robot=number,
@@ -105,6 +113,7 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
             bandwidth=None if scenario.bandwidth == UNLIMITED else float(scenario.bandwidth),
             reach_cells=range_m / cell,
             polygon=asdict(scenario.polygon),
+            sight=asdict(scenario.sight),
             options=scenario.options,
             resolution=cell,
             radius_cells=bodies[number].radius_cells,

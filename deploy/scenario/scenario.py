@@ -20,6 +20,7 @@ from pydantic import (
 )
 
 from agent.exchange.polygon_options import PolygonOptions
+from agent.exchange.sight_options import SightOptions
 from protocol.errors import there_are
 from protocol.grid import MAX_ROBOTS
 from protocol.packets import MAX_MAPS
@@ -91,7 +92,7 @@ class Scenario(_Table):
     robots: Whole = Field(3, ge=1, le=MAX_ROBOTS, description="how many robots explore")
     range: str = Field("100%", description="communication range: metres, or % of the map's diagonal")
     bandwidth: int | Literal["unlimited"] = Field(1000, description="bytes per step for the whole team")
-    exchange: str = Field("polygon", description="how maps are shared: polygon, laser, none")
+    exchange: str = Field("polygon", description="how maps are shared: polygon, laser, sight, none")
     strategy: str = Field("meier", description="how targets are chosen (murmur strategies lists all)")
     sensor_range: Positive = Field(5.0, description="range of the lasers, metres")
     field_of_view: Degrees = Field(360.0, gt=0, description="degrees")
@@ -111,13 +112,14 @@ class Scenario(_Table):
     radius: NotNegative = Field(0.0, description="metres; robots are discs, 0: points")
     apart: Positive = Field(0.3, description="metres between start poses")
     exchanges: Whole = Field(2, ge=1, le=16, description="exchanges per step (R)")
-    offers: Literal["backoff", "thesis"] = Field(
-        "backoff", description="when maps are offered: backoff, thesis"
+    offers: Literal["backoff", "thesis", "gossip"] = Field(
+        "backoff", description="when maps are offered: backoff, thesis, gossip"
     )
     interference: NotNegative = Field(0.0, description="metres; nearer robots hinder each other")
     polygon: PolygonOptions = Field(
         default_factory=PolygonOptions, description="options of the polygon exchange"
     )
+    sight: SightOptions = Field(default_factory=SightOptions, description="options of the sight exchange")
     options: dict[str, Any] = Field(default_factory=dict, description="options of the strategy, by name")
     robot: tuple[RobotOverride, ...] = Field((), description="robots with different hardware")
     death: tuple[Death, ...] = Field((), description="robots that break down")
@@ -292,6 +294,7 @@ _KEYS = {
     "robot": list(RobotOverride.model_fields),
     "death": list(Death.model_fields),
     "polygon": [field.name for field in fields(PolygonOptions)],
+    "sight": [field.name for field in fields(SightOptions)],
 }
 """What may be set in each table."""
 

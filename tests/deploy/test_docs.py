@@ -5,21 +5,26 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 import pytest
 
-from agent.exchange.catalogue import EXCHANGES
+from agent.exchange.catalogue import EXCHANGES, OFFERS
+from agent.exchange.gossip import Gossip
 from agent.exchange.polygon_options import THESIS_OPTIONS, PolygonOptions
-from agent.exchange.session import POLICIES, TRANSITIONS, Session, State
+from agent.exchange.session import TRANSITIONS, Session, State
+from agent.exchange.sight import SightExchange
+from agent.exchange.sight_options import SightOptions
 from agent.outline.approximation import approximation, repair
 from agent.outline.contour import contours
 from agent.outline.edits import Held, edit_script
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
+from agent.settings import Settings
+from agent.sight.looks import MAX_LOOKS
 from deploy.run.exploration import explore
 from deploy.run.in_memory import run as run_in_memory
 from deploy.scenario.plan import make
@@ -27,16 +32,18 @@ from deploy.scenario.scenario import SHIPPED, Death, RobotOverride, Scenario, Sc
 from netshaper import access
 from netshaper.ledger import CAUSES, ROW
 from protocol import messages, packets, survey
-from protocol.grid import MAX_ROBOTS, MAX_SIDE, Grid
+from protocol.grid import MAX_ROBOTS, MAX_SIDE, UNKNOWN, Grid, fan
 from protocol.keys import Keys
-from protocol.scans import Scan, encode_scan, fragments
+from protocol.messages import Outcome
+from protocol.scans import Scan, draw, encode_scan, fragments
+from worldsim.laser import cast
 
 DOCS = Path(__file__).parents[2] / "docs"
 GOLDEN = Path(__file__).parents[1] / "protocol" / "golden"
 
 LETTERS = {
     "index": "i", "x": "x", "y": "y", "side": "s", "occupied": "o", "object": "n", "count": "c",
-    "inside": "e", "map": "m", "block": "b", "leads": "l",
+    "inside": "e", "map": "m", "block": "b", "leads": "l", "robot": "r", "here": "h",
 }  # fmt: skip
 
 ROOM = """
@@ -136,6 +143,49 @@ def block_example() -> str:
     return "\n".join(lines) + "\n"
 
 
+HALL = """
+    ############
+    #....#.....#
+    #..........#
+    #....#.....#
+    ############
+"""
+"""The world of the worked example of looks."""
+
+
+def looks_example() -> str:
+    """Three looks of a robot that drives through a hall, and how they travel by gossip."""
+    rows = [line.strip() for line in HALL.split("\n") if line.strip()]
+    truth = np.array([["?.#".index(cell) for cell in row] for row in rows], np.uint8)
+    height, width = truth.shape
+    settings = Settings(
+        robot=0, robots=3, width=width, height=height, ranges_cells=[5.0] * 3, beams=72, speed_cells=3.0, seed=0,
+        exchange="sight", strategy="meier", offers="gossip", bandwidth=None, reach_cells=100.0,
+    )  # fmt: skip
+    maker, gossip, hearer = SightExchange(settings), Gossip(0, 3), SightExchange(replace(settings, robot=1))
+    own, nobody, beams = (
+        np.full(truth.shape, UNKNOWN, np.uint8),
+        np.zeros(truth.shape, np.bool_),
+        fan(5.0, 72),
+    )
+    lines = []
+    for x, peers in ((1, [1]), (3, [1]), (6, [1, 2])):
+        readings = cast(truth, nobody, beams, x, 2)
+        change = draw(own, beams, x, 2, readings)
+        units = maker.record(own, Scan(x, 2, readings), change, delivered=True)
+        gossip.record(units)
+        ((_, _, frame),) = gossip.offers(0, peers, None)
+        assert not list(gossip.outcome(Outcome(1, 0, [-1], [0], [0], [len(frame)], [], False), []))
+        hearer.take(0, units)
+        assert (hearer.merge(np.zeros_like(own)) == own).all()
+        known = int((own != UNKNOWN).sum())
+        lines += [
+            f"# robot 0 in cell ({x}, 2), in range {peers}: {change.cells} new cells, {known} known",
+            *told(frame),
+        ]
+    return "\n".join(lines) + "\n"
+
+
 def plain(value: object) -> str:
     """A default as the documents write it: as TOML has it."""
     if value is None:
@@ -154,6 +204,9 @@ def defaults(kind: Any, prefix: str = "") -> dict[str, tuple[str, str]]:
         if name == "polygon":
             found |= {f"polygon.{n}": (plain(value), "") for n, value in asdict(PolygonOptions()).items()}
             continue
+        if name == "sight":
+            found |= {f"sight.{n}": (plain(value), "") for n, value in asdict(SightOptions()).items()}
+            continue
         default = "required" if info.is_required() else plain(info.get_default(call_default_factory=True))
         found[prefix + name] = default, info.description
     return found
@@ -165,13 +218,15 @@ def test_every_packet_is_drawn_as_it_is_written() -> None:
         for kind in vars(packets).values()
         if isinstance(kind, type) and issubclass(kind, packets.Packet) and kind is not packets.Packet
     ]
-    fixed = [kind for kind in kinds if kind is not packets.Fragment]
+    fixed = [kind for kind in kinds if kind not in (packets.Fragment, packets.Look)]
     lines = fences("protocol.md")["packets"].splitlines()
     assert sorted(lines) == sorted(
         [
             *map(drawn, fixed),
             "Fragment  scan  64  11110001 63 bytes of content",
             "Fragment  scan  3 to 64  11110010 nnnnnnnn n bytes of content, 1 to 62",
+            "Look      look  9  11110100 8 bytes of content",
+            "Look      look  2 to 65  11110101 nnnnnn uu n bytes of content, 0 to 63; unit u",
         ]
     )
 
@@ -194,6 +249,8 @@ def test_limits_are_those_of_the_code() -> None:
         "blocks in a round": str(packets.BLOCKS),
         "rounds": str(packets.BLOCKS),
         "bytes of a fragment's content": str(packets.FRAGMENT_DATA),
+        "looks of a unit": str(MAX_LOOKS),
+        "units of a log that gossip tells apart": str(packets.GOSSIP_WINDOW),
     }
 
 
@@ -208,7 +265,9 @@ def test_a_scan_takes_the_bytes_that_the_document_says() -> None:
 
 
 @pytest.mark.parametrize(
-    ("fence", "made"), [("example", worked_example()), ("blocks", block_example())], ids=["example", "blocks"]
+    ("fence", "made"),
+    [("example", worked_example()), ("blocks", block_example()), ("looks", looks_example())],
+    ids=["example", "blocks", "looks"],
 )
 def test_the_worked_example_is_what_the_code_says_to_the_byte(fence: str, made: str) -> None:
     assert fences("protocol.md")[fence] == made
@@ -231,7 +290,9 @@ def test_the_hex_in_the_document_is_read_as_it_is_explained_there() -> None:
 
 
 def test_the_rooms_of_the_worked_example_are_drawn() -> None:
-    assert ROOM.strip("\n") in (DOCS / "protocol.md").read_text(encoding="utf-8")
+    text = (DOCS / "protocol.md").read_text(encoding="utf-8")
+    assert ROOM.strip("\n") in text
+    assert HALL.strip("\n") in text
 
 
 def test_the_table_of_states_and_events_is_the_session_s() -> None:
@@ -247,7 +308,7 @@ def test_the_table_of_states_and_events_is_the_session_s() -> None:
 
 
 def test_offer_policies_are_all_described() -> None:
-    assert {row[0] for row in rows("protocol.md", "When maps are offered")} == set(POLICIES)
+    assert {row[0] for row in rows("protocol.md", "When maps are offered")} == set(OFFERS)
 
 
 def test_messages_and_their_fields_are_all_there_in_their_order() -> None:

@@ -80,6 +80,30 @@ class Robot:
         return []
 
 
+class Gossiper(Robot):
+    """A robot that broadcasts news, and a target now and then."""
+
+    def opens(self, note: Open) -> list[Put | Said]:
+        rng = self.draw(note.step, note.exchange, 6)
+        said: list[Put | Said] = []
+        if note.exchange == 0 and rng.random() < 0.6:
+            said.append((EVERYONE, packets.encode([packets.Target(*rng.integers(0, 2048, 2).tolist())])))
+        kinds = [
+            packets.Save(),
+            packets.Insert(1, 2, 3, 0, 1),
+            packets.Fragment(bytes(63)),
+            packets.Look(None, bytes(8)),
+            packets.Look(2, b"new"),
+            packets.From(1, 7),
+            packets.Held(0, 3),
+            packets.Near(1, 0),
+        ]
+        news = packets.encode([kinds[kind] for kind in rng.integers(0, len(kinds), rng.integers(0, 9))])
+        if news:
+            said.append((EVERYONE, news))
+        return [*said, Said(note.step, note.exchange, "offers", [], int(rng.integers(0, 256)))]
+
+
 class Liar(Robot):
     """A robot that says anything at any time, but ends its phases, at last, as it should."""
 

@@ -13,12 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from netshaper.ledger import CAUSES, EVERYONE, KIND_NUMBER, MALFORMED, ROW, balance
-from netshaper.medium import ANSWER, BROADCAST, DATA, OFFER, UNLIMITED, Medium
+from netshaper.medium import ANSWER, BROADCAST, DATA, NEWS, OFFER, UNLIMITED, Medium
 from netshaper.radio import Note, RadioSettings
 from protocol import packets, survey
 from protocol.messages import Close, Open, Outcome, Said, Turn
 from protocol.packets import Answer, Decline, Delete, Offer, Save, Target, encode
-from tests.netshaper.scripted_robots import Air, Heard, Liar, Mute, Put, Robot, Step
+from tests.netshaper.scripted_robots import Air, Gossiper, Heard, Liar, Mute, Put, Robot, Step
 
 seeds = st.integers(0, 2**32 - 1)
 budgets = st.sampled_from((0, 1, 2, 3, 5, 7, 20, 64, 150, 1000, UNLIMITED))
@@ -44,6 +44,18 @@ def scenes(
     return settings, {n: kind(n, count, seed) for n, kind in enumerate(classes)}, cells, deaths
 
 
+@st.composite
+def gossip(draw: st.DrawFn, honest: bool = False) -> Any:
+    """As `scenes`, of robots whose maps travel by gossip."""
+    classes = (Gossiper, Gossiper, Mute) if honest else (Gossiper, Gossiper, Liar, Mute)
+    teams = st.lists(st.sampled_from(classes), min_size=1, max_size=6)
+    settings, *rest = draw(scenes(teams))
+    return replace(settings, gossip=True), *rest
+
+
+either = st.one_of(scenes(), gossip())
+
+
 def play(scene: Any, interleaving: int = 0, deadly: bool = True) -> list[Step]:
     settings, robots, cells, deaths = scene
     air = Air(settings, robots, interleaving)
@@ -54,7 +66,7 @@ def unicast_data(step: Step) -> Any:
     return (step.rows["frame"] == DATA) & (step.rows["carried"] == 1)
 
 
-@given(scenes())
+@given(either)
 def test_no_step_carries_more_than_its_budget(scene: Any) -> None:
     budget = scene[0].budget
     for step in play(scene):
@@ -63,7 +75,7 @@ def test_no_step_carries_more_than_its_budget(scene: Any) -> None:
         assert budget == UNLIMITED or carried <= budget
 
 
-@given(scenes())
+@given(either)
 def test_every_byte_that_was_said_is_booked_once_carried_or_cut(scene: Any) -> None:
     settings, robots, cells, deaths = scene
     # A last step in which nobody lives books what was said after the one before had closed.
@@ -119,11 +131,98 @@ def test_the_first_packet_that_finds_no_room_closes_the_medium(scene: Any) -> No
             assert not admitted["carried"][cut[0] :].any()
 
 
-@given(scenes(st.lists(st.sampled_from((Robot, Robot, Mute)), min_size=1, max_size=6)), seeds, seeds)
+@given(
+    scenes(st.lists(st.sampled_from((Robot, Robot, Mute)), min_size=1, max_size=6)) | gossip(honest=True),
+    seeds,
+    seeds,
+)
 def test_the_order_in_which_the_relay_reads_robots_changes_nothing(scene: Any, one: int, other: int) -> None:
     for first, second in zip(play(scene, one, False), play(scene, other, False), strict=True):
         assert first.rows.tolist() == second.rows.tolist()
         assert sorted(first.outcomes, key=_by_robot) == sorted(second.outcomes, key=_by_robot)
+
+
+@given(gossip())
+def test_news_are_heard_by_all_in_range_and_both_ends_are_told_what_was_carried(scene: Any) -> None:
+    for step in play(scene, deadly=False):
+        reach = {robot: note.peers for robot, note in step.opened}
+        carried: Counter[tuple[int, int]] = Counter()
+        heard: Counter[int] = Counter()
+        for row in step.rows[(step.rows["frame"] == NEWS) & (step.rows["carried"] == 1)]:
+            sender, size = int(row["sender"]), int(row["bytes"])
+            assert int(row["heard"]) == len(reach[sender])
+            carried[sender, int(row["exchange"])] += size
+            heard[sender] += size * len(reach[sender])
+        told = Counter({(robot, o.exchange): sum(o.data) for robot, o in step.outcomes})
+        assert +told == +carried
+        delivered: Counter[int] = Counter()
+        for kind, frame in step.delivered:
+            if kind == "data":
+                delivered[frame.sender] += len(frame.payload)
+        assert delivered == +heard
+
+
+@given(gossip())
+def test_news_are_cut_between_packets(scene: Any) -> None:
+    for step in play(scene):
+        for kind, frame in step.delivered:
+            if kind == "data":
+                assert b"".join(survey.split(frame.payload)) == frame.payload
+
+
+def test_the_most_urgent_news_go_first_and_a_shorter_packet_may_use_the_rest() -> None:
+    class Says(Gossiper):
+        def opens(self, note: Open) -> list[Put | Said]:
+            size = (40, 30, 3)[self.number]
+            news = (EVERYONE, encode([packets.Look(0, bytes(size))]))
+            return [news, Said(note.step, note.exchange, "offers", [], 10 * self.number % 20)]
+
+    settings = RadioSettings(3, 0, math.inf, 40, 1, gossip=True)
+    air = Air(settings, {number: Says(number, 3, 0) for number in range(3)})
+    rows = air.step(1, {number: (number, 0) for number in range(3)}).rows
+    assert [(int(row["sender"]), int(row["carried"])) for row in rows] in (
+        [(1, 1), (0, 0), (2, 1)],
+        [(1, 1), (2, 1), (0, 0)],
+    )
+
+
+@pytest.mark.parametrize(
+    ("payload", "receiver", "reason"),
+    [
+        (encode([Offer(1, 0)]), EVERYONE, "no conn of this kind"),
+        (encode([Target(1, 2), Save()]), EVERYONE, "no targ of this kind"),
+        (b"\xff", EVERYONE, "no packet begins with 0xff"),
+        (b"", EVERYONE, "nothing in it"),
+        (encode([Save()]), 1, "said to one robot"),
+    ],
+)
+def test_what_are_no_news_is_refused_and_booked(payload: bytes, receiver: int, reason: str) -> None:
+    class Says(Gossiper):
+        def opens(self, note: Open) -> list[Put | Said]:
+            said: list[Put | Said] = [(receiver, payload)] if self.number == 0 else []
+            return [*said, Said(note.step, note.exchange, "offers", [])]
+
+    air = Air(RadioSettings(2, 0, math.inf, gossip=True), {number: Says(number, 2, 0) for number in range(2)})
+    step = air.step(1, {0: (0, 0), 1: (1, 0)})
+    assert not step.delivered
+    ((sender, why),) = air.radio.faults
+    assert sender == 0
+    assert reason in why
+    assert step.rows["bytes"].sum() == len(payload)
+
+
+def test_targets_leave_most_of_a_narrow_medium_to_news() -> None:
+    class Says(Gossiper):
+        def opens(self, note: Open) -> list[Put | Said]:
+            target = (EVERYONE, encode([Target(self.number, 1)]))
+            news = (EVERYONE, encode([packets.Look(0, bytes(6))]))
+            return [target, news, Said(note.step, note.exchange, "offers", [])]
+
+    air = Air(RadioSettings(8, 0, math.inf, 48, 1, gossip=True), {n: Says(n, 8, 0) for n in range(8)})
+    rows = air.step(1, {number: (number, 0) for number in range(8)}).rows
+    carried = rows[rows["carried"] == 1]
+    assert carried["bytes"][carried["frame"] == BROADCAST].sum() == 3
+    assert carried["bytes"][carried["frame"] == NEWS].sum() == 40
 
 
 def _by_robot(outcome: tuple[int, Outcome]) -> tuple[int, int]:

@@ -17,6 +17,9 @@ from protocol.packets import (
     ALL_KINDS,
     FRAGMENT_DATA,
     KINDS,
+    LAST_LOOK_DATA,
+    LOOK_DATA,
+    LOOK_NUMBERS,
     Answer,
     AnyPacket,
     Block,
@@ -26,7 +29,11 @@ from protocol.packets import (
     Delete,
     Emerge,
     Fragment,
+    From,
+    Held,
     Insert,
+    Look,
+    Near,
     Offer,
     Packet,
     Pose,
@@ -39,6 +46,7 @@ from protocol.packets import (
     encode,
     handshake,
     length,
+    look,
 )
 
 GOLDEN = Path(__file__).parent / "golden" / "packets.txt"
@@ -62,6 +70,9 @@ LIMITS: dict[type[Packet], dict[str, tuple[int, int]]] = {
     Target: {"x": (0, 2047), "y": (0, 2047)},
     Pose: {"x": (0, 2047), "y": (0, 2047), "leads": (0, 1)},
     Save: {},
+    From: {"map": (0, 63), "index": (0, 2**18 - 1)},
+    Held: {"map": (0, 63), "index": (0, 2**18 - 1)},
+    Near: {"robot": (0, 63), "here": (0, 1)},
 }
 """First and last value of each field of each packet."""
 
@@ -81,6 +92,12 @@ EXAMPLES: list[AnyPacket] = [
     Save(),
     Fragment(b"murmur"),
     Fragment(bytes(range(63))),
+    From(5, 70000),
+    Held(63, 12),
+    Near(7, 1),
+    Look(None, bytes(range(8))),
+    Look(2, b"surprise"),
+    Look(3, b""),
 ]
 
 
@@ -89,7 +106,11 @@ def packets_of(kind: type[Packet]) -> st.SearchStrategy[Any]:
 
 
 fragments = st.builds(Fragment, st.binary(min_size=1, max_size=FRAGMENT_DATA))
-streams = st.lists(st.one_of(*map(packets_of, LIMITS), fragments), max_size=12)
+looks = st.one_of(
+    st.builds(Look, st.none(), st.binary(min_size=LOOK_DATA, max_size=LOOK_DATA)),
+    st.builds(Look, st.integers(0, LOOK_NUMBERS - 1), st.binary(max_size=LAST_LOOK_DATA)),
+)
+streams = st.lists(st.one_of(*map(packets_of, LIMITS), fragments, looks), max_size=12)
 
 
 def bits(buffer: bytes) -> str:
@@ -127,18 +148,28 @@ def by_the_book(packet: AnyPacket) -> str:
         case Fragment():
             size = len(packet.data)
             said = ("11110001" if size == 63 else f"11110010{size:08b}") + bits(packet.data)
+        case Look():
+            last = f"11110101{len(packet.data):06b}{packet.number or 0:02b}"
+            said = ("11110100" if packet.number is None else last) + bits(packet.data)
+        case From() | Held():
+            said = (
+                f"{'11110110' if isinstance(packet, From) else '11110111'}{packet.map:06b}{packet.index:018b}"
+            )
+        case Near():
+            said = f"11111001{packet.robot:06b}{packet.here:b}0"
     return said
 
 
 @pytest.mark.parametrize("kind", LIMITS, ids=lambda kind: kind.__name__)
 def test_a_packet_is_as_long_as_table_6_1_says(kind: type[Packet]) -> None:
     packet = kind(*(low for low, _ in LIMITS[kind].values()))
-    assert len(encode([packet])) == (SIZES | {"pose": 4})[kind.name] == kind.size
+    longer = {Pose: 4, From: 4, Held: 4}
+    assert len(encode([packet])) == kind.size == (longer[kind] if kind in longer else SIZES[kind.name])
 
 
-def test_the_nine_kinds_are_those_of_table_6_1_and_scans_and_poses_come_on_top() -> None:
+def test_the_nine_kinds_are_those_of_table_6_1_and_scans_poses_and_looks_come_on_top() -> None:
     assert set(KINDS) == set(SIZES)
-    assert (*KINDS, "scan", "pose") == ALL_KINDS
+    assert (*KINDS, "scan", "pose", "look") == ALL_KINDS
 
 
 @pytest.mark.parametrize(("size", "on_air"), [(1, 3), (62, 64), (63, 64)])
@@ -201,7 +232,7 @@ def test_every_bit_is_where_the_book_has_it(said: list[AnyPacket]) -> None:
 def test_the_bytes_of_each_packet_are_those_written_down() -> None:
     lines = [line for line in GOLDEN.read_text().splitlines() if not line.startswith("#")]
     assert lines == [f"{encode([packet]).hex(' ')}  {packet!r}" for packet in EXAMPLES]
-    assert {type(packet) for packet in EXAMPLES} == {*LIMITS, Fragment}
+    assert {type(packet) for packet in EXAMPLES} == {*LIMITS, Fragment, Look}
 
 
 @given(streams, st.lists(st.integers(0, 100), max_size=8))
@@ -261,7 +292,7 @@ def test_random_bytes_break_off_at_the_same_place_however_they_are_cut(noise: by
 def test_a_packet_with_a_spare_bit_set_is_refused(packet: AnyPacket) -> None:
     buffer = encode([packet])
     used = packet.code_bits + sum(packet.bits)
-    spare = 0 if isinstance(packet, Fragment) else 8 * packet.size - used
+    spare = 0 if isinstance(packet, Fragment | Look) else 8 * packet.size - used
     for bit in range(spare):
         broken = int.from_bytes(buffer, "big") | 1 << bit
         with pytest.raises(ProtocolError, match=rf"^{packet.name} at byte 1: .*must be zero"):
@@ -287,7 +318,7 @@ def test_a_short_fragment_of_an_impossible_length_is_refused_at_once(size: int) 
         list(Decoder().feed(bytes([0xF2, size])))
 
 
-@pytest.mark.parametrize("first", [*range(0xF4, 0xF8), *range(0xF9, 0xFC), *range(0xFD, 0x100)])
+@pytest.mark.parametrize("first", [0xFA, 0xFB, *range(0xFD, 0x100)])
 def test_a_byte_with_which_no_packet_begins_is_named(first: int) -> None:
     with pytest.raises(ProtocolError, match=rf"packet at byte 3: no packet begins with {first:#04x}"):
         decode(encode([Target(1, 1)]) + bytes([first, 0, 0]))
@@ -350,6 +381,35 @@ def test_a_handshake_is_read_as_any_packets_are_but_never_longer_than_one() -> N
         handshake(encode([Block(1), Block(2), Block(2), Answer(3)]))
     with pytest.raises(ProtocolError, match="cut off"):
         handshake(encode([Answer(7)])[:1])
+
+
+@given(looks)
+def test_a_look_gives_back_what_it_carries(packet: Look) -> None:
+    assert look(encode([packet])) == (packet.number, packet.data)
+
+
+@pytest.mark.parametrize(
+    "packet", [encode([Save()]), encode([Near(3, 1)]), b"\xff", b"\xf4short", b"\xf5\x14abc"]
+)
+def test_what_is_no_whole_look_carries_nothing(packet: bytes) -> None:
+    with pytest.raises(ProtocolError):
+        look(packet)
+
+
+@pytest.mark.parametrize(
+    "packet",
+    [
+        Look(None, bytes(LOOK_DATA - 1)),
+        Look(None, bytes(LOOK_DATA + 1)),
+        Look(0, bytes(LAST_LOOK_DATA + 1)),
+        Look(LOOK_NUMBERS, b""),
+        Look(-1, b""),
+    ],
+    ids=repr,
+)
+def test_a_look_that_has_no_layout_is_refused(packet: Look) -> None:
+    with pytest.raises(ProtocolError, match=r"look at byte 1: "):
+        encode([Save(), packet])
 
 
 @given(st.binary(min_size=1, max_size=FRAGMENT_DATA))

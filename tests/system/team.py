@@ -75,7 +75,7 @@ class Mind:
                 room = None if note.budget == UNLIMITED else note.budget
                 offers = session.offers(note.exchange, note.peers, room)
                 puts += [(peer, frame) for peer, _, frame in offers]
-                return puts, Said(note.step, note.exchange, "offers", [])
+                return puts, Said(note.step, note.exchange, "offers", [], session.urgency)
             case Turn(phase="offers"):
                 offered = [(n, *frame) for n, frame in zip(note.connections, frames, strict=True)]
                 return self._put(note, "answers", session.answers(offered))

@@ -54,6 +54,11 @@ QUICK = [
     {"exchange": "laser", "robots": 2, "bandwidth": "unlimited", "range": 4},
     {"exchange": "laser", "robots": 5, "bandwidth": 1000},
     {"exchange": "none", "robots": 2, "range": "20%"},
+    {"exchange": "sight", "robots": 5, "bandwidth": 50, "offers": "gossip"},
+    {"exchange": "sight", "robots": 4, "bandwidth": "unlimited", "range": "30%", "offers": "gossip"},
+    {"exchange": "sight", "robots": 3, "bandwidth": 200},
+    {"exchange": "polygon", "robots": 3, "bandwidth": 500, "range": 5, "offers": "gossip"},
+    {"exchange": "laser", "robots": 3, "bandwidth": "unlimited", "range": 5, "offers": "gossip"},
     {"exchange": "polygon", "robots": 1},
 ]
 
@@ -92,13 +97,20 @@ def test_another_seed_gives_another_digest(floor: str) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize(
-    ("exchange", "robots", "bandwidth", "reach"),
-    list(product(EXCHANGES, [1, 2, 5, 8], [200, "unlimited"], ["15%", "100%"])),
+    ("exchange", "offers", "robots", "bandwidth", "reach"),
+    list(product(EXCHANGES, ["backoff", "gossip"], [1, 2, 5, 8], [200, "unlimited"], ["15%", "100%"])),
 )
 def test_the_digest_is_the_same_on_both_buses_for_every_team(
-    floor: str, exchange: str, robots: int, bandwidth: int | str, reach: str, seed: int
+    floor: str, exchange: str, offers: str, robots: int, bandwidth: int | str, reach: str, seed: int
 ) -> None:
-    settings = {"exchange": exchange, "robots": robots, "bandwidth": bandwidth, "range": reach, "seed": seed}
+    settings = {
+        "exchange": exchange,
+        "offers": offers,
+        "robots": robots,
+        "bandwidth": bandwidth,
+        "range": reach,
+        "seed": seed,
+    }
     check_both_buses(map=floor, steps=150, **settings)
 
 

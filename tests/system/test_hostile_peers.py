@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from agent.exchange.gossip import EVERYONE
 from agent.exchange.polygon import PolygonExchange
 from agent.process import AgentNode
 from agent.robot import Robot
@@ -44,7 +45,11 @@ from protocol.packets import (
     Delete,
     Emerge,
     Fragment,
+    From,
+    Held,
     Insert,
+    Look,
+    Near,
     Offer,
     Packet,
     Pose,
@@ -269,6 +274,62 @@ def test_who_passes_on_one_of_two_stories_of_a_liar_is_not_distrusted() -> None:
     assert len(deceived.faults) == 1, "this map is not taken from there again"
     hear(deceived, 0, 0, honest_words()[0][0])
     assert deceived.polygons[0].canonical() == honest_words()[0][1]
+
+
+NONSENSE: dict[str, list[Packet]] = {
+    "a unit of noise": [Look(0, bytes(range(1, 60)))],
+    "another unit than its next": [Look(3, b"ab")],
+    "raw scans": [Fragment(b"noise")],
+    "another's map": [From(2, 0), Look(0, bytes(range(1, 60)))],
+    "reports of maps that nobody has": [Held(2, 4000), Held(0, 4000), Near(0, 0), Near(2, 0)],
+    "a map from its middle on": [From(1, 4000), Look(0, b"ab")],
+}
+
+
+class Gossip(Mind):
+    """A robot that says its lie wherever it should say news, as often and as urgently as it can."""
+
+    def __init__(self, settings: Settings, lie: list[Packet]) -> None:
+        super().__init__(settings)
+        self.lie = encode(lie)
+
+    def hear(self, note: Open | Turn | Outcome | Close, heard: Heard) -> tuple[list[Put], Said | None]:
+        puts, said = super().hear(note, heard)
+        if isinstance(note, Open) and note.peers:
+            puts, said = [(EVERYONE, self.lie)], Said(note.step, note.exchange, "offers", [], 10**6)
+        return puts, said
+
+
+@pytest.mark.parametrize("lie", NONSENSE)
+@pytest.mark.parametrize("bandwidth", ["unlimited", 120])
+def test_who_lies_to_all_does_not_stop_the_honest_from_sharing_all_they_see(
+    lie: str, bandwidth: str | int
+) -> None:
+    plan = small_plan("office", robots=4, exchange="sight", offers="gossip", bandwidth=bandwidth, seed=2)
+    team = Team(plan, {LIAR: Gossip(Settings.from_message(plan.minds[LIAR]), NONSENSE[lie])})
+    team.explore(400)
+    assert any(move.explored for move in team.moves.values())
+    honest = [team.minds[number].robot for number in (0, 2, 3)]
+    if lie != "another's map":
+        seen = np.max([robot.own for robot in honest], axis=0)
+        for robot in honest:
+            wrong = (robot.planning != seen) & (seen != UNKNOWN)
+            assert wrong.mean() < 0.01
+    for robot in honest:
+        assert not (team.truth != robot.own)[robot.own != UNKNOWN].any()
+        assert {fault.peer for fault in robot.faults} <= {LIAR}
+
+
+def test_a_unit_of_a_liar_that_makes_no_sense_is_reported_and_no_more_is_taken_from_it() -> None:
+    plan = small_plan("office", robots=3, exchange="sight", offers="gossip", bandwidth="unlimited")
+    liar = Gossip(Settings.from_message(plan.minds[LIAR]), NONSENSE["a unit of noise"])
+    team = Team(plan, {LIAR: liar})
+    team.explore(10)
+    for number in (0, 2):
+        robot = team.minds[number].robot
+        assert robot.distrusted == {LIAR}
+        assert [fault.peer for fault in robot.faults] == [LIAR]
+        assert robot.faults[0].reason
 
 
 class Decliner(Mind):

@@ -5,9 +5,10 @@
 
 local murmur = Proto("murmur", "Murmur radio")
 
-local FRAMES = { [0] = "offer", [1] = "answer", [2] = "data", [3] = "broadcast" }
+local FRAMES = { [0] = "offer", [1] = "answer", [2] = "data", [3] = "broadcast", [4] = "news" }
 local VERDICTS = { [0] = "carried", [1] = "budget", [2] = "range", [3] = "protocol", [4] = "lost" }
 local FULL_SCAN, SHORT_SCAN, SCAN = 0xF1, 0xF2, 63
+local LOOK, LAST_LOOK, LOOK_DATA = 0xF4, 0xF5, 8
 
 -- Of each version of the head: bytes of a robot's number, of the mask of those who heard it, and of all.
 local HEADS = { [1] = { number = 1, mask = 8, size = 24 }, [2] = { number = 2, mask = 32, size = 52 } }
@@ -30,6 +31,9 @@ local LAYOUTS = {
   { kind = "pose", name = "Pose", size = 4, code = 0xF3, bits = 8, fields = { { "x", 11 }, { "y", 11 }, { "leads", 1 } } },
   { kind = "conn", name = "Block", size = 2, code = 0x3E0, bits = 10, fields = { { "block", 6 } } },
   { kind = "conn", name = "Decline", size = 2, code = 0xFC00, bits = 16, fields = {} },
+  { kind = "conn", name = "From", size = 4, code = 0xF6, bits = 8, fields = { { "map", 6 }, { "index", 18 } } },
+  { kind = "conn", name = "Held", size = 4, code = 0xF7, bits = 8, fields = { { "map", 6 }, { "index", 18 } } },
+  { kind = "conn", name = "Near", size = 2, code = 0xF9, bits = 8, fields = { { "robot", 6 }, { "here", 1 } } },
 }
 
 local f = {
@@ -50,7 +54,7 @@ local f = {
   packet = ProtoField.string("murmur.packet", "Packet"),
   kind = ProtoField.string("murmur.kind", "Kind"),
   size = ProtoField.uint16("murmur.size", "Size"),
-  index = ProtoField.uint16("murmur.index", "Index"),
+  index = ProtoField.uint32("murmur.index", "Index"),
   x = ProtoField.int16("murmur.x", "Cell x"),
   y = ProtoField.int16("murmur.y", "Cell y"),
   side = ProtoField.uint8("murmur.side", "Side of the cell"),
@@ -60,7 +64,10 @@ local f = {
   inside = ProtoField.uint8("murmur.inside", "Encloses free space"),
   block = ProtoField.uint8("murmur.block", "Block"),
   leads = ProtoField.uint8("murmur.leads", "Sender leads"),
-  data = ProtoField.bytes("murmur.data", "Piece of a scan"),
+  robot = ProtoField.uint8("murmur.robot", "Robot"),
+  here = ProtoField.uint8("murmur.here", "In range"),
+  number = ProtoField.uint8("murmur.number", "Unit, modulo 4"),
+  data = ProtoField.bytes("murmur.data", "Piece of a scan, or of a unit of looks"),
   rest = ProtoField.bytes("murmur.rest", "Bytes that are no packet"),
 }
 local list = {}
@@ -125,6 +132,21 @@ local function show_scan(tree, range, data)
   item:set_text("scan (Fragment) " .. data:len() .. " bytes")
 end
 
+local function show_look(tree, range, data, number)
+  local item = tree:add(f.packet, range, "Look")
+  item:add(f.kind, range, "look")
+  item:add(f.size, range, range:len())
+  local words = "look (Look) "
+  if number then
+    item:add(f.number, range(1, 1), number)
+    words = words .. "number " .. number .. ", "
+  end
+  if data then
+    item:add(f.data, data)
+  end
+  item:set_text(words .. (data and data:len() or 0) .. " bytes")
+end
+
 -- Show the packet at an offset; return its kind and size, or nil, what is wrong, and how many bytes it wants.
 local function show_packet(tree, tvb, offset)
   local first, have = tvb(offset, 1):uint(), tvb:len() - offset
@@ -141,6 +163,18 @@ local function show_packet(tree, tvb, offset)
     end
     show_scan(tree, tvb(offset, head + size), tvb(offset + head, size))
     return "scan", head + size
+  end
+  if first == LOOK or first == LAST_LOOK then
+    local head, size, number = 1, LOOK_DATA, nil
+    if first == LAST_LOOK then
+      local second = have > 1 and tvb(offset + 1, 1):uint() or 0
+      head, size, number = 2, math.floor(second / 4), second % 4
+    end
+    if head + size > have then
+      return nil, "a piece of a unit of looks, cut off", head + size
+    end
+    show_look(tree, tvb(offset, head + size), size > 0 and tvb(offset + head, size) or nil, number)
+    return "look", head + size
   end
   local layout = announced(first)
   if not layout then

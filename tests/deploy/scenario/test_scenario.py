@@ -11,8 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.exchange.catalogue import EXCHANGES
-from agent.exchange.session import POLICIES
+from agent.exchange.catalogue import EXCHANGES, OFFERS
 from deploy.scenario.scenario import SHIPPED, UNLIMITED, Scenario, ScenarioError, load, parse
 from protocol.grid import MAX_ROBOTS
 from protocol.packets import MAX_MAPS
@@ -131,7 +130,7 @@ WRONG = [
     ({"range": True}, "range = True: "),
     ({"exchange": "smoke"}, "exchange = 'smoke': there are: .*laser"),
     ({"strategy": "best"}, "no strategy is called 'best'; there are: .*meier"),
-    ({"offers": "never"}, "offers = 'never': .*'backoff' or 'thesis'"),
+    ({"offers": "never"}, "offers = 'never': .*'backoff', 'thesis' or 'gossip'"),
     ({"bus": "tram"}, "bus = 'tram': .*'zenoh' or 'memory'"),
     ({"map": 3}, "map = 3: .*string"),
     ({"options": {"gamma": 1.0}}, "meier has no option 'gamma'; there are: .*beta"),
@@ -274,6 +273,6 @@ def test_wrong_flags_without_a_file_are_explained_as_well() -> None:
 def test_help_names_every_exchange_and_every_policy_of_offers() -> None:
     fields = Scenario.model_fields
     assert str(fields["exchange"].description).endswith(": " + ", ".join(EXCHANGES))
-    assert str(fields["offers"].description).endswith(": " + ", ".join(POLICIES))
-    for policy in POLICIES:
+    assert str(fields["offers"].description).endswith(": " + ", ".join(OFFERS))
+    for policy in OFFERS:
         assert parse({"offers": policy}).offers == policy

@@ -1,0 +1,419 @@
+"""Gossip: logs of all robots' maps by broadcast, one word heard by all in range (docs/protocol.md; ours, of no paper).
+
+On a shared medium a broadcast costs once, however many hear it. A robot broadcasts units of its own log as they come;
+who hears a unit that it holds ignores it. There are no handshakes: one round trip of the bus an exchange.
+
+What a robot knows of others it knows from what is on the air. It has a table of how far each log has reached each
+teammate, and one of who is in whose range; all of them say so when theirs changes. A broadcast that was carried has
+reached all in range of who said it. So all who hear each other have the same tables, and of several who could pass on
+what a robot lacks the same one is chosen by all: its maker, if it is one of them, else one by turns.
+
+Events and what follows from them; the tables move with the relay's word of what was carried, and by nothing else:
+
+    event                                             what is said, in this order
+    one's range has changed                           near: who has come, who has left
+    a teammate has come into range                    held: of each map of which one may hold more than it was told
+    a unit came behind others that one lacks          held: how far one is; once in `PATIENCE` steps
+    somebody has been out of range before             held: of one map, in turn; once in `SELDOM` steps
+    one's own log has units that nobody has heard     them, from where one's last broadcast ended
+    a teammate in range lacks units of one's own log  from, and these
+    one is chosen to pass on what a teammate lacks    from, and these, the map of which it lacks most first
+
+A log of one's own goes on where its last broadcast ended, and nothing says where that was, unless somebody is in range
+who has not been there since: then `From` goes before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from agent.exchange.log import Log
+from protocol import packets, survey
+from protocol.errors import ProtocolError
+from protocol.messages import Outcome
+from protocol.packets import GOSSIP_WINDOW, From, Held, Near
+
+POLICY = "gossip"
+
+EVERYONE = -1
+"""Whom a broadcast is for."""
+
+PATIENCE = 6
+"""Steps after which a robot says again what it lacks, and after which the next one may pass it on."""
+
+SELDOM = 16
+"""Steps after which a robot that has not always had all others in range says what it holds of one more map."""
+
+GREETING = 1
+"""Steps after its coming into range in which a robot is not told what it may hold by then."""
+
+MOST_URGENT = 255
+
+
+@dataclass
+class _Said:
+    """What a broadcast says: reports first, then stretches of logs."""
+
+    payload: bytes = b""
+    near: list[tuple[int, Near]] = field(default_factory=list)
+    """Where each report ends, in bytes."""
+    held: list[tuple[int, Held]] = field(default_factory=list)
+    met: set[int] = field(default_factory=set)
+    """Whom they are for that have come into range."""
+    stretches: list[_Stretch] = field(default_factory=list)
+
+
+@dataclass
+class _Stretch:
+    """Units of a map's log in a broadcast, from number `first` on; where they begin, in bytes, and where each ends."""
+
+    map: int
+    first: int
+    begin: int
+    ends: list[int]
+
+
+class Gossip:
+    """One robot's end of it; it stands where `agent.exchange.session.Session` does."""
+
+    def __init__(self, robot: int, robots: int) -> None:
+        self.logs = [Log() for _ in range(robots)]
+        """What is held of every robot's map."""
+        self.known = [[0] * robots for _ in range(robots)]
+        """``known[peer][map]``: up to which unit the map has reached the peer, as far as one can know."""
+        self.refused: set[tuple[int, int]] = set()
+        """(peer, map): what is not taken from a peer, for what came of it made no sense."""
+        self.urgency = 0
+        """How soon what was said last should be on the air: the more, the shorter one waits for a free medium."""
+        self._robot = robot
+        self._robots = robots
+        self._step = 0
+        self._peers: list[int] = []
+        self._sure: list[int] = []
+        """Those in range who have said what they hold, or had the time to."""
+        self._near = [set(range(robots)) - {each} for each in range(robots)]
+        """Who is in whose range, as they said; all, until they say otherwise."""
+        self._told_near = [set(range(robots)) - {robot} for _ in range(robots)]
+        """Who is in one's own range, as each teammate has been told."""
+        self._parted = False
+        """Whether anybody has ever been out of one's range."""
+        self._told = [[0] * robots for _ in range(robots)]
+        """``_told[peer][map]``: how much of a map the peer knows one to hold."""
+        self._met: set[int] = set()
+        """Who has come into range and has not been told what one holds."""
+        self._unsure: dict[int, int] = {}
+        """Until which step, at most, one waits for those who have come into range to say what they hold."""
+        self._gaps: set[int] = set()
+        """Maps of which a unit came behind others that are lacking."""
+        self._asked = [-PATIENCE] * robots
+        """The step in which one last said of a map what one holds."""
+        self._begun = 0
+        """Where what was last recorded begins in one's own log."""
+        self._aired = 0
+        """Up to which unit one's own log has been on the air."""
+        self._cursor = 0
+        """Where the last broadcast of one's own log ended."""
+        self._synced = set(range(robots)) - {robot}
+        """Who has been in range since then, so that it needs not be said."""
+        self._cursors: list[int | None] = [0] * robots
+        """Where the last broadcast of each teammate's own log ended, if that was heard."""
+        self._lacking: dict[tuple[int, int], int] = {}
+        """(peer, map): since which step a peer in range lacks units of a map that one holds."""
+        self._waits = 0
+        """Since which step there is something to say that has not been on the air."""
+        self._said = _Said()
+
+    def record(self, units: list[bytes]) -> None:
+        """Append to the log of one's own map."""
+        if units:
+            self._begun = len(self.logs[self._robot])
+        self.logs[self._robot].append(units)
+
+    def retract(self, count: int) -> bool:
+        """Take the last `count` units of one's own log back, if nobody has heard any of them; say whether."""
+        log = self.logs[self._robot]
+        if len(log) - count < self._aired:
+            return False
+        log.retract(count)
+        return True
+
+    def offers(self, exchange: int, peers: list[int], room: int | None) -> list[tuple[int, int, bytes]]:
+        """Open an exchange: return what to broadcast, as [(EVERYONE, own number, frame)], or nothing.
+
+        `room` is what is left of the step's budget in bytes, None for no limit.
+        """
+        if exchange == 0:
+            self._begin_step(peers)
+        self._look_who_lacks()
+        said = self._said = _Said()
+        if not peers:
+            return []
+        self._report(said, room)
+        self._tell_own(said, room)
+        for about in self._to_pass_on():
+            self._tell(said, about, room)
+        self._set_urgency(said)
+        return [(EVERYONE, self._robot, said.payload)] if said.payload else []
+
+    def answers(self, heard: list[tuple[int, int, bytes]]) -> list[tuple[int, int, bytes]]:
+        """Nobody offers anything."""
+        raise ProtocolError("conn", 0, f"{len(heard)} offers, but maps travel by gossip")
+
+    def data(self, heard: list[tuple[int, int, int, bytes]]) -> list[tuple[int, int, bytes]]:
+        """Nobody answers anything."""
+        raise ProtocolError("conn", 0, f"{len(heard)} answers, but maps travel by gossip")
+
+    def outcome(self, outcome: Outcome, heard: list[tuple[int, bytes]]) -> Iterator[tuple[int, int, bytes]]:
+        """Move the tables by what was carried; yield the news that came, as (peer, map, frame).
+
+        The caller appends the units of each with `accept` before it asks for the next, once it has made sense of
+        them.
+        """
+        frames: list[tuple[int, list[bytes]]] = []
+        for peer, payload in heard:
+            try:
+                frames.append((peer, survey.split(payload)))
+            except ProtocolError:
+                yield peer, peer, payload  # whoever makes sense of it will say what is wrong
+        for peer, pieces in frames:  # reports speak of what was before this exchange
+            yield from self._hear_reports(peer, pieces)
+        for sent in outcome.data:
+            self._settle(sent)
+        for peer, pieces in frames:
+            yield from self._hear_units(peer, pieces)
+
+    def accept(self, peer: int, about: int, units: list[bytes]) -> None:
+        """Append units of a map that a peer said."""
+        del peer
+        self.logs[about].append(units)
+
+    def delivered(self) -> bool:
+        """Whether teammates are in range, and all that one has logged has been on the air."""
+        return bool(self._peers) and self._aired == len(self.logs[self._robot])
+
+    def undelivered(self) -> int:
+        """Units of one's own map that have not reached a teammate yet, all teammates counted."""
+        held = len(self.logs[self._robot])
+        return sum(held - known[self._robot] for peer, known in enumerate(self.known) if peer != self._robot)
+
+    def forget(self) -> None:
+        """Drop what all teammates hold."""
+        for about, (log, known) in enumerate(zip(self.logs, zip(*self.known, strict=True), strict=True)):
+            others = [reached for peer, reached in enumerate(known) if peer not in (self._robot, about)]
+            log.forget(min(others, default=len(log)))
+
+    # --- what is said
+
+    def _begin_step(self, peers: list[int]) -> None:
+        """Note who is in range now."""
+        self._step += 1
+        come = set(peers) - set(self._peers) if self._step > 1 else set()
+        self._met = (self._met | come) & set(peers)
+        self._unsure |= dict.fromkeys(come, self._step + GREETING)
+        self._synced &= set(peers)
+        for peer in range(self._robots):
+            if peer not in peers:
+                self._cursors[peer] = None
+        self._peers = peers
+        self._parted = self._parted or len(peers) < self._robots - 1
+
+    def _look_who_lacks(self) -> None:
+        """Note who in range lacks what, and since when, as far as one can know."""
+        self._sure = [peer for peer in self._peers if self._unsure.get(peer, 0) < self._step]
+        lacking = {
+            (peer, about)
+            for peer in self._sure
+            for about, log in enumerate(self.logs)
+            if about != peer and self.known[peer][about] < len(log)
+        }
+        self._lacking = {pair: self._lacking.get(pair, self._step) for pair in sorted(lacking)}
+
+    def _report(self, said: _Said, room: int | None) -> None:
+        """Say who is in range, where that has changed, and what one holds, where somebody should know."""
+        peers = set(self._peers)
+        left = (1 << 30) if room is None else room
+        for peer in sorted(set().union(*((self._told_near[each] ^ peers) - {each} for each in peers))):
+            near = Near(peer, int(peer in peers))
+            if len(said.payload) + near.size <= left:
+                said.payload += packets.encode([near])
+                said.near.append((len(said.payload), near))
+        reminds = self._parted and self._step % SELDOM == self._robot % SELDOM
+        said.met = set(self._met)
+        for about, log in enumerate(self.logs):
+            met = any(self._told[peer][about] < len(log) for peer in self._met)
+            gap = about in self._gaps and self._step >= self._asked[about] + PATIENCE
+            remind = reminds and self._step // SELDOM % self._robots == about
+            if about != self._robot and (met or gap or remind) and len(said.payload) + Held.size <= left:
+                held = Held(about, len(log) % GOSSIP_WINDOW)
+                said.payload += packets.encode([held])
+                said.held.append((len(said.payload), held))
+
+    def _tell_own(self, said: _Said, room: int | None) -> None:
+        """Go on with one's own log; then say again what somebody in range has missed of it."""
+        robot, log = self._robot, self.logs[self._robot]
+        aired = self._aired
+        if aired < len(log):
+            self._stretch(said, robot, aired, len(log), room)
+        lowest = min((self.known[peer][robot] for peer in self._sure), default=aired)
+        if lowest < aired:
+            self._stretch(said, robot, lowest, aired, room)
+
+    def _to_pass_on(self) -> list[int]:
+        """Maps of others that somebody in range lacks units of, and that are for oneself to say; most first."""
+        lacks: dict[int, int] = {}
+        for (peer, about), since in self._lacking.items():
+            units = len(self.logs[about]) - self.known[peer][about]
+            if about != self._robot and units > 0 and self._is_chosen(peer, about, since):
+                lacks[about] = max(lacks.get(about, 0), units)
+        return sorted(lacks, key=lambda about: (-lacks[about], about))
+
+    def _is_chosen(self, peer: int, about: int, since: int) -> bool:
+        """Whether it is for oneself to pass on what a peer lacks of a map.
+
+        Of those who hold more of it than the peer and are in its range it is the maker, else one by turns; after
+        `PATIENCE` steps in which the peer has not got it the next one does as well.
+        """
+        able = [
+            each
+            for each in [*self._peers, self._robot]
+            if each != peer
+            and (each == self._robot or peer in self._near[each])
+            and (each in (about, self._robot) or self.known[each][about] > self.known[peer][about])
+        ]
+        able.sort(key=lambda each: (each != about, (each - about) % self._robots))
+        return able.index(self._robot) <= (self._step - since) // PATIENCE
+
+    def _tell(self, said: _Said, about: int, room: int | None) -> None:
+        """Pass a map on, from where the peer is that lacks most."""
+        first = min(self.known[peer][about] for peer in self._sure if peer != about)
+        self._stretch(said, about, first, len(self.logs[about]), room)
+
+    def _stretch(self, said: _Said, about: int, first: int, end: int, room: int | None) -> None:
+        """Say units `first` to `end` - 1 of a log as far as there is room, behind a `From` where it is needed."""
+        first = max(first, self.logs[about].oldest)
+        begins = about == self._robot and first == self._cursor and not said.stretches
+        head = b""
+        if not (begins and set(self._peers) <= self._synced):
+            head = packets.encode([From(about, first % GOSSIP_WINDOW)])
+        left = None if room is None else room - len(said.payload) - len(head)
+        units = self.logs[about].since(first, left)[: end - first]
+        if not units:
+            return
+        said.payload += head
+        begin = len(said.payload)
+        ends: list[int] = []
+        for unit in units:
+            ends.append((ends[-1] if ends else begin) + len(unit))
+        said.payload += b"".join(units)
+        said.stretches.append(_Stretch(about, first, begin, ends))
+
+    def _set_urgency(self, said: _Said) -> None:
+        """Who has most to say, and has waited longest, speaks first; who has begun a unit ends it before."""
+        if not said.payload:
+            self._waits = self._step
+        waited = self._step - self._waits
+        begun = self._begun < self._aired < len(self.logs[self._robot])
+        self.urgency = MOST_URGENT if begun else min(MOST_URGENT - 1, len(said.payload) + 8 * waited)
+
+    # --- what was heard
+
+    def _settle(self, sent: int) -> None:
+        """So many bytes of one's broadcast were on the air: all in range have heard them."""
+        said, peers = self._said, set(self._peers)
+        for end, near in said.near:
+            if end <= sent:
+                for peer in peers:
+                    told = self._told_near[peer]
+                    (told.add if near.here else told.discard)(near.robot)
+        for end, held in said.held:
+            if end <= sent:
+                self._asked[held.map] = self._step
+                self._gaps.discard(held.map)
+                self._believe(held.map, len(self.logs[held.map]))
+        if all(end <= sent for end, _ in said.held):
+            self._met -= said.met
+        for stretch in said.stretches:
+            carried = sum(end <= sent for end in stretch.ends)
+            if not carried:
+                break
+            end = stretch.first + carried
+            self._believe(stretch.map, end)
+            for peer in peers:
+                self._reach(peer, stretch.map, stretch.first, end)
+            if stretch.map == self._robot:
+                self._cursor, self._synced = end, peers
+                self._aired = max(self._aired, end)
+        if sent:
+            self._waits = self._step
+
+    def _hear_reports(self, peer: int, pieces: list[bytes]) -> Iterator[tuple[int, int, bytes]]:
+        """Take who is near a peer, and what it holds; yield what does not belong here."""
+        for piece in pieces:
+            if packets.name(piece) != From.name:
+                continue
+            match packets.decode(piece)[0]:
+                case Near(robot, here) if robot < self._robots:
+                    (self._near[peer].add if here else self._near[peer].discard)(robot)
+                case Held(about, count) if about < self._robots and about != peer:
+                    self.known[peer][about] = self._unwrap(about, count)
+                    self._unsure.pop(peer, None)
+                    self._near[peer].add(self._robot)
+                case From(about, _) if about < self._robots:
+                    pass
+                case other:
+                    yield peer, peer, packets.encode([other])
+
+    def _hear_units(self, peer: int, pieces: list[bytes]) -> Iterator[tuple[int, int, bytes]]:
+        """Take what a peer said of logs; yield what is news."""
+        about, index = peer, self._cursors[peer]
+        units: list[bytes] = []
+        for piece in pieces:
+            if packets.name(piece) != From.name:
+                units.append(piece)
+                continue
+            said = packets.decode(piece)[0]
+            if isinstance(said, From) and said.map < self._robots:
+                yield from self._take(peer, about, index, units)
+                about, index, units = said.map, self._unwrap(said.map, said.index), []
+        yield from self._take(peer, about, index, units)
+
+    def _take(
+        self, peer: int, about: int, index: int | None, units: list[bytes]
+    ) -> Iterator[tuple[int, int, bytes]]:
+        """A peer said units of a map, from number `index` on: yield those that are news."""
+        if not units:
+            return
+        if index is None:
+            self._gaps.add(about)
+            return
+        end, held = index + len(units), len(self.logs[about])
+        if about == peer:
+            self._cursors[peer] = end
+        self.known[peer][about] = max(self.known[peer][about], end)
+        if index > held:
+            self._gaps.add(about)
+        else:
+            self._gaps.discard(about)
+        if index <= held < end and about != self._robot and (peer, about) not in self.refused:
+            yield peer, about, b"".join(units[held - index :])
+        if len(self.logs[about]) >= end:
+            for other in {peer} | self._near[peer]:
+                self._told[other][about] = max(self._told[other][about], end)
+        for other in self._near[peer] - {self._robot}:
+            self._reach(other, about, index, end)
+
+    def _reach(self, peer: int, about: int, first: int, end: int) -> None:
+        """A peer has heard units `first` to `end` - 1 of a map; it takes them unless it lacks earlier ones."""
+        if self.known[peer][about] >= first:
+            self.known[peer][about] = max(self.known[peer][about], end)
+
+    def _believe(self, about: int, held: int) -> None:
+        """All in range have heard that one holds so many units of a map."""
+        for peer in self._peers:
+            self._told[peer][about] = max(self._told[peer][about], held)
+
+    def _unwrap(self, about: int, index: int) -> int:
+        """The number that is meant by one modulo `GOSSIP_WINDOW`: the nearest to what one holds."""
+        held = len(self.logs[about])
+        return max(0, held + (index - held + GOSSIP_WINDOW // 2) % GOSSIP_WINDOW - GOSSIP_WINDOW // 2)

@@ -1,0 +1,245 @@
+"""The sight exchange: a robot says from where it looked, and what was surprising (docs/sight.md; ours, of no paper).
+
+It is as exact as raw scans, and hundreds of times shorter: who holds the same map casts the scan again
+(`agent.sight`). A robot waits until there are a few new cells, or a few steps have gone by, then tells in one unit all
+that has not been told: by itself, or with base `team` by anybody. A unit of which nobody has heard anything yet is
+written anew in the next step, for by then others have told some of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.exchange.base import Exchange
+from agent.exchange.laser import lay_over
+from agent.exchange.sight_options import SightOptions
+from agent.outline.boxes import whole
+from agent.settings import Settings
+from agent.sight.looks import MAX_LOOKS, STATE, TOLD
+from agent.sight.stream import Box, History, Stream, Told, around
+from protocol.errors import ProtocolError
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, fan
+from protocol.kernels import kernel
+from protocol.packets import LAST_LOOK_DATA, LOOK_DATA, LOOK_NUMBERS, Look, encode, look
+from protocol.scans import Change, Scan
+
+ENOUGH_CELLS = 8
+"""New cells for which a unit is worth its head."""
+
+ENOUGH_STEPS = 3
+"""Steps that fewer new cells wait at most, on a narrow medium."""
+
+FAIR_SHARE = 20
+"""Bytes a robot and step with which they wait for one step, with half of it for two, and so on."""
+
+
+PACKETS_A_STEP = 3
+"""Packets that a step's budget is to have room for at least, where it has room for the shortest: for what finds no
+room at the end of a step is lost."""
+
+
+@dataclass
+class _Waiting:
+    """What the next unit is to tell of: where the robot looked from, and where its grid has changed."""
+
+    poses: list[tuple[int, int]] = field(default_factory=list)
+    boxes: list[Box] = field(default_factory=list)
+    steps: int = 0
+
+
+@dataclass
+class _Coming:
+    """Units of a map as they come: pieces of the next one, and whole ones that have not been read yet."""
+
+    pieces: bytes = b""
+    whole: list[bytes] = field(default_factory=list)
+    units: int = 0
+    """Units that have come whole."""
+    broken: str = ""
+    """Why one of them could not be read; then none behind it can."""
+
+
+class SightExchange(Exchange):
+    """One robot's stream, and all others' as far as they came."""
+
+    name = "sight"
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__(settings)
+        shape = settings.height, settings.width
+        options = SightOptions(**settings.sight)
+        self._grids = np.zeros((settings.robots, *shape), np.uint8)
+        self._histories = [History() for _ in range(settings.robots)]
+        scratch = np.empty((2 * settings.height * settings.width, 2), np.int32)
+        self._streams = [
+            Stream(
+                maker,
+                self._grids[maker],
+                fan(settings.ranges_cells[maker], settings.beams),
+                self._histories,
+                scratch,
+                team=options.base == "team",
+            )
+            for maker in range(settings.robots)
+        ]
+        self._heard: Grid = np.zeros(shape, np.uint8)
+        """What all have told."""
+        room = LAST_LOOK_DATA if settings.bandwidth is None else int(settings.bandwidth) // PACKETS_A_STEP - 2
+        self._most = min(max(room, LOOK_DATA), LAST_LOOK_DATA)
+        self._patience = 1
+        if settings.bandwidth is not None:
+            scarce = FAIR_SHARE * settings.robots / max(settings.bandwidth, 1)
+            self._patience = min(max(math.ceil(scarce), 1), ENOUGH_STEPS)
+        self._waiting = _Waiting()
+        self._said = _Waiting()
+        """What the last unit told of."""
+        self._last: Told | None = None
+        self._coming = [_Coming() for _ in range(settings.robots)]
+
+    def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
+        """Write a unit, if the one before has been said and there is enough to tell."""
+        waiting = self._waiting
+        if change.cells:
+            waiting.poses.append((scan.x, scan.y))
+            waiting.boxes.append((change.x0, change.y0, change.x1, change.y1))
+        if not waiting.boxes:
+            return []
+        waiting.steps += 1
+        self.revisable = 0
+        if not delivered:
+            return []
+        mine = self._grids[self.settings.robot]
+        news = int(_news(self._heard, mine, own, *around(waiting.boxes)))
+        if 0 < news < ENOUGH_CELLS and waiting.steps < self._patience:
+            return []
+        self._said, self._waiting = waiting, _Waiting()
+        return self._tell(own, waiting) if news else []
+
+    def _tell(self, own: Grid, waiting: _Waiting) -> list[bytes]:
+        maker = self.settings.robot
+        stream, history = self._streams[maker], self._histories[maker]
+        packets: list[bytes] = []
+        box = around(waiting.boxes)
+        for first in range(0, len(waiting.poses), MAX_LOOKS):
+            last = first + MAX_LOOKS >= len(waiting.poses)
+            number = len(history)
+            unit = stream.encode(own, waiting.poses[first : first + MAX_LOOKS], box, last=last)
+            if unit is not None:
+                message, told = unit
+                _update(self._grids, told.places, self._heard)
+                packets += pieces(message, number, self._most)
+                self._last = told
+                self.revisable = len(packets) if len(waiting.poses) <= MAX_LOOKS else 0
+        return packets
+
+    def retract(self) -> None:
+        """Take the last unit back: nobody has heard of it."""
+        maker = self.settings.robot
+        assert self._last is not None
+        self._streams[maker].undo()
+        self._histories[maker].pop()
+        _update(self._grids, self._last.places, self._heard)
+        said, waiting = self._said, self._waiting
+        self._waiting = _Waiting(
+            said.poses + waiting.poses, said.boxes + waiting.boxes, said.steps + waiting.steps
+        )
+        self._last, self.revisable = None, 0
+
+    def take(self, about: int, units: list[bytes]) -> None:
+        """Put pieces together, and read the units that can be read by now, of all maps."""
+        coming = self._coming[about]
+        if coming.broken:
+            raise ProtocolError(Look.name, 0, coming.broken)
+        rest, whole, number = coming.pieces, [], coming.units
+        for unit in units:
+            said, data = look(unit)
+            rest += data
+            if said is not None:
+                if said != number % LOOK_NUMBERS:
+                    raise ProtocolError(
+                        Look.name, 0, f"unit {said} where {number % LOOK_NUMBERS} is the next"
+                    )
+                whole.append(rest)
+                number += 1
+                rest = b""
+        if whole and not coming.whole:
+            first = self._streams[about].decode(whole[0])
+            if first is not None:
+                _update(self._grids, first.places, self._heard)
+                whole = whole[1:]
+        coming.pieces, coming.units = rest, number
+        coming.whole += whole
+        self._read_on()
+
+    def _read_on(self) -> None:
+        """Read all units for which what they are built on is there; one that makes no sense ends its stream."""
+        progress = True
+        while progress:
+            progress = False
+            for maker, coming in enumerate(self._coming):
+                while coming.whole and not coming.broken:
+                    try:
+                        told = self._streams[maker].decode(coming.whole[0])
+                    except ProtocolError as error:
+                        coming.broken = error.reason
+                        coming.whole.clear()
+                        break
+                    if told is None:
+                        break
+                    _update(self._grids, told.places, self._heard)
+                    del coming.whole[0]
+                    progress = True
+
+    def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
+        """Lay the robot's own grid over what all have told."""
+        del peers
+        for robot, history in enumerate(self._histories):
+            history.forget(min((s.builds_from(robot) for s in self._streams if s.maker != robot), default=0))
+        planning = np.empty_like(own)
+        lay_over(self._heard, own, whole(own.shape), planning)
+        return planning
+
+
+def pieces(message: bytes, number: int, most: int) -> list[bytes]:
+    """Cut a unit into the packets in which it travels; the last has `most` bytes of content at most."""
+    packets = []
+    while len(message) > most:
+        packets.append(encode([Look(None, message[:LOOK_DATA])]))
+        message = message[LOOK_DATA:]
+    return [*packets, encode([Look(number % LOOK_NUMBERS, message)])]
+
+
+@kernel("int64(uint8[:,::1], uint8[:,::1], uint8[:,::1], int64, int64, int64, int64)")
+def _news(heard: Grid, told: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int) -> int:
+    """Count the cells of a box that nobody has told of as the robot knows them."""
+    count = 0
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            truth = own[y, x]
+            if truth == UNKNOWN:
+                count += told[y, x] & TOLD != 0
+            else:
+                count += heard[y, x] != truth and told[y, x] != truth | TOLD
+    return count
+
+
+@kernel("void(uint8[:,:,::1], int32[::1], uint8[:,::1])")
+def _update(grids: NDArray[np.uint8], places: NDArray[np.int32], heard: Grid) -> None:
+    """Put cells of all makers' grids together anew: a wall if one has told so, else free if one has."""
+    makers, _, width = grids.shape
+    for place in places:
+        x, y = place % width, place // width
+        state = UNKNOWN
+        for maker in range(makers):
+            cell = grids[maker, y, x]
+            if cell & TOLD:
+                state = max(state, cell & STATE)
+        heard[y, x] = state
+
+
+assert UNKNOWN < FREE < OCCUPIED

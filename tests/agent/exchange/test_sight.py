@@ -1,0 +1,233 @@
+"""The sight exchange: what a robot's units say is what it has seen, in whatever order and pieces they come."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from agent.exchange.sight import ENOUGH_STEPS, SightExchange, pieces
+from agent.settings import Settings
+from protocol.errors import ProtocolError
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, fan
+from protocol.packets import LAST_LOOK_DATA, LOOK_DATA, Delete, Fragment, Look, encode, look
+from protocol.scans import Change, Scan, draw
+from worldsim.laser import cast
+
+BEAMS = 36
+RANGES = [6.0, 3.5, 9.0]
+WIDTH, HEIGHT = 20, 14
+seeds = st.integers(0, 2**32 - 1)
+
+
+def settings_of(robot: int, **more: Any) -> Settings:
+    return Settings(
+        robot=robot, robots=3, width=WIDTH, height=HEIGHT, ranges_cells=RANGES, beams=BEAMS, speed_cells=1.0,
+        seed=0, exchange="sight", strategy="meier", offers="gossip", reach_cells=math.inf,
+        **({"bandwidth": None} | more),
+    )  # fmt: skip
+
+
+class Explorer:
+    """A robot that looks around from anywhere, and its exchange."""
+
+    def __init__(self, robot: int, seed: int, **more: Any) -> None:
+        self.robot = robot
+        self.exchange = SightExchange(settings_of(robot, **more))
+        self.own: Grid = np.zeros((HEIGHT, WIDTH), np.uint8)
+        self.rng = np.random.default_rng([seed, robot])
+        self.log: list[bytes] = []
+
+    def look(self, truth: Grid, *, delivered: bool = True, noise: int = 0) -> list[bytes]:
+        """Take a scan, spoil some cells of what is known, and log what there is to tell."""
+        nobody, beams = np.zeros(truth.shape, np.bool_), fan(RANGES[self.robot], BEAMS)
+        x, y = int(self.rng.integers(WIDTH)), int(self.rng.integers(HEIGHT))
+        readings = cast(truth, nobody, beams, x, y)
+        change = draw(self.own, beams, x, y, readings)
+        for _ in range(noise):
+            at_x, at_y = int(self.rng.integers(WIDTH)), int(self.rng.integers(HEIGHT))
+            self.own[at_y, at_x] = self.rng.choice((FREE, OCCUPIED))
+            change += Change(1, at_x, at_y, at_x + 1, at_y + 1)
+        units = self.exchange.record(self.own, Scan(x, y, readings), change, delivered=delivered)
+        self.log += units
+        return units
+
+
+def world(seed: int) -> Grid:
+    rng = np.random.default_rng(seed)
+    return np.where(rng.random((HEIGHT, WIDTH)) < 0.85, FREE, OCCUPIED).astype(np.uint8)
+
+
+def flush(explorer: Explorer) -> list[bytes]:
+    """Let a robot stand still until it has told all."""
+    said: list[bytes] = []
+    nothing = Change(0, WIDTH, HEIGHT, 0, 0)
+    for _ in range(ENOUGH_STEPS):
+        scan = Scan(0, 0, np.full(BEAMS, 0, np.uint16))
+        said += explorer.exchange.record(explorer.own, scan, nothing, delivered=True)
+    explorer.log += said
+    return said
+
+
+def unknown() -> Grid:
+    return np.zeros((HEIGHT, WIDTH), np.uint8)
+
+
+@given(seeds, st.sampled_from(("team", "own")), st.sampled_from((0, 0, 3)))
+def test_all_that_a_team_has_seen_is_what_each_of_them_knows(seed: int, base: str, noise: int) -> None:
+    truth = world(seed)
+    team = [Explorer(robot, seed, sight={"base": base}) for robot in range(3)]
+    for _ in range(6):
+        said = [(each.robot, each.look(truth, noise=noise)) for each in team]
+        for each in team:
+            for robot, units in said:
+                if robot != each.robot:
+                    each.exchange.take(robot, units)
+    last = [(each.robot, flush(each)) for each in team]
+    for each in team:
+        for robot, units in last:
+            if robot != each.robot:
+                each.exchange.take(robot, units)
+    told = [each.exchange.merge(unknown()) for each in team]
+    assert all((grid == told[0]).all() for grid in told)
+    seen = [each.own for each in team]
+    assert ((told[0] != UNKNOWN) == np.any([own != UNKNOWN for own in seen], axis=0)).all()
+    assert np.any([(told[0] == own) for own in seen], axis=0).all()
+    if not noise:
+        assert (told[0] == np.max(seen, axis=0)).all()
+    for each in team:
+        planning = each.exchange.merge(each.own)
+        assert (planning[each.own != UNKNOWN] == each.own[each.own != UNKNOWN]).all()
+
+
+@given(seeds, st.integers(0, 2**32 - 1))
+def test_units_in_pieces_and_in_any_order_of_maps_say_the_same(seed: int, order: int) -> None:
+    truth = world(seed)
+    makers = [Explorer(robot, seed) for robot in (0, 1)]
+    for _ in range(6):
+        for maker, other in (makers, makers[::-1]):
+            other.exchange.take(maker.robot, maker.look(truth))
+    for maker, other in (makers, makers[::-1]):
+        other.exchange.take(maker.robot, flush(maker))
+    hearer, rng = SightExchange(settings_of(2)), np.random.default_rng(order)
+    logs = [list(maker.log) for maker in makers]
+    while any(logs):
+        robot = int(rng.integers(2))
+        count = int(rng.integers(1, 4))
+        hearer.take(robot, logs[robot][:count])
+        del logs[robot][:count]
+    assert (hearer.merge(unknown()) == np.max([maker.own for maker in makers], axis=0)).all()
+
+
+@given(seeds)
+def test_what_waited_for_the_medium_is_told_in_one_unit_later(seed: int) -> None:
+    truth = world(seed)
+    maker, hearer = Explorer(0, seed), SightExchange(settings_of(1))
+    for _ in range(5):
+        assert maker.look(truth, delivered=False) == []
+    units = maker.look(truth)
+    assert sum(look(unit)[0] is not None for unit in units) == 1
+    hearer.take(0, units)
+    assert (hearer.merge(unknown()) == maker.own).all()
+
+
+@given(seeds)
+def test_a_unit_that_nobody_has_heard_is_taken_back_and_what_it_said_is_in_the_next(seed: int) -> None:
+    truth = world(seed)
+    maker, hearer = Explorer(0, seed), SightExchange(settings_of(1))
+    units = maker.look(truth)
+    assume(units)
+    assert maker.exchange.revisable == len(units)
+    maker.exchange.retract()
+    assert not maker.exchange.merge(unknown()).any()
+    hearer.take(0, maker.look(truth))
+    assert (hearer.merge(unknown()) == maker.own).all()
+
+
+def test_a_look_that_shows_nothing_new_to_all_is_not_told() -> None:
+    truth = np.full((HEIGHT, WIDTH), FREE, np.uint8)
+    first, second = Explorer(2, 1), Explorer(0, 1)
+    for _ in range(40):
+        second.exchange.take(2, first.look(truth))
+    second.exchange.take(2, flush(first))
+    assert (second.exchange.merge(unknown()) == FREE).all()
+    assert [second.look(truth) for _ in range(5)] == 5 * [[]]
+    assert second.own.any()
+
+
+@pytest.mark.parametrize(("bandwidth", "steps"), [(None, 0), (1000.0, 0), (50.0, 1), (25.0, 2), (1.0, 2)])
+def test_few_new_cells_wait_for_a_few_steps_where_bytes_are_scarce(
+    bandwidth: float | None, steps: int
+) -> None:
+    truth = np.full((HEIGHT, WIDTH), OCCUPIED, np.uint8)
+    truth[5, 5] = FREE
+    explorer = Explorer(0, 0, bandwidth=bandwidth)
+    nobody, beams = np.zeros(truth.shape, np.bool_), fan(RANGES[0], BEAMS)
+    scan = Scan(5, 5, cast(truth, nobody, beams, 5, 5))
+    own = unknown()
+    own[5, 5] = FREE
+    said = [
+        explorer.exchange.record(own, scan, Change(1, 5, 5, 6, 6), delivered=True)
+        for _ in range(ENOUGH_STEPS)
+    ]
+    assert [bool(units) for units in said].index(True) == steps
+
+
+def units_of(seed: int) -> list[bytes]:
+    maker = Explorer(0, seed)
+    units: list[bytes] = []
+    for _ in range(3):
+        units += maker.look(world(seed))
+    return units
+
+
+WRONG = {
+    "another kind": [encode([Delete(3)])],
+    "a raw scan": [encode([Fragment(b"scan")])],
+    "another unit than the next": [encode([Look(3, b"\x12\x34")])],
+    "bytes that are no unit": [encode([Look(0, bytes(range(40)))])],
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+@pytest.mark.parametrize("behind", [False, True])
+def test_nonsense_is_refused_and_changes_nothing(wrong: str, behind: bool) -> None:
+    hearer = SightExchange(settings_of(1))
+    units = units_of(5)
+    head = units[:1] if behind and look(units[0])[0] is None else []
+    hearer.take(0, head)
+    before = hearer.merge(unknown())
+    with pytest.raises(ProtocolError):
+        hearer.take(0, [*head, *WRONG[wrong]] if wrong == "bytes that are no unit" and head else WRONG[wrong])
+    assert (hearer.merge(unknown()) == before).all()
+    hearer.take(0, units[len(head) :])
+    assert hearer.merge(unknown()).any()
+
+
+@given(st.lists(st.tuples(st.integers(0, 1), st.binary(max_size=LAST_LOOK_DATA)), max_size=12), seeds)
+def test_a_liar_changes_no_other_map_whatever_it_says(lies: list[tuple[int, bytes]], seed: int) -> None:
+    truth = world(seed)
+    maker, hearer = Explorer(0, seed), SightExchange(settings_of(1))
+    plain = SightExchange(settings_of(1))
+    for number, (_, data) in enumerate(lies):
+        units = maker.look(truth)
+        with contextlib.suppress(ProtocolError):
+            hearer.take(2, [encode([Look(number % 4, data)])])
+        hearer.take(0, units)
+        plain.take(0, units)
+    known = plain.merge(unknown())
+    assert (hearer.merge(unknown())[known == OCCUPIED] == OCCUPIED).all()
+    assert (hearer.merge(unknown())[known == FREE] != UNKNOWN).all()
+
+
+@given(st.binary(max_size=300), st.integers(0, 100), st.integers(LOOK_DATA, LAST_LOOK_DATA))
+def test_pieces_give_back_the_unit(message: bytes, number: int, most: int) -> None:
+    cut = [look(piece) for piece in pieces(message, number, most)]
+    assert b"".join(data for _, data in cut) == message
+    assert [said for said, _ in cut] == [None] * (len(cut) - 1) + [number % 4]
+    assert len(cut[-1][1]) <= most

@@ -1,0 +1,18 @@
+"""The table with which sight's streams begin is learnt from what robots truly sense."""
+
+from __future__ import annotations
+
+from agent.sight import contexts
+from deploy.study.starting_table import counted, explored
+from tests.system.team import small_plan
+
+
+def test_counts_are_learnt_from_an_exploration() -> None:
+    plan = small_plan("office", robots=2, exchange="laser", bandwidth="unlimited", steps=20)
+    senses = explored(plan)
+    assert [len(steps) for steps in senses] == [20, 20]
+    counts = list(counted(plan, senses))
+    assert [table.shape for table in counts] == 2 * [(contexts.CONTEXTS, 2)]
+    for table in counts:
+        assert table[: contexts.SEEN].sum() > 50
+        assert table[contexts.MORE : contexts.PLACED].any()
