@@ -21,6 +21,7 @@ from PIL import Image, UnidentifiedImageError
 
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid
 from worldsim.atomic_files import write_whole
+from worldsim.map_error import MapError
 
 _OCCUPIED_THRESH = 0.65
 _FREE_THRESH = 0.196
@@ -29,10 +30,6 @@ _SHADES = np.array([205, 254, 0], np.uint8)
 
 _FORMATS = {".png": "PNG", ".pgm": "PPM"}
 """Pillow's name of the picture's format, by the suffix of its name."""
-
-
-class MapError(ValueError):
-    """A map that cannot be used: the message says where, what is wrong and what would be right."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,8 @@ from netshaper import medium
 from netshaper.radio import RadioSettings
 from protocol.grid import disc, enlarge
 from worldsim import generators, maps
-from worldsim.maps import Map, MapError, to_cell
+from worldsim.map_error import MapError
+from worldsim.maps import Map, to_cell
 from worldsim.world import Body, World, WorldSettings, start_cells
 
 PICTURES = (".png", ".pgm")

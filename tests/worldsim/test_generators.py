@@ -14,7 +14,8 @@ from scipy import ndimage
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from worldsim.generators import describe, make, names
 from worldsim.generators.alkhawaldah import hilbert_curve
-from worldsim.maps import Map, MapError
+from worldsim.map_error import MapError
+from worldsim.maps import Map
 
 ALIKE_FOR_ALL_SEEDS = {
     "em",

@@ -7,101 +7,128 @@ the texts describe; a seed chooses rooms, doors and objects. Environments withou
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from protocol.errors import there_are
-from protocol.grid import Grid
-from worldsim.generators import alkhawaldah, burgard, faigl, leader, meier
-from worldsim.maps import Map, MapError
+from worldsim.map_error import MapError
+
+if TYPE_CHECKING:
+    from worldsim.maps import Map
 
 
 @dataclass(frozen=True)
 class _Environment:
-    """A description, and the function that draws it: called with a random generator and parameters by name."""
+    """A description, and where the function that draws it is, imported only when it is called.
+
+    It is called with `arguments`, then a random generator, and with parameters by name.
+    """
 
     line: str
-    draw: Callable[..., Grid]
+    module: str
+    function: str
+    arguments: tuple[int, ...] = ()
+
+    def draw(self) -> Any:
+        """Import the function."""
+        import importlib  # noqa: PLC0415  what draws needs numpy; who lists names does not
+
+        return getattr(importlib.import_module(f"worldsim.generators.{self.module}"), self.function)
 
 
 _ENVIRONMENTS: dict[str, _Environment] = {
     "unstructured": _Environment(
         "outdoors, 25 x 25 m: objects of many shapes scattered over an enclosed field (Meier, Fig. 6.1a)",
-        meier.unstructured,
+        "meier",
+        "unstructured",
     ),
     "mixed": _Environment(
         "outdoors and indoors, 25 x 25 m: a building with rooms, objects around it (Meier, Fig. 6.1b)",
-        meier.mixed,
+        "meier",
+        "mixed",
     ),
     "office": _Environment(
         "indoors, 25 x 25 m: rooms along corridors, no obstacles (Meier, Fig. 6.1c)",
-        meier.office,
+        "meier",
+        "office",
     ),
     "em": _Environment(
         "21 x 24 m without any obstacle (Faigl and Vanek, section 5)",
-        faigl.em,
+        "faigl",
+        "em",
     ),
     "autolab-like": _Environment(
         "30 x 30 m: a laboratory hall with screens, rooms on two sides, a wing (Faigl and Vanek, section 5)",
-        faigl.autolab,
+        "faigl",
+        "autolab",
     ),
     "jh-like": _Environment(
         "21 x 24 m: an office building with small rooms along a corridor (Faigl and Vanek, section 5)",
-        faigl.jh,
+        "faigl",
+        "jh",
     ),
     "potholes": _Environment(
         "40 x 40 m with many small obstacles (Faigl and Vanek, section 5)",
-        faigl.potholes,
+        "faigl",
+        "potholes",
     ),
     "office-plain": _Environment(
         "22 x 16 m: an office of wide rooms without obstacles (Al-khawaldah and Nüchter, section 4.1)",
-        alkhawaldah.office_plain,
+        "alkhawaldah",
+        "office_plain",
     ),
     "office-obstacles": _Environment(
         "22 x 16 m: the same office with obstacles (Al-khawaldah and Nüchter, section 4.1)",
-        alkhawaldah.office_obstacles,
+        "alkhawaldah",
+        "office_obstacles",
     ),
     "campus": _Environment(
         "outdoors, 120 x 90 m: buildings, courtyards, roads, trees (Al-khawaldah and Nüchter, section 4.2)",
-        alkhawaldah.campus,
+        "alkhawaldah",
+        "campus",
     ),
     **{
         f"hilbert-{order}": _Environment(
             f"26 x 26 m: a corridor along a Hilbert curve of order {order} (Al-khawaldah and Nüchter, 4.3)",
-            partial(alkhawaldah.hilbert, order),
+            "alkhawaldah",
+            "hilbert",
+            (order,),
         )
         for order in (1, 2, 3, 4)
     },
     **{
         f"hilbert-walls-{order}": _Environment(
             f"26 x 26 m: one wall along a Hilbert curve of order {order} (Al-khawaldah and Nüchter, 4.3)",
-            partial(alkhawaldah.hilbert_walls, order),
+            "alkhawaldah",
+            "hilbert_walls",
+            (order,),
         )
         for order in (1, 2, 3, 4)
     },
     "leader-trap": _Environment(
         "10 x 10 m: rooms that hold whoever is drawn straight to the closest frontier (leader paper, Fig. 3)",
-        leader.trap,
+        "leader",
+        "trap",
     ),
     "leader-rooms": _Environment(
         "10 x 10 m: rooms behind short screens, explored with leaders and without (leader paper, Figs. 4, 5)",
-        leader.rooms,
+        "leader",
+        "rooms",
     ),
     "burgard-office": _Environment(
         "36 x 27 m: an office of two corridors, many rooms with two doorways (Burgard et al., section IV-C)",
-        burgard.office,
+        "burgard",
+        "office",
     ),
     "burgard-corridor": _Environment(
         "48 x 15 m: a long corridor with rooms on both sides (Burgard et al., section IV-C)",
-        burgard.corridor,
+        "burgard",
+        "corridor",
     ),
     "burgard-unstructured": _Environment(
         "30 x 27 m: an irregular outline with objects scattered inside (Burgard et al., section IV-C)",
-        burgard.unstructured,
+        "burgard",
+        "unstructured",
     ),
 }
 
@@ -140,7 +167,14 @@ def make(name: str, seed: int = 0, **parameters: float) -> Map:
     MapError
         The name, the seed or a parameter is not known or out of range.
     """
-    draw = _environment(name).draw
+    import inspect  # noqa: PLC0415
+
+    import numpy as np  # noqa: PLC0415
+
+    from worldsim.maps import Map  # noqa: PLC0415
+
+    environment = _environment(name)
+    draw = environment.draw()
     if seed < 0:
         raise MapError(f"seed is {seed}; give 0 or more")
     known = {
@@ -153,7 +187,7 @@ def make(name: str, seed: int = 0, **parameters: float) -> Map:
             raise MapError(f"{name} has no parameter {parameter!r}; it has {', '.join(known)}")
     chosen = known | parameters
     random = np.random.Generator(np.random.Philox(seed))
-    return Map(name, draw(random, **chosen), float(chosen["resolution"]))
+    return Map(name, draw(*environment.arguments, random, **chosen), float(chosen["resolution"]))
 
 
 def _environment(name: str) -> _Environment:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid
-from worldsim.maps import MapError
+from worldsim.map_error import MapError
 
 _SIXTEENTHS = 16
 
