@@ -30,26 +30,27 @@ _FIELDS = len(ROW.names or ())
 
 def book(step: int, seen: Columns) -> bytes:
     """Write the rows of a step's frames (`netshaper.ledger.ROW`), in the order in which they were seen."""
-    table = _book(step, seen.rows, seen.payload, TABLE)
+    table = _book(step, seen.rows, seen.payload, TABLE, np.empty((KINDS, 2), np.int64))
     rows = np.empty(len(table), ROW)
     for column, name in enumerate(ROW.names or ()):
         rows[name] = table[:, column]
     return rows.tobytes()
 
 
-@kernel(f"int64[:,::1](int64, int64[:,::1], {survey.FRAME}, int64[:,::1])")
-def _book(step: int, seen: Rows, payload: Bytes, table: Table) -> Rows:
+@kernel(f"int64[:,::1](int64, int64[:,::1], {survey.FRAME}, int64[:,::1], int64[:,::1])")
+def _book(step: int, seen: Rows, payload: Bytes, table: Table, counts: Rows) -> Rows:
+    # How many kinds there are comes with an array: a constant of another file would be kept in a stale cache.
     assert seen.shape[1] == COLUMNS
-    counts = np.empty((KINDS, 2), np.int64)
+    kinds = len(counts)
     room = 0
     for each in range(len(seen)):
-        room += min(KINDS, max(1, seen[each, END] - seen[each, BEGIN]))
+        room += min(kinds, max(1, seen[each, END] - seen[each, BEGIN]))
     rows = np.empty((room, _FIELDS), np.int64)
     written = 0
     for each in range(len(seen)):
         begin, end = seen[each, BEGIN], seen[each, END]
         whole = count_part(payload, begin, end, table, counts) == 0
-        for kind in range(KINDS if whole else 1):
+        for kind in range(kinds if whole else 1):
             packets, size = counts[kind, 0], counts[kind, 1]
             if not whole:
                 kind, packets, size = MALFORMED, 1, end - begin  # noqa: PLW2901

@@ -91,7 +91,7 @@ def test_a_capture_that_was_cut_off_is_shown_and_said_to_be(run: Result, tmp_pat
     whole = (run.directory / "radio.pcapng").read_bytes()
     cut = tmp_path / "cut.pcapng"
     cut.write_bytes(whole[:-5])
-    assert "half a packet" in murmur(cut).splitlines()[-1]
+    assert "an incomplete packet" in murmur(cut).splitlines()[-1]
     assert as_json(cut)["frames"] == as_json(run.directory)["frames"][:-1]
 
 

@@ -158,7 +158,15 @@ def test_the_scenario_is_written_with_every_setting_and_its_own_map(floor: str, 
     assert written == scenario(floor, map=str(out / "map.yaml"))
     assert (plans.load_map(written).cells == maps.load(floor).cells).all()
     text = (out / "scenario.toml").read_text()
-    for name in set(Scenario.model_fields) - {"start", "robot", "death", "map_options", "options", "polygon"}:
+    for name in set(Scenario.model_fields) - {
+        "start",
+        "robot",
+        "death",
+        "map_options",
+        "options",
+        "polygon",
+        "sight",
+    }:
         assert f"\n{name} = " in text
 
 
