@@ -5,6 +5,10 @@ crumb promises next to nothing, but it must be fetched some time, and what is le
 robots plan as k travelling repairmen (`agent.planning.team_tours`): together they order all goals into tours, in
 which a goal costs by what it promises and by when it is reached, a crumb the more the later, and the last robot's
 end counts on top. Each drives to the first goal of its own tour and plans anew in every step.
+
+A robot that has no teammates in the scenario comes back itself for all that it leaves: it drives the shortest
+tour through all goals (`agent.planning.lone_tour`), whatever they promise. One that is only out of range of its
+teammates does not: they pass where it does not, and it plans as a team of one.
 """
 
 from __future__ import annotations
@@ -22,6 +26,7 @@ from agent.planning.clusters import medoids
 from agent.planning.frontier import is_frontier
 from agent.planning.gain import promise
 from agent.planning.giving_way import MEMORY
+from agent.planning.lone_tour import lone_tour
 from agent.planning.path_planner import PathPlanner
 from agent.planning.team_tours import team_tours
 from agent.settings import Settings
@@ -43,6 +48,9 @@ SAME = 1 / 4
 GAP = 1 / 10
 """Goals nearer to each other than this many sensor ranges, in sight of each other, are one, or those farther
 apart where there are more than `MOST`."""
+
+NEAR = 3 / 10
+"""A robot alone has seen what there is to see at a goal when it is so many sensor ranges away."""
 
 MOST = 48
 """Goals of a plan, more or less: ways between all pairs of them are searched in every step."""
@@ -142,14 +150,17 @@ class Repairmen(TeamStrategy):
         return Table(tuple(team), cells, goals, np.ascontiguousarray(ways[:, : len(cells)].T))
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
-        """With which goal the tour of each robot begins."""
+        """With which goal the tour of each robot begins; of a robot without teammates the shortest tour."""
+        del planner
         range_cells = self.settings.range_cells
+        ways, between = self._loyal(table, situation), np.minimum(self._between, self._between.T)
+        if self.settings.robots == 1:
+            return np.array((lone_tour(ways[0], between, NEAR * range_cells) or [-1])[:1])
         promised = promise(situation.grid, table.goals, self._lengths, range_cells)
         worth = np.minimum(promised / PLENTY, 1.0)
-        del planner
         tours = team_tours(
-            self._loyal(table, situation),
-            np.minimum(self._between, self._between.T),
+            ways,
+            between,
             worth + self.options.crumb,
             np.full(len(table.goals), self.options.lateness / (2 * range_cells)),
             self.options.last,

@@ -54,6 +54,15 @@ def test_a_crumb_is_not_left_behind_where_lateness_or_the_last_robots_end_counts
     assert target(12, alone | {"last": 5.0}) == GAP
 
 
+@pytest.mark.parametrize(("x", "first"), [(23, GAP), (27, END)])
+def test_a_robot_without_teammates_drives_the_shortest_tour_whatever_goals_promise(
+    x: int, first: tuple[int, int]
+) -> None:
+    robot = Repairmen({"crumb": 0.0}, settings_for(HALL, 0, 1, ranges_cells=[10.0]))
+    assert robot.decide(robot_at(x, 4)).target == first
+    assert target(23, {"crumb": 0.0}) == END
+
+
 def both(situations: list[Situation]) -> list[Decision]:
     return [mind(robot).decide(situation) for robot, situation in enumerate(situations)]
 

@@ -1,0 +1,62 @@
+"""Tours of a robot alone: worked by hand, and never longer than the nearest neighbour's."""
+
+from __future__ import annotations
+
+from itertools import pairwise, permutations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from agent.planning.lone_tour import REMAINS, Numbers, lone_tour
+
+
+def on_a_line(goals: list[float]) -> tuple[Numbers, Numbers]:
+    at = np.array(goals, np.float64)
+    return np.abs(at), np.abs(at[:, None] - at)
+
+
+def test_the_nearer_end_comes_first_though_the_nearest_goal_is_at_the_other() -> None:
+    # 4 there and 14 on, instead of 3, 13 back past all to 10, and 14 to the last.
+    assert lone_tour(*on_a_line([10, 3, -4]), 0.0) == [2, 1, 0]
+
+
+def test_ways_count_only_up_to_where_goals_are_seen_from() -> None:
+    # In order 2 + 2 + 9. Seen from 3 off, the nearer is seen on the way to the farther: 1 + 0.1 + 4, not 0.1 + 0.1 + 6.
+    starts, between = on_a_line([2, 4, -5])
+    assert lone_tour(starts, between, 0.0) == [0, 1, 2]
+    assert lone_tour(starts, between, 3.0) == [1, 0, 2]
+
+
+@pytest.mark.parametrize(("starts", "tour"), [([], []), ([np.inf], []), ([2.0], [0]), ([np.inf, 2.0], [1])])
+def test_what_cannot_be_reached_is_left_out(starts: list[float], tour: list[int]) -> None:
+    assert lone_tour(np.array(starts), np.zeros((len(starts), len(starts))), 1.0) == tour
+
+
+def length(tour: tuple[int, ...] | list[int], starts: Numbers, between: Numbers) -> float:
+    return float(starts[tour[0]] + sum(between[one, other] for one, other in pairwise(tour)))
+
+
+@st.composite
+def tasks(draw: st.DrawFn) -> tuple[Numbers, Numbers, float]:
+    random = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    places: NDArray[np.float64] = random.uniform(0, 100, (draw(st.integers(2, 8)), 2))
+    ways = np.hypot(*(places[:, None] - places).T)
+    return ways[0, 1:], ways[1:, 1:], draw(st.sampled_from([0.0, 10.0]))
+
+
+@given(tasks())
+def test_tours_are_hardly_longer_than_the_shortest(task: tuple[Numbers, Numbers, float]) -> None:
+    starts, between, near = task
+    tour = lone_tour(starts, between, near)
+    assert sorted(tour) == list(range(len(starts)))
+    seen = [np.maximum(ways - near, REMAINS * ways) for ways in (starts, between)]
+    shortest = min(length(order, *seen) for order in permutations(range(len(starts)))) if len(tour) < 7 else 0
+    nearest: list[int] = []
+    while len(nearest) < len(tour):
+        ways = seen[1][nearest[-1]] if nearest else seen[0]
+        nearest.append(min(set(tour) - set(nearest), key=lambda goal: ways[goal]))
+    assert length(tour, *seen) <= length(nearest, *seen) + 1e-6
+    assert shortest == 0 or length(tour, *seen) <= 1.25 * shortest
