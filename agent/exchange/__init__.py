@@ -1,5 +1,5 @@
-"""How maps travel: what is told of them (`polygon`, `laser`, `none`), and to whom and when (`session`).
+"""How maps are shared: what is sent of them (`polygon`, `laser`, `sight`, `none`), to whom and when (`session`, `gossip`).
 
-It stands on `agent.outline`. Begin with `base.py`, what every exchange does, and `session.py`, the handshakes
-that carry the logs; `catalogue.py` has the exchanges by name.
+It stands on `agent.outline` and `agent.sight`. Begin with `base.py`, what every exchange does, and `session.py`, the
+handshakes that carry the logs; `gossip.py` is their alternative by broadcast; `catalogue.py` has all by name.
 """
