@@ -27,7 +27,8 @@ from worldsim import generators
 ROBOTS = (2, 4, 8, 16, 32, 64)
 PROCESSES = 64
 """Robots that are also run as processes at most."""
-STEPS = 40
+STEPS = 400
+"""Steps at most: small teams make hundreds a second."""
 ENOUGH_S = 8.0
 """Seconds after which a size has been measured well enough, however few steps that were."""
 FEWEST = 4
