@@ -17,12 +17,12 @@ $(BIN)/python:
 
 # Importing the processes' code compiles all kernels, once, into numba's cache.
 $(VENV)/main.stamp: pyproject.toml constraints.txt | $(BIN)/python
-	$(PIP) --editable '.[view,mcap]'
+	$(PIP) --editable '.[view,mcap,film]'
 	$(BIN)/python -c 'import deploy.run.processes'
 	touch $@
 
 $(VENV)/dev.stamp: $(VENV)/main.stamp
-	$(PIP) --editable '.[view,mcap,dev,bench]'
+	$(PIP) --editable '.[view,mcap,film,cluster,docs,dev,bench]'
 	touch $@
 
 demo: setup
