@@ -18,6 +18,7 @@ from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
 from protocol.keys import Keys
 from protocol.messages import (
+    Back,
     Begin,
     Bye,
     End,
@@ -28,6 +29,7 @@ from protocol.messages import (
     Record,
     Said,
     Stop,
+    Strike,
     Watched,
     pack,
     unpack,
@@ -99,9 +101,8 @@ class RelayNode:
         name = names.robot(robot)
         if name in self._present:
             self._present.discard(name)
-            lost = pack(Lost(robot, cause))
-            self._bus.put(self._keys.control(names.WORLD, names.RELAY), lost)
             self._report(Lost(robot, cause))
+            self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Lost(robot, cause)))
             self._send(self._radio.lost(robot))
 
     def _presence(self, who: str, *, came: bool) -> None:
@@ -116,6 +117,8 @@ class RelayNode:
             if not self._begun and self._expected <= self._present:
                 self._begun = True
                 self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Begin()))
+            elif self._begun and who[:1] == "r":
+                self._come_back(names.number(who))
         elif self.going_home or not (self._begun or who in (names.WORLD, names.LAB)):
             self._present.discard(who)
         elif who == names.WORLD:
@@ -128,6 +131,12 @@ class RelayNode:
         else:
             self.give_up_on(names.number(who), "its process ended")
 
+    def _come_back(self, robot: int) -> None:
+        """A robot that was gone has joined again; it takes part from the next step on."""
+        self._radio.back(robot)
+        self._report(Back(robot))
+        self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Back(robot)))
+
     def _control(self, sender: str, payload: bytes) -> None:
         try:
             message = unpack(payload)
@@ -138,10 +147,10 @@ class RelayNode:
             self._send(self._radio.said(names.number(sender), message))
         elif isinstance(message, Positions) and sender == names.WORLD:
             cells = dict(zip(message.robots, zip(message.x, message.y, strict=True), strict=True))
-            self._send(self._radio.begin(message.step, cells))
+            self._send(self._radio.begin(message.step, cells, message.mute, message.deaf))
         elif isinstance(message, End) and sender == names.WORLD:
             self._end(message)
-        elif isinstance(message, Stop) and sender == names.LAB:
+        elif isinstance(message, Stop | Strike) and sender == names.LAB:
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), payload)
         elif isinstance(message, Bye) and sender == names.LAB:
             self._go_home()

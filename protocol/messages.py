@@ -67,12 +67,14 @@ class Move(Record, tag=3, frozen=True):
 
 
 class Positions(Record, tag=4, frozen=True):
-    """World to relay, once a step: the cells in which the robots really are."""
+    """World to relay, once a step: the cells in which the robots really are, and whose radios cannot send or hear."""
 
     step: int
     robots: list[int]
     x: list[int]
     y: list[int]
+    mute: list[int] = []
+    deaf: list[int] = []
 
 
 class Open(Record, tag=5, frozen=True):
@@ -154,6 +156,25 @@ class End(Record, tag=11, frozen=True):
     step: int
     reason: str
     first: int
+
+
+class Strike(Record, tag=22, frozen=True):
+    """A fault (`worldsim.faults`): laboratory to world, by way of the relay, to have it; world to laboratory: it has
+    come true; world to robot: it is killed.
+
+    `step`: at whose beginning; from the laboratory 0 means the next. `steps`: how long, 0 for good.
+    """
+
+    step: int
+    robot: int
+    kind: str
+    steps: int = 0
+
+
+class Back(Record, tag=23, frozen=True):
+    """Relay to world and laboratory: a robot that was gone has joined again."""
+
+    robot: int
 
 
 class Stop(Record, tag=12, frozen=True):
@@ -254,7 +275,7 @@ class Fault(Record, tag=18, frozen=True):
 
 _TYPES: tuple[type[Record], ...] = (
     Begin, Configure, Sense, Move, Positions, Open, Turn, Said, Outcome, Close, Lost, End, Stop, Bye,
-    WorldReport, MindReport, RadioReport, Maps, Fault, Watched, Snapshot, Outlines,
+    WorldReport, MindReport, RadioReport, Maps, Fault, Watched, Snapshot, Outlines, Strike, Back,
 )  # fmt: skip
 _FIELDS = {kind: list(kind.__annotations__.items()) for kind in _TYPES}
 _CHECK: dict[str, Any] = {

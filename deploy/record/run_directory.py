@@ -32,6 +32,7 @@ TEAM_MAP = "team.yaml"
 PICTURE = "maps.png"
 PICTURES = "pictures"
 LOGS = "logs"
+JOURNALS = "journals"
 RUNS = Path("runs")
 """The directory for runs without `--out`."""
 
