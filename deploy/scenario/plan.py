@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,16 +11,14 @@ import numpy as np
 from agent.exchange import gossip
 from agent.settings import Settings
 from agent.strategies.registry import strategy
-from deploy.scenario.scenario import MAP_FILES, UNLIMITED, Scenario, ScenarioError
+from deploy.scenario import world_map
+from deploy.scenario.scenario import UNLIMITED, Scenario, ScenarioError
 from netshaper import medium
 from netshaper.radio import RadioSettings
 from protocol.grid import disc, enlarge
-from worldsim import generators, maps
 from worldsim.map_error import MapError
 from worldsim.maps import Map, to_cell
 from worldsim.world import Body, World, WorldSettings, start_cells
-
-PICTURES = (".png", ".pgm")
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +37,8 @@ class Plan:
         return World(self.map.cells, self.world)
 
 
-def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
-    """Derive the plan of a scenario, on `world_map` instead of the map that it names if one is given.
+def make(scenario: Scenario, on_map: Map | None = None) -> Plan:
+    """Derive the plan of a scenario, on `on_map` instead of the map that it names if one is given.
 
     Raises
     ------
@@ -49,8 +46,8 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
         The map cannot be loaded or made, the robots do not fit on it, or a range is too small for its cells
         or for the strategy.
     """
-    world_map = world_map or load_map(scenario)
-    cell = world_map.resolution
+    on_map = on_map or load_map(scenario)
+    cell = on_map.resolution
     bodies = []
     for number in range(scenario.robots):
         body = scenario.body_of(number)
@@ -73,8 +70,8 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
                 scenario.radius / cell,
             )
         )
-    starts = _starts(scenario, world_map)
-    range_m = scenario.range_m(world_map.diagonal_m)
+    starts = _starts(scenario, on_map)
+    range_m = scenario.range_m(on_map.diagonal_m)
     chosen = strategy(scenario.strategy)
     try:
         chosen.check_range(scenario.options, range_m)
@@ -102,8 +99,8 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
         number: Settings(
             robot=number,
             robots=scenario.robots,
-            width=world_map.width,
-            height=world_map.height,
+            width=on_map.width,
+            height=on_map.height,
             ranges_cells=[body.range_cells for body in bodies],
             beams=scenario.beams,
             speed_cells=bodies[number].speed,
@@ -123,7 +120,7 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
         ).to_message()
         for number in range(scenario.robots)
     }
-    return Plan(scenario, world_map, world, radio, minds, range_m)
+    return Plan(scenario, on_map, world, radio, minds, range_m)
 
 
 def least_range(radius_cells: float) -> float:
@@ -138,48 +135,21 @@ def least_range(radius_cells: float) -> float:
 
 def load_map(scenario: Scenario) -> Map:
     """Load the scenario's map file, or make its generated map; ScenarioError says why not."""
-    is_picture = scenario.map.endswith(PICTURES)
-    is_file = scenario.map.endswith(MAP_FILES) or Path(scenario.map).is_file()
     try:
-        if is_picture:
-            return maps.load_picture(scenario.map, **_picture_options(scenario))
-        if is_file and scenario.map_options:
-            raise MapError(f"map_options: {scenario.map} is a file; only generated maps have options")
-        if is_file:
-            return maps.load(scenario.map)
-        return generators.make(scenario.map, seed=scenario.map_seed, **scenario.map_options)
+        return world_map.find(scenario.map, scenario.map_seed, scenario.map_options)
     except MapError as error:
         raise ScenarioError(str(error)) from None
-    except ValueError as error:
-        raise ScenarioError(
-            f"map = {scenario.map!r}: {error}; or give the YAML file of a map, or its picture and --resolution"
-        ) from None
 
 
-def _picture_options(scenario: Scenario) -> dict[str, float]:
-    """What a picture is read with; ScenarioError if its scale is not said, or something else is."""
-    unknown = sorted(set(scenario.map_options) - {"resolution"})
-    if unknown:
-        raise ScenarioError(f"map_options.{unknown[0]}: a picture has no such option; there is: resolution")
-    if "resolution" not in scenario.map_options:
-        raise ScenarioError(
-            f"map = {scenario.map!r}: a picture does not say how large its cells are: give --resolution METRES, or the "
-            "YAML file of a map"
-        )
-    return scenario.map_options
-
-
-def _starts(scenario: Scenario, world_map: Map) -> list[tuple[int, int]]:
+def _starts(scenario: Scenario, on_map: Map) -> list[tuple[int, int]]:
     first = None
     if scenario.start is not None:
-        x, y = to_cell(world_map, *scenario.start)
+        x, y = to_cell(on_map, *scenario.start)
         first = round(x), round(y)
-    radius_cells = scenario.radius / world_map.resolution
-    apart = max(1, round(scenario.apart / world_map.resolution), math.ceil(2 * radius_cells))
+    radius_cells = scenario.radius / on_map.resolution
+    apart = max(1, round(scenario.apart / on_map.resolution), math.ceil(2 * radius_cells))
     try:
-        return start_cells(
-            enlarge(world_map.cells, radius_cells), scenario.robots, scenario.seed, apart, first
-        )
+        return start_cells(enlarge(on_map.cells, radius_cells), scenario.robots, scenario.seed, apart, first)
     except ValueError as error:
         hint = "" if first is None else f"; murmur map show {scenario.map} draws where they can"
-        raise ScenarioError(f"start on map {world_map.name}: {error}{hint}") from None
+        raise ScenarioError(f"start on map {on_map.name}: {error}{hint}") from None

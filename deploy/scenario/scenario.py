@@ -21,14 +21,12 @@ from pydantic import (
 
 from agent.exchange.polygon_options import PolygonOptions
 from agent.exchange.sight_options import SightOptions
+from deploy.scenario import world_map
 from protocol.errors import there_are
 from protocol.grid import MAX_ROBOTS
 from protocol.packets import MAX_MAPS
 
 UNLIMITED = "unlimited"
-
-MAP_FILES = (".yaml", ".yml", ".png", ".pgm")
-"""How the names of map files end; others are names of generators."""
 
 SHIPPED = Path(__file__).with_name("shipped")
 """Scenarios that are installed with the code; they can be given by name instead of a path."""
@@ -271,7 +269,7 @@ def read_toml(path: Path, kind: str, shipped: Path | None = None) -> tuple[Path,
 
 def beside(path: Path, named: Any) -> Any:
     """The map that a file names: a YAML file is looked for beside that file, a generator's name stays."""
-    is_file = isinstance(named, str) and named.endswith(MAP_FILES)
+    is_file = isinstance(named, str) and named.endswith(world_map.FILES)
     return str(path.parent / named) if is_file else named
 
 
