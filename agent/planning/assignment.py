@@ -61,9 +61,7 @@ def hungarian(costs: Costs) -> Assignment:
     return given
 
 
-def in_turn(
-    grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, ranges: Costs
-) -> Assignment:
+def in_turn(grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, ranges: Costs) -> Assignment:
     """Assign goals as Algorithm 1 of Burgard et al. (section II-C) does.
 
     The pair of best utility minus cost is taken; utilities around its goal are lowered; again, until every

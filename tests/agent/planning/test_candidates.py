@@ -105,9 +105,7 @@ def test_information_gain_counts_unknown_cells_in_a_disc_that_no_teammate_will_s
         sum(
             grid[y, x] == UNKNOWN
             and (x - cx) ** 2 + (y - cy) ** 2 <= reach**2
-            and all(
-                (x - ox) ** 2 + (y - oy) ** 2 > r**2 for (ox, oy), r in zip(others, ranges, strict=True)
-            )
+            and all((x - ox) ** 2 + (y - oy) ** 2 > r**2 for (ox, oy), r in zip(others, ranges, strict=True))
             for y in range(20)
             for x in range(25)
         )

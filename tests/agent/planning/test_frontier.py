@@ -97,9 +97,7 @@ def test_the_nearest_frontier_is_found_in_the_order_of_distance(
         if all(math.dist(cell, t) > r + 1e-9 for t, r in zip(targets, ranges, strict=True))
     ]
     unsure = [
-        c
-        for c in cells
-        if any(abs(math.dist(c, t) - r) < 1e-6 for t, r in zip(targets, ranges, strict=True))
+        c for c in cells if any(abs(math.dist(c, t) - r) < 1e-6 for t, r in zip(targets, ranges, strict=True))
     ]
     taken = np.array(targets, np.int32).reshape(-1, 2)
     field, found = nearest_first(Floor(grid), grid, x, y, taken, ranges)

@@ -88,7 +88,9 @@ def test_utilities_are_those_of_equations_4_4_and_4_5(scene: Any, weigh: bool) -
         for number, target in enumerate(targets):
             distance = math.dist(cell, target)
             if all(grid[y, x] != OCCUPIED for x, y in line(cell, target)):
-                utility -= (weights[number] if weights else 1.0) * max(0.0, 1 - distance / np.broadcast_to(ranges, len(targets))[number])
+                utility -= (weights[number] if weights else 1.0) * max(
+                    0.0, 1 - distance / np.broadcast_to(ranges, len(targets))[number]
+                )
         wanted.append(utility)
     array = np.array(cells, np.int32).reshape(-1, 2)
     found = utilities(grid, array, targets, ranges, weights)
