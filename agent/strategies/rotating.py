@@ -140,7 +140,8 @@ class ShengBid(TargetStrategy):
         """Eq. (1), g = w1 I - w2 D + w3 lambda, for each goal.
 
         The paper leaves units open. Here I is the share of the disc of sensor range, and D and lambda are in
-        sensor ranges, the longest of the team; lambda is minus the straight distance to the nearest teammate whose pose is known.
+        sensor ranges, the longest of the team; lambda is minus the straight distance to the nearest teammate whose
+        pose is known.
         """
         range_cells, scale = self.settings.range_cells, self.settings.scale_cells
         poses = [pose[:2] for pose in situation.poses.values()]
