@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from protocol.errors import ProtocolError
 
@@ -79,6 +83,15 @@ class Settings:
     def range_cells(self) -> float:
         """The robot's own sensor range, in cells."""
         return self.ranges_cells[self.robot]
+
+    @property
+    def scale_cells(self) -> float:
+        """The sensor range in which the team counts ways and sizes, in cells: the longest, the same to all members."""
+        return max(self.ranges_cells)
+
+    def ranges_of(self, robots: Iterable[int]) -> NDArray[np.float64]:
+        """Sensor range of each of `robots`, in cells."""
+        return np.array([self.ranges_cells[robot] for robot in robots], np.float64)
 
     @property
     def turn_steps(self) -> int:

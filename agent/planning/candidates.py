@@ -13,7 +13,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from agent.planning.clusters import medoids
 from agent.planning.path_planner import PathPlanner
@@ -34,6 +34,7 @@ def goal_candidates(
     range_cells: float,
     robots: int,
     targets: Sequence[tuple[int, int]],
+    ranges: ArrayLike | None = None,
 ) -> NDArray[np.int32]:
     """The goals that a robot, or its team, may choose from.
 
@@ -44,11 +45,13 @@ def goal_candidates(
     here : (x, y)
         The robot's cell: only what it can reach counts.
     range_cells : float
-        Its sensor range.
+        Sensor range of those for whom they are.
     robots : int
         How many robots the goals are for.
     targets : sequence of (x, y)
         Where teammates are headed.
+    ranges : one float for each of targets, optional
+        Sensor range of these teammates; as `range_cells` if left out.
 
     Returns
     -------
@@ -57,7 +60,8 @@ def goal_candidates(
     """
     if kind == "breadth-first":
         taken = np.array(targets, np.int32).reshape(-1, 2)
-        found = planner.first_frontier(*here, taken, range_cells)
+        theirs = np.broadcast_to(range_cells if ranges is None else ranges, len(taken))
+        found = planner.first_frontier(*here, taken, theirs)
         return np.array([found] if found is not None else [], np.int32).reshape(-1, 2)
     cells = planner.frontier(*here)
     if kind == "cells" or not len(cells):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from agent.planning.best_frontier import Appeal, best_frontier
 from agent.planning.cost_field import Field, Floor, costs_on, nearest_first, way, way_between, weighted_way
@@ -117,14 +117,14 @@ class PathPlanner:
         return cell
 
     def first_frontier(
-        self, x: int, y: int, taken: NDArray[np.int32], range_cells: float
+        self, x: int, y: int, taken: NDArray[np.int32], ranges: ArrayLike
     ) -> tuple[int, int] | None:
-        """The frontier cell nearest to (x, y) that is not within `range_cells` of a `taken` cell.
+        """The frontier cell nearest to (x, y) that is not within its range of a `taken` cell.
 
         Where all are, the nearest of all; None where there is no frontier. Cells are looked at in the order
         of their distance, and those behind the one that is found are not looked at.
         """
-        field, cell = nearest_first(self._laid_out, self.grid, x, y, taken, range_cells)
+        field, cell = nearest_first(self._laid_out, self.grid, x, y, taken, ranges)
         self._near[x, y] = field
         return cell
 

@@ -126,7 +126,7 @@ class Repairmen(TeamStrategy):
         frontier = planner.frontier(*situation.here)
         if not len(frontier):
             return frontier
-        range_cells = self.settings.range_cells
+        range_cells = self.settings.scale_cells
         found, sizes = [], []
         for edge in components(frontier):
             count = min(len(edge), count_representatives(len(edge), range_cells))
@@ -152,7 +152,7 @@ class Repairmen(TeamStrategy):
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """With which goal the tour of each robot begins; of a robot without teammates the shortest tour."""
         del planner
-        range_cells = self.settings.range_cells
+        range_cells = self.settings.scale_cells
         ways, between = self._loyal(table, situation), np.minimum(self._between, self._between.T)
         if self.settings.robots == 1:
             return np.array((lone_tour(ways[0], between, NEAR * range_cells) or [-1])[:1])
@@ -169,7 +169,7 @@ class Repairmen(TeamStrategy):
 
     def _loyal(self, table: Table, situation: Situation) -> NDArray[np.float64]:
         """The ways to all goals, a little shorter to what is left of each robot's last target."""
-        range_cells = self.settings.range_cells
+        range_cells = self.settings.scale_cells
         ways = table.costs.copy()
         for way, robot in zip(ways, table.robots, strict=True):
             target = self.target if robot == self.settings.robot else situation.targets.get(robot)

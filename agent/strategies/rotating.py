@@ -140,20 +140,23 @@ class ShengBid(TargetStrategy):
         """Eq. (1), g = w1 I - w2 D + w3 lambda, for each goal.
 
         The paper leaves units open. Here I is the share of the disc of sensor range, and D and lambda are in
-        sensor ranges; lambda is minus the straight distance to the nearest teammate whose pose is known.
+        sensor ranges, the longest of the team; lambda is minus the straight distance to the nearest teammate whose
+        pose is known.
         """
-        range_cells = self.settings.range_cells
+        range_cells, scale = self.settings.range_cells, self.settings.scale_cells
         poses = [pose[:2] for pose in situation.poses.values()]
         others = poses + list(situation.targets.values())
-        gain = information_gain(situation.grid, goals, range_cells, others) / (math.pi * range_cells**2)
-        distance = planner.costs(*situation.here)[goals[:, 1], goals[:, 0]] / range_cells
+        ranges = self.settings.ranges_of([*situation.poses, *situation.targets])
+        gain = information_gain(situation.grid, goals, range_cells, others, ranges)
+        share = gain / (math.pi * range_cells**2)
+        distance = planner.costs(*situation.here)[goals[:, 1], goals[:, 0]] / scale
         nearness = np.zeros(len(goals))
         if poses:
             apart = np.array([np.hypot(goals[:, 0] - x, goals[:, 1] - y) for x, y in poses])
-            nearness = -apart.min(axis=0) / range_cells
+            nearness = -apart.min(axis=0) / scale
         weights = self.options
         bids: NDArray[np.float64] = (
-            weights.gain * gain - weights.distance * distance + weights.nearness * nearness
+            weights.gain * share - weights.distance * distance + weights.nearness * nearness
         )
         return bids
 

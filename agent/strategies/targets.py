@@ -170,9 +170,10 @@ class TargetStrategy(Strategy):
             self.options.candidates,
             planner,
             situation.here,
-            self.settings.range_cells,
+            self.settings.scale_cells,
             self.team_size(situation),
             list(situation.targets.values()),
+            self.settings.ranges_of(situation.targets),
         )
 
     def select(self, situation: Situation, planner: PathPlanner) -> tuple[Cell | None, bool]:

@@ -87,10 +87,10 @@ class TeamStrategy(TargetStrategy):
         """Members of the sub-team."""
         return len(self.team(situation))
 
-    def remembered(self, situation: Situation) -> list[Cell]:
-        """The last targets of those who are out of range."""
+    def remembered(self, situation: Situation) -> dict[int, Cell]:
+        """The last targets of those who are out of range, by their numbers."""
         team = self.team(situation)
-        return [target for peer, target in situation.targets.items() if peer not in team]
+        return {peer: target for peer, target in situation.targets.items() if peer not in team}
 
     def is_due(self, situation: Situation) -> bool:
         """When the robot is done with its target, or a member newly is; and once for a target in conflict.
@@ -141,13 +141,14 @@ class TeamStrategy(TargetStrategy):
 
 
 def unclaimed(
-    situation: Situation, goals: NDArray[np.int32], targets: list[Cell], range_cells: float
+    situation: Situation, goals: NDArray[np.int32], targets: Mapping[int, Cell], settings: Settings
 ) -> NDArray[np.int32]:
-    """Leave out goals within range and in sight of targets; all stay if none would be left."""
+    """Leave out goals within sensor range and in sight of robots' targets; all stay if none would be left."""
     keep = [
         all(
-            (x - tx) ** 2 + (y - ty) ** 2 >= range_cells**2 or not in_sight(situation.grid, x, y, tx, ty)
-            for tx, ty in targets
+            (x - tx) ** 2 + (y - ty) ** 2 >= settings.ranges_cells[robot] ** 2
+            or not in_sight(situation.grid, x, y, tx, ty)
+            for robot, (tx, ty) in targets.items()
         )
         for x, y in goals.tolist()
     ]

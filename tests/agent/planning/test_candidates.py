@@ -99,18 +99,19 @@ def test_k_means_of_two_heaps_are_their_means() -> None:
 def test_information_gain_counts_unknown_cells_in_a_disc_that_no_teammate_will_see() -> None:
     random = np.random.default_rng(3)
     grid = random.choice(np.array([UNKNOWN, FREE], np.uint8), (20, 25))
-    cells, others, reach = np.array([(3, 4), (24, 19), (12, 10)], np.int32), [(10, 10)], 6.5
+    cells, others, reach = np.array([(3, 4), (24, 19), (12, 10)], np.int32), [(10, 10), (20, 4)], 6.5
+    ranges = [6.5, 2.5]
     slow = [
         sum(
             grid[y, x] == UNKNOWN
             and (x - cx) ** 2 + (y - cy) ** 2 <= reach**2
-            and all((x - ox) ** 2 + (y - oy) ** 2 > reach**2 for ox, oy in others)
+            and all((x - ox) ** 2 + (y - oy) ** 2 > r**2 for (ox, oy), r in zip(others, ranges, strict=True))
             for y in range(20)
             for x in range(25)
         )
         for cx, cy in cells
     ]
-    assert information_gain(grid, cells, reach, others).tolist() == slow
+    assert information_gain(grid, cells, reach, others, ranges).tolist() == slow
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.5, 20.0))
