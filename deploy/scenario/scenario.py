@@ -113,10 +113,10 @@ class Scenario(_Table):
     )
     starts: tuple[tuple[Metres, Metres], ...] = Field(
         (),
-        description="where the first robots start, one each, metres in the map's frame; others around `start`",
+        description="where the first robots start, one each, metres in the map's frame; the others around start",
     )
     start_jitter: NotNegative = Field(
-        0.0, description="metres that a seed moves `start`, or each of `starts`, about at most"
+        0.0, description="metres that the seed moves start, or each of starts, at most"
     )
     motion: Literal["metres", "cells"] = Field(
         "metres",
