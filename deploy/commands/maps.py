@@ -55,10 +55,10 @@ def map_show(
 ) -> None:
     """Show a map in the terminal, with its figures."""
     from deploy.commands.sketch import sketch  # noqa: PLC0415
-    from deploy.scenario.world_map import find  # noqa: PLC0415
+    from deploy.scenario.finding_maps import find_map  # noqa: PLC0415
 
     with speaking_clearly():
-        world_map = find(file, seed, {} if resolution is None else {"resolution": resolution})
+        world_map = find_map(file, seed, {} if resolution is None else {"resolution": resolution})
         free = int((world_map.cells == 1).sum())
         screen.print(sketch(world_map.cells, screen))
         screen.print(

@@ -1,4 +1,4 @@
-"""The map that a scenario names: a ROS map, a picture with a scale, or the name of a generator."""
+"""Finding the map that a scenario names: a ROS map, a picture with a scale, or the name of a generator."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FILES = (".yaml", ".yml", *PICTURES)
 """How the names of map files end; others are names of generators."""
 
 
-def find(name: str, seed: int, options: Mapping[str, float]) -> Map:
+def find_map(name: str, seed: int, options: Mapping[str, float]) -> Map:
     """Load the map of a file, or make a generated one.
 
     Parameters
