@@ -103,7 +103,7 @@ class WorldNode:
             self._take_move(names.number(sender), message.payload)
         else:
             self._take_note(unpack(message.payload))
-        while self._running and not self._restarting and self._moves.keys() >= {*self._world.awake()}:
+        while self._running and not self._restarting and len(self._moves) >= self._world.awake_count:
             self._end_step()
 
     def _take_note(self, said: object) -> None:
@@ -145,13 +145,17 @@ class WorldNode:
         except ProtocolError as error:
             self._report(messages.Fault(names.robot(robot), str(error)))
             move = Move(step, b"", 0, explored=False)
-        if self._running and robot in self._world.awake():
+        if self._running and robot in self._world.cells and robot not in self._world.afflicted["stop"]:
             self._moves[robot] = move
 
     def _end_step(self) -> None:
         moves, self._moves = self._moves, {}
         explored = sorted(robot for robot, move in moves.items() if move.explored)
-        wanted = len(moves) if self._world.settings.ends_with_all else 1
+        wanted = 1
+        if self._world.settings.ends_with_all:
+            wanted = len(moves)
+        elif explored:
+            explored = [robot for robot in self._world.thinnest() if robot in explored]
         if explored and len(explored) >= wanted:
             self._end(EXPLORED, explored[0])
         elif self._world.hopeless() and not self._back and not self._coming:
