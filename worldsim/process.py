@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from protocol import keys as names
-from protocol import messages
+from protocol import messages, rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
+from protocol.fields import clip
 from protocol.keys import Keys
 from protocol.messages import (
     Back,
@@ -26,11 +27,7 @@ from protocol.messages import (
     Strike,
     Watched,
     WorldReport,
-    cells_from_bytes,
     pack,
-    points_from_bytes,
-    unpack,
-    unpack_as,
 )
 from worldsim.continuous_motion import FINE
 from worldsim.faults import KINDS, Fault
@@ -98,11 +95,14 @@ class WorldNode:
 
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
-        plane, _, _, sender = names.parts(message.key)
-        if plane == "body":
-            self._take_move(names.number(sender), message.payload)
-        else:
-            self._take_note(unpack(message.payload))
+        try:
+            said = rights.read(*message)
+            if isinstance(said, Move):
+                self._take_move(names.number(names.parts(message.key)[3]), said)
+            else:
+                self._take_note(said)
+        except ProtocolError as error:
+            self._report(messages.Fault(names.parts(message.key)[3], clip(str(error))))
         while self._running and not self._restarting and len(self._moves) >= self._world.awake_count:
             self._end_step()
 
@@ -133,19 +133,14 @@ class WorldNode:
         self._running = True
         self._open_step({})
 
-    def _take_move(self, robot: int, payload: bytes) -> None:
-        """Take a robot's move; an invalid one is reported, and the robot stays where it is."""
+    def _take_move(self, robot: int, move: Move) -> None:
+        """Take a living robot's move, its first of this step."""
         step = self._world.step
-        try:
-            move = unpack_as(Move, payload)
-            if not self._running or move.step != step:
-                raise ProtocolError("Move", 0, f"for step {move.step}, while step {step} is under way")
-            cells_from_bytes(move.path)
-            points_from_bytes(move.points)
-        except ProtocolError as error:
-            self._report(messages.Fault(names.robot(robot), str(error)))
-            move = Move(step, b"", 0, explored=False)
-        if self._running and robot in self._world.cells and robot not in self._world.afflicted["stop"]:
+        if not self._running or move.step != step:
+            raise ProtocolError("Move", 0, f"for step {move.step}, while step {step} is under way")
+        if robot in self._moves:
+            raise ProtocolError("Move", 0, f"a second one for step {step}")
+        if robot in self._world.cells and robot not in self._world.afflicted["stop"]:
             self._moves[robot] = move
 
     def _end_step(self) -> None:

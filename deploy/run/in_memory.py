@@ -59,7 +59,7 @@ def run(
         if strike.kind == "restart":
             due.append(strike.robot)
 
-    lab = LabNode(buses[names.LAB], keys, robots, capture, obey=obey)
+    lab = LabNode(buses[names.LAB], keys, robots, plan.map.cells.shape, capture, obey=obey)
     world = WorldNode(
         buses[names.WORLD],
         keys,
