@@ -15,6 +15,7 @@ from deploy.dashboard.windows import Window
 from deploy.record import run_directory
 from deploy.record.records import LabNode, Records
 from deploy.record.wire_bytes import Meter
+from deploy.run import preload  # noqa: F401  before the process joins: others wait for it
 from deploy.run.exploration import Result, conclude
 from deploy.run.interrupt import Interrupt
 from deploy.run.launch import Outcome, attend
