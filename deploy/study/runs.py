@@ -22,7 +22,8 @@ import numpy as np
 from agent.strategies.registry import strategy
 from deploy.record.versions import versions
 from deploy.scenario import plan as plans
-from deploy.scenario.scenario import MAP_FILES, Scenario, ScenarioError, parse
+from deploy.scenario.finding_maps import FILES
+from deploy.scenario.scenario import Scenario, ScenarioError, parse
 from deploy.study.experiment import Experiment, settings_of
 from deploy.study.measures import MEASURES
 from deploy.study.progress import Tell
@@ -235,7 +236,7 @@ def _sources() -> str:
 
 def packed(world: Map, scenario: Scenario) -> bytes:
     """A map from a file, for processes that may not have it; nothing for a generated one."""
-    if not scenario.map.endswith(MAP_FILES):
+    if not (scenario.map.endswith(FILES) or Path(scenario.map).is_file()):
         return b""
     head = json.dumps([world.name, world.resolution, world.origin, world.cells.shape])
     return zlib.compress(head.encode() + b"\n" + world.cells.tobytes())
