@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning.best_frontier import Appeal
+from agent.planning.candidates import SEARCHED
 from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import in_sight, utilities
 from agent.strategies.base import Cell, Situation
@@ -45,7 +46,7 @@ class Meier(TargetStrategy):
     def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
         """All that clash, and a single candidate."""
         found = super().clashes(parts)
-        if parts.candidates == "breadth-first":
+        if parts.candidates in SEARCHED:
             found.append((("candidates",), BREADTH_FIRST_IS_ONE))
         return found
 

@@ -123,7 +123,7 @@ class Repairmen(TeamStrategy):
 
     def goals(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:
         """Representatives of all free edges that can be reached, however small; of those in a place one."""
-        frontier = planner.frontier(*situation.here)
+        frontier = self.frontier(situation, planner)
         if not len(frontier):
             return frontier
         range_cells = self.settings.scale_cells
@@ -144,6 +144,10 @@ class Repairmen(TeamStrategy):
     def table(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Table:
         """As a team's; ways between goals are searched for at once with those of the robots."""
         team = self.team(situation)
+        radii = {self.settings.radius_of(robot) for robot in team}
+        if len(radii) > 1:
+            self._between = planner.of_radius(min(radii)).costs_between(goals, goals)
+            return super().table(situation, goals, planner)
         cells = np.array(list(team.values()), np.int32)
         ways = planner.costs_between(goals, np.concatenate([cells, goals]))
         self._between = np.ascontiguousarray(ways[:, len(cells) :])

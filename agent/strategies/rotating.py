@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.planning.candidates import CANDIDATES
+from agent.planning.candidates import CANDIDATES, SEARCHED
 from agent.planning.gain import information_gain
 from agent.planning.path_planner import PathPlanner
 from agent.strategies.base import Cell, Situation
@@ -63,7 +63,7 @@ class StopScanReplan(TargetStrategy):
     def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
         """All that clash, and more than one candidate."""
         found = super().clashes(parts)
-        if parts.candidates != "breadth-first":
+        if parts.candidates not in SEARCHED:
             reason = "it takes the first cell that its search meets; nearest chooses among several"
             found.append((("candidates",), reason))
         return found
@@ -125,7 +125,7 @@ class ShengBid(TargetStrategy):
     def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
         """All that clash, and a single candidate."""
         found = super().clashes(parts)
-        if parts.candidates == "breadth-first":
+        if parts.candidates in SEARCHED:
             found.append((("candidates",), BREADTH_FIRST_IS_ONE))
         return found
 

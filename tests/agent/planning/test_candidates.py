@@ -14,6 +14,7 @@ from agent.planning.candidates import (
     free_edges,
     goal_candidates,
     representatives,
+    searched_candidate,
     thin_out,
 )
 from agent.planning.clusters import k_means, medoids
@@ -75,17 +76,17 @@ def test_anr_makes_as_many_goals_as_there_are_robots_from_the_largest_edges_firs
 def test_representatives_are_frontier_cells_that_can_be_reached() -> None:
     grid = np.full((30, 30), UNKNOWN, np.uint8)
     grid[5:25, 5:25] = FREE
-    goals = goal_candidates("rfe", PathPlanner(grid), (10, 10), 5.0, 1, [])
+    goals = goal_candidates("rfe", PathPlanner(grid).frontier(10, 10), 5.0, 1)
     assert len(goals) > 3
     assert all(is_frontier(grid, x, y) for x, y in goals.tolist())
 
 
 def test_breadth_first_passes_over_cells_near_a_teammates_target() -> None:
     grid = drawn("?.......??")
-    assert goal_candidates("breadth-first", PathPlanner(grid), (2, 0), 3.0, 1, []).tolist() == [[1, 0]]
-    assert goal_candidates("breadth-first", PathPlanner(grid), (2, 0), 3.0, 1, [(1, 0)]).tolist() == [[7, 0]]
+    assert searched_candidate("breadth-first", PathPlanner(grid), (2, 0), [], 3.0).tolist() == [[1, 0]]
+    assert searched_candidate("breadth-first", PathPlanner(grid), (2, 0), [(1, 0)], 3.0).tolist() == [[7, 0]]
     both = [(1, 0), (7, 0)]
-    assert goal_candidates("breadth-first", PathPlanner(grid), (2, 0), 3.0, 1, both).tolist() == [[1, 0]]
+    assert searched_candidate("breadth-first", PathPlanner(grid), (2, 0), both, 3.0).tolist() == [[1, 0]]
 
 
 def test_k_means_of_two_heaps_are_their_means() -> None:

@@ -55,14 +55,15 @@ def views(random: np.random.Generator, grid: Grid, robots: int) -> list[Situatio
     ]
 
 
-def tables(name: str, seed: int, ranges: list[float]) -> list[Any]:
+def tables(name: str, seed: int, ranges: list[float], radii: list[float] | None = None) -> list[Any]:
     """What each member of a team computes: the whole assignment, or for tours whose goals are whose."""
     random = np.random.default_rng(seed)
     grid = half_explored(random)
     found = []
     for robot, situation in enumerate(views(random, grid, len(ranges) - 1)):
-        mind: Any = strategy(name)({}, settings_for(grid, robot, len(ranges), ranges_cells=ranges))
-        planner = PathPlanner(grid)
+        bodies = {"ranges_cells": ranges, "radii_cells": radii or []}
+        mind: Any = strategy(name)({}, settings_for(grid, robot, len(ranges), **bodies))
+        planner = PathPlanner(grid, radius_cells=mind.settings.radius_cells)
         goals = mind.goals(situation, planner)
         if len(goals):
             table = mind.table(situation, goals, planner)
@@ -80,6 +81,28 @@ def test_robots_with_different_sensors_compute_one_assignment(
     found = tables(name, seed, ranges)
     assert found
     assert all(each == found[0] for each in found)
+
+
+@pytest.mark.parametrize("name", [*SHARED, "mtsp"])
+@settings(max_examples=4)
+@given(seed=st.integers(0, 2**32 - 1), radii=st.permutations([0.0, 2.0, 3.0, 0.0]))
+def test_robots_of_different_sizes_compute_one_assignment(name: str, seed: int, radii: list[float]) -> None:
+    found = tables(name, seed, [30.0] * 4, radii)
+    assert all(each == found[0] for each in found)
+
+
+def test_a_wide_robot_is_given_what_it_can_reach() -> None:
+    # A hall with a door of one cell; what is left to see lies in the room behind it, and to the right.
+    grid = np.full((21, 40), FREE, np.uint8)
+    grid[:, 10] = OCCUPIED
+    grid[10, 10] = FREE
+    grid[10, 0] = grid[10, 39] = UNKNOWN
+    view = Situation(
+        step=1, grid=grid, x=14, y=10, home=(14, 10), peers=(1,), poses={1: Pose(16, 10, leads=False)}
+    )
+    for radii, target in (([0.0, 3.0], (1, 10)), ([3.0, 0.0], (38, 10))):
+        mind = strategy("burgard")({}, settings_for(grid, radii_cells=radii, ranges_cells=[10.0, 10.0]))
+        assert mind.decide(view).target == target
 
 
 def test_a_target_takes_away_as_far_as_its_own_robot_sees() -> None:
