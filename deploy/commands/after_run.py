@@ -28,9 +28,9 @@ def report(
         list[Path], typer.Argument(metavar="DIR [OTHER]", help="a run directory, or two to be compared")
     ],
 ) -> None:
-    """Write a self-contained HTML page of a run, with its pictures and a slider over its steps; or compare two runs.
+    """Write an HTML page of a run, with pictures and a slider; or compare two runs.
 
-    The page is report.html in DIR, or compared-with-OTHER.html.
+    The page is report.html in DIR, or compared-with-OTHER.html. It is self-contained.
     """
     from deploy.after.report import write_report  # noqa: PLC0415
 
@@ -72,7 +72,10 @@ def movie(
         Path | None, typer.Option(metavar="FILE", help="the file (default: movie.mp4 or .gif in DIR)")
     ] = None,
 ) -> None:
-    """Film a run: the building, the robots, their maps and the radio, step by step; two runs side by side."""
+    """Film a run, step by step, or two side by side.
+
+    Each picture shows the building with the robots, the map of each, and the use of the radio.
+    """
     from deploy.after.movie import GIF, MP4, write_movie  # noqa: PLC0415
     from deploy.commands.terminal import counting  # noqa: PLC0415
 
