@@ -1,4 +1,4 @@
-"""How far many runs are, and how long the rest will take."""
+"""How far long work is, and how long the rest will take."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ EVERY_S = 60
 """Where there is no terminal, a line is written this often."""
 
 Tell = Callable[[int, int], object]
-"""Called with the number of runs that are over, and of all."""
+"""Called with how much is done, and how much there is."""
 
 
 @contextlib.contextmanager
@@ -54,4 +54,4 @@ class _Lines:
             began, before = self._began
             self._said = now
             left = (now - began) / (done - before) * (total - done) / 60
-            self._console.print(f"{self._what}: {done} of {total} runs, some {left:.0f} minutes left")
+            self._console.print(f"{self._what}: {done} of {total}, some {left:.0f} minutes left")

@@ -177,7 +177,7 @@ def write(reproduction: Reproduction, out: Path, command: str) -> list[Path]:
     )
     environment.filters |= {"effect": _effect, "p": _p, "cell": _cell}
     pages = []
-    for name in ("reproduction.md.j2", "reproduction.html.j2"):
+    for name in ("reproduction.md.jinja", "reproduction.html.jinja"):
         page = out.with_name(f"{out.name}.{name.split('.')[1]}")
         text = environment.get_template(name).render(
             reproduction=reproduction, pictures=pictures, command=command, versions=versions(), folder=out.name,
