@@ -189,8 +189,9 @@ class WorldReport(Record, tag=14, frozen=True):
 class MindReport(Record, tag=15, frozen=True):
     """Robot to laboratory, once a step: what it is at, and the time that its thinking took (not a result).
 
-    `error`: cells in which its map and what it has told of it differ (Eq. 6.1). `backlog`: units of its own
-    map's log that have not reached a teammate yet, all teammates counted.
+    `error`: cells in which its map and what it has told of it differ (Eq. 6.1); `exact_error`: what that would be if
+    it had told all exactly, -1 if that is not measured. `backlog`: units of its own map's log that have not reached a
+    teammate yet, all teammates counted.
     """
 
     step: int
@@ -198,6 +199,7 @@ class MindReport(Record, tag=15, frozen=True):
     target_y: int
     known: int
     error: int
+    exact_error: int
     backlog: int
     status: str
     work_us: int

@@ -25,13 +25,36 @@ app = family()
 @app.command()
 def report(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
+    stages: Annotated[
+        int | None,
+        typer.Option(
+            metavar="STEP", help="draw instead how a robot merges at that step: pictures/merging.png"
+        ),
+    ] = None,
+    robot: Annotated[int, typer.Option(metavar="N", help="whose merging (with --stages)")] = 0,
 ) -> None:
     """Draw a run's maps over time and its traffic, and write a self-contained HTML page: report.html."""
     from deploy.after.report import write_report  # noqa: PLC0415
 
     with speaking_clearly():
+        if stages is not None:
+            screen.print(f"{_draw_stages(directory, robot, stages)}: the stages of merging")
+            return
         page = write_report(directory, errors.print)
         screen.print(f"{page}: the run on one page, including its pictures")
+
+
+def _draw_stages(directory: Path, robot: int, step: int) -> Path:
+    from deploy.after import archive  # noqa: PLC0415
+    from deploy.after.merging import MERGING, merging  # noqa: PLC0415
+    from deploy.record.map_pictures import save  # noqa: PLC0415
+    from deploy.record.run_directory import PICTURES  # noqa: PLC0415
+
+    figure = merging(archive.read(directory), robot, step)
+    (directory / PICTURES).mkdir(exist_ok=True)
+    path = directory / PICTURES / MERGING
+    save(path, figure, dpi=100)
+    return path
 
 
 @app.command()
