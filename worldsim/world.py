@@ -9,9 +9,8 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
-from protocol.grid import FREE, Grid, disc, enlarge, fan
+from protocol.grid import FREE, Grid, areas, disc, enlarge, fan
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes, points_from_bytes
@@ -305,6 +304,8 @@ def reachable_by_team(truth: Grid, settings: WorldSettings) -> NDArray[np.bool_]
 
 def reachable_by(truth: Grid, start: tuple[int, int], radius_cells: float) -> NDArray[np.bool_]:
     """Free cells that a disc starting at `start` can reach with its centre, or cover from a cell that it reaches."""
+    from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
+
     floor = enlarge(truth, radius_cells)
     found = reachable_from(floor, start)
     if floor is truth:
@@ -316,7 +317,7 @@ def reachable_by(truth: Grid, start: tuple[int, int], radius_cells: float) -> ND
 
 def reachable_from(truth: Grid, start: tuple[int, int]) -> NDArray[np.bool_]:
     """Free cells that a robot can reach from `start`: without cutting corners, this is its 4-connected component."""
-    labels, _ = ndimage.label(truth == FREE)
+    labels, _ = areas(truth == FREE)
     found: NDArray[np.bool_] = labels == labels[start[1], start[0]]
     found &= truth == FREE
     return found

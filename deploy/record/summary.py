@@ -66,7 +66,7 @@ def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "wire_bytes": records.wire_bytes,
         "undelivered": _undelivered(ledger),
         "lost": {str(robot): cause for robot, cause in sorted(records.lost.items())},
-        "faults": len(records.faults),
+        "faults": records.fault_count,
         "digest": digest(records),
         "wall_s": round(wall_s, 3),
         "steps_per_s": round(records.step / wall_s, 1) if wall_s else None,

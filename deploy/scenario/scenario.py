@@ -21,14 +21,12 @@ from pydantic import (
 
 from agent.exchange.polygon_options import PolygonOptions
 from agent.exchange.sight_options import SightOptions
+from deploy.scenario.finding_maps import FILES as MAP_FILES
 from protocol.errors import there_are
 from protocol.grid import MAX_ROBOTS
 from protocol.packets import MAX_MAPS
 
 UNLIMITED = "unlimited"
-
-MAP_FILES = (".yaml", ".yml", ".png", ".pgm")
-"""How the names of map files end; others are names of generators."""
 
 SHIPPED = Path(__file__).with_name("shipped")
 """Scenarios that are installed with the code; they can be given by name instead of a path."""
