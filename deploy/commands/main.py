@@ -28,7 +28,10 @@ COMMANDS = {
     "strategies": Place("strategies", "List the exploration strategies, or show one with all its options."),
     "new": Place("new", "Write the beginning of something of your own: a strategy."),
     "map": Place("maps", "List, make and show maps."),
-    "report": Place("after_run", "Draw the figures of a run and write an HTML report."),
+    "report": Place(
+        "after_run", "Write an HTML page of a run, with pictures and a slider; or compare two runs."
+    ),
+    "movie": Place("after_run", "Film a run, step by step, or two side by side."),
     "capture": Place("after_run", "Show the radio traffic of a run, frame by frame."),
     "export": Place("after_run", "Export a run to formats of other programs."),
     "replay": Place("after_run", "Repeat a run and check that its digest is the same."),
