@@ -100,14 +100,14 @@ def movie(
     Each picture shows the building with the robots, the map of each, and the use of the radio.
     """
     from deploy.after.movie import GIF, MP4, write_movie  # noqa: PLC0415
-    from deploy.commands.terminal import counting  # noqa: PLC0415
+    from deploy.study.progress import counting  # noqa: PLC0415
 
     with speaking_clearly():
         if len(directories) > 2:
             raise ValueError("a film shows one run, or two side by side")
         if mp4 and gif:
             raise ValueError("--mp4 and --gif are two films: choose one")
-        with counting(errors, "pictures", 0) as progress:
+        with counting(errors, "pictures") as progress:
             path = write_movie(
                 directories, GIF if gif else MP4, out, rate=rate, tell=errors.print, progress=progress
             )
