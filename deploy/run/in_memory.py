@@ -9,6 +9,7 @@ from typing import BinaryIO, Protocol
 
 from agent.journal import Journal, journal_name
 from agent.process import AgentNode
+from agent.robot import Robot
 from deploy.record.records import LabNode, Records
 from deploy.scenario.plan import Plan
 from netshaper.process import RelayNode
@@ -38,12 +39,14 @@ def run(
     view: Node | None = None,
     wait: Callable[[], object] = lambda: None,
     journals: Path | None = None,
+    leave: Callable[[list[Robot]], object] = lambda _: None,
 ) -> Records:
     """Run a plan to its end.
 
     `watch` is called once a step, `capture` takes the frames (`deploy.record.records`), `heed` may end the run early
     (`deploy.run.interrupt`), `wrap` may lay something around each participant's end of the bus; `view` is a viewer,
-    `wait` the world's pace; `journals` is the folder for what robots need to come back, in memory without it.
+    `wait` the world's pace; `journals` is the folder for what robots need to come back, in memory without it; `leave`
+    is given the robots at the end, with all that they hold.
     """
     robots = plan.scenario.robots
     minds = [names.robot(number) for number in range(robots)]
@@ -75,8 +78,12 @@ def run(
         names.LAB: lab,
     }
     kept: dict[int, BytesIO] = {}
-    for number, name in enumerate(minds):
-        nodes[name] = AgentNode(buses[name], keys, number, _journal(plan, number, journals, kept))
+
+    def agent(number: int) -> AgentNode:
+        return AgentNode(buses[minds[number]], keys, number, _journal(plan, number, journals, kept))
+
+    agents = [agent(number) for number in range(robots)]
+    nodes |= zip(minds, agents, strict=True)
     if view is not None:
         nodes[names.VIEW] = view
     step = 0
@@ -94,12 +101,13 @@ def run(
             number = due.pop()
             name = minds[number]
             buses[name] = wrap(name, hub.join(name))
-            nodes[name] = AgentNode(buses[name], keys, number, _journal(plan, number, journals, kept))
+            nodes[name] = agents[number] = agent(number)
         if not spoke and not all(node.done for node in nodes.values()):
             raise RuntimeError("the run stands still: everyone waits for someone")
         if watch is not None and lab.records.step > step:
             step = lab.records.step
             watch(lab.records)
+    leave([agent.robot for agent in agents if agent.robot is not None])
     return lab.records
 
 
