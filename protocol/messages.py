@@ -23,6 +23,7 @@ from protocol.errors import ProtocolError
 from protocol.fields import (
     Books,
     CellCount,
+    CellCountOrNone,
     Cells,
     ConnectionBytes,
     ConnectionMaps,
@@ -256,8 +257,9 @@ class WorldReport(Record, tag=14, frozen=True):
 class MindReport(Record, tag=15, frozen=True):
     """Robot to laboratory, once a step: what it is at, and the time that its thinking took (not a result).
 
-    `error`: cells in which its map and what it has told of it differ (Eq. 6.1). `backlog`: units of its own
-    map's log that have not reached a teammate yet, all teammates counted.
+    `error`: cells in which its map and what it has told of it differ (Eq. 6.1); `exact_error`: what that would be if
+    it had told all exactly, -1 if that is not measured. `backlog`: units of its own map's log that have not reached a
+    teammate yet, all teammates counted.
     """
 
     step: Step
@@ -265,6 +267,7 @@ class MindReport(Record, tag=15, frozen=True):
     target_y: CoordinateOrNone
     known: CellCount
     error: CellCount
+    exact_error: CellCountOrNone
     backlog: Count
     status: Text
     work_us: Count

@@ -17,6 +17,7 @@ from agent.outline.approximation import Marks, approximation, repair
 from agent.outline.claims import Drawing
 from agent.outline.contour import Tracer
 from agent.outline.edits import edit_units, script_size
+from agent.outline.exact_error import ExactError
 from agent.outline.merge import ErrorCount, TeamMap
 from agent.outline.polygons import Polygons
 from agent.outline.receiver import Receiver
@@ -42,7 +43,6 @@ class PolygonExchange(Exchange):
             options.free_inside_edges, options.unknown_pairs, options.wide_walls, options.close_slivers
         )
         told = replace(self._drawing, wide_walls=False, close_slivers=False)
-        self.guesses = settings.robots > 1 and (options.wide_walls or options.close_slivers)
         self._allowance = SplitAllowance(
             Splitting(
                 settings.robots,
@@ -52,6 +52,7 @@ class PolygonExchange(Exchange):
                 settings.height,
                 options.medium_use,
                 options.bytes_per_split or None,
+                options.splits_per_step or None,
             )
         )
         self._held = Receiver(shape)
@@ -64,8 +65,15 @@ class PolygonExchange(Exchange):
         self._news: set[int] = set()
         """Teammates of whom a save point has come since the last merge."""
         self._error = ErrorCount(told)
+        self._exact = ExactError(told) if options.exact_error else None
         self._tracer = Tracer(shape)
         self._untraced, self._unmerged, self._uncounted = ChangedCells(), ChangedCells(), ChangedCells()
+
+    @classmethod
+    def guesses(cls, settings: Settings) -> bool:
+        """Wide walls and closed slivers are assumptions."""
+        options = PolygonOptions(**settings.polygon)
+        return settings.robots > 1 and (options.wide_walls or options.close_slivers)
 
     @property
     def polygons(self) -> Mapping[int, Polygons]:
@@ -77,6 +85,8 @@ class PolygonExchange(Exchange):
     def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
         """Repair, refine, and log the edits (Algorithm 10, lines 6 to 13)."""
         self._outdated = self._outdated or change.cells > 0
+        if self._exact is not None:
+            self._exact.note(scan, change)
         for news in (self._untraced, self._unmerged, self._uncounted):
             news.add(own, change)
         if self._options.lazy and not delivered and self.settings.robots > 1:
@@ -125,3 +135,7 @@ class PolygonExchange(Exchange):
         """
         changed = self._held.changed()
         return self._error.count(own, self._held.held.polygons, self._uncounted.take(own), changed)
+
+    def exact_error(self, own: Grid) -> int | None:
+        """What that would be if the approximation were exact: Algorithm 9 does not know all cells."""
+        return None if self._exact is None else self._exact.count(own)

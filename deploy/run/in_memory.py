@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from typing import BinaryIO, Protocol
 
 from agent.process import AgentNode
+from agent.robot import Robot
 from deploy.record.records import LabNode, Records
 from deploy.scenario.plan import Plan
 from netshaper.process import RelayNode
@@ -33,12 +34,13 @@ def run(
     wrap: Callable[[str, Bus], Bus] = lambda _, bus: bus,
     view: Node | None = None,
     wait: Callable[[], object] = lambda: None,
+    leave: Callable[[list[Robot]], object] = lambda _: None,
 ) -> Records:
     """Run a plan to its end.
 
     `watch` is called once a step, `capture` takes the frames (`deploy.record.records`), `heed` may end the run early
     (`deploy.run.interrupt`), `wrap` may lay something around each participant's end of the bus; `view` is a viewer,
-    `wait` the world's pace.
+    `wait` the world's pace; `leave` is given the robots at the end, with all that they hold.
     """
     robots = plan.scenario.robots
     minds = [names.robot(number) for number in range(robots)]
@@ -63,8 +65,8 @@ def run(
         names.WORLD: world,
         names.LAB: lab,
     }
-    for number, name in enumerate(minds):
-        nodes[name] = AgentNode(buses[name], keys, number)
+    agents = [AgentNode(buses[name], keys, number) for number, name in enumerate(minds)]
+    nodes |= zip(minds, agents, strict=True)
     if view is not None:
         nodes[names.VIEW] = view
     step = 0
@@ -83,6 +85,7 @@ def run(
         if watch is not None and lab.records.step > step:
             step = lab.records.step
             watch(lab.records)
+    leave([agent.robot for agent in agents if agent.robot is not None])
     return lab.records
 
 
