@@ -52,6 +52,10 @@ class Settings:
         Options of the sight exchange, by name (`agent.exchange.sight`).
     options : dict
         Options of the strategy, by name.
+    confirms : bool
+        Whether only what a teammate says tells that something has reached it, for the medium may lose it.
+    frame_bytes : int or None
+        Bytes that a packet may have; None: those of the longest.
     """
 
     robot: int
@@ -74,6 +78,8 @@ class Settings:
     radius_cells: float = 0.0
     field_of_view: float = 360.0
     scanner_turn: float = 0.0
+    confirms: bool = False
+    frame_bytes: int | None = None
 
     @property
     def range_cells(self) -> float:

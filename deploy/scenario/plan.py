@@ -97,6 +97,11 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
         budget,
         scenario.exchanges,
         scenario.offers == gossip.POLICY,
+        scenario.radio,
+        cell,
+        world_map.cells if scenario.radio.model != "disc" else None,
+        tuple(scenario.body_of(number).send_bytes or 0 for number in range(scenario.robots)),
+        tuple(scenario.body_of(number).receive_bytes or 0 for number in range(scenario.robots)),
     )
     minds = {
         number: Settings(
@@ -120,6 +125,8 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
             radius_cells=bodies[number].radius_cells,
             field_of_view=bodies[number].field_of_view,
             scanner_turn=bodies[number].scanner_turn,
+            confirms=not radio.perfect,
+            frame_bytes=radio.packet_bytes,
         ).to_message()
         for number in range(scenario.robots)
     }
