@@ -9,8 +9,10 @@ from agent.robot import Robot
 from agent.settings import Settings
 from agent.viewer_feed import SHOWN_EVERY, ViewerFeed
 from protocol import keys as names
+from protocol import rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
+from protocol.fields import clip
 from protocol.keys import Keys
 from protocol.messages import (
     Bye,
@@ -28,7 +30,6 @@ from protocol.messages import (
     Turn,
     Watched,
     pack,
-    unpack,
 )
 
 UNLIMITED = -1
@@ -61,8 +62,16 @@ class AgentNode:
         if sender is not None:
             self._frames.append((sender, payload))
             return
-        said = unpack(payload)
+        try:
+            self._take(rights.read(key, payload), message)
+        except ProtocolError as error:
+            self._fault(str(error))
+
+    def _take(self, said: object, message: Message) -> None:
+        """Take what relay or world says."""
         if isinstance(said, Configure):
+            if self._robot is not None:
+                raise ProtocolError("Configure", 0, "a second one")
             self._robot = Robot(Settings.from_message(said.settings))
         elif isinstance(said, Watched):
             self._viewer_feed = ViewerFeed() if said.here else None
@@ -161,7 +170,7 @@ class AgentNode:
             self._bus.put(key, payload)
 
     def _fault(self, what: str) -> None:
-        self._report(Fault(self._name, what))
+        self._report(Fault(self._name, clip(what)))
 
     def _report(self, message: Record) -> None:
         """Tell the laboratory, and the viewer if there is one."""

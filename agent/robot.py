@@ -22,6 +22,7 @@ from agent.strategies.base import Cell, Decision, Pose, Situation
 from agent.strategies.registry import strategy
 from protocol import packets, survey
 from protocol.errors import ProtocolError
+from protocol.fields import MOST_ON_THE_WAY
 from protocol.grid import UNKNOWN, Grid, fan
 from protocol.messages import Move, Outcome, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
 from protocol.scans import Scan, check_readings, draw, mark_free
@@ -205,12 +206,12 @@ class Robot:
         self._idle_steps = self._idle_steps + 1 if decision.explored else 0
         return Move(
             sense.step,
-            cells_to_bytes(decision.path),
+            cells_to_bytes(decision.path[:MOST_ON_THE_WAY]),
             decision.heading,
             self._idle_steps > (SURE_AFTER if self._exchange.guesses else 0),
             decision.look,
             decision.stalled,
-            points_to_bytes(decision.points),
+            points_to_bytes(decision.points[:MOST_ON_THE_WAY]),
         )
 
     def _take(self, decision: Decision) -> None:

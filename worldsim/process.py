@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from protocol import keys as names
+from protocol import rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
+from protocol.fields import clip
 from protocol.keys import Keys
 from protocol.messages import (
     Begin,
@@ -24,11 +26,7 @@ from protocol.messages import (
     Stop,
     Watched,
     WorldReport,
-    cells_from_bytes,
     pack,
-    points_from_bytes,
-    unpack,
-    unpack_as,
 )
 from worldsim.continuous_motion import FINE
 from worldsim.world import World
@@ -78,11 +76,14 @@ class WorldNode:
 
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
-        plane, _, _, sender = names.parts(message.key)
-        if plane == "body":
-            self._take_move(names.number(sender), message.payload)
-        else:
-            self._take_note(unpack(message.payload))
+        try:
+            said = rights.read(*message)
+            if isinstance(said, Move):
+                self._take_move(names.number(names.parts(message.key)[3]), said)
+            else:
+                self._take_note(said)
+        except ProtocolError as error:
+            self._report(Fault(names.parts(message.key)[3], clip(str(error))))
         while self._running and self._moves.keys() >= self._world.cells.keys():
             self._end_step()
 
@@ -105,25 +106,24 @@ class WorldNode:
         self._running = True
         self._open_step({})
 
-    def _take_move(self, robot: int, payload: bytes) -> None:
-        """Take a robot's move; an invalid one is reported, and the robot stays where it is."""
+    def _take_move(self, robot: int, move: Move) -> None:
+        """Take a living robot's move, its first of this step."""
         step = self._world.step
-        try:
-            move = unpack_as(Move, payload)
-            if not self._running or move.step != step:
-                raise ProtocolError("Move", 0, f"for step {move.step}, while step {step} is under way")
-            cells_from_bytes(move.path)
-            points_from_bytes(move.points)
-        except ProtocolError as error:
-            self._report(Fault(names.robot(robot), str(error)))
-            move = Move(step, b"", 0, explored=False)
-        if self._running and robot in self._world.cells:
+        if not self._running or move.step != step:
+            raise ProtocolError("Move", 0, f"for step {move.step}, while step {step} is under way")
+        if robot in self._moves:
+            raise ProtocolError("Move", 0, f"a second one for step {step}")
+        if robot in self._world.cells:
             self._moves[robot] = move
 
     def _end_step(self) -> None:
         moves, self._moves = self._moves, {}
         explored = sorted(robot for robot, move in moves.items() if move.explored)
-        wanted = len(moves) if self._world.settings.ends_with_all else 1
+        wanted = 1
+        if self._world.settings.ends_with_all:
+            wanted = len(moves)
+        elif explored:
+            explored = [robot for robot in self._world.thinnest() if robot in explored]
         if explored and len(explored) >= wanted:
             self._end(EXPLORED, explored[0])
         elif not self._world.cells:

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from deploy.record.wire_bytes import Meter
 from netshaper.ledger import ROW
 from protocol import keys as names
+from protocol import rights
 from protocol.bus import Bus, Message
-from protocol.grid import Grid
+from protocol.errors import ProtocolError
+from protocol.grid import OCCUPIED, Grid
 from protocol.keys import Keys
 from protocol.messages import (
     Bye,
@@ -25,8 +27,10 @@ from protocol.messages import (
     Stop,
     WorldReport,
     pack,
-    unpack,
 )
+
+MOST_FAULTS = 1000
+"""Faults that are kept in words; more are counted."""
 
 
 @dataclass(repr=False)
@@ -43,6 +47,9 @@ class Records:
     lost: dict[int, str] = field(default_factory=dict)
     """Robots that died unexpectedly, and how."""
     faults: list[str] = field(default_factory=list)
+    """Who said what that made no sense: the first `MOST_FAULTS` of them."""
+    fault_count: int = 0
+    """How many faults there were."""
     end: End | None = None
     carried: int = 0
     """Bytes on the air in the last step."""
@@ -65,6 +72,12 @@ class Records:
         """Fraction of the reachable free cells that the team has seen."""
         return self.world[-1].seen / self.world[-1].reachable if self.world else 0.0
 
+    def note_fault(self, who: str, what: str) -> None:
+        """Record that `who` said what made no sense."""
+        self.fault_count += 1
+        if len(self.faults) < MOST_FAULTS:
+            self.faults.append(f"{who}: {what}")
+
     def ledger(self) -> NDArray[np.void]:
         """All rows of the ledger so far (`netshaper.ledger.ROW`), in the order in which they were recorded."""
         return np.frombuffer(b"".join(self.rows), ROW)
@@ -73,15 +86,23 @@ class Records:
 class LabNode:
     """The laboratory's end of the bus; `done` once everything has been handed in.
 
-    What the relay reports for the capture is written to `capture` step by step, and not kept; `meter` counts
+    Each participant is believed what is its to say, of itself; all else is a fault. `shape` is that of the run's
+    map. What the relay reports for the capture is written to `capture` step by step, and not kept; `meter` counts
     the bytes that the bus moves.
     """
 
     def __init__(
-        self, bus: Bus, keys: Keys, robots: int, capture: BinaryIO | None = None, meter: Meter | None = None
+        self,
+        bus: Bus,
+        keys: Keys,
+        robots: int,
+        shape: tuple[int, int],
+        capture: BinaryIO | None = None,
+        meter: Meter | None = None,
     ) -> None:
         self.done = False
         self.records = Records(robots)
+        self._shape = shape
         self._capture = capture
         self._meter = meter
         self._bus = bus
@@ -89,30 +110,69 @@ class LabNode:
 
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
-        records = self.records
         sender = names.parts(message.key)[3]
-        said = unpack(message.payload)
+        try:
+            self._take(sender, rights.read(*message))
+        except ProtocolError as error:
+            self.records.note_fault(sender, str(error))
+        if self.records.end is not None and not self.done and not self.missing():
+            self.send_home()
+
+    def _take(self, sender: str, said: object) -> None:
+        """Record what `sender` says, which is its to say; ProtocolError if it makes no sense."""
+        records = self.records
         if isinstance(said, WorldReport):
             records.world.append(said)
         elif isinstance(said, RadioReport):
-            records.rows.append(said.rows)
-            records.carried = said.carried
-            if self._capture is not None:
-                self._capture.write(said.frames)
+            self._take_books(said)
         elif isinstance(said, MindReport):
-            records.minds[names.number(sender)].append(said)
+            self._take_thoughts(self._number(sender), said)
         elif isinstance(said, Lost):
             records.lost[said.robot] = said.cause
         elif isinstance(said, Fault):
-            records.faults.append(f"{said.who}: {said.what}")
+            who = said.who if sender in (names.RELAY, names.WORLD) else sender
+            records.note_fault(who, said.what)
         elif isinstance(said, End):
             records.end = said
         elif isinstance(said, Maps):
-            shape = (said.height, said.width)
-            records.own[said.robot] = np.frombuffer(said.own, np.uint8).reshape(shape)
-            records.planning[said.robot] = np.frombuffer(said.planning, np.uint8).reshape(shape)
-        if records.end is not None and not self.done and not self.missing():
-            self.send_home()
+            self._take_maps(self._number(sender), said)
+
+    def _take_books(self, said: RadioReport) -> None:
+        if len(said.rows) % ROW.itemsize:
+            raise ProtocolError("RadioReport", 0, f"{len(said.rows)} bytes are no rows of a ledger")
+        self.records.rows.append(said.rows)
+        self.records.carried = said.carried
+        if self._capture is not None:
+            self._capture.write(said.frames)
+
+    def _take_thoughts(self, robot: int, said: MindReport) -> None:
+        """Take a robot's report, one a step at most."""
+        told = self.records.minds[robot]
+        after, last = (told[-1].step if told else 0), self.records.step + 1
+        if not after < said.step <= last:
+            raise ProtocolError(
+                "MindReport", 0, f"of step {said.step}, where one of {after + 1} to {last} can be"
+            )
+        told.append(said)
+
+    def _take_maps(self, robot: int, said: Maps) -> None:
+        """Take a robot's grids: its own, and of the size of the run's map."""
+        if said.robot != robot:
+            raise ProtocolError("Maps", 0, f"of robot {said.robot}")
+        if (said.height, said.width) != self._shape:
+            height, width = self._shape
+            raise ProtocolError("Maps", 0, f"{said.width} x {said.height} cells, not {width} x {height}")
+        grids = [np.frombuffer(cells, np.uint8).reshape(self._shape) for cells in (said.own, said.planning)]
+        if max(int(grid.max()) for grid in grids) > OCCUPIED:
+            raise ProtocolError("Maps", 0, "a cell that is not free, occupied or unknown")
+        self.records.own[robot], self.records.planning[robot] = grids
+
+    def _number(self, sender: str) -> int:
+        """The number of the robot that says something."""
+        number = names.number(sender)
+        if number >= self.records.robots:
+            raise ProtocolError("message", 0, f"there is no robot {number}")
+        return number
 
     def missing(self) -> list[int]:
         """Robots whose maps have not been handed in."""

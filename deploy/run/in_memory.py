@@ -48,7 +48,7 @@ def run(
     buses: dict[str, Bus] = {}
     for name in (names.RELAY, *watching, names.LAB, names.WORLD, *minds):
         buses[name] = wrap(name, hub.join(name))
-    lab = LabNode(buses[names.LAB], keys, robots, capture)
+    lab = LabNode(buses[names.LAB], keys, robots, plan.map.cells.shape, capture)
     world = WorldNode(
         buses[names.WORLD],
         keys,

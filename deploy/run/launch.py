@@ -122,7 +122,7 @@ def run(
                 processes.start(name, serve, *args)
             if show is not None:
                 _start_viewer(processes, meeting, show)
-            outcome = _attend(processes, meeting, fleet, robots, heed, watch, capture)
+            outcome = _attend(processes, meeting, fleet, plan, heed, watch, capture)
             if show is not None:
                 outcome.view_fault = processes.await_end(names.VIEW, VIEWER_END_S)
             return outcome
@@ -142,7 +142,7 @@ def _attend(
     processes: ProcessTable,
     meeting: Meeting,
     fleet: Fleet | None,
-    robots: int,
+    plan: Plan,
     heed: Heed,
     watch: Callable[[Records], object] | None,
     capture: BinaryIO | None,
@@ -159,8 +159,9 @@ def _attend(
         bus = join(meeting.credentials[names.LAB])
     except ConnectionError as error:
         look_after_all().setdefault(names.RELAY, str(error))
-        return Outcome(Records(robots), deaths)
-    lab = LabNode(bus, Keys(meeting.run), robots, capture, Meter(meeting.endpoint, here=True))
+        return Outcome(Records(plan.scenario.robots), deaths)
+    meter = Meter(meeting.endpoint, here=True)
+    lab = LabNode(bus, Keys(meeting.run), plan.scenario.robots, plan.map.cells.shape, capture, meter)
 
     def look() -> bool:
         if watch is not None:

@@ -59,7 +59,7 @@ class ProcessTable:
         self._logs = logs
         self._children: list[Child] = []
         self._context = multiprocessing.get_context("forkserver")
-        self._context.set_forkserver_preload(["deploy.run.processes"])
+        self._context.set_forkserver_preload(["deploy.run.preload"])
 
     def __enter__(self) -> Self:
         self._logs.mkdir(parents=True, exist_ok=True)

@@ -21,6 +21,7 @@ from pydantic import (
 
 from agent.exchange.polygon_options import PolygonOptions
 from agent.exchange.sight_options import SightOptions
+from deploy.scenario.finding_maps import FILES as MAP_FILES
 from netshaper.presets import PRESETS
 from netshaper.radio_options import LEAST_FRAME, Partition, RadioOptions
 from protocol.errors import there_are
@@ -28,9 +29,6 @@ from protocol.grid import MAX_ROBOTS
 from protocol.packets import MAX_MAPS
 
 UNLIMITED = "unlimited"
-
-MAP_FILES = (".yaml", ".yml", ".png", ".pgm")
-"""How the names of map files end; others are names of generators."""
 
 SHIPPED = Path(__file__).with_name("shipped")
 """Scenarios that are installed with the code; they can be given by name instead of a path."""
@@ -65,6 +63,8 @@ class RobotOverride(_Table):
     speed: Positive | None = Field(None, description="metres a step")
     send_bytes: LimitOrNone = Field(None, description="bytes a step that it can send")
     receive_bytes: LimitOrNone = Field(None, description="bytes a step that it can take")
+    radius: NotNegative | None = Field(None, description="metres; 0: a point")
+    scanner_turn: Degrees | None = Field(None, ge=0, description="degrees a step; 0: full view at once")
 
 
 class Death(_Table):
@@ -113,6 +113,20 @@ class Scenario(_Table):
     )
     start: tuple[Metres, Metres] | None = Field(
         None, description="metres in the map's frame; drawn from the seed if left out"
+    )
+    starts: tuple[tuple[Metres, Metres], ...] = Field(
+        (),
+        description="where the first robots start, one each, metres in the map's frame; the others around start",
+    )
+    start_jitter: NotNegative = Field(
+        0.0, description="metres that the seed moves start, or each of starts, at most"
+    )
+    motion: Literal["metres", "cells"] = Field(
+        "metres",
+        description="how a cell's way is counted: by its length, or one cell to any of eight neighbours",
+    )
+    bodies: Annotated[bool, Field(strict=True)] = Field(
+        True, description="whether robots block each other's way and laser"
     )
     radius: NotNegative = Field(0.0, description="metres; robots are discs, 0: points")
     apart: Positive = Field(0.3, description="metres between start poses")
@@ -208,6 +222,8 @@ class Scenario(_Table):
                 )
         if self.radio.duty_cycle < 1 and self.bandwidth == UNLIMITED:
             raise ValueError("radio.duty_cycle: is a share of the bandwidth, which must not be unlimited")
+        if self.start_jitter and self.start is None and not self.starts:
+            raise ValueError("start_jitter moves a start about: give `start`, or `starts`")
         for table, entries in (("robot", self.robot), ("death", self.death)):
             numbers = [entry.robot for entry in entries]
             for number in numbers:
@@ -234,6 +250,8 @@ class Scenario(_Table):
             speed=own.speed or self.speed,
             send_bytes=own.send_bytes or self.radio.send_bytes or None,
             receive_bytes=own.receive_bytes or self.radio.receive_bytes or None,
+            radius=self.radius if own.radius is None else own.radius,
+            scanner_turn=self.scanner_turn if own.scanner_turn is None else own.scanner_turn,
         )
 
     def to_toml(self) -> str:

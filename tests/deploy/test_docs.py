@@ -37,6 +37,7 @@ from protocol import messages, packets, survey
 from protocol.grid import MAX_ROBOTS, MAX_SIDE, UNKNOWN, Grid, fan
 from protocol.keys import Keys
 from protocol.messages import Outcome
+from protocol.rights import RIGHTS
 from protocol.scans import Scan, draw, encode_scan, fragments
 from worldsim.laser import cast
 
@@ -349,7 +350,7 @@ def test_the_table_of_radios_is_that_of_the_code() -> None:
     }
 
 
-def test_keys_are_what_participants_put_and_hear() -> None:
+def test_keys_and_rights_are_what_participants_put_hear_and_say() -> None:
     keys = Keys("RUN")
     there_are = {row[0] for row in rows("protocol.md", "Keys")}
     assert there_are == {
@@ -361,6 +362,8 @@ def test_keys_are_what_participants_put_and_hear() -> None:
         keys.alive("NAME"),
         keys.presence("NAME"),
     }
+    told_of = {(who, to): tuple(may.split(", ")) for who, to, may in rows("protocol.md", "Rights")}
+    assert told_of == {ends: tuple(kind.__name__ for kind in kinds) for ends, kinds in RIGHTS.items()}
     names = {row[0] for row in rows("protocol.md", "Participants")}
     assert names == {"relay", *access.participants(0), "r0, r1, ..."}
 
