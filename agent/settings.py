@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from protocol.errors import ProtocolError
 
@@ -33,8 +37,8 @@ class Settings:
         Which target comes next (`agent.strategies`).
     resolution : float
         Side of a cell in metres.
-    radius_cells : float
-        Radius of the robot, in cells; 0 for a point.
+    radii_cells : list of float
+        Radius of every robot, in cells; 0 for a point. Empty: all are points.
     field_of_view : float
         Degrees that its laser covers, around its heading.
     scanner_turn : float
@@ -71,7 +75,7 @@ class Settings:
     sight: dict[str, Any] = field(default_factory=dict)
     options: dict[str, Any] = field(default_factory=dict)
     resolution: float = 0.1
-    radius_cells: float = 0.0
+    radii_cells: list[float] = field(default_factory=list)
     field_of_view: float = 360.0
     scanner_turn: float = 0.0
 
@@ -79,6 +83,24 @@ class Settings:
     def range_cells(self) -> float:
         """The robot's own sensor range, in cells."""
         return self.ranges_cells[self.robot]
+
+    @property
+    def scale_cells(self) -> float:
+        """The sensor range in which the team counts ways and sizes, in cells: the longest, the same to all members."""
+        return max(self.ranges_cells)
+
+    def ranges_of(self, robots: Iterable[int]) -> NDArray[np.float64]:
+        """Sensor range of each of `robots`, in cells."""
+        return np.array([self.ranges_cells[robot] for robot in robots], np.float64)
+
+    @property
+    def radius_cells(self) -> float:
+        """The robot's own radius, in cells."""
+        return self.radius_of(self.robot)
+
+    def radius_of(self, robot: int) -> float:
+        """A robot's radius, in cells."""
+        return self.radii_cells[robot] if self.radii_cells else 0.0
 
     @property
     def turn_steps(self) -> int:

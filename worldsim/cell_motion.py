@@ -47,6 +47,7 @@ def drive(
     start: tuple[int, int],
     path: list[tuple[int, int]],
     way: float,
+    diagonal: float = DIAGONAL,
 ) -> Drive:
     """Move one robot along `path` for at most `way` cells.
 
@@ -61,12 +62,12 @@ def drive(
     path : list of (x, y)
         Cells to enter, each a neighbour of the one before. A step to any other cell ends the path like a wall.
     way : float
-        Distance that it may drive, in cells: 1 to a 4-neighbour, sqrt 2 to a diagonal one.
+        Distance that it may drive, in cells: 1 to a 4-neighbour, `diagonal` to a diagonal one.
     """
     height, width = truth.shape
     x, y = start
     cells: list[tuple[int, int]] = []
-    length = 0.0
+    length = used = 0.0
     for next_x, next_y in path:
         dx, dy = next_x - x, next_y - y
         inside = 0 <= next_x < width and 0 <= next_y < height
@@ -76,10 +77,11 @@ def drive(
             return Drive(cells, length, 0.0, WALL)
         if taken[next_y, next_x]:
             return Drive(cells, length, 0.0, ROBOT)
-        cost = DIAGONAL if dx and dy else 1.0
-        if length + cost > way + ROUNDING:
-            return Drive(cells, length, max(0.0, way - length), NOT_BLOCKED)
-        length += cost
+        cost = diagonal if dx and dy else 1.0
+        if used + cost > way + ROUNDING:
+            return Drive(cells, length, max(0.0, way - used), NOT_BLOCKED)
+        used += cost
+        length += DIAGONAL if dx and dy else 1.0
         x, y = next_x, next_y
         cells.append((x, y))
     return Drive(cells, length, 0.0, NOT_BLOCKED)

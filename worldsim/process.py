@@ -123,7 +123,11 @@ class WorldNode:
     def _end_step(self) -> None:
         moves, self._moves = self._moves, {}
         explored = sorted(robot for robot, move in moves.items() if move.explored)
-        wanted = len(moves) if self._world.settings.ends_with_all else 1
+        wanted = 1
+        if self._world.settings.ends_with_all:
+            wanted = len(moves)
+        elif explored:
+            explored = [robot for robot in self._world.thinnest() if robot in explored]
         if explored and len(explored) >= wanted:
             self._end(EXPLORED, explored[0])
         elif not self._world.cells:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes, points_from_bytes
 from protocol.scans import NONE, draw, mark_free
-from worldsim.cell_motion import INTERFERENCE, NOT_BLOCKED, drive, heading_of, swept
+from worldsim.cell_motion import DIAGONAL, INTERFERENCE, NOT_BLOCKED, drive, heading_of, swept
 from worldsim.continuous_motion import FINE, cell_of, glide
 from worldsim.laser import FULL_TURN, HEADINGS, cast
 
@@ -68,6 +67,11 @@ class WorldSettings:
         Robots that break down at the beginning of a step, as the scenario specifies.
     ends_with_all : bool
         Whether the run ends when all robots report that they are done, not when the first does.
+    cell_steps : bool
+        Whether a step to any of eight neighbours counts one, as some papers count; else a diagonal one counts
+        its length, sqrt 2.
+    solid : bool
+        Whether robots block each other's way and laser.
     """
 
     bodies: tuple[Body, ...]
@@ -77,6 +81,8 @@ class WorldSettings:
     interference_cells: float = 0.0
     deaths: tuple[tuple[int, int], ...] = ()
     ends_with_all: bool = False
+    cell_steps: bool = False
+    solid: bool = True
 
 
 class World:
@@ -101,7 +107,7 @@ class World:
         """Distance that each robot has driven, in cells."""
         self.floors = {body.radius_cells: enlarge(truth, body.radius_cells) for body in settings.bodies}
         """Where the centre of a robot of each radius may be."""
-        self.reachable = reachable_by(truth, settings.starts[0], settings.bodies[0].radius_cells)
+        self.reachable = reachable_by_team(truth, settings)
         self.reachable_cells = int(np.count_nonzero(self.reachable))
         """Free cells that robots can reach."""
         self.seen = np.zeros_like(truth)
@@ -117,6 +123,11 @@ class World:
     def lose(self, robot: int) -> None:
         """Remove a broken robot from the world: others do not collide with it."""
         self.cells.pop(robot, None)
+
+    def thinnest(self) -> list[int]:
+        """Living robots of the least radius: nobody gets farther than they do, so they say when all is explored."""
+        radii = {robot: self.settings.bodies[robot].radius_cells for robot in sorted(self.cells)}
+        return [robot for robot, radius in radii.items() if radius == min(radii.values())]
 
     def doomed(self) -> list[int]:
         """Robots that, by the scenario, break down by the next step."""
@@ -156,7 +167,8 @@ class World:
             with self._teammates_in_the_way(robot, way) as taken:
                 return self._glide(robot, points, taken)
         with self._teammates_in_the_way(robot, way) as taken:
-            result = drive(self.floors[body.radius_cells], taken, start, path, way)
+            diagonal = 1.0 if self.settings.cell_steps else DIAGONAL
+            result = drive(self.floors[body.radius_cells], taken, start, path, way, diagonal)
         self.offsets[robot] = (0, 0) if result.cells else self.offsets[robot]
         self._carry[robot] = result.carry
         self.driven[robot] += result.length
@@ -187,7 +199,7 @@ class World:
         own = self.settings.bodies[robot].radius_cells
         x, y = self.cells[robot]
         marked = []
-        for other, (other_x, other_y) in self.cells.items():
+        for other, (other_x, other_y) in self.cells.items() if self.settings.solid else ():
             reach = own + self.settings.bodies[other].radius_cells
             far = way + reach + 4
             if other == robot or abs(other_x - x) > far or abs(other_y - y) > far:
@@ -217,7 +229,7 @@ class World:
 
     def _standing(self) -> NDArray[np.bool_]:
         occupied = np.zeros(self.truth.shape, np.bool_)
-        for x, y in self.cells.values():
+        for x, y in self.cells.values() if self.settings.solid else ():
             occupied[y, x] = True
         return occupied
 
@@ -279,6 +291,18 @@ def beams_outside(beams: int, angle: float, width: float) -> NDArray[np.bool_]:
     return outside
 
 
+def reachable_by_team(truth: Grid, settings: WorldSettings) -> NDArray[np.bool_]:
+    """Free cells that one of the robots can reach with its disc."""
+    found: NDArray[np.bool_] = np.zeros(truth.shape, np.bool_)
+    done: set[float] = set()
+    for start, body in zip(settings.starts, settings.bodies, strict=True):
+        x, y = start
+        if body.radius_cells not in done or not found[y, x]:
+            found |= reachable_by(truth, start, body.radius_cells)
+            done.add(body.radius_cells)
+    return found
+
+
 def reachable_by(truth: Grid, start: tuple[int, int], radius_cells: float) -> NDArray[np.bool_]:
     """Free cells that a disc starting at `start` can reach with its centre, or cover from a cell that it reaches."""
     floor = enlarge(truth, radius_cells)
@@ -296,48 +320,3 @@ def reachable_from(truth: Grid, start: tuple[int, int]) -> NDArray[np.bool_]:
     found: NDArray[np.bool_] = labels == labels[start[1], start[0]]
     found &= truth == FREE
     return found
-
-
-def start_cells(
-    truth: Grid, robots: int, seed: int, apart: int, first: tuple[int, int] | None = None
-) -> list[tuple[int, int]]:
-    """Choose where the robots start: the free cells nearest to one seeded cell, `apart` cells apart.
-
-    Parameters
-    ----------
-    first : (x, y), optional
-        The cell to start around, instead of a seeded one.
-
-    Raises
-    ------
-    ValueError
-        No cell is free, `first` is not, or there are more robots than free cells that far apart.
-    """
-    labels, parts = ndimage.label(truth == FREE)
-    if not parts:
-        raise ValueError("no cell is free for robots of that radius")
-    if first is None:
-        largest = 1 + int(np.argmax(np.bincount(labels.ravel(), minlength=parts + 1)[1:]))
-        ys, xs = np.nonzero(labels == largest)
-        pick = int(keyed_random(seed, "start").integers(len(xs)))
-        first = int(xs[pick]), int(ys[pick])
-    height, width = truth.shape
-    if not (0 <= first[0] < width and 0 <= first[1] < height) or truth[first[1], first[0]] != FREE:
-        raise ValueError(f"cell {first} is not free: robots cannot start there")
-    chosen: list[tuple[int, int]] = []
-    reached = np.zeros(truth.shape, np.bool_)
-    reached[first[1], first[0]] = True
-    queue = deque([first])
-    while queue and len(chosen) < robots:
-        x, y = queue.popleft()
-        if all(max(abs(x - cx), abs(y - cy)) >= apart for cx, cy in chosen):
-            chosen.append((x, y))
-        for nx, ny in ((x + 1, y), (x, y + 1), (x - 1, y), (x, y - 1)):
-            if 0 <= nx < width and 0 <= ny < height and truth[ny, nx] == FREE and not reached[ny, nx]:
-                reached[ny, nx] = True
-                queue.append((nx, ny))
-    if len(chosen) < robots:
-        raise ValueError(
-            f"{robots} robots do not fit: {len(chosen)} free cells lie {apart} cells apart around {first}"
-        )
-    return chosen

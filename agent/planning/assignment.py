@@ -61,9 +61,7 @@ def hungarian(costs: Costs) -> Assignment:
     return given
 
 
-def in_turn(
-    grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, range_cells: float
-) -> Assignment:
+def in_turn(grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, ranges: Costs) -> Assignment:
     """Assign goals as Algorithm 1 of Burgard et al. (section II-C) does.
 
     The pair of best utility minus cost is taken; utilities around its goal are lowered; again, until every
@@ -79,8 +77,8 @@ def in_turn(
         What each goal is worth before anyone takes one.
     costs : float64 array, shape (m, n)
         Weighted by beta, in the unit of utilities.
-    range_cells : float
-        Sensor range.
+    ranges : float64 array, shape (m,)
+        Sensor range of each robot, in cells: it lowers utilities around the goal that this robot has.
     """
     worth = utility.copy()
     given = np.full(len(costs), -1)
@@ -91,12 +89,12 @@ def in_turn(
         if not np.isfinite(value[robot, goal]):
             break
         given[robot] = goal
-        worth -= proximity(grid, goals, goals[goal], range_cells)
+        worth -= proximity(grid, goals, goals[goal], ranges[robot])
     return given
 
 
 def best_of_all(
-    grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, range_cells: float,
+    grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, ranges: Costs,
     random: np.random.Generator,
 ) -> Assignment:  # fmt: skip
     """Search the assignment that `total_value` finds best (Burgard et al., Algorithm 2).
@@ -105,32 +103,46 @@ def best_of_all(
     `STARTS` random assignments. Parameters as `in_turn`, costs squared before they are weighted.
     """
     cost = np.where(np.isfinite(costs), costs, 1e9)
-    first = in_turn(grid, goals, utility, cost, range_cells)
+    first = in_turn(grid, goals, utility, cost, ranges)
     best, best_value = first, -np.inf
     for start in [first, *(random.integers(len(goals), size=(STARTS, len(costs))))]:
         given = start.astype(np.int64)
-        _climb(grid, goals, utility, cost, range_cells, given)
-        value = total_value(grid, goals, utility, cost, range_cells, given)
+        _climb(grid, goals, utility, cost, ranges, given)
+        value = total_value(grid, goals, utility, cost, ranges, given)
         if value > best_value + 1e-9:
             best, best_value = given, value
     return np.where(np.isfinite(costs[np.arange(len(costs)), best]), best, -1)
 
 
 def total_value(
-    grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, range_cells: float, given: Assignment
+    grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, ranges: Costs, given: Assignment
 ) -> float:  # fmt: skip
     """Sum over all robots of the utility of its goal, lowered by all others' goals, minus its cost."""
     total = 0.0
     for robot, goal in enumerate(given):
-        others = np.delete(given, robot)
-        lowered = proximity(grid, goals[others], goals[goal], range_cells).sum() if len(others) else 0.0
-        total += float(utility[goal] - lowered - costs[robot, goal])
+        others = [
+            sees(grid, goals[goal], goals[taken], ranges[other])
+            for other, taken in enumerate(given)
+            if other != robot
+        ]
+        total += float(utility[goal] - np.sum(others) - costs[robot, goal])
     return total
 
 
-@kernel("void(uint8[:,::1], int32[:,::1], float64[::1], float64[:,::1], float64, int64[::1])")
+@kernel("float64(uint8[:,::1], int32[:,::1], int64, int64, float64, float64)")
+def _overlap(
+    grid: Grid, goals: NDArray[np.int32], one: int, other: int, range_one: float, range_other: float
+) -> float:
+    """By how much two robots with these goals and ranges lower each other's utilities, together."""
+    lowered = sees(grid, goals[one], goals[other], range_one)
+    if range_one == range_other:
+        return lowered + lowered
+    return lowered + sees(grid, goals[one], goals[other], range_other)
+
+
+@kernel("void(uint8[:,::1], int32[:,::1], float64[::1], float64[:,::1], float64[::1], int64[::1])")
 def _climb(
-    grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, range_cells: float, given: Assignment
+    grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, ranges: Costs, given: Assignment
 ) -> None:  # fmt: skip
     robots = len(given)
     improved = True
@@ -146,8 +158,7 @@ def _climb(
                     continue
                 for other in range(robots):
                     if other != robot:
-                        # Each lowers the other's utility.
-                        value -= 2.0 * sees(grid, goals[goal], goals[given[other]], range_cells)
+                        value -= _overlap(grid, goals, goal, given[other], ranges[robot], ranges[other])
                 if goal == given[robot]:
                     now = value
                 if value > best_value:
@@ -160,6 +171,14 @@ def _climb(
             for other in range(one):
                 before = costs[one, given[one]] + costs[other, given[other]]
                 after = costs[one, given[other]] + costs[other, given[one]]
+                if ranges[one] != ranges[other]:
+                    for third in range(robots):
+                        if third not in (one, other):
+                            at, reach = given[third], ranges[third]
+                            before += _overlap(grid, goals, given[one], at, ranges[one], reach)
+                            before += _overlap(grid, goals, given[other], at, ranges[other], reach)
+                            after += _overlap(grid, goals, given[other], at, ranges[one], reach)
+                            after += _overlap(grid, goals, given[one], at, ranges[other], reach)
                 if after < before - 1e-9:
                     given[one], given[other] = given[other], given[one]
                     improved = True

@@ -32,15 +32,18 @@ class Appeal:
         Cells (x, y) to which teammates are headed.
     weights : float64 array, shape (n,)
         How much each counts, 0 or more.
-    range_cells : float
-        Sensor range: utilities are lowered within it, and ways are counted in it.
+    ranges : float64 array, shape (n,)
+        Sensor range of the robot that is headed there, in cells: utilities are lowered within it.
+    scale : float
+        Sensor range in which ways are counted, in cells.
     beta : float
         Weight of cost against utility, 0 or more.
     """
 
     targets: NDArray[np.int32]
     weights: NDArray[np.float64]
-    range_cells: float
+    ranges: NDArray[np.float64]
+    scale: float
     beta: float
 
 
@@ -67,14 +70,14 @@ def best_frontier(
         None instead of both if no frontier cell can be reached.
     """
     work = workspace(len(floor.free))
-    targets, weights = appeal.targets, appeal.weights
-    cell, way = _search(floor.free, grid, x, y, targets, weights, appeal.range_cells, appeal.beta, *work)
+    counted = appeal.targets, appeal.weights, appeal.ranges
+    cell, way = _search(floor.free, grid, x, y, *counted, appeal.scale, appeal.beta, *work)
     return None if cell < 0 else ((cell % floor.stride - 1, cell // floor.stride - 1), way)
 
 
 @kernel(
-    "Tuple((int64, int32[:,::1]))(boolean[::1], uint8[:,::1], int64, int64, int32[:,::1], float64[::1], float64,"
-    " float64, int64[::1], uint8[::1], int32[::1])"
+    "Tuple((int64, int32[:,::1]))(boolean[::1], uint8[:,::1], int64, int64, int32[:,::1], float64[::1],"
+    " float64[::1], float64, float64, int64[::1], uint8[::1], int32[::1])"
 )
 def _search(
     free: NDArray[np.bool_],
@@ -83,7 +86,8 @@ def _search(
     y: int,
     targets: NDArray[np.int32],
     weights: NDArray[np.float64],
-    range_cells: float,
+    ranges: NDArray[np.float64],
+    scale: float,
     beta: float,
     length: NDArray[np.int64],
     came: NDArray[np.uint8],
@@ -101,14 +105,14 @@ def _search(
     level = 0
     best_cell = -1
     while best_cell < 0:
-        if fill[:4].any() and (len(queue) == 0 or -queue[0][0] <= 1.0 - beta * (level / range_cells)):
+        if fill[:4].any() and (len(queue) == 0 or -queue[0][0] <= 1.0 - beta * (level / scale)):
             buckets = settle(free, length, came, touched, buckets, fill, offset, level, start)
             for at in range(fill[level & 3]):
                 cell = buckets[level & 3, at]
                 if length[cell] >> SHIFT == level and frontier_at(
                     grid, cell % stride - 1, cell // stride - 1
                 ):
-                    cost = beta * (length[cell] * UNIT / range_cells)
+                    cost = beta * (length[cell] * UNIT / scale)
                     heappush(queue, (cost - 1.0, cell, 0, 1.0))
             fill[level & 3] = 0
             level += 1
@@ -122,9 +126,9 @@ def _search(
         here[0], here[1] = cell % stride - 1, cell // stride - 1
         before = utility
         while counted < len(targets) and utility == before:
-            utility -= weights[counted] * sees(grid, here, targets[counted], range_cells)
+            utility -= weights[counted] * sees(grid, here, targets[counted], ranges[counted])
             counted += 1
-        cost = beta * (length[cell] * UNIT / range_cells)
+        cost = beta * (length[cell] * UNIT / scale)
         heappush(queue, (cost - utility, cell, counted, utility))
     cells = way_back(free, length, offset, best_cell) if best_cell >= 0 else np.empty((0, 2), np.int32)
     tidy(length, came, touched, fill)

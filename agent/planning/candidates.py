@@ -5,6 +5,7 @@ rfe            representatives of free edges (Faigl and Vanek, section 3.2)
 anr            the same, but no fewer than there are robots (section 4.3)
 breadth-first  one: the frontier cell nearest to the robot that no teammate is headed for (Al-khawaldah
                and Nuechter, Algorithm 1, steps 4 to 7)
+hops           the same to the letter: steps of eight directions count one each, and so do neighbours
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from agent.planning.clusters import medoids
 from agent.planning.path_planner import PathPlanner
@@ -21,48 +22,68 @@ from agent.planning.utility import sees
 from protocol.grid import Grid
 from protocol.kernels import kernel
 
-CANDIDATES = ("cells", "rfe", "anr", "breadth-first")
+CANDIDATES = ("cells", "rfe", "anr", "breadth-first", "hops")
+
+SEARCHED = ("breadth-first", "hops")
+"""Those that a search from the robot's own cell finds, one each."""
 
 LEAST_CELLS = 3
 """A free edge of fewer cells has no representative while there is one of as many (n_f = 2 in the paper)."""
 
 
 def goal_candidates(
-    kind: str,
-    planner: PathPlanner,
-    here: tuple[int, int],
-    range_cells: float,
-    robots: int,
-    targets: Sequence[tuple[int, int]],
+    kind: str, frontier: NDArray[np.int32], range_cells: float, robots: int
 ) -> NDArray[np.int32]:
     """The goals that a robot, or its team, may choose from.
 
     Parameters
     ----------
     kind : str
-        One of `CANDIDATES`.
-    here : (x, y)
-        The robot's cell: only what it can reach counts.
+        One of `CANDIDATES` that is none of `SEARCHED`.
+    frontier : int32 array, shape (n, 2)
+        Frontier cells (x, y) that can be reached, row by row.
     range_cells : float
-        Its sensor range.
+        Sensor range of those for whom they are.
     robots : int
         How many robots the goals are for.
-    targets : sequence of (x, y)
-        Where teammates are headed.
 
     Returns
     -------
-    int32 array, shape (n, 2)
-        Cells (x, y) of the frontier; empty only if no frontier cell can be reached.
+    int32 array, shape (m, 2)
+        Cells (x, y) of the frontier; empty only if that is.
     """
-    if kind == "breadth-first":
-        taken = np.array(targets, np.int32).reshape(-1, 2)
-        found = planner.first_frontier(*here, taken, range_cells)
-        return np.array([found] if found is not None else [], np.int32).reshape(-1, 2)
-    cells = planner.frontier(*here)
-    if kind == "cells" or not len(cells):
-        return cells
-    return representatives(cells, range_cells, robots if kind == "anr" else 0)
+    if kind == "cells" or not len(frontier):
+        return frontier
+    return representatives(frontier, range_cells, robots if kind == "anr" else 0)
+
+
+def searched_candidate(
+    kind: str,
+    planner: PathPlanner,
+    here: tuple[int, int],
+    targets: Sequence[tuple[int, int]],
+    ranges: ArrayLike,
+) -> NDArray[np.int32]:
+    """The goal that a search from the robot's cell finds, one of `SEARCHED`.
+
+    Parameters
+    ----------
+    here : (x, y)
+        The robot's cell.
+    targets : sequence of (x, y)
+        Where teammates are headed.
+    ranges : float, or one for each of targets
+        Sensor range of these teammates.
+
+    Returns
+    -------
+    int32 array, shape (1, 2) or (0, 2)
+        Empty only if no frontier cell can be reached.
+    """
+    taken = np.array(targets, np.int32).reshape(-1, 2)
+    search = planner.first_by_hops if kind == "hops" else planner.first_frontier
+    found = search(*here, taken, np.broadcast_to(np.asarray(ranges, np.float64), len(taken)))
+    return np.array([found] if found is not None else [], np.int32).reshape(-1, 2)
 
 
 def free_edges(cells: NDArray[np.int32]) -> list[NDArray[np.int32]]:

@@ -16,7 +16,7 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from agent.planning.frontier import frontier_at
 from protocol.grid import FREE, Grid
@@ -121,9 +121,9 @@ def costs_on(floor: Floor, x: int, y: int, end: tuple[int, int] | None = None) -
 
 
 def nearest_first(
-    floor: Floor, grid: Grid, x: int, y: int, taken: NDArray[np.int32], range_cells: float
+    floor: Floor, grid: Grid, x: int, y: int, taken: NDArray[np.int32], ranges: ArrayLike
 ) -> tuple[Field, tuple[int, int] | None]:
-    """Find the frontier cell nearest to (x, y) which is farther than `range_cells` from every `taken` cell.
+    """Find the frontier cell nearest to (x, y) which lies out of range of every `taken` cell.
 
     Where there is none such, the nearest of all counts. The search ends with the bucket in which the cell
     lies; of equally near ones the first counts, row by row.
@@ -136,6 +136,8 @@ def nearest_first(
         What is known: a frontier cell is a free one with an unknown 4-neighbour.
     taken : int32 array, shape (n, 2)
         Cells (x, y).
+    ranges : float, or one for each of taken
+        How far around each nothing is taken up, in cells.
 
     Returns
     -------
@@ -146,7 +148,8 @@ def nearest_first(
     """
     field = np.empty(grid.shape)
     work = workspace(len(floor.free))
-    cell = _spread_to_frontier(floor.free, grid, x, y, taken, range_cells, *work, field)
+    around = np.broadcast_to(np.asarray(ranges, np.float64), len(taken)).copy()
+    cell = _spread_to_frontier(floor.free, grid, x, y, taken, around, *work, field)
     return field, None if cell < 0 else (cell % grid.shape[1], cell // grid.shape[1])
 
 
@@ -324,7 +327,7 @@ def _spread(
 
 
 @kernel(
-    "int64(boolean[::1], uint8[:,::1], int64, int64, int32[:,::1], float64,"
+    "int64(boolean[::1], uint8[:,::1], int64, int64, int32[:,::1], float64[::1],"
     " int64[::1], uint8[::1], int32[::1], float64[:,::1])"
 )
 def _spread_to_frontier(
@@ -333,7 +336,7 @@ def _spread_to_frontier(
     x: int,
     y: int,
     taken: NDArray[np.int32],
-    range_cells: float,
+    ranges: NDArray[np.float64],
     length: _Lengths,
     came: NDArray[np.uint8],
     touched: NDArray[np.int32],
@@ -360,7 +363,7 @@ def _spread_to_frontier(
             clear = True
             for other in range(len(taken)):
                 dx, dy = cx - taken[other, 0], cy - taken[other, 1]
-                clear = clear and dx * dx + dy * dy > range_cells * range_cells
+                clear = clear and dx * dx + dy * dy > ranges[other] * ranges[other]
             if clear and (found < 0 or (length[cell], cell) < (length[found], found)):
                 found = cell
         if first < 0:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from protocol.grid import OCCUPIED, UNKNOWN, Grid, fan
 from protocol.kernels import kernel
@@ -23,9 +23,13 @@ most, and how much more for an edge as long as the sensor's range."""
 
 
 def information_gain(
-    grid: Grid, cells: NDArray[np.int32], range_cells: float, others: Sequence[tuple[int, int]]
+    grid: Grid,
+    cells: NDArray[np.int32],
+    range_cells: float,
+    others: Sequence[tuple[int, int]],
+    ranges: ArrayLike | None = None,
 ) -> NDArray[np.int64]:
-    """Count the unknown cells within range of each of `cells` and not within range of one of `others`.
+    """Count the unknown cells within range of each of `cells` and not within that of one of `others`.
 
     Sheng et al. 2006, as Al-khawaldah and Nuechter quote it: I of Eq. (1).
 
@@ -39,15 +43,29 @@ def information_gain(
         Sensor range.
     others : sequence of (x, y)
         Where teammates are, and where they are headed.
+    ranges : one float for each of others, optional
+        Sensor range of these teammates; as `range_cells` if left out.
 
     Returns
     -------
     int64 array, shape (n,)
     """
-    reach = np.sqrt(np.maximum(range_cells**2 - np.arange(int(range_cells) + 1) ** 2, 0)).astype(np.int64)
     gain = np.zeros(len(cells), np.int64)
-    _count(grid, cells, np.array(others, np.int32).reshape(-1, 2), reach, gain)
+    theirs = np.broadcast_to(range_cells if ranges is None else ranges, len(others))
+    discs = [_disc_rows(reach) for reach in theirs.tolist()]
+    start = np.cumsum([0, *map(len, discs)])
+    taken = np.concatenate(discs) if discs else np.empty(0, np.int64)
+    _count(
+        grid, cells, np.array(others, np.int32).reshape(-1, 2), taken, start, _disc_rows(range_cells), gain
+    )
     return gain
+
+
+def _disc_rows(range_cells: float) -> NDArray[np.int64]:
+    """How far a disc extends to both sides in the row dy away from its middle, for each dy from 0."""
+    rows = np.arange(int(range_cells) + 1)
+    widths: NDArray[np.int64] = np.sqrt(np.maximum(range_cells**2 - rows**2, 0)).astype(np.int64)
+    return widths
 
 
 def promise(
@@ -107,26 +125,29 @@ def _look(
         unknown[index] = total
 
 
-@kernel("void(uint8[:,::1], int32[:,::1], int32[:,::1], int64[::1], int64[::1])")
+@kernel("void(uint8[:,::1], int32[:,::1], int32[:,::1], int64[::1], int64[::1], int64[::1], int64[::1])")
 def _count(
     grid: Grid,
     cells: NDArray[np.int32],
     others: NDArray[np.int32],
+    taken: NDArray[np.int64],
+    start: NDArray[np.int64],
     reach: NDArray[np.int64],
     gain: NDArray[np.int64],
 ) -> None:
-    """`reach[dy]` is how far a disc extends to both sides in the row dy away from its middle."""
+    """`reach` has the rows of a disc (`_disc_rows`), and `taken` those of all others, of each from `start` on."""
     height, width = grid.shape
     open_cells = np.zeros((height, width), np.bool_)
     for y in range(height):
         for x in range(width):
             open_cells[y, x] = grid[y, x] == UNKNOWN
     for other in range(len(others)):
-        for dy in range(1 - len(reach), len(reach)):
+        rows = taken[start[other] : start[other + 1]]
+        for dy in range(1 - len(rows), len(rows)):
             y = others[other, 1] + dy
             if 0 <= y < height:
-                x0 = max(0, others[other, 0] - reach[abs(dy)])
-                x1 = min(width, others[other, 0] + reach[abs(dy)] + 1)
+                x0 = max(0, others[other, 0] - rows[abs(dy)])
+                x1 = min(width, others[other, 0] + rows[abs(dy)] + 1)
                 open_cells[y, x0:x1] = False
     before = np.zeros((height, width + 1), np.int64)
     for y in range(height):

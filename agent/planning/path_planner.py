@@ -5,9 +5,10 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from agent.planning.best_frontier import Appeal, best_frontier
+from agent.planning.breadth_first import first_by_hops
 from agent.planning.cost_field import Field, Floor, costs_on, nearest_first, way, way_between, weighted_way
 from agent.planning.jump_point_search import costs_between
 from agent.planning.occupancy import Terrain, weighted_costs
@@ -47,6 +48,8 @@ class PathPlanner:
         self.grid = grid
         self.floor = enlarge(grid, radius_cells) if floor is None else floor
         self._kind = kind
+        self._radius = radius_cells
+        self._others: dict[float, PathPlanner] = {}
         self._fields: dict[tuple[int, int], Field] = {}
         self._near: dict[tuple[int, int], Field] = {}
         self._ways: dict[tuple[tuple[int, int], tuple[int, int]], NDArray[np.int32]] = {}
@@ -117,19 +120,38 @@ class PathPlanner:
         return cell
 
     def first_frontier(
-        self, x: int, y: int, taken: NDArray[np.int32], range_cells: float
+        self, x: int, y: int, taken: NDArray[np.int32], ranges: ArrayLike
     ) -> tuple[int, int] | None:
-        """The frontier cell nearest to (x, y) that is not within `range_cells` of a `taken` cell.
+        """The frontier cell nearest to (x, y) that is not within its range of a `taken` cell.
 
         Where all are, the nearest of all; None where there is no frontier. Cells are looked at in the order
         of their distance, and those behind the one that is found are not looked at.
         """
-        field, cell = nearest_first(self._laid_out, self.grid, x, y, taken, range_cells)
+        field, cell = nearest_first(self._laid_out, self.grid, x, y, taken, ranges)
         self._near[x, y] = field
         return cell
+
+    def first_by_hops(
+        self, x: int, y: int, taken: NDArray[np.int32], ranges: ArrayLike
+    ) -> tuple[int, int] | None:
+        """The frontier cell that breadth-first search by hops meets first (`agent.planning.breadth_first`)."""
+        found = first_by_hops(self.floor, self.grid, (x, y), taken, ranges)
+        if found is None:
+            return None
+        cell, cells = found
+        self._ways[(x, y), cell] = cells
+        return cell
+
+    def of_radius(self, radius_cells: float) -> PathPlanner:
+        """The ways of a robot with another radius on the same grid."""
+        if radius_cells == self._radius:
+            return self
+        if radius_cells not in self._others:
+            self._others[radius_cells] = PathPlanner(self.grid, self._kind, radius_cells)
+        return self._others[radius_cells]
 
     def without(self, x: int, y: int) -> PathPlanner:
         """The same ways with cell (x, y) barred."""
         grid, floor = self.grid.copy(), self.floor.copy()
         grid[y, x] = floor[y, x] = OCCUPIED
-        return PathPlanner(grid, self._kind, floor=floor)
+        return PathPlanner(grid, self._kind, self._radius, floor)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from protocol.grid import OCCUPIED, Grid
 from protocol.kernels import kernel
@@ -19,7 +19,7 @@ def utilities(
     grid: Grid,
     cells: NDArray[np.int32],
     targets: Sequence[tuple[int, int]],
-    range_cells: float,
+    range_cells: ArrayLike,
     weights: Sequence[float] | None = None,
 ) -> NDArray[np.float64]:
     """Utility of each of `cells`.
@@ -32,8 +32,8 @@ def utilities(
         Frontier cells (x, y).
     targets : sequence of (x, y)
         Where teammates are headed.
-    range_cells : float
-        Sensor range: P(d) = max(0, 1 - d / range).
+    range_cells : float, or one for each target
+        Sensor range of the robot that is headed there: P(d) = max(0, 1 - d / range).
     weights : sequence of float, optional
         How much each target counts, 1 if left out.
 
@@ -43,7 +43,8 @@ def utilities(
     """
     result = np.ones(len(cells))
     weighted = np.ones(len(targets)) if weights is None else np.asarray(weights, np.float64)
-    _lower(grid, cells, np.array(targets, np.int32).reshape(-1, 2), weighted, range_cells, result)
+    ranges = np.broadcast_to(np.asarray(range_cells, np.float64), len(targets)).copy()
+    _lower(grid, cells, np.array(targets, np.int32).reshape(-1, 2), weighted, ranges, result)
     return result
 
 
@@ -52,7 +53,7 @@ def proximity(
 ) -> NDArray[np.float64]:
     """P(d) of each of `cells` for one target: by how much it lowers their utilities, shape (n,)."""
     lowered = np.zeros(len(cells))
-    _lower(grid, cells, target.reshape(1, 2), np.ones(1), range_cells, lowered)
+    _lower(grid, cells, target.reshape(1, 2), np.ones(1), np.array([range_cells]), lowered)
     return -lowered
 
 
@@ -92,15 +93,15 @@ def sees(grid: Grid, one: NDArray[np.int32], other: NDArray[np.int32], range_cel
     return 0.0
 
 
-@kernel("void(uint8[:,::1], int32[:,::1], int32[:,::1], float64[::1], float64, float64[::1])")
+@kernel("void(uint8[:,::1], int32[:,::1], int32[:,::1], float64[::1], float64[::1], float64[::1])")
 def _lower(
     grid: Grid,
     cells: NDArray[np.int32],
     targets: NDArray[np.int32],
     weights: NDArray[np.float64],
-    range_cells: float,
+    ranges: NDArray[np.float64],
     result: NDArray[np.float64],
 ) -> None:
     for target in range(len(targets)):
         for at in range(len(cells)):
-            result[at] -= weights[target] * sees(grid, cells[at], targets[target], range_cells)
+            result[at] -= weights[target] * sees(grid, cells[at], targets[target], ranges[target])

@@ -64,12 +64,15 @@ class Burgard(TeamStrategy):
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """Utilities begin at 1, lowered by the targets remembered of those out of range."""
         del planner
-        costs = self.options.beta * table.costs / self.settings.range_cells
+        costs = self.options.beta * table.costs / self.settings.scale_cells
         utility = self._utility(table, situation)
-        return in_turn(situation.grid, table.goals, utility, costs, self.settings.range_cells)
+        ranges = self.settings.ranges_of(table.robots)
+        return in_turn(situation.grid, table.goals, utility, costs, ranges)
 
     def _utility(self, table: Table, situation: Situation) -> NDArray[np.float64]:
-        return utilities(situation.grid, table.goals, self.remembered(situation), self.settings.range_cells)
+        remembered = self.remembered(situation)
+        ranges = self.settings.ranges_of(remembered)
+        return utilities(situation.grid, table.goals, list(remembered.values()), ranges)
 
 
 class BurgardOptimal(Burgard):
@@ -82,8 +85,8 @@ class BurgardOptimal(Burgard):
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """Search from the same random starts in all members."""
         del planner
-        costs = self.options.beta * (table.costs / self.settings.range_cells) ** 2
+        costs = self.options.beta * (table.costs / self.settings.scale_cells) ** 2
         return best_of_all(
-            situation.grid, table.goals, self._utility(table, situation), costs, self.settings.range_cells,
-            self.draw("assignment", situation),
+            situation.grid, table.goals, self._utility(table, situation), costs,
+            self.settings.ranges_of(table.robots), self.draw("assignment", situation),
         )  # fmt: skip

@@ -17,6 +17,7 @@ A strategy is made of parts. Each names its own; options exchange them:
     rfe            representatives of free edges
     anr            representatives, at least as many as robots
     breadth-first  the nearest that nobody is headed for
+    hops           the same, counted in steps to any of eight neighbours
     edges          representatives of all free edges, crumbs included (repairmen)
   costs        how ways are counted
     shortest       by their length

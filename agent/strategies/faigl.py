@@ -53,7 +53,7 @@ class _Allocating(TeamStrategy):
     def goals(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:
         """The candidates, without those near remembered targets."""
         found = super().goals(situation, planner)
-        return unclaimed(situation, found, self.remembered(situation), self.settings.range_cells)
+        return unclaimed(situation, found, self.remembered(situation), self.settings)
 
     def _drive(self, situation: Situation, planner: PathPlanner, goal: Cell | None) -> bool:
         found = super()._drive(situation, planner, goal)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning.best_frontier import Appeal
+from agent.planning.candidates import SEARCHED
 from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import in_sight, utilities
 from agent.strategies.base import Cell, Situation
@@ -45,7 +46,7 @@ class Meier(TargetStrategy):
     def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
         """All that clash, and a single candidate."""
         found = super().clashes(parts)
-        if parts.candidates == "breadth-first":
+        if parts.candidates in SEARCHED:
             found.append((("candidates",), BREADTH_FIRST_IS_ONE))
         return found
 
@@ -60,17 +61,18 @@ class Meier(TargetStrategy):
         targets = np.array(list(situation.targets.values()), np.int32).reshape(-1, 2)
         weights = self._weights(situation)
         counted = np.ones(len(targets)) if weights is None else np.array(weights, np.float64)
-        appeal = Appeal(targets, counted, self.settings.range_cells, self.options.beta)
+        ranges = self.settings.ranges_of(situation.targets)
+        appeal = Appeal(targets, counted, ranges, self.settings.scale_cells, self.options.beta)
         best = planner.best_frontier(*situation.here, appeal)
         return best, best is not None
 
     def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
         """Take the largest trade-off; of equals the first cell, row by row."""
-        range_cells = self.settings.range_cells
+        ranges = self.settings.ranges_of(situation.targets)
         worth = utilities(
-            situation.grid, goals, list(situation.targets.values()), range_cells, self._weights(situation)
+            situation.grid, goals, list(situation.targets.values()), ranges, self._weights(situation)
         )
-        cost = planner.costs(*situation.here)[goals[:, 1], goals[:, 0]] / range_cells
+        cost = planner.costs(*situation.here)[goals[:, 1], goals[:, 0]] / self.settings.scale_cells
         best = int(np.argmax(worth - self.options.beta * cost))
         return int(goals[best, 0]), int(goals[best, 1])
 
@@ -84,15 +86,15 @@ class Meier(TargetStrategy):
     def _herds(self, situation: Situation) -> bool:
         """The rule against herding: robots that choose at once from the same map choose alike.
 
-        A target of a lower-numbered teammate within sensor range and in sight of one's own makes one choose
-        again, once for each that is heard.
+        A target of a lower-numbered teammate within that one's sensor range and in sight of one's own makes one
+        choose again, once for each that is heard.
         """
         if not self.options.herding or self.target is None:
             return False
         own_x, own_y = self.target
         return any(
             other < self.settings.robot
-            and (x - own_x) ** 2 + (y - own_y) ** 2 < self.settings.range_cells**2
+            and (x - own_x) ** 2 + (y - own_y) ** 2 < self.settings.ranges_cells[other] ** 2
             and in_sight(situation.grid, x, y, own_x, own_y)
             for other, (x, y) in situation.news.items()
         )

@@ -123,10 +123,10 @@ class Repairmen(TeamStrategy):
 
     def goals(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:
         """Representatives of all free edges that can be reached, however small; of those in a place one."""
-        frontier = planner.frontier(*situation.here)
+        frontier = self.frontier(situation, planner)
         if not len(frontier):
             return frontier
-        range_cells = self.settings.range_cells
+        range_cells = self.settings.scale_cells
         found, sizes = [], []
         for edge in components(frontier):
             count = min(len(edge), count_representatives(len(edge), range_cells))
@@ -144,6 +144,10 @@ class Repairmen(TeamStrategy):
     def table(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Table:
         """As a team's; ways between goals are searched for at once with those of the robots."""
         team = self.team(situation)
+        radii = {self.settings.radius_of(robot) for robot in team}
+        if len(radii) > 1:
+            self._between = planner.of_radius(min(radii)).costs_between(goals, goals)
+            return super().table(situation, goals, planner)
         cells = np.array(list(team.values()), np.int32)
         ways = planner.costs_between(goals, np.concatenate([cells, goals]))
         self._between = np.ascontiguousarray(ways[:, len(cells) :])
@@ -152,7 +156,7 @@ class Repairmen(TeamStrategy):
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """With which goal the tour of each robot begins; of a robot without teammates the shortest tour."""
         del planner
-        range_cells = self.settings.range_cells
+        range_cells = self.settings.scale_cells
         ways, between = self._loyal(table, situation), np.minimum(self._between, self._between.T)
         if self.settings.robots == 1:
             return np.array((lone_tour(ways[0], between, NEAR * range_cells) or [-1])[:1])
@@ -169,7 +173,7 @@ class Repairmen(TeamStrategy):
 
     def _loyal(self, table: Table, situation: Situation) -> NDArray[np.float64]:
         """The ways to all goals, a little shorter to what is left of each robot's last target."""
-        range_cells = self.settings.range_cells
+        range_cells = self.settings.scale_cells
         ways = table.costs.copy()
         for way, robot in zip(ways, table.robots, strict=True):
             target = self.target if robot == self.settings.robot else situation.targets.get(robot)

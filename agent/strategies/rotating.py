@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.planning.candidates import CANDIDATES
+from agent.planning.candidates import CANDIDATES, SEARCHED
 from agent.planning.gain import information_gain
 from agent.planning.path_planner import PathPlanner
 from agent.strategies.base import Cell, Situation
@@ -63,7 +63,7 @@ class StopScanReplan(TargetStrategy):
     def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
         """All that clash, and more than one candidate."""
         found = super().clashes(parts)
-        if parts.candidates != "breadth-first":
+        if parts.candidates not in SEARCHED:
             reason = "it takes the first cell that its search meets; nearest chooses among several"
             found.append((("candidates",), reason))
         return found
@@ -125,7 +125,7 @@ class ShengBid(TargetStrategy):
     def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
         """All that clash, and a single candidate."""
         found = super().clashes(parts)
-        if parts.candidates == "breadth-first":
+        if parts.candidates in SEARCHED:
             found.append((("candidates",), BREADTH_FIRST_IS_ONE))
         return found
 
@@ -140,20 +140,23 @@ class ShengBid(TargetStrategy):
         """Eq. (1), g = w1 I - w2 D + w3 lambda, for each goal.
 
         The paper leaves units open. Here I is the share of the disc of sensor range, and D and lambda are in
-        sensor ranges; lambda is minus the straight distance to the nearest teammate whose pose is known.
+        sensor ranges, the longest of the team; lambda is minus the straight distance to the nearest teammate whose
+        pose is known.
         """
-        range_cells = self.settings.range_cells
+        range_cells, scale = self.settings.range_cells, self.settings.scale_cells
         poses = [pose[:2] for pose in situation.poses.values()]
         others = poses + list(situation.targets.values())
-        gain = information_gain(situation.grid, goals, range_cells, others) / (math.pi * range_cells**2)
-        distance = planner.costs(*situation.here)[goals[:, 1], goals[:, 0]] / range_cells
+        ranges = self.settings.ranges_of([*situation.poses, *situation.targets])
+        gain = information_gain(situation.grid, goals, range_cells, others, ranges)
+        share = gain / (math.pi * range_cells**2)
+        distance = planner.costs(*situation.here)[goals[:, 1], goals[:, 0]] / scale
         nearness = np.zeros(len(goals))
         if poses:
             apart = np.array([np.hypot(goals[:, 0] - x, goals[:, 1] - y) for x, y in poses])
-            nearness = -apart.min(axis=0) / range_cells
+            nearness = -apart.min(axis=0) / scale
         weights = self.options
         bids: NDArray[np.float64] = (
-            weights.gain * gain - weights.distance * distance + weights.nearness * nearness
+            weights.gain * share - weights.distance * distance + weights.nearness * nearness
         )
         return bids
 

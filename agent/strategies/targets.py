@@ -21,7 +21,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.planning.candidates import CANDIDATES, goal_candidates
+from agent.planning.breadth_first import is_wide_frontier
+from agent.planning.candidates import CANDIDATES, SEARCHED, goal_candidates, searched_candidate
 from agent.planning.frontier import is_frontier
 from agent.planning.giving_way import GivingWay
 from agent.planning.path_planner import COSTS, PathPlanner
@@ -100,7 +101,7 @@ class TargetStrategy(Strategy):
         if parts.scan == "at-target" and parts.replan != "after-turn":
             reason = "a robot that looks only at its target must stay for a turn before it chooses again"
             found.append((("scan", "replan"), reason))
-        if parts.candidates == "breadth-first" and parts.costs != "shortest":
+        if parts.candidates in SEARCHED and parts.costs != "shortest":
             reason = "breadth-first search meets cells in the order of their distance, not of weighted costs"
             found.append((("candidates", "costs"), reason))
         return found
@@ -123,7 +124,8 @@ class TargetStrategy(Strategy):
     def is_spent(self, situation: Situation, target: Cell, at: Cell) -> bool:
         """Whether a robot which is `at` some cell is done with its target."""
         if self.options.replan == "at-once":
-            return not is_frontier(situation.grid, *target)
+            is_left = is_wide_frontier if self.options.candidates == "hops" else is_frontier
+            return not is_left(situation.grid, *target)
         return target == at
 
     def team_size(self, situation: Situation) -> int:
@@ -144,7 +146,8 @@ class TargetStrategy(Strategy):
         elif not self._route.is_open(planner.floor, here) or self._is_stranded(here):
             left = self._drive(situation, planner, self.target) or self._renew(situation, planner)
         elif self.target is None:
-            left = len(planner.frontier(*here)) > 0
+            searches = self.options.candidates in SEARCHED
+            left = len((self.goals if searches else self.frontier)(situation, planner)) > 0
         if self.target != before:
             self._giving_way.begin()
         is_home = self._comes_home(situation, planner)
@@ -166,14 +169,16 @@ class TargetStrategy(Strategy):
 
     def goals(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:
         """The cells that are worth going to, shape (n, 2)."""
-        return goal_candidates(
-            self.options.candidates,
-            planner,
-            situation.here,
-            self.settings.range_cells,
-            self.team_size(situation),
-            list(situation.targets.values()),
-        )
+        kind = self.options.candidates
+        if kind in SEARCHED:
+            ranges = self.settings.ranges_of(situation.targets)
+            return searched_candidate(kind, planner, situation.here, list(situation.targets.values()), ranges)
+        frontier = self.frontier(situation, planner)
+        return goal_candidates(kind, frontier, self.settings.scale_cells, self.team_size(situation))
+
+    def frontier(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:
+        """The frontier cells that can be reached, row by row, shape (n, 2)."""
+        return planner.frontier(*situation.here)
 
     def select(self, situation: Situation, planner: PathPlanner) -> tuple[Cell | None, bool]:
         """Choose one of all goals, as `choose` has it; and whether there are any."""

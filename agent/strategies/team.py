@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning.assignment import Assignment
+from agent.planning.candidates import SEARCHED
 from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import in_sight
 from agent.settings import Settings
@@ -65,7 +66,7 @@ class TeamStrategy(TargetStrategy):
     def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
         """All that clash, and parts that speak of one robot."""
         found = super().clashes(parts)
-        if parts.candidates == "breadth-first":
+        if parts.candidates in SEARCHED:
             found.append((("candidates",), "breadth-first search finds one robot's goal, not a team's"))
         if parts.replan == "after-turn":
             found.append((("replan",), "a team that assigns together would wait for its last scanner"))
@@ -87,10 +88,10 @@ class TeamStrategy(TargetStrategy):
         """Members of the sub-team."""
         return len(self.team(situation))
 
-    def remembered(self, situation: Situation) -> list[Cell]:
-        """The last targets of those who are out of range."""
+    def remembered(self, situation: Situation) -> dict[int, Cell]:
+        """The last targets of those who are out of range, by their numbers."""
         team = self.team(situation)
-        return [target for peer, target in situation.targets.items() if peer not in team]
+        return {peer: target for peer, target in situation.targets.items() if peer not in team}
 
     def is_due(self, situation: Situation) -> bool:
         """When the robot is done with its target, or a member newly is; and once for a target in conflict.
@@ -119,7 +120,32 @@ class TeamStrategy(TargetStrategy):
         """Lay out who could go where at what cost."""
         team = self.team(situation)
         cells = np.array(list(team.values()), np.int32)
-        return Table(tuple(team), cells, goals, planner.costs_between(cells, goals))
+        return Table(tuple(team), cells, goals, self.costs_of(team, goals, planner))
+
+    def costs_of(
+        self, team: Mapping[int, Cell], goals: NDArray[np.int32], planner: PathPlanner
+    ) -> NDArray[np.float64]:
+        """Cost of each member's way to each goal, shape (m, n): where its own disc may drive."""
+        costs = np.empty((len(team), len(goals)))
+        radii = np.array([self.settings.radius_of(robot) for robot in team])
+        cells = np.array(list(team.values()), np.int32)
+        for radius in np.unique(radii):
+            alike = radii == radius
+            costs[alike] = planner.of_radius(float(radius)).costs_between(cells[alike], goals)
+        return costs
+
+    def frontier(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:
+        """The frontier cells that can be reached: by any of the team, if its robots are not of one size."""
+        team = self.team(situation)
+        radii = {robot: self.settings.radius_of(robot) for robot in team}
+        if len(set(radii.values())) == 1:
+            return super().frontier(situation, planner)
+        found = {
+            (y, x)
+            for robot, cell in team.items()
+            for x, y in planner.of_radius(radii[robot]).frontier(*cell).tolist()
+        }
+        return np.array([(x, y) for y, x in sorted(found)], np.int32).reshape(-1, 2)
 
     def draw(self, purpose: str, situation: Situation) -> np.random.Generator:
         """Random numbers that are the same for all members."""
@@ -141,13 +167,14 @@ class TeamStrategy(TargetStrategy):
 
 
 def unclaimed(
-    situation: Situation, goals: NDArray[np.int32], targets: list[Cell], range_cells: float
+    situation: Situation, goals: NDArray[np.int32], targets: Mapping[int, Cell], settings: Settings
 ) -> NDArray[np.int32]:
-    """Leave out goals within range and in sight of targets; all stay if none would be left."""
+    """Leave out goals within sensor range and in sight of robots' targets; all stay if none would be left."""
     keep = [
         all(
-            (x - tx) ** 2 + (y - ty) ** 2 >= range_cells**2 or not in_sight(situation.grid, x, y, tx, ty)
-            for tx, ty in targets
+            (x - tx) ** 2 + (y - ty) ** 2 >= settings.ranges_cells[robot] ** 2
+            or not in_sight(situation.grid, x, y, tx, ty)
+            for robot, (tx, ty) in targets.items()
         )
         for x, y in goals.tolist()
     ]

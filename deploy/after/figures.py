@@ -2,8 +2,8 @@
 
 maps over time     planning maps and the approximation that each robot sends (Figure A.2)
 approximation      how one robot's approximation follows what it has seen itself (Figure 4.8)
-channel load       bytes a step, bytes that did not fit, packets not sent yet (Figures 6.17, 6.18), and the
-                   explored area over the same steps
+channel load       what is explored over time, and over the same steps bytes on the air, bytes that did not
+                   fit, packets not sent yet (Figures 6.17, 6.18)
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from deploy.after.archive import Archive
 from deploy.after.recast_scans import Lasers
 from deploy.dashboard.shapes import outline_strips
 from deploy.record.colors import GROUPS
-from deploy.record.map_pictures import robot_color, save, show_grid
+from deploy.record.map_pictures import rgb, robot_color, save, show_grid
 from deploy.record.snapshots import Snapshots
 from deploy.scenario.scenario import UNLIMITED
 from netshaper.ledger import CAUSES
@@ -31,8 +31,13 @@ from protocol.grid import FREE
 MAPS_OVER_TIME, APPROXIMATION, CHANNEL_LOAD = "maps-over-time.png", "approximation.png", "channel-load.png"
 MOST_ROBOTS = 8
 """Maximum number of robots that a picture has columns for."""
+MOST_CURVES = 10
+"""Robots up to which each has a curve of its own."""
 MOMENTS = 6
 RED = "#d62728"
+
+Curves = dict[int, tuple[NDArray[Any], NDArray[Any]]]
+"""Of each robot steps, and values at them."""
 
 
 def write_figures(
@@ -99,59 +104,125 @@ def approximation(archive: Archive, snapshots: Snapshots, robot: int = 0) -> Fig
 
 
 def channel_load(archive: Archive, snapshots: Snapshots | None) -> Figure:
-    """Bytes on the air by kind and step, bytes that did not fit, and the explored area over the same steps."""
-    figure = Figure(figsize=(11, 8), layout="constrained")
-    load, wait, explored = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
-    ledger, last = archive.ledger, archive.last_step
-    steps = np.arange(1, last + 1)
-    carried = {
-        group.words: _per_step(ledger, np.isin(ledger["kind"], group.kinds) & ledger["carried"], last)
-        for group in GROUPS.values()
-    }
-    shown = {words: values for words, values in carried.items() if values.any()}
-    colors = [tuple(part / 255 for part in group.color) for group in GROUPS.values() if group.words in shown]
-    if shown:
-        load.stackplot(steps, *shown.values(), labels=list(shown), colors=colors, step="mid", linewidth=0)
-    budget = archive.plan.scenario.bandwidth
-    if budget != UNLIMITED:
-        load.axhline(float(budget), color=RED, linewidth=1.2, label=f"budget: {budget} bytes a step")
-    load.set_ylabel("bytes a step")
-    load.set_title("Load of the channel")
-    cut = _per_step(ledger, ledger["cause"] == CAUSES[CAUSES.index("budget")], last)
-    wait.fill_between(steps, cut, step="mid", color="#bbbbbb", label="bytes that did not fit into the step")
-    wait.set_ylabel("bytes a step")
-    told = wait.twinx()
-    for robot in range(archive.plan.scenario.robots):
-        mine = archive.of_robot(robot)
-        told.plot(mine["step"], mine["backlog"], color=robot_color(robot), linewidth=0.9)
+    """What is explored over time, below it the use of the budget by purpose, and what had to wait.
+
+    Teams of up to `MOST_CURVES` have a curve each; of larger ones the median, the middle half and the extremes
+    are drawn.
+    """
+    figure = Figure(figsize=(11, 9), layout="constrained")
+    explored, load, wait = figure.subplots(3, 1, sharex=True, height_ratios=[4, 3, 2.5])
+    _draw_explored(explored, archive, snapshots)
+    _draw_load(load, archive)
+    told = _draw_waiting(wait, archive)
     for axes in (load, wait, told):
         axes.set_ylim(0, max(1.0, axes.get_ylim()[1]))
-    told.set_ylabel("packets not sent yet\n(colours: robots)")
-    wait.set_title("Waiting")
-    _draw_explored(explored, archive, snapshots)
-    for panel in (load, wait, explored):
-        if panel.get_legend_handles_labels()[0]:
-            panel.legend(loc="upper left", bbox_to_anchor=(1.1, 1.0), fontsize=8, frameon=False)
+    explored.set_ylim(0, 102)
+    for panel, other in ((explored, None), (load, None), (wait, told)):
         panel.grid(alpha=0.25)
         panel.margins(x=0)
-    explored.set_xlabel("step")
+        handles = [
+            both
+            for axes in (panel, other)
+            if axes
+            for both in zip(*axes.get_legend_handles_labels(), strict=True)
+        ]
+        if handles:
+            lines, words = zip(*handles, strict=True)
+            panel.legend(
+                lines, words, loc="upper left", bbox_to_anchor=(1.1, 1.03), fontsize=8, frameon=False
+            )
+    wait.set_xlabel("step")
     return figure
 
 
 def _draw_explored(panel: Axes, archive: Archive, snapshots: Snapshots | None) -> None:
     first = archive.steps
     steps, at = np.unique(first["step"], return_index=True)
-    panel.plot(steps, 100 * first["team_seen"][at], color="black", linewidth=2, label="seen by the team")
+    panel.plot(steps, 100 * first["team_seen"][at], color="black", linewidth=2.2, label="seen by the team")
     if snapshots is not None:
         reachable = archive.plan.make_world().reachable
+        curves: Curves = {}
         for robot in range(archive.plan.scenario.robots):
             told = snapshots.told_steps(robot)
             grids = [snapshots.planning(robot, step) for step in told]
             known = [100 * float((grid[reachable] == FREE).mean()) for grid in grids if grid is not None]
-            label = "on each robot's map" if robot == 0 else None
-            panel.plot(told, known, color=robot_color(robot), linewidth=0.9, label=label)
+            curves[robot] = np.array(told), np.array(known)
+        _draw_curves(panel, curves, "on the map of")
     panel.set_ylabel("% of what can be reached")
     panel.set_title("Explored")
+
+
+def _draw_load(panel: Axes, archive: Archive) -> None:
+    """Bytes on the air by purpose and step, and what part of the budget that is."""
+    ledger, last = archive.ledger, archive.last_step
+    steps = np.arange(1, last + 1)
+    carried = {
+        name: _per_step(ledger, np.isin(ledger["kind"], group.kinds) & ledger["carried"], last)
+        for name, group in GROUPS.items()
+    }
+    shown = {name: values for name, values in carried.items() if values.any()}
+    if shown:
+        panel.stackplot(
+            steps, *shown.values(), labels=[GROUPS[name].words for name in shown],
+            colors=[rgb(GROUPS[name].color) for name in shown], step="mid", linewidth=0,
+        )  # fmt: skip
+    budget = archive.plan.scenario.bandwidth
+    title = "On the air"
+    if budget != UNLIMITED:
+        panel.axhline(float(budget), color=RED, linewidth=1.2, label=f"budget: {budget} bytes a step")
+        used = sum(values.sum() for values in carried.values()) / max(1, last * float(budget))
+        title += f": {100 * used:.0f} % of the budget"
+        unit = float(budget) / 100
+
+        def to_share(size: Any) -> Any:
+            return size / unit
+
+        def to_size(share: Any) -> Any:
+            return share * unit
+
+        share = panel.secondary_yaxis("right", functions=(to_share, to_size))
+        share.set_ylabel("% of the budget")
+    panel.set_ylabel("bytes a step")
+    panel.set_title(title)
+
+
+def _draw_waiting(panel: Axes, archive: Archive) -> Axes:
+    """Bytes that did not fit into a step, and each robot's packets not sent yet, on an axis that is returned."""
+    last = archive.last_step
+    cut = _per_step(archive.ledger, archive.ledger["cause"] == CAUSES[CAUSES.index("budget")], last)
+    panel.fill_between(
+        np.arange(1, last + 1), cut, step="mid", color="#c9ccd1", label="bytes that did not fit into the step"
+    )
+    panel.set_ylabel("bytes a step")
+    panel.set_title("Waiting")
+    told = panel.twinx()
+    mine = {robot: archive.of_robot(robot) for robot in range(archive.plan.scenario.robots)}
+    _draw_curves(told, {robot: (own["step"], own["backlog"]) for robot, own in mine.items()}, "packets of")
+    told.set_ylabel("packets not sent yet")
+    return told
+
+
+def _draw_curves(panel: Axes, curves: Curves, words: str) -> None:
+    """A curve for each robot, or for many of them what they have in common."""
+    if len(curves) <= MOST_CURVES:
+        for robot, (steps, values) in curves.items():
+            panel.plot(steps, values, color=robot_color(robot), linewidth=1.0, label=f"{words} robot {robot}")
+        return
+    every = np.unique(np.concatenate([steps for steps, _ in curves.values()]))
+    table = np.full((len(curves), len(every)), np.nan)
+    for row, (steps, values) in zip(table, curves.values(), strict=True):
+        if len(steps):
+            row[:] = values[np.searchsorted(steps, every, "right").clip(1) - 1]
+            row[(every < steps[0]) | (every > steps[-1])] = np.nan
+    with np.errstate(all="ignore"):
+        low, lower, middle, upper, high = np.nanpercentile(table, [0, 25, 50, 75, 100], axis=0)
+    color = robot_color(1)
+    label = f"{words} all {len(curves)} robots"
+    panel.fill_between(every, low, high, color=color, alpha=0.13, linewidth=0, label=label)
+    panel.fill_between(
+        every, lower, upper, color=color, alpha=0.3, linewidth=0, label="the middle half of them"
+    )
+    panel.plot(every, middle, color=color, linewidth=1.4, label="their median")
 
 
 def _per_step(ledger: dict[str, NDArray[Any]], rows: NDArray[np.bool_], last: int) -> NDArray[np.float64]:

@@ -21,6 +21,10 @@ IN_RANGE, SIGNAL, ALARM = (120, 150, 190), (0, 190, 90), (240, 60, 50)
 CELLS: tuple[Color, ...] = ((176, 182, 190), PAPER, (20, 24, 30))
 """Unknown, free, occupied."""
 
+FALSE_WALL, UNSEEN, WRONG_FREE = (226, 40, 40), (255, 200, 92), (40, 110, 235)
+MAP_ERRORS: tuple[Color, ...] = ((222, 225, 229), PAPER, (84, 90, 98), FALSE_WALL, UNSEEN, WRONG_FREE)
+"""What is wrong on a map, in the order of `deploy.record.map_errors`; what is right stays pale beside it."""
+
 
 @dataclass(frozen=True)
 class Group:
@@ -46,5 +50,12 @@ assert sorted(kind for group in GROUPS.values() for kind in group.kinds) == sort
 
 
 def robot_color(robot: int) -> Color:
-    """The colour of a robot."""
-    return ROBOTS[robot % len(ROBOTS)]
+    """The colour of a robot: after all of `ROBOTS` darker ones, then paler ones; thirty in all."""
+    color, turn = ROBOTS[robot % len(ROBOTS)], robot // len(ROBOTS) % 3
+    return (color, mix(color, INK, 0.4), mix(color, PAPER, 0.35))[turn]
+
+
+def mix(color: Color, other: Color, share: float) -> Color:
+    """A colour with a share of another one in it."""
+    red, green, blue = (round(own * (1 - share) + its * share) for own, its in zip(color, other, strict=True))
+    return red, green, blue

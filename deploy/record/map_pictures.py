@@ -1,31 +1,56 @@
-"""Pictures of a run: the world with the robots' paths, and each robot's map at the end."""
+"""Pictures of a run: the world with the robots' paths, and what is right and wrong on each robot's map."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from deploy.record import colors
+from deploy.record.colors import Color
+from deploy.record.map_errors import ERRORS, compare, share_right
 from deploy.record.records import Records
 from deploy.scenario.plan import Plan
 from protocol.grid import Grid
 from worldsim.atomic_files import write_whole
 from worldsim.maps import Map
 
+Rgb = tuple[float, float, float]
+
 CELLS = ListedColormap(["#c3c7cc", "#ffffff", "#20242a"])
 """Unknown, free, occupied."""
-COLUMNS = 4
+MAP_ERRORS = ListedColormap([tuple(part / 255 for part in color) for color in colors.MAP_ERRORS])
+
+PAGE_WIDTH, PAGE_SHAPE = 14.4, 1.4
+"""Of the picture of all maps: its width in inches, and about its width over its height."""
+HEAD, FOOT, TICKS = 0.4, 0.5, 0.3
+"""Inches over and under all panels, and for the figures at an axis."""
+SPACING = ((6, 1, 0.28, 0.3), (30, 2, 0.28, 0.3), (90, 3, 0.14, 0.2), (math.inf, 5, 0.1, 0.16))
+"""Up to so many robots: the side of the two large panels in those of robots; inches between panels, and of a title."""
+SHADES = 24
+"""Parts of a path with a shade each."""
 
 
-def robot_color(robot: int) -> tuple[float, ...]:
+def rgb(color: Color) -> Rgb:
+    """A colour as matplotlib takes it."""
+    red, green, blue = color
+    return red / 255, green / 255, blue / 255
+
+
+def robot_color(robot: int) -> Rgb:
     """The colour of a robot in all pictures."""
-    return tuple(part / 255 for part in colors.robot_color(robot))
+    return rgb(colors.robot_color(robot))
 
 
 def save(path: Path, figure: Figure, dpi: int) -> None:
@@ -50,56 +75,186 @@ def draw_maps(path: Path, plan: Plan, records: Records, summary: dict[str, Any])
 
 
 def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure:
-    """Draw the world with all paths, the team's map, and each robot's planning grid, in one figure."""
+    """Draw the world with all paths, and how the team's and each robot's map differ from it, on one page.
+
+    A robot's map is its planning grid; the team's is the union of what its members have seen themselves.
+    """
     robots = sorted(records.planning)
-    panels = 2 + len(robots)
-    columns = min(COLUMNS, panels)
-    rows = -(-panels // columns)
-    shape = plan.map.height / plan.map.width
-    figure = Figure(figsize=(3.6 * columns, rows * (3.4 * shape + 0.5) + 0.5), layout="constrained")
-    axes = np.atleast_1d(figure.subplots(rows, columns)).ravel()
-    show_grid(axes[0], plan.map, plan.map.cells)
-    draw_paths(axes[0], plan, records)
-    axes[0].set_title("the world and the ways driven")
-    team = np.maximum.reduce([records.own[robot] for robot in sorted(records.own)])
-    show_grid(axes[1], plan.map, team)
-    axes[1].set_title(f"what the team has seen: {100 * summary['coverage']:.1f} %")
-    for panel, robot in zip(axes[2:], robots, strict=False):
-        show_grid(panel, plan.map, records.planning[robot])
-        first = ", done first" if robot == summary["first_robot"] else ""
-        panel.set_title(f"robot {robot}'s planning map{first}", color=robot_color(robot))
-    for panel in axes[panels:]:
-        panel.set_axis_off()
+    figure, (world, team, *panels) = _page(len(robots), plan.map.height / plan.map.width)
+    show_grid(world, plan.map, plan.map.cells)
+    draw_paths(world, plan, records)
+    world.set_title("the world and the ways driven", fontsize=11)
+    seen = np.maximum.reduce([records.own[robot] for robot in sorted(records.own)])
+    reachable = plan.make_world().reachable
+    _show_errors(team, plan, compare(seen, plan.map.cells, reachable))
+    team.set_title(f"what the team has seen: {_percent(summary['coverage'])}", fontsize=11)
+    size = min(11.0, 3.2 + 3.0 * panels[0].get_position().width * PAGE_WIDTH) if panels else 0
+    for panel, robot in zip(panels, robots, strict=True):
+        is_first = robot == summary["first_robot"]
+        errors = compare(records.planning[robot], plan.map.cells, reachable)
+        _show_errors(panel, plan, errors)
+        _bare(panel)
+        right = _percent(share_right(errors, reachable))
+        if size > 8:
+            title = f"robot {robot}: {right} right" + (", done first" if is_first else "")
+        else:
+            title = f"{robot}: {right}" + (" \N{CHECK MARK}" if is_first else "")
+        panel.set_title(title, fontsize=size, color=robot_color(robot), pad=3)
     bandwidth = summary["bandwidth"]
     medium = bandwidth if isinstance(bandwidth, str) else f"{bandwidth} bytes a step"
+    top = 1 - 0.26 / figure.get_figheight()
     figure.suptitle(
-        f"{plan.map.name}: {summary['robots']} robots, {summary['exchange']}, {medium}; "
-        f"{summary['steps']} steps, {summary['bytes']['total'] / 1000:.0f} kB on the air"
-    )
+        f"{plan.map.name}: {counted(summary['robots'], 'robot')}, {summary['exchange']}, {medium}; "
+        f"{summary['steps']} steps, {summary['bytes']['total'] / 1000:.0f} kB on the air",
+        y=top, va="center",
+    )  # fmt: skip
+    _explain(figure, records)
     return figure
 
 
 def show_grid(axes: Axes, world_map: Map, grid: Grid) -> None:
     """Show a grid of the world's cells, with metres on the axes."""
-    cell, (left, bottom, _) = world_map.resolution, world_map.origin
-    extent = (left, left + cell * world_map.width, bottom, bottom + cell * world_map.height)
-    axes.imshow(grid, cmap=CELLS, vmin=0, vmax=2, extent=extent, interpolation="nearest")
+    axes.imshow(grid, cmap=CELLS, vmin=0, vmax=2, extent=_extent(world_map), interpolation="nearest")
     axes.tick_params(labelsize=7)
-    axes.set_xlabel("m", fontsize=7)
+    axes.set_xlabel("m", fontsize=7, labelpad=1)
 
 
 def draw_paths(axes: Axes, plan: Plan, records: Records) -> None:
-    """Draw the paths of the robots, in metres."""
-    poses: list[NDArray[np.int32]] = [
-        np.frombuffer(report.poses, "<i4").reshape(-1, 4) for report in records.world
-    ]
-    if not poses:
+    """Draw the ways of the robots: pale at first, a dot each `mark_steps`, each robot's number at its end."""
+    every = mark_steps(records.step)
+    figure = axes.get_figure()
+    assert isinstance(figure, Figure)
+    size = min(1.5, axes.get_position().width * figure.get_figwidth() / 3.6)
+    for robot, steps, places in _ways(plan, records):
+        color = np.array(robot_color(robot))
+        bounds = np.linspace(0, len(places) - 1, min(SHADES, len(places)) + 1).round().astype(int)
+        parts = [places[a : b + 1] for a, b in pairwise(bounds)]
+        shades = [1 - (1 - color) * strength for strength in np.linspace(0.45, 1.0, len(parts))]
+        axes.add_collection(LineCollection(parts, colors=shades, linewidths=size, capstyle="round", zorder=2))
+        marks = places[steps % every == 0]
+        axes.plot(*marks.T, "o", color=color, markersize=2.4 * size, markeredgewidth=0, zorder=3)
+    for _, _, places in _ways(plan, records):
+        start: dict[str, Any] = {
+            "markerfacecolor": "white",
+            "markeredgecolor": "black",
+            "markeredgewidth": 0.7,
+        }
+        axes.plot(*places[0], "s", markersize=2.4 * size, zorder=4, **start)
+    for robot, _, places in _ways(plan, records):
+        disc: dict[str, Any] = {
+            "color": robot_color(robot),
+            "markeredgecolor": "white",
+            "markeredgewidth": 0.5,
+        }
+        axes.plot(*places[-1], "o", markersize=8.5 * size, zorder=5 + robot / 1000, **disc)
+        axes.annotate(
+            str(robot), places[-1], color="white", fontsize=(6.5, 5.5, 4.2)[len(str(robot)) - 1] * size,
+            fontweight="bold", ha="center", va="center_baseline", zorder=5.0005 + robot / 1000,
+        )  # fmt: skip
+
+
+def mark_steps(last: int) -> int:
+    """Steps from one dot on a way to the next: a round number, some ten dots in a run."""
+    rough = max(1.0, last / 10)
+    unit = 10 ** math.floor(math.log10(rough))
+    return int(next(unit * factor for factor in (1, 2, 5, 10) if unit * factor >= rough))
+
+
+def _ways(plan: Plan, records: Records) -> Iterator[tuple[int, NDArray[np.int64], NDArray[np.float64]]]:
+    """Each robot, the steps at which it was somewhere, and where: shape (n, 2), metres in the map's frame."""
+    if not records.world:
         return
-    cell, (left, bottom, _) = plan.map.resolution, plan.map.origin
+    poses = [np.frombuffer(report.poses, "<i4").reshape(-1, 4) for report in records.world]
+    steps = np.repeat([report.step for report in records.world], [len(some) for some in poses])
     track = np.concatenate(poses)
+    cell, (left, bottom, _) = plan.map.resolution, plan.map.origin
+    x = left + track[:, 1] / 1000 + cell / 2
+    y = bottom + cell * (plan.map.height - 0.5) - track[:, 2] / 1000
     for robot in range(records.robots):
-        own = track[track[:, 0] == robot]
-        x = left + own[:, 1] / 1000 + cell / 2
-        y = bottom + cell * (plan.map.height - 0.5) - own[:, 2] / 1000
-        axes.plot(x, y, color=robot_color(robot), linewidth=0.9, label=f"{robot}")
-        axes.plot(x[-1:], y[-1:], "o", color=robot_color(robot), markersize=4)
+        own = track[:, 0] == robot
+        if own.any():
+            yield robot, steps[own], np.column_stack([x[own], y[own]])
+
+
+def _page(robots: int, shape: float) -> tuple[Figure, list[Axes]]:
+    """A page with two large panels, and one for each of the robots, for maps of height over width `shape`."""
+    _, large, gap, title = next(row for row in SPACING if robots <= row[0])
+
+    def rows_of(columns: int) -> int:
+        return max(large, -(-(robots + 2 * large * large) // columns))
+
+    def unfitness(columns: int) -> float:
+        rows = rows_of(columns)
+        unit = (PAGE_WIDTH - gap) / columns - gap
+        height = rows * (unit * shape + title + gap) + HEAD + FOOT
+        spare = 1 - (robots + 2 * large * large) / (rows * columns)
+        return abs(math.log(PAGE_WIDTH / height / PAGE_SHAPE)) + spare
+
+    columns = min(range(2 * large, 2 * large + robots + 2), key=unfitness)
+    rows = rows_of(columns)
+    across = (PAGE_WIDTH - gap) / columns
+    tall = (across - gap) * shape
+    down = tall + title + gap
+    height = rows * down + HEAD + FOOT
+    figure = Figure(figsize=(PAGE_WIDTH, height))
+
+    def panel(column: int, row: int, size: int) -> Axes:
+        ticks = max(0.0, TICKS - gap) if size > 1 else 0.0
+        left, top = gap + column * across + ticks, HEAD + row * down + title
+        width = size * across - gap - ticks
+        room = size * down - title - gap - ticks
+        place = (left / PAGE_WIDTH, 1 - (top + room) / height, width / PAGE_WIDTH, room / height)
+        return figure.add_axes(place, anchor="N")
+
+    panels = [panel(0, 0, large), panel(large, 0, large)]
+    free = [(c, r) for r in range(rows) for c in range(columns) if r >= large or c >= 2 * large]
+    return figure, panels + [panel(column, row, 1) for column, row in free[:robots]]
+
+
+def _explain(figure: Figure, records: Records) -> None:
+    """The legend of all panels, at the foot of the page."""
+    mark: dict[str, Any] = {
+        "color": "none",
+        "markeredgecolor": "black",
+        "markerfacecolor": "white",
+        "markersize": 4,
+    }
+    disc: dict[str, Any] = {"color": "none", "markerfacecolor": "#555555", "markeredgewidth": 0}
+    every = mark_steps(records.step)
+    handles = [
+        Line2D([], [], marker="s", label="start", **mark),
+        Line2D([], [], marker="o", label="end", markersize=8, **disc),
+        Line2D([], [], marker="o", label="every step" if every == 1 else f"every {every} steps", markersize=3, **disc),
+        *(Patch(color=rgb(colors.MAP_ERRORS[error]), label=words) for error, words in ERRORS.items()),
+        Patch(facecolor=rgb(colors.MAP_ERRORS[2]), label="wall"),
+    ]  # fmt: skip
+    figure.legend(
+        handles=handles, loc="lower center", ncols=len(handles), fontsize=9, frameon=False,
+        bbox_to_anchor=(0.5, 0.04 / figure.get_figheight()),
+    )  # fmt: skip
+
+
+def _show_errors(axes: Axes, plan: Plan, errors: NDArray[np.uint8]) -> None:
+    most = len(colors.MAP_ERRORS) - 1
+    axes.imshow(errors, cmap=MAP_ERRORS, vmin=0, vmax=most, extent=_extent(plan.map), interpolation="nearest")
+    axes.tick_params(labelsize=7)
+
+
+def _bare(axes: Axes) -> None:
+    axes.set_xticks([])
+    axes.set_yticks([])
+    axes.spines[:].set(linewidth=0.6, color="#9aa1a9")
+
+
+def _extent(world_map: Map) -> tuple[float, float, float, float]:
+    cell, (left, bottom, _) = world_map.resolution, world_map.origin
+    return left, left + cell * world_map.width, bottom, bottom + cell * world_map.height
+
+
+def counted(number: int, what: str) -> str:
+    """A number of things in words."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %"

@@ -19,7 +19,8 @@ from protocol.grid import disc, enlarge
 from worldsim import generators, maps
 from worldsim.map_error import MapError
 from worldsim.maps import Map, to_cell
-from worldsim.world import Body, World, WorldSettings, start_cells
+from worldsim.starts import Cell, check_free, moved_about, start_cells
+from worldsim.world import Body, World, WorldSettings
 
 PICTURES = (".png", ".pgm")
 
@@ -55,25 +56,27 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
     for number in range(scenario.robots):
         body = scenario.body_of(number)
         assert body.sensor_range and body.field_of_view and body.speed
+        assert body.radius is not None
+        assert body.scanner_turn is not None
         if body.sensor_range < cell:
             raise ScenarioError(
                 f"sensor_range = {body.sensor_range:g} m of robot {number} is less than a cell of {cell:g} m"
             )
-        if body.sensor_range < (least := least_range(scenario.radius / cell) * cell):
+        if body.sensor_range < (least := least_range(body.radius / cell) * cell):
             raise ScenarioError(
                 f"sensor_range = {body.sensor_range:g} m of robot {number} is less than {least:.3g} m: a disc of "
-                f"radius = {scenario.radius:g} m would not see the walls that its next step touches"
+                f"radius = {body.radius:g} m would not see the walls that its next step touches"
             )
         bodies.append(
             Body(
                 body.sensor_range / cell,
                 body.field_of_view,
                 body.speed / cell,
-                scenario.scanner_turn,
-                scenario.radius / cell,
+                body.scanner_turn,
+                body.radius / cell,
             )
         )
-    starts = _starts(scenario, world_map)
+    starts = _starts(scenario, world_map, [body.radius_cells for body in bodies])
     range_m = scenario.range_m(world_map.diagonal_m)
     chosen = strategy(scenario.strategy)
     try:
@@ -88,6 +91,8 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
         scenario.interference / cell,
         tuple((death.robot, death.step) for death in scenario.death),
         chosen.returns(scenario.options),
+        scenario.motion == "cells",
+        scenario.bodies,
     )
     budget = medium.UNLIMITED if scenario.bandwidth == UNLIMITED else int(scenario.bandwidth)
     radio = RadioSettings(
@@ -117,7 +122,7 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
             sight=asdict(scenario.sight),
             options=scenario.options,
             resolution=cell,
-            radius_cells=bodies[number].radius_cells,
+            radii_cells=[body.radius_cells for body in bodies],
             field_of_view=bodies[number].field_of_view,
             scanner_turn=bodies[number].scanner_turn,
         ).to_message()
@@ -169,17 +174,43 @@ def _picture_options(scenario: Scenario) -> dict[str, float]:
     return scenario.map_options
 
 
-def _starts(scenario: Scenario, world_map: Map) -> list[tuple[int, int]]:
-    first = None
-    if scenario.start is not None:
-        x, y = to_cell(world_map, *scenario.start)
-        first = round(x), round(y)
-    radius_cells = scenario.radius / world_map.resolution
-    apart = max(1, round(scenario.apart / world_map.resolution), math.ceil(2 * radius_cells))
+def _starts(scenario: Scenario, world_map: Map, radii_cells: list[float]) -> list[Cell]:
+    """Where each robot starts: those of `starts` first, the others around `start`, or around a drawn cell."""
+    floor = enlarge(world_map.cells, max(radii_cells))
+    apart = max(1, round(scenario.apart / world_map.resolution), math.ceil(2 * max(radii_cells)))
+    jitter = scenario.start_jitter / world_map.resolution
+    given: list[Cell] = []
     try:
-        return start_cells(
-            enlarge(world_map.cells, radius_cells), scenario.robots, scenario.seed, apart, first
-        )
+        first = None if scenario.start is None else _cell(world_map, scenario.start)
+        for robot, point in enumerate(scenario.starts[: scenario.robots]):
+            own_floor = enlarge(world_map.cells, radii_cells[robot])
+            cell = _cell(world_map, point)
+            check_free(own_floor, cell)
+            if jitter:
+                near = max(1, math.ceil(radii_cells[robot] + max(radii_cells[:robot], default=0.0)))
+                cell = moved_about(own_floor, cell, jitter, scenario.seed, robot, given, near)
+            given.append(cell)
+        if first is not None and jitter:
+            first = moved_about(floor, first, jitter, scenario.seed, len(given), (), 0)
+        _check_apart(scenario, given, radii_cells)
+        return start_cells(floor, scenario.robots, scenario.seed, apart, first, given)
     except ValueError as error:
-        hint = "" if first is None else f"; murmur map show {scenario.map} draws where they can"
+        is_drawn = scenario.start is None and not scenario.starts
+        hint = "" if is_drawn else f"; murmur map show {scenario.map} draws where they can"
         raise ScenarioError(f"start on map {world_map.name}: {error}{hint}") from None
+
+
+def _cell(world_map: Map, point: tuple[float, float]) -> Cell:
+    x, y = to_cell(world_map, *point)
+    return round(x), round(y)
+
+
+def _check_apart(scenario: Scenario, given: list[Cell], radii_cells: list[float]) -> None:
+    """Raise ValueError if two robots that block each other would start in one place."""
+    for robot, (x, y) in enumerate(given if scenario.bodies else ()):
+        for other, (other_x, other_y) in enumerate(given[:robot]):
+            reach = max(1.0, radii_cells[robot] + radii_cells[other])
+            if math.hypot(x - other_x, y - other_y) < reach:
+                raise ValueError(
+                    f"robots {other} and {robot} would start in one place, {scenario.starts[robot]}"
+                )

@@ -60,6 +60,8 @@ class RobotOverride(_Table):
     sensor_range: Positive | None = Field(None, description="metres")
     field_of_view: Degrees | None = Field(None, gt=0, description="degrees")
     speed: Positive | None = Field(None, description="metres a step")
+    radius: NotNegative | None = Field(None, description="metres; 0: a point")
+    scanner_turn: Degrees | None = Field(None, ge=0, description="degrees a step; 0: full view at once")
 
 
 class Death(_Table):
@@ -108,6 +110,20 @@ class Scenario(_Table):
     )
     start: tuple[Metres, Metres] | None = Field(
         None, description="metres in the map's frame; drawn from the seed if left out"
+    )
+    starts: tuple[tuple[Metres, Metres], ...] = Field(
+        (),
+        description="where the first robots start, one each, metres in the map's frame; the others around start",
+    )
+    start_jitter: NotNegative = Field(
+        0.0, description="metres that the seed moves start, or each of starts, at most"
+    )
+    motion: Literal["metres", "cells"] = Field(
+        "metres",
+        description="how a cell's way is counted: by its length, or one cell to any of eight neighbours",
+    )
+    bodies: Annotated[bool, Field(strict=True)] = Field(
+        True, description="whether robots block each other's way and laser"
     )
     radius: NotNegative = Field(0.0, description="metres; robots are discs, 0: points")
     apart: Positive = Field(0.3, description="metres between start poses")
@@ -180,6 +196,8 @@ class Scenario(_Table):
                 f"robots = {self.robots}: packets can name the maps of {MAX_MAPS} robots; "
                 "more need exchange = 'none'"
             )
+        if self.start_jitter and self.start is None and not self.starts:
+            raise ValueError("start_jitter moves a start about: give `start`, or `starts`")
         for table, entries in (("robot", self.robot), ("death", self.death)):
             numbers = [entry.robot for entry in entries]
             for number in numbers:
@@ -204,6 +222,8 @@ class Scenario(_Table):
             sensor_range=own.sensor_range or self.sensor_range,
             field_of_view=own.field_of_view or self.field_of_view,
             speed=own.speed or self.speed,
+            radius=self.radius if own.radius is None else own.radius,
+            scanner_turn=self.scanner_turn if own.scanner_turn is None else own.scanner_turn,
         )
 
     def to_toml(self) -> str:

@@ -14,9 +14,10 @@ from scipy import ndimage
 
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, disc, fan
 from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
-from protocol.scans import NONE, Readings, check_readings, draw
+from protocol.scans import HIT, NONE, Readings, check_readings, draw
 from worldsim.cell_motion import INTERFERENCE, NOT_BLOCKED, ROBOT, WALL
-from worldsim.world import MOVES_AS_PLANNED, Body, World, WorldSettings, reachable_by, start_cells
+from worldsim.starts import start_cells
+from worldsim.world import MOVES_AS_PLANNED, Body, World, WorldSettings, reachable_by
 
 Cell = tuple[int, int]
 seeds = st.integers(0, 2**32 - 1)
@@ -386,3 +387,39 @@ def test_reachable_is_what_a_robot_can_drive_to_without_cutting_corners(seed: in
                 queue.append((nx, ny))
     reachable = reachable_by(truth, (10, 10), 0.0)
     assert {(int(x), int(y)) for y, x in np.argwhere(reachable)} == found
+
+
+def test_a_diagonal_cell_counts_one_where_cells_are_counted() -> None:
+    truth = np.full((30, 30), FREE, np.uint8)
+    path = np.array([(n, n) for n in range(1, 21)], np.int32)
+    for cell_steps, steps in ((True, 20), (False, 29)):
+        world = World(truth, WorldSettings((Body(3.0, 360.0, 1.0),), ((0, 0),), 4, cell_steps=cell_steps))
+        world.advance({})
+        while world.cells[0] != (20, 20):
+            ahead = path[path[:, 0] > world.cells[0][0]]
+            world.advance({0: Move(world.step, cells_to_bytes(ahead), 0, explored=False)})
+        assert world.step - 1 == steps
+        assert world.driven[0] == pytest.approx(20 * 2**0.5)
+
+
+def test_robots_without_bodies_pass_through_and_see_through_each_other() -> None:
+    truth = np.full((1, 9), FREE, np.uint8)
+    for solid in (True, False):
+        bodies = 2 * (Body(8.0, 360.0, 4.0),)
+        world = World(truth, WorldSettings(bodies, ((0, 0), (2, 0)), 4, solid=solid))
+        path = cells_to_bytes(np.array([(n, 0) for n in range(1, 5)], np.int32))
+        world.advance({})
+        senses = world.advance({0: Move(1, path, 0, explored=False)})
+        assert world.cells[0] == ((1, 0) if solid else (4, 0))
+        assert (senses[0].blocked == "robot") == solid
+        assert (np.frombuffer(senses[1].readings, np.uint16)[2] & HIT > 0) != solid
+
+
+def test_the_thinnest_of_those_that_live_say_when_all_is_explored() -> None:
+    truth = np.full((9, 9), FREE, np.uint8)
+    bodies = tuple(Body(4.0, 360.0, 1.0, 0.0, radius) for radius in (1.0, 0.0, 0.0))
+    world = World(truth, WorldSettings(bodies, ((4, 4), (0, 0), (8, 8)), 4))
+    assert world.thinnest() == [1, 2]
+    world.lose(1)
+    world.lose(2)
+    assert world.thinnest() == [0]

@@ -59,8 +59,8 @@ def test_algorithm_1_sends_the_second_robot_elsewhere() -> None:
     goals = np.array([(10, 10), (12, 10), (30, 10)], np.int32)
     # Range 10: the first goal lowers its neighbour to 0.2 and leaves the third at 1.
     costs = np.array([[0.1, 0.2, 0.9], [0.2, 0.1, 0.85]])
-    assert in_turn(open_floor(), goals, np.ones(3), costs, 10.0).tolist() == [0, 2]
-    assert in_turn(open_floor(), goals, np.ones(3), 10 * costs, 10.0).tolist() == [0, 1]
+    assert in_turn(open_floor(), goals, np.ones(3), costs, np.full(2, 10.0)).tolist() == [0, 2]
+    assert in_turn(open_floor(), goals, np.ones(3), 10 * costs, np.full(2, 10.0)).tolist() == [0, 1]
 
 
 def test_a_wall_between_two_goals_keeps_their_utilities() -> None:
@@ -68,16 +68,16 @@ def test_a_wall_between_two_goals_keeps_their_utilities() -> None:
     costs = np.array([[0.1, 0.2, 0.9], [0.2, 0.1, 0.85]])
     grid = open_floor()
     grid[:, 11] = OCCUPIED
-    assert in_turn(grid, goals, np.ones(3), costs, 10.0).tolist() == [0, 1]
+    assert in_turn(grid, goals, np.ones(3), costs, np.full(2, 10.0)).tolist() == [0, 1]
 
 
 def test_algorithm_2_is_no_worse_than_algorithm_1_where_that_is_short_sighted() -> None:
     # Fig. 7 of the paper: robot 1 is nearest to both rooms, and the other would have all the way to drive.
     goals = np.array([(0, 0), (39, 19)], np.int32)
     way = np.array([[0.9, 1.8], [0.5, 0.9]])
-    assert in_turn(open_floor(), goals, np.ones(2), way, 5.0).tolist() == [1, 0]
+    assert in_turn(open_floor(), goals, np.ones(2), way, np.full(2, 5.0)).tolist() == [1, 0]
     random = np.random.default_rng(0)
-    assert best_of_all(open_floor(), goals, np.ones(2), way**2, 5.0, random).tolist() == [0, 1]
+    assert best_of_all(open_floor(), goals, np.ones(2), way**2, np.full(2, 5.0), random).tolist() == [0, 1]
 
 
 @given(st.integers(1, 3), st.integers(2, 6), st.integers(0, 2**32 - 1))
@@ -86,12 +86,13 @@ def test_algorithm_2_finds_what_brute_force_finds(robots: int, count: int, seed:
     goals = np.stack([random.integers(0, 40, count), random.integers(0, 20, count)], axis=1).astype(np.int32)
     costs = random.uniform(0, 2, (robots, count))
     utility = random.uniform(0.5, 1, count)
-    found = best_of_all(open_floor(), goals, utility, costs, 12.0, random)
+    ranges = random.choice([12.0, 30.0], robots)
+    found = best_of_all(open_floor(), goals, utility, costs, ranges, random)
     best = max(
-        total_value(open_floor(), goals, utility, costs, 12.0, np.array(some))
+        total_value(open_floor(), goals, utility, costs, ranges, np.array(some))
         for some in product(range(count), repeat=robots)
     )
-    assert total_value(open_floor(), goals, utility, costs, 12.0, found) == pytest.approx(best, abs=1e-6)
+    assert total_value(open_floor(), goals, utility, costs, ranges, found) == pytest.approx(best, abs=1e-6)
 
 
 @given(st.integers(1, 6), st.booleans(), st.integers(0, 2**32 - 1))

@@ -25,8 +25,8 @@ def plain(grid: Grid, x: int, y: int, appeal: Appeal) -> tuple[int, int] | None:
     if not len(cells):
         return None
     targets = [(int(tx), int(ty)) for tx, ty in appeal.targets]
-    worth = utilities(grid, cells, targets, appeal.range_cells, appeal.weights.tolist())
-    cost = field[cells[:, 1], cells[:, 0]] / appeal.range_cells
+    worth = utilities(grid, cells, targets, appeal.ranges, appeal.weights.tolist())
+    cost = field[cells[:, 1], cells[:, 0]] / appeal.scale
     best = cells[np.argmax(worth - appeal.beta * cost)]
     return int(best[0]), int(best[1])
 
@@ -44,7 +44,8 @@ def appeal_of(rng: np.random.Generator, grid: Grid, range_cells: float, beta: fl
     count = int(rng.integers(0, 5))
     targets = np.stack([rng.integers(0, width, count), rng.integers(0, height, count)], axis=1)
     weights = rng.choice([1.0, 0.5, 0.25], count)
-    return Appeal(targets.astype(np.int32), weights, range_cells, beta)
+    ranges = range_cells * rng.choice([1.0, 0.5, 2.5], count)
+    return Appeal(targets.astype(np.int32), weights, ranges, range_cells, beta)
 
 
 @given(floors(), seeds, st.floats(1, 30), st.sampled_from([0.0, 0.1, 1.0, 7.0]))
@@ -82,7 +83,7 @@ def test_searches_leave_the_memory_that_they_share_as_they_found_it(case: tuple[
     grid, x, y = case
     floor = Floor(grid)
     way_between(floor, (x, y), (0, 0))
-    check(grid, x, y, Appeal(np.empty((0, 2), np.int32), np.empty(0), 5.0, 1.0))
+    check(grid, x, y, Appeal(np.empty((0, 2), np.int32), np.empty(0), np.empty(0), 5.0, 1.0))
     length, came, _ = workspace(len(floor.free))
     assert (length == FAR).all()
     assert not came.any()
@@ -100,5 +101,5 @@ def test_the_frontier_met_while_flooding_is_the_frontier_of_what_is_reached(
 
 def test_without_a_frontier_there_is_none() -> None:
     grid = np.full((4, 5), FREE, np.uint8)
-    nobody = Appeal(np.empty((0, 2), np.int32), np.empty(0), 5.0, 1.0)
+    nobody = Appeal(np.empty((0, 2), np.int32), np.empty(0), np.empty(0), 5.0, 1.0)
     assert best_frontier(Floor(grid), grid, 1, 1, nobody) is None

@@ -14,6 +14,7 @@ from agent.planning.candidates import (
     free_edges,
     goal_candidates,
     representatives,
+    searched_candidate,
     thin_out,
 )
 from agent.planning.clusters import k_means, medoids
@@ -75,17 +76,17 @@ def test_anr_makes_as_many_goals_as_there_are_robots_from_the_largest_edges_firs
 def test_representatives_are_frontier_cells_that_can_be_reached() -> None:
     grid = np.full((30, 30), UNKNOWN, np.uint8)
     grid[5:25, 5:25] = FREE
-    goals = goal_candidates("rfe", PathPlanner(grid), (10, 10), 5.0, 1, [])
+    goals = goal_candidates("rfe", PathPlanner(grid).frontier(10, 10), 5.0, 1)
     assert len(goals) > 3
     assert all(is_frontier(grid, x, y) for x, y in goals.tolist())
 
 
 def test_breadth_first_passes_over_cells_near_a_teammates_target() -> None:
     grid = drawn("?.......??")
-    assert goal_candidates("breadth-first", PathPlanner(grid), (2, 0), 3.0, 1, []).tolist() == [[1, 0]]
-    assert goal_candidates("breadth-first", PathPlanner(grid), (2, 0), 3.0, 1, [(1, 0)]).tolist() == [[7, 0]]
+    assert searched_candidate("breadth-first", PathPlanner(grid), (2, 0), [], 3.0).tolist() == [[1, 0]]
+    assert searched_candidate("breadth-first", PathPlanner(grid), (2, 0), [(1, 0)], 3.0).tolist() == [[7, 0]]
     both = [(1, 0), (7, 0)]
-    assert goal_candidates("breadth-first", PathPlanner(grid), (2, 0), 3.0, 1, both).tolist() == [[1, 0]]
+    assert searched_candidate("breadth-first", PathPlanner(grid), (2, 0), both, 3.0).tolist() == [[1, 0]]
 
 
 def test_k_means_of_two_heaps_are_their_means() -> None:
@@ -99,18 +100,19 @@ def test_k_means_of_two_heaps_are_their_means() -> None:
 def test_information_gain_counts_unknown_cells_in_a_disc_that_no_teammate_will_see() -> None:
     random = np.random.default_rng(3)
     grid = random.choice(np.array([UNKNOWN, FREE], np.uint8), (20, 25))
-    cells, others, reach = np.array([(3, 4), (24, 19), (12, 10)], np.int32), [(10, 10)], 6.5
+    cells, others, reach = np.array([(3, 4), (24, 19), (12, 10)], np.int32), [(10, 10), (20, 4)], 6.5
+    ranges = [6.5, 2.5]
     slow = [
         sum(
             grid[y, x] == UNKNOWN
             and (x - cx) ** 2 + (y - cy) ** 2 <= reach**2
-            and all((x - ox) ** 2 + (y - oy) ** 2 > reach**2 for ox, oy in others)
+            and all((x - ox) ** 2 + (y - oy) ** 2 > r**2 for (ox, oy), r in zip(others, ranges, strict=True))
             for y in range(20)
             for x in range(25)
         )
         for cx, cy in cells
     ]
-    assert information_gain(grid, cells, reach, others).tolist() == slow
+    assert information_gain(grid, cells, reach, others, ranges).tolist() == slow
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.5, 20.0))

@@ -87,15 +87,20 @@ def test_the_nearest_frontier_is_found_in_the_order_of_distance(
     case: tuple[Grid, int, int], targets: list[tuple[int, int]], range_cells: float
 ) -> None:
     grid, x, y = case
+    ranges = [range_cells / (number + 1) for number in range(len(targets))]
     whole = costs(grid, x, y)
     cells = frontier_cells(grid, np.isfinite(whole)).tolist()
     cells.sort(key=lambda cell: (whole[cell[1], cell[0]], cell[1], cell[0]))
     clear = [
-        cell for cell in cells if all(math.dist(cell, target) > range_cells + 1e-9 for target in targets)
+        cell
+        for cell in cells
+        if all(math.dist(cell, t) > r + 1e-9 for t, r in zip(targets, ranges, strict=True))
     ]
-    unsure = [c for c in cells if any(abs(math.dist(c, t) - range_cells) < 1e-6 for t in targets)]
+    unsure = [
+        c for c in cells if any(abs(math.dist(c, t) - r) < 1e-6 for t, r in zip(targets, ranges, strict=True))
+    ]
     taken = np.array(targets, np.int32).reshape(-1, 2)
-    field, found = nearest_first(Floor(grid), grid, x, y, taken, range_cells)
+    field, found = nearest_first(Floor(grid), grid, x, y, taken, ranges)
     if not cells:
         assert found is None
         return

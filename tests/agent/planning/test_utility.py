@@ -80,6 +80,7 @@ def test_only_cells_beside_the_straight_line_can_hide_what_is_behind(one: Cell, 
 @given(scenes(), st.booleans())
 def test_utilities_are_those_of_equations_4_4_and_4_5(scene: Any, weigh: bool) -> None:
     grid, cells, targets, range_cells = scene
+    ranges = [range_cells * (number + 1) for number in range(len(targets))] if weigh else range_cells
     weights = [0.25 * (number + 1) for number in range(len(targets))] if weigh else None
     wanted = []
     for cell in cells:
@@ -87,10 +88,12 @@ def test_utilities_are_those_of_equations_4_4_and_4_5(scene: Any, weigh: bool) -
         for number, target in enumerate(targets):
             distance = math.dist(cell, target)
             if all(grid[y, x] != OCCUPIED for x, y in line(cell, target)):
-                utility -= (weights[number] if weights else 1.0) * max(0.0, 1 - distance / range_cells)
+                utility -= (weights[number] if weights else 1.0) * max(
+                    0.0, 1 - distance / np.broadcast_to(ranges, len(targets))[number]
+                )
         wanted.append(utility)
     array = np.array(cells, np.int32).reshape(-1, 2)
-    found = utilities(grid, array, targets, range_cells, weights)
+    found = utilities(grid, array, targets, ranges, weights)
     assert found.shape == (len(cells),)
     assert found.tolist() == pytest.approx(wanted, abs=1e-12)
 

@@ -240,7 +240,7 @@ def test_a_disc_keeps_off_what_it_would_touch() -> None:
     grid = np.full((15, 15), FREE, np.uint8)
     grid[7, 5:10] = 2
     grid[0, 7] = UNKNOWN
-    path = decide("meier", robot_at(7, 12, grid=grid), radius_cells=2.0, speed_cells=20.0).path
+    path = decide("meier", robot_at(7, 12, grid=grid), radii_cells=[2.0, 2.0], speed_cells=20.0).path
     assert all(abs(x - 7) > 4 or abs(y - 7) > 2 for x, y in path.tolist())
 
 

@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from matplotlib.axes import Axes
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -126,7 +127,7 @@ def test_a_robot_that_had_nobody_to_talk_to_is_told_of_as_well(tmp_path: Path) -
 def test_panels_of_a_channel_on_which_nothing_was_said_begin_at_zero(tmp_path: Path) -> None:
     alone = parse({"bus": "memory", "robots": 1, "steps": 3, "bandwidth": "unlimited"})
     explore(alone, out=tmp_path / "run")
-    load, wait, _, told = channel_load(archive.read(tmp_path / "run"), None).axes
+    _, load, wait, told = channel_load(archive.read(tmp_path / "run"), None).axes
     assert [axes.get_ylim() for axes in (load, wait, told)] == [(0, 1)] * 3
 
 
@@ -143,3 +144,33 @@ def test_the_command_names_the_page(directory: Path) -> None:
     assert done.exit_code == 0, done.output
     assert done.output.startswith(str(directory / "report.html"))
     assert CliRunner().invoke(app, ["report", str(directory.parent)]).exit_code == 2
+
+
+def test_many_robots_share_a_median_and_bands_few_have_a_curve_each(tmp_path: Path) -> None:
+    crowd = parse({"bus": "memory", "robots": 11, "steps": 6, "exchange": "none"})
+    explore(crowd, out=tmp_path / "run")
+    wait = channel_load(archive.read(tmp_path / "run"), None).axes[2]
+    assert words_of(wait) == [
+        "bytes that did not fit into the step", "packets of all 11 robots", "the middle half of them", "their median",
+    ]  # fmt: skip
+    wait = channel_load(archive.read(small_directory()), None).axes[2]
+    assert words_of(wait)[1:] == [f"packets of robot {robot}" for robot in range(3)]
+
+
+def test_what_is_explored_and_the_use_of_the_budget_stand_above_each_other() -> None:
+    run = archive.read(small_directory())
+    explored, load, *_ = channel_load(run, run.snapshots()).axes
+    (team, *maps) = explored.lines
+    seen = run.of_robot(0)["team_seen"]
+    assert (team.get_ydata() == 100 * seen).all()
+    assert len(maps) == 3
+    used = small_run().summary["bytes"]["total"] / (40 * 1000)
+    assert load.get_title() == f"On the air: {100 * used:.0f} % of the budget"
+    assert explored.get_shared_x_axes().joined(explored, load)
+    assert explored.get_position().y0 > load.get_position().y0
+
+
+def words_of(panel: Axes) -> list[str]:
+    legend = panel.get_legend()
+    assert legend is not None
+    return [text.get_text() for text in legend.get_texts()]

@@ -1,0 +1,122 @@
+"""Breadth-first search for the next frontier cell, to the letter (Al-khawaldah and Nuechter, Algorithm 1).
+
+A step to any of the eight neighbours counts one; a diagonal step needs both cells beside it free. A cell is of
+the frontier if it is free and one of its eight neighbours is unknown (step 2). The search ends with the first
+such cell that lies out of range of all teammates' targets (steps 4 to 6), or else takes the first of all (7).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from protocol.grid import FREE, UNKNOWN, Grid
+from protocol.kernels import kernel
+
+_STEPS = np.array([(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)], np.int64)
+"""Straight steps are tried before diagonal ones."""
+
+
+def first_by_hops(
+    floor: Grid, grid: Grid, start: tuple[int, int], taken: NDArray[np.int32], ranges: ArrayLike
+) -> tuple[tuple[int, int], NDArray[np.int32]] | None:
+    """Find the first frontier cell that breadth-first search from `start` meets, and the way there.
+
+    Parameters
+    ----------
+    floor : uint8 array, shape (h, w)
+        Where the robot may drive; its own cell counts as free.
+    grid : uint8 array, shape (h, w)
+        What is known.
+    start : (x, y)
+        The robot's cell.
+    taken : int32 array, shape (n, 2)
+        Cells (x, y) to which teammates are headed.
+    ranges : float, or one for each of taken
+        How far around each nothing is taken up while there is something else, in cells.
+
+    Returns
+    -------
+    cell : (x, y)
+    way : int32 array, shape (m, 2)
+        Cells (x, y) with the fewest steps there, without its start.
+        None instead of both if no frontier cell can be reached.
+    """
+    around = np.broadcast_to(np.asarray(ranges, np.float64), len(taken)).copy()
+    way = np.empty((grid.size, 2), np.int32)
+    length = _search(floor, grid, *start, taken, around, way)
+    if length < 0:
+        return None
+    cells = way[:length][::-1].copy()
+    return (start if not length else (int(cells[-1, 0]), int(cells[-1, 1]))), cells
+
+
+def is_wide_frontier(grid: Grid, x: int, y: int) -> bool:
+    """Whether cell (x, y) is free with an unknown 8-neighbour."""
+    return bool(_wide_frontier_at(grid, x, y))
+
+
+@kernel("boolean(uint8[:,::1], int64, int64)")
+def _wide_frontier_at(grid: Grid, x: int, y: int) -> bool:
+    """`is_wide_frontier`; what lies behind a corner of two occupied cells can never be seen, and does not count."""
+    height, width = grid.shape
+    if grid[y, x] != FREE:
+        return False
+    for number in range(8):
+        nx, ny = x + _STEPS[number, 0], y + _STEPS[number, 1]
+        if not (0 <= nx < width and 0 <= ny < height) or grid[ny, nx] != UNKNOWN:
+            continue
+        if number < 4 or grid[y, nx] == FREE or grid[ny, x] == FREE:
+            return True
+    return False
+
+
+@kernel("int64(uint8[:,::1], uint8[:,::1], int64, int64, int32[:,::1], float64[::1], int32[:,::1])")
+def _search(
+    floor: Grid,
+    grid: Grid,
+    x: int,
+    y: int,
+    taken: NDArray[np.int32],
+    ranges: NDArray[np.float64],
+    way: NDArray[np.int32],
+) -> int:
+    """Write the way to the cell that is found, backwards, and return its length; -1 if there is none."""
+    height, width = grid.shape
+    came = np.full((height, width), -1, np.int8)
+    queue = np.empty((height * width, 2), np.int32)
+    came[y, x] = 8
+    queue[0, 0], queue[0, 1] = x, y
+    head, tail = 0, 1
+    first = found = -1
+    while head < tail and found < 0:
+        cx, cy = queue[head]
+        if _wide_frontier_at(grid, cx, cy):
+            first = head if first < 0 else first
+            clear = True
+            for other in range(len(taken)):
+                dx, dy = cx - taken[other, 0], cy - taken[other, 1]
+                clear = clear and dx * dx + dy * dy > ranges[other] * ranges[other]
+            if clear:
+                found = head
+        head += 1
+        for number in range(8):
+            nx, ny = cx + _STEPS[number, 0], cy + _STEPS[number, 1]
+            if not (0 <= nx < width and 0 <= ny < height) or came[ny, nx] >= 0 or floor[ny, nx] != FREE:
+                continue
+            if number >= 4 and (floor[cy, nx] != FREE or floor[ny, cx] != FREE):
+                continue
+            came[ny, nx] = number
+            queue[tail, 0], queue[tail, 1] = nx, ny
+            tail += 1
+    found = first if found < 0 else found
+    if found < 0:
+        return -1
+    cx, cy = queue[found]
+    length = 0
+    while came[cy, cx] != 8:
+        way[length, 0], way[length, 1] = cx, cy
+        length += 1
+        number = came[cy, cx]
+        cx, cy = cx - _STEPS[number, 0], cy - _STEPS[number, 1]
+    return length

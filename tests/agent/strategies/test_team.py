@@ -1,0 +1,117 @@
+"""Robots of a team compute one assignment, though their sensors differ."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agent.planning.path_planner import PathPlanner
+from agent.strategies.base import Pose, Situation
+from agent.strategies.faigl import share_out
+from agent.strategies.registry import strategy
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from tests.agent.planning.planning_references import settings_for
+
+SHARED = ("burgard", "burgard-optimal", "greedy", "iterative", "hungarian", "repairmen")
+"""Strategies in which each member knows who gets what."""
+
+
+def half_explored(random: np.random.Generator) -> Grid:
+    """A hall with pillars, of which some discs are known."""
+    grid = np.full((60, 90), UNKNOWN, np.uint8)
+    rows, columns = np.ogrid[:60, :90]
+    for x, y in [(45, 30), *zip(random.integers(20, 70, 3), random.integers(15, 45, 3), strict=True)]:
+        grid[(columns - x) ** 2 + (rows - y) ** 2 < 18**2] = FREE
+    grid[(random.random(grid.shape) < 0.05) & (grid == FREE)] = OCCUPIED
+    grid[30, 45] = FREE
+    return grid
+
+
+def views(random: np.random.Generator, grid: Grid, robots: int) -> list[Situation]:
+    """What each robot knows, all in range of each other but the last, which was heard of."""
+    free = PathPlanner(grid).costs(45, 30)
+    free = np.argwhere(np.isfinite(free))[:, ::-1]
+    cells = [(int(x), int(y)) for x, y in free[random.integers(0, len(free), robots + 1)]]
+    gone = cells[-1]
+    team = range(robots)
+    return [
+        Situation(
+            step=7,
+            grid=grid,
+            x=cells[robot][0],
+            y=cells[robot][1],
+            homes=dict.fromkeys(range(robots + 1), cells[0]),
+            home=cells[0],
+            peers=tuple(peer for peer in team if peer != robot),
+            poses={peer: Pose(*cells[peer], leads=False) for peer in team if peer != robot},
+            targets={robots: gone},
+            heard={robots: -99},
+        )
+        for robot in team
+    ]
+
+
+def tables(name: str, seed: int, ranges: list[float], radii: list[float] | None = None) -> list[Any]:
+    """What each member of a team computes: the whole assignment, or for tours whose goals are whose."""
+    random = np.random.default_rng(seed)
+    grid = half_explored(random)
+    found = []
+    for robot, situation in enumerate(views(random, grid, len(ranges) - 1)):
+        bodies = {"ranges_cells": ranges, "radii_cells": radii or []}
+        mind: Any = strategy(name)({}, settings_for(grid, robot, len(ranges), **bodies))
+        planner = PathPlanner(grid, radius_cells=mind.settings.radius_cells)
+        goals = mind.goals(situation, planner)
+        if len(goals):
+            table = mind.table(situation, goals, planner)
+            share = share_out(table) if name == "mtsp" else mind.assign(table, situation, planner)
+            found.append((goals.tolist(), share.tolist()))
+    return found
+
+
+@pytest.mark.parametrize("name", [*SHARED, "mtsp"])
+@settings(max_examples=8)
+@given(seed=st.integers(0, 2**32 - 1), ranges=st.permutations([25.0, 100.0, 40.0, 60.0]))
+def test_robots_with_different_sensors_compute_one_assignment(
+    name: str, seed: int, ranges: list[float]
+) -> None:
+    found = tables(name, seed, ranges)
+    assert found
+    assert all(each == found[0] for each in found)
+
+
+@pytest.mark.parametrize("name", [*SHARED, "mtsp"])
+@settings(max_examples=4)
+@given(seed=st.integers(0, 2**32 - 1), radii=st.permutations([0.0, 2.0, 3.0, 0.0]))
+def test_robots_of_different_sizes_compute_one_assignment(name: str, seed: int, radii: list[float]) -> None:
+    found = tables(name, seed, [30.0] * 4, radii)
+    assert all(each == found[0] for each in found)
+
+
+def test_a_wide_robot_is_given_what_it_can_reach() -> None:
+    # A hall with a door of one cell; what is left to see lies in the room behind it, and to the right.
+    grid = np.full((21, 40), FREE, np.uint8)
+    grid[:, 10] = OCCUPIED
+    grid[10, 10] = FREE
+    grid[10, 0] = grid[10, 39] = UNKNOWN
+    view = Situation(
+        step=1, grid=grid, x=14, y=10, home=(14, 10), peers=(1,), poses={1: Pose(16, 10, leads=False)}
+    )
+    for radii, target in (([0.0, 3.0], (1, 10)), ([3.0, 0.0], (38, 10))):
+        mind = strategy("burgard")({}, settings_for(grid, radii_cells=radii, ranges_cells=[10.0, 10.0]))
+        assert mind.decide(view).target == target
+
+
+def test_a_target_takes_away_as_far_as_its_own_robot_sees() -> None:
+    # Three places to go to from (30, 2); a teammate is headed for the one at the left end.
+    grid = np.full((5, 80), FREE, np.uint8)
+    grid[:, 79] = grid[:, 0] = grid[0, 40] = UNKNOWN
+    view = Situation(step=1, grid=grid, x=30, y=2, home=(30, 2), targets={0: (1, 2)}, heard={0: 1})
+    for ranges, column in (([20.0, 200.0], 40), ([200.0, 20.0], 78)):
+        mind = strategy("meier")({"beta": 0.4}, settings_for(grid, robot=1, ranges_cells=ranges))
+        target = mind.decide(view).target
+        assert target is not None
+        assert abs(target[0] - column) <= 1

@@ -1,0 +1,106 @@
+"""Pictures of maps: what is wrong on a robot's map is shown, starts and time along the ways, all on one page."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from PIL import Image
+
+from deploy.record import colors
+from deploy.record.map_errors import (
+    FALSE_WALL,
+    IRRELEVANT,
+    RIGHT,
+    UNSEEN,
+    WALL,
+    WRONG_FREE,
+    compare,
+    share_right,
+)
+from deploy.record.map_pictures import PAGE_SHAPE, maps_figure, mark_steps
+from deploy.record.records import Records
+from deploy.record.summary import summarise
+from deploy.run import in_memory
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from tests.deploy.small_run import small_plan, small_run
+
+grids = arrays(np.uint8, (4, 5), elements=st.integers(0, 2))
+
+
+@given(grids, grids, arrays(np.bool_, (4, 5)))
+def test_each_cell_of_a_map_is_right_or_wrong_in_one_way(
+    grid: Grid, truth: Grid, chosen: np.ndarray[tuple[int, int], np.dtype[np.bool_]]
+) -> None:
+    reachable = chosen & (truth == FREE)
+    expected = np.zeros_like(grid)
+    for at in np.ndindex(grid.shape):
+        expected[at] = {
+            UNKNOWN: UNSEEN if reachable[at] else IRRELEVANT,
+            FREE: RIGHT if truth[at] == FREE else WRONG_FREE,
+            OCCUPIED: FALSE_WALL if truth[at] == FREE else WALL,
+        }[int(grid[at])]
+    errors = compare(grid, truth, reachable)
+    assert (errors == expected).all()
+    if reachable.any():
+        assert share_right(errors, reachable) == (grid == FREE)[reachable].mean()
+
+
+def drawn(robots: int) -> tuple[Figure, Records]:
+    plan = small_plan(robots=robots, exchange="none", steps=4)
+    records = in_memory.run(plan)
+    return maps_figure(plan, records, summarise(plan, records, 1.0)), records
+
+
+@pytest.mark.parametrize("robots", [1, 7, 40])
+def test_any_number_of_robots_fits_a_page_and_no_panel_hides_another(robots: int) -> None:
+    figure, records = drawn(robots)
+    boxes = [axes.get_position() for axes in figure.axes]
+    assert len(boxes) == 2 + robots
+    assert len(records.planning) == robots
+    assert all(0 <= box.x0 < box.x1 <= 1 and 0 <= box.y0 < box.y1 <= 1 for box in boxes)
+    for first, one in enumerate(boxes):
+        for other in boxes[first + 1 :]:
+            apart = one.x1 <= other.x0 or other.x1 <= one.x0 or one.y1 <= other.y0 or other.y1 <= one.y0
+            assert apart
+    width, height = figure.get_size_inches()
+    assert PAGE_SHAPE / 2 < width / height < 2 * PAGE_SHAPE
+
+
+def test_a_panel_shows_the_errors_of_its_robots_map_in_their_colours() -> None:
+    plan, records = small_plan(), small_run().records
+    reachable = plan.make_world().reachable
+    figure = maps_figure(plan, records, small_run().summary)
+    for robot, panel in zip(sorted(records.planning), figure.axes[2:], strict=True):
+        errors = compare(records.planning[robot], plan.map.cells, reachable)
+        assert (shown(panel) == errors).all()
+        assert panel.get_title().startswith(
+            f"robot {robot}: {100 * share_right(errors, reachable):.1f} % right"
+        )
+    file = io.BytesIO()
+    figure.savefig(file, dpi=60)
+    pixels = np.array(Image.open(file).convert("RGB")).reshape(-1, 3)
+    assert (pixels == colors.UNSEEN).all(axis=1).sum() > 1000
+    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert words == [
+        "start", "end", "every 5 steps", "wall where there is none", "not known", "floor where there is none",
+        "wall",
+    ]  # fmt: skip
+
+
+def shown(panel: Axes) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
+    (image,) = panel.images
+    array = image.get_array()
+    assert array is not None
+    return np.asarray(array, np.uint8)
+
+
+@pytest.mark.parametrize(("last", "every"), [(1, 1), (9, 1), (40, 5), (154, 20), (1000, 100), (2001, 500)])
+def test_ways_have_about_ten_dots_at_round_steps(last: int, every: int) -> None:
+    assert mark_steps(last) == every

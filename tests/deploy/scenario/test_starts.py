@@ -1,0 +1,66 @@
+"""Where robots start: as the scenario says, each by itself or around one place, and moved about by a seed."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deploy.scenario.plan import make
+from deploy.scenario.scenario import Scenario, ScenarioError
+from protocol.grid import FREE
+from worldsim.maps import Map
+
+HALL = Map("hall", np.full((100, 200), FREE, np.uint8), 0.1)
+
+
+def starts(**settings: Any) -> list[tuple[int, int]]:
+    return list(make(Scenario(**settings), HALL).world.starts)
+
+
+def test_the_first_robots_start_where_they_are_told_and_the_others_around_the_start() -> None:
+    found = starts(robots=3, starts=[(1.05, 1.05), (15.05, 9.05)], start=(10.05, 5.05))
+    assert found == [(10, 89), (150, 9), (100, 49)]
+    assert starts(robots=1, starts=[(1.05, 1.05), (15.05, 9.05)]) == [(10, 89)]
+
+
+def test_jitter_moves_the_start_about_by_the_seed_and_no_farther_than_it_says() -> None:
+    fixed = starts(robots=3, start=(10.0, 5.0))
+    found = [starts(robots=3, start=(10.0, 5.0), start_jitter=0.5, seed=seed) for seed in range(20)]
+    assert all(math.dist(each[0], fixed[0]) <= 5 for each in found)
+    assert len({each[0] for each in found}) > 10
+    assert found[3] == starts(robots=3, start=(10.0, 5.0), start_jitter=0.5, seed=3)
+    both = [(10.0, 5.0), (10.4, 5.0)]
+    for seed in range(20):
+        one, other = starts(robots=2, starts=both, start_jitter=1.0, radius=0.15, seed=seed)
+        assert math.dist(one, other) >= 3
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"start_jitter": 1.0}, "give `start`, or `starts`"),
+        ({"starts": [(1.0, 1.0), (1.0, 1.0)]}, "robots 0 and 1 would start in one place"),
+        ({"starts": [(-5.0, 1.0)]}, "is not free: robots cannot start there"),
+        ({"starts": [1.0]}, "starts.0 = 1.0"),
+    ],
+)
+def test_a_start_that_cannot_be_is_refused(settings: dict[str, Any], said: str) -> None:
+    with pytest.raises(ScenarioError, match=said):
+        starts(robots=2, **settings)
+
+
+def test_without_bodies_robots_may_start_in_one_place() -> None:
+    assert starts(robots=2, starts=[(1.0, 1.0), (1.0, 1.0)], bodies=False)[0] == (10, 90)
+
+
+def test_a_robot_has_a_radius_and_a_scanner_of_its_own() -> None:
+    own = [{"robot": 1, "radius": 0.2, "scanner_turn": 72.0}]
+    plan = make(Scenario(robots=2, robot=own, scanner_turn=18.0, motion="cells", bodies=False), HALL)
+    assert [body.radius_cells for body in plan.world.bodies] == [0.0, 2.0]
+    assert [body.scanner_turn for body in plan.world.bodies] == [18.0, 72.0]
+    assert plan.minds[0]["radii_cells"] == [0.0, 2.0]
+    assert plan.world.cell_steps
+    assert not plan.world.solid

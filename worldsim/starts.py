@@ -1,0 +1,100 @@
+"""Where robots start: around one cell, each at a cell of its own, and moved about by chance."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import ndimage
+
+from protocol.grid import FREE, Grid
+from protocol.keyed_random import keyed_random
+
+Cell = tuple[int, int]
+
+
+def start_cells(
+    truth: Grid, robots: int, seed: int, apart: int, first: Cell | None = None, given: Sequence[Cell] = ()
+) -> list[Cell]:
+    """Choose where the robots start: the free cells nearest to one seeded cell, `apart` cells apart.
+
+    Parameters
+    ----------
+    first : (x, y), optional
+        The cell to start around, instead of a seeded one.
+    given : sequence of (x, y)
+        Where the first robots start; the others keep away from there.
+
+    Raises
+    ------
+    ValueError
+        No cell is free, `first` is not, or there are more robots than free cells that far apart.
+    """
+    chosen = list(given[:robots])
+    if len(chosen) == robots:
+        return chosen
+    labels, parts = ndimage.label(truth == FREE)
+    if not parts:
+        raise ValueError("no cell is free for robots of that radius")
+    if first is None:
+        largest = 1 + int(np.argmax(np.bincount(labels.ravel(), minlength=parts + 1)[1:]))
+        ys, xs = np.nonzero(labels == largest)
+        pick = int(keyed_random(seed, "start").integers(len(xs)))
+        first = int(xs[pick]), int(ys[pick])
+    check_free(truth, first)
+    reached = np.zeros(truth.shape, np.bool_)
+    reached[first[1], first[0]] = True
+    queue = deque([first])
+    height, width = truth.shape
+    while queue and len(chosen) < robots:
+        x, y = queue.popleft()
+        if all(max(abs(x - cx), abs(y - cy)) >= apart for cx, cy in chosen):
+            chosen.append((x, y))
+        for nx, ny in ((x + 1, y), (x, y + 1), (x - 1, y), (x, y - 1)):
+            if 0 <= nx < width and 0 <= ny < height and truth[ny, nx] == FREE and not reached[ny, nx]:
+                reached[ny, nx] = True
+                queue.append((nx, ny))
+    if len(chosen) < robots:
+        raise ValueError(
+            f"{robots} robots do not fit: {len(chosen)} free cells lie {apart} cells apart around {first}"
+        )
+    return chosen
+
+
+def moved_about(
+    truth: Grid, cell: Cell, most: float, seed: int, robot: int, others: Sequence[Cell], apart: int
+) -> Cell:
+    """Draw a cell at most `most` cells away, which can be reached from there, `apart` cells from `others`.
+
+    Parameters
+    ----------
+    truth : uint8 array, shape (h, w)
+        Where the robot may be.
+    cell : (x, y)
+        Where it would start.
+
+    Raises
+    ------
+    ValueError
+        `cell` is not free, or no cell near it is far enough from the others.
+    """
+    check_free(truth, cell)
+    labels, _ = ndimage.label(truth == FREE)
+    ys, xs = np.nonzero(labels == labels[cell[1], cell[0]])
+    near = (xs - cell[0]) ** 2 + (ys - cell[1]) ** 2 <= most * most
+    for x, y in others:
+        near &= np.maximum(np.abs(xs - x), np.abs(ys - y)) >= apart
+    around = np.flatnonzero(near)
+    if not len(around):
+        raise ValueError(f"robot {robot} does not fit: no cell near {cell} is {apart} cells from the others'")
+    pick = around[int(keyed_random(seed, "jitter", robot).integers(len(around)))]
+    return int(xs[pick]), int(ys[pick])
+
+
+def check_free(truth: Grid, cell: Cell) -> None:
+    """Raise ValueError if a robot cannot stand on a cell."""
+    height, width = truth.shape
+    x, y = cell
+    if not (0 <= x < width and 0 <= y < height) or truth[y, x] != FREE:
+        raise ValueError(f"cell {cell} is not free: robots cannot start there")
