@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from agent.planning.cost_field import DIAGONAL, Field, Floor, costs_on, way
+from agent.planning.cost_field import DIAGONAL, Field, Floor, costs_on
+from agent.planning.cost_field import way as way_down
 from agent.planning.jump_point_search import costs_between
 from agent.planning.team_tours import team_tours
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, enlarge, fan
@@ -39,6 +40,9 @@ LATTICE = 1 / 8
 
 ROUNDS = 12
 """Rounds of replanning tours and moving viewpoints at most."""
+
+TRIES = 8
+"""Places at most that are tried for a viewpoint which is moved."""
 
 APART = 1 / 3
 """Witnesses of the bound are so many sensor ranges apart: from where one is seen to where the other is."""
@@ -82,7 +86,7 @@ class KnownMap:
         self._truth = truth
         self._nobody = np.zeros(truth.shape, np.bool_)
         self._fan = fan(range_cells, beams)
-        self._paper = np.full(truth.shape, UNKNOWN, np.uint8)
+        self._paper: Grid = np.full_like(truth, UNKNOWN)
         self._laid_out = Floor(self.floor)
         self._ways = _neighbours(self.floor)
         self._seen: dict[Cell, Indices] = {}
@@ -90,6 +94,10 @@ class KnownMap:
         self.looks = lru_cache(maxsize=1 << 14)(self._looks)
         self.viewpoints = self._lattice()
         """Cells from which together everything is seen that can be seen."""
+        self.visible = np.zeros(truth.size, np.bool_)
+        """Cells that can be seen at all, the map laid flat."""
+        for cell in self.viewpoints:
+            self.visible[self.seen(cell)] = True
 
     def seen(self, cell: Cell) -> Indices:
         """The free cells that are seen from a cell, as places in the map laid flat, ascending."""
@@ -99,16 +107,29 @@ class KnownMap:
         return known
 
     def _look(self, cell: Cell) -> Indices:
-        change = draw(self._paper, self._fan, *cell, cast(self._truth, self._nobody, self._fan, *cell))
+        x, y = cell
+        change = draw(self._paper, self._fan, x, y, cast(self._truth, self._nobody, self._fan, x, y))
         box = self._paper[change.y0 : change.y1, change.x0 : change.x1]
         ys, xs = np.nonzero(box == FREE)
         box[:] = UNKNOWN
         seen: Indices = (ys + change.y0) * self._paper.shape[1] + xs + change.x0
         return seen
 
+    def is_reached_from(self, start: Cell) -> bool:
+        """Whether a robot that starts there can drive to all of it."""
+        return bool(self.floor[start[1], start[0]] == FREE)
+
     def ways_between(self, starts: NDArray[np.int32], goals: NDArray[np.int32]) -> NDArray[np.float64]:
         """Length of the shortest way from each start to each goal, both of shape (n, 2), in cells."""
         return costs_between(self._laid_out, starts, goals)
+
+    def steps(self, tours: Sequence[Sequence[Cell]]) -> int:
+        """Steps of the longest tour, the first look included."""
+        return 1 + max(self.steps_of(tour) for tour in tours)
+
+    def steps_of(self, tour: Sequence[Cell]) -> int:
+        """Steps from stop to stop; each ends a step."""
+        return sum(len(self.looks(one, other)) for one, other in pairwise(tour))
 
     def in_sight_of(self, cell: Cell) -> NDArray[np.int32]:
         """The cells (x, y), of shape (n, 2), from which a cell is seen."""
@@ -125,16 +146,20 @@ class KnownMap:
         """Length of the shortest way from any of some places, of shape (n, 2), to every cell, in cells."""
         width = self.floor.shape[1]
         starts = places[:, 1].astype(np.int64) * width + places[:, 0]
-        field: Field = dijkstra(self._ways, directed=False, indices=starts, min_only=True)
-        return field.reshape(self.floor.shape)
+        field = dijkstra(self._ways, directed=False, indices=starts, min_only=True)
+        return np.reshape(field, self.floor.shape)
 
     def _field(self, cell: Cell) -> Field:
         """Length of the shortest way from a cell to every other, in cells."""
         return costs_on(self._laid_out, *cell)
 
+    def way(self, start: Cell, end: Cell) -> list[Cell]:
+        """The cells of a shortest way, without its start."""
+        return [(x, y) for x, y in way_down(self.floor, self.field(start), *end).tolist()]
+
     def _looks(self, start: Cell, end: Cell) -> list[Cell]:
         """Where a robot stands at the end of each step on its way from one cell to another."""
-        left = [(x, y) for x, y in way(self.floor, self.field(start), *end).tolist()]
+        left = self.way(start, end)
         here, carry, stops = start, 0.0, []
         while left:
             driven = drive(self.floor, self._nobody, here, left, self.speed + carry)
@@ -178,53 +203,59 @@ def _neighbours(floor: Grid) -> csr_matrix:
 
 
 def offline_steps(building: KnownMap, starts: Sequence[Cell]) -> int:
-    """Steps in which a team can see everything, by a plan made with the map known.
+    """Steps in which a team can see everything, by a plan made with the map known."""
+    return building.steps(offline_tours(building, starts))
+
+
+def offline_tours(building: KnownMap, starts: Sequence[Cell]) -> list[list[Cell]]:
+    """Plan how a team sees everything soon.
 
     Parameters
     ----------
     building : KnownMap
     starts : sequence of (x, y)
         Where each robot starts.
+
+    Returns
+    -------
+    list of lists of (x, y)
+        For each robot its start, then where it stops to look; it looks at the end of each step on the way as well.
     """
     plan = _Plan(building, starts)
-    plan.order(_cover(building, starts))
+    plan.order([])
     for _ in range(ROUNDS):
-        before = plan.steps()
+        before = building.steps(plan.tours)
         plan.improve()
-        now, driven = plan.steps(), plan.tours
+        now, driven = building.steps(plan.tours), plan.tours
         plan.order([cell for tour in driven for cell in tour[1:]])
-        if plan.steps() > now:
+        if building.steps(plan.tours) > now:
             plan.tours = driven
-        if plan.steps() >= before:
+        if building.steps(plan.tours) >= before:
             break
-    return plan.steps()
+    return plan.tours
 
 
-def _cover(building: KnownMap, starts: Sequence[Cell]) -> list[Cell]:
-    """Choose viewpoints until everything is seen, each time the one that sees most of what is left (Gonzalez-Banos)."""
-    left = np.zeros(building.floor.size, np.bool_)
-    for cell in building.viewpoints:
-        left[building.seen(cell)] = True
-    for start in starts:
-        left[building.seen(start)] = False
+def _cover(building: KnownMap, left: NDArray[np.bool_]) -> list[Cell]:
+    """Choose viewpoints until all that is left is seen, each time the one that sees most of it.
+
+    `left` has a flag a cell, laid flat; it comes back empty of what can be seen at all.
+    """
     # What a viewpoint adds never grows: the one on top is the best if it still adds what it last did.
     queue = [
         (-np.count_nonzero(left[building.seen(cell)]), at) for at, cell in enumerate(building.viewpoints)
     ]
     heapq.heapify(queue)
     chosen = []
-    while queue[0][0]:
-        _, at = queue[0]
+    while queue and queue[0][0]:
+        adds, at = queue[0]
         cell = building.viewpoints[at]
-        adds = -np.count_nonzero(left[building.seen(cell)])
-        if adds > queue[0][0]:
-            heapq.heapreplace(queue, (adds, at))
+        now = -np.count_nonzero(left[building.seen(cell)])
+        if now > adds:
+            heapq.heapreplace(queue, (now, at))
             continue
         heapq.heappop(queue)
         chosen.append(cell)
         left[building.seen(cell)] = False
-        if not queue:
-            break
     return chosen
 
 
@@ -237,85 +268,90 @@ class _Plan:
         self._starts = list(starts)
 
     def order(self, viewpoints: Sequence[Cell]) -> None:
-        """Share viewpoints among the robots so that the longest tour is short."""
-        count = len(viewpoints)
-        cells = np.array([*self._starts, *viewpoints], np.int32)
-        ways = self._building.ways_between(cells, cells[len(self._starts) :])
+        """Share viewpoints among the robots so that the longest tour is short; add some for what is not seen."""
+        stops = list(viewpoints)
+        while True:
+            self.tours = self._shared(stops)
+            left = self._building.visible.copy()
+            for tour in self.tours:
+                for cell in (tour[0], *self._looks(tour)):
+                    left[self._building.seen(cell)] = False
+            if not left.any():
+                return
+            stops = [cell for tour in self.tours for cell in tour[1:]] + _cover(self._building, left)
+
+    def _shared(self, stops: list[Cell]) -> list[list[Cell]]:
+        count, robots = len(stops), len(self._starts)
+        cells = np.array([*self._starts, *stops], np.int32)
+        ways = self._building.ways_between(cells, cells[robots:])
         few = np.full(count, 0.1 / max(1, count))
-        tours = team_tours(
-            ways[: len(self._starts)].copy(), ways[len(self._starts) :].copy(), few, np.zeros(count), 1.0
-        )
-        self.tours = [
-            [start, *(viewpoints[at] for at in tour)] for start, tour in zip(self._starts, tours, strict=True)
-        ]
-
-    def steps(self) -> int:
-        """Steps of the longest tour, the first look included."""
-        return 1 + max(self._steps_of(tour) for tour in self.tours)
-
-    def _steps_of(self, tour: list[Cell]) -> int:
-        return sum(len(self._building.looks(one, other)) for one, other in pairwise(tour))
+        tours = team_tours(ways[:robots].copy(), ways[robots:].copy(), few, np.zeros(count), 1.0)
+        return [[start, *(stops[at] for at in tour)] for start, tour in zip(self._starts, tours, strict=True)]
 
     def improve(self) -> None:
         """Leave out viewpoints that nobody misses; move others to where they lengthen their tour least."""
         counts = np.zeros(self._building.floor.size, np.int64)
         for tour in self.tours:
             counts[self._building.seen(tour[0])] += 1
-            for one, other in pairwise(tour):
-                self._count(counts, one, other, 1)
-        for tour in sorted(self.tours, key=self._steps_of, reverse=True):
+            self._count(counts, tour, 1)
+        for tour in sorted(self.tours, key=self._building.steps_of, reverse=True):
             at = 1
             while at < len(tour):
                 at += self._stays(tour, at, counts)
 
     def _stays(self, tour: list[Cell], at: int, counts: Indices) -> bool:
         """Take one viewpoint out of a tour, and put the best in its place, if any is needed; whether one is."""
-        here, before = tour[at], tour[at - 1]
-        after = tour[at + 1] if at + 1 < len(tour) else None
-        for one, other in pairwise(tour[at - 1 : at + 2]):
-            self._count(counts, one, other, -1)
-        if after is not None:
-            self._count(counts, before, after, 1)
-        needed = self._building.seen(here)
-        lost = [
-            self._building.seen(cell)
-            for one, other in pairwise((before, here, after) if after else (before, here))
-            for cell in self._building.looks(one, other)
-        ]
-        needed = np.unique(np.concatenate([needed, *lost]))
-        needed = needed[counts[needed] == 0]
-        if not len(needed):
+        ends = tour[at - 1], tour[at], *tour[at + 1 : at + 2]
+        self._count(counts, ends, -1)
+        lost = np.unique(np.concatenate([self._building.seen(cell) for cell in self._looks(ends)]))
+        lost = lost[counts[lost] == 0]
+        missed = self._unseen(lost, (ends[0], *ends[2:]))
+        if len(missed):
+            tour[at] = self._nearest(ends, lost, missed)
+        else:
             del tour[at]
-            return False
-        if after is not None:
-            self._count(counts, before, after, -1)
-        tour[at] = self._nearest(before, after, here, needed)
-        for one, other in pairwise(tour[at - 1 : at + 2]):
-            self._count(counts, one, other, 1)
-        return True
+        self._count(counts, tour[at - 1 : at + 1 + (len(missed) > 0)], 1)
+        return len(missed) > 0
 
-    def _nearest(self, before: Cell, after: Cell | None, here: Cell, needed: Indices) -> Cell:
-        """The cell from which all that is needed is seen, and which is the smallest detour."""
+    def _nearest(self, ends: Sequence[Cell], lost: Indices, missed: Indices) -> Cell:
+        """The viewpoint between two others that is the smallest detour and loses nothing.
+
+        `lost` is what has to be seen on the way, `missed` what is not seen on the straight way between those two.
+        """
         width = self._building.floor.shape[1]
-        to, on = self._building.field(before), None if after is None else self._building.field(after)
-        best, least = here, to[here[1], here[0]] + (0.0 if on is None else on[here[1], here[0]])
-        y, x = divmod(int(needed[0]), width)
+        detours: Field = np.sum([self._building.field(cell) for cell in (ends[0], *ends[2:])], axis=0)
+        least = detours[ends[1][1], ends[1][0]]
+        y, x = divmod(int(missed[0]), width)
         reach = int(self._building.range_cells)
         x0, y0 = max(0, x - reach), max(0, y - reach)
-        there = np.s_[y0 : y + reach + 1, x0 : x + reach + 1]
-        detours = to[there] if on is None else to[there] + on[there]
-        for place in np.argsort(detours, axis=None, kind="stable"):
-            dy, dx = divmod(int(place), detours.shape[1])
-            if not detours[dy, dx] < least - 1e-9:
-                break
+        there = detours[y0 : y + reach + 1, x0 : x + reach + 1]
+        tried = 0
+        for place in np.argsort(there, axis=None, kind="stable"):
+            dy, dx = divmod(int(place), there.shape[1])
             cell = x0 + dx, y0 + dy
-            if len(np.setdiff1d(needed, self._building.seen(cell), assume_unique=True)) == 0:
-                return cell
-        return best
+            if not there[dy, dx] < least - 1e-9 or tried == TRIES:
+                break
+            if not len(np.setdiff1d(missed, self._building.seen(cell), assume_unique=True)):
+                tried += 1
+                if not len(self._unseen(lost, (ends[0], cell, *ends[2:]))):
+                    return cell
+        return ends[1]
 
-    def _count(self, counts: Indices, one: Cell, other: Cell, by: int) -> None:
-        """Count what is seen on the way from one stop to the next."""
-        for cell in self._building.looks(one, other):
+    def _looks(self, stops: Sequence[Cell]) -> list[Cell]:
+        """Where a robot looks on its way from the first of some stops to the last."""
+        return [cell for one, other in pairwise(stops) for cell in self._building.looks(one, other)]
+
+    def _unseen(self, cells: Indices, stops: Sequence[Cell]) -> Indices:
+        """Those of some cells that are not seen on the way from stop to stop."""
+        for cell in self._looks(stops)[::-1]:
+            if not len(cells):
+                break
+            cells = np.setdiff1d(cells, self._building.seen(cell), assume_unique=True)
+        return cells
+
+    def _count(self, counts: Indices, stops: Sequence[Cell], by: int) -> None:
+        """Count what is seen on the way from stop to stop."""
+        for cell in self._looks(stops):
             counts[self._building.seen(cell)] += by
 
 
