@@ -15,10 +15,10 @@ setup: $(VENV)/main.stamp
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); apt-get update && apt-get install -y --no-install-recommends python3-venv && $(PYTHON) -m venv $(VENV); }
 
-# Importing the processes' code compiles all kernels, once, into numba's cache.
+# Compiles all kernels, once, into numba's cache.
 $(VENV)/main.stamp: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) --editable '.[view,mcap,film]'
-	$(BIN)/python -c 'import deploy.run.processes'
+	$(BIN)/python -c 'import deploy.run.preload'
 	touch $@
 
 $(VENV)/dev.stamp: $(VENV)/main.stamp

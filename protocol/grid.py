@@ -140,3 +140,41 @@ def enlarge(grid: Grid, radius_cells: float) -> Grid:
     grown = grid.copy()
     grown[(away < (radius_cells + _REACH) ** 2) & (grid == FREE)] = OCCUPIED
     return grown
+
+
+def areas(cells: NDArray[np.bool_]) -> tuple[NDArray[np.int64], int]:
+    """Number the areas of 4-neighbours among `cells` in the order of their first cells.
+
+    Returns
+    -------
+    numbers : int64 array of the shape of `cells`
+        From 1; 0 where `cells` is false.
+    count : int
+        How many areas there are.
+    """
+    height, width = cells.shape
+    padded = np.zeros((height, width + 1), np.int8)
+    padded[:, :width] = cells
+    edges = np.diff(padded.ravel(), prepend=np.int8(0))
+    begins, ends = np.nonzero(edges == 1)[0], np.nonzero(edges == -1)[0]
+    # Runs of cells, in the order of rows: those of the row below that touch a run follow each other.
+    first = np.searchsorted(ends, begins + width + 1, side="right")
+    last = np.searchsorted(begins, ends + width + 1, side="left")
+    touched = np.maximum(last - first, 0)
+    above = np.repeat(np.arange(len(begins)), touched)
+    below = np.arange(len(above)) + np.repeat(first - np.cumsum(touched) + touched, touched)
+    root = np.arange(len(begins))
+    while True:
+        least = np.minimum(root[above], root[below])
+        before = root.copy()
+        for end in (above, below):
+            np.minimum.at(root, before[end], least)
+            np.minimum.at(root, end, least)
+        root = root[root]
+        if (root == before).all():
+            break
+    roots, numbers = np.unique(root, return_inverse=True)
+    painted = np.zeros(padded.size + 1, np.int64)
+    np.add.at(painted, begins, numbers + 1)
+    np.subtract.at(painted, ends, numbers + 1)
+    return np.cumsum(painted[:-1]).reshape(padded.shape)[:, :width], len(roots)

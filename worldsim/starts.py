@@ -6,9 +6,8 @@ from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import ndimage
 
-from protocol.grid import FREE, Grid
+from protocol.grid import FREE, Grid, areas
 from protocol.keyed_random import keyed_random
 
 Cell = tuple[int, int]
@@ -34,7 +33,7 @@ def start_cells(
     chosen = list(given[:robots])
     if len(chosen) == robots:
         return chosen
-    labels, parts = ndimage.label(truth == FREE)
+    labels, parts = areas(truth == FREE)
     if not parts:
         raise ValueError("no cell is free for robots of that radius")
     if first is None:
@@ -80,7 +79,7 @@ def moved_about(
         `cell` is not free, or no cell near it is far enough from the others.
     """
     check_free(truth, cell)
-    labels, _ = ndimage.label(truth == FREE)
+    labels, _ = areas(truth == FREE)
     ys, xs = np.nonzero(labels == labels[cell[1], cell[0]])
     near = (xs - cell[0]) ** 2 + (ys - cell[1]) ** 2 <= most * most
     for x, y in others:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from agent.planning.utility import proximity, sees
 from protocol.grid import Grid
@@ -55,6 +54,8 @@ def hungarian(costs: Costs) -> Assignment:
     if goals < robots:
         return iterative(costs)
     far = 1e6 + 1e3 * np.nanmax(np.where(np.isfinite(costs), costs, 0.0))
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415  slow to import, and few need it
+
     rows, columns = linear_sum_assignment(np.where(np.isfinite(costs), costs, far))
     given = np.full(robots, -1)
     given[rows] = np.where(np.isfinite(costs[rows, columns]), columns, -1)

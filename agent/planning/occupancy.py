@@ -11,7 +11,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from agent.planning.cost_field import Field
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
@@ -55,6 +54,8 @@ class Terrain:
     """
 
     def __init__(self, grid: Grid, floor: Grid) -> None:
+        from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
+
         table = np.zeros(256, np.float32)
         table[[UNKNOWN, FREE, OCCUPIED]] = P_UNKNOWN, P_FREE, P_OCCUPIED
         smoothed = ndimage.gaussian_filter(

@@ -46,7 +46,7 @@ def _packages() -> str:
 
 def _kernels() -> str:
     """Kernels must come from the cache: compiling them would delay a robot's first step."""
-    import deploy.run.processes  # noqa: F401, PLC0415
+    import deploy.run.preload  # noqa: F401, PLC0415
     from protocol.kernels import compiled, loaded  # noqa: PLC0415
 
     if loaded() == 0:

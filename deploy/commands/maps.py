@@ -54,14 +54,11 @@ def map_show(
     png: Annotated[Path | None, typer.Option(metavar="FILE.png", help="draw it there, with metres")] = None,
 ) -> None:
     """Show a map in the terminal, with its figures."""
-    from deploy.commands.terminal import sketch  # noqa: PLC0415
-    from deploy.scenario import plan  # noqa: PLC0415
-    from deploy.scenario.scenario import load  # noqa: PLC0415
+    from deploy.commands.sketch import sketch  # noqa: PLC0415
+    from deploy.scenario.finding_maps import find_map  # noqa: PLC0415
 
     with speaking_clearly():
-        world_map = plan.load_map(
-            load(None, {"map": file, "map_seed": seed, "map_options.resolution": resolution})
-        )
+        world_map = find_map(file, seed, {} if resolution is None else {"resolution": resolution})
         free = int((world_map.cells == 1).sum())
         screen.print(sketch(world_map.cells, screen))
         screen.print(

@@ -1,4 +1,4 @@
-"""Terminal output: progress during a run, its figures at the end, maps as text sketches."""
+"""Terminal output: progress during a run, its figures at the end."""
 
 from __future__ import annotations
 
@@ -7,31 +7,25 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.box import SIMPLE
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
-from rich.text import Text
 
 from deploy.record.records import Records
 from deploy.record.run_directory import PICTURE, PICTURES
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import UNLIMITED
-from protocol.grid import FREE, OCCUPIED, Grid
 
 Watch = Callable[[Plan, Records], object]
-
-COLORS = ("grey50", "white", "black")
-"""Colours of unknown, free and occupied cells in a sketch."""
-
-INK = {(2, 2): "█", (2, 1): "▀", (2, 0): "▀", (1, 2): "▄", (0, 2): "▄", (0, 0): "░"}
-"""Characters for an upper and a lower cell if there are no colours; free cells are blank."""
 
 
 @contextlib.contextmanager
 def progress(console: Console, *, shown: bool) -> Iterator[Watch | None]:
-    """A progress line, if `console` is a terminal: step, explored share, bytes of the budget, robots alive."""
+    """A progress line, if `console` is a terminal: step, explored share, bytes of the budget, robots alive.
+
+    It begins with the first step: until then others may have to say something, as that kernels are compiled.
+    """
     if not shown or not console.is_terminal:
         yield None
         return
@@ -46,32 +40,24 @@ def progress(console: Console, *, shown: bool) -> Iterator[Watch | None]:
         transient=True,
     )
     task: TaskID = bar.add_task("explore", total=1.0, step=0, medium="", alive=0)
-    with bar:
 
-        def watch(plan: Plan, records: Records) -> None:
-            budget = plan.scenario.bandwidth
-            of = "" if budget == UNLIMITED else f" of {budget}"
-            bar.update(
-                task,
-                completed=records.explored,
-                step=records.step,
-                medium=f"{records.carried}{of} B on the air",
-                alive=plan.scenario.robots - len(records.lost),
-            )
+    def watch(plan: Plan, records: Records) -> None:
+        if records.step:
+            bar.start()
+        budget = plan.scenario.bandwidth
+        of = "" if budget == UNLIMITED else f" of {budget}"
+        bar.update(
+            task,
+            completed=records.explored,
+            step=records.step,
+            medium=f"{records.carried}{of} B on the air",
+            alive=plan.scenario.robots - len(records.lost),
+        )
 
+    try:
         yield watch
-
-
-@contextlib.contextmanager
-def counting(console: Console, what: str, total: int) -> Iterator[Callable[[int, int], object]]:
-    """A progress line for work of known size."""
-    bar = Progress(
-        TextColumn(what), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeElapsedColumn(),
-        console=console, transient=True, disable=not console.is_terminal,
-    )  # fmt: skip
-    task = bar.add_task(what, total=total)
-    with bar:
-        yield lambda done, _: bar.update(task, completed=done)
+    finally:
+        bar.stop()
 
 
 def table(lines: list[list[str]]) -> Table:
@@ -108,23 +94,3 @@ def summary_lines(summary: dict[str, Any], directory: Path | None) -> list[str]:
         look = f"; look at {' and '.join(shown)}" if shown else ""
         lines.append(f"Everything is in {directory}{look}.")
     return lines
-
-
-def sketch(grid: Grid, console: Console) -> Text:
-    """Draw a grid with half-block characters, as wide as `console`, in colours if it supports them."""
-    scale = max(1, -(-grid.shape[1] // max(20, console.width - 1)))
-    rows, columns = grid.shape[0] // (2 * scale) * 2, grid.shape[1] // scale
-    blocks = grid[: rows * scale, : columns * scale].reshape(rows, scale, columns, scale)
-    solid = (blocks == OCCUPIED).any(axis=(1, 3))
-    free = (blocks == FREE).any(axis=(1, 3))
-    shade = np.where(solid, 2, np.where(free, 1, 0))
-    colored = console.color_system is not None and not console.no_color
-    text = Text()
-    for upper, lower in zip(shade[::2].tolist(), shade[1::2].tolist(), strict=True):
-        for pair in zip(upper, lower, strict=True):
-            if colored:
-                text.append("▀", style=f"{COLORS[pair[0]]} on {COLORS[pair[1]]}")
-            else:
-                text.append(INK.get(pair, " "))
-        text.append("\n")
-    return text

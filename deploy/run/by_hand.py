@@ -15,6 +15,7 @@ from deploy.dashboard.windows import Window
 from deploy.record import run_directory
 from deploy.record.records import LabNode, Records
 from deploy.record.wire_bytes import Meter
+from deploy.run import preload  # noqa: F401  before the process joins: others wait for it
 from deploy.run.exploration import Result, conclude
 from deploy.run.interrupt import Interrupt
 from deploy.run.launch import Outcome, attend
@@ -125,7 +126,9 @@ def serve_lab(
             directory = run_directory.create(out, plan)
             began = time.perf_counter()
             with run_directory.open_capture(directory, plan) as capture:
-                lab = LabNode(bus, Keys(read.run), scenario.robots, capture, Meter(read.hub))
+                lab = LabNode(
+                    bus, Keys(read.run), scenario.robots, plan.map.cells.shape, capture, Meter(read.hub)
+                )
 
                 def look() -> bool:
                     if watch is not None:

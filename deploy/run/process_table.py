@@ -59,7 +59,7 @@ class ProcessTable:
         self._logs = logs
         self._children: list[Child] = []
         self._context = multiprocessing.get_context("forkserver")
-        self._context.set_forkserver_preload(["deploy.run.processes"])
+        self._context.set_forkserver_preload(["deploy.run.preload"])
 
     def __enter__(self) -> Self:
         self._logs.mkdir(parents=True, exist_ok=True)
@@ -75,6 +75,13 @@ class ProcessTable:
             process = self._context.Process(target=in_background, args=(name, log, serve, *args), name=name)
             process.start()
         self._children.append(Child(name, process, log, needed))
+
+    def excuse(self, name: str) -> None:
+        """Note that a child ends before its time as asked for."""
+        for child in self._children:
+            if child.name == name:
+                child.needed = False
+        self.deaths.pop(name, None)
 
     def look(self) -> dict[str, str]:
         """Check the children; return all deaths so far."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,17 +11,16 @@ import numpy as np
 from agent.exchange import gossip
 from agent.settings import Settings
 from agent.strategies.registry import strategy
-from deploy.scenario.scenario import MAP_FILES, UNLIMITED, Scenario, ScenarioError
+from deploy.scenario.finding_maps import find_map
+from deploy.scenario.scenario import UNLIMITED, Scenario, ScenarioError
 from netshaper import medium
 from netshaper.radio import RadioSettings
 from protocol.grid import disc, enlarge
-from worldsim import generators, maps
+from worldsim import faults
 from worldsim.map_error import MapError
 from worldsim.maps import Map, to_cell
 from worldsim.starts import Cell, check_free, moved_about, start_cells
 from worldsim.world import Body, World, WorldSettings
-
-PICTURES = (".png", ".pgm")
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,14 +33,18 @@ class Plan:
     radio: RadioSettings
     minds: dict[int, dict[str, Any]]
     range_m: float
+    lives: int = 1
+    """How often a robot may begin: more than once only where robots may come back (`worldsim.faults`)."""
 
     def make_world(self) -> World:
         """The world in its initial state."""
         return World(self.map.cells, self.world)
 
 
-def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
+def make(scenario: Scenario, world_map: Map | None = None, *, lives: int = 1) -> Plan:
     """Derive the plan of a scenario, on `world_map` instead of the map that it names if one is given.
+
+    Robots may begin as often as `lives` says, or more often if the scenario restarts them more often.
 
     Raises
     ------
@@ -51,6 +53,7 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
         or for the strategy.
     """
     world_map = world_map or load_map(scenario)
+    lives = max(lives, faults.lives(scenario.faults))
     cell = world_map.resolution
     bodies = []
     for number in range(scenario.robots):
@@ -89,7 +92,7 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
         scenario.beams,
         scenario.seed,
         scenario.interference / cell,
-        tuple((death.robot, death.step) for death in scenario.death),
+        scenario.faults,
         chosen.returns(scenario.options),
         scenario.motion == "cells",
         scenario.bodies,
@@ -102,6 +105,7 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
         budget,
         scenario.exchanges,
         scenario.offers == gossip.POLICY,
+        lives,
     )
     minds = {
         number: Settings(
@@ -125,10 +129,11 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
             radii_cells=[body.radius_cells for body in bodies],
             field_of_view=bodies[number].field_of_view,
             scanner_turn=bodies[number].scanner_turn,
+            lives=lives,
         ).to_message()
         for number in range(scenario.robots)
     }
-    return Plan(scenario, world_map, world, radio, minds, range_m)
+    return Plan(scenario, world_map, world, radio, minds, range_m, lives)
 
 
 def least_range(radius_cells: float) -> float:
@@ -143,35 +148,10 @@ def least_range(radius_cells: float) -> float:
 
 def load_map(scenario: Scenario) -> Map:
     """Load the scenario's map file, or make its generated map; ScenarioError says why not."""
-    is_picture = scenario.map.endswith(PICTURES)
-    is_file = scenario.map.endswith(MAP_FILES) or Path(scenario.map).is_file()
     try:
-        if is_picture:
-            return maps.load_picture(scenario.map, **_picture_options(scenario))
-        if is_file and scenario.map_options:
-            raise MapError(f"map_options: {scenario.map} is a file; only generated maps have options")
-        if is_file:
-            return maps.load(scenario.map)
-        return generators.make(scenario.map, seed=scenario.map_seed, **scenario.map_options)
+        return find_map(scenario.map, scenario.map_seed, scenario.map_options)
     except MapError as error:
         raise ScenarioError(str(error)) from None
-    except ValueError as error:
-        raise ScenarioError(
-            f"map = {scenario.map!r}: {error}; or give the YAML file of a map, or its picture and --resolution"
-        ) from None
-
-
-def _picture_options(scenario: Scenario) -> dict[str, float]:
-    """What a picture is read with; ScenarioError if its scale is not said, or something else is."""
-    unknown = sorted(set(scenario.map_options) - {"resolution"})
-    if unknown:
-        raise ScenarioError(f"map_options.{unknown[0]}: a picture has no such option; there is: resolution")
-    if "resolution" not in scenario.map_options:
-        raise ScenarioError(
-            f"map = {scenario.map!r}: a picture does not say how large its cells are: give --resolution METRES, or the "
-            "YAML file of a map"
-        )
-    return scenario.map_options
 
 
 def _starts(scenario: Scenario, world_map: Map, radii_cells: list[float]) -> list[Cell]:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid
+from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid, areas
 from worldsim.map_error import MapError
 
 _SIXTEENTHS = 16
@@ -81,14 +81,17 @@ def enclose(cells: Grid, wall: int) -> None:
     wall : int
         How thick walls become; they close diagonally as well.
     """
-    from scipy import ndimage  # noqa: PLC0415  slow to import, and listing names needs none
-
-    near = ndimage.binary_dilation(cells == FREE, np.ones((3, 3), bool), iterations=wall)
+    near = cells == FREE
+    for _ in range(wall):
+        around = np.pad(near, 1)
+        near = around[:-2, 1:-1] | near | around[2:, 1:-1]
+        around = np.pad(near, 1)
+        near = around[1:-1, :-2] | near | around[1:-1, 2:]
     cells[near & (cells == UNKNOWN)] = OCCUPIED
-    areas, _ = ndimage.label(cells == FREE)
-    sizes = np.bincount(areas.ravel())
+    numbers, _ = areas(cells == FREE)
+    sizes = np.bincount(numbers.ravel())
     sizes[0] = 0
-    cells[(areas != sizes.argmax()) & (cells == FREE)] = OCCUPIED
+    cells[(numbers != sizes.argmax()) & (cells == FREE)] = OCCUPIED
 
 
 def fill(cells: Grid, corners: Points, state: int) -> None:

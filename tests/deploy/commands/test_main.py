@@ -88,5 +88,13 @@ def test_help_and_version_import_nothing_of_what_commands_do() -> None:
         assert done.stdout.endswith("heavy: []\n")
 
 
+@pytest.mark.parametrize("words", [("strategies",), ("map", "show", "office")])
+def test_commands_that_compute_nothing_wait_for_no_compiler(words: tuple[str, ...]) -> None:
+    code = f"import sys; from deploy.commands.main import app; app({list(words)!r}, standalone_mode=False); "
+    code += "print('heavy:', sorted({'numba', 'scipy', 'zenoh', 'pyarrow', 'polars'} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.endswith("heavy: []\n")
+
+
 def test_the_version_is_that_of_the_distribution() -> None:
     assert murmur("--version").stdout == f"murmur {version('murmur-robots')}\n"

@@ -1,0 +1,35 @@
+"""Maps as text, two cells to a character."""
+
+from __future__ import annotations
+
+import numpy as np
+from rich.console import Console
+from rich.text import Text
+
+from protocol.grid import FREE, OCCUPIED, Grid
+
+COLORS = ("grey50", "white", "black")
+"""Colours of unknown, free and occupied cells in a sketch."""
+
+INK = {(2, 2): "█", (2, 1): "▀", (2, 0): "▀", (1, 2): "▄", (0, 2): "▄", (0, 0): "░"}
+"""Characters for an upper and a lower cell if there are no colours; free cells are blank."""
+
+
+def sketch(grid: Grid, console: Console) -> Text:
+    """Draw a grid with half-block characters, as wide as `console`, in colours if it supports them."""
+    scale = max(1, -(-grid.shape[1] // max(20, console.width - 1)))
+    rows, columns = grid.shape[0] // (2 * scale) * 2, grid.shape[1] // scale
+    blocks = grid[: rows * scale, : columns * scale].reshape(rows, scale, columns, scale)
+    solid = (blocks == OCCUPIED).any(axis=(1, 3))
+    free = (blocks == FREE).any(axis=(1, 3))
+    shade = np.where(solid, 2, np.where(free, 1, 0))
+    colored = console.color_system is not None and not console.no_color
+    text = Text()
+    for upper, lower in zip(shade[::2].tolist(), shade[1::2].tolist(), strict=True):
+        for pair in zip(upper, lower, strict=True):
+            if colored:
+                text.append("▀", style=f"{COLORS[pair[0]]} on {COLORS[pair[1]]}")
+            else:
+                text.append(INK.get(pair, " "))
+        text.append("\n")
+    return text

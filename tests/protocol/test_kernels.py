@@ -1,0 +1,47 @@
+"""Kernels are compiled when they are called, once an installation, and the error stream says so."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+MODULE = """
+from protocol.kernels import compiled, kernel, loaded
+
+
+@kernel("int64(int64)")
+def twice(number):
+    return number + number
+
+
+@kernel("int64(int64)")
+def four_times(number):
+    return twice(twice(number))
+
+
+@kernel("int64(int64)")
+def unused(number):
+    return number
+"""
+CALL = "import sums; assert not sums.compiled(); print(sums.four_times(3), sums.loaded(), sums.compiled())"
+
+
+def call(folder: Path) -> subprocess.CompletedProcess[str]:
+    here = Path(__file__).parents[2]
+    more = {"PYTHONPATH": f"{folder}:{here}", "NUMBA_CACHE_DIR": str(folder / "cache")}
+    return subprocess.run(
+        [sys.executable, "-c", CALL], capture_output=True, text=True, check=True, env=os.environ | more
+    )
+
+
+def test_the_first_call_compiles_all_and_says_so_the_next_reads_the_cache(tmp_path: Path) -> None:
+    (tmp_path / "sums.py").write_text(MODULE)
+    fresh = call(tmp_path)
+    assert fresh.stdout == "12 0 3\n"
+    said = fresh.stderr.splitlines()
+    assert said == ["compiling for this machine, once: 0 of 3 kernels, now sums", "compiled 3 kernels"]
+    cached = call(tmp_path)
+    assert cached.stdout == "12 1 0\n", "only what is called is loaded"
+    assert cached.stderr == ""
