@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
-from deploy.commands.console import PAPER_WIDTH, errors, screen, speaking_clearly
+from deploy.commands.console import errors, screen, speaking_clearly
 from deploy.commands.flags import JsonFlag, family, named_values
 
 app = family()
@@ -87,11 +86,13 @@ def _league(
     as_json: bool,
 ) -> None:
     from deploy.bench import league  # noqa: PLC0415
-    from deploy.commands.terminal import counting, table  # noqa: PLC0415
+    from deploy.commands.studies import print_table  # noqa: PLC0415
+    from deploy.commands.terminal import table  # noqa: PLC0415
+    from deploy.study.progress import counting  # noqa: PLC0415
 
     contest = league.Contest(maps or ["office"], robots or [6], seeds, strategies or [], settings)
     runs: list[league.Run] = []
-    with counting(errors, "strategies", contest.tasks) as tell:
+    with counting(errors, "strategies") as tell:
         for done, found in enumerate(league.compete(contest, jobs), 1):
             runs += found
             tell(done, contest.tasks)
@@ -101,5 +102,4 @@ def _league(
     if as_json:
         print(standings.write_json())
     else:
-        paper = screen if screen.is_terminal else Console(width=PAPER_WIDTH, highlight=False)
-        paper.print(table(league.lines(standings)))
+        print_table(table(league.lines(standings)))
