@@ -5,7 +5,7 @@ robot's number does not fit into it (from 64 on), the head is of version 2, with
 
     version   u8   1           2
     frame     u8   offer, answer, data, broadcast, news (`FRAMES`)
-    verdict   u8   carried, budget, range, protocol, lost, limit, loss, damaged, full (`VERDICTS`)
+    verdict   u8   carried, budget, range, protocol, lost, mute, limit, loss, damaged, full (`VERDICTS`)
     exchange  u8
     sender    i8          i16
     receiver  i8          i16  -1 for all; another negative number is a name that no robot has

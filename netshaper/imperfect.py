@@ -143,7 +143,9 @@ class ImperfectRadio(Radio):
                     self._refuse(sender, receiver, frame, payload, "range", "")
                 elif problem:
                     self._refuse(sender, receiver, frame, payload, "protocol", problem)
-                elif receiver in self._dead:
+                elif sender in self._mute:
+                    self._refuse(sender, receiver, frame, payload, "mute", "")
+                elif receiver in self._dead or receiver in self._deaf:
                     self._refuse(sender, receiver, frame, payload, "lost", "")
                 else:
                     if target:
@@ -174,7 +176,7 @@ class ImperfectRadio(Radio):
         self._medium.carried += size
         hearers = [receiver]
         if receiver == EVERYONE:
-            hearers = [robot for robot in self._reach[sender] if robot not in self._dead]
+            hearers = self._hearers(sender)
         got: dict[int, Reception] = {}
         if frames:
             carry = self._channel.carry
@@ -230,7 +232,7 @@ class ImperfectRadio(Radio):
         out: list[Outgoing] = []
         heard: dict[int, int] = {}
         for each in sorted(now, key=lambda each: not each.broadcast):
-            if each.receiver in self._reach and each.receiver not in self._dead:
+            if each.receiver in self._reach and each.receiver not in self._dead | self._deaf:
                 out.append(Frame(each.receiver, each.sender, each.payload))
                 if not each.broadcast:
                     heard[each.receiver] = heard.get(each.receiver, 0) + 1
@@ -246,7 +248,7 @@ def _read(receiver: int, payload: bytes, settings: RadioSettings) -> tuple[int, 
         handshakes = [packets.decode(piece)[0] for piece in pieces if packets.name(piece) == Offer.name]
     except ProtocolError as error:
         return DATA, -1, str(error)
-    strange = _strange(receiver, pieces, handshakes, settings.robots)
+    strange = _strange(receiver, pieces, handshakes, settings.robots * settings.lives)
     if len(handshakes) < len(pieces):
         frame = DATA
     else:
@@ -257,7 +259,7 @@ def _read(receiver: int, payload: bytes, settings: RadioSettings) -> tuple[int, 
 
 
 def _strange(
-    receiver: int, pieces: Sequence[bytes], handshakes: Sequence[packets.AnyPacket], robots: int
+    receiver: int, pieces: Sequence[bytes], handshakes: Sequence[packets.AnyPacket], maps: int
 ) -> str:
     """Say what does not belong into a frame for one robot; nothing if it is reports and offers, then units of a map."""
     if receiver == EVERYONE:
@@ -267,7 +269,7 @@ def _strange(
     odd += [packets.name(piece) for piece in pieces if packets.name(piece) in no_units]
     if odd:
         return f"no {odd[0]} of this kind"
-    if any(each.map >= robots for each in handshakes if isinstance(each, Offer | Held | From)):
+    if any(each.map >= maps for each in handshakes if isinstance(each, Offer | Held | From)):
         return "it speaks of a robot that there is not"
     first = next((at for at, piece in enumerate(pieces) if packets.name(piece) != Offer.name), len(pieces))
     if first < len(pieces) and not any(isinstance(each, From) for each in handshakes[:first]):

@@ -7,9 +7,10 @@ from numpy.typing import NDArray
 
 from protocol.packets import ALL_KINDS
 
-CAUSES = ("", "budget", "range", "protocol", "lost", "limit", "loss", "damaged", "full")
+CAUSES = ("", "budget", "range", "protocol", "lost", "mute", "limit", "loss", "damaged", "full")
 """Why a row was not carried: no room left, receiver too far, frame malformed, a partner died in between, the sender's
-own limit. From `FIRST_ON_AIR` on why nobody heard what was on the air: lost, damaged, the hearer had its fill."""
+radio cannot send, its own limit. From `FIRST_ON_AIR` on why nobody heard what was on the air: lost, damaged, the
+hearer had its fill."""
 
 FIRST_ON_AIR = CAUSES.index("loss")
 

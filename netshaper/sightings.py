@@ -20,7 +20,7 @@ COLUMNS = 12
 `payload` the rest of it stands, and numbers as in `Sighting`."""
 
 WORDS_OF_CAUSE = (
-    "delivered", "cut by budget", "out of range", "refused", "a partner died",
+    "delivered", "cut by budget", "out of range", "refused", "a partner died", "the sender is mute",
     "beyond the sender's own limit", "lost on the air", "damaged on the air", "beyond the hearer's own limit",
 )  # fmt: skip
 """What became of a frame to one robot, in words, by the number of its verdict."""

@@ -26,9 +26,9 @@ OFFERS = (*session.POLICIES, gossip.POLICY)
 def distribution(settings: Settings) -> Session | Gossip:
     """Return the robot's end of what distributes logs; ValueError lists the policies there are."""
     if settings.offers == gossip.POLICY:
-        return Gossip(settings.robot, settings.robots)
+        return Gossip(settings.robot, settings.robots, lives=settings.lives, life=settings.life)
     kind = ConfirmedSession if settings.confirms else Session
-    return kind(settings.robot, settings.robots, settings.offers)
+    return kind(settings.robot, settings.robots, settings.offers, lives=settings.lives, life=settings.life)
 
 
 def exchange(settings: Settings) -> Exchange:

@@ -55,8 +55,10 @@ class _Frame:
 class ConfirmedSession(Session):
     """One robot's end of all connections, where only what the other says confirms."""
 
-    def __init__(self, robot: int, robots: int, policy: str = "backoff") -> None:
-        super().__init__(robot, robots, policy)
+    def __init__(
+        self, robot: int, robots: int, policy: str = "backoff", *, lives: int = 1, life: int = 0
+    ) -> None:
+        super().__init__(robot, robots, policy, lives=lives, life=life)
         self._owed: set[Pair] = set()
         """Whom one is to tell how much of which map one holds."""
         self._word: dict[Pair, int] = {}
@@ -71,11 +73,11 @@ class ConfirmedSession(Session):
 
     @cached_property
     def _wait(self) -> Table:
-        return np.full((self._robots, self._robots), LEAST_WAIT, np.int64)
+        return np.full((self._robots, len(self.logs)), LEAST_WAIT, np.int64)
 
     def retract(self, count: int) -> bool:
         """Take the last `count` units of one's own log back, if none of them has been on the air; say whether."""
-        log = self.logs[self._robot]
+        log = self.logs[self.own]
         if len(log) - count < self._aired:
             return False
         log.retract(count)
@@ -132,11 +134,11 @@ class ConfirmedSession(Session):
 
         But for those from whom no word comes (`PATIENCE`).
         """
-        held = len(self.logs[self._robot])
+        held = len(self.logs[self.own])
         if not self._peers or not held:
             return bool(self._peers)
         return all(
-            self.known[peer, self._robot] >= held or self._tries.get((peer, self._robot), 0) > PATIENCE
+            self.known[peer, self.own] >= held or self._tries.get((peer, self.own), 0) > PATIENCE
             for peer in self._peers
         )
 
@@ -181,7 +183,7 @@ class ConfirmedSession(Session):
             if end <= sent:
                 spoken.add(pair)
                 self._word.pop(pair, None)
-                if pair[1] == self._robot:
+                if pair[1] == self.own:
                     self._aired = max(self._aired, number)
         for pair in spoken:
             tries = self._tries[pair] = self._tries.get(pair, 0) + 1
@@ -200,11 +202,13 @@ class ConfirmedSession(Session):
             yield from self._take(peer, about, first, units)
             units = []
             match packets.decode(piece)[0]:
-                case Held(map, count) if map < self._robots:
+                case Held(map, count) if map < len(self.logs):
                     self._confirm((peer, map), self._unwrap(map, count))
-                case Offer(map, _) if map < self._robots:
+                case Offer(map, _) if map < len(self.logs):
+                    self._recognise(peer, map)
                     self._owe((peer, map))
-                case From(map, index) if map < self._robots:
+                case From(map, index) if map < len(self.logs):
+                    self._recognise(peer, map)
                     about, first = map, self._unwrap(map, index)
         yield from self._take(peer, about, first, units)
 
@@ -217,16 +221,32 @@ class ConfirmedSession(Session):
         held, end = len(self.logs[about]), first + len(units)
         self._owe((peer, about))
         self._learn((peer, about), end)
-        if first <= held < end and about != self._robot:
+        if first <= held < end and not self._is_mine(about):
             yield peer, about, b"".join(units[held - first :])
 
     def _owe(self, pair: Pair) -> None:
         """A peer is to be told how much one holds, unless its word about that map is not wanted."""
-        if pair[1] != self._robot and pair not in self.refused:
+        if not self._is_mine(pair[1]) and pair not in self.refused:
             self._owed.add(pair)
+
+    def _is_mine(self, about: int) -> bool:
+        """Whether a map is one's own, of this life or of one to come."""
+        return about % self._robots == self._robot and about >= self.own
+
+    def _recognise(self, peer: int, about: int) -> None:
+        """Who speaks of the map of a new life of its own has begun anew: nothing that it said before holds."""
+        known = int(self._own_maps[peer])
+        super()._recognise(peer, about)
+        if self._own_maps[peer] != known:
+            self._wait[peer] = LEAST_WAIT
+            for table in (self._word, self._spoken, self._tries):
+                for pair in [pair for pair in table if pair[0] == peer]:
+                    del table[pair]
 
     def _confirm(self, pair: Pair, held: int) -> None:
         """A peer says how much it holds of a map."""
+        if self._lives > 1:
+            self.known[pair] = 0  # an older word may come late, of a life that held more
         self._learn(pair, held)
         self._word[pair] = self._now
         self._tries.pop(pair, None)
@@ -237,8 +257,8 @@ class ConfirmedSession(Session):
 
     def _learn(self, pair: Pair, held: int) -> None:
         """A peer holds so many units of a map, or more; of one's own map nobody holds more than oneself."""
-        if pair[1] == self._robot:
-            held = min(held, len(self.logs[self._robot]))
+        if pair[1] == self.own:
+            held = min(held, len(self.logs[self.own]))
         self.known[pair] = max(int(self.known[pair]), held)
 
     def _unwrap(self, about: int, index: int) -> int:

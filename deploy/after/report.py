@@ -52,6 +52,7 @@ UNDELIVERED = {
     "range": "the receiver was out of range",
     "protocol": "they were malformed or out of turn",
     "lost": "the other robot had died",
+    "mute": "the sender's radio could not send",
     "limit": "the sender had said as much as it can",
     "loss": "they were lost on the air",
     "damaged": "they were damaged on the air",

@@ -6,10 +6,10 @@
 local murmur = Proto("murmur", "Murmur radio")
 
 local FRAMES = { [0] = "offer", [1] = "answer", [2] = "data", [3] = "broadcast", [4] = "news" }
-local VERDICTS = { [0] = "carried", [1] = "budget", [2] = "range", [3] = "protocol", [4] = "lost",
-  [5] = "limit", [6] = "loss", [7] = "damaged", [8] = "full" }
+local VERDICTS = { [0] = "carried", [1] = "budget", [2] = "range", [3] = "protocol", [4] = "lost", [5] = "mute",
+  [6] = "limit", [7] = "loss", [8] = "damaged", [9] = "full" }
 -- From here on a verdict says why nobody heard what was on the air.
-local FIRST_ON_AIR = 6
+local FIRST_ON_AIR = 7
 local FULL_SCAN, SHORT_SCAN, SCAN = 0xF1, 0xF2, 63
 local LOOK, LAST_LOOK, LOOK_DATA = 0xF4, 0xF5, 8
 
