@@ -20,6 +20,7 @@ from protocol.errors import ProtocolError
 from protocol.fields import clip
 from protocol.keys import Keys
 from protocol.messages import (
+    Back,
     Begin,
     Bye,
     End,
@@ -30,6 +31,7 @@ from protocol.messages import (
     Record,
     Said,
     Stop,
+    Strike,
     Watched,
     pack,
 )
@@ -101,9 +103,8 @@ class RelayNode:
         name = names.robot(robot)
         if name in self._present:
             self._present.discard(name)
-            lost = pack(Lost(robot, cause))
-            self._bus.put(self._keys.control(names.WORLD, names.RELAY), lost)
             self._report(Lost(robot, cause))
+            self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Lost(robot, cause)))
             self._send(self._radio.lost(robot))
 
     def _presence(self, who: str, *, came: bool) -> None:
@@ -118,6 +119,8 @@ class RelayNode:
             if not self._begun and self._expected <= self._present:
                 self._begun = True
                 self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Begin()))
+            elif self._begun and who[:1] == "r":
+                self._come_back(names.number(who))
         elif self.going_home or not (self._begun or who in (names.WORLD, names.LAB)):
             self._present.discard(who)
         elif who == names.WORLD:
@@ -130,6 +133,12 @@ class RelayNode:
         else:
             self.give_up_on(names.number(who), "its process ended")
 
+    def _come_back(self, robot: int) -> None:
+        """A robot that was gone has joined again; it takes part from the next step on."""
+        self._radio.back(robot)
+        self._report(Back(robot))
+        self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Back(robot)))
+
     def _control(self, sender: str, message: Message) -> None:
         try:
             said = rights.read(*message)
@@ -140,10 +149,10 @@ class RelayNode:
             self._send(self._radio.said(names.number(sender), said))
         elif isinstance(said, Positions):
             cells = dict(zip(said.robots, zip(said.x, said.y, strict=True), strict=True))
-            self._send(self._radio.begin(said.step, cells))
+            self._send(self._radio.begin(said.step, cells, said.mute, said.deaf))
         elif isinstance(said, End):
             self._end(said)
-        elif isinstance(said, Stop):
+        elif isinstance(said, Stop | Strike):
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), message.payload)
         elif isinstance(said, Bye):
             self._go_home()

@@ -97,7 +97,7 @@ def digest(records: Records) -> str:
 
 def _coverage(records: Records, reachable: Mask) -> float:
     """What the team has seen, by its own grids; if a robot was lost with its grid, by the world's report."""
-    if not records.own or records.lost:
+    if not records.own or not records.is_whole:
         return records.explored
     team = np.zeros(reachable.shape, np.bool_)
     for grid in records.own.values():
@@ -107,7 +107,7 @@ def _coverage(records: Records, reachable: Mask) -> float:
 
 def _overlap(records: Records, reachable: Mask) -> float | None:
     """Cells that more than one robot has seen itself, over cells seen; None where not all have told their grids."""
-    if not records.own or records.lost:
+    if not records.own or not records.is_whole:
         return None
     seen = np.zeros(reachable.shape, np.int64)
     for grid in records.own.values():
