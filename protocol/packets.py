@@ -200,8 +200,16 @@ class Near(Packet):
 class Gone(Packet):
     """Gossip: `robot` has left the sender's range."""
 
-    name, size, code, code_bits, bits = "conn", 2, 0xFA, 8, (8,)
+    name, size, code, code_bits, bits = "conn", 2, 0xFE, 8, (8,)
     robot: int
+
+
+@dataclass(frozen=True, slots=True)
+class Check(Packet):
+    """The checksum at the end of a frame, over all before it; put there by radios whose frames can be damaged."""
+
+    name, size, code, code_bits, bits = "sum", 3, 0xFA, 8, (16,)
+    sum: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,6 +262,9 @@ class Look(Packet):
     data: bytes
 
 
+SHORT_HEAD = 2
+"""Bytes before the content of packets that say how long they are."""
+
 FRAGMENT_DATA = Fragment.size - 1
 """Bytes of content in a full fragment."""
 _FULL, _SHORT = 0xF1, 0xF2
@@ -270,11 +281,11 @@ VertexEdit = Insert | Replace | Delete
 Edit = Insert | Replace | Delete | Emerge | Change | Remove | Save
 Handshake = Offer | Answer | Block | Decline
 Gossip = From | FromEarly | Held | HeldEarly | Near | Gone
-AnyPacket = Edit | Handshake | Gossip | Target | Pose | Fragment | Look
+AnyPacket = Edit | Handshake | Gossip | Check | Target | Pose | Fragment | Look
 
 _TYPES: tuple[type[Packet], ...] = (
     Insert, Replace, Delete, Emerge, Change, Remove, Offer, Answer, Block, Decline, Target, Save, Pose,
-    From, FromEarly, Held, HeldEarly, Near, Gone,
+    From, FromEarly, Held, HeldEarly, Near, Gone, Check,
 )  # fmt: skip
 
 HANDSHAKE_SIZE = 3 * Answer.size
@@ -283,7 +294,7 @@ HANDSHAKE_SIZE = 3 * Answer.size
 KINDS = ("ins", "rep", "del", "em", "chg", "rm", "conn", "targ", "save")
 """The nine kinds of Table 6.1."""
 
-ALL_KINDS = (*KINDS, Fragment.name, Pose.name, Look.name)
+ALL_KINDS = (*KINDS, Fragment.name, Pose.name, Look.name, Check.name)
 """All kinds that may be on the air, in the order of reports."""
 
 _RIM = 1

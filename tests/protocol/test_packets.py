@@ -24,6 +24,7 @@ from protocol.packets import (
     AnyPacket,
     Block,
     Change,
+    Check,
     Decline,
     Decoder,
     Delete,
@@ -79,6 +80,7 @@ LIMITS: dict[type[Packet], dict[str, tuple[int, int]]] = {
     HeldEarly: {"map": (0, 255), "index": (0, 255)},
     Near: {"robot": (0, 255)},
     Gone: {"robot": (0, 255)},
+    Check: {"sum": (0, 2**16 - 1)},
 }
 """First and last value of each field of each packet."""
 
@@ -104,6 +106,7 @@ EXAMPLES: list[AnyPacket] = [
     HeldEarly(5, 255),
     Near(7),
     Gone(130),
+    Check(0x29B1),
     Look(None, bytes(range(8))),
     Look(2, b"surprise"),
     Look(3, b""),
@@ -165,20 +168,22 @@ def by_the_book(packet: AnyPacket) -> str:
         case FromEarly() | HeldEarly():
             said = f"{'11111011' if isinstance(packet, FromEarly) else '11111101'}{packet.map:08b}{packet.index:08b}"
         case Near() | Gone():
-            said = f"{'11111001' if isinstance(packet, Near) else '11111010'}{packet.robot:08b}"
+            said = f"{'11111001' if isinstance(packet, Near) else '11111110'}{packet.robot:08b}"
+        case Check():
+            said = f"11111010{packet.sum:016b}"
     return said
 
 
 @pytest.mark.parametrize("kind", LIMITS, ids=lambda kind: kind.__name__)
 def test_a_packet_is_as_long_as_table_6_1_says(kind: type[Packet]) -> None:
     packet = kind(*(low for low, _ in LIMITS[kind].values()))
-    longer = {Pose: 4, From: 5, FromEarly: 3, Held: 5, HeldEarly: 3}
+    longer = {Pose: 4, From: 5, FromEarly: 3, Held: 5, HeldEarly: 3, Check: 3}
     assert len(encode([packet])) == kind.size == (longer[kind] if kind in longer else SIZES[kind.name])
 
 
-def test_the_nine_kinds_are_those_of_table_6_1_and_scans_poses_and_looks_come_on_top() -> None:
+def test_the_nine_kinds_are_those_of_table_6_1_and_scans_poses_looks_and_sums_come_on_top() -> None:
     assert set(KINDS) == set(SIZES)
-    assert (*KINDS, "scan", "pose", "look") == ALL_KINDS
+    assert (*KINDS, "scan", "pose", "look", "sum") == ALL_KINDS
 
 
 @pytest.mark.parametrize(("size", "on_air"), [(1, 3), (62, 64), (63, 64)])
@@ -327,7 +332,7 @@ def test_a_short_fragment_of_an_impossible_length_is_refused_at_once(size: int) 
         list(Decoder().feed(bytes([0xF2, size])))
 
 
-@pytest.mark.parametrize("first", [0xFE, 0xFF])
+@pytest.mark.parametrize("first", [0xFF])
 def test_a_byte_with_which_no_packet_begins_is_named(first: int) -> None:
     with pytest.raises(ProtocolError, match=rf"packet at byte 3: no packet begins with {first:#04x}"):
         decode(encode([Target(1, 1)]) + bytes([first, 0, 0]))
