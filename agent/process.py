@@ -43,7 +43,8 @@ class AgentNode:
         self._keys = keys
         self._number = number
         self._name = names.robot(number)
-        self._robot: Robot | None = None
+        self.robot: Robot | None = None
+        """The control logic, once it has been told its task."""
         self._speaks_at: dict[str, int] = {}
         """Who speaks under each key of the radio that has been heard."""
         self._frames: list[tuple[int, bytes]] = []
@@ -63,7 +64,7 @@ class AgentNode:
             return
         said = unpack(payload)
         if isinstance(said, Configure):
-            self._robot = Robot(Settings.from_message(said.settings))
+            self.robot = Robot(Settings.from_message(said.settings))
         elif isinstance(said, Watched):
             self._viewer_feed = ViewerFeed() if said.here else None
         elif isinstance(said, End):
@@ -71,8 +72,8 @@ class AgentNode:
             self._hand_in_maps()
         elif isinstance(said, Bye):
             self.done = True
-        elif self._robot is not None:
-            self._act(self._robot, said, message)
+        elif self.robot is not None:
+            self._act(self.robot, said, message)
 
     def _act(self, robot: Robot, said: object, message: Message) -> None:
         began = time.perf_counter()
@@ -147,9 +148,9 @@ class AgentNode:
         return frames
 
     def _hand_in_maps(self) -> None:
-        if self._robot is not None:
-            height, width = self._robot.own.shape
-            own, planning = self._robot.own.tobytes(), self._robot.planning.tobytes()
+        if self.robot is not None:
+            height, width = self.robot.own.shape
+            own, planning = self.robot.own.tobytes(), self.robot.planning.tobytes()
             maps = Maps(self._number, width, height, own, planning)
             self._bus.put(self._keys.control(names.LAB, self._name), pack(maps))
 
@@ -172,6 +173,6 @@ class AgentNode:
 
     def _show(self, step: int) -> None:
         """Send the viewer, if there is one, the changes of the robot's maps."""
-        if self._viewer_feed is not None and self._robot is not None:
-            for news in self._viewer_feed.news(step, self._robot):
+        if self._viewer_feed is not None and self.robot is not None:
+            for news in self._viewer_feed.news(step, self.robot):
                 self._bus.put(self._keys.control(names.VIEW, self._name), pack(news))

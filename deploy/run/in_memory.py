@@ -24,6 +24,122 @@ class Node(Protocol):
         """Take one message from the bus."""
 
 
+Fell = Callable[[str, Exception], object]
+"""Called with a robot's name, and with what its code raised."""
+
+
+class MemoryRun:
+    """A run in this process, from its first step to its last.
+
+    Parameters
+    ----------
+    plan : Plan
+    capture : binary file, optional
+        Takes the frames (`deploy.record.records`).
+    wrap : callable
+        May lay something around each participant's end of the bus.
+    view : Node, optional
+        A viewer.
+    wait : callable
+        The world's pace.
+    fell : callable, optional
+        Called when a robot's code raises: that robot is lost then, as a process of its own would be. Without it the
+        exception goes to the caller.
+
+    Attributes
+    ----------
+    robots : list of AgentNode
+    records : Records
+        What the laboratory has been told so far.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        capture: BinaryIO | None = None,
+        *,
+        wrap: Callable[[str, Bus], Bus] = lambda _, bus: bus,
+        view: Node | None = None,
+        wait: Callable[[], object] = lambda: None,
+        fell: Fell | None = None,
+    ) -> None:
+        minds = [names.robot(number) for number in range(plan.scenario.robots)]
+        watching = [names.VIEW] if view is not None else []
+        self._fell = fell
+        self._hub = MemoryHub("memory", [names.RELAY, names.WORLD, names.LAB, *minds, *watching])
+        keys = self._hub.keys
+        self._buses: dict[str, Bus] = {}
+        for name in (names.RELAY, *watching, names.LAB, names.WORLD, *minds):
+            self._buses[name] = wrap(name, self._hub.join(name))
+        self._lab = LabNode(self._buses[names.LAB], keys, plan.scenario.robots, capture)
+        world = WorldNode(
+            self._buses[names.WORLD],
+            keys,
+            plan.make_world(),
+            plan.minds,
+            plan.scenario.steps,
+            1000 * plan.map.resolution,
+            wait=wait,
+        )
+        self.robots = [AgentNode(self._buses[name], keys, number) for number, name in enumerate(minds)]
+        self._nodes: dict[str, Node] = {
+            names.RELAY: RelayNode(self._buses[names.RELAY], keys, plan.radio),
+            names.WORLD: world,
+            names.LAB: self._lab,
+            **dict(zip(minds, self.robots, strict=True)),
+        }
+        if view is not None:
+            self._nodes[names.VIEW] = view
+
+    @property
+    def records(self) -> Records:
+        """What the laboratory has been told so far."""
+        return self._lab.records
+
+    def steps(self, heed: Callable[[LabNode], object] = lambda _: None) -> Iterator[int]:
+        """Go on, and yield each step that is over, from 0, the time before the first.
+
+        All has been told of it then, the world has opened the next one, and no robot knows of that.
+        `heed` may end the run early (`deploy.run.interrupt`).
+        """
+        over = -1
+        while not self._is_done():
+            spoke = False
+            heed(self._lab)
+            for name in self._hub.in_turn():
+                spoke |= self._take_turn(name)
+                if name == names.LAB and self._last_step() > over:
+                    over = self._last_step()
+                    yield over
+            if not spoke and not self._is_done():
+                raise RuntimeError("the run stands still: everyone waits for someone")
+
+    def _take_turn(self, name: str) -> bool:
+        """Let a participant take its messages; whether there were any."""
+        node, bus = self._nodes[name], self._buses[name]
+        spoke = False
+        try:
+            for message in _waiting(bus):
+                spoke = True
+                node.handle(message)
+        except Exception as error:
+            if self._fell is None or not isinstance(node, AgentNode):
+                raise
+            self._fell(name, error)
+            node.done = True
+        if node.done:
+            bus.close()
+        return spoke
+
+    def _last_step(self) -> int:
+        """The last step that is over: the one before the one that the world has opened, or the end's."""
+        records = self._lab.records
+        return records.end.step if records.end is not None else records.step - 1
+
+    def _is_done(self) -> bool:
+        return all(node.done for node in self._nodes.values())
+
+
 def run(
     plan: Plan,
     watch: Callable[[Records], object] | None = None,
@@ -33,57 +149,16 @@ def run(
     wrap: Callable[[str, Bus], Bus] = lambda _, bus: bus,
     view: Node | None = None,
     wait: Callable[[], object] = lambda: None,
+    fell: Fell | None = None,
 ) -> Records:
-    """Run a plan to its end.
-
-    `watch` is called once a step, `capture` takes the frames (`deploy.record.records`), `heed` may end the run early
-    (`deploy.run.interrupt`), `wrap` may lay something around each participant's end of the bus; `view` is a viewer,
-    `wait` the world's pace.
-    """
-    robots = plan.scenario.robots
-    minds = [names.robot(number) for number in range(robots)]
-    watching = [names.VIEW] if view is not None else []
-    hub = MemoryHub("memory", [names.RELAY, names.WORLD, names.LAB, *minds, *watching])
-    keys = hub.keys
-    buses: dict[str, Bus] = {}
-    for name in (names.RELAY, *watching, names.LAB, names.WORLD, *minds):
-        buses[name] = wrap(name, hub.join(name))
-    lab = LabNode(buses[names.LAB], keys, robots, capture)
-    world = WorldNode(
-        buses[names.WORLD],
-        keys,
-        plan.make_world(),
-        plan.minds,
-        plan.scenario.steps,
-        1000 * plan.map.resolution,
-        wait=wait,
-    )
-    nodes: dict[str, Node] = {
-        names.RELAY: RelayNode(buses[names.RELAY], keys, plan.radio),
-        names.WORLD: world,
-        names.LAB: lab,
-    }
-    for number, name in enumerate(minds):
-        nodes[name] = AgentNode(buses[name], keys, number)
-    if view is not None:
-        nodes[names.VIEW] = view
-    step = 0
-    while not all(node.done for node in nodes.values()):
-        spoke = False
-        heed(lab)
-        for name in hub.in_turn():
-            node, bus = nodes[name], buses[name]
-            for message in _waiting(bus):
-                node.handle(message)
-                spoke = True
-            if node.done:
-                bus.close()
-        if not spoke and not all(node.done for node in nodes.values()):
-            raise RuntimeError("the run stands still: everyone waits for someone")
-        if watch is not None and lab.records.step > step:
-            step = lab.records.step
-            watch(lab.records)
-    return lab.records
+    """Run a plan to its end; `watch` is called whenever a step has been opened, the rest is as for `MemoryRun`."""
+    under_way = MemoryRun(plan, capture, wrap=wrap, view=view, wait=wait, fell=fell)
+    opened = 0
+    for _ in under_way.steps(heed):
+        if watch is not None and under_way.records.step > opened:
+            opened = under_way.records.step
+            watch(under_way.records)
+    return under_way.records
 
 
 def _waiting(bus: Bus) -> Iterator[Message]:
