@@ -5,12 +5,16 @@ from __future__ import annotations
 import time
 
 from agent.exchange.gossip import EVERYONE
+from agent.identity import Identity
+from agent.journal import Journal
 from agent.robot import Robot
 from agent.settings import Settings
 from agent.viewer_feed import SHOWN_EVERY, ViewerFeed
 from protocol import keys as names
+from protocol import rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
+from protocol.fields import clip
 from protocol.keys import Keys
 from protocol.messages import (
     Bye,
@@ -25,26 +29,31 @@ from protocol.messages import (
     Record,
     Said,
     Sense,
+    Strike,
     Turn,
     Watched,
     pack,
-    unpack,
 )
 
 UNLIMITED = -1
 
 
 class AgentNode:
-    """One robot's process; `done` once it has been told to shut down."""
+    """One robot's process; `done` once it has been told to shut down, or has been `killed`.
 
-    def __init__(self, bus: Bus, keys: Keys, number: int) -> None:
+    A robot that may begin more than once needs a journal (`agent.identity`).
+    """
+
+    def __init__(self, bus: Bus, keys: Keys, number: int, journal: Journal | None = None) -> None:
         self.done = False
+        self.killed = False
+        """Whether it is to end at once, without another word."""
+        self._identity = Identity(journal) if journal is not None else None
         self._bus = bus
         self._keys = keys
         self._number = number
         self._name = names.robot(number)
         self.robot: Robot | None = None
-        """The control logic, once it has been told its task."""
         self._speaks_at: dict[str, int] = {}
         """Who speaks under each key of the radio that has been heard."""
         self._frames: list[tuple[int, bytes]] = []
@@ -55,6 +64,8 @@ class AgentNode:
 
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
+        if self.killed:
+            return
         key, payload = message
         sender = self._speaks_at.get(key)
         if sender is None and names.parts(key)[0] == "radio":
@@ -62,9 +73,17 @@ class AgentNode:
         if sender is not None:
             self._frames.append((sender, payload))
             return
-        said = unpack(payload)
+        try:
+            self._take(rights.read(key, payload), message)
+        except ProtocolError as error:
+            self._fault(str(error))
+
+    def _take(self, said: object, message: Message) -> None:
+        """Take what relay or world says."""
         if isinstance(said, Configure):
-            self.robot = Robot(Settings.from_message(said.settings))
+            self._begin(Settings.from_message(said.settings))
+        elif isinstance(said, Strike):
+            self.killed = self.done = True
         elif isinstance(said, Watched):
             self._viewer_feed = ViewerFeed() if said.here else None
         elif isinstance(said, End):
@@ -75,11 +94,22 @@ class AgentNode:
         elif self.robot is not None:
             self._act(self.robot, said, message)
 
+    def _begin(self, settings: Settings) -> None:
+        """Begin a life; if there was one before, all of it but the journal is gone."""
+        if self._identity is not None:
+            settings = self._identity.begin(settings)
+        self.robot = Robot(settings)
+        self._frames.clear()
+        self._early = None
+        self._step = 0
+
     def _act(self, robot: Robot, said: object, message: Message) -> None:
         began = time.perf_counter()
         if isinstance(said, Sense):
             self._step = said.step
             self._work = 0.0
+            if self._identity is not None:
+                self._identity.settle(said.x, said.y)
             robot.perceive(said)
         elif isinstance(said, Open) and said.step > self._step:
             self._early = message  # the world's message has not arrived yet
@@ -132,7 +162,9 @@ class AgentNode:
         work = round(1e6 * (self._work + time.perf_counter() - began))
         x, y = robot.target or (-1, -1)
         backlog = robot.session.undelivered()
-        report = MindReport(self._step, x, y, robot.known_cells, robot.error(), backlog, robot.status, work)
+        exact = robot.exact_error()
+        errors = robot.error(), -1 if exact is None else exact
+        report = MindReport(self._step, x, y, robot.known_cells, *errors, backlog, robot.status, work)
         self._report(report)
         self._bus.put(self._keys.body(names.WORLD, self._name), pack(move))
         if self._step % SHOWN_EVERY == 0:
@@ -162,7 +194,7 @@ class AgentNode:
             self._bus.put(key, payload)
 
     def _fault(self, what: str) -> None:
-        self._report(Fault(self._name, what))
+        self._report(Fault(self._name, clip(what)))
 
     def _report(self, message: Record) -> None:
         """Tell the laboratory, and the viewer if there is one."""

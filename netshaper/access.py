@@ -2,7 +2,7 @@
 
 Credentials are new for each run. A robot may put under its own name only and receive only what is addressed to it;
 it sees no subscriptions except those of relay, world, laboratory and viewer, so that it cannot even find another
-robot to reach without the relay.
+robot to reach without the relay. Who may say anything to whom stands in `protocol.rights`.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import secrets
 from typing import Any
 
 from protocol import keys as names
+from protocol import rights
 from protocol.keys import Keys
 from protocol.zenoh_bus import Credential
 
@@ -36,11 +37,16 @@ def rules(keys: Keys, robots: int, by: str = PASSWORDS) -> dict[str, Any]:
     for name in everyone:
         inbox = keys.inbox(name)
         allowed = {
-            "put": ("put", "ingress", _may_put(keys, name)),
+            "put": ("put", "ingress", rights.may_put(keys, name)),
             "hear": ("put", "egress", [inbox]),
             "listen": ("declare_subscriber", "ingress", [inbox]),
             "live": ("liveliness_token", "ingress", [keys.alive(name)]),
-            "see": ("declare_subscriber", "egress", _may_see(keys, name, everyone)),
+            # Without it that a subscription is declared to a participant, its client sends nothing.
+            "see": (
+                "declare_subscriber",
+                "egress",
+                [keys.inbox(other) for other in rights.hearers(name, everyone)],
+            ),
         }
         rules = [
             {
@@ -57,26 +63,3 @@ def rules(keys: Keys, robots: int, by: str = PASSWORDS) -> dict[str, Any]:
         config["subjects"].append({"id": name, by: [name]})
         config["policies"].append({"rules": [rule["id"] for rule in rules], "subjects": [name]})
     return config
-
-
-def _may_put(keys: Keys, name: str) -> list[str]:
-    if name == names.VIEW:
-        return []
-    if name == names.LAB:
-        return [keys.control_tx(name)]
-    reports = [keys.control_tx(name), keys.control(names.LAB, name), keys.control(names.VIEW, name)]
-    if name == names.WORLD:
-        return [*reports, keys.body("*", name)]
-    return [*reports, keys.radio_tx(name, "*"), keys.body(names.WORLD, name)]
-
-
-def _may_see(keys: Keys, name: str, everyone: list[str]) -> list[str]:
-    """Subscriptions that are declared to a participant: without that, its client sends nothing."""
-    relay = keys.inbox(names.RELAY)
-    if name == names.VIEW:
-        return []
-    if name == names.LAB:
-        return [relay]
-    if name == names.WORLD:
-        return [relay, *(keys.inbox(other) for other in everyone if other != name)]
-    return [relay, keys.inbox(names.WORLD), keys.inbox(names.LAB), keys.inbox(names.VIEW)]

@@ -14,10 +14,13 @@ from netshaper.ledger import EVERYONE
 from netshaper.medium import Medium
 from netshaper.radio import Frame, Outgoing, Radio, RadioSettings
 from protocol import keys as names
+from protocol import rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
+from protocol.fields import clip
 from protocol.keys import Keys
 from protocol.messages import (
+    Back,
     Begin,
     Bye,
     End,
@@ -28,9 +31,9 @@ from protocol.messages import (
     Record,
     Said,
     Stop,
+    Strike,
     Watched,
     pack,
-    unpack,
 )
 
 _RECEIVER = itemgetter(0)
@@ -79,29 +82,29 @@ class RelayNode:
         if ends is not None:
             self._radio.hear(*ends, payload)
         else:
-            self._take(key, payload)
+            self._take(message)
         if self._radio.faults:
             self._report_faults()
         self.done = self.going_home and not self._present
 
-    def _take(self, key: str, payload: bytes) -> None:
+    def _take(self, message: Message) -> None:
         """Take what no robot says to another."""
+        key, payload = message
         plane, _, first, _ = names.parts(key)
         if plane == "radio":
             self._radio.hear(names.number(first), NOBODY, payload)
         elif plane == "presence":
             self._presence(first, came=payload == b"1")
         else:
-            self._control(first, payload)
+            self._control(first, message)
 
     def give_up_on(self, robot: int, cause: str) -> None:
         """Continue without a robot."""
         name = names.robot(robot)
         if name in self._present:
             self._present.discard(name)
-            lost = pack(Lost(robot, cause))
-            self._bus.put(self._keys.control(names.WORLD, names.RELAY), lost)
             self._report(Lost(robot, cause))
+            self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Lost(robot, cause)))
             self._send(self._radio.lost(robot))
 
     def _presence(self, who: str, *, came: bool) -> None:
@@ -116,6 +119,8 @@ class RelayNode:
             if not self._begun and self._expected <= self._present:
                 self._begun = True
                 self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Begin()))
+            elif self._begun and who[:1] == "r":
+                self._come_back(names.number(who))
         elif self.going_home or not (self._begun or who in (names.WORLD, names.LAB)):
             self._present.discard(who)
         elif who == names.WORLD:
@@ -128,25 +133,29 @@ class RelayNode:
         else:
             self.give_up_on(names.number(who), "its process ended")
 
-    def _control(self, sender: str, payload: bytes) -> None:
+    def _come_back(self, robot: int) -> None:
+        """A robot that was gone has joined again; it takes part from the next step on."""
+        self._radio.back(robot)
+        self._report(Back(robot))
+        self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Back(robot)))
+
+    def _control(self, sender: str, message: Message) -> None:
         try:
-            message = unpack(payload)
+            said = rights.read(*message)
         except ProtocolError as error:
             self._fault(sender, str(error))
             return
-        if isinstance(message, Said) and sender[:1] == "r":
-            self._send(self._radio.said(names.number(sender), message))
-        elif isinstance(message, Positions) and sender == names.WORLD:
-            cells = dict(zip(message.robots, zip(message.x, message.y, strict=True), strict=True))
-            self._send(self._radio.begin(message.step, cells))
-        elif isinstance(message, End) and sender == names.WORLD:
-            self._end(message)
-        elif isinstance(message, Stop) and sender == names.LAB:
-            self._bus.put(self._keys.control(names.WORLD, names.RELAY), payload)
-        elif isinstance(message, Bye) and sender == names.LAB:
+        if isinstance(said, Said):
+            self._send(self._radio.said(names.number(sender), said))
+        elif isinstance(said, Positions):
+            cells = dict(zip(said.robots, zip(said.x, said.y, strict=True), strict=True))
+            self._send(self._radio.begin(said.step, cells, said.mute, said.deaf))
+        elif isinstance(said, End):
+            self._end(said)
+        elif isinstance(said, Stop | Strike):
+            self._bus.put(self._keys.control(names.WORLD, names.RELAY), message.payload)
+        elif isinstance(said, Bye):
             self._go_home()
-        else:
-            self._fault(sender, f"said {type(message).__name__}, which is not its to say")
 
     def _break_off(self, reason: str) -> None:
         if not self._ended:
@@ -188,7 +197,7 @@ class RelayNode:
         self._radio.faults.clear()
 
     def _fault(self, who: str, reason: str) -> None:
-        self._report(Fault(who, reason))
+        self._report(Fault(who, clip(reason)))
 
     def _report(self, message: Record) -> None:
         """Tell the laboratory, and the viewer if there is one; frames on the air are only for the former."""

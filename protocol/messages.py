@@ -1,19 +1,61 @@
 """What is said on the body and control planes: frozen records in msgpack.
 
-A message is a msgpack list: its number, then its fields in order. Cells go as little-endian
-int16 pairs (`cells_to_bytes`), readings as little-endian uint16 (`protocol.scans`), grids at two bits a cell.
+A message is a msgpack list: its number, then its fields in order. The type of a field says all that it may be
+(`protocol.fields`), so that nothing is read that is not a message, and none is longer than its kind can be. Who may
+say which of them stands in `protocol.rights`.
+
+Cells go as little-endian int16 pairs (`cells_to_bytes`), readings as little-endian uint16 (`protocol.scans`), grids at
+two bits a cell.
 """
 
 from __future__ import annotations
 
-from typing import Any, TypeVar, Union
+from collections.abc import Callable
+from functools import partial
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 import numpy as np
+from msgspec import inspect
 from numpy.typing import NDArray
 
 from protocol.errors import ProtocolError
+from protocol.fields import (
+    Books,
+    CellCount,
+    CellCountOrNone,
+    Cells,
+    ConnectionBytes,
+    ConnectionMaps,
+    Connections,
+    Coordinate,
+    CoordinateOrNone,
+    Coordinates,
+    Count,
+    CountOrNone,
+    Distances,
+    Eighths,
+    Exchange,
+    Poses,
+    Readings,
+    RobotNumber,
+    RobotNumbers,
+    RobotOrNone,
+    SideLength,
+    Step,
+    StepOrNone,
+    Text,
+    Thousandths,
+    Urgency,
+    Vertices,
+    WayCells,
+    WayPoints,
+    Word,
+)
 from protocol.grid import Grid
+
+MOST_SETTINGS = 1 << 20
+"""Bytes of a robot's settings, as a message."""
 
 
 class Record(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
@@ -38,15 +80,19 @@ class Sense(Record, tag=2, frozen=True):
     `offset_y`: where in its cell it is, in thousandths of a cell from the centre.
     """
 
-    step: int
-    x: int
-    y: int
-    heading: int
-    driven: bytes
-    readings: bytes
-    blocked: str
-    offset_x: int = 0
-    offset_y: int = 0
+    step: Step
+    x: Coordinate
+    y: Coordinate
+    heading: Eighths
+    driven: WayCells
+    readings: Readings
+    blocked: Text
+    offset_x: Thousandths = 0
+    offset_y: Thousandths = 0
+
+    def __post_init__(self) -> None:
+        if len(self.driven) % 4 or len(self.readings) % 2:
+            raise ValueError(f"{len(self.driven)} and {len(self.readings)} bytes are not cells and readings")
 
 
 class Move(Record, tag=3, frozen=True):
@@ -57,22 +103,34 @@ class Move(Record, tag=3, frozen=True):
     there are any, are way points to drive along instead of cells (`points_to_bytes`).
     """
 
-    step: int
-    path: bytes
-    heading: int
+    step: Step
+    path: WayCells
+    heading: Eighths
     explored: bool
     look: bool = True
     stalled: bool = False
-    points: bytes = b""
+    points: WayPoints = b""
+
+    def __post_init__(self) -> None:
+        if len(self.path) % 4 or len(self.points) % 8:
+            raise ValueError(
+                f"{len(self.path)} and {len(self.points)} bytes are not pairs of int16 and of int32"
+            )
 
 
 class Positions(Record, tag=4, frozen=True):
-    """World to relay, once a step: the cells in which the robots really are."""
+    """World to relay, once a step: the cells in which the robots really are, and whose radios cannot send or hear."""
 
-    step: int
-    robots: list[int]
-    x: list[int]
-    y: list[int]
+    step: Step
+    robots: RobotNumbers
+    x: Coordinates
+    y: Coordinates
+    mute: RobotNumbers = []
+    deaf: RobotNumbers = []
+
+    def __post_init__(self) -> None:
+        if not len(self.robots) == len(self.x) == len(self.y):
+            raise ValueError("robots, x and y are not as many")
 
 
 class Open(Record, tag=5, frozen=True):
@@ -82,10 +140,10 @@ class Open(Record, tag=5, frozen=True):
     0) and its offers.
     """
 
-    step: int
-    exchange: int
-    peers: list[int]
-    budget: int
+    step: Step
+    exchange: Exchange
+    peers: RobotNumbers
+    budget: CountOrNone
 
 
 class Turn(Record, tag=6, frozen=True):
@@ -95,11 +153,15 @@ class Turn(Record, tag=6, frozen=True):
     After ``offers`` the robot answers; after ``answers`` it sends data.
     """
 
-    step: int
-    exchange: int
-    phase: str
-    connections: list[int]
-    maps: list[int]
+    step: Step
+    exchange: Exchange
+    phase: Word
+    connections: Connections
+    maps: ConnectionMaps
+
+    def __post_init__(self) -> None:
+        if len(self.connections) != len(self.maps):
+            raise ValueError("connections and maps are not as many")
 
 
 class Said(Record, tag=7, frozen=True):
@@ -110,11 +172,11 @@ class Said(Record, tag=7, frozen=True):
     wait for a free medium.
     """
 
-    step: int
-    exchange: int
-    phase: str
-    connections: list[int]
-    urgency: int = 0
+    step: Step
+    exchange: Exchange
+    phase: Word
+    connections: Connections
+    urgency: Urgency = 0
 
 
 class Outcome(Record, tag=8, frozen=True):
@@ -125,41 +187,64 @@ class Outcome(Record, tag=8, frozen=True):
     `broadcast` tells whether its own was carried. News that are broadcast are of connection -1.
     """
 
-    step: int
-    exchange: int
-    connections: list[int]
-    offers: list[int]
-    answers: list[int]
-    data: list[int]
-    heard: list[int]
+    step: Step
+    exchange: Exchange
+    connections: Connections
+    offers: ConnectionBytes
+    answers: ConnectionBytes
+    data: ConnectionBytes
+    heard: Connections
     broadcast: bool
+
+    def __post_init__(self) -> None:
+        if not len(self.connections) == len(self.offers) == len(self.answers) == len(self.data):
+            raise ValueError("connections, offers, answers and data are not as many")
 
 
 class Close(Record, tag=9, frozen=True):
     """Relay to robot: the medium is closed for this step; merge, choose, plan, move."""
 
-    step: int
+    step: Step
 
 
 class Lost(Record, tag=10, frozen=True):
     """Relay to world and laboratory: a robot is gone, with what is known of the cause."""
 
-    robot: int
-    cause: str
+    robot: RobotNumber
+    cause: Text
 
 
 class End(Record, tag=11, frozen=True):
     """World to all: the run is over after `step`; `first` is the robot that was done first, or -1."""
 
-    step: int
-    reason: str
-    first: int
+    step: StepOrNone
+    reason: Text
+    first: RobotOrNone
+
+
+class Strike(Record, tag=22, frozen=True):
+    """A fault (`worldsim.faults`): laboratory to world, by way of the relay, to have it; world to laboratory: it has
+    come true; world to robot: it is killed.
+
+    `step`: at whose beginning; from the laboratory 0 means the next. `steps`: how long, 0 for good.
+    """
+
+    step: Step
+    robot: RobotNumber
+    kind: Word
+    steps: Step = 0
+
+
+class Back(Record, tag=23, frozen=True):
+    """Relay to world and laboratory: a robot that was gone has joined again."""
+
+    robot: RobotNumber
 
 
 class Stop(Record, tag=12, frozen=True):
     """Laboratory to world, by way of the relay: end after this step, for `reason`."""
 
-    reason: str
+    reason: Text
 
 
 class Bye(Record, tag=13, frozen=True):
@@ -179,28 +264,34 @@ class WorldReport(Record, tag=14, frozen=True):
     team's lasers have truly seen; `reachable`: all that can be reached. `driven`: mm that each robot drove.
     """
 
-    step: int
-    poses: bytes
-    driven: list[int]
-    seen: int
-    reachable: int
+    step: Step
+    poses: Poses
+    driven: Distances
+    seen: CellCount
+    reachable: CellCount
+
+    def __post_init__(self) -> None:
+        if len(self.poses) % 16:
+            raise ValueError(f"{len(self.poses)} bytes of poses are not rows of four int32")
 
 
 class MindReport(Record, tag=15, frozen=True):
     """Robot to laboratory, once a step: what it is at, and the time that its thinking took (not a result).
 
-    `error`: cells in which its map and what it has told of it differ (Eq. 6.1). `backlog`: units of its own
-    map's log that have not reached a teammate yet, all teammates counted.
+    `error`: cells in which its map and what it has told of it differ (Eq. 6.1); `exact_error`: what that would be if
+    it had told all exactly, -1 if that is not measured. `backlog`: units of its own map's log that have not reached a
+    teammate yet, all teammates counted.
     """
 
-    step: int
-    target_x: int
-    target_y: int
-    known: int
-    error: int
-    backlog: int
-    status: str
-    work_us: int
+    step: Step
+    target_x: CoordinateOrNone
+    target_y: CoordinateOrNone
+    known: CellCount
+    error: CellCount
+    exact_error: CellCountOrNone
+    backlog: Count
+    status: Text
+    work_us: Count
 
 
 class RadioReport(Record, tag=16, frozen=True):
@@ -209,29 +300,33 @@ class RadioReport(Record, tag=16, frozen=True):
     `frames`: as the capture writes them (`netshaper.capture`).
     """
 
-    step: int
-    rows: bytes
-    carried: int
-    frames: bytes
+    step: Step
+    rows: Books
+    carried: Count
+    frames: Books
 
 
 class Maps(Record, tag=17, frozen=True):
     """Robot to laboratory, at the end: its two grids, row after row."""
 
-    robot: int
-    width: int
-    height: int
-    own: bytes
-    planning: bytes
+    robot: RobotNumber
+    width: SideLength
+    height: SideLength
+    own: Cells
+    planning: Cells
+
+    def __post_init__(self) -> None:
+        if not len(self.own) == len(self.planning) == self.width * self.height:
+            raise ValueError(f"its grids are not {self.width} x {self.height} cells")
 
 
 class Snapshot(Record, tag=20, frozen=True):
     """Robot to viewer, now and then: its planning grid (`grid_to_bytes`)."""
 
-    step: int
-    width: int
-    height: int
-    planning: bytes
+    step: Step
+    width: SideLength
+    height: SideLength
+    planning: Cells
 
 
 class Outlines(Record, tag=21, frozen=True):
@@ -240,38 +335,30 @@ class Outlines(Record, tag=21, frozen=True):
     `vertices`: int16 rows (object, x and y in quarters of a cell, bit 0 occupied edge, bit 1 inside object).
     """
 
-    step: int
-    about: int
-    vertices: bytes
+    step: Step
+    about: RobotNumber
+    vertices: Vertices
+
+    def __post_init__(self) -> None:
+        if len(self.vertices) % 8:
+            raise ValueError(f"{len(self.vertices)} bytes of vertices are not rows of four int16")
 
 
 class Fault(Record, tag=18, frozen=True):
     """Relay or robot to laboratory: `who` said what made no sense; the run goes on."""
 
-    who: str
-    what: str
+    who: Word
+    what: Text
 
 
 _TYPES: tuple[type[Record], ...] = (
     Begin, Configure, Sense, Move, Positions, Open, Turn, Said, Outcome, Close, Lost, End, Stop, Bye,
-    WorldReport, MindReport, RadioReport, Maps, Fault, Watched, Snapshot, Outlines,
+    WorldReport, MindReport, RadioReport, Maps, Fault, Watched, Snapshot, Outlines, Strike, Back,
 )  # fmt: skip
-_FIELDS = {kind: list(kind.__annotations__.items()) for kind in _TYPES}
-_CHECK: dict[str, Any] = {
-    "int": lambda value: type(value) is int,
-    "bool": lambda value: type(value) is bool,
-    "str": lambda value: type(value) is str,
-    "bytes": lambda value: type(value) is bytes,
-    "list[int]": lambda value: type(value) is list and {*map(type, value)} <= {int},
-    "dict[str, Any]": lambda value: type(value) is dict,
-}
-_HEAD = {kind: 0x90 | len(wanted) + 1 for kind, wanted in _FIELDS.items()}
+_HEAD = {kind: 0x90 | len(kind.__struct_fields__) + 1 for kind in _TYPES}
 """The first byte of each message: a list of so many items."""
 
 _write = msgspec.msgpack.Encoder().encode
-_read: Any = msgspec.msgpack.Decoder(Union[_TYPES]).decode  # noqa: UP007  a union of a tuple
-
-Kind = TypeVar("Kind", bound=Record)
 
 
 def pack(message: Record) -> bytes:
@@ -279,23 +366,68 @@ def pack(message: Record) -> bytes:
     return _write(message)
 
 
-def unpack(payload: bytes) -> Any:
-    """Read a message.
+def unpacker(kinds: tuple[type[Record], ...], whose: str = "nobody") -> Callable[[bytes], Any]:
+    """Make what reads messages of these kinds, all that `whose` may say, and refuses others by ProtocolError.
 
-    Raises
-    ------
-    ProtocolError
-        It is not a message, or a field is missing or of the wrong type.
+    It does not look at what is longer than any of them can be.
     """
-    try:
-        message = _read(payload)
-    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError):
-        return _read_field_by_field(payload)
-    # Fields that have a default must be there as well.
-    return message if payload[0] == _HEAD[type(message)] else _read_field_by_field(payload)
+    if not kinds:
+        return partial(_refuse_all, whose)
+    read: Callable[[bytes], Any] = msgspec.msgpack.Decoder(Union[kinds]).decode  # noqa: UP007  a union of a tuple
+    most = max(map(most_bytes, kinds))
+
+    def unpack_one(payload: bytes) -> Any:
+        if len(payload) > most:
+            raise ProtocolError(
+                "message", 0, f"{len(payload)} bytes, of which {whose} may say {most} at most"
+            )
+        try:
+            message = read(payload)
+        except (msgspec.DecodeError, RecursionError, UnicodeDecodeError):
+            return _read_field_by_field(payload, kinds, whose)
+        # Fields that have a default must be there as well.
+        if payload[0] != _HEAD[type(message)]:
+            return _read_field_by_field(payload, kinds, whose)
+        return message
+
+    return unpack_one
 
 
-def _read_field_by_field(payload: bytes) -> Any:
+def most_bytes(kind: type[Record]) -> int:
+    """Bytes of the longest message of a kind: what its fields may be, each with the longest head of msgpack."""
+    record = inspect.type_info(kind)
+    assert isinstance(record, inspect.StructType)
+    return HEAD_BYTES + sum(_most_bytes(field.type) for field in record.fields)
+
+
+HEAD_BYTES = 9
+"""Of a number, or of the length of anything in msgpack, at most."""
+
+
+def _most_bytes(kind: inspect.Type) -> int:
+    match kind:
+        case inspect.BytesType(max_length=int(most)):
+            return HEAD_BYTES + most
+        case inspect.StrType(max_length=int(most)):
+            return HEAD_BYTES + 4 * most
+        case inspect.ListType(item_type=item, max_length=int(most)):
+            return HEAD_BYTES + most * _most_bytes(item)
+        case inspect.DictType():
+            return MOST_SETTINGS
+        case inspect.IntType() | inspect.BoolType():
+            return HEAD_BYTES
+    raise TypeError(f"{kind} has no longest value")
+
+
+unpack = unpacker(_TYPES, "a message")
+"""Read a message of any kind, whoever said it; ProtocolError if it is none."""
+
+
+def _refuse_all(whose: str, _: bytes) -> Any:
+    raise ProtocolError("message", 0, f"nothing is for {whose} to say here")
+
+
+def _read_field_by_field(payload: bytes, kinds: tuple[type[Record], ...], whose: str) -> Any:
     """Read a message slowly, and say what is wrong with it."""
     try:
         items = msgspec.msgpack.decode(payload)
@@ -309,21 +441,41 @@ def _read_field_by_field(payload: bytes) -> Any:
     ):
         raise ProtocolError("message", 0, "not a list that begins with the number of a message")
     kind = _TYPES[items[0]]
-    wanted = _FIELDS[kind]
+    if kind not in kinds:
+        raise ProtocolError(kind.__name__, 0, f"not for {whose} to say")
+    wanted = get_type_hints(kind, include_extras=True)
     if len(items) != len(wanted) + 1:
         raise ProtocolError(kind.__name__, 0, f"{len(items) - 1} fields instead of {len(wanted)}")
-    for (name, annotation), value in zip(wanted, items[1:], strict=True):
-        if not _CHECK[annotation](value):
-            raise ProtocolError(kind.__name__, 0, f"{name} must be {annotation}, not {value!r:.40}")
-    return kind(*items[1:])
+    for (name, annotation), value in zip(wanted.items(), items[1:], strict=True):
+        try:
+            msgspec.msgpack.decode(msgspec.msgpack.encode(value), type=annotation)
+        except (msgspec.MsgspecError, RecursionError):
+            said = f"{name} must be {_shown(annotation)}, not {_brief(value)}"
+            raise ProtocolError(kind.__name__, 0, said) from None
+    try:
+        return kind(*items[1:])
+    except ValueError as error:
+        raise ProtocolError(kind.__name__, 0, str(error)) from None
 
 
-def unpack_as(kind: type[Kind], payload: bytes) -> Kind:
-    """Read a message that must be of one kind; ProtocolError otherwise."""
-    message = unpack(payload)
-    if not isinstance(message, kind):
-        raise ProtocolError(type(message).__name__, 0, f"expected {kind.__name__} here")
-    return message
+def _brief(value: Any) -> str:
+    """The beginning of what stands in a field."""
+    if isinstance(value, list | dict):
+        return f"a {type(value).__name__} of {len(value)}"
+    return repr(value[:40] if isinstance(value, str | bytes) else value)[:40]
+
+
+def _shown(annotation: Any) -> str:
+    """A field's type in words."""
+    if get_origin(annotation) is not Annotated:
+        return getattr(annotation, "__name__", str(annotation))
+    kind, limits = get_args(annotation)
+    if get_origin(kind) is list:
+        return f"list of {_shown(get_args(kind)[0])}, {limits.max_length} at most"
+    if limits.max_length is not None:
+        return f"{kind.__name__} of length {limits.max_length} at most"
+    most = limits.le if limits.le is not None else limits.lt - 1
+    return f"{kind.__name__} from {limits.ge} to {most}"
 
 
 def cells_to_bytes(cells: NDArray[np.int32]) -> bytes:

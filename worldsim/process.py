@@ -8,29 +8,29 @@ from typing import Any
 import numpy as np
 
 from protocol import keys as names
+from protocol import messages, rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
+from protocol.fields import clip
 from protocol.keys import Keys
 from protocol.messages import (
+    Back,
     Begin,
     Bye,
     Configure,
     End,
-    Fault,
     Lost,
     Move,
     Positions,
     Record,
     Stop,
+    Strike,
     Watched,
     WorldReport,
-    cells_from_bytes,
     pack,
-    points_from_bytes,
-    unpack,
-    unpack_as,
 )
 from worldsim.continuous_motion import FINE
+from worldsim.faults import KINDS, Fault
 from worldsim.world import World
 
 EXPLORED, OUT_OF_STEPS, ALL_LOST = "explored", "out of steps", "all robots are lost"
@@ -50,6 +50,8 @@ class WorldNode:
         Side of a cell in millimetres, for reports.
     wait : callable, optional
         Called before each step is opened: it may delay the step, so that people can watch (`worldsim.pace`).
+    revive : bool
+        Whether robots that are lost unasked are to be started again, as often as they have lives.
     """
 
     def __init__(
@@ -62,6 +64,7 @@ class WorldNode:
         cell_mm: float,
         *,
         wait: Callable[[], object] = lambda: None,
+        revive: bool = False,
     ) -> None:
         self.done = False
         self._bus = bus
@@ -71,29 +74,54 @@ class WorldNode:
         self._steps = steps
         self._cell_mm = cell_mm
         self._wait = wait
+        self._left = {
+            robot: settings.get("lives", 1) - 1 if revive else 0 for robot, settings in minds.items()
+        }
+        """How often each robot may still be started again, if it is lost unasked."""
+        self._coming: set[int] = set()
+        """Robots that were lost unasked, and are being started again."""
         self._moves: dict[int, Move] = {}
+        self._gone: set[int] = set()
+        """Robots whose processes have ended, as the relay said."""
+        self._back: set[int] = set()
+        """Robots that have come back, and have not been let into the world yet."""
+        self._restarting: set[int] = set()
+        """Robots without which the next step does not begin, for it is the one in which they come back."""
+        self._held: dict[int, Move] = {}
+        """The moves of the step that waits for them."""
         self._stop = ""
         self._running = False
         self._watched = False
 
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
-        plane, _, _, sender = names.parts(message.key)
-        if plane == "body":
-            self._take_move(names.number(sender), message.payload)
-        else:
-            self._take_note(unpack(message.payload))
-        while self._running and self._moves.keys() >= self._world.cells.keys():
+        try:
+            said = rights.read(*message)
+            if isinstance(said, Move):
+                self._take_move(names.number(names.parts(message.key)[3]), said)
+            else:
+                self._take_note(said)
+        except ProtocolError as error:
+            self._report(messages.Fault(names.parts(message.key)[3], clip(str(error))))
+        while self._running and not self._restarting and len(self._moves) >= self._world.awake_count:
             self._end_step()
 
     def _take_note(self, said: object) -> None:
         if isinstance(said, Begin):
             self._begin()
         elif isinstance(said, Lost):
-            self._world.lose(said.robot)
-            self._moves.pop(said.robot, None)
+            self._take_loss(said.robot)
+        elif isinstance(said, Back):
+            self._back.add(said.robot)
+            self._gone.discard(said.robot)
+            self._coming.discard(said.robot)
+            self._restart()
+        elif isinstance(said, Strike):
+            self._add(said)
         elif isinstance(said, Stop):
             self._stop = said.reason
+            if self._running and self._restarting:
+                self._end(self._stop, -1)
         elif isinstance(said, Watched):
             self._watched = said.here
         elif isinstance(said, Bye):
@@ -105,19 +133,14 @@ class WorldNode:
         self._running = True
         self._open_step({})
 
-    def _take_move(self, robot: int, payload: bytes) -> None:
-        """Take a robot's move; an invalid one is reported, and the robot stays where it is."""
+    def _take_move(self, robot: int, move: Move) -> None:
+        """Take a living robot's move, its first of this step."""
         step = self._world.step
-        try:
-            move = unpack_as(Move, payload)
-            if not self._running or move.step != step:
-                raise ProtocolError("Move", 0, f"for step {move.step}, while step {step} is under way")
-            cells_from_bytes(move.path)
-            points_from_bytes(move.points)
-        except ProtocolError as error:
-            self._report(Fault(names.robot(robot), str(error)))
-            move = Move(step, b"", 0, explored=False)
-        if self._running and robot in self._world.cells:
+        if not self._running or move.step != step:
+            raise ProtocolError("Move", 0, f"for step {move.step}, while step {step} is under way")
+        if robot in self._moves:
+            raise ProtocolError("Move", 0, f"a second one for step {step}")
+        if robot in self._world.cells and robot not in self._world.afflicted["stop"]:
             self._moves[robot] = move
 
     def _end_step(self) -> None:
@@ -130,9 +153,9 @@ class WorldNode:
             explored = [robot for robot in self._world.thinnest() if robot in explored]
         if explored and len(explored) >= wanted:
             self._end(EXPLORED, explored[0])
-        elif not self._world.cells:
+        elif self._world.hopeless() and not self._back and not self._coming:
             self._end(ALL_LOST, -1)
-        elif all(move.stalled for move in moves.values()):
+        elif moves and all(move.stalled for move in moves.values()):
             self._end(STALLED, -1)
         elif self._stop:
             self._end(self._stop, -1)
@@ -143,17 +166,85 @@ class WorldNode:
 
     def _open_step(self, moves: Mapping[int, Move]) -> None:
         self._wait()
+        for fault in self._world.strikes():
+            self._strike(fault)
+        self._held = dict(moves)
+        if self._world.hopeless():
+            self._restarting |= self._coming  # there is nobody else
+        if self._restarting:
+            self._restart()
+        else:
+            self._advance()
+
+    def _add(self, strike: Strike) -> None:
+        """Have a fault that was thought of during the run."""
         world = self._world
-        for robot in world.doomed():
-            world.lose(robot)
-            self._tell(robot, End(world.step, "broken down, as the scenario has it", -1))
+        known = strike.kind in KINDS and 0 <= strike.robot < len(self._minds) and strike.steps >= 0
+        if not known:
+            self._report(messages.Fault(names.LAB, f"{strike} is no fault of a robot of this run"))
+        else:
+            fault = Fault(max(strike.step, world.step + 1), strike.robot, strike.kind, strike.steps)
+            world.faults = sorted([*world.faults, fault])
+
+    def _strike(self, fault: Fault) -> None:
+        """Have a fault come true, and report it; a robot that is gone is past it."""
+        robot, here = fault.robot, fault.robot in self._world.cells
+        step = self._world.step + 1
+        if fault.kind == "restart":
+            self._restarting.add(robot)
+        if here and fault.kind in ("kill", "restart"):
+            killed = Strike(step, robot, "kill")
+            self._report(killed)
+            self._tell(robot, killed)
+            self._lose(robot)
+        elif here and fault.kind != "restart":
+            self._report(Strike(step, robot, fault.kind, fault.steps))
+        if here and fault.kind == "death":
+            self._tell(robot, End(self._world.step, "broken down, as the scenario has it", -1))
+            self._lose(robot)
+
+    def _take_loss(self, robot: int) -> None:
+        """A robot's process has ended: as a fault had it, or unasked."""
+        unasked = robot in self._world.cells or robot in self._back
+        self._lose(robot)
+        self._gone.add(robot)
+        self._back.discard(robot)
+        if unasked and robot not in self._restarting and self._left[robot]:
+            self._left[robot] -= 1
+            self._gone.discard(robot)
+            self._coming.add(robot)
+            self._report(Strike(self._world.step, robot, "restart"))
+        self._restart()
+
+    def _lose(self, robot: int) -> None:
+        self._world.lose(robot)
+        self._moves.pop(robot, None)
+        self._held.pop(robot, None)
+
+    def _restart(self) -> None:
+        """Have those started that are to come back, once they have ended; go on when all are here."""
+        for robot in sorted(self._restarting & self._gone):
+            self._gone.discard(robot)
+            self._report(Strike(self._world.step + 1, robot, "restart"))
+        if self._running and self._restarting and self._restarting <= self._back:
+            self._restarting.clear()
+            self._advance()
+
+    def _advance(self) -> None:
+        """Open the next step."""
+        world = self._world
+        for robot in sorted(self._back):
+            world.revive(robot)
+            self._tell(robot, Configure(dict(self._minds[robot])))
+        self._back.clear()
+        moves, self._held = self._held, {}
         senses = world.advance(moves)
         for robot, sense in senses.items():
             self._tell(robot, sense)
-        robots = list(world.cells)
-        positions = Positions(
-            world.step, robots, [world.cells[r][0] for r in robots], [world.cells[r][1] for r in robots]
-        )
+        robots = world.awake()
+        x, y = ([world.cells[robot][axis] for robot in robots] for axis in range(2))
+        ill = [sorted(world.afflicted[kind]) for kind in ("mute", "deaf")]
+        positions = Positions(world.step, robots, x, y, *ill)
         self._bus.put(self._keys.control_tx(names.WORLD), pack(positions))
         self._report(self._truth())
 

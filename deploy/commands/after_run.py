@@ -24,14 +24,45 @@ app = family()
 
 @app.command()
 def report(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
+    directories: Annotated[
+        list[Path], typer.Argument(metavar="DIR [OTHER]", help="a run directory, or two to be compared")
+    ],
+    stages: Annotated[
+        int | None,
+        typer.Option(
+            metavar="STEP", help="draw instead how a robot merges at that step: pictures/merging.png"
+        ),
+    ] = None,
+    robot: Annotated[int, typer.Option(metavar="N", help="whose merging (with --stages)")] = 0,
 ) -> None:
-    """Draw a run's maps over time and its traffic, and write a self-contained HTML page: report.html."""
+    """Write an HTML page of a run, with pictures and a slider; or compare two runs.
+
+    The page is report.html in DIR, or compared-with-OTHER.html. It is self-contained.
+    """
     from deploy.after.report import write_report  # noqa: PLC0415
 
     with speaking_clearly():
-        page = write_report(directory, errors.print)
-        screen.print(f"{page}: the run on one page, including its pictures")
+        directory, *others = directories
+        if len(others) > (1 if stages is None else 0):
+            raise ValueError("a report is of one run, or compares two; stages are of one")
+        if stages is not None:
+            screen.print(f"{_draw_stages(directory, robot, stages)}: the stages of merging")
+            return
+        page = write_report(directory, errors.print, *others)
+        screen.print(f"{page}: the {'runs' if others else 'run'} on one page, including pictures")
+
+
+def _draw_stages(directory: Path, robot: int, step: int) -> Path:
+    from deploy.after import archive  # noqa: PLC0415
+    from deploy.after.merging import MERGING, merging  # noqa: PLC0415
+    from deploy.record.map_pictures import save  # noqa: PLC0415
+    from deploy.record.run_directory import PICTURES  # noqa: PLC0415
+
+    figure = merging(archive.read(directory), robot, step)
+    (directory / PICTURES).mkdir(exist_ok=True)
+    path = directory / PICTURES / MERGING
+    save(path, figure, dpi=100)
+    return path
 
 
 @app.command()
@@ -49,6 +80,38 @@ def export(
             raise ScenarioError("export: no format given; choose --mcap")
         written = export_mcap(directory, errors.print)
         screen.print(f"{written}: open it in Foxglove, or play {written.parent} with ros2 bag")
+
+
+@app.command()
+def movie(
+    directories: Annotated[
+        list[Path],
+        typer.Argument(metavar="DIR [OTHER]", help="a run directory, or two to be shown side by side"),
+    ],
+    mp4: Annotated[bool, typer.Option("--mp4", help="a film for any player or page (the default)")] = False,
+    gif: Annotated[bool, typer.Option("--gif", help="a GIF, for places that take pictures only")] = False,
+    rate: Annotated[float, typer.Option(metavar="STEPS_PER_S", help="how fast it runs")] = 10.0,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="the file (default: movie.mp4 or .gif in DIR)")
+    ] = None,
+) -> None:
+    """Film a run, step by step, or two side by side.
+
+    Each picture shows the building with the robots, the map of each, and the use of the radio.
+    """
+    from deploy.after.movie import GIF, MP4, write_movie  # noqa: PLC0415
+    from deploy.study.progress import counting  # noqa: PLC0415
+
+    with speaking_clearly():
+        if len(directories) > 2:
+            raise ValueError("a film shows one run, or two side by side")
+        if mp4 and gif:
+            raise ValueError("--mp4 and --gif are two films: choose one")
+        with counting(errors, "pictures") as progress:
+            path = write_movie(
+                directories, GIF if gif else MP4, out, rate=rate, tell=errors.print, progress=progress
+            )
+        screen.print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
 
 
 @app.command()

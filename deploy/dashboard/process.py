@@ -17,8 +17,11 @@ from typing import Protocol
 from deploy.record.snapshots import SNAPSHOTS, Snapshots
 from deploy.scenario.plan import Plan
 from protocol import keys as names
+from protocol import rights
 from protocol.bus import BusClosed, Message
-from protocol.messages import Bye, unpack
+from protocol.errors import ProtocolError
+from protocol.fields import clip
+from protocol.messages import Bye, Fault
 from protocol.zenoh_bus import Credential, join
 
 RECORDING = "run.rrd"
@@ -63,12 +66,18 @@ class ViewNode:
         self._watchers = watchers
 
     def handle(self, message: Message) -> None:
-        """Take one message from the bus."""
-        said = unpack(message.payload)
+        """Take one message from the bus; one that makes no sense is shown as a fault of its sender's."""
+        sender = names.parts(message.key)[3]
+        try:
+            self._show(sender, rights.read(*message))
+        except ProtocolError as error:
+            self._show(sender, Fault(sender, clip(str(error))))
+
+    def _show(self, sender: str, said: object) -> None:
         if isinstance(said, Bye):
             self.done = True
         for watcher in self._watchers:
-            watcher.take(names.parts(message.key)[3], said)
+            watcher.take(sender, said)
 
 
 @contextlib.contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
@@ -11,10 +12,13 @@ from numpy.typing import NDArray
 from deploy.record.wire_bytes import Meter
 from netshaper.ledger import ROW
 from protocol import keys as names
+from protocol import rights
 from protocol.bus import Bus, Message
-from protocol.grid import Grid
+from protocol.errors import ProtocolError
+from protocol.grid import OCCUPIED, Grid
 from protocol.keys import Keys
 from protocol.messages import (
+    Back,
     Bye,
     End,
     Fault,
@@ -23,10 +27,13 @@ from protocol.messages import (
     MindReport,
     RadioReport,
     Stop,
+    Strike,
     WorldReport,
     pack,
-    unpack,
 )
+
+MOST_FAULTS = 1000
+"""Faults that are kept in words; more are counted."""
 
 
 @dataclass(repr=False)
@@ -42,7 +49,16 @@ class Records:
     planning: dict[int, Grid] = field(default_factory=dict)
     lost: dict[int, str] = field(default_factory=dict)
     """Robots that died unexpectedly, and how."""
+    strikes: list[Strike] = field(default_factory=list)
+    """The faults that came true, as they were asked for (`worldsim.faults`)."""
+    killed: set[int] = field(default_factory=set)
+    """Robots that were killed as asked for, and have not been restarted."""
+    returned: list[tuple[int, int]] = field(default_factory=list)
+    """(step, robot): robots that had been lost unasked, and came back."""
     faults: list[str] = field(default_factory=list)
+    """Who said what that made no sense: the first `MOST_FAULTS` of them."""
+    fault_count: int = 0
+    """How many faults there were."""
     end: End | None = None
     carried: int = 0
     """Bytes on the air in the last step."""
@@ -65,6 +81,17 @@ class Records:
         """Fraction of the reachable free cells that the team has seen."""
         return self.world[-1].seen / self.world[-1].reachable if self.world else 0.0
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether what every robot has seen is among the grids: no life has ended without handing them in."""
+        return not (self.lost or self.returned or {s.kind for s in self.strikes} & {"kill", "restart"})
+
+    def note_fault(self, who: str, what: str) -> None:
+        """Record that `who` said what made no sense."""
+        self.fault_count += 1
+        if len(self.faults) < MOST_FAULTS:
+            self.faults.append(f"{who}: {what}")
+
     def ledger(self) -> NDArray[np.void]:
         """All rows of the ledger so far (`netshaper.ledger.ROW`), in the order in which they were recorded."""
         return np.frombuffer(b"".join(self.rows), ROW)
@@ -73,52 +100,120 @@ class Records:
 class LabNode:
     """The laboratory's end of the bus; `done` once everything has been handed in.
 
-    What the relay reports for the capture is written to `capture` step by step, and not kept; `meter` counts
-    the bytes that the bus moves.
+    Each participant is believed what is its to say, of itself; all else is a fault. `shape` is that of the run's
+    map. What the relay reports for the capture is written to `capture` step by step, and not kept; `meter` counts
+    the bytes that the bus moves. `obey` is called with what befalls robots' processes: who is killed, and who is to be
+    started again.
     """
 
     def __init__(
-        self, bus: Bus, keys: Keys, robots: int, capture: BinaryIO | None = None, meter: Meter | None = None
+        self,
+        bus: Bus,
+        keys: Keys,
+        robots: int,
+        shape: tuple[int, int],
+        capture: BinaryIO | None = None,
+        meter: Meter | None = None,
+        obey: Callable[[Strike], object] = lambda _: None,
     ) -> None:
         self.done = False
         self.records = Records(robots)
+        self._shape = shape
         self._capture = capture
         self._meter = meter
         self._bus = bus
         self._keys = keys
+        self._obey = obey
 
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
-        records = self.records
         sender = names.parts(message.key)[3]
-        said = unpack(message.payload)
+        try:
+            self._take(sender, rights.read(*message))
+        except ProtocolError as error:
+            self.records.note_fault(sender, str(error))
+        if self.records.end is not None and not self.done and not self.missing():
+            self.send_home()
+
+    def _take(self, sender: str, said: object) -> None:
+        """Record what `sender` says, which is its to say; ProtocolError if it makes no sense."""
+        records = self.records
         if isinstance(said, WorldReport):
             records.world.append(said)
         elif isinstance(said, RadioReport):
-            records.rows.append(said.rows)
-            records.carried = said.carried
-            if self._capture is not None:
-                self._capture.write(said.frames)
+            self._take_books(said)
         elif isinstance(said, MindReport):
-            records.minds[names.number(sender)].append(said)
+            self._take_thoughts(self._number(sender), said)
         elif isinstance(said, Lost):
-            records.lost[said.robot] = said.cause
+            if said.robot not in records.killed:
+                records.lost[said.robot] = said.cause
+        elif isinstance(said, Back):
+            if records.lost.pop(said.robot, None) is not None:
+                records.returned.append((records.step, said.robot))
+        elif isinstance(said, Strike):
+            self._take_strike(said)
         elif isinstance(said, Fault):
-            records.faults.append(f"{said.who}: {said.what}")
+            who = said.who if sender in (names.RELAY, names.WORLD) else sender
+            records.note_fault(who, said.what)
         elif isinstance(said, End):
             records.end = said
         elif isinstance(said, Maps):
-            shape = (said.height, said.width)
-            records.own[said.robot] = np.frombuffer(said.own, np.uint8).reshape(shape)
-            records.planning[said.robot] = np.frombuffer(said.planning, np.uint8).reshape(shape)
-        if records.end is not None and not self.done and not self.missing():
-            self.send_home()
+            self._take_maps(self._number(sender), said)
+
+    def _take_books(self, said: RadioReport) -> None:
+        if len(said.rows) % ROW.itemsize:
+            raise ProtocolError("RadioReport", 0, f"{len(said.rows)} bytes are no rows of a ledger")
+        self.records.rows.append(said.rows)
+        self.records.carried = said.carried
+        if self._capture is not None:
+            self._capture.write(said.frames)
+
+    def _take_thoughts(self, robot: int, said: MindReport) -> None:
+        """Take a robot's report, one a step at most."""
+        told = self.records.minds[robot]
+        after, last = (told[-1].step if told else 0), self.records.step + 1
+        if not after < said.step <= last:
+            raise ProtocolError(
+                "MindReport", 0, f"of step {said.step}, where one of {after + 1} to {last} can be"
+            )
+        told.append(said)
+
+    def _take_maps(self, robot: int, said: Maps) -> None:
+        """Take a robot's grids: its own, and of the size of the run's map."""
+        if said.robot != robot:
+            raise ProtocolError("Maps", 0, f"of robot {said.robot}")
+        if (said.height, said.width) != self._shape:
+            height, width = self._shape
+            raise ProtocolError("Maps", 0, f"{said.width} x {said.height} cells, not {width} x {height}")
+        grids = [np.frombuffer(cells, np.uint8).reshape(self._shape) for cells in (said.own, said.planning)]
+        if max(int(grid.max()) for grid in grids) > OCCUPIED:
+            raise ProtocolError("Maps", 0, "a cell that is not free, occupied or unknown")
+        self.records.own[robot], self.records.planning[robot] = grids
+
+    def _number(self, sender: str) -> int:
+        """The number of the robot that says something."""
+        number = names.number(sender)
+        if number >= self.records.robots:
+            raise ProtocolError("message", 0, f"there is no robot {number}")
+        return number
+
+    def _take_strike(self, strike: Strike) -> None:
+        """A fault has come true; a restart of who was not killed as asked for is of one who was lost unasked."""
+        records, robot = self.records, strike.robot
+        if strike.kind == "kill":
+            records.killed.add(robot)
+            records.lost.pop(robot, None)
+        elif strike.kind == "restart":
+            records.killed.discard(robot)
+        if strike.kind != "restart" or robot not in records.lost:
+            records.strikes.append(strike)
+        self._obey(strike)
 
     def missing(self) -> list[int]:
         """Robots whose maps have not been handed in."""
-        return [
-            r for r in range(self.records.robots) if r not in self.records.own and r not in self.records.lost
-        ]
+        records = self.records
+        gone = records.own.keys() | records.lost.keys() | records.killed
+        return [robot for robot in range(records.robots) if robot not in gone]
 
     def stop(self, reason: str) -> None:
         """Ask the world to end after this step."""

@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.robot import sure_after
+from agent.settings import Settings
 from deploy.record.records import Records
 from deploy.record.versions import versions
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import UNLIMITED
 from netshaper.ledger import CAUSES, sort_rows
-from protocol.grid import FREE
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packets import ALL_KINDS
 
 SCAN_VALUES, VALUE_BYTES = 362, 2
@@ -36,11 +38,13 @@ def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "finished": finished,
         "reason": end.reason if end is not None else "broken off",
         "steps": steps,
+        "explored_at": _explored_at(plan, steps) if finished else None,
         "first_robot": end.first if finished and end is not None else None,
         "coverage": _coverage(records, reachable),
         "map_agreement": _share_free(records.planning[wanted], reachable)
         if wanted in records.planning
         else None,
+        **_wall_quality(records, wanted, plan.map.cells, reachable),
         "t50": _first_step(records, 0.50),
         "t90": _first_step(records, 0.90),
         "t99": _first_step(records, 0.99),
@@ -58,11 +62,12 @@ def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "raw_scan_bytes": steps * SCAN_VALUES * VALUE_BYTES * scenario.robots * (scenario.robots - 1),
         "packets": packets,
         "approximation_error": _approximation_error(records, wanted, int(reachable.sum())),
+        "approximation_error_net": _net_error(records, wanted, int(reachable.sum())),
         "over_budget_steps": _over_budget(ledger, scenario.bandwidth),
         "wire_bytes": records.wire_bytes,
         "undelivered": _undelivered(ledger),
         "lost": {str(robot): cause for robot, cause in sorted(records.lost.items())},
-        "faults": len(records.faults),
+        "faults": records.fault_count,
         "digest": digest(records),
         "wall_s": round(wall_s, 3),
         "steps_per_s": round(records.step / wall_s, 1) if wall_s else None,
@@ -92,7 +97,7 @@ def digest(records: Records) -> str:
 
 def _coverage(records: Records, reachable: Mask) -> float:
     """What the team has seen, by its own grids; if a robot was lost with its grid, by the world's report."""
-    if not records.own or records.lost:
+    if not records.own or not records.is_whole:
         return records.explored
     team = np.zeros(reachable.shape, np.bool_)
     for grid in records.own.values():
@@ -102,7 +107,7 @@ def _coverage(records: Records, reachable: Mask) -> float:
 
 def _overlap(records: Records, reachable: Mask) -> float | None:
     """Cells that more than one robot has seen itself, over cells seen; None where not all have told their grids."""
-    if not records.own or records.lost:
+    if not records.own or not records.is_whole:
         return None
     seen = np.zeros(reachable.shape, np.int64)
     for grid in records.own.values():
@@ -112,6 +117,34 @@ def _overlap(records: Records, reachable: Mask) -> float | None:
 
 def _share_free(grid: NDArray[np.uint8], reachable: Mask) -> float:
     return float(((grid == FREE) & reachable).sum() / reachable.sum())
+
+
+def _wall_quality(records: Records, first: int, truth: Grid, reachable: Mask) -> dict[str, float | None]:
+    """Precision and recall of the walls on the first robot's planning grid, and the least of all robots.
+
+    Precision: what share of its occupied cells is occupied (cells whose truth is unknown do not count). Recall: what
+    share of the occupied cells beside reachable ones (4-neighbours, so that lasers meet them) it has as occupied. A
+    figure of no cells is None.
+    """
+    beside = np.zeros(truth.shape, np.bool_)
+    beside[1:] |= reachable[:-1]
+    beside[:-1] |= reachable[1:]
+    beside[:, 1:] |= reachable[:, :-1]
+    beside[:, :-1] |= reachable[:, 1:]
+    walls = (truth == OCCUPIED) & beside
+    precision, recall = {}, {}
+    for robot, grid in records.planning.items():
+        said = (grid == OCCUPIED) & (truth != UNKNOWN)
+        precision[robot] = float((truth[said] == OCCUPIED).mean()) if said.any() else None
+        recall[robot] = float((grid[walls] == OCCUPIED).mean()) if walls.any() else None
+    return {
+        "wall_precision": precision.get(first),
+        "wall_recall": recall.get(first),
+        "worst_wall_precision": min(
+            (value for value in precision.values() if value is not None), default=None
+        ),
+        "worst_wall_recall": min((value for value in recall.values() if value is not None), default=None),
+    }
 
 
 def _first_step(records: Records, share: float) -> int | None:
@@ -138,6 +171,21 @@ def _approximation_error(records: Records, robot: int, cells: int) -> float | No
     if not 0 <= robot < len(records.minds) or not records.minds[robot]:
         return None
     return float(np.mean([report.error for report in records.minds[robot]]) / cells)
+
+
+def _net_error(records: Records, robot: int, cells: int) -> float | None:
+    """The same less what an exact approximation would have wrong; None where that was not measured."""
+    if not 0 <= robot < len(records.minds) or not records.minds[robot]:
+        return None
+    reports = records.minds[robot]
+    if any(report.exact_error < 0 for report in reports):
+        return None
+    return float(np.mean([report.error - report.exact_error for report in reports]) / cells)
+
+
+def _explored_at(plan: Plan, steps: int) -> int:
+    """The step after which the first robot only made sure that nothing was left."""
+    return steps - sure_after(Settings.from_message(plan.minds[0]))
 
 
 def _over_budget(ledger: NDArray[np.void], bandwidth: int | str) -> int:

@@ -126,7 +126,9 @@ def serve_lab(
             directory = run_directory.create(out, plan)
             began = time.perf_counter()
             with run_directory.open_capture(directory, plan) as capture:
-                lab = LabNode(bus, Keys(read.run), scenario.robots, capture, Meter(read.hub))
+                lab = LabNode(
+                    bus, Keys(read.run), scenario.robots, plan.map.cells.shape, capture, Meter(read.hub)
+                )
 
                 def look() -> bool:
                     if watch is not None:

@@ -190,13 +190,16 @@ def explore(
     plan = plans.make(scenario)
     if hosts is not None and scenario.bus == "memory":
         raise ScenarioError("bus = 'memory': is one process of one host; with hosts it must be 'zenoh'")
+    if hosts is not None and any(fault.kind in ("kill", "restart") for fault in scenario.faults):
+        raise ScenarioError("fault: robots can be killed and restarted on this host only; leave --hosts out")
     interrupt = Interrupt(tell)
     with (
         Fleet(hosts, scenario.robots, tell) if hosts is not None else contextlib.nullcontext() as fleet,
         interrupt.caught() if keep else contextlib.nullcontext(),
     ):
         directory = run_directory.create(out, plan) if keep else None
-        logs = directory / run_directory.LOGS if directory else None
+        logs = directory / run_directory.LOGS if directory is not None else None
+        journals = directory / run_directory.JOURNALS if directory is not None else None
         began = time.perf_counter()
 
         def look(records: Records) -> None:
@@ -214,7 +217,14 @@ def explore(
                     ready()
                     fallen = _Fallen(logs)
                     records = in_memory.run(
-                        plan, look, capture, heed=interrupt.heed, view=view, wait=wait, fell=fallen.take
+                        plan,
+                        look,
+                        capture,
+                        heed=interrupt.heed,
+                        view=view,
+                        wait=wait,
+                        fell=fallen.take,
+                        journals=journals,
                     )
                 outcome = launch.Outcome(records, fallen.deaths)
             else:
@@ -229,6 +239,7 @@ def explore(
                     pace=pace,
                     live=directory,
                     fleet=fleet,
+                    journals=journals,
                 )
         result = conclude(plan, outcome, directory, time.perf_counter() - began)
         if directory is not None and window is not None and outcome.view_fault:

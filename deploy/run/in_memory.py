@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from io import BytesIO
+from pathlib import Path
 from typing import BinaryIO, Protocol
 
+from agent.journal import Journal, journal_name
 from agent.process import AgentNode
+from agent.robot import Robot
 from deploy.record.records import LabNode, Records
 from deploy.scenario.plan import Plan
 from netshaper.process import RelayNode
 from protocol import keys as names
 from protocol.bus import Bus, BusClosed, Message
 from protocol.memory_bus import MemoryHub
+from protocol.messages import Strike
 from worldsim.process import WorldNode
 
 
@@ -45,10 +50,13 @@ class MemoryRun:
     fell : callable, optional
         Called when a robot's code raises: that robot is lost then, as a process of its own would be. Without it the
         exception goes to the caller.
+    journals : Path, optional
+        The folder for what robots need to come back; in memory without it.
 
     Attributes
     ----------
-    robots : list of AgentNode
+    agents : list of AgentNode
+        The robots' shells, by number; one that comes back has a new one.
     records : Records
         What the laboratory has been told so far.
     """
@@ -62,16 +70,26 @@ class MemoryRun:
         view: Node | None = None,
         wait: Callable[[], object] = lambda: None,
         fell: Fell | None = None,
+        journals: Path | None = None,
     ) -> None:
-        minds = [names.robot(number) for number in range(plan.scenario.robots)]
+        robots = plan.scenario.robots
+        self._minds = [names.robot(number) for number in range(robots)]
         watching = [names.VIEW] if view is not None else []
+        self._plan = plan
+        self._wrap = wrap
         self._fell = fell
-        self._hub = MemoryHub("memory", [names.RELAY, names.WORLD, names.LAB, *minds, *watching])
+        self._journals = journals
+        self._kept: dict[int, BytesIO] = {}
+        self._due: list[int] = []
+        """Robots that come back."""
+        self._hub = MemoryHub("memory", [names.RELAY, names.WORLD, names.LAB, *self._minds, *watching])
         keys = self._hub.keys
         self._buses: dict[str, Bus] = {}
-        for name in (names.RELAY, *watching, names.LAB, names.WORLD, *minds):
+        for name in (names.RELAY, *watching, names.LAB, names.WORLD, *self._minds):
             self._buses[name] = wrap(name, self._hub.join(name))
-        self._lab = LabNode(self._buses[names.LAB], keys, plan.scenario.robots, capture)
+        self._lab = LabNode(
+            self._buses[names.LAB], keys, robots, plan.map.cells.shape, capture, obey=self._obey
+        )
         world = WorldNode(
             self._buses[names.WORLD],
             keys,
@@ -81,13 +99,13 @@ class MemoryRun:
             1000 * plan.map.resolution,
             wait=wait,
         )
-        self.robots = [AgentNode(self._buses[name], keys, number) for number, name in enumerate(minds)]
         self._nodes: dict[str, Node] = {
             names.RELAY: RelayNode(self._buses[names.RELAY], keys, plan.radio),
             names.WORLD: world,
             names.LAB: self._lab,
-            **dict(zip(minds, self.robots, strict=True)),
         }
+        self.agents = [self._agent(number) for number in range(robots)]
+        self._nodes |= zip(self._minds, self.agents, strict=True)
         if view is not None:
             self._nodes[names.VIEW] = view
 
@@ -111,6 +129,8 @@ class MemoryRun:
                 if name == names.LAB and self._last_step() > over:
                     over = self._last_step()
                     yield over
+            while self._due:
+                self._come_back(self._due.pop())
             if not spoke and not self._is_done():
                 raise RuntimeError("the run stands still: everyone waits for someone")
 
@@ -131,6 +151,28 @@ class MemoryRun:
             bus.close()
         return spoke
 
+    def _obey(self, strike: Strike) -> None:
+        if strike.kind == "restart":
+            self._due.append(strike.robot)
+
+    def _come_back(self, number: int) -> None:
+        """Let a robot join anew, with what is in its journal."""
+        name = self._minds[number]
+        self._buses[name] = self._wrap(name, self._hub.join(name))
+        self._nodes[name] = self.agents[number] = self._agent(number)
+
+    def _agent(self, number: int) -> AgentNode:
+        bus = self._buses[self._minds[number]]
+        return AgentNode(bus, self._hub.keys, number, self._journal(number))
+
+    def _journal(self, number: int) -> Journal | None:
+        """The journal of a robot, in a folder or in memory; None where no robot can come back."""
+        if self._plan.lives == 1:
+            return None
+        if self._journals is not None:
+            return Journal.open(self._journals / journal_name(number))
+        return Journal(self._kept.setdefault(number, BytesIO()))
+
     def _last_step(self) -> int:
         """The last step that is over: the one before the one that the world has opened, or the end's."""
         records = self._lab.records
@@ -150,14 +192,20 @@ def run(
     view: Node | None = None,
     wait: Callable[[], object] = lambda: None,
     fell: Fell | None = None,
+    journals: Path | None = None,
+    leave: Callable[[list[Robot]], object] = lambda _: None,
 ) -> Records:
-    """Run a plan to its end; `watch` is called whenever a step has been opened, the rest is as for `MemoryRun`."""
-    under_way = MemoryRun(plan, capture, wrap=wrap, view=view, wait=wait, fell=fell)
+    """Run a plan to its end; as for `MemoryRun`.
+
+    `watch` is called whenever a step has been opened, `leave` with the robots at the end, with all that they hold.
+    """
+    under_way = MemoryRun(plan, capture, wrap=wrap, view=view, wait=wait, fell=fell, journals=journals)
     opened = 0
     for _ in under_way.steps(heed):
         if watch is not None and under_way.records.step > opened:
             opened = under_way.records.step
             watch(under_way.records)
+    leave([agent.robot for agent in under_way.agents if agent.robot is not None])
     return under_way.records
 
 

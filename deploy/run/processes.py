@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from setproctitle import setproctitle
 
+from agent.journal import Journal, JournalError
 from agent.process import AgentNode
 from deploy.run.last_words import traceback_of
 from netshaper.hub import open_hub
@@ -51,6 +52,8 @@ class WorldTask:
     cell_mm: float
     pace: float | None = None
     """Steps a second at most, for people who watch."""
+    revive: bool = False
+    """Whether robots that are lost unasked are to be started again."""
 
     @property
     def wait(self) -> Callable[[], object]:
@@ -98,14 +101,21 @@ def serve_world(credential: Credential, task: WorldTask) -> None:
     """Serve as the world of a run."""
     bus = join(credential)
     keys = Keys(credential.run)
-    node = WorldNode(bus, keys, task.world, task.minds, task.steps, task.cell_mm, wait=task.wait)
+    node = WorldNode(
+        bus, keys, task.world, task.minds, task.steps, task.cell_mm, wait=task.wait, revive=task.revive
+    )
     _serve(bus, node)
 
 
-def serve_agent(credential: Credential) -> None:
-    """Serve as one robot of a run."""
+def serve_agent(credential: Credential, journal: Path | None = None) -> None:
+    """Serve as one robot of a run; with a `journal` it may be killed and begin again."""
+    kept = Journal.open(journal) if journal is not None else None
     bus = join(credential)
-    _serve(bus, AgentNode(bus, Keys(credential.run), names.number(credential.name)))
+    node = AgentNode(bus, Keys(credential.run), names.number(credential.name), kept)
+    try:
+        _serve(bus, node)
+    except JournalError as error:
+        sys.exit(f"{journal}: {error}")
 
 
 def serve_view(credential: Credential, task: ViewTask, ready: Connection) -> None:
@@ -121,6 +131,8 @@ def _serve(bus: Bus, node: WorldNode | AgentNode) -> None:
             message = bus.receive()
             if message is not None:
                 node.handle(message)
+        if isinstance(node, AgentNode) and node.killed:
+            os.kill(os.getpid(), signal.SIGKILL)
     finally:
         bus.close()
 

@@ -172,7 +172,7 @@ class Steps:
         report = next(each for each in reversed(records.world) if each.step == number)
         robots = {}
         for robot, x_mm, y_mm, heading in np.frombuffer(report.poses, "<i4").reshape(-1, 4).tolist():
-            mind = self._run.robots[robot].robot
+            mind = self._run.agents[robot].robot
             if mind is None:
                 continue
             x_cell, y_cell = x_mm / 1000 / resolution, y_mm / 1000 / resolution

@@ -28,13 +28,14 @@ from agent.sight.looks import MAX_LOOKS
 from deploy.run.exploration import explore
 from deploy.run.in_memory import run as run_in_memory
 from deploy.scenario.plan import make
-from deploy.scenario.scenario import SHIPPED, Death, RobotOverride, Scenario, ScenarioError, load
+from deploy.scenario.scenario import SHIPPED, Death, FaultTable, RobotOverride, Scenario, ScenarioError, load
 from netshaper import access
 from netshaper.ledger import CAUSES, ROW
 from protocol import messages, packets, survey
 from protocol.grid import MAX_ROBOTS, MAX_SIDE, UNKNOWN, Grid, fan
 from protocol.keys import Keys
 from protocol.messages import Outcome
+from protocol.rights import RIGHTS
 from protocol.scans import Scan, draw, encode_scan, fragments
 from worldsim.laser import cast
 
@@ -199,7 +200,7 @@ def defaults(kind: Any, prefix: str = "") -> dict[str, tuple[str, str]]:
     """Default and description of each setting of a table."""
     found: dict[str, tuple[str, str]] = {}
     for name, info in kind.model_fields.items():
-        if name in ("robot", "death") and not prefix:
+        if name in ("robot", "death", "fault") and not prefix:
             continue
         if name == "polygon":
             found |= {f"polygon.{n}": (plain(value), "") for n, value in asdict(PolygonOptions()).items()}
@@ -243,6 +244,7 @@ def test_limits_are_those_of_the_code() -> None:
         "cells a side of the grid": str(MAX_SIDE),
         "robots": str(MAX_ROBOTS),
         "robots whose maps travel": str(packets.MAX_MAPS),
+        "robots times lives": str(packets.MAX_MAPS),
         "objects an approximation": str(packets.MAX_OBJECTS),
         "vertices an object": str(packets.MAX_VERTICES),
         "units of a log in a block": str(packets.INDEX_WINDOW),
@@ -327,7 +329,7 @@ def test_the_ledger_s_columns_and_causes_are_all_there() -> None:
         assert f"\n- `{cause}`: " in text
 
 
-def test_keys_are_what_participants_put_and_hear() -> None:
+def test_keys_and_rights_are_what_participants_put_hear_and_say() -> None:
     keys = Keys("RUN")
     there_are = {row[0] for row in rows("protocol.md", "Keys")}
     assert there_are == {
@@ -339,6 +341,8 @@ def test_keys_are_what_participants_put_and_hear() -> None:
         keys.alive("NAME"),
         keys.presence("NAME"),
     }
+    told_of = {(who, to): tuple(may.split(", ")) for who, to, may in rows("protocol.md", "Rights")}
+    assert told_of == {ends: tuple(kind.__name__ for kind in kinds) for ends, kinds in RIGHTS.items()}
     names = {row[0] for row in rows("protocol.md", "Participants")}
     assert names == {"relay", *access.participants(0), "r0, r1, ..."}
 
@@ -346,6 +350,7 @@ def test_keys_are_what_participants_put_and_hear() -> None:
 def test_every_setting_stands_in_the_table_with_its_default() -> None:
     table = {name: (default, about) for name, default, about in rows("protocol.md", "Settings and defaults")}
     wanted = defaults(Scenario) | defaults(RobotOverride, "robot.") | defaults(Death, "death.")
+    wanted |= defaults(FaultTable, "fault.")
     assert list(table) == list(wanted)
     for name, (default, about) in wanted.items():
         assert table[name][0] == default, name

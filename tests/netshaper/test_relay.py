@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -278,9 +279,9 @@ def test_noise_on_a_robots_wire_stops_no_run(noise: bytes) -> None:
 @pytest.mark.parametrize(
     "said",
     [
-        Said(1, 0, "offers", [2**63, -(2**63), 0, 0]),
-        Said(-5, 99, "offers", []),
-        Said(2**64 - 1, 0, "offers", [2**64 - 1]),
+        Said(1, 0, "offers", [2**31 - 1, -1, 0, 0]),
+        Said(0, 15, "offers", [], 255),
+        Said(2**31 - 1, 0, "offers", [2**31 - 1]),
     ],
 )
 def test_strange_numbers_at_the_end_of_a_phase_stop_no_run(said: Said) -> None:
@@ -289,6 +290,19 @@ def test_strange_numbers_at_the_end_of_a_phase_stop_no_run(said: Said) -> None:
     run.radio("r1", "r0", encode([Offer(1, 0)]))
     run.say("r1", said)
     assert run.relay.waiting_for() == [0]
+
+
+@pytest.mark.parametrize(
+    "items", [[1, 0, "offers", [2**63], 0], [-5, 99, "offers", [], 0], [1, 0, "offers", [], 256]], ids=repr
+)
+def test_numbers_that_cannot_be_end_no_phase(items: list[Any]) -> None:
+    run = Run()
+    run.begin_step()
+    run.say("r1", msgspec.msgpack.encode([7, *items]))
+    (fault,) = run.heard(LAB)
+    assert fault.who == "r1"
+    assert "must be" in fault.what
+    assert run.relay.waiting_for() == [0, 1]
 
 
 @pytest.mark.parametrize(

@@ -380,7 +380,9 @@ def test_no_frame_stops_a_robots_process(steps: list[tuple[list[bytes], ...]]) -
     def tell(message: object, frames: list[bytes]) -> None:
         for payload in frames:
             node.handle(Message(keys.radio_rx("r0", names.robot(LIAR)), payload))
-        node.handle(Message(keys.control("r0", names.RELAY), pack(message)))
+        of_world = isinstance(message, Configure | Sense)
+        key = keys.body("r0", names.WORLD) if of_world else keys.control("r0", names.RELAY)
+        node.handle(Message(key, pack(message)))
 
     tell(Configure(a_small_plan().minds[0]), [])
     for step, (broadcasts, offers, answers, more) in enumerate(steps, 1):

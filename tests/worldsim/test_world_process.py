@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -31,6 +32,7 @@ from protocol.messages import (
     points_to_bytes,
     unpack,
 )
+from worldsim import faults
 from worldsim.process import ALL_LOST, EXPLORED, OUT_OF_STEPS, STALLED, WorldNode
 from worldsim.world import Body, World, WorldSettings
 
@@ -189,7 +191,7 @@ def test_the_world_goes_home_when_it_is_told_to() -> None:
 
 @pytest.mark.parametrize("step", [1, 2, 4])
 def test_a_robot_breaks_down_at_the_beginning_of_the_step_that_the_scenario_names(step: int) -> None:
-    run = Run(deaths=((1, step),))
+    run = Run(faults=(faults.Fault(step, 1, "death"),))
     for number in range(1, step):
         assert run.world.step == number
         assert list(run.world.cells) == [0, 1]
@@ -202,7 +204,7 @@ def test_a_robot_breaks_down_at_the_beginning_of_the_step_that_the_scenario_name
 
 
 def test_a_team_that_breaks_down_altogether_ends_the_run() -> None:
-    run = Run(deaths=((0, 1), (1, 1)))
+    run = Run(faults=(faults.Fault(1, 0, "death"), faults.Fault(1, 1, "death")))
     assert run.ended() == End(1, ALL_LOST, -1)
 
 
@@ -217,14 +219,15 @@ NONSENSE = [
     Bye(),
     Stop("I say so"),
     Move(7, b"", 0, explored=False),
-    Move(-1, b"", 0, explored=True),
-    Move(1, b"abc", 0, explored=True),
-    Move(1, b"", 0, explored=True, points=b"abcd"),
+    msgspec.msgpack.encode([3, -1, b"", 0, True, True, False, b""]),
+    msgspec.msgpack.encode([3, 1, b"abc", 0, True, True, False, b""]),
+    msgspec.msgpack.encode([3, 1, b"", 0, True, True, False, b"abcd"]),
+    msgspec.msgpack.encode([3, 1, b"", 8, True, True, False, b""]),
 ]
 
 
 @pytest.mark.parametrize("lie", NONSENSE, ids=repr)
-def test_a_move_that_makes_no_sense_is_reported_and_the_robot_stays(lie: object) -> None:
+def test_what_is_no_move_is_reported_and_the_robots_move_is_waited_for(lie: object) -> None:
     run = Run()
     run.heard(names.LAB)
     run.move(1, lie)
@@ -233,16 +236,29 @@ def test_a_move_that_makes_no_sense_is_reported_and_the_robot_stays(lie: object)
     assert fault.who == "r1"
     assert not run.node.done
     run.stay(0)
+    assert run.world.step == 1
+    run.stay(1)
     assert run.world.step == 2
     assert run.world.cells == {0: (2, 2), 1: (4, 2)}
     assert run.ended() is None
+
+
+def test_a_second_move_in_a_step_is_reported_and_the_first_one_counts() -> None:
+    run = Run()
+    run.heard(names.LAB)
+    run.move(1, Move(1, cells_to_bytes(np.array([[4, 3]], np.int32)), 0, explored=False))
+    run.move(1, Move(1, b"", 0, explored=True))
+    (fault,) = run.heard(names.LAB)
+    assert fault == Fault("r1", "Move at byte 0: a second one for step 1")
+    run.stay(0)
+    assert run.world.cells[1] == (4, 3)
 
 
 @given(st.binary(max_size=60))
 def test_noise_on_a_robots_wire_stops_no_run(noise: bytes) -> None:
     run = Run()
     run.move(1, noise)
-    run.stay(0)
+    run.stay(0, 1)
     assert run.world.step == 2
 
 
@@ -272,7 +288,7 @@ def test_a_move_at_the_wrong_time_has_no_effect(when: str) -> None:
 )
 def test_a_path_that_cannot_be_driven_moves_a_robot_as_far_as_it_can(path: list[list[int]]) -> None:
     run = Run(1)
-    run.move(0, Move(1, cells_to_bytes(np.array(path, np.int32)), 2**63, explored=False))
+    run.move(0, Move(1, cells_to_bytes(np.array(path, np.int32)), 7, explored=False))
     assert run.world.step == 2
     x, y = run.world.cells[0]
     assert abs(x - 2) <= 1
@@ -283,6 +299,6 @@ def test_a_path_that_cannot_be_driven_moves_a_robot_as_far_as_it_can(path: list[
 def test_way_points_beyond_the_world_move_a_robot_as_far_as_it_can(far: int) -> None:
     run = Run(1)
     points = points_to_bytes(np.array([[far, far], [0, far]], np.int32))
-    run.move(0, Move(1, b"", -1, explored=False, points=points))
+    run.move(0, Move(1, b"", 1, explored=False, points=points))
     assert run.world.step == 2
     assert run.world.driven[0] <= 1.0

@@ -60,6 +60,8 @@ def test_a_target_heard_long_ago_counts_less_where_targets_age() -> None:
     old = robot_at(4, targets={1: (0, 1)}, heard={1: -99})
     assert decide("meier", old, {"beta": 0.5}).target == (14, 1)
     assert decide("meier", old, {"beta": 0.5, "half_life": 20.0}).target == (0, 1)
+    assert decide("meier", old, {"beta": 0.5, "forget": 100}).target == (0, 1)
+    assert decide("meier", old, {"beta": 0.5, "forget": 1000}).target == (14, 1)
 
 
 def test_of_two_that_herd_the_higher_numbered_chooses_again_once() -> None:

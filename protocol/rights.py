@@ -1,0 +1,117 @@
+"""Who may say what to whom: one table for relay, world, laboratory, viewer and robots, and for access control.
+
+Nothing that is said is believed without it: each participant reads its messages with `read`, which refuses what is not
+its sender's to say, before anything of it is unpacked that would be longer than what it may say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+from protocol import keys as names
+from protocol.keys import LAB, RELAY, VIEW, WORLD, Keys
+from protocol.messages import (
+    Back,
+    Begin,
+    Bye,
+    Close,
+    Configure,
+    End,
+    Fault,
+    Lost,
+    Maps,
+    MindReport,
+    Move,
+    Open,
+    Outcome,
+    Outlines,
+    Positions,
+    RadioReport,
+    Record,
+    Said,
+    Sense,
+    Snapshot,
+    Stop,
+    Strike,
+    Turn,
+    Watched,
+    WorldReport,
+    unpacker,
+)
+
+ROBOT = "robot"
+"""Stands in the table for each robot."""
+
+RIGHTS: dict[tuple[str, str], tuple[type[Record], ...]] = {
+    (RELAY, WORLD): (Begin, Lost, Back, Stop, Strike, Bye, Watched),
+    (RELAY, ROBOT): (Open, Turn, Outcome, Close, End, Bye, Watched),
+    (RELAY, LAB): (Lost, Back, End, Bye, RadioReport, Fault),
+    (RELAY, VIEW): (Lost, Back, End, Bye, RadioReport, Fault),
+    (WORLD, RELAY): (Positions, End),
+    (WORLD, ROBOT): (Configure, Sense, End, Strike),
+    (WORLD, LAB): (WorldReport, Strike, Fault),
+    (WORLD, VIEW): (WorldReport, Strike, Fault),
+    (LAB, RELAY): (Stop, Strike, Bye),
+    (ROBOT, RELAY): (Said,),
+    (ROBOT, WORLD): (Move,),
+    (ROBOT, LAB): (MindReport, Maps, Fault),
+    (ROBOT, VIEW): (MindReport, Fault, Snapshot, Outlines),
+}
+"""What who says (first) may say to whom (second). What robots say by radio are packets; a viewer says nothing."""
+
+BODY = {(WORLD, ROBOT), (ROBOT, WORLD)}
+"""Who speaks to whom on the body plane; all others do on the control plane."""
+
+
+def read(key: str, payload: bytes) -> Any:
+    """Read a message of the body or control plane that came under a key.
+
+    Raises
+    ------
+    ProtocolError
+        It is no message, too long for one, a field is wrong, or it is not for its sender to say to its receiver.
+    """
+    return _reader(key)(payload)
+
+
+@lru_cache(maxsize=1 << 12)
+def _reader(key: str) -> Callable[[bytes], Any]:
+    plane, direction, first, second = names.parts(key)
+    sender, receiver = (first, RELAY) if direction == "tx" else (second, first)
+    ends = _role(sender), _role(receiver)
+    return _reader_of(ends if (ends in BODY) == (plane == "body") else ("", ""), sender)
+
+
+@lru_cache(maxsize=1 << 10)
+def _reader_of(ends: tuple[str, str], sender: str) -> Callable[[bytes], Any]:
+    return unpacker(RIGHTS.get(ends, ()), sender or "nobody")
+
+
+def may_put(keys: Keys, name: str) -> list[str]:
+    """The keys that a participant may put messages and frames under; `*` stands for any name."""
+    role = _role(name)
+    radio = [keys.radio_tx(name, "*")] if role == ROBOT else []
+    return radio + [_key(keys, name, role, receiver) for sender, receiver in RIGHTS if sender == role]
+
+
+def hearers(name: str, everyone: list[str]) -> list[str]:
+    """Of all participants, those to whom one may say anything."""
+    role = _role(name)
+    return [other for other in [RELAY, *everyone] if other != name and (role, _role(other)) in RIGHTS]
+
+
+def _key(keys: Keys, name: str, role: str, receiver: str) -> str:
+    if receiver == RELAY:
+        return keys.control_tx(name)
+    place = "*" if receiver == ROBOT else receiver
+    return keys.body(place, name) if (role, receiver) in BODY else keys.control(place, name)
+
+
+def _role(name: str) -> str:
+    try:
+        names.number(name)
+    except ValueError:
+        return name
+    return ROBOT

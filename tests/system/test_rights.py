@@ -1,0 +1,127 @@
+"""A participant with a valid credential says everything that it may not, whenever it says anything at all."""
+
+from __future__ import annotations
+
+from collections import Counter
+from functools import cache
+from typing import Any
+
+import pytest
+
+from deploy.record.records import Records
+from deploy.record.summary import digest
+from deploy.run import in_memory
+from deploy.scenario.plan import Plan
+from protocol import keys as names
+from protocol import messages, rights
+from protocol.bus import Bus, Message
+from protocol.keys import Keys
+from protocol.messages import pack
+from tests.system.team import small_plan
+
+EXAMPLES: tuple[messages.Record, ...] = (
+    messages.Begin(),
+    messages.Configure({"robots": 9}),
+    messages.Sense(3, 4, 4, 0, b"", bytes(720), ""),
+    messages.Move(3, b"", 0, explored=True),
+    messages.Positions(3, [0, 1, 2], [4, 4, 4], [4, 4, 4]),
+    messages.Open(3, 0, [0, 2], 1000),
+    messages.Turn(3, 0, "offers", [0], [0]),
+    messages.Said(3, 0, "offers", []),
+    messages.Outcome(3, 0, [0], [2], [2], [2], [0], broadcast=True),
+    messages.Close(3),
+    messages.Lost(0, "I saw it die"),
+    messages.End(3, "explored", 1),
+    messages.Stop("enough"),
+    messages.Bye(),
+    messages.WorldReport(3, bytes(48), [1, 2, 3], 90, 90),
+    messages.MindReport(3, 4, 4, 9, 0, -1, 0, "idle", 1),
+    messages.RadioReport(3, bytes(7), 0, b"frames"),
+    messages.Maps(0, 1, 1, b"\x01", b"\x01"),
+    messages.Fault("r0", "I say so"),
+    messages.Watched(here=True),
+    messages.Snapshot(3, 1, 1, b"\x00"),
+    messages.Outlines(3, 0, bytes(16)),
+)
+JUNK = (
+    b"",
+    b"\xc1",
+    1000 * b"\x91",
+    bytes(9_000_000),
+    pack(messages.Maps(0, 9, 9, bytes(81), bytes(81))),
+    pack(messages.Said(1, 0, "offers", [1] * 10**6)),
+    pack(messages.Move(1, bytes(8 << 20), 0, explored=True)),
+)
+STEPS, OFTEN = 12, 8
+
+
+def forbidden(keys: Keys, name: str) -> list[Message]:
+    """All that a participant can put but may not say: every kind to everyone, and what is no message."""
+    found = []
+    for key in rights.may_put(keys, name):
+        if "/radio/" in key:
+            continue
+        for receiver in ("r0", "r2") if "*" in key else ("",):
+            place = key.replace("*", receiver)
+            _, direction, first, second = names.parts(place)
+            ends = (first, names.RELAY) if direction == "tx" else (second, first)
+            roles = tuple(rights.ROBOT if end[1:].isdigit() else end for end in ends)
+            may = rights.RIGHTS[roles[0], roles[1]]
+            found += [Message(place, pack(each)) for each in EXAMPLES if type(each) not in may]
+            found += [Message(place, junk) for junk in JUNK]
+    return found
+
+
+class Rogue:
+    """The end of the bus of who says all that it may not, whenever it has heard something: in every phase."""
+
+    def __init__(self, inner: Bus, lies: list[Message]) -> None:
+        self._inner, self._lies, self._heard = inner, lies, Counter[str]()
+        self.put, self.close = inner.put, inner.close
+
+    def receive(self, timeout_s: float | None = None) -> Message | None:
+        message = self._inner.receive(timeout_s)
+        if message is not None:
+            kind = (
+                type(messages.unpack(message.payload)).__name__ if "/radio/" not in message.key else "frame"
+            )
+            self._heard[kind] += 1
+            for lie in self._lies if self._heard[kind] <= OFTEN else ():
+                self._inner.put(*lie)
+        return message
+
+
+@cache
+def plan() -> Plan:
+    return small_plan(robots=3, steps=STEPS)
+
+
+def play(rogue: str = "") -> Records:
+    def wrap(name: str, bus: Bus) -> Bus:
+        return Rogue(bus, forbidden(Keys("memory"), name)) if name == rogue else bus
+
+    return in_memory.run(plan(), wrap=wrap)
+
+
+@cache
+def honest_digest() -> str:
+    return digest(play())
+
+
+def test_there_is_an_example_of_every_kind() -> None:
+    kinds: Any = messages.Record.__subclasses__()
+    assert {type(each) for each in EXAMPLES} == set(kinds)
+
+
+@pytest.mark.parametrize("rogue", ["r1", names.WORLD, names.LAB])
+def test_what_is_not_ones_to_say_is_a_fault_with_ones_name_and_changes_nothing(rogue: str) -> None:
+    records = play(rogue)
+    assert digest(records) == honest_digest()
+    assert records.end is not None
+    assert records.end.step == STEPS
+    assert records.lost == {}
+    assert records.fault_count > 100
+    assert {fault.split(":")[0] for fault in records.faults} <= {rogue, "r0", "r2"}
+    assert any(
+        fault.startswith(f"{rogue}: ") and f"not for {rogue} to say" in fault for fault in records.faults
+    )
