@@ -131,7 +131,7 @@ WRONG = [
     ({"range": "inf"}, "range = 'inf': must be"),
     ({"range": math.inf}, "range = inf: must be"),
     ({"range": True}, "range = True: "),
-    ({"exchange": "smoke"}, "exchange = 'smoke': there are: .*laser"),
+    ({"exchange": "smoke"}, "exchange = 'smoke': no exchange is called 'smoke'; there are: .*laser"),
     ({"strategy": "best"}, "no strategy is called 'best'; there are: .*meier"),
     ({"offers": "never"}, "offers = 'never': .*'backoff', 'thesis' or 'gossip'"),
     ({"bus": "tram"}, "bus = 'tram': .*'zenoh' or 'memory'"),
