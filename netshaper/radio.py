@@ -133,7 +133,7 @@ class Radio:
         """Take a frame that a robot put; `receiver` is `EVERYONE` for a broadcast."""
         if sender in self._waiting:
             self._spoken[sender].frames.append((receiver, payload))
-        else:
+        elif sender not in self._dead:
             self._refuse(sender, receiver, DATA, payload, "protocol", "spoke out of turn")
 
     def said(self, sender: int, note: Said) -> list[Outgoing]:
@@ -150,6 +150,11 @@ class Radio:
         self._dead.add(robot)
         self._waiting.discard(robot)
         return self._advance() if self._phase else []
+
+    @property
+    def phase(self) -> tuple[int, int, str]:
+        """Step, exchange and phase under way."""
+        return self._step, self._exchange, self._phase
 
     def waiting_for(self) -> list[int]:
         """Robots which have not spoken in this phase yet."""

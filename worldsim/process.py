@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -11,11 +12,12 @@ from protocol import keys as names
 from protocol import rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
-from protocol.fields import clip
+from protocol.fields import MOST_WORD, clip
 from protocol.keys import Keys
 from protocol.messages import (
     Begin,
     Bye,
+    Close,
     Configure,
     End,
     Fault,
@@ -28,6 +30,7 @@ from protocol.messages import (
     WorldReport,
     pack,
 )
+from protocol.rights import BABBLES, MOST_NONSENSE
 from worldsim.continuous_motion import FINE
 from worldsim.world import World
 
@@ -73,6 +76,10 @@ class WorldNode:
         self._stop = ""
         self._running = False
         self._watched = False
+        self._closed = False
+        """Whether the medium of this step is: then all robots are to move."""
+        self._nonsense: Counter[str] = Counter()
+        """How often each participant has made no sense in this step."""
 
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
@@ -83,9 +90,23 @@ class WorldNode:
             else:
                 self._take_note(said)
         except ProtocolError as error:
-            self._report(Fault(names.parts(message.key)[3], clip(str(error))))
+            self._fault(names.parts(message.key)[3], str(error))
         while self._running and self._moves.keys() >= self._world.cells.keys():
             self._end_step()
+
+    @property
+    def phase(self) -> tuple[object, ...]:
+        """What the world waits for: all moves of a step whose medium is closed."""
+        return self._world.step, self._closed
+
+    def waiting_for(self) -> list[int]:
+        """Robots whose moves the world is waiting for."""
+        late = self._world.cells.keys() - self._moves.keys() if self._running and self._closed else ()
+        return sorted(late)
+
+    def give_up_on(self, robot: int, cause: str) -> None:
+        """Have the relay go on without a robot: then it is lost to all."""
+        self._bus.put(self._keys.control_tx(names.WORLD), pack(Lost(robot, cause)))
 
     def _take_note(self, said: object) -> None:
         if isinstance(said, Begin):
@@ -93,6 +114,8 @@ class WorldNode:
         elif isinstance(said, Lost):
             self._world.lose(said.robot)
             self._moves.pop(said.robot, None)
+        elif isinstance(said, Close):
+            self._closed = said.step == self._world.step
         elif isinstance(said, Stop):
             self._stop = said.reason
         elif isinstance(said, Watched):
@@ -139,6 +162,8 @@ class WorldNode:
 
     def _open_step(self, moves: Mapping[int, Move]) -> None:
         self._wait()
+        self._closed = False
+        self._nonsense.clear()
         world = self._world
         for robot in world.doomed():
             world.lose(robot)
@@ -152,6 +177,14 @@ class WorldNode:
         )
         self._bus.put(self._keys.control_tx(names.WORLD), pack(positions))
         self._report(self._truth())
+
+    def _fault(self, who: str, what: str) -> None:
+        """Report what made no sense; who says too much of it is given up."""
+        self._nonsense[who] += 1
+        if self._nonsense[who] <= MOST_NONSENSE:
+            self._report(Fault(who[:MOST_WORD], clip(what)))
+        elif self._nonsense[who] == MOST_NONSENSE + 1 and names.is_robot(who):
+            self.give_up_on(names.number(who), BABBLES)
 
     def _report(self, message: Record) -> None:
         """Tell the laboratory, and the viewer if there is one."""

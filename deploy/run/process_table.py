@@ -76,6 +76,13 @@ class ProcessTable:
             process.start()
         self._children.append(Child(name, process, log, needed))
 
+    def give_up(self, name: str) -> None:
+        """End a child, which is not missed: how it ends is no news any more."""
+        for child in self._children:
+            if child.name == name and child.needed and name not in self.deaths:
+                child.needed = False
+                child.process.kill()
+
     def look(self) -> dict[str, str]:
         """Check the children; return all deaths so far."""
         for child in self._children:
