@@ -8,7 +8,6 @@ channel load       what is explored over time, and over the same steps bytes on 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -34,18 +33,17 @@ MOST_ROBOTS = 8
 MOST_CURVES = 10
 """Robots up to which each has a curve of its own."""
 MOMENTS = 6
+COMPARED = ("#20242a", "#d9730d", "#1f77b4", "#2ca02c")
+"""Colours of runs that are compared."""
 RED = "#d62728"
 
 Curves = dict[int, tuple[NDArray[Any], NDArray[Any]]]
 """Of each robot steps, and values at them."""
 
 
-def write_figures(
-    archive: Archive, folder: Path, tell: Callable[[str], object] = lambda _: None
-) -> list[Path]:
+def write_figures(archive: Archive, folder: Path, snapshots: Snapshots | None) -> list[Path]:
     """Draw all figures that can be drawn of a run; return the files."""
     folder.mkdir(exist_ok=True)
-    snapshots = archive.snapshots(tell)
     figures: dict[str, Figure] = {CHANNEL_LOAD: channel_load(archive, snapshots)}
     if snapshots is not None and snapshots.told_steps(0):
         figures[MAPS_OVER_TIME] = maps_over_time(archive, snapshots)
@@ -111,8 +109,8 @@ def channel_load(archive: Archive, snapshots: Snapshots | None) -> Figure:
     """
     figure = Figure(figsize=(11, 9), layout="constrained")
     explored, load, wait = figure.subplots(3, 1, sharex=True, height_ratios=[4, 3, 2.5])
-    _draw_explored(explored, archive, snapshots)
-    _draw_load(load, archive)
+    draw_explored(explored, archive, snapshots)
+    draw_load(load, archive)
     told = _draw_waiting(wait, archive)
     for axes in (load, wait, told):
         axes.set_ylim(0, max(1.0, axes.get_ylim()[1]))
@@ -135,7 +133,37 @@ def channel_load(archive: Archive, snapshots: Snapshots | None) -> Figure:
     return figure
 
 
-def _draw_explored(panel: Axes, archive: Archive, snapshots: Snapshots | None) -> None:
+def compared(archives: dict[str, Archive]) -> Figure:
+    """What the teams of several runs have seen over time, and below it what they put on the air."""
+    figure = Figure(figsize=(11, 7), layout="constrained")
+    explored, load = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
+    budgets = {archive.plan.scenario.bandwidth for archive in archives.values()}
+    for number, (name, archive) in enumerate(archives.items()):
+        color = COMPARED[number % len(COMPARED)]
+        steps, at = np.unique(archive.steps["step"], return_index=True)
+        explored.plot(steps, 100 * archive.steps["team_seen"][at], color=color, linewidth=2, label=name)
+        carried = _per_step(archive.ledger, archive.ledger["carried"].astype(bool), archive.last_step)
+        total = carried.sum() / 1000
+        load.step(np.arange(1, len(carried) + 1), carried, color=color, linewidth=1, where="mid",
+                  label=f"{name}: {total:.0f} kB in all")  # fmt: skip
+    if len(budgets) == 1 and UNLIMITED not in budgets:
+        load.axhline(float(*budgets), color=RED, linewidth=1.2, label="budget")
+    explored.set_title("Explored")
+    explored.set_ylabel("% of what can be reached, seen by the team")
+    explored.set_ylim(0, 102)
+    load.set_title("On the air")
+    load.set_ylabel("bytes a step")
+    load.set_ylim(0, max(1.0, load.get_ylim()[1]))
+    load.set_xlabel("step")
+    for panel in (explored, load):
+        panel.grid(alpha=0.25)
+        panel.margins(x=0)
+        panel.legend(loc="lower right" if panel is explored else "best", fontsize=9)
+    return figure
+
+
+def draw_explored(panel: Axes, archive: Archive, snapshots: Snapshots | None) -> None:
+    """What the team has seen over time, and what is on each robot's map."""
     first = archive.steps
     steps, at = np.unique(first["step"], return_index=True)
     panel.plot(steps, 100 * first["team_seen"][at], color="black", linewidth=2.2, label="seen by the team")
@@ -152,7 +180,7 @@ def _draw_explored(panel: Axes, archive: Archive, snapshots: Snapshots | None) -
     panel.set_title("Explored")
 
 
-def _draw_load(panel: Axes, archive: Archive) -> None:
+def draw_load(panel: Axes, archive: Archive) -> None:
     """Bytes on the air by purpose and step, and what part of the budget that is."""
     ledger, last = archive.ledger, archive.last_step
     steps = np.arange(1, last + 1)

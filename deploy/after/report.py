@@ -1,18 +1,28 @@
-"""`murmur report`: one self-contained HTML page of a run, with its figures."""
+"""`murmur report`: one self-contained HTML page of a run with its figures, or of two runs compared.
+
+The page is ``report.html.jinja``; what it says is put together here.
+"""
 
 from __future__ import annotations
 
 import base64
+import io
 from collections.abc import Callable, Iterable, Sequence
-from html import escape
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jinja2 import Environment, PackageLoader
+from matplotlib.figure import Figure
+from PIL import Image
 
 from deploy.after.archive import Archive, read
-from deploy.after.figures import APPROXIMATION, CHANNEL_LOAD, MAPS_OVER_TIME, write_figures
+from deploy.after.figures import APPROXIMATION, CHANNEL_LOAD, MAPS_OVER_TIME, compared, write_figures
+from deploy.after.frames import Frames, side_by_side
 from deploy.record import run_directory
+from deploy.record.map_pictures import counted
+from deploy.record.snapshots import Snapshots
 from netshaper.ledger import CAUSES, EVERYONE
 from protocol.packets import ALL_KINDS
 from worldsim.atomic_files import write_whole
@@ -46,70 +56,205 @@ UNDELIVERED = {
 assert ("", *UNDELIVERED) == CAUSES
 
 CAPTIONS = {
-    CHANNEL_LOAD: "Bytes on the air in each step, bytes that did not fit, and the explored area over the same steps.",
+    CHANNEL_LOAD: "What is explored over time, and over the same steps bytes on the air, bytes that did not fit, "
+    "and packets not sent yet.",
     MAPS_OVER_TIME: "Each robot's planning map over time, and in red the approximation that it sends of its own map.",
     APPROXIMATION: "What robot 0 has seen itself, and in red its approximation of it: white outside the line "
     "and grey within are its errors.",
-    run_directory.PICTURE: "The world with the robots' paths, what the team has seen, and all maps at the end.",
+    run_directory.PICTURE: "The world with the robots' ways, and what is wrong on the team's map and on each robot's "
+    "at the end.",
 }
 
-STYLE = """
-:root { color-scheme: light; }
-body { font: 16px/1.5 system-ui, sans-serif; color: #1b1f24 }
-body { max-width: 70rem; margin: 2rem auto; padding: 0 1rem }
-h1 { font-size: 1.6rem } h2 { font-size: 1.2rem; margin-top: 2.5rem; border-bottom: 1px solid #d5d9de }
-table { border-collapse: collapse; margin: 1rem 0 }
-th, td { padding: .25rem .9rem .25rem 0; text-align: left }
-th { border-bottom: 1px solid #9aa1a9; font-weight: 600 } td.n, th.n { text-align: right }
-tr.sum td { border-top: 1px solid #9aa1a9; font-weight: 600 }
-img { max-width: 100%; display: block } figure { margin: 1.5rem 0 } figcaption { color: #4a525b }
-pre { background: #f3f5f7; padding: 1rem; overflow-x: auto; font-size: .85rem } code { font-size: .9em }
-.lead { font-size: 1.1rem }
-"""
+FRAMES_CAPTION = (
+    "The building under a veil where no robot knows anything yet; green lines carry data in this step, grey ones "
+    "could. Beside it each robot's own map; below what is explored, and the use of the radio."
+)
+MOST_FRAMES, FRAME_WIDTH, PAIR_WIDTH = 40, 1120, 840
+"""Frames of a slider; the width of each, and of each of two beside each other, in pixels."""
+MOST_FRAME_BYTES = 3_000_000
+"""Bytes of all frames of a page: there are fewer of them if they would be more."""
 
 
-def write_report(directory: Path, tell: Callable[[str], object] = lambda _: None) -> Path:
-    """Draw the figures of a run and write its page; return the page.
+@dataclass(frozen=True)
+class Table:
+    """A table: its lines, the first its head; the columns to be set right, and whether the last line is a sum."""
+
+    lines: list[list[str]]
+    right: set[int]
+    has_head: bool = True
+    last_is_sum: bool = False
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture as a data URI, and what it shows; that of a slider has a step."""
+
+    source: str
+    words: str = ""
+    step: int = 0
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page."""
+
+    title: str
+    tables: Sequence[Table] = ()
+    pictures: Sequence[Picture] = ()
+    frames: Sequence[Picture] = ()
+    caption: str = ""
+    texts: Sequence[str] = ()
+
+
+def write_report(
+    directory: Path, tell: Callable[[str], object] = lambda _: None, other: Path | None = None
+) -> Path:
+    """Draw the figures of a run and write its page; or one that compares it with another run. Return the page.
 
     Raises
     ------
     ScenarioError
-        It is no run directory, or too little came of the run.
+        One is no run directory, or too little came of the run.
     """
     archive = read(directory)
-    figures = write_figures(archive, directory / run_directory.PICTURES, tell)
-    if (directory / run_directory.PICTURE).is_file():
-        figures.append(directory / run_directory.PICTURE)
-    path = directory / REPORT
-    text = page(archive, figures)
+    snapshots = archive.snapshots(tell)
+    if other is None:
+        figures = write_figures(archive, directory / run_directory.PICTURES, snapshots)
+        if (directory / run_directory.PICTURE).is_file():
+            figures.append(directory / run_directory.PICTURE)
+        path, text = directory / REPORT, page(archive, snapshots, figures)
+    else:
+        another = read(other)
+        path = directory / f"compared-with-{other.resolve().name}.html"
+        text = comparison({directory: (archive, snapshots), other: (another, another.snapshots(tell))})
     write_whole(path, lambda file: file.write(text.encode()))
     return path
 
 
-def page(archive: Archive, figures: Sequence[Path]) -> str:
+def page(archive: Archive, snapshots: Snapshots | None, figures: Sequence[Path]) -> str:
     """The page of a run, with all pictures embedded."""
     summary = archive.summary
-    title = f"{summary['robots']} robots on {summary['map']}"
-    scenario = (archive.directory / run_directory.SCENARIO).read_text(encoding="utf-8")
-    parts = [
-        f"<h1>{escape(title)}</h1>",
-        f'<p class="lead">{escape(_in_words(summary))}</p>',
-        *_section("The run", _rows(_figures(summary), numbers=())),
-        *_section("The robots", _rows(_robots(archive))),
-        *_section(
-            "Traffic on the air", _rows(_kinds(summary), last_is_sum=True), _rows(_undelivered(summary))
-        ),
-        *_section("Pictures", *(_picture(figure) for figure in figures)),
-        *_section("The scenario", f"<pre>{escape(scenario)}</pre>"),
-        "<p>Repeat the run: <code>murmur replay</code> with this directory. Its digest, which two equal runs "
-        f"share: <code>{escape(summary['digest'])}</code></p>",
-    ]
-    head = f'<meta charset="utf-8"><title>{escape(title)}</title><style>{STYLE}</style>'
-    return (
-        f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n'
-        + "\n".join(parts)
-        + "\n</body></html>\n"
+    return _render(
+        f"{counted(summary['robots'], 'robot')} on {summary['map']}",
+        [_in_words(summary)],
+        [
+            Section("The run", [_table(_figures(summary), right=(), has_head=False)]),
+            Section(
+                "Step by step", frames=_frames([Frames(archive, snapshots, FRAME_WIDTH)]), caption=FRAMES_CAPTION
+            ),
+            Section("Pictures", pictures=[_picture(figure.read_bytes(), CAPTIONS[figure.name]) for figure in figures]),
+            Section("The robots", [_table(_robots(archive))]),
+            Section("Traffic on the air", [_table(_kinds(summary), last_is_sum=True), _table(_undelivered(summary))]),
+            Section("The scenario", texts=[_scenario(archive)]),
+        ],
+        {"": summary["digest"]},
+    )  # fmt: skip
+
+
+def comparison(runs: dict[Path, tuple[Archive, Snapshots | None]]) -> str:
+    """The page that compares runs, by their directories."""
+    names = _names(list(runs))
+    archives = [archive for archive, _ in runs.values()]
+    summaries = [archive.summary for archive in archives]
+    file = io.BytesIO()
+    curves: Figure = compared(dict(zip(names, archives, strict=True)))
+    curves.savefig(file, format="png", dpi=100)
+    pictures = [_picture(file.getvalue(), "What each team has seen over time, and its use of the radio.")]
+    for name, archive in zip(names, archives, strict=True):
+        maps = archive.directory / run_directory.PICTURE
+        if maps.is_file():
+            pictures.append(_picture(maps.read_bytes(), f"{name}: {CAPTIONS[maps.name]}"))
+    figures = [_figures(summary) for summary in summaries]
+    rows = [[row[0], *(dict(each).get(row[0], "-") for each in figures)] for row in figures[0]]
+    shown = [Frames(archive, snapshots, PAIR_WIDTH) for archive, snapshots in runs.values()]
+    return _render(
+        " and ".join(names),
+        [f"{name}: {_in_words(summary)}" for name, summary in zip(names, summaries, strict=True)],
+        [
+            Section("The runs", [_table([["", *names], *rows], right=())]),
+            Section("What was set differently", [_table([["", *names], *_differences(archives)], right=())]),
+            Section("Step by step", frames=_frames(shown), caption=FRAMES_CAPTION),
+            Section("Pictures", pictures=pictures),
+            Section("Traffic on the air", [_table(_traffic(names, summaries), last_is_sum=True)]),
+        ],
+        {name: summary["digest"] for name, summary in zip(names, summaries, strict=True)},
+        wide=True,
     )
+
+
+def _render(
+    title: str, lead: list[str], sections: list[Section], digests: dict[str, str], *, wide: bool = False
+) -> str:
+    environment = Environment(
+        loader=PackageLoader("deploy.after", "."), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    )
+    shown = [
+        each
+        for each in sections
+        if each.pictures or each.frames or each.texts or any(len(t.lines) > t.has_head for t in each.tables)
+    ]
+    return environment.get_template("report.html.jinja").render(
+        title=title, lead=lead, sections=shown, wide=wide,
+        digests=[{"run": run, "value": value} for run, value in digests.items()],
+    )  # fmt: skip
+
+
+def _frames(runs: list[Frames]) -> list[Picture]:
+    """The pictures of a slider: evenly spaced over the longest run, as many as fit the page."""
+    last = max(run.last_step for run in runs)
+    steps = np.unique(np.linspace(1, max(1, last), min(MOST_FRAMES, max(1, last))).round().astype(int))
+    pictures = [_png(side_by_side(runs, int(step))) for step in steps]
+    while len(pictures) > 2 and sum(map(len, pictures)) > MOST_FRAME_BYTES * 3 / 4:
+        steps, pictures = steps[::-2][::-1], pictures[::-2][::-1]
+    return [Picture(_uri(data), step=int(step)) for step, data in zip(steps, pictures, strict=True)]
+
+
+def _png(picture: Image.Image) -> bytes:
+    """A picture as a small PNG of at most 128 colours."""
+    file = io.BytesIO()
+    picture.quantize(128, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
+        file, "PNG", optimize=True
+    )
+    return file.getvalue()
+
+
+def _names(directories: list[Path]) -> list[str]:
+    """Short names of runs that tell them apart."""
+    short = [directory.resolve().name for directory in directories]
+    return short if len(set(short)) == len(short) else [str(directory) for directory in directories]
+
+
+def _scenario(archive: Archive) -> str:
+    return (archive.directory / run_directory.SCENARIO).read_text(encoding="utf-8")
+
+
+def _differences(archives: list[Archive]) -> list[list[str]]:
+    """Settings that are not the same in all runs; the map by its name."""
+    flat = []
+    for archive in archives:
+        settings = archive.plan.scenario.model_dump(mode="json") | {"map": archive.plan.map.name}
+        flat.append(dict(_leaves(settings)))
+    keys = dict.fromkeys(key for settings in flat for key in settings)
+    rows = [[key, *(settings.get(key, "-") for settings in flat)] for key in keys]
+    return [row for row in rows if len(set(row[1:])) > 1]
+
+
+def _leaves(settings: dict[str, Any], before: str = "") -> Iterable[tuple[str, str]]:
+    for key, value in settings.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, f"{before}{key}.")
+        else:
+            yield before + key, "-" if value is None else str(value)
+
+
+def _traffic(names: list[str], summaries: list[dict[str, Any]]) -> list[list[str]]:
+    """Bytes of each kind of packet that any run has sent."""
+    rows = [["packet", "meaning", *(f"bytes, {name}" for name in names)]]
+    for kind in ALL_KINDS:
+        if any(kind in summary["bytes"] for summary in summaries):
+            sizes = [f"{summary['bytes'].get(kind, 0):,}" for summary in summaries]
+            rows.append([kind, KINDS[kind], *sizes])
+    return [*rows, ["all", "", *(f"{summary['bytes']['total']:,}" for summary in summaries)]]
 
 
 def _in_words(summary: dict[str, Any]) -> str:
@@ -137,7 +282,7 @@ def _figures(summary: dict[str, Any]) -> list[list[str]]:
         rows.insert(
             4, ["approximation error (Eq. 6.1)", f"{summary['approximation_error']:.2%} of the cells"]
         )
-    return [["", ""], *rows]
+    return rows
 
 
 def _robots(archive: Archive) -> list[list[str]]:
@@ -175,26 +320,17 @@ def _undelivered(summary: dict[str, Any]) -> list[list[str]]:
     ]
 
 
-def _section(title: str, *parts: str) -> list[str]:
-    return [f"<h2>{escape(title)}</h2>", *(part for part in parts if part)]
-
-
-def _rows(rows: list[list[str]], *, numbers: Iterable[int] | None = None, last_is_sum: bool = False) -> str:
-    """A table whose first row is the header, figures right-aligned; nothing if there are no other rows."""
-    if len(rows) < 2:
-        return ""
-    right = _numeric(rows[1:]) if numbers is None else set(numbers)
-    lines = []
-    for index, row in enumerate(rows):
-        cell = "th" if index == 0 else "td"
-        cells = "".join(
-            f"<{cell}{' class=n' if column in right else ''}>{escape(text)}</{cell}>"
-            for column, text in enumerate(row)
-        )
-        is_sum = last_is_sum and index == len(rows) - 1
-        if any(row):
-            lines.append(f"<tr{' class=sum' if is_sum else ''}>{cells}</tr>")
-    return "<table>" + "\n".join(lines) + "</table>"
+def _table(
+    lines: list[list[str]],
+    *,
+    right: Iterable[int] | None = None,
+    has_head: bool = True,
+    last_is_sum: bool = False,
+) -> Table:
+    """A table whose columns of figures are set right, unless `right` says which."""
+    body = lines[1:] if has_head else lines
+    columns = set(right) if right is not None else _numeric(body) if body else set()
+    return Table(lines, columns, has_head, last_is_sum)
 
 
 def _numeric(rows: list[list[str]]) -> set[int]:
@@ -205,13 +341,12 @@ def _numeric(rows: list[list[str]]) -> set[int]:
     }
 
 
-def _picture(path: Path) -> str:
-    data = base64.b64encode(path.read_bytes()).decode()
-    words = CAPTIONS[path.name]
-    return (
-        f'<figure><img alt="{escape(words)}" src="data:image/png;base64,{data}">'
-        f"<figcaption>{escape(words)}</figcaption></figure>"
-    )
+def _picture(png: bytes, words: str) -> Picture:
+    return Picture(_uri(png), words)
+
+
+def _uri(png: bytes) -> str:
+    return f"data:image/png;base64,{base64.b64encode(png).decode()}"
 
 
 def _percent(share: float) -> str:

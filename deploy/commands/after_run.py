@@ -24,14 +24,22 @@ app = family()
 
 @app.command()
 def report(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
+    directories: Annotated[
+        list[Path], typer.Argument(metavar="DIR [OTHER]", help="a run directory, or two to be compared")
+    ],
 ) -> None:
-    """Draw a run's maps over time and its traffic, and write a self-contained HTML page: report.html."""
+    """Write an HTML page of a run, with pictures and a slider; or compare two runs.
+
+    The page is report.html in DIR, or compared-with-OTHER.html. It is self-contained.
+    """
     from deploy.after.report import write_report  # noqa: PLC0415
 
     with speaking_clearly():
-        page = write_report(directory, errors.print)
-        screen.print(f"{page}: the run on one page, including its pictures")
+        directory, *others = directories
+        if len(others) > 1:
+            raise ValueError("a report is of one run, or compares two")
+        page = write_report(directory, errors.print, *others)
+        screen.print(f"{page}: the {'runs' if others else 'run'} on one page, including pictures")
 
 
 @app.command()
@@ -49,6 +57,38 @@ def export(
             raise ScenarioError("export: no format given; choose --mcap")
         written = export_mcap(directory, errors.print)
         screen.print(f"{written}: open it in Foxglove, or play {written.parent} with ros2 bag")
+
+
+@app.command()
+def movie(
+    directories: Annotated[
+        list[Path],
+        typer.Argument(metavar="DIR [OTHER]", help="a run directory, or two to be shown side by side"),
+    ],
+    mp4: Annotated[bool, typer.Option("--mp4", help="a film for any player or page (the default)")] = False,
+    gif: Annotated[bool, typer.Option("--gif", help="a GIF, for places that take pictures only")] = False,
+    rate: Annotated[float, typer.Option(metavar="STEPS_PER_S", help="how fast it runs")] = 10.0,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="the file (default: movie.mp4 or .gif in DIR)")
+    ] = None,
+) -> None:
+    """Film a run, step by step, or two side by side.
+
+    Each picture shows the building with the robots, the map of each, and the use of the radio.
+    """
+    from deploy.after.movie import GIF, MP4, write_movie  # noqa: PLC0415
+    from deploy.study.progress import counting  # noqa: PLC0415
+
+    with speaking_clearly():
+        if len(directories) > 2:
+            raise ValueError("a film shows one run, or two side by side")
+        if mp4 and gif:
+            raise ValueError("--mp4 and --gif are two films: choose one")
+        with counting(errors, "pictures") as progress:
+            path = write_movie(
+                directories, GIF if gif else MP4, out, rate=rate, tell=errors.print, progress=progress
+            )
+        screen.print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
 
 
 @app.command()

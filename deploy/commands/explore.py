@@ -212,4 +212,5 @@ def _draw(directory: Path) -> None:
     from deploy.run.interrupt import Interrupt  # noqa: PLC0415
 
     with Interrupt().caught():
-        figures.write_figures(archive.read(directory), directory / PICTURES)
+        run = archive.read(directory)
+        figures.write_figures(run, directory / PICTURES, run.snapshots())

@@ -28,11 +28,15 @@ COMMANDS = {
     "strategies": Place("strategies", "List the exploration strategies, or show one with all its options."),
     "new": Place("new", "Write the beginning of something of your own: a strategy."),
     "map": Place("maps", "List, make and show maps."),
-    "report": Place("after_run", "Draw the figures of a run and write an HTML report."),
+    "report": Place(
+        "after_run", "Write an HTML page of a run, with pictures and a slider; or compare two runs."
+    ),
+    "movie": Place("after_run", "Film a run, step by step, or two side by side."),
     "capture": Place("after_run", "Show the radio traffic of a run, frame by frame."),
     "export": Place("after_run", "Export a run to formats of other programs."),
     "replay": Place("after_run", "Repeat a run and check that its digest is the same."),
     "sweep": Place("studies", "Run a scenario over a grid of settings and print a table."),
+    "reproduce": Place("studies", "Run the papers' experiments and judge their claims."),
     "keys": Place("keys", "Make the certificates of a run whose hub asks for them."),
     "run": Place("by_hand", "Start one process of a run by hand."),
     "bench": Place("machine", "Benchmark this machine, as ratios against yardsticks of the same run."),

@@ -60,18 +60,6 @@ def progress(console: Console, *, shown: bool) -> Iterator[Watch | None]:
         bar.stop()
 
 
-@contextlib.contextmanager
-def counting(console: Console, what: str, total: int) -> Iterator[Callable[[int, int], object]]:
-    """A progress line for work of known size."""
-    bar = Progress(
-        TextColumn(what), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeElapsedColumn(),
-        console=console, transient=True, disable=not console.is_terminal,
-    )  # fmt: skip
-    task = bar.add_task(what, total=total)
-    with bar:
-        yield lambda done, _: bar.update(task, completed=done)
-
-
 def table(lines: list[list[str]]) -> Table:
     """A table whose first line is its header; text too long for its column is wrapped."""
     result = Table(box=SIMPLE)

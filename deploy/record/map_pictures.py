@@ -83,11 +83,11 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
     figure, (world, team, *panels) = _page(len(robots), plan.map.height / plan.map.width)
     show_grid(world, plan.map, plan.map.cells)
     draw_paths(world, plan, records)
-    world.set_title("the world and the ways driven", fontsize=11)
+    world.set_title("the world and the ways driven", fontsize=11, pad=4)
     seen = np.maximum.reduce([records.own[robot] for robot in sorted(records.own)])
     reachable = plan.make_world().reachable
     _show_errors(team, plan, compare(seen, plan.map.cells, reachable))
-    team.set_title(f"what the team has seen: {_percent(summary['coverage'])}", fontsize=11)
+    team.set_title(f"what the team has seen: {_percent(summary['coverage'])}", fontsize=11, pad=4)
     size = min(11.0, 3.2 + 3.0 * panels[0].get_position().width * PAGE_WIDTH) if panels else 0
     for panel, robot in zip(panels, robots, strict=True):
         is_first = robot == summary["first_robot"]
@@ -99,7 +99,7 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
             title = f"robot {robot}: {right} right" + (", done first" if is_first else "")
         else:
             title = f"{robot}: {right}" + (" \N{CHECK MARK}" if is_first else "")
-        panel.set_title(title, fontsize=size, color=robot_color(robot), pad=3)
+        panel.set_title(title, fontsize=size, color=robot_color(robot), pad=4)
     bandwidth = summary["bandwidth"]
     medium = bandwidth if isinstance(bandwidth, str) else f"{bandwidth} bytes a step"
     top = 1 - 0.26 / figure.get_figheight()

@@ -13,7 +13,7 @@ from deploy.record.versions import versions
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import UNLIMITED
 from netshaper.ledger import CAUSES, sort_rows
-from protocol.grid import FREE
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.messages import End
 from protocol.packets import ALL_KINDS
 
@@ -43,6 +43,7 @@ def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "map_agreement": _share_free(records.planning[wanted], reachable)
         if wanted in records.planning
         else None,
+        **_wall_quality(records, wanted, plan.map.cells, reachable),
         "t50": _first_step(records, 0.50),
         "t90": _first_step(records, 0.90),
         "t99": _first_step(records, 0.99),
@@ -121,6 +122,34 @@ def _overlap(records: Records, reachable: Mask) -> float | None:
 
 def _share_free(grid: NDArray[np.uint8], reachable: Mask) -> float:
     return float(((grid == FREE) & reachable).sum() / reachable.sum())
+
+
+def _wall_quality(records: Records, first: int, truth: Grid, reachable: Mask) -> dict[str, float | None]:
+    """Precision and recall of the walls on the first robot's planning grid, and the least of all robots.
+
+    Precision: what share of its occupied cells is occupied (cells whose truth is unknown do not count). Recall: what
+    share of the occupied cells beside reachable ones (4-neighbours, so that lasers meet them) it has as occupied. A
+    figure of no cells is None.
+    """
+    beside = np.zeros(truth.shape, np.bool_)
+    beside[1:] |= reachable[:-1]
+    beside[:-1] |= reachable[1:]
+    beside[:, 1:] |= reachable[:, :-1]
+    beside[:, :-1] |= reachable[:, 1:]
+    walls = (truth == OCCUPIED) & beside
+    precision, recall = {}, {}
+    for robot, grid in records.planning.items():
+        said = (grid == OCCUPIED) & (truth != UNKNOWN)
+        precision[robot] = float((truth[said] == OCCUPIED).mean()) if said.any() else None
+        recall[robot] = float((grid[walls] == OCCUPIED).mean()) if walls.any() else None
+    return {
+        "wall_precision": precision.get(first),
+        "wall_recall": recall.get(first),
+        "worst_wall_precision": min(
+            (value for value in precision.values() if value is not None), default=None
+        ),
+        "worst_wall_recall": min((value for value in recall.values() if value is not None), default=None),
+    }
 
 
 def _first_step(records: Records, share: float) -> int | None:

@@ -2,24 +2,34 @@
 
 It is TOML: ``[base]`` holds a scenario's keys, ``[grid]`` lists of values of which every combination is run,
 ``[follow]`` keys that take the value of a key of the grid, ``[[variant]]`` named sets of keys that are compared.
-A value of the grid that is a table with the key's own name in it sets all its keys. ``[table]`` says what to
-print (`deploy.study.tables`).
+A value of the grid that is a table with the key's own name in it sets all its keys; ``seeds = 20`` is short for the
+seeds 0 to 19. ``[table]`` says what to print (`deploy.study.tables`), ``[[plot]]`` what to draw (`deploy.study.plots`),
+``[claim]`` what a paper claims of it and by which rules that is tested (`deploy.study.claims`). ``[quick]``
+replaces values for a first look, and ``measure`` names something other than an exploration
+(`deploy.study.measures`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from deploy.scenario.scenario import ScenarioError, beside, read_toml
+from deploy.study.claims import Claim, read_claim
+from deploy.study.measures import EXPLORATION, FIGURES, MEASURES
+from deploy.study.plots import Plot, read_plots
 from deploy.study.tables import RELATIVE, VARIANT, Table, check
+from protocol.errors import there_are
 
 SHIPPED = Path(__file__).with_name("experiments")
 """Experiments that are installed with the code; they can be given by name instead of a path."""
 
-TABLES = ("base", "grid", "follow", VARIANT, "table")
+TABLES = ("base", "grid", "follow", VARIANT, "table", "plot", "claim", "quick")
+WORDS = ("name", "seeds", "measure")
+
+QUICK_SEEDS = 3
 
 
 @dataclass(frozen=True)
@@ -41,6 +51,14 @@ class Experiment:
         Named sets of keys, each run on the whole grid.
     table : Table
         What to print; rows and columns are keys of the grid, or ``variant``.
+    plots : tuple of Plot
+        What to draw.
+    claim : Claim, optional
+        What a paper says of it.
+    quick : dict
+        Values for a first look: as for `override`, and ``variants``, the names of those that are run.
+    measure : str
+        What is measured of each case.
     """
 
     where: str
@@ -50,6 +68,10 @@ class Experiment:
     follow: dict[str, str]
     variants: dict[str, dict[str, Any]]
     table: Table
+    plots: tuple[Plot, ...] = ()
+    claim: Claim | None = None
+    quick: dict[str, Any] = field(default_factory=dict)
+    measure: str = EXPLORATION
 
 
 def read(path: Path) -> Experiment:
@@ -63,17 +85,27 @@ def read(path: Path) -> Experiment:
     path, data = read_toml(path, "experiment", SHIPPED)
     where = f"experiment {path}"
     try:
-        unknown = sorted(set(data) - {"name", *TABLES})
+        unknown = sorted(set(data) - {*WORDS, *TABLES})
         if unknown:
-            raise ValueError(f"{unknown[0]} is no table of an experiment; there are: {', '.join(TABLES)}")
+            raise ValueError(
+                f"{unknown[0]} is no table of an experiment; there are: {', '.join((*TABLES, *WORDS))}"
+            )
         if not (set(data) & {"base", "grid", VARIANT}):
             raise ValueError("nothing to run; an experiment has [base], [grid] or [[variant]]")
-        for key in ("base", "grid", "follow", "table"):
+        for key in ("base", "grid", "follow", "table", "quick"):
             if not isinstance(data.get(key, {}), dict):
                 raise ValueError(f"{key} = {data[key]!r}: must be a table, [{key}]")
         base, grid = data.get("base", {}), data.get("grid", {})
+        if "seeds" in data:
+            if "seed" in grid:
+                raise ValueError("seeds and grid.seed: say one of them")
+            grid["seed"] = seeds(data["seeds"])
         for key, values in grid.items():
             _check_values(f"grid.{key}", values)
+        measure = data.get("measure", EXPLORATION)
+        if measure not in MEASURES:
+            raise ValueError(f"measure = {measure!r}: {there_are(MEASURES, str(measure))}")
+        names = FIGURES.get(measure, ())
         follow = _follow(data.get("follow", {}), grid)
         variants = _variants(data.get(VARIANT, [{"name": "plain"}]), grid)
         for settings in (base, *variants.values()):
@@ -81,10 +113,33 @@ def read(path: Path) -> Experiment:
                 settings["map"] = beside(path, settings["map"])
         if "map" in grid:
             grid["map"] = [_found(path, value) for value in grid["map"]]
-        table = _table(data.get("table", {}), grid, variants)
+        table = _table(data.get("table", {}), grid, variants, names)
+        plots = read_plots(data.get("plot", []), {*grid, VARIANT}, names)
+        claim = read_claim(data["claim"], grid, variants, names) if "claim" in data else None
+        quick = data.get("quick", {})
+        if "map" in quick:
+            found = quick["map"] if isinstance(quick["map"], list) else [quick["map"]]
+            quick["map"] = [_found(path, value) for value in found]
     except ValueError as error:
         raise ScenarioError(f"{where}: {error}") from None
-    return Experiment(where, str(data.get("name", path.stem)), base, grid, follow, variants, table)
+    name = str(data.get("name", path.stem))
+    return Experiment(where, name, base, grid, follow, variants, table, plots, claim, quick, measure)
+
+
+def seeds(count: Any) -> list[int]:
+    """The seeds 0 to `count` - 1; ValueError if it is no number of seeds."""
+    if type(count) is not int or count < 1:
+        raise ValueError(f"seeds = {count!r}: must be a whole number of seeds, 1 or more")
+    return list(range(count))
+
+
+def quickened(experiment: Experiment) -> Experiment:
+    """The experiment for a first look: as its ``[quick]`` says, of three seeds if it says nothing of seeds."""
+    settings = dict(experiment.quick)
+    names = settings.pop("variants", list(experiment.variants))
+    if "seeds" in settings or "seed" not in settings:
+        settings["seed"] = seeds(settings.pop("seeds", QUICK_SEEDS))
+    return override(choose(experiment, names), settings)
 
 
 def settings_of(key: str, value: Any) -> dict[str, Any]:
@@ -192,19 +247,21 @@ def _variants(entries: Any, grid: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return variants
 
 
-def _table(data: dict[str, Any], grid: dict[str, Any], variants: dict[str, Any]) -> Table:
+def _table(
+    data: dict[str, Any], grid: dict[str, Any], variants: dict[str, Any], names: Iterable[str]
+) -> Table:
     """What to print; ValueError if it is unknown."""
     usual = {"rows": list(grid), "columns": [VARIANT], "values": ["steps", "coverage", "map_agreement"]}
     flags = {"interval": False, "finished_only": False}
     whole: dict[str, Any] = usual | flags | data
-    for key, names in whole.items():
+    for key, said in whole.items():
         if key not in usual and key not in flags:
             raise ValueError(f"table.{key} is no part of a table; there are: {', '.join([*usual, *flags])}")
         if key in flags:
-            if not isinstance(names, bool):
-                raise ValueError(f"table.{key} = {names!r}: must be true or false")
-        elif not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-            raise ValueError(f"table.{key} = {names!r}: must be a list of names, as {usual[key]}")
+            if not isinstance(said, bool):
+                raise ValueError(f"table.{key} = {said!r}: must be true or false")
+        elif not isinstance(said, list) or not all(isinstance(name, str) for name in said):
+            raise ValueError(f"table.{key} = {said!r}: must be a list of names, as {usual[key]}")
     table = Table(**whole)
     for key in [*table.rows, *table.columns]:
         if key != VARIANT and key not in grid:
@@ -213,5 +270,5 @@ def _table(data: dict[str, Any], grid: dict[str, Any], variants: dict[str, Any])
     if not table.values:
         raise ValueError("table.values = []: must name a figure at least, as ['steps']")
     for value in table.values:
-        check(value, variants)
+        check(value, variants, names)
     return table

@@ -1,4 +1,4 @@
-"""The runs of an experiment: one case each, run in a pool of processes on the memory bus, and its outcome.
+"""The runs of an experiment: one case each, made where there are processes for it, and its row in the table.
 
 Invalid input is refused before the first run.
 """
@@ -10,46 +10,73 @@ import inspect
 import itertools
 import json
 import sys
-from collections.abc import Iterator, Sequence
+import zlib
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from agent.strategies.registry import strategy
 from deploy.record.versions import versions
-from deploy.run import exploration
-from deploy.scenario import plan
+from deploy.scenario import plan as plans
+from deploy.scenario.finding_maps import FILES
 from deploy.scenario.scenario import Scenario, ScenarioError, parse
 from deploy.study.experiment import Experiment, settings_of
-from deploy.study.run_pool import collect
+from deploy.study.measures import MEASURES
+from deploy.study.progress import Tell
+from deploy.study.results import CODE, ERROR, KEY, Results, Row
 from deploy.study.tables import VARIANT
+from deploy.study.workers import Workers
 from worldsim.maps import Map
 
 MEMORY = "memory"
 
+PLACE = "place"
+"""Of a row that has been looked up for an experiment: its position there, by keys of the grid, and its variant."""
+
+MOST_STEPS = "most_steps"
+"""The setting `steps`, in rows of which ``steps`` is the exploration time."""
+
+MAKERS = (
+    "agent", "netshaper", "protocol", "worldsim", "deploy/scenario", "deploy/record", "deploy/run",
+    "deploy/study/measures.py", "deploy/study/runs.py",
+)  # fmt: skip
+"""The sources that a run's figures come from."""
+
 
 @dataclass(frozen=True)
 class Case:
-    """One run of an experiment: its position in the grid, its scenario, and the `identity` of the run."""
+    """One run of an experiment.
+
+    Attributes
+    ----------
+    place : dict
+        Its position in the grid, and its variant.
+    scenario : Scenario
+    measure : str
+        What is measured (`deploy.study.measures`).
+    key : str
+        Sha256 of scenario, measure and map: the run's name in the table.
+    code : str
+        Sha256 of the sources and versions that are to make it.
+    world : bytes
+        The map, for processes that have not its file; empty for generated maps.
+    """
 
     place: dict[str, Any]
     scenario: Scenario
+    measure: str
     key: str
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """The outcome of a case."""
-
-    key: str
-    place: dict[str, Any]
-    summary: dict[str, Any]
+    code: str
+    world: bytes = b""
 
 
 def cases(experiment: Experiment) -> list[Case]:
     """All runs of an experiment, in the order of its grid; ScenarioError if one is invalid."""
-    worlds: dict[str, Map] = {}
+    worlds: dict[str, tuple[Map, str, bytes]] = {}
     result = []
     for combination in itertools.product(*experiment.grid.values()):
         settings: dict[str, Any] = {}
@@ -61,7 +88,9 @@ def cases(experiment: Experiment) -> list[Case]:
             place = {**chosen, VARIANT: name}
             here = ", ".join(f"{key} = {value}" for key, value in place.items())
             where = f"{experiment.where} ({here})"
-            data = {"bus": MEMORY, **experiment.base, **settings, **keys}
+            data: dict[str, Any] = {"bus": MEMORY}
+            for layer in (experiment.base, settings, keys):
+                lay(data, layer)
             data |= {key: data[leader] for key, leader in experiment.follow.items() if leader in data}
             if data["bus"] != MEMORY:
                 raise ScenarioError(
@@ -71,48 +100,156 @@ def cases(experiment: Experiment) -> list[Case]:
             source = repr((scenario.map, scenario.map_seed, scenario.map_options))
             try:
                 if source not in worlds:
-                    worlds[source] = plan.load_map(scenario)
-                plan.make(scenario, worlds[source])
+                    world = plans.load_map(scenario)
+                    worlds[source] = world, _digest(world), packed(world, scenario)
+                world, digest, sent = worlds[source]
+                plans.make(scenario, world)
             except ScenarioError as error:
                 raise ScenarioError(f"{where}: {error}") from None
-            result.append(Case(place, scenario, identity(scenario, worlds[source])))
+            key = identity(scenario, experiment.measure, digest)
+            result.append(Case(place, scenario, experiment.measure, key, code_of(scenario), sent))
     return result
 
 
-def run(todo: Sequence[Case], jobs: int, keep: Path | None = None) -> Iterator[Outcome]:
-    """Run cases in `jobs` processes, equal ones once; outcomes in `keep` are reused (`collect`)."""
-    return collect(list({case.key: case for case in todo}.values()), _run_one, Outcome, jobs, keep)
+def lay(data: dict[str, Any], settings: dict[str, Any]) -> None:
+    """Lay settings over others; of tables only the keys that a dotted name names (``options.beta``)."""
+    for key, value in settings.items():
+        table, dot, inner = key.partition(".")
+        if dot:
+            data[table] = {**data.get(table, {}), inner: value}
+        else:
+            data[key] = value
 
 
-def summaries(todo: Sequence[Case], outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """The summaries of all cases whose outcome is known, with their positions, in the order of `todo`."""
-    known = {outcome.key: outcome.summary for outcome in outcomes}
-    return [{**known[case.key], "place": case.place} for case in todo if case.key in known]
+def make(
+    todo: Sequence[Case],
+    results: Results,
+    workers: Workers,
+    tell: Tell | None = None,
+    *,
+    any_code: bool = False,
+    retry: bool = False,
+) -> None:
+    """Make all runs that the table has not; equal ones once; each is in the table as soon as it is over.
+
+    Parameters
+    ----------
+    tell : callable, optional
+        Called with the number of runs that are there, and of all.
+    any_code : bool
+        Whether runs that other versions of the code have made are taken for the same.
+    retry : bool
+        Whether failed runs are made again.
+    """
+    distinct = {case.key: case for case in todo}
+    missing = [
+        case
+        for key, case in distinct.items()
+        if not results.knows(key, None if any_code else case.code, retry=retry)
+    ]
+    done = len(distinct) - len(missing)
+    tell = tell or _nothing
+    tell(done, len(distinct))
+    for case, row in workers.each(missing, run_case):
+        results.add(row if isinstance(row, dict) else _failed(case, row))
+        done += 1
+        tell(done, len(distinct))
 
 
-def identity(scenario: Scenario, world_map: Map) -> str:
-    """Sha256 over everything that determines a run: settings, cells of the map, versions, and our code."""
-    about = (
-        scenario.model_dump(mode="json"),
-        (world_map.cells.shape, world_map.resolution, world_map.origin),
-        versions(),
-        _code(),
-        inspect.getsource(sys.modules[strategy(scenario.strategy).__module__]),
-    )
-    total = hashlib.sha256(json.dumps(about, sort_keys=True).encode())
-    total.update(world_map.cells.tobytes())
-    return total.hexdigest()
+def looked_up(todo: Sequence[Case], results: Results) -> list[Row]:
+    """The rows of all cases that have been run without an error, each with its `PLACE`, in the order of `todo`."""
+    rows = results.rows({case.key for case in todo})
+    return [
+        {**rows[case.key], PLACE: case.place}
+        for case in todo
+        if case.key in rows and rows[case.key][ERROR] is None
+    ]
+
+
+def failures(todo: Iterable[Case], results: Results) -> dict[str, int]:
+    """What went wrong, and how often."""
+    counts: dict[str, int] = {}
+    for row in results.rows({case.key for case in todo}).values():
+        if row[ERROR] is not None:
+            counts[row[ERROR]] = counts.get(row[ERROR], 0) + 1
+    return counts
+
+
+def _nothing(done: int, total: int) -> None:
+    """Nobody wants to know how far the runs are."""
+
+
+def run_case(case: Case) -> Row:
+    """Make a run; what goes wrong in it is told in its row."""
+    try:
+        if case.code != code_of(case.scenario):
+            raise RuntimeError(
+                "this process has another version of the code than the one that asked for the run"
+            )
+        world = unpacked(case.world) if case.world else None
+        figures = MEASURES[case.measure](plans.make(case.scenario, world))
+    except Exception as error:  # a failed run is a row
+        return _failed(case, f"{type(error).__name__}: {error}")
+    return figures | _settings(case) | {ERROR: None}
+
+
+def _failed(case: Case, why: str) -> Row:
+    return {**_settings(case), ERROR: why}
+
+
+def _settings(case: Case) -> Row:
+    """The columns of a case that are known before it is run: settings, tables among them as JSON."""
+    plain = case.scenario.model_dump(mode="json")
+    plain[MOST_STEPS] = plain.pop("steps")
+    settings = {
+        name: str(value) if name == "bandwidth"
+        else json.dumps(value, sort_keys=True) if isinstance(value, dict | list) or name == "start"
+        else value
+        for name, value in plain.items()
+    }  # fmt: skip
+    return {KEY: case.key, CODE: case.code, "measure": case.measure, **settings}
+
+
+def identity(scenario: Scenario, measure: str, world: str) -> str:
+    """Sha256 over what is run: the settings, the digest of the map's cells, and what is measured."""
+    about = (scenario.model_dump(mode="json"), measure, world)
+    return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()
+
+
+def code_of(scenario: Scenario) -> str:
+    """Sha256 over what runs it: versions, our sources, and the strategy's."""
+    about = (versions(), _sources(), inspect.getsource(sys.modules[strategy(scenario.strategy).__module__]))
+    return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()
 
 
 @cache
-def _code() -> str:
+def _sources() -> str:
     """Sha256 of the sources."""
     total = hashlib.sha256()
-    for package in ("agent", "deploy", "netshaper", "protocol", "worldsim"):
-        for file in sorted((Path(__file__).parents[2] / package).rglob("*.py")):
+    root = Path(__file__).parents[2]
+    for name in MAKERS:
+        path = root / name
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
             total.update(file.read_bytes())
     return total.hexdigest()
 
 
-def _run_one(case: Case) -> Outcome:
-    return Outcome(case.key, case.place, exploration.explore(case.scenario, keep=False).summary)
+def packed(world: Map, scenario: Scenario) -> bytes:
+    """A map from a file, for processes that may not have it; nothing for a generated one."""
+    if not (scenario.map.endswith(FILES) or Path(scenario.map).is_file()):
+        return b""
+    head = json.dumps([world.name, world.resolution, world.origin, world.cells.shape])
+    return zlib.compress(head.encode() + b"\n" + world.cells.tobytes())
+
+
+def unpacked(sent: bytes) -> Map:
+    """The map that `packed` made `sent` of."""
+    head, _, cells = zlib.decompress(sent).partition(b"\n")
+    name, resolution, origin, shape = json.loads(head)
+    return Map(name, np.frombuffer(cells, np.uint8).reshape(shape).copy(), resolution, tuple(origin))
+
+
+def _digest(world: Map) -> str:
+    total = hashlib.sha256(repr((world.cells.shape, world.resolution, world.origin)).encode())
+    total.update(world.cells.tobytes())
+    return total.hexdigest()

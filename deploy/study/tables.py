@@ -1,22 +1,22 @@
-"""Tables of means: what a sweep prints of its runs' summaries.
+"""Figures of runs, and tables of them: what a sweep prints and writes.
 
-A figure is a name in a summary (``steps``), dotted for a value in a table (``bytes.total``), a sum of names
-(``bytes.ins + bytes.del``), or a quotient of two of these (``bytes.conn / bytes.total``). It may be followed by
-``relative to`` and a variant, by whose figure of the same run it is divided. ``least`` before it means the
-minimum over all runs instead of their mean.
+A figure is a name in a row of the table of runs (``steps``), dotted for a value in a table (``bytes.total``), a sum
+of names (``bytes.ins + bytes.del``), or a quotient of two of these (``bytes.conn / bytes.total``). It may be
+followed by ``relative to`` and a variant, by whose figure of the same run it is divided. ``least`` before it means
+the minimum over all runs instead of their mean.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from scipy import stats
+import polars as pl
 
+from deploy.study.results import Row
+from deploy.study.statistics import five_numbers, interval, share
 from netshaper.ledger import CAUSES
 from protocol.packets import ALL_KINDS
 
@@ -33,6 +33,7 @@ LEAST_COVERAGE = 0.99
 
 FIGURES = (
     "steps", "coverage", "map_agreement", "t50", "t90", "t99", "overlap", "finished", "first_robot",
+    "wall_precision", "wall_recall", "worst_wall_precision", "worst_wall_recall",
     "approximation_error", "robots", "seed", "range_m", "raw_scan_bytes", "wire_bytes", "over_budget_steps", "faults",
     "wall_s", "steps_per_s", "work_us_median",
 )  # fmt: skip
@@ -70,8 +71,8 @@ class Table:
     finished_only: bool = False
 
 
-def check(text: str, variants: Iterable[str]) -> None:
-    """Raise ValueError if `text` is no figure, or is relative to none of the variants."""
+def check(text: str, variants: Iterable[str], names: Iterable[str] = ()) -> None:
+    """Raise ValueError if `text` is no figure, nor one of `names`, or is relative to none of the variants."""
     name, relative, against = text.removeprefix(LEAST).partition(RELATIVE)
     if relative and against not in variants:
         raise ValueError(f"{text!r}: no variant is called {against!r}; there are: {', '.join(variants)}")
@@ -80,16 +81,16 @@ def check(text: str, variants: Iterable[str]) -> None:
         raise ValueError(f"{text!r}: must be sums of figures with at most one ' / ' between")
     for one in (one for part in parts for one in part.split(" + ")):
         table, _, number = one.rpartition(".")
-        if number not in (TABLES.get(table, ()) if table else FIGURES):
+        if one not in names and number not in (TABLES.get(table, ()) if table else FIGURES):
             tables = (f"{table}.{'|'.join(numbers)}" for table, numbers in TABLES.items())
-            raise ValueError(f"{one!r} is no figure; there are: {', '.join([*FIGURES, *tables])}")
+            raise ValueError(f"{one!r} is no figure; there are: {', '.join([*FIGURES, *names, *tables])}")
 
 
-def figure(summary: dict[str, Any], text: str) -> float | None:
-    """Read a figure, not a relative one, from a summary; None if it is missing, or a quotient is by 0."""
+def figure(row: Row, text: str) -> float | None:
+    """Read a figure, not a relative one, from a run's row; None if it is missing, or a quotient is by 0."""
     sums = []
     for part in text.split(" / "):
-        found = [_look_up(summary, name) for name in part.split(" + ")]
+        found = [_look_up(row, name) for name in part.split(" + ")]
         if None in found:
             return None
         sums.append(float(sum(found)))
@@ -98,9 +99,9 @@ def figure(summary: dict[str, Any], text: str) -> float | None:
     return sums[0] / sums[1] if sums[1] else None
 
 
-def tabulate(table: Table, summaries: Sequence[dict[str, Any]]) -> list[list[str]]:
+def tabulate(table: Table, summaries: Sequence[Row]) -> list[list[str]]:
     """The lines of a table: a header, then one per row with means over all other keys, and one over all rows."""
-    twins = {_key(summary["place"]): summary for summary in summaries}
+    twins = {key_of(summary["place"]): summary for summary in summaries}
     heads = _combinations(summaries, table.columns)
     rows = _combinations(summaries, table.rows)
     split = not table.columns
@@ -121,12 +122,44 @@ def tabulate(table: Table, summaries: Sequence[dict[str, Any]]) -> list[list[str
     return lines
 
 
-def has_finished(summary: dict[str, Any]) -> bool:
-    """Whether a run ended as explored, with sufficient coverage."""
-    return bool(summary["finished"]) and summary["coverage"] >= LEAST_COVERAGE
+def described(table: Table, rows: Sequence[Row], keys: Sequence[str] | None = None) -> pl.DataFrame:
+    """A row a figure and cell of a table: how many runs, how many finished, mean with interval, five numbers.
+
+    Cells are the combinations of the table's rows and columns, or of other `keys`.
+    """
+    twins = {key_of(row["place"]): row for row in rows}
+    keys = [*table.rows, *table.columns] if keys is None else keys
+    lines = []
+    for cell in _combinations(rows, list(keys)):
+        members = [row for row in rows if tuple(row["place"][key] for key in keys) == cell]
+        counted = [row for row in members if has_finished(row)] if table.finished_only else members
+        finished = share(sum(has_finished(row) for row in members), len(members))
+        for name in table.values:
+            values = [v for row in counted if (v := _value(row, name.removeprefix(LEAST), twins)) is not None]
+            mean = interval(values)
+            least, first, median, third, largest = five_numbers(values)
+            lines.append(
+                {key: _short(value) for key, value in zip(keys, cell, strict=True)}
+                | {
+                    "figure": name, "runs": len(members), "finished": finished.mean, "finished_low": finished.low,
+                    "finished_high": finished.high, "n": mean.n, "mean": mean.mean, "low": mean.low, "high": mean.high,
+                    "least": least, "quartile_1": first, "median": median, "quartile_3": third, "largest": largest,
+                }
+            )  # fmt: skip
+    return pl.DataFrame(lines, infer_schema_length=None)
 
 
-def _cell(table: Table, runs: Sequence[dict[str, Any]], value: str, twins: dict[Any, dict[str, Any]]) -> str:
+def has_finished(row: Row) -> bool:
+    """Whether a run ended as explored, with sufficient coverage; what is no exploration always has."""
+    return row.get("finished") is None or (bool(row["finished"]) and row["coverage"] >= LEAST_COVERAGE)
+
+
+def key_of(place: dict[str, Any]) -> tuple[tuple[str, str], ...]:
+    """A position in a grid, as a key."""
+    return tuple(sorted((name, repr(value)) for name, value in place.items()))
+
+
+def _cell(table: Table, runs: Sequence[Row], value: str, twins: dict[Any, Row]) -> str:
     """One figure of some runs: its mean, or the minimum."""
     name = value.removeprefix(LEAST)
     if name != value:
@@ -135,25 +168,21 @@ def _cell(table: Table, runs: Sequence[dict[str, Any]], value: str, twins: dict[
     chosen = [run for run in runs if has_finished(run)] if table.finished_only else runs
     share = "" if len(chosen) == len(runs) else f" ({len(chosen)} of {len(runs)})"
     figures = [_value(run, name, twins) for run in chosen]
-    return (_mean(figures, interval=table.interval) if chosen or not share else "none") + share
+    return (_mean(figures, interval_too=table.interval) if chosen or not share else "none") + share
 
 
-def _value(summary: dict[str, Any], text: str, twins: dict[Any, dict[str, Any]]) -> float | None:
+def _value(summary: Row, text: str, twins: dict[Any, Row]) -> float | None:
     """A figure, relative to that of another variant's run if the text says so and that run exists."""
     name, _, against = text.partition(RELATIVE)
     value = figure(summary, name)
     if not against or value is None:
         return value
-    twin = twins.get(_key(summary["place"] | {VARIANT: against}))
+    twin = twins.get(key_of(summary["place"] | {VARIANT: against}))
     other = figure(twin, name) if twin is not None else None
     return value / other if other else None
 
 
-def _key(place: dict[str, Any]) -> tuple[tuple[str, str], ...]:
-    return tuple(sorted((name, repr(value)) for name, value in place.items()))
-
-
-def _combinations(summaries: Sequence[dict[str, Any]], keys: list[str]) -> list[tuple[Any, ...]]:
+def _combinations(summaries: Sequence[Row], keys: list[str]) -> list[tuple[Any, ...]]:
     """All combinations of some keys' values, in the order of the grid."""
     found = (tuple(summary["place"][key] for key in keys) for summary in summaries)
     return list({repr(values): values for values in found}.values())
@@ -163,18 +192,16 @@ def _short(value: object) -> str:
     return Path(value).stem if isinstance(value, str) and value.endswith(".yaml") else str(value)
 
 
-def _mean(values: Sequence[float | None], *, interval: bool) -> str:
-    found = [value for value in values if value is not None]
-    if not found:
+def _mean(values: Sequence[float | None], *, interval_too: bool) -> str:
+    mean = interval([value for value in values if value is not None])
+    if not mean.n:
         return "-"
-    mean = float(np.mean(found))
-    digits = 0 if abs(mean) >= 10 else 3
-    if not interval or len(found) == 1:
-        return f"{mean:.{digits}f}"
-    half = stats.t.ppf(0.975, len(found) - 1) * np.std(found, ddof=1) / math.sqrt(len(found))
-    return f"{mean:.{digits}f} ± {half:.{digits}f}"
+    digits = 0 if abs(mean.mean) >= 10 else 3
+    said = f"{mean.mean:.{digits}f}"
+    return f"{said} ± {mean.half:.{digits}f}" if interval_too and mean.n > 1 else said
 
 
-def _look_up(summary: dict[str, Any], name: str) -> Any:
-    table, _, number = name.rpartition(".")
-    return summary[table].get(number, 0) if table else summary[number]
+def _look_up(row: Row, name: str) -> Any:
+    """A figure; of those in tables, which hold only what there was, 0 where it is missing."""
+    value = row.get(name)
+    return 0 if value is None and name.rpartition(".")[0] in TABLES else value

@@ -47,7 +47,8 @@ def small_run() -> Result:
     """The small run, in a directory, its maps over time kept and drawn."""
     result = explore(parse(SETTINGS), out=Path(mkdtemp(prefix="murmur-")) / "run", snapshots=True)
     assert result.directory is not None
-    write_figures(read(result.directory), result.directory / run_directory.PICTURES)
+    run = read(result.directory)
+    write_figures(run, result.directory / run_directory.PICTURES, run.snapshots())
     return result
 
 

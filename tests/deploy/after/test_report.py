@@ -12,15 +12,16 @@ from matplotlib.axes import Axes
 from PIL import Image
 from typer.testing import CliRunner
 
-from deploy.after import archive
+from deploy.after import archive, report
 from deploy.after.figures import channel_load
+from deploy.after.frames import Frames
 from deploy.after.report import write_report
 from deploy.commands.main import app
 from deploy.record import run_directory
 from deploy.record.snapshots import SNAPSHOTS
 from deploy.run.exploration import explore
 from deploy.scenario.scenario import ScenarioError, parse
-from tests.deploy.small_run import small_directory, small_run
+from tests.deploy.small_run import SETTINGS, small_directory, small_run
 
 FIGURES = ["approximation.png", "channel-load.png", "maps-over-time.png"]
 
@@ -37,7 +38,7 @@ class Page(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.sources += [value or "" for name, value in attrs if name in ("src", "href")]
-        if tag not in ("img", "meta"):
+        if tag not in ("img", "meta", "input"):
             self.open.append(tag)
 
     def handle_endtag(self, tag: str) -> None:
@@ -45,6 +46,11 @@ class Page(HTMLParser):
 
     def handle_data(self, data: str) -> None:
         self.words += data + " "
+
+
+@pytest.fixture(autouse=True)
+def few_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report, "MOST_FRAMES", 3)
 
 
 @pytest.fixture
@@ -65,13 +71,15 @@ def test_a_run_with_pictures_draws_them() -> None:
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     copy = tmp_path_factory.mktemp("report") / "run"
     shutil.copytree(small_directory(), copy)
-    return write_report(copy)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(report, "MOST_FRAMES", 40)
+        return write_report(copy)
 
 
 def test_a_page_has_all_in_it_and_fetches_nothing(written: Path) -> None:
     page = Page(written.read_text(encoding="utf-8"))
     assert not page.open
-    assert len(page.sources) == len(FIGURES) + 1
+    assert len(page.sources) == len(FIGURES) + 1 + 40
     assert all(source.startswith("data:image/png;base64,") for source in page.sources)
     assert not re.search(r"https?:|url\(|@import", re.sub(r"base64,[^\"]*", "", written.read_text()))
 
@@ -89,6 +97,39 @@ def test_a_page_tells_the_figures_of_the_summary_and_the_shares_of_the_ledger(wr
     for robot in range(3):
         said = int(ledger["bytes"][ledger["carried"] & (ledger["sender"] == robot)].sum())
         assert f"{said:,}" in words
+
+
+def test_a_slider_has_the_pictures_of_its_steps_within_a_bound(
+    written: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps = [int(step) for step in re.findall(r'data-step="(\d+)"', written.read_text(encoding="utf-8"))]
+    assert steps == list(range(1, 41))
+    assert written.stat().st_size < 4e6
+    run = archive.read(written.parent)
+    monkeypatch.setattr(report, "MOST_FRAMES", 40)
+    monkeypatch.setattr(report, "MOST_FRAME_BYTES", 200_000)
+    fewer = report._frames([Frames(run, run.snapshots(), 400)])
+    assert sum(len(frame.source) for frame in fewer) < 210_000
+    assert fewer[-1].step == 40
+    assert 2 < len(fewer) < 40
+
+
+def test_two_runs_are_compared_on_a_page(directory: Path, tmp_path: Path) -> None:
+    other = explore(parse(SETTINGS | {"exchange": "laser", "steps": 30}), out=tmp_path / "scans").directory
+    assert other is not None
+    done = CliRunner().invoke(app, ["report", str(directory), str(other)])
+    assert done.exit_code == 0, done.output
+    page = Page((directory / "compared-with-scans.html").read_text(encoding="utf-8"))
+    assert len(page.sources) == 3 + 3
+    assert not page.open
+    assert re.search(r"run and scans", page.words)
+    assert re.search(r"exchange\s+polygon\s+laser", page.words)
+    assert re.search(r"steps\s+40\s+30", page.words)
+    assert "seed" not in page.words.split("What was set differently")[1].split("Step by step")[0]
+    for folder in (directory, other):
+        summary = run_directory.read_summary(folder)
+        assert summary["digest"] in page.words
+        assert f"{summary['bytes']['total']:,}" in page.words
 
 
 def test_maps_over_time_that_were_not_kept_are_seen_by_repeating_the_run(directory: Path) -> None:
@@ -114,7 +155,7 @@ def test_a_run_that_cannot_be_repeated_is_told_of_without_maps_over_time(
     told: list[str] = []
     page = Page(write_report(directory, told.append).read_text(encoding="utf-8"))
     assert [path.name for path in (directory / run_directory.PICTURES).iterdir()] == ["channel-load.png"]
-    assert len(page.sources) == 2
+    assert len(page.sources) == 2 + 3
     assert "cannot be repeated" in told[0]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -10,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 
+import polars as pl
 import pytest
 from typer.testing import CliRunner
 
@@ -24,19 +24,35 @@ def command(*words: object) -> tuple[int, str, str]:
     return result.exit_code, result.stdout, result.stderr
 
 
-def test_the_command_prints_the_table_and_keeps_a_summary_a_line(tmp_path: Path) -> None:
-    path, out = write(tmp_path, EXPERIMENT), tmp_path / "all.jsonl"
-    code, table, _ = command(path, "--jobs", 1, "--set", "robots=1", "--set", "seed=0", "--out", out)
+def test_the_command_prints_the_table_and_writes_runs_means_and_pictures(tmp_path: Path) -> None:
+    plot = '[[plot]]\nkind = "curves"\ny = "explored"\n[[plot]]\nx = "robots"\ny = "steps"\n'
+    path, out = write(tmp_path, EXPERIMENT + plot), tmp_path / "all.parquet"
+    means, picture = tmp_path / "means.csv", tmp_path / "some.png"
+    code, table, _ = command(
+        path,
+        "--jobs",
+        1,
+        "--set",
+        "robots=1",
+        "--set",
+        "seed=0",
+        "--out",
+        out,
+        "--table",
+        means,
+        "--plot",
+        picture,
+    )
     assert code == 0 and "steps bytes.total, means of 2 runs" in table
-    lines = [json.loads(line) for line in out.read_text().splitlines()]
-    assert {line["place"]["variant"] for line in lines} == {"polygons", "scans"}
-    assert all(line["summary"]["steps"] == 6 for line in lines)
+    assert pl.read_parquet(out)["steps"].to_list() == [6, 6]
+    assert pl.read_csv(means)["variant"].to_list() == ["polygons", "polygons", "scans", "scans"]
+    assert all(file.read_bytes()[1:4] == b"PNG" for file in (picture, tmp_path / "some-2.png"))
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--out", "/nonexist/a.jsonl"], "out = /nonexist/a.jsonl: No such file or directory"),
+        (["--out", "/nonexist/a.parquet"], "/nonexist/a.parquet: No such file or directory"),
         (["--set", "map=nope"], "no environment is called 'nope'"),
         (
             ["--set", "seed=0", "--set", "seed=1"],
@@ -48,7 +64,7 @@ def test_the_command_prints_the_table_and_keeps_a_summary_a_line(tmp_path: Path)
 def test_bad_input_is_refused_before_the_first_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], said: str
 ) -> None:
-    monkeypatch.setattr("deploy.study.run_pool.ProcessPoolExecutor.submit", None)
+    monkeypatch.setattr("deploy.study.workers.ProcessPoolExecutor.submit", None)
     code, table, errors = command(write(tmp_path, EXPERIMENT), *words)
     assert (code, table, errors.count("\n")) == (2, "", 1)
     assert said in errors
@@ -63,7 +79,7 @@ def begun(tmp_path: Path, out: Path) -> subprocess.Popen[str]:
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
     )  # fmt: skip
-    while not out.exists() or not out.read_text():
+    while not out.exists() or not len(pl.read_parquet(out)):
         assert sweeping.poll() is None
         time.sleep(0.1)
     return sweeping
@@ -78,7 +94,7 @@ def assert_none_is_left(group: int) -> None:
 
 
 def test_ctrl_c_stops_a_sweep_at_once_and_keeps_what_is_finished(tmp_path: Path) -> None:
-    out = tmp_path / "all.jsonl"
+    out = tmp_path / "all.parquet"
     sweeping = begun(tmp_path, out)
     os.killpg(sweeping.pid, signal.SIGINT)
     asked = time.monotonic()
@@ -86,12 +102,12 @@ def test_ctrl_c_stops_a_sweep_at_once_and_keeps_what_is_finished(tmp_path: Path)
     assert sweeping.returncode == 130 and time.monotonic() - asked < 10
     assert_none_is_left(sweeping.pid)
     assert f"stopped; the same command continues from {out}" in errors and "Traceback" not in errors
-    kept = len(out.read_text().splitlines())
+    kept = len(pl.read_parquet(out))
     assert 0 < kept < 8 and f"means of {kept} of 8 runs" in table
 
 
 def test_nothing_outlives_a_sweep_that_is_killed(tmp_path: Path) -> None:
-    sweeping = begun(tmp_path, tmp_path / "all.jsonl")
+    sweeping = begun(tmp_path, tmp_path / "all.parquet")
     sweeping.kill()
     sweeping.communicate(timeout=30)
     assert_none_is_left(sweeping.pid)

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import polars as pl
 import pytest
 
-from deploy.scenario.scenario import ScenarioError, parse
+from deploy.scenario.plan import Plan
+from deploy.scenario.scenario import ScenarioError
 from deploy.study import experiment as experiments
-from deploy.study import runs
-from deploy.study.tables import has_finished
+from deploy.study import measures, runs
+from deploy.study.results import Results
+from deploy.study.runs import Case
 from tests.deploy.study.small_experiment import EXPERIMENT, write
-from worldsim import generators
+from worldsim import generators, maps
 
 
 def test_every_combination_of_grid_and_variants_is_run_once(tmp_path: Path) -> None:
@@ -24,43 +28,105 @@ def test_every_combination_of_grid_and_variants_is_run_once(tmp_path: Path) -> N
     assert {c.scenario.exchange for c in todo if c.place["variant"] == "scans"} == {"laser"}
 
 
+class Ourselves:
+    """Makes runs in this process; `made` counts them."""
+
+    def __init__(self) -> None:
+        self.made: list[str] = []
+
+    def each(self, todo: Sequence[Any], run: Callable[[Any], Any]) -> Iterator[tuple[Any, Any]]:
+        for case in todo:
+            self.made.append(case.key)
+            yield case, run(case)
+
+
+def small(tmp_path: Path, text: str = EXPERIMENT, **settings: Any) -> list[Case]:
+    return runs.cases(experiments.override(experiments.read(write(tmp_path, text)), settings))
+
+
 def test_finished_runs_are_kept_and_not_made_again(tmp_path: Path) -> None:
-    keep = tmp_path / "kept.jsonl"
-    todo = runs.cases(experiments.override(experiments.read(write(tmp_path, EXPERIMENT)), {"robots": 1}))
-    first = list(runs.run(todo[:2], 1, keep))
-    before = keep.read_text()
-    again = list(runs.run(todo[:2], 1, keep))
-    assert again == first and keep.read_text() == before
-    outcomes = list(runs.run(todo, 1, keep))
-    found = runs.summaries(todo, outcomes)
-    assert outcomes[:2] == first and len(keep.read_text().splitlines()) == len(todo)
+    keep, us = tmp_path / "kept.parquet", Ourselves()
+    todo = small(tmp_path, robots=1)
+    for some in (todo[:2], todo[:2], todo):
+        with Results(keep) as results:
+            runs.make(some, results, us)
+            found = runs.looked_up(todo, results)
+    assert us.made == [case.key for case in todo]
     assert [each["place"] for each in found] == [case.place for case in todo]
     assert [each["seed"] for each in found] == [case.scenario.seed for case in todo]
+    assert all(each["steps"] == each["most_steps"] == 6 for each in found)
+    assert len(pl.read_parquet(keep)) == len(todo)
 
 
 def test_equal_runs_are_made_once(tmp_path: Path) -> None:
-    text = EXPERIMENT.replace('exchange = "laser"', 'exchange = "polygon"')
-    todo = runs.cases(experiments.override(experiments.read(write(tmp_path, text)), {"robots": 1, "seed": 0}))
-    outcomes = list(runs.run(todo, 1))
-    assert len(todo) == 2 and len(outcomes) == 1
-    assert [each["place"]["variant"] for each in runs.summaries(todo, outcomes)] == ["polygons", "scans"]
+    us = Ourselves()
+    todo = small(tmp_path, EXPERIMENT.replace('exchange = "laser"', 'exchange = "polygon"'), robots=1, seed=0)
+    with Results(None) as results:
+        runs.make(todo, results, us)
+        found = runs.looked_up(todo, results)
+    assert len(us.made) == 1 and [each["place"]["variant"] for each in found] == ["polygons", "scans"]
 
 
-def test_a_run_is_another_with_any_other_setting_map_version_or_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    settings, world = {"map": "em", "bus": "memory"}, generators.make("em", seed=0)
-    same = runs.identity(parse(settings), world)
-    assert same == runs.identity(parse(settings | {"seed": 0}), generators.make("em", seed=0))
-    others = [
-        runs.identity(parse(settings | {"polygon": {"lazy": False}}), world),
-        runs.identity(parse(settings), generators.make("jh-like", seed=0)),
-    ]
-    with monkeypatch.context() as patch:
-        patch.setattr(runs, "versions", lambda: {"python": "2"})
-        others.append(runs.identity(parse(settings), world))
-    with monkeypatch.context() as patch:
-        patch.setattr(runs, "_code", lambda: "other")
-        others.append(runs.identity(parse(settings), world))
-    assert len({same, *others}) == 5
+def test_a_run_that_fails_is_a_row_with_its_error_and_the_others_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def falls_over(plan: Plan) -> dict[str, Any]:
+        if plan.scenario.seed == 0:
+            raise RuntimeError("it fell over")
+        return {"steps": 3}
+
+    monkeypatch.setitem(measures.MEASURES, "exploration", falls_over)
+    todo, keep, us = small(tmp_path, robots=1), tmp_path / "kept.parquet", Ourselves()
+    with Results(keep) as results:
+        runs.make(todo, results, us)
+        assert runs.failures(todo, results) == {"RuntimeError: it fell over": 2}
+        assert {row["place"]["seed"] for row in runs.looked_up(todo, results)} == {1}
+    with Results(keep) as results:
+        runs.make(todo, results, us)
+        assert len(us.made) == 4
+        monkeypatch.setitem(measures.MEASURES, "exploration", lambda plan: {"steps": 4})
+        runs.make(todo, results, us, retry=True)
+        assert len(us.made) == 6 and not runs.failures(todo, results)
+
+
+def test_runs_of_other_code_are_made_again_unless_they_are_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    us = Ourselves()
+    with Results(None) as results:
+        runs.make(small(tmp_path, robots=1, seed=0), results, us)
+        monkeypatch.setattr(runs, "_sources", lambda: "other")
+        todo = small(tmp_path, robots=1, seed=0)
+        runs.make(todo, results, us, any_code=True)
+        assert len(us.made) == 2
+        runs.make(todo, results, us)
+        assert len(us.made) == 4 and len(results.frame) == 2
+
+
+def test_a_run_is_another_with_any_other_setting_map_or_measure(tmp_path: Path) -> None:
+    (plain, *_), (other, *_), (slow, *_) = (
+        small(tmp_path, **settings)
+        for settings in ({"seed": 0}, {"seed": 0, "map": "jh-like"}, {"seed": 0, "speed": 0.2})
+    )
+    assert plain.key == small(tmp_path, seed=0)[0].key
+    measured = runs.identity(plain.scenario, "something else", "the map")
+    assert len({plain.key, other.key, slow.key, measured}) == 4
+
+
+def test_maps_of_files_travel_with_their_cases(tmp_path: Path) -> None:
+    maps.save(generators.make("em", seed=0), tmp_path / "mine.yaml")
+    (case, *_) = small(tmp_path, EXPERIMENT.replace('"em"', '"mine.yaml"'), robots=1, seed=0)
+    (tmp_path / "mine.yaml").unlink()
+    row = runs.run_case(case)
+    (generated, *_) = small(tmp_path, robots=1, seed=0)
+    assert row["error"] is None
+    assert (generated.world, row["digest"]) == (b"", runs.run_case(generated)["digest"])
+
+
+def test_dotted_keys_of_the_grid_set_one_key_of_a_table(tmp_path: Path) -> None:
+    text = "[base]\nstrategy = 'burgard'\n[grid]\n'options.beta' = [0.1, 1.0]\n"
+    options = [case.scenario.options for case in small(tmp_path, text)]
+    assert options == [{"beta": 0.1}, {"beta": 1.0}]
 
 
 @pytest.mark.parametrize(
@@ -84,13 +150,3 @@ def test_a_case_that_cannot_be_run_is_refused_by_its_place(
     with pytest.raises(ScenarioError) as caught:
         runs.cases(experiments.override(experiment, settings))
     assert said in str(caught.value) and "\n" not in str(caught.value)
-
-
-def test_without_leaders_the_team_stalls_where_with_leaders_it_finishes() -> None:
-    claim = experiments.override(experiments.read(Path("claim-L1.toml")), {"seed": 0})
-    todo = runs.cases(claim)
-    done = runs.summaries(todo, list(runs.run(todo, 1)))
-    assert {one["place"]["variant"]: has_finished(one) for one in done} == {
-        "leaders": True,
-        "potential-field": False,
-    }

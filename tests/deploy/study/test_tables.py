@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from deploy.study.tables import FIGURES, TABLES, Table, check, figure, has_finished, tabulate
+from deploy.study.tables import FIGURES, TABLES, Table, check, described, figure, has_finished, tabulate
 from tests.deploy.small_run import small_run
 
 VARIANTS = ["polygons", "scans"]
@@ -15,13 +15,13 @@ VARIANTS = ["polygons", "scans"]
 def runs(totals: tuple[int, ...] = (10, 40, 30, 40)) -> list[dict[str, Any]]:
     places = [{"robots": 2, "seed": seed, "variant": name} for seed in (0, 1) for name in VARIANTS]
     return [
-        {"place": place, "steps": 5 + place["seed"], "bytes": {"total": total}}
+        {"place": place, "steps": 5 + place["seed"], "bytes.total": total}
         for place, total in zip(places, totals, strict=False)
     ]
 
 
 def test_figures_are_names_sums_and_quotients() -> None:
-    summary = {"steps": 4, "t99": None, "bytes": {"ins": 6, "conn": 2, "total": 16}}
+    summary = {"steps": 4, "t99": None, "bytes.ins": 6, "bytes.del": None, "bytes.conn": 2, "bytes.total": 16}
     assert figure(summary, "steps") == 4
     assert figure(summary, "bytes.ins + bytes.del / bytes.total") == 6 / 16
     for absent in ("t99", "t99 / steps", "bytes.conn / bytes.rm"):
@@ -30,6 +30,7 @@ def test_figures_are_names_sums_and_quotients() -> None:
 
 def test_figures_are_all_numbers_of_a_summary_and_no_others() -> None:
     summary = small_run().summary
+    row = {**summary} | {f"{table}.{name}": n for table in TABLES for name, n in summary[table].items()}
     assert {name for name, value in summary.items() if isinstance(value, int | float)} <= {
         *FIGURES,
         "bandwidth",
@@ -37,7 +38,7 @@ def test_figures_are_all_numbers_of_a_summary_and_no_others() -> None:
     assert {*FIGURES, *TABLES} <= set(summary)
     for name in (*FIGURES, *(f"{table}.{number}" for table, numbers in TABLES.items() for number in numbers)):
         check(name, [])
-        assert figure(summary, name) is None or isinstance(figure(summary, name), float)
+        assert figure(row, name) is None or isinstance(figure(row, name), float)
     assert set(summary["bytes"]) <= set(TABLES["bytes"]) and set(summary["undelivered"]) <= set(
         TABLES["undelivered"]
     )
@@ -113,3 +114,16 @@ def test_runs_that_believe_themselves_done_too_early_have_not_finished() -> None
     assert has_finished({"finished": True, "coverage": 0.99})
     assert not has_finished({"finished": True, "coverage": 0.98})
     assert not has_finished({"finished": False, "coverage": 1.0})
+
+
+def test_a_described_table_has_a_row_a_cell_with_interval_and_five_numbers() -> None:
+    table = described(Table(["seed"], ["variant"], ["bytes.total"]), runs())
+    assert table.shape == (4, 16)
+    over_all = described(Table([], ["variant"], ["bytes.total"]), runs())
+    (polygons, _) = over_all.iter_rows(named=True)
+    assert (polygons["n"], polygons["mean"], polygons["median"], polygons["largest"]) == (2, 20, 20, 30)
+    assert polygons["low"] == pytest.approx(20 - 12.706 * 10, rel=1e-3)
+
+
+def test_what_is_no_exploration_has_always_finished() -> None:
+    assert has_finished({"pixels": 3})

@@ -1,0 +1,165 @@
+"""`murmur movie`: a run as a film, or two runs side by side, step by step."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from deploy.after.archive import read
+from deploy.after.frames import WIDTH, Frames, side_by_side
+
+SMALL = 0.75
+"""The width of each run's picture over `frames.WIDTH`, if there are two of them, or in a GIF."""
+HOLD_S = 2.0
+"""How long the last picture stays."""
+MOST_GIF_FRAMES = 400
+"""A GIF of more is large, and many programs read it whole: it leaves out steps."""
+
+
+class MovieError(ValueError):
+    """A package needed for films is missing, or they cannot be made."""
+
+
+MP4, GIF = ".mp4", ".gif"
+"""The formats of films, by their suffix."""
+
+AS_MP4 = [
+    "-c:v",
+    "libx264",
+    "-preset",
+    "veryfast",
+    "-crf",
+    "20",
+    "-pix_fmt",
+    "yuv420p",
+    "-movflags",
+    "+faststart",
+]
+AS_GIF = ["-lavfi", "paletteuse=dither=none:diff_mode=rectangle", "-loop", "0"]
+"""What ffmpeg is told to write them, for a GIF after a picture of its palette."""
+
+
+def write_movie(
+    directories: Sequence[Path],
+    suffix: str,
+    out: Path | None = None,
+    *,
+    rate: float = 10.0,
+    tell: Callable[[str], object] = lambda _: None,
+    progress: Callable[[int, int], object] = lambda _, __: None,
+) -> Path:
+    """Film one run, or several side by side; return the file.
+
+    Parameters
+    ----------
+    directories : sequence of Path
+        Run directories, from left to right.
+    suffix : str
+        `MP4` or `GIF`.
+    out : Path, optional
+        The file; ``movie.mp4`` in the first directory if left out, with the others' names if there are any.
+    rate : float
+        Steps a second.
+    tell, progress : callable
+        Called with messages, and with the frames written and in all.
+
+    Raises
+    ------
+    MovieError
+        The package that writes films is not installed, or it fails.
+    ScenarioError
+        One is no run directory.
+    """
+    if importlib.util.find_spec("imageio_ffmpeg") is None:
+        raise MovieError("films need the package imageio-ffmpeg: pip install 'murmur-robots[film]'")
+    if not 0.1 <= rate <= 120:
+        raise MovieError(f"rate = {rate:g}: must be 0.1 to 120 steps a second")
+    path = out or directories[0] / "-".join(["movie", *(each.name for each in directories[1:])])
+    path = path if path.suffix == suffix else path.with_name(path.name + suffix)
+    archives = [read(each) for each in directories]
+    width = round((SMALL if len(archives) > 1 or suffix == GIF else 1.0) * WIDTH)
+    runs = [Frames(archive, archive.snapshots(tell), width) for archive in archives]
+    last = max(run.last_step for run in runs)
+    every = 1 if suffix == MP4 else -(-last // MOST_GIF_FRAMES)
+    steps = sorted({*range(1, last + 1, every), last})
+    hold = round(HOLD_S * rate / every)
+
+    def pictures() -> Iterator[Image.Image]:
+        for number, step in enumerate(steps, 1):
+            yield side_by_side(runs, step)
+            progress(number, len(steps))
+        closing = side_by_side(runs, last)
+        for _ in range(hold):
+            yield closing
+
+    first = side_by_side(runs, 1)
+    with tempfile.TemporaryDirectory() as folder:
+        options = AS_MP4
+        if suffix == GIF:
+            palette = Path(folder, "palette.png")
+            _common_palette(runs, last).save(palette)
+            options = ["-i", str(palette), *AS_GIF]
+        _encode(path, pictures(), first.size, rate / every, options)
+    return path
+
+
+def _encode(
+    path: Path, pictures: Iterator[Image.Image], size: tuple[int, int], rate: float, options: list[str]
+) -> None:
+    """Write pictures as a film, under a temporary name until it is whole."""
+    from imageio_ffmpeg import get_ffmpeg_exe  # noqa: PLC0415  the package may be missing
+
+    beside = path.with_name(f".{path.stem}.part{path.suffix}")
+    with beside.open("wb"):
+        pass  # a folder that cannot be written to is named by the system, not by ffmpeg
+    source = [
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgb24",
+        "-s",
+        f"{size[0]}x{size[1]}",
+        "-r",
+        f"{rate:g}",
+        "-i",
+        "-",
+    ]
+    command = [get_ffmpeg_exe(), "-y", "-v", "error", *source, *options, str(beside)]
+    try:
+        with tempfile.TemporaryFile() as said:
+            process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=said, stderr=said)
+            try:
+                assert process.stdin is not None
+                with contextlib.suppress(BrokenPipeError), process.stdin:
+                    for picture in pictures:
+                        process.stdin.write(picture.tobytes())
+                failed = process.wait() != 0
+            finally:
+                process.kill()
+                process.wait()
+            if failed:
+                said.seek(0)
+                last = said.read().decode(errors="replace").strip().splitlines()[-1:]
+                raise MovieError(f"{path}: ffmpeg could not write it: {''.join(last) or 'it gave no reason'}")
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def _common_palette(runs: list[Frames], last: int) -> Image.Image:
+    """The colours of a GIF: those of a few of its pictures, as 16 x 16 pixels."""
+    shown = [side_by_side(runs, max(1, round(last * part / 3))) for part in range(4)]
+    together = Image.new("RGB", (shown[0].width, 4 * shown[0].height))
+    for number, picture in enumerate(shown):
+        together.paste(picture, (0, number * picture.height))
+    colors = together.quantize(256, Image.Quantize.FASTOCTREE).getpalette() or []
+    palette = np.zeros((256, 3), np.uint8)
+    palette[: len(colors) // 3] = np.array(colors, np.uint8).reshape(-1, 3)
+    return Image.fromarray(palette.reshape(16, 16, 3))

@@ -1,0 +1,231 @@
+"""Pictures of many runs, as papers draw them: a figure over a key of the grid, boxes, and what is explored over time.
+
+A picture is data, in the experiment's file::
+
+    [[plot]]
+    kind = "lines"          # means with 95 % intervals; "boxes": five numbers; "curves": a series over the steps
+    x = "robots"            # not for curves
+    y = "steps"
+    lines = "variant"       # one line, or box, or curve, for each value
+    panels = "map"          # one panel for each value
+    xlabel = "robots"
+    ylabel = "exploration time (steps)"
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deploy.study.measures import SERIES
+from deploy.study.results import Results, Row
+from deploy.study.statistics import interval
+from deploy.study.tables import VARIANT, check, figure, has_finished
+from worldsim.atomic_files import write_whole
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+LINES, BOXES, CURVES = "lines", "boxes", "curves"
+
+COLUMNS = 3
+PANEL = 4.2, 3.2
+"""Width and height of a panel in inches."""
+
+COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#555555", "#a07000")
+MARKERS = "osD^vP*X"
+"""Of Okabe and Ito: they can be told apart by colour-blind people."""
+
+STEPS_OF_CURVES = 200
+"""Points of a curve."""
+
+Series = Callable[[str, Collection[str]], dict[str, list[float]]]
+
+
+@dataclass(frozen=True)
+class Plot:
+    """What to draw; see the file's head."""
+
+    y: str
+    x: str = ""
+    kind: str = LINES
+    lines: str = VARIANT
+    panels: str = ""
+    xlabel: str = ""
+    ylabel: str = ""
+    log: bool = False
+    finished_only: bool = True
+
+
+def read_plots(entries: Any, keys: set[str], names: Sequence[str]) -> tuple[Plot, ...]:
+    """Check plots as read from a file; ValueError says what is wrong."""
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        raise ValueError(f"plot = {entries!r}: must be tables, [[plot]]")
+    return tuple(_plot(entry, keys, names) for entry in entries)
+
+
+def draw(plot: Plot, rows: Sequence[Row], results: Results) -> Figure:
+    """Draw the runs of an experiment; `results` has their series."""
+    from matplotlib.figure import Figure  # noqa: PLC0415  half a second to import
+
+    panels = _values(rows, plot.panels) if plot.panels else [None]
+    lines = _values(rows, plot.lines) if plot.lines else [None]
+    columns = min(COLUMNS, len(panels))
+    height = -(-len(panels) // columns)
+    canvas = Figure(figsize=(PANEL[0] * columns, PANEL[1] * height + 0.4), layout="constrained")
+    axes = np.atleast_1d(canvas.subplots(height, columns, sharey=True, squeeze=False)).ravel()
+    for panel, shown in zip(axes, panels, strict=False):
+        chosen = [row for row in rows if shown is None or row["place"][plot.panels] == shown]
+        painter = {LINES: _lines, BOXES: _boxes, CURVES: _curves}[plot.kind]
+        painter(panel, plot, chosen, lines, results)
+        if shown is not None:
+            panel.set_title(f"{plot.panels.rpartition('.')[2]} {short(shown)}", fontsize=10)
+        panel.set_xlabel(plot.xlabel or plot.x or "step")
+        panel.grid(visible=True, color="#e5e5e5", linewidth=0.6)
+        panel.set_axisbelow(True)
+        panel.spines[["top", "right"]].set_visible(False)
+        if plot.log:
+            panel.set_yscale("log")
+        else:
+            panel.set_ylim(bottom=0)
+    for panel in axes[:: max(columns, 1)]:
+        panel.set_ylabel(plot.ylabel or plot.y)
+    for panel in axes[len(panels) :]:
+        panel.set_axis_off()
+    handles, labels = axes[0].get_legend_handles_labels()
+    if len(handles) > 1:
+        canvas.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)), frameon=False)
+    return canvas
+
+
+def save(canvas: Figure, file: Path) -> None:
+    """Write a picture, without anything in it that changes from one writing to the next."""
+    write_whole(file, lambda out: canvas.savefig(out, format="png", dpi=90, metadata={"Software": None}))
+
+
+def short(value: object) -> str:
+    """A value of the grid as a label: files by their names."""
+    return Path(value).stem if isinstance(value, str) and value.endswith((".yaml", ".png")) else str(value)
+
+
+def _lines(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], _: Results) -> None:
+    levels = _values(rows, plot.x)
+    numbers = [_number(level) for level in levels]
+    plain = all(number is not None for number in numbers) and numbers == sorted(numbers)  # type: ignore[type-var]
+    places = [float(number or 0) for number in numbers] if plain else [float(n) for n in range(len(levels))]
+    nudge = 0.0 if len(places) < 2 else 0.02 * (max(places) - min(places))
+    for n, line in enumerate(lines):
+        found = [
+            interval(
+                _figures(plot, [row for row in _of(rows, plot.lines, line) if row["place"][plot.x] == level])
+            )
+            for level in levels
+        ]
+        there = [k for k, mean in enumerate(found) if mean.n]
+        if there:
+            panel.errorbar(
+                [places[k] + nudge * (n - (len(lines) - 1) / 2) for k in there],
+                [found[k].mean for k in there],
+                [0 if math.isnan(found[k].half) else found[k].half for k in there],
+                label=short(line) if line is not None else None, color=COLORS[n % len(COLORS)],
+                marker=MARKERS[n % len(MARKERS)], markersize=4, linewidth=1.3, capsize=2,
+            )  # fmt: skip
+    panel.set_xticks(places, [short(level) for level in levels], rotation=0 if len(levels) < 8 else 45)
+
+
+def _boxes(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], _: Results) -> None:
+    levels = _values(rows, plot.x) if plot.x else [None]
+    labels, at, width = [], [], 0.8 / len(lines)
+    for k, level in enumerate(levels):
+        of_level = rows if level is None else [row for row in rows if row["place"][plot.x] == level]
+        for n, line in enumerate(lines):
+            values = _figures(plot, _of(of_level, plot.lines, line))
+            place = n if level is None else k + (n - (len(lines) - 1) / 2) * width
+            box = panel.boxplot(
+                [values], positions=[place], widths=0.6 if level is None else 0.8 * width, patch_artist=True,
+                medianprops={"color": "black"}, flierprops={"markersize": 3}, manage_ticks=False,
+            )  # fmt: skip
+            box["boxes"][0].set_facecolor(COLORS[n % len(COLORS)] + "80")
+            if level is None:
+                labels.append(short(line))
+                at.append(float(place))
+            elif k == 0:
+                panel.plot([], [], color=COLORS[n % len(COLORS)], linewidth=6, label=short(line))
+    if plot.x:
+        labels, at = [short(level) for level in levels], [float(k) for k in range(len(levels))]
+    panel.set_xticks(at, labels, rotation=20 if max(map(len, labels), default=0) > 12 else 0)
+
+
+def _curves(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], results: Results) -> None:
+    """Means with 95 % intervals over the steps; a run that is over keeps its last value."""
+    longest = 0
+    for n, line in enumerate(lines):
+        found = results.series(plot.y, {row["key"] for row in _of(rows, plot.lines, line)})
+        series = [np.asarray(found[key]) for key in sorted(found) if len(found[key])]
+        if not series:
+            continue
+        steps = max(map(len, series))
+        longest = max(longest, steps)
+        at = np.unique(np.linspace(0, steps - 1, STEPS_OF_CURVES).astype(int))
+        table = np.array([one[np.minimum(at, len(one) - 1)] for one in series])
+        means = [interval(column) for column in table.T]
+        color = COLORS[n % len(COLORS)]
+        panel.plot(at + 1, [m.mean for m in means], color=color, label=short(line), linewidth=1.4)
+        if len(series) > 1:
+            panel.fill_between(
+                at + 1, [m.low for m in means], [m.high for m in means], color=color, alpha=0.2, linewidth=0
+            )
+    panel.set_xlim(0, longest or 1)
+
+
+def _figures(plot: Plot, rows: Sequence[Row]) -> list[float]:
+    counted = [row for row in rows if has_finished(row)] if plot.finished_only else rows
+    return [value for row in counted if (value := figure(row, plot.y)) is not None]
+
+
+def _of(rows: Sequence[Row], key: str, value: Any) -> list[Row]:
+    return [row for row in rows if value is None or row["place"][key] == value]
+
+
+def _values(rows: Sequence[Row], key: str) -> list[Any]:
+    """A key's values, in the order of the grid."""
+    return list({repr(row["place"][key]): row["place"][key] for row in rows}.values())
+
+
+def _number(value: object) -> float | None:
+    """A level as a number: 3, "2.5%"."""
+    try:
+        return None if isinstance(value, bool) else float(str(value).removesuffix("%"))
+    except ValueError:
+        return None
+
+
+def _plot(entry: dict[str, Any], keys: set[str], names: Sequence[str]) -> Plot:
+    kinds = asdict(Plot(""))
+    for key, value in entry.items():
+        if key not in kinds:
+            raise ValueError(f"plot.{key} is no part of a plot; there are: {', '.join(kinds)}")
+        if type(value) is not type(kinds[key]):
+            raise ValueError(f"plot.{key} = {value!r}: must be of kind {type(kinds[key]).__name__}")
+    plot = Plot(**({"y": ""} | entry))
+    if plot.kind not in (LINES, BOXES, CURVES):
+        raise ValueError(f"plot.kind = {plot.kind!r}: there are: {LINES}, {BOXES}, {CURVES}")
+    for key in ("x", "lines", "panels"):
+        name = getattr(plot, key)
+        if name and name not in keys:
+            raise ValueError(
+                f"plot.{key} = {name!r}: is not in the grid; there are: {', '.join(sorted(keys))}"
+            )
+    if plot.kind == CURVES and plot.y not in SERIES:
+        raise ValueError(f"plot.y = {plot.y!r}: is no series; there are: {', '.join(SERIES)}")
+    if plot.kind != CURVES:
+        check(plot.y, (), names)
+    if plot.kind == LINES and not plot.x:
+        raise ValueError("plot.x is missing: lines are drawn over a key of the grid")
+    return plot

@@ -1,0 +1,210 @@
+"""Statistics of runs: means with intervals, five numbers, and paired tests.
+
+Intervals are of 95 %, by Student's t. Runs of compared settings share their seeds, so they are compared in pairs:
+figures that are above 0 by the logarithm of their ratio, whose mean is the (geometric) mean ratio, others by their
+difference. A test asks for evidence on both sides, that what is expected is so and that it is not so, and yields a
+p-value of each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+CONFIDENCE = 0.95
+SIGNIFICANT = 0.05
+
+Values = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean with its 95 % interval; the bounds are NaN for fewer than two values, all three are for none."""
+
+    n: int
+    mean: float
+    low: float
+    high: float
+
+    @property
+    def half(self) -> float:
+        """Half of the interval's width."""
+        return (self.high - self.low) / 2
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What values say about an expectation.
+
+    Attributes
+    ----------
+    effect : Interval
+        Of what is tested: a mean, a mean difference, a geometric mean ratio, or a mean rank correlation.
+    d : float
+        Effect size: the mean's distance from the bound, in standard deviations of the (paired) values.
+    p_for, p_against : float
+        One-sided p-values of the evidence that what is expected is so, and that it is not.
+    """
+
+    effect: Interval
+    d: float
+    p_for: float
+    p_against: float
+
+
+def interval(values: Sequence[float] | Values) -> Interval:
+    """Mean and 95 % interval (Student's t)."""
+    data = np.asarray(values, float)
+    n = len(data)
+    if n == 0:
+        return Interval(0, math.nan, math.nan, math.nan)
+    mean = float(data.mean())
+    if n == 1:
+        return Interval(1, mean, math.nan, math.nan)
+    half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, n - 1) * data.std(ddof=1) / math.sqrt(n))
+    return Interval(n, mean, mean - half, mean + half)
+
+
+def five_numbers(values: Sequence[float]) -> tuple[float, float, float, float, float]:
+    """Least, lower quartile, median, upper quartile, largest; NaN for no values."""
+    if not len(values):
+        return (math.nan,) * 5
+    low, first, median, third, high = (float(q) for q in np.quantile(values, (0, 0.25, 0.5, 0.75, 1)))
+    return low, first, median, third, high
+
+
+def share(successes: int, n: int) -> Interval:
+    """A share with its 95 % interval (Wilson)."""
+    if n == 0:
+        return Interval(0, math.nan, math.nan, math.nan)
+    bounds = stats.binomtest(successes, n).proportion_ci(CONFIDENCE, "wilson")
+    return Interval(n, successes / n, float(bounds.low), float(bounds.high))
+
+
+def mean_within(values: Sequence[float] | Values, low: float, high: float) -> Evidence:
+    """Is the mean above `low` and below `high` (either may be infinite)? One-sample t tests.
+
+    Of figures that are only ever 0 or 1 exact binomial tests are made instead.
+    """
+    data = np.asarray(values, float)
+    effect = interval(data)
+    if set(np.unique(data)) <= {0.0, 1.0} and len(data):
+        ones, n = int(data.sum()), len(data)
+        above = [_binomial(ones, n, bound, "greater") for bound in (low, high)]
+        below = [_binomial(ones, n, bound, "less") for bound in (low, high)]
+        effect = share(ones, n)
+    else:
+        above = [_t(data - bound) if math.isfinite(bound) else float(bound > 0) for bound in (low, high)]
+        below = [_t(bound - data) if math.isfinite(bound) else float(bound < 0) for bound in (low, high)]
+    return Evidence(effect, _size(data, low, high), max(above[0], below[1]), min(below[0], above[1]))
+
+
+def difference_within(first: Sequence[float], second: Sequence[float], low: float, high: float) -> Evidence:
+    """Is the mean of the pairs' differences above `low` and below `high`?
+
+    Of figures that are only ever 0 or 1 a sign test is made of the pairs that differ (McNemar's, exact), if the
+    bound is 0.
+    """
+    one, other = np.asarray(first, float), np.asarray(second, float)
+    differences = one - other
+    if {0.0, 1.0} >= {*np.unique(one), *np.unique(other)} and len(one) and {low, high} & {0.0}:
+        more, less = int((differences > 0).sum()), int((differences < 0).sum())
+        up, down = (_binomial(count, more + less, 0.5, "greater") for count in (more, less))
+        p_for, p_against = (up, down) if low == 0 else (down, up)
+        return Evidence(interval(differences), _size(differences, low, high), p_for, p_against)
+    return _t_test(differences, low, high)
+
+
+def ratio_within(first: Sequence[float], second: Sequence[float], low: float, high: float) -> Evidence:
+    """Is the geometric mean of the pairs' ratios above `low` and below `high`? t tests on the ratios' logarithms.
+
+    All figures must be above 0.
+    """
+    logs = np.log(np.asarray(first, float)) - np.log(np.asarray(second, float))
+    test = _t_test(logs, math.log(low) if low > 0 else -math.inf, math.log(high))
+    of_logs = test.effect
+    return Evidence(
+        Interval(of_logs.n, math.exp(of_logs.mean), math.exp(of_logs.low), math.exp(of_logs.high)),
+        test.d,
+        test.p_for,
+        test.p_against,
+    )
+
+
+def trend(blocks: Sequence[Sequence[float]], sign: int) -> Evidence:
+    """Do figures grow (`sign` 1) or fall (-1) over ordered levels? Page's test, a block of levels a row.
+
+    The effect is the mean over the blocks of Spearman's rank correlation with the order of the levels. There must
+    be three levels at least.
+    """
+    data = np.asarray(blocks, float)
+    if not len(data):
+        return Evidence(interval([]), math.nan, 1.0, 1.0)
+    order = np.arange(data.shape[1])
+    ranks = stats.rankdata(data, axis=1)
+    steady = ranks.std(axis=1) == 0
+    correlations = np.array(
+        [0.0 if flat else np.corrcoef(order, row)[0, 1] for row, flat in zip(ranks, steady, strict=True)]
+    )
+    p_grows, p_falls = (
+        1.0 if steady.all() else float(stats.page_trend_test(values).pvalue)
+        for values in (data, data[:, ::-1])
+    )
+    p_for, p_against = (p_grows, p_falls) if sign > 0 else (p_falls, p_grows)
+    return Evidence(interval(correlations), _size(correlations, 0, math.inf), p_for, p_against)
+
+
+def same_order(values: Sequence[float], wanted: Sequence[float]) -> Evidence:
+    """Do figures have the same order as those that are wanted? Kendall's tau, exact."""
+    up, down = (stats.kendalltau(values, wanted, alternative=side) for side in ("greater", "less"))
+    tau = float(up.statistic)
+    return Evidence(Interval(len(values), tau, math.nan, math.nan), tau, float(up.pvalue), float(down.pvalue))
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """P-values corrected for how many there are (Holm), in the same order."""
+    corrected = [0.0] * len(p_values)
+    largest = 0.0
+    for rank, place in enumerate(sorted(range(len(p_values)), key=p_values.__getitem__)):
+        largest = max(largest, min(1.0, (len(p_values) - rank) * p_values[place]))
+        corrected[place] = largest
+    return corrected
+
+
+def _t_test(data: Values, low: float, high: float) -> Evidence:
+    above = [_t(data - bound) if math.isfinite(bound) else float(bound > 0) for bound in (low, high)]
+    below = [_t(bound - data) if math.isfinite(bound) else float(bound < 0) for bound in (low, high)]
+    p_for, p_against = max(above[0], below[1]), min(below[0], above[1])
+    return Evidence(interval(data), _size(data, low, high), p_for, p_against)
+
+
+def _t(data: Values) -> float:
+    """One-sided p-value of a mean above 0; of values without any spread that of a sign test."""
+    if len(data) < 2:
+        return 1.0
+    if data.std() <= 1e-12 * max(1.0, float(np.abs(data).max())):
+        return 0.5 ** len(data) if np.round(data.mean(), 12) > 0 else 1.0
+    return float(stats.ttest_1samp(data, 0, alternative="greater").pvalue)
+
+
+def _binomial(successes: int, n: int, probability: float, side: str) -> float:
+    """Exact one-sided p-value; bounds outside (0, 1) are met or missed for certain."""
+    if not 0 < probability < 1:
+        met = probability <= 0 if side == "greater" else probability >= 1
+        return 0.0 if met and n else 1.0
+    return float(stats.binomtest(successes, n, probability, alternative=side).pvalue) if n else 1.0
+
+
+def _size(data: Values, low: float, high: float) -> float:
+    """Distance of the mean from the nearest bound, in standard deviations."""
+    if len(data) < 2:
+        return math.nan
+    bound = min((b for b in (low, high) if math.isfinite(b)), key=lambda b: abs(float(data.mean()) - b))
+    spread = float(data.std(ddof=1))
+    distance = float(data.mean()) - bound
+    return distance / spread if spread > 0 else math.copysign(math.inf, distance) if distance else 0.0

@@ -1,0 +1,186 @@
+"""Who makes the runs: processes of this machine, or those of a Dask cluster. Either yields each run once.
+
+A run whose process dies is told as failed; the others go on. Locally the runs that were in progress when a process
+died are made again one at a time, so that it is known which of them it was; a cluster gives a run that has lost its
+worker to another one, a few times.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any, Protocol, TypeVar
+
+
+class Keyed(Protocol):
+    """A case."""
+
+    @property
+    def key(self) -> str:
+        """Its name, which no other has."""
+
+
+Case = TypeVar("Case", bound=Keyed)
+Outcome = TypeVar("Outcome")
+
+DIED = "its process died"
+
+
+class Workers(Protocol):
+    """Those who make runs."""
+
+    def each(
+        self, todo: Sequence[Case], run: Callable[[Case], Outcome]
+    ) -> Iterator[tuple[Case, Outcome | str]]:
+        """Yield each case with its outcome, as they become known; a text says why there is none.
+
+        Anything that ends it early, Ctrl-C or a consumer that takes no more, ends the runs in progress immediately.
+        """
+
+
+class LocalPool:
+    """A pool of `jobs` processes on this machine."""
+
+    def __init__(self, jobs: int) -> None:
+        self._jobs = jobs
+
+    def each(
+        self, todo: Sequence[Case], run: Callable[[Case], Outcome]
+    ) -> Iterator[tuple[Case, Outcome | str]]:
+        """Yield each case with its outcome."""
+        waiting = deque(todo)
+        while waiting:
+            suspects = []
+            with _processes(min(self._jobs, len(waiting))) as pool:
+                running: dict[Future[Outcome], Case] = {}
+                while waiting or running:
+                    with contextlib.suppress(BrokenProcessPool):
+                        while waiting and len(running) < self._jobs:
+                            running[pool.submit(run, waiting[0])] = waiting[0]
+                            waiting.popleft()
+                    over, _ = wait(running, return_when=FIRST_COMPLETED)
+                    broken = False
+                    for future in over:
+                        case = running.pop(future)
+                        if isinstance(future.exception(), BrokenProcessPool):
+                            suspects.append(case)
+                            broken = True
+                        else:
+                            yield case, future.result()
+                    if broken:
+                        suspects += running.values()
+                        break
+            for case in suspects:
+                yield case, self._alone(case, run)
+
+    @staticmethod
+    def _alone(case: Case, run: Callable[[Case], Outcome]) -> Outcome | str:
+        with _processes(1) as pool:
+            try:
+                return pool.submit(run, case).result()
+            except BrokenProcessPool:
+                return DIED
+
+
+class Cluster:
+    """The workers of a Dask cluster, however many there are at a time.
+
+    Parameters
+    ----------
+    address : str
+        Of its scheduler, as ``tcp://10.0.0.1:8786``.
+
+    Raises
+    ------
+    ValueError
+        Nobody answers there, or dask.distributed is not installed.
+    """
+
+    PATIENCE_S = 20
+
+    def __init__(self, address: str) -> None:
+        try:
+            from distributed import Client  # noqa: PLC0415  an extra, and slow to import
+        except ImportError:
+            raise ValueError(
+                "scheduler: dask.distributed is not installed; pip install 'murmur-robots[cluster]'"
+            ) from None
+        try:
+            self._client: Any = Client(address, timeout=self.PATIENCE_S, set_as_default=False)
+        except (OSError, ValueError, TypeError) as error:
+            raise ValueError(
+                f"scheduler = {address!r}: {str(error) or 'nobody answers'}; give its address, as tcp://10.0.0.1:8786"
+            ) from None
+
+    def each(
+        self, todo: Sequence[Case], run: Callable[[Case], Outcome]
+    ) -> Iterator[tuple[Case, Outcome | str]]:
+        """Yield each case with its outcome."""
+        from distributed import as_completed  # noqa: PLC0415
+
+        asked = {
+            self._client.submit(
+                _one_at_a_time, run, case, key=f"{case.key}-{os.getpid()}-{id(todo)}", pure=False
+            ): case
+            for case in todo
+        }
+        try:
+            for future in as_completed(asked, loop=self._client.loop):
+                case = asked[future]
+                if future.status == "finished":
+                    yield case, future.result()
+                elif future.status == "error":
+                    error = future.exception()
+                    died = type(error).__name__ == "KilledWorker"
+                    yield case, f"{DIED}, on several workers" if died else f"{type(error).__name__}: {error}"
+                else:
+                    raise ConnectionAbortedError(None, "the scheduler has ended, or has dropped the runs")
+                future.release()
+        finally:
+            self._client.cancel(list(asked), force=True)
+            self._client.close()
+
+
+_TURN = threading.Lock()
+
+
+def _one_at_a_time(run: Callable[[Any], Any], case: Any) -> Any:
+    """A run in a worker that may have several threads, of which one at a time may run."""
+    with _TURN:
+        return run(case)
+
+
+@contextlib.contextmanager
+def _processes(jobs: int) -> Iterator[ProcessPoolExecutor]:
+    """A pool whose processes end immediately if the work is aborted."""
+    others = multiprocessing.active_children()
+    pool = ProcessPoolExecutor(jobs, initializer=_begin)
+    try:
+        yield pool
+    except BaseException:
+        for process in multiprocessing.active_children():
+            if process not in others:
+                process.terminate()
+        pool.shutdown(cancel_futures=True)
+        raise
+    pool.shutdown()
+
+
+def _begin() -> None:
+    """Leave Ctrl-C to the parent process, and do not outlive it if it is killed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)

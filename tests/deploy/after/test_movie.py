@@ -1,0 +1,138 @@
+"""Films: a frame for each step that shows what the run directory holds, written by a program that others can read."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from deploy.after import archive
+from deploy.after.frames import VEIL, Frames, side_by_side
+from deploy.after.movie import MP4, MovieError, write_movie
+from deploy.commands.main import app
+from deploy.record.colors import GREY, PAPER, Color, mix, robot_color
+from protocol.grid import FREE, UNKNOWN
+from tests.deploy.small_run import small_directory
+
+ffmpeg = pytest.importorskip(
+    "imageio_ffmpeg", reason="imageio-ffmpeg is not installed: pip install 'murmur-robots[film]'"
+)
+
+
+@cache
+def frames() -> Frames:
+    run = archive.read(small_directory())
+    return Frames(run, run.snapshots())
+
+
+def count(picture: Image.Image, color: Color, off: int = 0) -> int:
+    pixels = np.asarray(picture).reshape(-1, 3).astype(int)
+    return int((np.abs(pixels - color).max(axis=1) <= off).sum())
+
+
+def test_a_frame_veils_what_no_robot_knows_and_shows_every_robot() -> None:
+    run = archive.read(small_directory())
+    snapshots = run.snapshots()
+    assert snapshots is not None
+    picture = frames().at(40)
+    assert picture.size == frames().size
+    grids = [snapshots.planning(robot, 40) for robot in range(3)]
+    known = np.logical_or.reduce([grid != UNKNOWN for grid in grids if grid is not None])
+    hidden = int((~known & (run.plan.map.cells == FREE)).sum())
+    (wide, _), world = frames()._world_size, run.plan.map
+    veiled = count(picture, mix(PAPER, GREY, VEIL), 2)
+    assert veiled == pytest.approx(hidden * (wide / world.width) ** 2, rel=0.15)
+    assert count(frames().at(1), mix(PAPER, GREY, VEIL), 2) > veiled
+    for robot in range(3):
+        assert count(picture, robot_color(robot)) > 100
+
+
+def test_steps_look_different_and_after_the_end_nothing_moves() -> None:
+    first, later, last = (frames().at(step).tobytes() for step in (1, 20, 40))
+    assert len({first, later, last}) == 3
+    assert frames().at(99).tobytes() == last
+
+
+def test_a_team_of_many_and_a_flat_building_fit_as_well(tmp_path: Path) -> None:
+    from deploy.run.exploration import explore
+    from deploy.scenario.scenario import parse
+
+    crowd = {"map": "burgard-corridor", "robots": 23, "steps": 6, "bus": "memory", "exchange": "none"}
+    explore(parse(crowd), out=tmp_path / "run", snapshots=True)
+    run = archive.read(tmp_path / "run")
+    shown = Frames(run, run.snapshots(), 641)
+    assert shown.size[0] == 640
+    assert all(side % 2 == 0 for side in shown.size)
+    right = max(left for left, _ in shown._thumbs_at) + shown._unit
+    below = max(top for _, top in shown._thumbs_at) + shown._unit * run.plan.map.height / run.plan.map.width
+    assert right <= shown.size[0]
+    assert below <= shown._charts_top
+    pair = side_by_side([shown, frames()], 3)
+    assert pair.size == (640 + 1280, max(shown.size[1], frames().size[1]))
+
+
+@pytest.mark.parametrize("runs", [1, 2])
+def test_a_film_has_a_picture_for_each_step(runs: int, tmp_path: Path) -> None:
+    path = write_movie([small_directory()] * runs, MP4, tmp_path / "film", rate=20)
+    assert path == tmp_path / "film.mp4"
+    number, seconds = ffmpeg.count_frames_and_secs(path)
+    assert number == 40 + 2 * 20
+    assert seconds == pytest.approx(80 / 20)
+    reader = ffmpeg.read_frames(path)
+    about = next(reader)
+    wide, tall = about["size"]
+    shown = np.frombuffer(next(reader), np.uint8).reshape(tall, wide, 3).astype(int)
+    reader.close()
+    if runs == 1:
+        assert np.abs(shown - np.asarray(frames().at(1))).mean() < 3
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_command_writes_a_gif_and_names_it(tmp_path: Path) -> None:
+    out = tmp_path / "film.gif"
+    done = CliRunner().invoke(app, ["movie", str(small_directory()), "--gif", "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    assert done.output.startswith(f"{out}: ")
+    with Image.open(out) as film:
+        assert film.size == (960, frames().size[1] * 960 // 1280 // 2 * 2)
+        assert film.n_frames >= 40  # type: ignore[attr-defined]
+        assert film.info["loop"] == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["movie", "RUN", "--mp4", "--gif"], "--mp4 and --gif are two films: choose one"),
+        (["movie", "RUN", "RUN", "RUN"], "a film shows one run, or two side by side"),
+        (["movie", "RUN", "--rate", "0"], "rate = 0: must be 0.1 to 120 steps a second"),
+        (["movie", "/nowhere"], "/nowhere: no run directory, for it has no scenario.toml"),
+        (
+            ["movie", "RUN", "--out", "/nowhere/film.mp4"],
+            "/nowhere/.film.part.mp4: No such file or directory",
+        ),
+        (["report", "RUN", "RUN", "RUN"], "a report is of one run, or compares two"),
+    ],
+)
+def test_what_cannot_be_filmed_is_refused_in_a_sentence(words: list[str], said: str) -> None:
+    run = str(small_directory())
+    done = CliRunner().invoke(app, [word.replace("RUN", run) for word in words])
+    assert (done.exit_code, done.stderr) == (2, f"murmur: {said}\n")
+
+
+def test_a_film_names_the_package_that_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    with pytest.raises(MovieError, match=r"pip install 'murmur-robots\[film\]'"):
+        write_movie([Path()], MP4)
+
+
+def test_a_failing_ffmpeg_is_quoted_and_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("deploy.after.movie.AS_MP4", ["-c:v", "no-such-codec"])
+    with pytest.raises(MovieError, match=r"film\.mp4: ffmpeg could not write it: .*"):
+        write_movie([small_directory()], MP4, tmp_path / "film.mp4")
+    assert not list(tmp_path.iterdir())

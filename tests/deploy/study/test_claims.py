@@ -1,0 +1,140 @@
+"""Claims: what rules may say, what is tested by them, and the verdict that follows."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deploy.scenario.scenario import ScenarioError
+from deploy.study import experiment as experiments
+from deploy.study.claims import HOLDS, IN_PART, NOT, UNDECIDED, judge
+from tests.deploy.study.small_experiment import EXPERIMENT, write
+
+HEAD = '[claim]\nid = "B1"\npaper = "a paper"\nsays = "scans are faster"\n'
+FASTER = """
+[[claim.rule]]
+says = "scans are faster"
+figure = "steps"
+compare = { variant = "scans" }
+to = { variant = "polygons" }
+expect = "ratio < 1"
+by = ["robots"]
+"""
+
+
+def verdict(tmp_path: Path, rules: str, rows: list[dict[str, Any]]) -> Any:
+    claim = experiments.read(write(tmp_path, EXPERIMENT + HEAD + rules)).claim
+    assert claim is not None
+    return judge([(claim.rules, rows)])
+
+
+def rows(
+    *, factors: dict[int, float], seeds: int = 8, noise: float = 0.05, **more: Any
+) -> list[dict[str, Any]]:
+    """Runs of which scans take `factors` of the steps, by number of robots."""
+    rolls = random.Random(3)
+    return [
+        {
+            "place": {"robots": robots, "seed": seed, "variant": name},
+            "steps": (100 + 40 * seed) * (factor if name == "scans" else 1) * (1 + rolls.uniform(-noise, noise)),
+            "finished": True, "coverage": 1.0, **more,
+        }
+        for robots, factor in factors.items() for seed in range(seeds) for name in ("polygons", "scans")
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("factors", "word"),
+    [
+        ({1: 0.7, 2: 0.8}, HOLDS),
+        ({1: 0.7, 2: 1.3}, IN_PART),
+        ({1: 0.7, 2: 1.0}, IN_PART),
+        ({1: 1.0, 2: 1.3}, NOT),
+        ({1: 1.0, 2: 1.0}, UNDECIDED),
+    ],
+)
+def test_the_verdict_follows_from_the_tests_of_all_cells(
+    tmp_path: Path, factors: dict[int, float], word: str
+) -> None:
+    found = verdict(tmp_path, FASTER, rows(factors=factors))
+    assert found.word == word
+    assert [finding.cell for finding in found.findings] == [{"robots": 1}, {"robots": 2}]
+    assert found.findings[0].effect.mean == pytest.approx(factors[1], rel=0.05)
+
+
+def test_pairs_of_which_one_did_not_finish_are_left_out_and_counted(tmp_path: Path) -> None:
+    runs = rows(factors={1: 0.7})
+    runs[1]["coverage"] = 0.5
+    (finding,) = verdict(tmp_path, FASTER, runs).findings
+    assert (finding.effect.n, finding.left_out, finding.verdict) == (7, 1, HOLDS)
+    (whole,) = verdict(tmp_path, FASTER + "all_runs = true\n", runs).findings
+    assert (whole.effect.n, whole.left_out) == (8, 0)
+
+
+def test_without_runs_nothing_is_decided(tmp_path: Path) -> None:
+    found = verdict(tmp_path, FASTER, [])
+    assert found.word == UNDECIDED and [finding.effect.n for finding in found.findings] == [0]
+    assert verdict(tmp_path, FASTER, rows(factors={1: 0.7})[:1]).word == UNDECIDED
+
+
+def test_many_tests_need_more_evidence_than_one(tmp_path: Path) -> None:
+    alone = rows(factors={1: 0.9}, seeds=5, noise=0.1)
+    (finding,) = verdict(tmp_path, FASTER, alone).findings
+    many = rows(factors={1: 0.9, 2: 1.0}, seeds=5, noise=0.1)
+    assert verdict(tmp_path, FASTER, many).findings[0].p == pytest.approx(2 * finding.p)
+
+
+@pytest.mark.parametrize(
+    ("rule", "word"),
+    [
+        ('figure = "steps"\nexpect = "grows over seed"', HOLDS),
+        ('figure = "steps"\nexpect = "falls over seed"', NOT),
+        ('figure = "steps"\nexpect = "grows over robots"', UNDECIDED),
+        ('figure = "steps"\nexpect = "value in 50..1000"', HOLDS),
+        ('figure = "steps"\nexpect = "value < 20"', NOT),
+        ('figure = "finished"\nexpect = "value > 0.5"', HOLDS),
+        ('figure = "coverage"\nexpect = "value > 0.999"\nexact = true', HOLDS),
+        ('figure = "steps"\nexpect = "order of seed"\nlike = { 0 = 1, 1 = 2, 2 = 3, 3 = 4, 4 = 5 }', HOLDS),
+        ('figure = "steps"\nexpect = "ratio > 1.2"\ncompare = { seed = 4 }\nto = { seed = 0 }', HOLDS),
+        ('figure = "spread of steps"\nexpect = "difference < 0"\ncompare = { variant = "scans" }\n'
+         'to = { variant = "polygons" }', HOLDS),
+        ('figure = "steps"\nexpect = "grows over seed"\nwhere = { robots = [7] }', UNDECIDED),
+    ],
+)  # fmt: skip
+def test_every_form_of_expectation(tmp_path: Path, rule: str, word: str) -> None:
+    runs = rows(factors={1: 0.3, 2: 0.3})
+    assert verdict(tmp_path, f'[[claim.rule]]\nsays = "so"\n{rule}\n', runs).word == word
+
+
+@pytest.mark.parametrize(
+    ("rule", "said"),
+    [
+        ('figure = "stepz"\nexpect = "value < 3"', "'stepz' is no figure"),
+        ('figure = "steps"\nexpect = "is less"', "expect = 'is less': must be one of 'ratio < 1'"),
+        ('figure = "steps"\nexpect = "ratio < 1"', "compare and to say what a ratio"),
+        ('figure = "steps"\nexpect = "value < 1"\ncompare = { seed = 1 }\nto = { seed = 0 }', "compare and to say"),
+        ('figure = "steps"\nexpect = "ratio < 1"\ncompare = { seed = 1 }\nto = { robots = 1 }', "the same keys"),
+        ('figure = "steps"\nexpect = "falls over range"', "'range' is not in the grid; there are: robots, seed"),
+        ('figure = "steps"\nexpect = "value < 1"\nby = ["range"]', "speaks of 'range', which is not in the grid"),
+        ('figure = "steps"\nexpect = "value < 1"\nwhere = { seed = 1 }', "must be a list of values"),
+        ('figure = "steps"\nexpect = "order of seed"', "like says which order"),
+        ('figure = "steps"', "expect is missing"),
+        ('figure = 3', "figure = 3: must be of kind str"),
+        ('fig = "steps"', "fig is no part of a rule"),
+        ('figure = "steps"\nexpect = "ratio < 1"\ncompare = { variant = "x" }\nto = { variant = "scans" }',
+         "no variant is called 'x'; there are: polygons, scans"),
+    ],
+)  # fmt: skip
+def test_a_rule_that_makes_no_sense_is_refused(tmp_path: Path, rule: str, said: str) -> None:
+    with pytest.raises(ScenarioError, match=r"small\.toml") as caught:
+        verdict(tmp_path, f'[[claim.rule]]\nsays = "so"\n{rule}\n', [])
+    assert said in str(caught.value)
+
+
+def test_a_claim_needs_a_name_and_rules(tmp_path: Path) -> None:
+    for text, said in ((HEAD, "a claim needs rules"), ("[claim]\nid = 'B1'\n", "claim.paper is missing")):
+        with pytest.raises(ScenarioError, match=said):
+            experiments.read(write(tmp_path, EXPERIMENT + text))

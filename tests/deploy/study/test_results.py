@@ -1,0 +1,82 @@
+"""The table of runs: whole or not at all, in one order, of one writer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+import pytest
+
+from deploy.study import results
+from deploy.study.results import Results
+
+
+def row(key: str, seed: int, **more: Any) -> dict[str, Any]:
+    return {"key": key, "code": "c", "error": None, "seed": seed, "explored": [0.5, 1.0], **more}
+
+
+def test_rows_are_in_the_order_of_their_settings_however_they_came(tmp_path: Path) -> None:
+    files = []
+    for name, order in (("a", (2, 0, 1)), ("b", (1, 2, 0))):
+        files.append(tmp_path / f"{name}.parquet")
+        with Results(files[-1]) as table:
+            for seed in order:
+                table.add(row(f"k{seed}", seed, steps=seed if seed else None))
+    first, second = map(pl.read_parquet, files)
+    assert first.equals(second) and first["seed"].to_list() == [0, 1, 2]
+
+
+def test_runs_are_on_the_disk_before_the_table_is_closed(tmp_path: Path) -> None:
+    file = tmp_path / "a.parquet"
+    with Results(file) as table:
+        assert len(pl.read_parquet(file)) == 0
+        table._took = 0
+        table.add(row("k", 0))
+        assert len(pl.read_parquet(file)) == 1
+        table.add(row("k", 0, steps=3))
+    assert pl.read_parquet(file)["steps"].to_list() == [3]
+
+
+def test_what_a_later_run_has_and_an_earlier_has_not_is_null_and_lists_may_be_missing(tmp_path: Path) -> None:
+    file = tmp_path / "a.parquet"
+    failed = {"key": "b", "code": "c", "error": "it fell over", "seed": 1}
+    with Results(file) as table:
+        table.add(row("a", 0))
+    with Results(file) as table:
+        table.add(failed)
+        assert not table.knows("b", "c", retry=True) and table.knows("b", "c")
+        assert table.rows(["a", "b"])["b"]["error"] == "it fell over"
+        assert table.series("explored", ["a", "b"]) == {"a": [0.5, 1.0]}
+
+
+def test_a_table_that_is_open_elsewhere_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "a.parquet"
+    with Results(file), pytest.raises(ValueError, match="another process is adding runs to it"):
+        Results(file)
+    with Results(file):
+        pass
+
+
+@pytest.mark.parametrize("content", [b"", b"notes", b"PAR1 and no more"])
+def test_a_file_of_something_else_is_refused_and_left_alone(tmp_path: Path, content: bytes) -> None:
+    file = tmp_path / "notes.txt"
+    file.write_bytes(content)
+    with pytest.raises(ValueError, match="holds no table of runs; name a new file"):
+        Results(file)
+    assert file.read_bytes() == content
+
+
+def test_a_file_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    for file in (tmp_path / "missing" / "a.parquet", tmp_path):
+        with pytest.raises(ValueError, match=r"name a (new )?file"):
+            Results(file)
+
+
+def test_tables_are_written_by_their_ending(tmp_path: Path) -> None:
+    frame = pl.DataFrame({"a": [1, 2]})
+    for ending, reader in ((".csv", pl.read_csv), (".parquet", pl.read_parquet)):
+        results.write_table(frame, tmp_path / f"t{ending}")
+        assert reader(tmp_path / f"t{ending}").equals(frame)
+    with pytest.raises(ValueError, match=r"t\.txt: tables are written as \.csv or \.parquet"):
+        results.write_table(frame, tmp_path / "t.txt")

@@ -1,0 +1,120 @@
+"""Who makes runs: a pool here, or a cluster; each run once, whatever dies."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from deploy.study.workers import DIED, Cluster, LocalPool
+
+ROOT = Path(__file__).parents[3]
+
+
+@dataclass(frozen=True)
+class Number:
+    key: str
+
+    @property
+    def value(self) -> int:
+        return int(self.key)
+
+
+def square(number: Number) -> int:
+    return number.value**2
+
+
+def dies_at_2(number: Number) -> int:
+    if number.value == 2:
+        os._exit(1)
+    return square(number)
+
+
+def waits_unless_it_is_1(number: Number) -> int:
+    if number.value > 1:
+        time.sleep(60)
+    return square(number)
+
+
+def numbers(*values: int) -> list[Number]:
+    return [Number(str(value)) for value in values]
+
+
+def test_each_case_has_its_outcome_once() -> None:
+    outcomes = list(LocalPool(2).each(numbers(3, 4, 5), square))
+    assert sorted((case.value, outcome) for case, outcome in outcomes) == [(3, 9), (4, 16), (5, 25)]
+
+
+def test_a_process_that_dies_is_told_of_its_own_run_only() -> None:
+    outcomes = dict(LocalPool(2).each(numbers(1, 2, 3, 4), dies_at_2))
+    assert outcomes == dict(zip(numbers(1, 2, 3, 4), (1, DIED, 9, 16), strict=True))
+
+
+def test_who_takes_no_more_outcomes_ends_the_others_at_once() -> None:
+    began = time.monotonic()
+    outcomes = LocalPool(2).each(numbers(1, 2, 3, 4), waits_unless_it_is_1)
+    assert next(outcomes) == (Number("1"), 1)
+    outcomes.close()  # type: ignore[attr-defined]
+    while multiprocessing.active_children():
+        assert time.monotonic() - began < 30
+        time.sleep(0.05)
+
+
+def test_a_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Cluster, "PATIENCE_S", 1)
+    with pytest.raises(ValueError, match=r"scheduler = 'tcp://127.0.0.1:9': .*give its address"):
+        Cluster("tcp://127.0.0.1:9")
+
+
+def slow_square(number: Number) -> tuple[int, int]:
+    time.sleep(0.2)
+    return os.getpid(), square(number)
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[str]:
+    """A scheduler and two workers as processes on loopback; the scheduler's address."""
+    pytest.importorskip("distributed")
+    file = tmp_path / "scheduler.json"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "DASK_DISTRIBUTED__WORKER__DAEMON": "False"}
+
+    def start(*words: str) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            [sys.executable, "-m", *words], cwd=tmp_path, env=environment,
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+
+    own = ["--host", "127.0.0.1", "--no-dashboard"]
+    started = [start("distributed.cli.dask_scheduler", *own, "--port", "0", "--scheduler-file", str(file))]
+    try:
+        worker = ["distributed.cli.dask_worker", *own, "--nthreads", "1", "--no-nanny"]
+        started += [start(*worker, "--scheduler-file", str(file)) for _ in range(2)]
+        while not file.exists() or not file.read_text().endswith("}"):
+            assert started[0].poll() is None
+            time.sleep(0.1)
+        yield json.loads(file.read_text())["address"]
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
+
+
+def test_a_worker_of_a_cluster_that_is_killed_loses_nothing_and_nothing_counts_twice(cluster: str) -> None:
+    todo = numbers(*range(20))
+    outcomes, killed = [], None
+    for case, outcome in Cluster(cluster).each(todo, slow_square):
+        assert isinstance(outcome, tuple), outcome
+        if killed is None:
+            killed = outcome[0]
+            os.kill(killed, signal.SIGKILL)
+        outcomes.append((case.value, outcome[1]))
+    assert sorted(outcomes) == [(n, n * n) for n in range(20)]
