@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from protocol.packets import ALL_KINDS
 
-CAUSES = ("", "budget", "range", "protocol", "lost")
-"""Why a row was not carried: no room left, receiver too far, frame malformed, a partner died in between."""
+CAUSES = ("", "budget", "range", "protocol", "lost", "mute")
+"""Why a row was not carried: no room left, receiver too far, frame malformed, a partner died in between,
+the sender's radio cannot send."""
 
 EVERYONE = -1
 """The receiver of a broadcast."""

@@ -21,6 +21,7 @@ from protocol.errors import ProtocolError
 from protocol.fields import MOST_WORD, clip
 from protocol.keys import Keys
 from protocol.messages import (
+    Back,
     Begin,
     Bye,
     Close,
@@ -32,6 +33,7 @@ from protocol.messages import (
     Record,
     Said,
     Stop,
+    Strike,
     Watched,
     pack,
 )
@@ -114,9 +116,8 @@ class RelayNode:
         name = names.robot(robot)
         if name in self._present:
             self._present.discard(name)
-            lost = pack(Lost(robot, cause))
-            self._bus.put(self._keys.control(names.WORLD, names.RELAY), lost)
             self._report(Lost(robot, cause))
+            self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Lost(robot, cause)))
             self._send(self._radio.lost(robot))
 
     def _presence(self, who: str, *, came: bool) -> None:
@@ -131,6 +132,8 @@ class RelayNode:
             if not self._begun and self._expected <= self._present:
                 self._begun = True
                 self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Begin()))
+            elif self._begun and who[:1] == "r":
+                self._come_back(names.number(who))
         elif self.going_home or not (self._begun or who in (names.WORLD, names.LAB)):
             self._present.discard(who)
         elif who == names.WORLD:
@@ -143,6 +146,12 @@ class RelayNode:
         else:
             self.give_up_on(names.number(who), ENDED)
 
+    def _come_back(self, robot: int) -> None:
+        """A robot that was gone has joined again; it takes part from the next step on."""
+        self._radio.back(robot)
+        self._report(Back(robot))
+        self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Back(robot)))
+
     def _control(self, sender: str, message: Message) -> None:
         try:
             said = rights.read(*message)
@@ -154,12 +163,12 @@ class RelayNode:
         elif isinstance(said, Positions):
             self._nonsense.clear()
             cells = dict(zip(said.robots, zip(said.x, said.y, strict=True), strict=True))
-            self._send(self._radio.begin(said.step, cells))
+            self._send(self._radio.begin(said.step, cells, said.mute, said.deaf))
         elif isinstance(said, End):
             self._end(said)
         elif isinstance(said, Lost):
             self.give_up_on(said.robot, said.cause)
-        elif isinstance(said, Stop):
+        elif isinstance(said, Stop | Strike):
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), message.payload)
         elif isinstance(said, Bye):
             self._go_home()

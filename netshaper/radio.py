@@ -61,6 +61,8 @@ class RadioSettings:
     exchanges: int = 2
     gossip: bool = False
     """Whether news of maps are broadcast; else robots offer them to each other."""
+    lives: int = 1
+    """How often a robot may begin; each of its lives has a map of its own."""
 
 
 class Frame(NamedTuple):
@@ -106,6 +108,8 @@ class Radio:
         self._exchange = 0
         self._phase = ""
         self._reach: dict[int, list[int]] = {}
+        self._mute: set[int] = set()
+        self._deaf: set[int] = set()
         self._medium = Medium(0, 0)
         self._shares = airtime.Shares(settings.budget)
         self._waiting: set[int] = set()
@@ -113,13 +117,21 @@ class Radio:
         self._connections = Connections()
         self._broadcast_carried: dict[int, bool] = {}
 
-    def begin(self, step: int, cells: Mapping[int, tuple[int, int]]) -> list[Outgoing]:
+    def begin(
+        self,
+        step: int,
+        cells: Mapping[int, tuple[int, int]],
+        mute: Sequence[int] = (),
+        deaf: Sequence[int] = (),
+    ) -> list[Outgoing]:
         """Open the medium for a step, with the true cell (x, y) of each living robot.
 
+        Radios of `mute` robots cannot send in it, those of `deaf` robots cannot hear.
         What was said while it was closed is booked here, and refused.
         """
         self._step = step
         self._exchange = 0
+        self._mute, self._deaf = set(mute), set(deaf)
         self._connections = Connections()
         living = {robot: cell for robot, cell in cells.items() if robot not in self._dead}
         self._reach = in_range(living, self.settings.range_cells)
@@ -150,6 +162,10 @@ class Radio:
         self._dead.add(robot)
         self._waiting.discard(robot)
         return self._advance() if self._phase else []
+
+    def back(self, robot: int) -> None:
+        """A robot that was lost is here again; it takes part from the next step on."""
+        self._dead.discard(robot)
 
     @property
     def phase(self) -> tuple[int, int, str]:
@@ -186,12 +202,22 @@ class Radio:
                 Open(
                     self._step,
                     self._exchange,
-                    [peer for peer in self._reach[robot] if peer not in self._dead],
+                    self._heard_by(robot),
                     self._medium.left,
                 ),
             )
             for robot in living
         ]
+
+    def _heard_by(self, robot: int) -> list[int]:
+        """Teammates in range of which a robot can notice that they are."""
+        if robot in self._deaf:
+            return []
+        return [peer for peer in self._reach[robot] if peer not in self._dead and peer not in self._mute]
+
+    def _hearers(self, sender: int) -> list[int]:
+        """Who hears what a robot broadcasts."""
+        return [peer for peer in self._reach[sender] if peer not in self._dead and peer not in self._deaf]
 
     def _end_offers(self) -> list[Outgoing]:
         if self.settings.gossip:
@@ -203,10 +229,11 @@ class Radio:
             for receiver, payload in spoken.frames:
                 if receiver == EVERYONE:
                     continue
-                if receiver not in reach:
-                    self._refuse(sender, receiver, OFFER, payload, "range", "")
+                if receiver not in reach or sender in self._mute:
+                    cause = "range" if receiver not in reach else "mute"
+                    self._refuse(sender, receiver, OFFER, payload, cause, "")
                     continue
-                about, problem = _read_offer(payload, self.settings.robots)
+                about, problem = _read_offer(payload, self.settings.robots * self.settings.lives)
                 if not problem and (sender, receiver, about) in offers:
                     problem = f"map {about} was offered to robot {receiver} twice in an exchange"
                 if problem:
@@ -229,6 +256,8 @@ class Radio:
                 problem = _is_news(receiver, payload) or ("twice" if told and told[-1][0] == sender else "")
                 if spoken.said is None:
                     self._refuse(sender, receiver, NEWS, payload, "lost", "")
+                elif sender in self._mute:
+                    self._refuse(sender, receiver, NEWS, payload, "mute", "")
                 elif problem:
                     reason = f"news are one broadcast of units: {problem}"
                     self._refuse(sender, receiver, NEWS, payload, "protocol", reason)
@@ -237,7 +266,7 @@ class Radio:
         out = self._put_broadcasts_on_air(self._medium.left // (len(self._spoken) + 1))
         order = self._drawn("back-off", told)
         order.sort(key=lambda item: self._shares.rank(item[0], self._urgency(item[0])))
-        hearers = {sender: [r for r in self._reach[sender] if r not in self._dead] for sender, _ in order}
+        hearers = {sender: self._hearers(sender) for sender, _ in order}
         sizes = self._medium.tell(self._exchange, [(s, payload, hearers[s]) for s, payload in order])
         carried = {sender: size for (sender, _), size in zip(order, sizes, strict=True)}
         for sender, size in carried.items():
@@ -281,7 +310,10 @@ class Radio:
                 reason = "broadcast something other than a target or a pose, at the start of a step"
                 self._refuse(sender, EVERYONE, BROADCAST, payload, "protocol", reason)
                 continue
-            hearers = [robot for robot in self._reach[sender] if robot not in self._dead]
+            if sender in self._mute:
+                self._refuse(sender, EVERYONE, BROADCAST, payload, "mute", "")
+                continue
+            hearers = self._hearers(sender)
             if (
                 share is not None
                 and self._medium.carried
@@ -315,7 +347,7 @@ class Radio:
         for at, (sender, receiver, about, payload) in enumerate(said):
             if payload is None:
                 continue
-            if receiver in self._dead:
+            if receiver in self._dead or receiver in self._deaf:
                 these.lost[at] = frame
                 continue
             out.append(_frame((receiver, sender, payload)))
@@ -445,14 +477,14 @@ def _is_strange(piece: bytes) -> bool:
 
 
 @lru_cache(maxsize=1 << 12)
-def _read_offer(payload: bytes, robots: int) -> tuple[int, str]:
+def _read_offer(payload: bytes, maps: int) -> tuple[int, str]:
     """Return whose map an offer frame offers; or what is wrong with it."""
     try:
         said = packets.handshake(payload)
     except ProtocolError as error:
         return -1, str(error)
     offer = said[0] if len(said) == 1 else None
-    if not isinstance(offer, packets.Offer) or offer.map >= robots:
+    if not isinstance(offer, packets.Offer) or offer.map >= maps:
         return -1, "an offer frame is one offer of a known map"
     return offer.map, ""
 

@@ -19,7 +19,14 @@ COLUMNS = 12
 """Of each frame, or of the part of it that was carried or not, a row of these: where in `Columns.hearers`, `texts` and
 `payload` the rest of it stands, and numbers as in `Sighting`."""
 
-WORDS_OF_CAUSE = ("delivered", "cut by budget", "out of range", "refused", "a partner died")
+WORDS_OF_CAUSE = (
+    "delivered",
+    "cut by budget",
+    "out of range",
+    "refused",
+    "a partner died",
+    "the sender is mute",
+)
 """What became of a frame to one robot, in words, by the number of its verdict."""
 
 Rows = NDArray[np.int64]

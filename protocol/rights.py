@@ -13,6 +13,7 @@ from typing import Any
 from protocol import keys as names
 from protocol.keys import LAB, RELAY, VIEW, WORLD, Keys
 from protocol.messages import (
+    Back,
     Begin,
     Bye,
     Close,
@@ -33,6 +34,7 @@ from protocol.messages import (
     Sense,
     Snapshot,
     Stop,
+    Strike,
     Turn,
     Watched,
     WorldReport,
@@ -43,15 +45,15 @@ ROBOT = "robot"
 """Stands in the table for each robot."""
 
 RIGHTS: dict[tuple[str, str], tuple[type[Record], ...]] = {
-    (RELAY, WORLD): (Begin, Close, Lost, Stop, Bye, Watched),
+    (RELAY, WORLD): (Begin, Close, Lost, Back, Stop, Strike, Bye, Watched),
     (RELAY, ROBOT): (Open, Turn, Outcome, Close, End, Bye, Watched),
-    (RELAY, LAB): (Lost, End, Bye, RadioReport, Fault),
-    (RELAY, VIEW): (Lost, End, Bye, RadioReport, Fault),
+    (RELAY, LAB): (Lost, Back, End, Bye, RadioReport, Fault),
+    (RELAY, VIEW): (Lost, Back, End, Bye, RadioReport, Fault),
     (WORLD, RELAY): (Positions, Lost, End),
-    (WORLD, ROBOT): (Configure, Sense, End),
-    (WORLD, LAB): (WorldReport, Fault),
-    (WORLD, VIEW): (WorldReport, Fault),
-    (LAB, RELAY): (Lost, Stop, Bye),
+    (WORLD, ROBOT): (Configure, Sense, End, Strike),
+    (WORLD, LAB): (WorldReport, Strike, Fault),
+    (WORLD, VIEW): (WorldReport, Strike, Fault),
+    (LAB, RELAY): (Lost, Stop, Strike, Bye),
     (ROBOT, RELAY): (Said,),
     (ROBOT, WORLD): (Move,),
     (ROBOT, LAB): (MindReport, Maps, Fault),

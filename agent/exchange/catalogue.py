@@ -25,8 +25,8 @@ OFFERS = (*session.POLICIES, gossip.POLICY)
 def distribution(settings: Settings) -> Session | Gossip:
     """Return the robot's end of what distributes logs; ValueError lists the policies there are."""
     if settings.offers == gossip.POLICY:
-        return Gossip(settings.robot, settings.robots)
-    return Session(settings.robot, settings.robots, settings.offers)
+        return Gossip(settings.robot, settings.robots, lives=settings.lives, life=settings.life)
+    return Session(settings.robot, settings.robots, settings.offers, lives=settings.lives, life=settings.life)
 
 
 def exchange(settings: Settings) -> Exchange:

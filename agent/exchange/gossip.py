@@ -77,10 +77,13 @@ class _Stretch:
 class Gossip:
     """One robot's end of it; it stands where `agent.exchange.session.Session` does."""
 
-    def __init__(self, robot: int, robots: int) -> None:
-        self.logs = [Log() for _ in range(robots)]
-        """What is held of every robot's map."""
-        self.known = [[0] * robots for _ in range(robots)]
+    def __init__(self, robot: int, robots: int, *, lives: int = 1, life: int = 0) -> None:
+        maps = robots * lives
+        self.logs = [Log() for _ in range(maps)]
+        """What is held of every robot's map, of each of its lives (`agent.identity`)."""
+        self.own = robot + robots * life
+        """The number of one's own map."""
+        self.known = [[0] * maps for _ in range(robots)]
         """``known[peer][map]``: up to which unit the map has reached the peer, as far as one can know."""
         self.refused: set[tuple[int, int]] = set()
         """(peer, map): what is not taken from a peer, for what came of it made no sense."""
@@ -88,6 +91,10 @@ class Gossip:
         """How soon what was said last should be on the air: the more, the shorter one waits for a free medium."""
         self._robot = robot
         self._robots = robots
+        self._lives = lives
+        self._own_maps = list(range(robots))
+        """The number of each robot's own map, in the life that it is in, as far as one has heard."""
+        self._own_maps[robot] = self.own
         self._step = 0
         self._peers: list[int] = []
         self._sure: list[int] = []
@@ -98,7 +105,7 @@ class Gossip:
         """Who is in one's own range, as each teammate has been told."""
         self._parted = False
         """Whether anybody has ever been out of one's range."""
-        self._told = [[0] * robots for _ in range(robots)]
+        self._told = [[0] * maps for _ in range(robots)]
         """``_told[peer][map]``: how much of a map the peer knows one to hold."""
         self._met: set[int] = set()
         """Who has come into range and has not been told what one holds."""
@@ -106,7 +113,7 @@ class Gossip:
         """Until which step, at most, one waits for those who have come into range to say what they hold."""
         self._gaps: set[int] = set()
         """Maps of which a unit came behind others that are lacking."""
-        self._asked = [-PATIENCE] * robots
+        self._asked = [-PATIENCE] * maps
         """The step in which one last said of a map what one holds."""
         self._begun = 0
         """Where what was last recorded begins in one's own log."""
@@ -114,9 +121,9 @@ class Gossip:
         """Up to which unit one's own log has been on the air."""
         self._cursor = 0
         """Where the last broadcast of one's own log ended."""
-        self._synced = set(range(robots)) - {robot}
+        self._synced = set() if life else set(range(robots)) - {robot}
         """Who has been in range since then, so that it needs not be said."""
-        self._cursors: list[int | None] = [0] * robots
+        self._cursors: list[int | None] = [None if life else 0] * robots
         """Where the last broadcast of each teammate's own log ended, if that was heard."""
         self._lacking: dict[tuple[int, int], int] = {}
         """(peer, map): since which step a peer in range lacks units of a map that one holds."""
@@ -127,12 +134,12 @@ class Gossip:
     def record(self, units: list[bytes]) -> None:
         """Append to the log of one's own map."""
         if units:
-            self._begun = len(self.logs[self._robot])
-        self.logs[self._robot].append(units)
+            self._begun = len(self.logs[self.own])
+        self.logs[self.own].append(units)
 
     def retract(self, count: int) -> bool:
         """Take the last `count` units of one's own log back, if nobody has heard any of them; say whether."""
-        log = self.logs[self._robot]
+        log = self.logs[self.own]
         if len(log) - count < self._aired:
             return False
         log.retract(count)
@@ -176,6 +183,8 @@ class Gossip:
                 frames.append((peer, survey.split(payload)))
             except ProtocolError:
                 yield peer, peer, payload  # whoever makes sense of it will say what is wrong
+        for peer, pieces in frames:
+            self._recognise(peer, pieces)
         for peer, pieces in frames:  # reports speak of what was before this exchange
             yield from self._hear_reports(peer, pieces)
         for sent in outcome.data:
@@ -190,15 +199,17 @@ class Gossip:
 
     def delivered(self) -> bool:
         """Whether teammates are in range, and all that one has logged has been on the air."""
-        return bool(self._peers) and self._aired == len(self.logs[self._robot])
+        return bool(self._peers) and self._aired == len(self.logs[self.own])
 
     def undelivered(self) -> int:
         """Units of one's own map that have not reached a teammate yet, all teammates counted."""
-        held = len(self.logs[self._robot])
-        return sum(held - known[self._robot] for peer, known in enumerate(self.known) if peer != self._robot)
+        held = len(self.logs[self.own])
+        return sum(held - known[self.own] for peer, known in enumerate(self.known) if peer != self._robot)
 
     def forget(self) -> None:
-        """Drop what all teammates hold."""
+        """Drop what all teammates hold; where they may come back, and hold nothing then, that is nothing."""
+        if self._lives > 1:
+            return
         for about, (log, known) in enumerate(zip(self.logs, zip(*self.known, strict=True), strict=True)):
             others = [reached for peer, reached in enumerate(known) if peer not in (self._robot, about)]
             log.forget(min(others, default=len(log)))
@@ -208,7 +219,8 @@ class Gossip:
     def _begin_step(self, peers: list[int]) -> None:
         """Note who is in range now."""
         self._step += 1
-        come = set(peers) - set(self._peers) if self._step > 1 else set()
+        begins = self._step == 1 and self.own < self._robots
+        come = set() if begins else set(peers) - set(self._peers)
         self._met = (self._met | come) & set(peers)
         self._unsure |= dict.fromkeys(come, self._step + GREETING)
         self._synced &= set(peers)
@@ -225,7 +237,7 @@ class Gossip:
             (peer, about)
             for peer in self._sure
             for about, log in enumerate(self.logs)
-            if about != peer and self.known[peer][about] < len(log)
+            if about != self._own_maps[peer] and self.known[peer][about] < len(log)
         }
         self._lacking = {pair: self._lacking.get(pair, self._step) for pair in sorted(lacking)}
 
@@ -243,28 +255,28 @@ class Gossip:
         for about, log in enumerate(self.logs):
             met = any(self._told[peer][about] < len(log) for peer in self._met)
             gap = about in self._gaps and self._step >= self._asked[about] + PATIENCE
-            remind = reminds and self._step // SELDOM % self._robots == about
-            if about != self._robot and (met or gap or remind) and len(said.payload) + Held.size <= left:
+            remind = reminds and self._step // SELDOM % len(self.logs) == about
+            if about != self.own and (met or gap or remind) and len(said.payload) + Held.size <= left:
                 held = Held(about, len(log) % GOSSIP_WINDOW)
                 said.payload += packets.encode([held])
                 said.held.append((len(said.payload), held))
 
     def _tell_own(self, said: _Said, room: int | None) -> None:
         """Go on with one's own log; then say again what somebody in range has missed of it."""
-        robot, log = self._robot, self.logs[self._robot]
+        own, log = self.own, self.logs[self.own]
         aired = self._aired
         if aired < len(log):
-            self._stretch(said, robot, aired, len(log), room)
-        lowest = min((self.known[peer][robot] for peer in self._sure), default=aired)
+            self._stretch(said, own, aired, len(log), room)
+        lowest = min((self.known[peer][own] for peer in self._sure), default=aired)
         if lowest < aired:
-            self._stretch(said, robot, lowest, aired, room)
+            self._stretch(said, own, lowest, aired, room)
 
     def _to_pass_on(self) -> list[int]:
         """Maps of others that somebody in range lacks units of, and that are for oneself to say; most first."""
         lacks: dict[int, int] = {}
         for (peer, about), since in self._lacking.items():
             units = len(self.logs[about]) - self.known[peer][about]
-            if about != self._robot and units > 0 and self._is_chosen(peer, about, since):
+            if about != self.own and units > 0 and self._is_chosen(peer, about, since):
                 lacks[about] = max(lacks.get(about, 0), units)
         return sorted(lacks, key=lambda about: (-lacks[about], about))
 
@@ -279,20 +291,24 @@ class Gossip:
             for each in [*self._peers, self._robot]
             if each != peer
             and (each == self._robot or peer in self._near[each])
-            and (each in (about, self._robot) or self.known[each][about] > self.known[peer][about])
+            and (
+                each == self._robot
+                or self._own_maps[each] == about
+                or self.known[each][about] > self.known[peer][about]
+            )
         ]
-        able.sort(key=lambda each: (each != about, (each - about) % self._robots))
+        able.sort(key=lambda each: (self._own_maps[each] != about, (each - about) % self._robots))
         return able.index(self._robot) <= (self._step - since) // PATIENCE
 
     def _tell(self, said: _Said, about: int, room: int | None) -> None:
         """Pass a map on, from where the peer is that lacks most."""
-        first = min(self.known[peer][about] for peer in self._sure if peer != about)
+        first = min(self.known[peer][about] for peer in self._sure if self._own_maps[peer] != about)
         self._stretch(said, about, first, len(self.logs[about]), room)
 
     def _stretch(self, said: _Said, about: int, first: int, end: int, room: int | None) -> None:
         """Say units `first` to `end` - 1 of a log as far as there is room, behind a `From` where it is needed."""
         first = max(first, self.logs[about].oldest)
-        begins = about == self._robot and first == self._cursor and not said.stretches
+        begins = about == self.own and first == self._cursor and not said.stretches
         head = b""
         if not (begins and set(self._peers) <= self._synced):
             head = packets.encode([From(about, first % GOSSIP_WINDOW)])
@@ -313,7 +329,7 @@ class Gossip:
         if not said.payload:
             self._waits = self._step
         waited = self._step - self._waits
-        begun = self._begun < self._aired < len(self.logs[self._robot])
+        begun = self._begun < self._aired < len(self.logs[self.own])
         self.urgency = MOST_URGENT if begun else min(MOST_URGENT - 1, len(said.payload) + 8 * waited)
 
     # --- what was heard
@@ -341,11 +357,27 @@ class Gossip:
             self._believe(stretch.map, end)
             for peer in peers:
                 self._reach(peer, stretch.map, stretch.first, end)
-            if stretch.map == self._robot:
+            if stretch.map == self.own:
                 self._cursor, self._synced = end, peers
                 self._aired = max(self._aired, end)
         if sent:
             self._waits = self._step
+
+    def _recognise(self, peer: int, pieces: list[bytes]) -> None:
+        """Who says units of the map of a new life of its own has begun anew, and knows and holds nothing."""
+        for piece in pieces if self._lives > 1 else ():
+            said = packets.decode(piece)[0] if packets.name(piece) == From.name else None
+            if not isinstance(said, From) or not self._own_maps[peer] < said.map < len(self.logs):
+                continue
+            if said.map % self._robots == peer:
+                self._own_maps[peer] = said.map
+                self._cursors[peer] = None
+                self.known[peer] = [0] * len(self.logs)
+                self._told[peer] = [0] * len(self.logs)
+                self._near[peer] = set(range(self._robots)) - {peer}
+                self._told_near[peer] = set(range(self._robots)) - {self._robot}
+                self._met.add(peer)
+                self._synced.discard(peer)
 
     def _hear_reports(self, peer: int, pieces: list[bytes]) -> Iterator[tuple[int, int, bytes]]:
         """Take who is near a peer, and what it holds; yield what does not belong here."""
@@ -355,25 +387,25 @@ class Gossip:
             match packets.decode(piece)[0]:
                 case Near(robot, here) if robot < self._robots:
                     (self._near[peer].add if here else self._near[peer].discard)(robot)
-                case Held(about, count) if about < self._robots and about != peer:
+                case Held(about, count) if about < len(self.logs) and (about != peer or self._lives > 1):
                     self.known[peer][about] = self._unwrap(about, count)
                     self._unsure.pop(peer, None)
                     self._near[peer].add(self._robot)
-                case From(about, _) if about < self._robots:
+                case From(about, _) if about < len(self.logs):
                     pass
                 case other:
                     yield peer, peer, packets.encode([other])
 
     def _hear_units(self, peer: int, pieces: list[bytes]) -> Iterator[tuple[int, int, bytes]]:
         """Take what a peer said of logs; yield what is news."""
-        about, index = peer, self._cursors[peer]
+        about, index = self._own_maps[peer], self._cursors[peer]
         units: list[bytes] = []
         for piece in pieces:
             if packets.name(piece) != From.name:
                 units.append(piece)
                 continue
             said = packets.decode(piece)[0]
-            if isinstance(said, From) and said.map < self._robots:
+            if isinstance(said, From) and said.map < len(self.logs):
                 yield from self._take(peer, about, index, units)
                 about, index, units = said.map, self._unwrap(said.map, said.index), []
         yield from self._take(peer, about, index, units)
@@ -388,14 +420,15 @@ class Gossip:
             self._gaps.add(about)
             return
         end, held = index + len(units), len(self.logs[about])
-        if about == peer:
+        if about == self._own_maps[peer]:
             self._cursors[peer] = end
         self.known[peer][about] = max(self.known[peer][about], end)
         if index > held:
             self._gaps.add(about)
         else:
             self._gaps.discard(about)
-        if index <= held < end and about != self._robot and (peer, about) not in self.refused:
+        mine = about % self._robots == self._robot and about >= self.own
+        if index <= held < end and not mine and (peer, about) not in self.refused:
             yield peer, about, b"".join(units[held - index :])
         if len(self.logs[about]) >= end:
             for other in {peer} | self._near[peer]:

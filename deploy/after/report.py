@@ -51,6 +51,7 @@ UNDELIVERED = {
     "range": "the receiver was out of range",
     "protocol": "they were malformed or out of turn",
     "lost": "the other robot had died",
+    "mute": "the sender's radio could not send",
 }
 """Why a frame was not carried."""
 assert ("", *UNDELIVERED) == CAUSES

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from agent.exchange.polygon_options import THESIS_OPTIONS
 from deploy.commands.console import errors, progress, report_result, speaking_clearly
 from deploy.commands.flags import (
     GroupedCommand,
@@ -24,6 +22,7 @@ from deploy.commands.flags import (
     setting,
 )
 from deploy.scenario.scenario import Scenario, load
+from deploy.scenario.thesis import thesis_settings
 
 app = family()
 
@@ -65,7 +64,7 @@ def explore(
         bool,
         typer.Option(
             "--thesis",
-            help="the thesis' plain rules of offering, refining and drawing",
+            help="the thesis' plain rules of offering, refining, drawing and choosing",
             rich_help_panel=RADIO,
         ),
     ] = False,
@@ -125,13 +124,13 @@ def explore(
             overrides |= _other_settings(set_, overrides)
         if resolution is not None:
             overrides["map_options.resolution"] = resolution
-        if thesis:
-            overrides |= {"offers": offers or "thesis", "polygon": asdict(THESIS_OPTIONS)}
         if start is not None:
             overrides["start"] = pair(start)
         if option:
             overrides["options"] = named_values(option, "option", "beta=0.5")
         chosen = load(scenario, overrides)
+        if thesis:
+            chosen = load(scenario, _with_thesis(overrides, chosen.strategy))
         show = view_as or ("auto" if view else None)
         code = _explore(chosen, out, show, hosts, pictures=pictures, pace=pace, as_json=as_json)
         raise typer.Exit(code)
@@ -152,6 +151,14 @@ def watch(
             watching.watch(directory, window)
         finally:
             window.close()
+
+
+def _with_thesis(overrides: dict[str, Any], strategy: str) -> dict[str, Any]:
+    """Flags, and what --thesis takes away where no flag says otherwise."""
+    given = {name for name, value in overrides.items() if value is not None}
+    given |= {f"options.{name}" for name in overrides.get("options") or {}}
+    plain = {name: value for name, value in thesis_settings(strategy).items() if name not in given}
+    return {name: value for name, value in overrides.items() if value is not None} | plain
 
 
 def _other_settings(texts: list[str], flags: dict[str, Any]) -> dict[str, Any]:

@@ -1,7 +1,8 @@
 """The run directory: all results of a run, and everything that is needed to repeat it.
 
 Every file is written under a temporary name and then renamed, so that none is ever half written. Only the
-capture of the radio grows during the run, block by block, and can be read up to its last whole one.
+capture of the radio grows during the run, block by block, and can be read up to its last whole one. Tables are written
+and read by pyarrow: runs also take place in forked processes, which polars' threads do not survive.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ TEAM_MAP = "team.yaml"
 PICTURE = "maps.png"
 PICTURES = "pictures"
 LOGS = "logs"
+JOURNALS = "journals"
 RUNS = Path("runs")
 """The directory for runs without `--out`."""
 

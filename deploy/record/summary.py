@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.robot import sure_after
+from agent.settings import Settings
 from deploy.record.records import Records
 from deploy.record.versions import versions
 from deploy.scenario.plan import Plan
@@ -38,6 +40,7 @@ def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "finished": finished,
         "reason": _reason(end, finished=finished),
         "steps": steps,
+        "explored_at": _explored_at(plan, steps) if finished else None,
         "first_robot": end.first if done and end is not None else None,
         "coverage": _coverage(records, reachable),
         "map_agreement": _share_free(records.planning[wanted], reachable)
@@ -61,6 +64,7 @@ def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "raw_scan_bytes": steps * SCAN_VALUES * VALUE_BYTES * scenario.robots * (scenario.robots - 1),
         "packets": packets,
         "approximation_error": _approximation_error(records, wanted, int(reachable.sum())),
+        "approximation_error_net": _net_error(records, wanted, int(reachable.sum())),
         "over_budget_steps": _over_budget(ledger, scenario.bandwidth),
         "wire_bytes": records.wire_bytes,
         "undelivered": _undelivered(ledger),
@@ -102,7 +106,7 @@ def digest(records: Records) -> str:
 
 def _coverage(records: Records, reachable: Mask) -> float:
     """What the team has seen, by its own grids; if a robot was lost with its grid, by the world's report."""
-    if not records.own or records.lost:
+    if not records.own or not records.is_whole:
         return records.explored
     team = np.zeros(reachable.shape, np.bool_)
     for grid in records.own.values():
@@ -112,7 +116,7 @@ def _coverage(records: Records, reachable: Mask) -> float:
 
 def _overlap(records: Records, reachable: Mask) -> float | None:
     """Cells that more than one robot has seen itself, over cells seen; None where not all have told their grids."""
-    if not records.own or records.lost:
+    if not records.own or not records.is_whole:
         return None
     seen = np.zeros(reachable.shape, np.int64)
     for grid in records.own.values():
@@ -176,6 +180,21 @@ def _approximation_error(records: Records, robot: int, cells: int) -> float | No
     if not 0 <= robot < len(records.minds) or not records.minds[robot]:
         return None
     return float(np.mean([report.error for report in records.minds[robot]]) / cells)
+
+
+def _net_error(records: Records, robot: int, cells: int) -> float | None:
+    """The same less what an exact approximation would have wrong; None where that was not measured."""
+    if not 0 <= robot < len(records.minds) or not records.minds[robot]:
+        return None
+    reports = records.minds[robot]
+    if any(report.exact_error < 0 for report in reports):
+        return None
+    return float(np.mean([report.error - report.exact_error for report in reports]) / cells)
+
+
+def _explored_at(plan: Plan, steps: int) -> int:
+    """The step after which the first robot only made sure that nothing was left."""
+    return steps - sure_after(Settings.from_message(plan.minds[0]))
 
 
 def _over_budget(ledger: NDArray[np.void], bandwidth: int | str) -> int:

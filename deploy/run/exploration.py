@@ -185,12 +185,15 @@ def explore(
     plan = plans.make(scenario)
     if hosts is not None and scenario.bus == "memory":
         raise ScenarioError("bus = 'memory': is one process of one host; with hosts it must be 'zenoh'")
+    if hosts is not None and any(fault.kind in ("kill", "restart") for fault in scenario.faults):
+        raise ScenarioError("fault: robots can be killed and restarted on this host only; leave --hosts out")
     interrupt = Interrupt(tell)
     with (
         Fleet(hosts, scenario.robots, tell) if hosts is not None else contextlib.nullcontext() as fleet,
         interrupt.caught() if keep else contextlib.nullcontext(),
     ):
         directory = run_directory.create(out, plan) if keep else None
+        journals = directory / run_directory.JOURNALS if directory is not None else None
         began = time.perf_counter()
 
         def look(records: Records) -> None:
@@ -206,7 +209,9 @@ def explore(
             if scenario.bus == "memory":
                 with watching(task) if task is not None else contextlib.nullcontext() as view:
                     ready()
-                    records = in_memory.run(plan, look, capture, heed=interrupt.heed, view=view, wait=wait)
+                    records = in_memory.run(
+                        plan, look, capture, heed=interrupt.heed, view=view, wait=wait, journals=journals
+                    )
                 outcome = launch.Outcome(records, {})
             else:
                 show = launch.Show(task, ready) if task is not None else None
@@ -221,6 +226,7 @@ def explore(
                     pace=pace,
                     live=directory,
                     fleet=fleet,
+                    journals=journals,
                 )
         result = conclude(plan, outcome, directory, time.perf_counter() - began)
         if directory is not None and window is not None and outcome.view_fault:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+from agent.journal import journal_name
 from deploy.dashboard.process import ViewTask
 from deploy.dashboard.watch import announced
 from deploy.record.records import LabNode, Records
@@ -28,6 +29,7 @@ from netshaper.process import ENDED
 from protocol import keys as names
 from protocol.bus import Bus, BusClosed
 from protocol.keys import Keys
+from protocol.messages import Strike
 from protocol.zenoh_bus import join
 
 POLL_S = 0.25
@@ -72,6 +74,8 @@ def run(
     live: Path | None = None,
     fleet: Fleet | None = None,
     meeting: Meeting | None = None,
+    journals: Path | None = None,
+    revive: bool = False,
 ) -> Outcome:
     """Run a plan as processes; `watch` is called as records come in, at most a few times a second.
 
@@ -79,7 +83,8 @@ def run(
     takes the frames (`deploy.record.records`); `heed` may end it early; `show` adds a viewer; `pace` is the steps a
     second at most; `live` is a directory in which to say how to look at the run (`deploy.dashboard.watch`);
     `fleet`, whose hosts have been reached, runs its robots there, and says where all meet; without it that is
-    `meeting`, or on the loopback.
+    `meeting`, or on the loopback. Where robots may come back (`Plan.lives`) their journals are in the
+    folder `journals`; with `revive` those that are lost unasked are started again.
     """
     if logs is None:
         with tempfile.TemporaryDirectory() as folder:
@@ -94,10 +99,12 @@ def run(
                 live=live,
                 fleet=fleet,
                 meeting=meeting,
+                journals=journals or Path(folder) / "journals",
+                revive=revive,
             )
     robots, patience = plan.scenario.robots, plan.scenario.patience
     world = WorldTask(
-        plan.make_world(), plan.minds, plan.scenario.steps, 1000 * plan.map.resolution, pace, patience
+        plan.make_world(), plan.minds, plan.scenario.steps, 1000 * plan.map.resolution, pace, patience, revive
     )
     meeting = fleet.meeting if fleet is not None else meeting or on_loopback(robots)
     elsewhere = fleet.robots if fleet is not None else set()
@@ -118,16 +125,29 @@ def run(
             ),
             names.WORLD: (serve_world, meeting.credentials[names.WORLD], world),
         }
-        for name in map(names.robot, range(robots)):
+        journals = journals or logs.parent / "journals"
+        for number, name in enumerate(map(names.robot, range(robots))):
             if name not in elsewhere:
-                table[name] = (serve_agent, meeting.credentials[name])
+                journal = journals / journal_name(number) if plan.lives > 1 else None
+                table[name] = (serve_agent, meeting.credentials[name], journal)
+
+        def obey(strike: Strike) -> None:
+            name = names.robot(strike.robot)
+            if strike.kind == "restart":
+                processes.give_up(name)
+            if strike.kind in ("kill", "restart"):
+                processes.excuse(name)
+            if strike.kind == "restart":
+                serve, *args = table[name]
+                processes.start(name, serve, *args)
+
         port = show.task.port if show is not None else None
         with announced(live, meeting.credentials[names.VIEW], port):
             for name, (serve, *args) in table.items():
                 processes.start(name, serve, *args)
             if show is not None:
                 _start_viewer(processes, meeting, show)
-            outcome = _attend(processes, meeting, fleet, plan, world.pause_s, heed, watch, capture)
+            outcome = _attend(processes, meeting, fleet, plan, world.pause_s, heed, watch, capture, obey)
             if show is not None:
                 outcome.view_fault = processes.await_end(names.VIEW, VIEWER_END_S)
             return outcome
@@ -152,9 +172,11 @@ def _attend(
     heed: Heed,
     watch: Callable[[Records], object] | None,
     capture: BinaryIO | None,
+    obey: Callable[[Strike], object],
 ) -> Outcome:
     """Serve as the laboratory until the run is over."""
     deaths = processes.deaths
+    ended: set[int] = set()
 
     def look_after_all() -> dict[str, str]:
         if fleet is not None:
@@ -162,11 +184,14 @@ def _attend(
         return processes.look()
 
     def end_the_lost(records: Records) -> None:
-        """End the processes of robots that the run goes on without."""
-        for name in (names.robot(robot) for robot, cause in records.lost.items() if cause != ENDED):
-            processes.give_up(name)
-            if fleet is not None:
-                fleet.give_up(name)
+        """End the processes of robots that the run goes on without, once."""
+        ended.intersection_update(records.lost)
+        for robot in records.lost.keys() - ended:
+            ended.add(robot)
+            if records.lost[robot] != ENDED:
+                processes.give_up(names.robot(robot))
+                if fleet is not None:
+                    fleet.give_up(names.robot(robot))
 
     try:
         bus = join(meeting.credentials[names.LAB])
@@ -174,7 +199,7 @@ def _attend(
         look_after_all().setdefault(names.RELAY, str(error))
         return Outcome(Records(plan.scenario.robots), deaths)
     meter = Meter(meeting.endpoint, here=True)
-    lab = LabNode(bus, Keys(meeting.run), plan.scenario.robots, plan.map.cells.shape, capture, meter)
+    lab = LabNode(bus, Keys(meeting.run), plan.scenario.robots, plan.map.cells.shape, capture, meter, obey)
 
     def look() -> bool:
         if watch is not None:

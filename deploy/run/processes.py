@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from setproctitle import setproctitle
 
+from agent.journal import Journal, JournalError
 from agent.process import AgentNode
 from deploy.run.patience import PATIENCE_S, Patience
 from netshaper.hub import open_hub
@@ -51,6 +52,8 @@ class WorldTask:
     """Steps a second at most, for people who watch."""
     patience_s: float = PATIENCE_S
     """How long a robot may take for its move."""
+    revive: bool = False
+    """Whether robots that are lost unasked are to be started again."""
 
     @property
     def pause_s(self) -> float:
@@ -121,14 +124,21 @@ def serve_world(credential: Credential, task: WorldTask) -> None:
     """Serve as the world of a run."""
     bus = join(credential)
     keys = Keys(credential.run)
-    node = WorldNode(bus, keys, task.world, task.minds, task.steps, task.cell_mm, wait=task.wait)
+    node = WorldNode(
+        bus, keys, task.world, task.minds, task.steps, task.cell_mm, wait=task.wait, revive=task.revive
+    )
     _serve(bus, node, Patience(node, task.patience_s))
 
 
-def serve_agent(credential: Credential) -> None:
-    """Serve as one robot of a run."""
+def serve_agent(credential: Credential, journal: Path | None = None) -> None:
+    """Serve as one robot of a run; with a `journal` it may be killed and begin again."""
+    kept = Journal.open(journal) if journal is not None else None
     bus = join(credential)
-    _serve(bus, AgentNode(bus, Keys(credential.run), names.number(credential.name)))
+    node = AgentNode(bus, Keys(credential.run), names.number(credential.name), kept)
+    try:
+        _serve(bus, node)
+    except JournalError as error:
+        sys.exit(f"{journal}: {error}")
 
 
 def serve_view(credential: Credential, task: ViewTask, ready: Connection) -> None:
@@ -146,6 +156,8 @@ def _serve(bus: Bus, node: WorldNode | AgentNode, patience: Patience | None = No
                 node.handle(message)
             if patience is not None:
                 patience.look()
+        if isinstance(node, AgentNode) and node.killed:
+            os.kill(os.getpid(), signal.SIGKILL)
     finally:
         bus.close()
 

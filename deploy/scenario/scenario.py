@@ -25,6 +25,8 @@ from deploy.scenario.finding_maps import FILES as MAP_FILES
 from protocol.errors import there_are
 from protocol.grid import MAX_ROBOTS
 from protocol.packets import MAX_MAPS
+from worldsim import faults
+from worldsim.faults import Fault
 
 UNLIMITED = "unlimited"
 
@@ -67,6 +69,19 @@ class Death(_Table):
 
     robot: Whole = Field(ge=0, description="the robot's number, from 0")
     step: Whole = Field(ge=1, le=MOST_INTEGER, description="the step at whose beginning it stops")
+
+
+class FaultTable(_Table):
+    """What befalls a robot (`worldsim.faults`)."""
+
+    step: Whole = Field(ge=1, le=MOST_INTEGER, description="the step at whose beginning it comes")
+    robot: Whole = Field(ge=0, description="the robot's number, from 0")
+    kind: Literal["death", "kill", "restart", "stop", "mute", "deaf"] = Field(
+        description="death, kill, restart, stop, mute, deaf"
+    )
+    steps: Whole = Field(
+        0, ge=0, le=MOST_INTEGER, description="how long a robot is stopped, mute or deaf; 0: for good"
+    )
 
 
 class Scenario(_Table):
@@ -146,13 +161,15 @@ class Scenario(_Table):
     )
     robot: tuple[RobotOverride, ...] = Field((), description="robots with different hardware")
     death: tuple[Death, ...] = Field((), description="robots that break down")
+    fault: tuple[FaultTable, ...] = Field((), description="what befalls robots, and when")
 
-    @field_validator("robot", "death", mode="before")
+    @field_validator("robot", "death", "fault", mode="before")
     @classmethod
     def _tables_are_tables(cls, value: object, info: ValidationInfo) -> object:
         if isinstance(value, list | tuple) and all(isinstance(each, dict | _Table) for each in value):
             return value
-        kind = RobotOverride if info.field_name == "robot" else Death
+        kinds: dict[str, type[_Table]] = {"robot": RobotOverride, "death": Death, "fault": FaultTable}
+        kind = kinds[str(info.field_name)]
         hint = "; how many robots explore is `robots`" if info.field_name == "robot" else ""
         raise ValueError(f"must be tables, [[{info.field_name}]], of {', '.join(kind.model_fields)}{hint}")
 
@@ -214,7 +231,15 @@ class Scenario(_Table):
                     )
             if len(set(numbers)) < len(numbers):
                 raise ValueError(f"[[{table}]] speaks of a robot twice: {numbers}")
+        faults.check(self.faults, self.robots)
+        check_lives(self, faults.lives(self.faults))
         return self
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """All that befalls robots, in order; `death` is short for a fault of that kind."""
+        deaths = [Fault(death.step, death.robot, "death") for death in self.death]
+        return tuple(sorted([*deaths, *(Fault(**fault.model_dump()) for fault in self.fault)]))
 
     def range_m(self, diagonal_m: float) -> float:
         """Communication range in metres on a map with such a diagonal."""
@@ -236,6 +261,15 @@ class Scenario(_Table):
     def to_toml(self) -> str:
         """The scenario as TOML, every setting written out."""
         return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
+
+
+def check_lives(scenario: Scenario, lives: int) -> None:
+    """Raise ValueError if packets cannot name the maps of robots that begin so often (`agent.identity`)."""
+    if scenario.exchange != "none" and scenario.robots * lives > MAX_MAPS:
+        raise ValueError(
+            f"robots = {scenario.robots}: packets can name {MAX_MAPS} maps, one a life of each robot; so "
+            f"{scenario.robots} robots can begin {MAX_MAPS // scenario.robots} times each, not {lives} times"
+        )
 
 
 def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
@@ -320,6 +354,7 @@ _KEYS = {
     "": list(Scenario.model_fields),
     "robot": list(RobotOverride.model_fields),
     "death": list(Death.model_fields),
+    "fault": list(FaultTable.model_fields),
     "polygon": [field.name for field in fields(PolygonOptions)],
     "sight": [field.name for field in fields(SightOptions)],
 }

@@ -28,7 +28,7 @@ from agent.sight.looks import MAX_LOOKS
 from deploy.run.exploration import explore
 from deploy.run.in_memory import run as run_in_memory
 from deploy.scenario.plan import make
-from deploy.scenario.scenario import SHIPPED, Death, RobotOverride, Scenario, ScenarioError, load
+from deploy.scenario.scenario import SHIPPED, Death, FaultTable, RobotOverride, Scenario, ScenarioError, load
 from netshaper import access
 from netshaper.ledger import CAUSES, ROW
 from protocol import messages, packets, survey
@@ -200,7 +200,7 @@ def defaults(kind: Any, prefix: str = "") -> dict[str, tuple[str, str]]:
     """Default and description of each setting of a table."""
     found: dict[str, tuple[str, str]] = {}
     for name, info in kind.model_fields.items():
-        if name in ("robot", "death") and not prefix:
+        if name in ("robot", "death", "fault") and not prefix:
             continue
         if name == "polygon":
             found |= {f"polygon.{n}": (plain(value), "") for n, value in asdict(PolygonOptions()).items()}
@@ -244,6 +244,7 @@ def test_limits_are_those_of_the_code() -> None:
         "cells a side of the grid": str(MAX_SIDE),
         "robots": str(MAX_ROBOTS),
         "robots whose maps travel": str(packets.MAX_MAPS),
+        "robots times lives": str(packets.MAX_MAPS),
         "objects an approximation": str(packets.MAX_OBJECTS),
         "vertices an object": str(packets.MAX_VERTICES),
         "units of a log in a block": str(packets.INDEX_WINDOW),
@@ -349,6 +350,7 @@ def test_keys_and_rights_are_what_participants_put_hear_and_say() -> None:
 def test_every_setting_stands_in_the_table_with_its_default() -> None:
     table = {name: (default, about) for name, default, about in rows("protocol.md", "Settings and defaults")}
     wanted = defaults(Scenario) | defaults(RobotOverride, "robot.") | defaults(Death, "death.")
+    wanted |= defaults(FaultTable, "fault.")
     assert list(table) == list(wanted)
     for name, (default, about) in wanted.items():
         assert table[name][0] == default, name

@@ -35,7 +35,7 @@ EXAMPLES: tuple[messages.Record, ...] = (
     messages.Stop("enough"),
     messages.Bye(),
     messages.WorldReport(3, bytes(48), [1, 2, 3], 90, 90),
-    messages.MindReport(3, 4, 4, 9, 0, 0, "idle", 1),
+    messages.MindReport(3, 4, 4, 9, 0, -1, 0, "idle", 1),
     messages.RadioReport(3, bytes(7), 0, b"frames"),
     messages.Maps(0, 1, 1, b"\x01", b"\x01"),
     messages.Fault("r0", "I say so"),

@@ -6,7 +6,7 @@
 local murmur = Proto("murmur", "Murmur radio")
 
 local FRAMES = { [0] = "offer", [1] = "answer", [2] = "data", [3] = "broadcast", [4] = "news" }
-local VERDICTS = { [0] = "carried", [1] = "budget", [2] = "range", [3] = "protocol", [4] = "lost" }
+local VERDICTS = { [0] = "carried", [1] = "budget", [2] = "range", [3] = "protocol", [4] = "lost", [5] = "mute" }
 local FULL_SCAN, SHORT_SCAN, SCAN = 0xF1, 0xF2, 63
 local LOOK, LAST_LOOK, LOOK_DATA = 0xF4, 0xF5, 8
 

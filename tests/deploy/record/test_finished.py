@@ -57,5 +57,5 @@ def test_a_robots_own_maps_do_not_count_for_what_has_been_seen() -> None:
     plan, records = boasted()
     for grid in records.own.values():
         assert grid.shape == plan.map.cells.shape
-    records.own = {robot: plan.map.cells for robot in records.own}
+    records.own = dict.fromkeys(records.own, plan.map.cells)
     assert not summarise(plan, records, 1.0)["finished"]

@@ -38,7 +38,7 @@ CONTRACT = {
     "finished", "steps", "first_robot", "coverage", "map_agreement", "t50", "t90", "t99", "overlap", "path_length",
     "robots", "seed", "bus", "strategy", "exchange", "bandwidth", "range_m", "bytes", "packets", "wire_bytes",
     "raw_scan_bytes", "over_budget_steps", "undelivered",
-    "approximation_error", "digest", "wall_s", "steps_per_s", "versions",
+    "approximation_error", "approximation_error_net", "explored_at", "digest", "wall_s", "steps_per_s", "versions",
 }  # fmt: skip
 """What scripts may look for in a summary."""
 
@@ -162,6 +162,7 @@ def test_the_scenario_is_written_with_every_setting_and_its_own_map(floor: str, 
         "start",
         "robot",
         "death",
+        "fault",
         "map_options",
         "options",
         "polygon",
