@@ -11,9 +11,10 @@ from operator import itemgetter
 
 from msgspec.structs import replace
 
+from netshaper.imperfect import radio
 from netshaper.ledger import EVERYONE
 from netshaper.medium import Medium
-from netshaper.radio import Frame, Outgoing, Radio, RadioSettings
+from netshaper.radio import Frame, Outgoing, RadioSettings
 from protocol import keys as names
 from protocol import rights
 from protocol.bus import Bus, Message
@@ -57,7 +58,7 @@ class RelayNode:
         """Whether all have been told that the run is over; participants that stay anyway are not waited for."""
         self._bus = bus
         self._keys = keys
-        self._radio = Radio(settings)
+        self._radio = radio(settings)
         robots = self._robots = [names.robot(number) for number in range(settings.robots)]
         self._ends = {
             keys.radio_tx(sender, receiver): (number, hearer)

@@ -176,6 +176,14 @@ class Near(Packet):
 
 
 @dataclass(frozen=True, slots=True)
+class Check(Packet):
+    """The checksum at the end of a frame, over all before it; put there by radios whose frames can be damaged."""
+
+    name, size, code, code_bits, bits = "sum", 3, 0xFA, 8, (16,)
+    sum: int
+
+
+@dataclass(frozen=True, slots=True)
 class Target(Packet):
     """Broadcast: the sender moves to cell (x, y) next."""
 
@@ -225,6 +233,9 @@ class Look(Packet):
     data: bytes
 
 
+SHORT_HEAD = 2
+"""Bytes before the content of packets that say how long they are."""
+
 FRAGMENT_DATA = Fragment.size - 1
 """Bytes of content in a full fragment."""
 _FULL, _SHORT = 0xF1, 0xF2
@@ -241,11 +252,11 @@ VertexEdit = Insert | Replace | Delete
 Edit = Insert | Replace | Delete | Emerge | Change | Remove | Save
 Handshake = Offer | Answer | Block | Decline
 Gossip = From | Held | Near
-AnyPacket = Edit | Handshake | Gossip | Target | Pose | Fragment | Look
+AnyPacket = Edit | Handshake | Gossip | Check | Target | Pose | Fragment | Look
 
 _TYPES: tuple[type[Packet], ...] = (
     Insert, Replace, Delete, Emerge, Change, Remove, Offer, Answer, Block, Decline, Target, Save, Pose,
-    From, Held, Near,
+    From, Held, Near, Check,
 )  # fmt: skip
 
 HANDSHAKE_SIZE = 3 * Answer.size
@@ -254,7 +265,7 @@ HANDSHAKE_SIZE = 3 * Answer.size
 KINDS = ("ins", "rep", "del", "em", "chg", "rm", "conn", "targ", "save")
 """The nine kinds of Table 6.1."""
 
-ALL_KINDS = (*KINDS, Fragment.name, Pose.name, Look.name)
+ALL_KINDS = (*KINDS, Fragment.name, Pose.name, Look.name, Check.name)
 """All kinds that may be on the air, in the order of reports."""
 
 _RIM = 1

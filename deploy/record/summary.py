@@ -206,8 +206,8 @@ def _over_budget(ledger: NDArray[np.void], bandwidth: int | str) -> int:
 
 
 def _undelivered(ledger: NDArray[np.void]) -> dict[str, int]:
-    """Frames that did not go on the air whole, by cause."""
-    cut = ledger[ledger["carried"] == 0]
+    """Frames that were not delivered whole, by cause."""
+    cut = ledger[ledger["cause"] > 0]
     frames = np.unique(cut[["step", "exchange", "connection", "frame", "sender", "receiver", "map", "cause"]])
     return {
         cause: int((frames["cause"] == number).sum())

@@ -25,6 +25,7 @@ from deploy.run.hosts import Hosts
 from deploy.run.interrupt import Interrupt
 from deploy.run.ssh import Fleet
 from deploy.scenario import plan as plans
+from deploy.scenario.effective_radio import effective_radio
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario, ScenarioError, parse
 from protocol.grid import Grid
@@ -156,7 +157,8 @@ def explore(
     watch : callable, optional
         Called with the plan and the records during the run.
     tell : callable, optional
-        Called once Ctrl-C or SIGTERM takes effect: a run that is kept ends after the step, and is written.
+        Called with what is worth a word: the radio, at the beginning, if a scenario changes it; and once Ctrl-C or
+        SIGTERM takes effect: a run that is kept ends after the step, and is written.
     window : Window, optional
         Shows the run live; it is also recorded in its directory.
     snapshots : bool
@@ -185,6 +187,8 @@ def explore(
     plan = plans.make(scenario)
     if hosts is not None and scenario.bus == "memory":
         raise ScenarioError("bus = 'memory': is one process of one host; with hosts it must be 'zenoh'")
+    if radio := effective_radio(plan):
+        tell(radio)
     if hosts is not None and any(fault.kind in ("kill", "restart") for fault in scenario.faults):
         raise ScenarioError("fault: robots can be killed and restarted on this host only; leave --hosts out")
     interrupt = Interrupt(tell)

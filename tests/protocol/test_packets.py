@@ -24,6 +24,7 @@ from protocol.packets import (
     AnyPacket,
     Block,
     Change,
+    Check,
     Decline,
     Decoder,
     Delete,
@@ -73,6 +74,7 @@ LIMITS: dict[type[Packet], dict[str, tuple[int, int]]] = {
     From: {"map": (0, 63), "index": (0, 2**18 - 1)},
     Held: {"map": (0, 63), "index": (0, 2**18 - 1)},
     Near: {"robot": (0, 63), "here": (0, 1)},
+    Check: {"sum": (0, 2**16 - 1)},
 }
 """First and last value of each field of each packet."""
 
@@ -95,6 +97,7 @@ EXAMPLES: list[AnyPacket] = [
     From(5, 70000),
     Held(63, 12),
     Near(7, 1),
+    Check(0x29B1),
     Look(None, bytes(range(8))),
     Look(2, b"surprise"),
     Look(3, b""),
@@ -157,19 +160,21 @@ def by_the_book(packet: AnyPacket) -> str:
             )
         case Near():
             said = f"11111001{packet.robot:06b}{packet.here:b}0"
+        case Check():
+            said = f"11111010{packet.sum:016b}"
     return said
 
 
 @pytest.mark.parametrize("kind", LIMITS, ids=lambda kind: kind.__name__)
 def test_a_packet_is_as_long_as_table_6_1_says(kind: type[Packet]) -> None:
     packet = kind(*(low for low, _ in LIMITS[kind].values()))
-    longer = {Pose: 4, From: 4, Held: 4}
+    longer = {Pose: 4, From: 4, Held: 4, Check: 3}
     assert len(encode([packet])) == kind.size == (longer[kind] if kind in longer else SIZES[kind.name])
 
 
-def test_the_nine_kinds_are_those_of_table_6_1_and_scans_poses_and_looks_come_on_top() -> None:
+def test_the_nine_kinds_are_those_of_table_6_1_and_scans_poses_looks_and_sums_come_on_top() -> None:
     assert set(KINDS) == set(SIZES)
-    assert (*KINDS, "scan", "pose", "look") == ALL_KINDS
+    assert (*KINDS, "scan", "pose", "look", "sum") == ALL_KINDS
 
 
 @pytest.mark.parametrize(("size", "on_air"), [(1, 3), (62, 64), (63, 64)])
@@ -318,7 +323,7 @@ def test_a_short_fragment_of_an_impossible_length_is_refused_at_once(size: int) 
         list(Decoder().feed(bytes([0xF2, size])))
 
 
-@pytest.mark.parametrize("first", [0xFA, 0xFB, *range(0xFD, 0x100)])
+@pytest.mark.parametrize("first", [0xFB, *range(0xFD, 0x100)])
 def test_a_byte_with_which_no_packet_begins_is_named(first: int) -> None:
     with pytest.raises(ProtocolError, match=rf"packet at byte 3: no packet begins with {first:#04x}"):
         decode(encode([Target(1, 1)]) + bytes([first, 0, 0]))
