@@ -156,6 +156,15 @@ class Scenario(_Table):
     sight: SightOptions = Field(default_factory=SightOptions, description="options of the sight exchange")
     radio: RadioOptions = Field(default_factory=RadioOptions, description="options of the radio")
     options: dict[str, Any] = Field(default_factory=dict, description="options of the strategy, by name")
+    patience: Positive = Field(
+        60.0, description="seconds of wall clock in which a robot must be done with a phase or a move"
+    )
+    least_coverage: float = Field(
+        0.9,
+        ge=0,
+        le=1,
+        description="part of the area that must have been seen for a run to count as finished",
+    )
     robot: tuple[RobotOverride, ...] = Field((), description="robots with different hardware")
     death: tuple[Death, ...] = Field((), description="robots that break down")
     fault: tuple[FaultTable, ...] = Field((), description="what befalls robots, and when")
