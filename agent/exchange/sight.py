@@ -221,6 +221,10 @@ class SightExchange(Exchange):
         self._heard_boxes = NO_BOXES
         return self._planning
 
+    def pose(self, about: int) -> tuple[int, int] | None:
+        """From where the last look of a map's units was taken."""
+        return self._streams[about].pose
+
     def _lay(self, told: Told) -> None:
         """Put cells of which a unit tells, or told before it was taken back, together anew."""
         _update(self._grids, told.places, self._heard)
