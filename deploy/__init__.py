@@ -12,8 +12,20 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from deploy.run.exploration import Result, explore
     from deploy.scenario.scenario import Scenario
+    from deploy.study.comparison import compare
+    from deploy.study.sizing import size
+    from deploy.study.sweep import sweep
 
-__all__ = ["Result", "Scenario", "explore"]
+__all__ = ["Result", "Scenario", "compare", "explore", "size", "sweep"]
+
+_HOMES = {
+    "Scenario": "deploy.scenario.scenario",
+    "Result": "deploy.run.exploration",
+    "explore": "deploy.run.exploration",
+    "compare": "deploy.study.comparison",
+    "size": "deploy.study.sizing",
+    "sweep": "deploy.study.sweep",
+}
 
 
 def __getattr__(name: str) -> Any:
@@ -22,7 +34,4 @@ def __getattr__(name: str) -> Any:
 
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = importlib.import_module(
-        "deploy.scenario.scenario" if name == "Scenario" else "deploy.run.exploration"
-    )
-    return getattr(module, name)
+    return getattr(importlib.import_module(_HOMES[name]), name)
