@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 
 from agent.exchange.gossip import EVERYONE
+from agent.identity import Identity
+from agent.journal import Journal
 from agent.robot import Robot
 from agent.settings import Settings
 from agent.viewer_feed import SHOWN_EVERY, ViewerFeed
@@ -27,6 +29,7 @@ from protocol.messages import (
     Record,
     Said,
     Sense,
+    Strike,
     Turn,
     Watched,
     pack,
@@ -36,15 +39,21 @@ UNLIMITED = -1
 
 
 class AgentNode:
-    """One robot's process; `done` once it has been told to shut down."""
+    """One robot's process; `done` once it has been told to shut down, or has been `killed`.
 
-    def __init__(self, bus: Bus, keys: Keys, number: int) -> None:
+    A robot that may begin more than once needs a journal (`agent.identity`).
+    """
+
+    def __init__(self, bus: Bus, keys: Keys, number: int, journal: Journal | None = None) -> None:
         self.done = False
+        self.killed = False
+        """Whether it is to end at once, without another word."""
+        self._identity = Identity(journal) if journal is not None else None
         self._bus = bus
         self._keys = keys
         self._number = number
         self._name = names.robot(number)
-        self._robot: Robot | None = None
+        self.robot: Robot | None = None
         self._speaks_at: dict[str, int] = {}
         """Who speaks under each key of the radio that has been heard."""
         self._frames: list[tuple[int, bytes]] = []
@@ -55,6 +64,8 @@ class AgentNode:
 
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
+        if self.killed:
+            return
         key, payload = message
         sender = self._speaks_at.get(key)
         if sender is None and names.parts(key)[0] == "radio":
@@ -70,9 +81,9 @@ class AgentNode:
     def _take(self, said: object, message: Message) -> None:
         """Take what relay or world says."""
         if isinstance(said, Configure):
-            if self._robot is not None:
-                raise ProtocolError("Configure", 0, "a second one")
-            self._robot = Robot(Settings.from_message(said.settings))
+            self._begin(Settings.from_message(said.settings))
+        elif isinstance(said, Strike):
+            self.killed = self.done = True
         elif isinstance(said, Watched):
             self._viewer_feed = ViewerFeed() if said.here else None
         elif isinstance(said, End):
@@ -80,14 +91,25 @@ class AgentNode:
             self._hand_in_maps()
         elif isinstance(said, Bye):
             self.done = True
-        elif self._robot is not None:
-            self._act(self._robot, said, message)
+        elif self.robot is not None:
+            self._act(self.robot, said, message)
+
+    def _begin(self, settings: Settings) -> None:
+        """Begin a life; if there was one before, all of it but the journal is gone."""
+        if self._identity is not None:
+            settings = self._identity.begin(settings)
+        self.robot = Robot(settings)
+        self._frames.clear()
+        self._early = None
+        self._step = 0
 
     def _act(self, robot: Robot, said: object, message: Message) -> None:
         began = time.perf_counter()
         if isinstance(said, Sense):
             self._step = said.step
             self._work = 0.0
+            if self._identity is not None:
+                self._identity.settle(said.x, said.y)
             robot.perceive(said)
         elif isinstance(said, Open) and said.step > self._step:
             self._early = message  # the world's message has not arrived yet
@@ -140,7 +162,9 @@ class AgentNode:
         work = round(1e6 * (self._work + time.perf_counter() - began))
         x, y = robot.target or (-1, -1)
         backlog = robot.session.undelivered()
-        report = MindReport(self._step, x, y, robot.known_cells, robot.error(), backlog, robot.status, work)
+        exact = robot.exact_error()
+        errors = robot.error(), -1 if exact is None else exact
+        report = MindReport(self._step, x, y, robot.known_cells, *errors, backlog, robot.status, work)
         self._report(report)
         self._bus.put(self._keys.body(names.WORLD, self._name), pack(move))
         if self._step % SHOWN_EVERY == 0:
@@ -156,9 +180,9 @@ class AgentNode:
         return frames
 
     def _hand_in_maps(self) -> None:
-        if self._robot is not None:
-            height, width = self._robot.own.shape
-            own, planning = self._robot.own.tobytes(), self._robot.planning.tobytes()
+        if self.robot is not None:
+            height, width = self.robot.own.shape
+            own, planning = self.robot.own.tobytes(), self.robot.planning.tobytes()
             maps = Maps(self._number, width, height, own, planning)
             self._bus.put(self._keys.control(names.LAB, self._name), pack(maps))
 
@@ -181,6 +205,6 @@ class AgentNode:
 
     def _show(self, step: int) -> None:
         """Send the viewer, if there is one, the changes of the robot's maps."""
-        if self._viewer_feed is not None and self._robot is not None:
-            for news in self._viewer_feed.news(step, self._robot):
+        if self._viewer_feed is not None and self.robot is not None:
+            for news in self._viewer_feed.news(step, self.robot):
                 self._bus.put(self._keys.control(names.VIEW, self._name), pack(news))

@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 
 from agent.exchange import gossip
-from agent.exchange.catalogue import distribution, exchange
+from agent.exchange.catalogue import EXCHANGES, distribution, exchange
 from agent.outline.polygons import Polygons
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Pose, Situation
@@ -39,6 +39,11 @@ range is not told: utilities around it are almost the same."""
 SURE_AFTER = 10
 """Steps for which a map with assumptions must have nothing left to explore before a robot reports that it is done:
 by then teammates have sent more of areas that looked insignificant when they first saw them."""
+
+
+def sure_after(settings: Settings) -> int:
+    """Steps for which a robot makes sure that nothing is left before it says so."""
+    return SURE_AFTER if EXCHANGES[settings.exchange].guesses(settings) else 0
 
 
 @dataclass(frozen=True)
@@ -88,6 +93,7 @@ class Robot:
         self._poses: dict[int, Pose] = {}
         self._travelled: dict[int, float] = {}
         self._idle_steps = 0
+        self._sure_after = sure_after(settings)
 
     @property
     def polygons(self) -> Mapping[int, Polygons]:
@@ -97,6 +103,10 @@ class Robot:
     def error(self) -> int:
         """Cells in which its map and the approximation that it has logged differ (thesis, Eq. 6.1)."""
         return self._exchange.error(self.own)
+
+    def exact_error(self) -> int | None:
+        """What that would be if the approximation were exact; None if it is not measured."""
+        return self._exchange.exact_error(self.own)
 
     def perceive(self, sense: Sense) -> None:
         """Take the sensor readings at the beginning of a step.
@@ -112,7 +122,7 @@ class Robot:
         change += draw(self.own, self._fan, sense.x, sense.y, readings)
         self.known_cells += change.cells
         if self._sense is None:
-            self._homes[self.settings.robot] = sense.x, sense.y
+            self._homes[self.settings.robot] = self.settings.home or (sense.x, sense.y)
         else:
             self._travel(self.settings.robot, (self._sense.x, self._sense.y), (sense.x, sense.y))
         self._sense = sense
@@ -186,7 +196,7 @@ class Robot:
                 self.session.refused.add((peer, about))
                 if told_by <= {peer}:
                     self.distrusted.add(peer)
-                    self.session.refused.update((peer, each) for each in range(self.settings.robots))
+                    self.session.refused.update((peer, each) for each in range(self.settings.maps))
             else:
                 self.session.accept(peer, about, units)
                 told_by.add(peer)
@@ -208,7 +218,7 @@ class Robot:
             sense.step,
             cells_to_bytes(decision.path[:MOST_ON_THE_WAY]),
             decision.heading,
-            self._idle_steps > (SURE_AFTER if self._exchange.guesses else 0),
+            self._idle_steps > self._sure_after,
             decision.look,
             decision.stalled,
             points_to_bytes(decision.points[:MOST_ON_THE_WAY]),

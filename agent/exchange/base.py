@@ -16,14 +16,17 @@ class Exchange(ABC):
     """What a robot tells of its own map, and what it makes of what others tell."""
 
     name: ClassVar[str]
-    guesses: bool = False
-    """Whether planning grids hold more than was told: then "nothing is left" must hold for a while."""
-
     revisable: int = 0
     """Packets of the last unit that would be told otherwise by now (`retract`); 0: what is logged stands."""
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
+
+    @classmethod
+    def guesses(cls, settings: Settings) -> bool:
+        """Whether planning grids hold more than was told: then "nothing is left" must hold for a while."""
+        del settings
+        return False
 
     @property
     def polygons(self) -> Mapping[int, Polygons]:
@@ -64,3 +67,8 @@ class Exchange(ABC):
         """Cells in which `own` and what one has told of it differ (d(t) of Eq. 6.1); none where scans travel."""
         del own
         return 0
+
+    def exact_error(self, own: Grid) -> int | None:
+        """What `error` would be if what was told were exact; None if that is not measured."""
+        del own
+        return None

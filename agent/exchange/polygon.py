@@ -17,6 +17,7 @@ from agent.outline.approximation import Marks, approximation, repair
 from agent.outline.claims import Drawing
 from agent.outline.contour import Tracer
 from agent.outline.edits import edit_units, script_size
+from agent.outline.exact_error import ExactError
 from agent.outline.merge import ErrorCount, TeamMap
 from agent.outline.polygons import Polygons
 from agent.outline.receiver import Receiver
@@ -42,7 +43,6 @@ class PolygonExchange(Exchange):
             options.free_inside_edges, options.unknown_pairs, options.wide_walls, options.close_slivers
         )
         told = replace(self._drawing, wide_walls=False, close_slivers=False)
-        self.guesses = settings.robots > 1 and (options.wide_walls or options.close_slivers)
         self._allowance = SplitAllowance(
             Splitting(
                 settings.robots,
@@ -52,31 +52,41 @@ class PolygonExchange(Exchange):
                 settings.height,
                 options.medium_use,
                 options.bytes_per_split or None,
+                options.splits_per_step or None,
             )
         )
         self._held = Receiver(shape)
         """One's own words, heard as teammates hear them."""
         self._outdated = True
         self._receivers = {
-            robot: Receiver(shape) for robot in range(settings.robots) if robot != settings.robot
+            about: Receiver(shape) for about in range(settings.maps) if about != settings.own_map
         }
         self._team = TeamMap(self._drawing)
         self._news: set[int] = set()
         """Teammates of whom a save point has come since the last merge."""
         self._error = ErrorCount(told)
+        self._exact = ExactError(told) if options.exact_error else None
         self._tracer = Tracer(shape)
         self._untraced, self._unmerged, self._uncounted = ChangedCells(), ChangedCells(), ChangedCells()
+
+    @classmethod
+    def guesses(cls, settings: Settings) -> bool:
+        """Wide walls and closed slivers are assumptions."""
+        options = PolygonOptions(**settings.polygon)
+        return settings.robots > 1 and (options.wide_walls or options.close_slivers)
 
     @property
     def polygons(self) -> Mapping[int, Polygons]:
         """One's own approximation as far as it has been logged, and teammates' as far as they came."""
-        held = {robot: receiver.held.polygons for robot, receiver in self._receivers.items()}
-        held[self.settings.robot] = self._held.held.polygons
-        return {robot: polygons for robot, polygons in held.items() if polygons.objects}
+        held = {about: receiver.held.polygons for about, receiver in self._receivers.items()}
+        held[self.settings.own_map] = self._held.held.polygons
+        return {about: polygons for about, polygons in held.items() if polygons.objects}
 
     def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
         """Repair, refine, and log the edits (Algorithm 10, lines 6 to 13)."""
         self._outdated = self._outdated or change.cells > 0
+        if self._exact is not None:
+            self._exact.note(scan, change)
         for news in (self._untraced, self._unmerged, self._uncounted):
             news.add(own, change)
         if self._options.lazy and not delivered and self.settings.robots > 1:
@@ -116,7 +126,8 @@ class PolygonExchange(Exchange):
             receiver = self._receivers[about]
             self._team.update(about, receiver.held.polygons, receiver.changed())
         self._news.clear()
-        return self._team.merged(own, peers, self._unmerged.take(own))
+        near = [about for about in self._receivers if about % self.settings.robots in peers]
+        return self._team.merged(own, near, self._unmerged.take(own))
 
     def error(self, own: Grid) -> int:
         """Cells in which one's own grid and the drawing of its approximation differ: d(t) of Eq. 6.1.
@@ -125,3 +136,7 @@ class PolygonExchange(Exchange):
         """
         changed = self._held.changed()
         return self._error.count(own, self._held.held.polygons, self._uncounted.take(own), changed)
+
+    def exact_error(self, own: Grid) -> int | None:
+        """What that would be if the approximation were exact: Algorithm 9 does not know all cells."""
+        return None if self._exact is None else self._exact.count(own)

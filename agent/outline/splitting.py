@@ -5,6 +5,8 @@ r (r - 1) d s bytes. Robots are in touch with probability p, and only a part u o
 with, for objects emerge and robots meet in bursts. So (Eq. 5.5)
 
     s = b p u / (r (r - 1) d)
+
+The thesis' sample runs (Figures 4.8, 6.18, A.2) give s itself.
 """
 
 from __future__ import annotations
@@ -36,6 +38,8 @@ class Splitting:
         Part u of the medium that is planned with.
     bytes_per_split : float or None
         Mean bytes that a split causes, d; None: measured as the run goes.
+    fixed : float or None
+        Splits a step, whatever the medium carries; None: by Eq. 5.5.
     """
 
     robots: int
@@ -45,11 +49,12 @@ class Splitting:
     height: float
     medium_use: float = 0.5
     bytes_per_split: float | None = None
+    fixed: float | None = None
 
     def __post_init__(self) -> None:
         if self.robots < 1:
             raise ValueError(f"a team of {self.robots} robots: at least 1")
-        for name in ("bandwidth", "reach", "width", "height", "medium_use", "bytes_per_split"):
+        for name in ("bandwidth", "reach", "width", "height", "medium_use", "bytes_per_split", "fixed"):
             value = getattr(self, name)
             if value is None or value > 0 or (value == 0 and name in ("bandwidth", "reach")):
                 continue
@@ -63,6 +68,8 @@ class Splitting:
 
     def frequency(self, bytes_per_split: float) -> float | None:
         """Splits a step, s; None where nothing limits them: one robot, or unlimited bandwidth (Eq. 5.5)."""
+        if self.fixed is not None:
+            return self.fixed
         if self.bandwidth is None or self.robots == 1:
             return None
         team = self.robots * (self.robots - 1)

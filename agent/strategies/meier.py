@@ -31,6 +31,9 @@ class Options(Parts):
     half_life: float = option(
         0.0, "steps after which a target heard of counts half; 0: it never ages", least=0
     )
+    forget: int = option(
+        0, "steps after which a target heard of counts nothing, bit by bit less until then; 0: never", least=0
+    )
     herding: bool = option(True, "choose again when a lower-numbered robot is headed for the same place")
 
 
@@ -78,10 +81,13 @@ class Meier(TargetStrategy):
 
     def _weights(self, situation: Situation) -> list[float] | None:
         """How much each teammate's target counts: less with age, as section 7.2 wishes."""
-        if not self.options.half_life:
+        half_life, forget = self.options.half_life, self.options.forget
+        if not half_life and not forget:
             return None
-        ages = (situation.step - situation.heard[peer] for peer in situation.targets)
-        return [float(0.5 ** (age / self.options.half_life)) for age in ages]
+        ages = [situation.step - situation.heard[peer] for peer in situation.targets]
+        halved = [0.5 ** (age / half_life) if half_life else 1.0 for age in ages]
+        left = [max(0.0, 1 - age / forget) if forget else 1.0 for age in ages]
+        return [float(one * other) for one, other in zip(halved, left, strict=True)]
 
     def _herds(self, situation: Situation) -> bool:
         """The rule against herding: robots that choose at once from the same map choose alike.

@@ -7,8 +7,11 @@
     /rN/scan            sensor_msgs/LaserScan, every step: cast again from map and poses (`deploy.after.recast_scans`)
     /rN/map             nav_msgs/OccupancyGrid: its planning map, at the steps where it was updated
     /rN/polygons        visualization_msgs/MarkerArray: its own and teammates' approximations as it holds them
+    /radio/frames       murmur_msgs/RadioFrame: what was said to whom, and what became of it
+    /radio/steps        murmur_msgs/RadioStep, every step: bytes carried, by purpose, and bytes that did not fit
 
-Time is the step in seconds. The frame `map` is the map file's own: metres, y up.
+Time is the step in seconds. The frame `map` is the map file's own: metres, y up. The bag contains the definitions of
+its messages, also of those two that are our own, so that any reader knows their fields.
 """
 
 from __future__ import annotations
@@ -23,11 +26,13 @@ from typing import Any
 
 import numpy as np
 
-from deploy.after.archive import Archive, read
+from deploy.after.archive import Archive, Table, read
 from deploy.after.recast_scans import Lasers, Rescan
 from deploy.dashboard.shapes import corner
-from deploy.record.colors import robot_color
+from deploy.record.colors import GROUPS, robot_color
 from deploy.record.snapshots import Snapshots
+from deploy.scenario.scenario import UNLIMITED
+from netshaper.capture import FRAMES
 from protocol.grid import FREE, OCCUPIED, Fan, Grid
 from protocol.messages import Outlines, Snapshot, grid_from_bytes
 from protocol.scans import HIT, NONE, Readings
@@ -36,6 +41,49 @@ from worldsim.maps import Map
 BAG = "rosbag"
 MAP_FRAME = "map"
 EDGE_WIDTH_M = 0.05
+
+RADIO_FRAME, RADIO_STEP = "murmur_msgs/msg/RadioFrame", "murmur_msgs/msg/RadioStep"
+DEFINITIONS = {
+    RADIO_FRAME: """\
+# One frame on the radio, as the ledger has it (docs/protocol.md).
+std_msgs/Header header
+int32 exchange
+# Of this exchange; -1: a broadcast.
+int32 connection
+# offer, answer, data, broadcast or news
+string frame
+int32 sender
+# -1: all robots in range.
+int32 receiver
+# The robot whose map it is about; -1: none.
+int32 map
+# What it holds: kinds of packets, and of each how many, and bytes.
+string[] kinds
+uint32[] packets
+uint32[] bytes
+# Bytes that went on the air, and bytes that did not, and why.
+uint32 carried
+uint32 refused
+string cause
+# Robots that heard it.
+uint32 heard
+""",
+    RADIO_STEP: "\n".join(
+        [
+            "# What was on the air in a step, in bytes.",
+            "std_msgs/Header header",
+            "# The limit; not a number: there is none.",
+            "float64 budget",
+            "uint32 frames",
+            "uint32 carried",
+            "# Bytes that did not fit.",
+            "uint32 waiting",
+            *(line for name, group in GROUPS.items() for line in (f"# {group.words}", f"uint32 {name}")),
+            "",
+        ]
+    ),
+}
+"""Our own messages, as ROS defines messages."""
 
 Stamped = tuple[str, str, int, Any]
 """Topic, message type, step, message."""
@@ -100,9 +148,11 @@ class _Messages:
     """All messages of a run, in chronological order."""
 
     def __init__(self, archive: Archive, snapshots: Snapshots | None) -> None:
-        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415  only exports need it
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: PLC0415  only exports need it
 
         self.types = get_typestore(Stores.ROS2_HUMBLE)
+        for name, text in DEFINITIONS.items():
+            self.types.register(get_types_from_msg(text, name))
         self._archive = archive
         self._snapshots = snapshots
         self._lasers = Lasers(archive)
@@ -128,6 +178,62 @@ class _Messages:
                 else:
                     markers = self._markers(step, said)
                     yield f"/r{robot}/polygons", "visualization_msgs/msg/MarkerArray", step, markers
+            yield from self._radio(step)
+
+    def _radio(self, step: int) -> Iterator[Stamped]:
+        """The frames of a step, in the order in which they were booked, and the sums of their bytes."""
+        ledger = self._archive.ledger
+        begin, end = np.searchsorted(ledger["step"], (step, step + 1))
+        here = {name: column[begin:end] for name, column in ledger.items()}
+        same = ("exchange", "connection", "frame", "sender", "receiver", "map")
+        frames: dict[tuple[int, ...], list[int]] = {}
+        for row, key in enumerate(zip(*(here[name].tolist() for name in same), strict=True)):
+            frames.setdefault(key, []).append(row)
+        for key, rows in frames.items():
+            yield (
+                "/radio/frames",
+                RADIO_FRAME,
+                step,
+                self._frame(step, dict(zip(same, key, strict=True)), here, rows),
+            )
+        carried = here["carried"].astype(bool)
+        sums = {
+            name: int(here["bytes"][carried & np.isin(here["kind"], group.kinds)].sum())
+            for name, group in GROUPS.items()
+        }
+        budget = self._archive.plan.scenario.bandwidth
+        yield (
+            "/radio/steps",
+            RADIO_STEP,
+            step,
+            self._make(
+                RADIO_STEP,
+                header=self._header(step),
+                budget=math.nan if budget == UNLIMITED else float(budget),
+                frames=len(frames),
+                carried=int(here["bytes"][carried].sum()),
+                waiting=int(here["bytes"][here["cause"] == "budget"].sum()),
+                **sums,
+            ),
+        )
+
+    def _frame(self, step: int, key: dict[str, int], here: Table, rows: list[int]) -> Any:
+        """One frame: rows of the ledger that differ in the kind of packet, or in whether it was carried."""
+        carried, sizes = here["carried"][rows].astype(bool), here["bytes"][rows]
+        kinds = here["kind"][rows]
+        held = list(dict.fromkeys(kinds.tolist()))
+        return self._make(
+            RADIO_FRAME,
+            header=self._header(step),
+            **key | {"frame": FRAMES[key["frame"]]},
+            kinds=held,
+            packets=np.array([here["packets"][rows][kinds == kind].sum() for kind in held], np.uint32),
+            bytes=np.array([sizes[kinds == kind].sum() for kind in held], np.uint32),
+            carried=int(sizes[carried].sum()),
+            refused=int(sizes[~carried].sum()),
+            cause=next((cause for cause in here["cause"][rows].tolist() if cause), ""),
+            heard=int(here["heard"][rows].max()),
+        )
 
     def _shown(self) -> dict[int, list[tuple[int, Snapshot | Outlines]]]:
         """What robots have shown, by step."""

@@ -27,6 +27,13 @@ def report(
     directories: Annotated[
         list[Path], typer.Argument(metavar="DIR [OTHER]", help="a run directory, or two to be compared")
     ],
+    stages: Annotated[
+        int | None,
+        typer.Option(
+            metavar="STEP", help="draw instead how a robot merges at that step: pictures/merging.png"
+        ),
+    ] = None,
+    robot: Annotated[int, typer.Option(metavar="N", help="whose merging (with --stages)")] = 0,
 ) -> None:
     """Write an HTML page of a run, with pictures and a slider; or compare two runs.
 
@@ -36,10 +43,26 @@ def report(
 
     with speaking_clearly():
         directory, *others = directories
-        if len(others) > 1:
-            raise ValueError("a report is of one run, or compares two")
+        if len(others) > (1 if stages is None else 0):
+            raise ValueError("a report is of one run, or compares two; stages are of one")
+        if stages is not None:
+            screen.print(f"{_draw_stages(directory, robot, stages)}: the stages of merging")
+            return
         page = write_report(directory, errors.print, *others)
         screen.print(f"{page}: the {'runs' if others else 'run'} on one page, including pictures")
+
+
+def _draw_stages(directory: Path, robot: int, step: int) -> Path:
+    from deploy.after import archive  # noqa: PLC0415
+    from deploy.after.merging import MERGING, merging  # noqa: PLC0415
+    from deploy.record.map_pictures import save  # noqa: PLC0415
+    from deploy.record.run_directory import PICTURES  # noqa: PLC0415
+
+    figure = merging(archive.read(directory), robot, step)
+    (directory / PICTURES).mkdir(exist_ok=True)
+    path = directory / PICTURES / MERGING
+    save(path, figure, dpi=100)
+    return path
 
 
 @app.command()

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from agent.exchange.polygon_options import THESIS_OPTIONS
 from deploy.commands.console import errors, progress, report_result, speaking_clearly
 from deploy.commands.flags import (
     GroupedCommand,
@@ -24,6 +22,8 @@ from deploy.commands.flags import (
     setting,
 )
 from deploy.scenario.scenario import Scenario, load
+from deploy.scenario.thesis import thesis_settings
+from netshaper.presets import PRESETS
 
 app = family()
 
@@ -59,13 +59,21 @@ def explore(
     speed: setting("speed", float, "M_PER_STEP", ROBOTS) = None,  # type: ignore[valid-type]
     range: setting("range", str, "METRES|P%", RADIO) = None,  # type: ignore[valid-type]
     bandwidth: setting("bandwidth", str, "BYTES|unlimited", RADIO) = None,  # type: ignore[valid-type]
+    radio: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help=f"a radio's bandwidth, frames and range by name: {', '.join(PRESETS)}",
+            rich_help_panel=RADIO,
+        ),
+    ] = None,
     exchange: setting("exchange", str, "NAME", RADIO) = None,  # type: ignore[valid-type]
     offers: setting("offers", str, "NAME", RADIO) = None,  # type: ignore[valid-type]
     thesis: Annotated[
         bool,
         typer.Option(
             "--thesis",
-            help="the thesis' plain rules of offering, refining and drawing",
+            help="the thesis' plain rules of offering, refining, drawing and choosing",
             rich_help_panel=RADIO,
         ),
     ] = False,
@@ -123,15 +131,16 @@ def explore(
     with speaking_clearly():
         if set_:
             overrides |= _other_settings(set_, overrides)
+        overrides["radio.preset"] = radio
         if resolution is not None:
             overrides["map_options.resolution"] = resolution
-        if thesis:
-            overrides |= {"offers": offers or "thesis", "polygon": asdict(THESIS_OPTIONS)}
         if start is not None:
             overrides["start"] = pair(start)
         if option:
             overrides["options"] = named_values(option, "option", "beta=0.5")
         chosen = load(scenario, overrides)
+        if thesis:
+            chosen = load(scenario, _with_thesis(overrides, chosen.strategy))
         show = view_as or ("auto" if view else None)
         code = _explore(chosen, out, show, hosts, pictures=pictures, pace=pace, as_json=as_json)
         raise typer.Exit(code)
@@ -152,6 +161,14 @@ def watch(
             watching.watch(directory, window)
         finally:
             window.close()
+
+
+def _with_thesis(overrides: dict[str, Any], strategy: str) -> dict[str, Any]:
+    """Flags, and what --thesis takes away where no flag says otherwise."""
+    given = {name for name, value in overrides.items() if value is not None}
+    given |= {f"options.{name}" for name in overrides.get("options") or {}}
+    plain = {name: value for name, value in thesis_settings(strategy).items() if name not in given}
+    return {name: value for name, value in overrides.items() if value is not None} | plain
 
 
 def _other_settings(texts: list[str], flags: dict[str, Any]) -> dict[str, Any]:

@@ -1,7 +1,8 @@
 """The cost of the bus itself: bytes on the hub's TCP connections, as the kernel counts them.
 
 Linux reports sockets over netlink (``sock_diag(7)``) without special rights; the hub's port selects its
-connections. On other systems, or if the hub is on another host, the figure is not available.
+connections. On other systems, or if the hub is on another host, the figure is not available. It is asked here rather
+than through a library for netlink, because that brings an event loop, and a notebook runs one already.
 """
 
 from __future__ import annotations

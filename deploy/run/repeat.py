@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
+from agent.robot import Robot
 from deploy.dashboard.process import ViewNode
 from deploy.record.snapshots import Snapshots
 from deploy.record.summary import digest
@@ -20,6 +22,14 @@ def why_unrepeatable(summary: dict[str, Any]) -> str:
         return f"it was {summary['reason']} at step {summary['steps']}"
     lost = "; ".join(f"robot {robot} was lost: {cause}" for robot, cause in summary["lost"].items())
     return f"{lost}, unasked" if lost else ""
+
+
+def robots_at(plan: Plan, step: int) -> list[Robot]:
+    """Repeat a run in memory up to a step; the robots, with all that they hold then."""
+    found: list[Robot] = []
+    cut = replace(plan, scenario=plan.scenario.model_copy(update={"steps": step}))
+    in_memory.run(cut, leave=found.extend)
+    return found
 
 
 def maps_over_time(plan: Plan, expected: str) -> Snapshots | None:

@@ -34,8 +34,8 @@ LEAST_COVERAGE = 0.99
 FIGURES = (
     "steps", "coverage", "map_agreement", "t50", "t90", "t99", "overlap", "finished", "first_robot",
     "wall_precision", "wall_recall", "worst_wall_precision", "worst_wall_recall",
-    "approximation_error", "robots", "seed", "range_m", "raw_scan_bytes", "wire_bytes", "over_budget_steps", "faults",
-    "wall_s", "steps_per_s", "work_us_median",
+    "approximation_error", "approximation_error_net", "explored_at", "robots", "seed", "range_m", "raw_scan_bytes",
+    "wire_bytes", "over_budget_steps", "faults", "wall_s", "steps_per_s", "work_us_median",
 )  # fmt: skip
 """Numbers of a summary (`deploy.record.summary.summarise`)."""
 

@@ -14,6 +14,7 @@ from scipy import ndimage
 from agent.exchange.polygon_options import THESIS_OPTIONS
 from agent.outline.claims import Drawing
 from agent.outline.merge import rendered
+from agent.robot import SURE_AFTER
 from deploy.record.records import Records
 from deploy.record.summary import summarise
 from deploy.run import in_memory
@@ -31,6 +32,13 @@ RULES = {"default": {}, "thesis": THESIS}
 TABLE_6_1 = {
     "ins": 6, "rep": 6, "del": 2, "em": 5, "chg": 5, "rm": 2, "conn": 2, "targ": 3, "save": 1,
 }  # fmt: skip
+
+
+class Options(dict[str, Any]):
+    """Options that can be told apart as arguments of a cached function."""
+
+    def __hash__(self) -> int:  # type: ignore[override]
+        return hash(tuple(sorted(self.items())))
 
 
 @cache
@@ -118,6 +126,23 @@ def test_the_error_is_that_of_the_robot_that_finished_first() -> None:
     assert first != 0
     assert summary["approximation_error"] == pytest.approx(shares[first])
     assert len(set(shares)) == 4
+
+
+@pytest.mark.parametrize("rules", RULES)
+def test_less_what_an_exact_approximation_gets_wrong_the_error_of_an_exact_one_is_none(rules: str) -> None:
+    options = RULES[rules].get("polygon", {}) | {"exact_error": True, "lazy": False}
+    _, exact = run(rules, robots=2, bandwidth="unlimited", polygon=Options(options))
+    assert exact["approximation_error_net"] == 0
+    _, coarse = run(rules, robots=2, bandwidth=100, polygon=Options(options))
+    assert 0 < coarse["approximation_error_net"] <= coarse["approximation_error"]
+    assert (coarse["approximation_error_net"] < coarse["approximation_error"]) == (rules == "thesis")
+    assert run(rules, robots=4, bandwidth=200)[1]["approximation_error_net"] is None
+
+
+def test_a_team_is_done_some_steps_before_it_is_sure_where_its_maps_hold_assumptions() -> None:
+    for rules, steps in (("default", SURE_AFTER), ("thesis", 0)):
+        _, summary = run(rules, robots=4, bandwidth=200)
+        assert summary["steps"] - summary["explored_at"] == steps
 
 
 def test_a_robot_alone_approximates_its_map_until_it_is_exact() -> None:

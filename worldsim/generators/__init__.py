@@ -1,8 +1,8 @@
 """The environments of the papers, drawn from a seed: `make("office", seed=3)`.
 
 The papers show most of them only as pictures. The environments drawn here have the size and the character that
-the texts describe; a seed chooses rooms, doors and objects. Environments without random parts (`em`, `hilbert-*`,
-`leader-*`) are the same for all seeds.
+the texts describe; a seed chooses rooms, doors and objects. Environments without random parts (`em`, `two-circles`,
+`hilbert-*`, `leader-*`) are the same for all seeds.
 """
 
 from __future__ import annotations
@@ -51,6 +51,11 @@ _ENVIRONMENTS: dict[str, _Environment] = {
         "indoors, 25 x 25 m: rooms along corridors, no obstacles (Meier, Fig. 6.1c)",
         "meier",
         "office",
+    ),
+    "two-circles": _Environment(
+        "20 x 20 m: an empty field with two big discs in it (Meier, Fig. A.1)",
+        "meier",
+        "two_circles",
     ),
     "em": _Environment(
         "21 x 24 m without any obstacle (Faigl and Vanek, section 5)",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.grid import FREE, UNKNOWN, Grid
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from worldsim.generators.drawing import canvas, carve, enclose, field, scatter, wall_thickness
 from worldsim.generators.floorplan import Box, Builder, Style, inside
 
@@ -58,6 +58,21 @@ def office(
     corridors = max(1, round(floor.height * resolution / 12.5))
     Builder(drawn, random, resolution, Style()).offices(floor, corridors)
     enclose(cells, wall)
+    return cells
+
+
+def two_circles(
+    _random: np.random.Generator, *, width_m: float = 20.0, height_m: float = 20.0, resolution: float = 0.1
+) -> Grid:
+    """Draw an enclosed field with two big discs (Fig. A.1); the paper shows it without its measures."""
+    cells = canvas(width_m, height_m, resolution, least_m=5.0)
+    field(cells, wall_thickness(resolution))
+    height, width = cells.shape
+    rows, columns = np.ogrid[:height, :width]
+    radius = min(width, height) / 6
+    for x, y in ((0.32 * width, 0.35 * height), (0.66 * width, 0.64 * height)):
+        cells[(columns - x) ** 2 + (rows - y) ** 2 < radius**2] = OCCUPIED
+    enclose(cells, wall_thickness(resolution))
     return cells
 
 

@@ -29,6 +29,12 @@ def test_where_nothing_limits_refinement_it_goes_on_until_exact(robots: int, ban
     assert SplitAllowance(Splitting(robots, bandwidth, 10, 30, 30)).next_step() is None
 
 
+@pytest.mark.parametrize(("robots", "bandwidth"), [(1, 1000.0), (4, None), (4, 0.0)])
+def test_a_fixed_frequency_counts_whatever_the_medium_carries(robots: int, bandwidth: float | None) -> None:
+    allowance = SplitAllowance(Splitting(robots, bandwidth, 10, 30, 30, fixed=0.25))
+    assert [allowance.next_step() for _ in range(8)] == [0, 0, 0, 1, 0, 0, 0, 1]
+
+
 @given(st.integers(2, 64), st.floats(1, 1e5), st.floats(0.1, 1e3), st.floats(0.01, 1), st.integers(1, 200))
 def test_fractions_of_splits_are_carried_over(
     robots: int, bandwidth: float, reach: float, medium_use: float, steps: int

@@ -14,6 +14,7 @@ import yaml
 from deploy.after import archive
 from deploy.after.export import ExportError, export_mcap, occupancy, ranges_of
 from deploy.after.recast_scans import Lasers
+from deploy.record.colors import GROUPS
 from deploy.record.snapshots import Snapshots
 from deploy.run import in_memory
 from protocol.grid import fan
@@ -54,6 +55,8 @@ def test_every_robot_has_its_topics_every_step() -> None:
     names = {
         "/truth",
         "/tf",
+        "/radio/frames",
+        "/radio/steps",
         *(f"/r{r}/{what}" for r in range(3) for what in ("pose", "scan", "map", "polygons")),
     }
     assert set(bag()) == names
@@ -123,6 +126,51 @@ def test_polygons_are_closed_and_lie_where_the_snapshots_have_them() -> None:
     begins = sorted((point.x, point.y) for point in marker.points[::2])
     ends = sorted((point.x, point.y) for point in marker.points[1::2])
     assert begins == ends
+
+
+def test_the_radios_frames_are_those_of_the_ledger() -> None:
+    ledger = archive.read(small_directory()).ledger
+    frames = [said for _, said in bag()["/radio/frames"]]
+    whole = np.unique(
+        np.column_stack(
+            [
+                ledger[name]
+                for name in ("step", "exchange", "connection", "frame", "sender", "receiver", "map")
+            ]
+        ),
+        axis=0,
+    )
+    assert len(frames) == len(whole)
+    assert {frame.frame for frame in frames} == {"offer", "answer", "data", "broadcast"}
+    for kind in np.unique(ledger["kind"]):
+        rows = ledger["kind"] == kind
+        for name in ("packets", "bytes"):
+            told = sum(
+                amount
+                for frame in frames
+                for its, amount in zip(frame.kinds, getattr(frame, name), strict=True)
+                if its == kind
+            )
+            assert told == ledger[name][rows].sum()
+    assert sum(frame.carried for frame in frames) == ledger["bytes"][ledger["carried"]].sum()
+    assert sum(frame.refused for frame in frames) == ledger["bytes"][~ledger["carried"]].sum()
+    assert all(bool(frame.cause) == (frame.refused > 0) for frame in frames)
+    broadcast = next(frame for frame in frames if frame.frame == "broadcast")
+    assert (broadcast.receiver, broadcast.connection) == (-1, -1)
+
+
+def test_each_step_tells_its_bytes_by_purpose_and_the_budget() -> None:
+    ledger = archive.read(small_directory()).ledger
+    assert [second for second, _ in bag()["/radio/steps"]] == list(range(1, 41))
+    for step, said in bag()["/radio/steps"]:
+        here = ledger["step"] == step
+        assert said.budget == 1000
+        assert said.carried == ledger["bytes"][here & ledger["carried"]].sum()
+        assert said.waiting == ledger["bytes"][here & (ledger["cause"] == "budget")].sum()
+        purposes = {name: getattr(said, name) for name in GROUPS}
+        assert sum(purposes.values()) == said.carried
+        corners = np.isin(ledger["kind"], GROUPS["vertices"].kinds)
+        assert purposes["vertices"] == ledger["bytes"][here & ledger["carried"] & corners].sum()
 
 
 def test_the_bag_has_the_metadata_that_ros_asks_for() -> None:

@@ -49,6 +49,16 @@ def test_the_thesis_plain_rules_are_one_flag(floor: str) -> None:
     written = Path("run/scenario.toml").read_text()
     for line in ('offers = "thesis"', "lazy = false", "mixed_first = false", "free_inside_edges = true"):
         assert line in written
+    assert "herding = false" in written
+
+
+def test_what_a_flag_says_goes_before_the_thesis(floor: str) -> None:
+    flags = ("--set", "polygon.lazy=true", "--option", "herding=true", "--steps", "2")
+    explore(floor, "--thesis", *flags, "--out", "one")
+    assert "lazy = true" in Path("one/scenario.toml").read_text()
+    assert "herding = true" in Path("one/scenario.toml").read_text()
+    explore(floor, "--thesis", "--strategy", "nearest", "--steps", "2", "--out", "other")
+    assert "herding" not in Path("other/scenario.toml").read_text()
 
 
 def test_a_run_says_where_its_pictures_are(floor: str) -> None:

@@ -21,7 +21,7 @@ def where(step: int, *cells: tuple[int, int] | None, seen: int = 50) -> WorldRep
 
 
 def mind(step: int, x: int, y: int, status: str = "drives to its target") -> MindReport:
-    return MindReport(step, x, y, known=100, error=0, backlog=7, status=status, work_us=0)
+    return MindReport(step, x, y, known=100, error=0, exact_error=-1, backlog=7, status=status, work_us=0)
 
 
 def air(step: int, *rows: dict[str, Any]) -> RadioReport:
