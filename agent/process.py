@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 
 from agent.exchange.gossip import EVERYONE
+from agent.identity import Identity
+from agent.journal import Journal
 from agent.robot import Robot
 from agent.settings import Settings
 from agent.viewer_feed import SHOWN_EVERY, ViewerFeed
@@ -27,6 +29,7 @@ from protocol.messages import (
     Record,
     Said,
     Sense,
+    Strike,
     Turn,
     Watched,
     pack,
@@ -36,10 +39,16 @@ UNLIMITED = -1
 
 
 class AgentNode:
-    """One robot's process; `done` once it has been told to shut down."""
+    """One robot's process; `done` once it has been told to shut down, or has been `killed`.
 
-    def __init__(self, bus: Bus, keys: Keys, number: int) -> None:
+    A robot that may begin more than once needs a journal (`agent.identity`).
+    """
+
+    def __init__(self, bus: Bus, keys: Keys, number: int, journal: Journal | None = None) -> None:
         self.done = False
+        self.killed = False
+        """Whether it is to end at once, without another word."""
+        self._identity = Identity(journal) if journal is not None else None
         self._bus = bus
         self._keys = keys
         self._number = number
@@ -55,6 +64,8 @@ class AgentNode:
 
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
+        if self.killed:
+            return
         key, payload = message
         sender = self._speaks_at.get(key)
         if sender is None and names.parts(key)[0] == "radio":
@@ -70,9 +81,9 @@ class AgentNode:
     def _take(self, said: object, message: Message) -> None:
         """Take what relay or world says."""
         if isinstance(said, Configure):
-            if self.robot is not None:
-                raise ProtocolError("Configure", 0, "a second one")
-            self.robot = Robot(Settings.from_message(said.settings))
+            self._begin(Settings.from_message(said.settings))
+        elif isinstance(said, Strike):
+            self.killed = self.done = True
         elif isinstance(said, Watched):
             self._viewer_feed = ViewerFeed() if said.here else None
         elif isinstance(said, End):
@@ -83,11 +94,22 @@ class AgentNode:
         elif self.robot is not None:
             self._act(self.robot, said, message)
 
+    def _begin(self, settings: Settings) -> None:
+        """Begin a life; if there was one before, all of it but the journal is gone."""
+        if self._identity is not None:
+            settings = self._identity.begin(settings)
+        self.robot = Robot(settings)
+        self._frames.clear()
+        self._early = None
+        self._step = 0
+
     def _act(self, robot: Robot, said: object, message: Message) -> None:
         began = time.perf_counter()
         if isinstance(said, Sense):
             self._step = said.step
             self._work = 0.0
+            if self._identity is not None:
+                self._identity.settle(said.x, said.y)
             robot.perceive(said)
         elif isinstance(said, Open) and said.step > self._step:
             self._early = message  # the world's message has not arrived yet

@@ -122,7 +122,7 @@ class Robot:
         change += draw(self.own, self._fan, sense.x, sense.y, readings)
         self.known_cells += change.cells
         if self._sense is None:
-            self._homes[self.settings.robot] = sense.x, sense.y
+            self._homes[self.settings.robot] = self.settings.home or (sense.x, sense.y)
         else:
             self._travel(self.settings.robot, (self._sense.x, self._sense.y), (sense.x, sense.y))
         self._sense = sense
@@ -196,7 +196,7 @@ class Robot:
                 self.session.refused.add((peer, about))
                 if told_by <= {peer}:
                     self.distrusted.add(peer)
-                    self.session.refused.update((peer, each) for each in range(self.settings.robots))
+                    self.session.refused.update((peer, each) for each in range(self.settings.maps))
             else:
                 self.session.accept(peer, about, units)
                 told_by.add(peer)

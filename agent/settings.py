@@ -56,6 +56,16 @@ class Settings:
         Options of the sight exchange, by name (`agent.exchange.sight`).
     options : dict
         Options of the strategy, by name.
+    confirms : bool
+        Whether only what a teammate says tells that something has reached it, for the medium may lose it.
+    frame_bytes : int or None
+        Bytes that a packet may have; None: those of the longest.
+    lives : int
+        How often a robot may begin: once, and once more for each time that it may come back (`agent.identity`).
+    life : int
+        Which of its lives this is, from 0.
+    home : (x, y) or None
+        Cell where its first life began; None: here and now.
     """
 
     robot: int
@@ -78,6 +88,21 @@ class Settings:
     radii_cells: list[float] = field(default_factory=list)
     field_of_view: float = 360.0
     scanner_turn: float = 0.0
+    confirms: bool = False
+    frame_bytes: int | None = None
+    lives: int = 1
+    life: int = 0
+    home: tuple[int, int] | None = None
+
+    @property
+    def maps(self) -> int:
+        """How many maps there may be: one a life of each robot."""
+        return self.robots * self.lives
+
+    @property
+    def own_map(self) -> int:
+        """The number of the robot's own map: it says whose, and of which life (`agent.identity`)."""
+        return self.robot + self.robots * self.life
 
     @property
     def range_cells(self) -> float:

@@ -24,12 +24,13 @@ from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from typing import NamedTuple, TypeVar
 
-from netshaper import airtime
-from netshaper.connectivity import in_range
+from netshaper import airtime, connectivity
 from netshaper.ledger import EVERYONE, KIND_NUMBER
 from netshaper.medium import ANSWER, BROADCAST, DATA, NEWS, OFFER, UNLIMITED, Connections, Medium
+from netshaper.radio_options import RadioOptions
 from protocol import packets, survey
 from protocol.errors import ProtocolError
+from protocol.grid import Grid
 from protocol.keyed_random import keyed_random
 from protocol.messages import Close, Open, Outcome, Record, Said, Turn
 
@@ -38,7 +39,7 @@ Item = TypeVar("Item")
 PHASES = ("offers", "answers", "data")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RadioSettings:
     """What the radio is like.
 
@@ -61,6 +62,28 @@ class RadioSettings:
     exchanges: int = 2
     gossip: bool = False
     """Whether news of maps are broadcast; else robots offer them to each other."""
+    lives: int = 1
+    """How often a robot may begin; each of its lives has a map of its own."""
+    options: RadioOptions = field(default_factory=RadioOptions)
+    cell_m: float = 1.0
+    """Side of a cell in metres."""
+    walls: Grid | None = None
+    """The world's cells, where links depend on them."""
+    send: tuple[int, ...] = ()
+    """Bytes a step that each robot can send, 0 for no limit; nothing where none has one."""
+    receive: tuple[int, ...] = ()
+    """Bytes a step that each robot can take, likewise."""
+
+    @property
+    def perfect(self) -> bool:
+        """Whether what is put on the air is heard at once by all in range, and one budget is all there is."""
+        return self.options.perfect and not any(self.send) and not any(self.receive)
+
+    @property
+    def packet_bytes(self) -> int | None:
+        """Bytes that a packet may have for a frame to hold it; None: any number."""
+        tail = packets.Check.size if self.options.sums else 0
+        return self.options.frame_bytes - tail if self.options.frame_bytes else None
 
 
 class Frame(NamedTuple):
@@ -106,34 +129,44 @@ class Radio:
         self._exchange = 0
         self._phase = ""
         self._reach: dict[int, list[int]] = {}
-        self._medium = Medium(0, 0)
+        self._mute: set[int] = set()
+        self._deaf: set[int] = set()
+        self._medium = self._new_medium(0, 0)
         self._shares = airtime.Shares(settings.budget)
         self._waiting: set[int] = set()
         self._spoken: dict[int, _Spoken] = {}
         self._connections = Connections()
         self._broadcast_carried: dict[int, bool] = {}
 
-    def begin(self, step: int, cells: Mapping[int, tuple[int, int]]) -> list[Outgoing]:
+    def begin(
+        self,
+        step: int,
+        cells: Mapping[int, tuple[int, int]],
+        mute: Sequence[int] = (),
+        deaf: Sequence[int] = (),
+    ) -> list[Outgoing]:
         """Open the medium for a step, with the true cell (x, y) of each living robot.
 
+        Radios of `mute` robots cannot send in it, those of `deaf` robots cannot hear.
         What was said while it was closed is booked here, and refused.
         """
         self._step = step
         self._exchange = 0
+        self._mute, self._deaf = set(mute), set(deaf)
         self._connections = Connections()
         living = {robot: cell for robot, cell in cells.items() if robot not in self._dead}
-        self._reach = in_range(living, self.settings.range_cells)
+        self._reach = self._who_hears_whom(living)
         between = self._medium
-        self._medium = Medium(step, self.settings.budget)
+        self._medium = self._new_medium(step, self.settings.budget)
         self._medium.sightings = between.sightings
-        self._shares.next_step()
+        self._next_step()
         return self._open()
 
     def hear(self, sender: int, receiver: int, payload: bytes) -> None:
         """Take a frame that a robot put; `receiver` is `EVERYONE` for a broadcast."""
         if sender in self._waiting:
             self._spoken[sender].frames.append((receiver, payload))
-        else:
+        elif sender not in self._dead:
             self._refuse(sender, receiver, DATA, payload, "protocol", "spoke out of turn")
 
     def said(self, sender: int, note: Said) -> list[Outgoing]:
@@ -151,9 +184,56 @@ class Radio:
         self._waiting.discard(robot)
         return self._advance() if self._phase else []
 
+    def back(self, robot: int) -> None:
+        """A robot that was lost is here again; it takes part from the next step on."""
+        self._dead.discard(robot)
+
+    @property
+    def phase(self) -> tuple[int, int, str]:
+        """Step, exchange and phase under way."""
+        return self._step, self._exchange, self._phase
+
     def waiting_for(self) -> list[int]:
         """Robots which have not spoken in this phase yet."""
         return sorted(self._waiting)
+
+    def _new_medium(self, step: int, budget: int) -> Medium:
+        return Medium(step, budget, self.settings.options.frame_bytes)
+
+    def _who_hears_whom(self, cells: Mapping[int, tuple[int, int]]) -> dict[int, list[int]]:
+        """For each robot those in its range, by the model of the radio and the partitions of this step."""
+        settings, options = self.settings, self.settings.options
+        robots, places = sorted(cells), connectivity.places_of(cells)
+        if options.model == "disc" or settings.walls is None:
+            hears = connectivity.disc(places, settings.range_cells)
+        elif options.model == "line-of-sight":
+            hears = connectivity.line_of_sight(places, settings.range_cells, settings.walls)
+        else:
+            extra = connectivity.shadowing(
+                places, settings.cell_m, settings.seed, options.shadowing_db, options.shadowing_m
+            )
+            hears = connectivity.log_distance(
+                places, settings.range_cells, settings.walls, settings.cell_m,
+                exponent=options.exponent, db_per_metre=options.db_per_metre, db_per_wall=options.db_per_wall,
+                extra_db=extra,
+            )  # fmt: skip
+        if options.partition:
+            hears = hears & connectivity.parted(robots, options.partition, self._step)
+        return connectivity.named(robots, hears)
+
+    def _next_step(self) -> None:
+        """Make what is kept over steps ready for the next one."""
+        self._shares.next_step()
+
+    def _room(self, _robot: int) -> int:
+        """What a robot may still put on the air, as it is told."""
+        return self._medium.left
+
+    def _too_long(self, payload: bytes) -> str:
+        """Say which packet of a frame of whole packets no frame on the air has room for; nothing if none."""
+        most = self.settings.options.frame_bytes
+        size = survey.longest(payload) if most else 0
+        return f"a packet of {size} bytes, where a frame holds {most}" if size > most else ""
 
     def _advance(self) -> list[Outgoing]:
         out: list[Outgoing] = []
@@ -181,12 +261,22 @@ class Radio:
                 Open(
                     self._step,
                     self._exchange,
-                    [peer for peer in self._reach[robot] if peer not in self._dead],
-                    self._medium.left,
+                    self._heard_by(robot),
+                    self._room(robot),
                 ),
             )
             for robot in living
         ]
+
+    def _heard_by(self, robot: int) -> list[int]:
+        """Teammates in range of which a robot can notice that they are."""
+        if robot in self._deaf:
+            return []
+        return [peer for peer in self._reach[robot] if peer not in self._dead and peer not in self._mute]
+
+    def _hearers(self, sender: int) -> list[int]:
+        """Who hears what a robot broadcasts."""
+        return [peer for peer in self._reach[sender] if peer not in self._dead and peer not in self._deaf]
 
     def _end_offers(self) -> list[Outgoing]:
         if self.settings.gossip:
@@ -198,10 +288,11 @@ class Radio:
             for receiver, payload in spoken.frames:
                 if receiver == EVERYONE:
                     continue
-                if receiver not in reach:
-                    self._refuse(sender, receiver, OFFER, payload, "range", "")
+                if receiver not in reach or sender in self._mute:
+                    cause = "range" if receiver not in reach else "mute"
+                    self._refuse(sender, receiver, OFFER, payload, cause, "")
                     continue
-                about, problem = _read_offer(payload, self.settings.robots)
+                about, problem = _read_offer(payload, self.settings.robots * self.settings.lives)
                 if not problem and (sender, receiver, about) in offers:
                     problem = f"map {about} was offered to robot {receiver} twice in an exchange"
                 if problem:
@@ -216,14 +307,18 @@ class Radio:
         """Put broadcasts and then news on the air, the most urgent first, and tell all what became of them."""
         told: list[tuple[int, bytes]] = []
         for sender, spoken in sorted(self._spoken.items()):
-            news = [
-                frame for frame in spoken.frames if not (frame[0] == EVERYONE and _is_broadcast(frame[1]))
-            ]
+            news = [frame for frame in spoken.frames if not (frame[0] == EVERYONE and is_broadcast(frame[1]))]
             spoken.frames = [frame for frame in spoken.frames if frame not in news]
             for receiver, payload in news:
-                problem = _is_news(receiver, payload) or ("twice" if told and told[-1][0] == sender else "")
+                problem = (
+                    is_news(receiver, payload)
+                    or self._too_long(payload)
+                    or ("twice" if told and told[-1][0] == sender else "")
+                )
                 if spoken.said is None:
                     self._refuse(sender, receiver, NEWS, payload, "lost", "")
+                elif sender in self._mute:
+                    self._refuse(sender, receiver, NEWS, payload, "mute", "")
                 elif problem:
                     reason = f"news are one broadcast of units: {problem}"
                     self._refuse(sender, receiver, NEWS, payload, "protocol", reason)
@@ -232,7 +327,7 @@ class Radio:
         out = self._put_broadcasts_on_air(self._medium.left // (len(self._spoken) + 1))
         order = self._drawn("back-off", told)
         order.sort(key=lambda item: self._shares.rank(item[0], self._urgency(item[0])))
-        hearers = {sender: [r for r in self._reach[sender] if r not in self._dead] for sender, _ in order}
+        hearers = {sender: self._hearers(sender) for sender, _ in order}
         sizes = self._medium.tell(self._exchange, [(s, payload, hearers[s]) for s, payload in order])
         carried = {sender: size for (sender, _), size in zip(order, sizes, strict=True)}
         for sender, size in carried.items():
@@ -272,11 +367,14 @@ class Radio:
         ]
         out: list[Outgoing] = []
         for sender, payload in self._drawn("targets", said):
-            if not _is_broadcast(payload) or self._exchange or sender in self._broadcast_carried:
+            if not is_broadcast(payload) or self._exchange or sender in self._broadcast_carried:
                 reason = "broadcast something other than a target or a pose, at the start of a step"
                 self._refuse(sender, EVERYONE, BROADCAST, payload, "protocol", reason)
                 continue
-            hearers = [robot for robot in self._reach[sender] if robot not in self._dead]
+            if sender in self._mute:
+                self._refuse(sender, EVERYONE, BROADCAST, payload, "mute", "")
+                continue
+            hearers = self._hearers(sender)
             if (
                 share is not None
                 and self._medium.carried
@@ -310,7 +408,7 @@ class Radio:
         for at, (sender, receiver, about, payload) in enumerate(said):
             if payload is None:
                 continue
-            if receiver in self._dead:
+            if receiver in self._dead or receiver in self._deaf:
                 these.lost[at] = frame
                 continue
             out.append(_frame((receiver, sender, payload)))
@@ -329,7 +427,7 @@ class Radio:
         return self._pass_on(ANSWER, "data")
 
     def _end_data(self) -> list[Outgoing]:
-        self._collect(DATA, _is_data)
+        self._collect(DATA, lambda payload: _is_data(payload) or self._too_long(payload))
         these = self._connections
         for at, (receiver, payload) in enumerate(zip(these.receivers, these.frames[DATA], strict=True)):
             if payload is not None and receiver in self._dead:
@@ -371,7 +469,7 @@ class Radio:
         living = sorted(set(self._reach) - self._dead)
         out: list[Outgoing] = [Note(robot, Close(self._step)) for robot in living]
         out.append(self._medium)
-        self._medium = Medium(self._step, 0)
+        self._medium = self._new_medium(self._step, 0)
         return out
 
     def _collect(self, frame: int, valid: Callable[[bytes], str]) -> None:
@@ -411,7 +509,7 @@ class Radio:
             self.faults.append((sender, reason))
 
 
-def _is_broadcast(payload: bytes) -> bool:
+def is_broadcast(payload: bytes) -> bool:
     """Whether a frame says a target, a pose, or a pose and a target."""
     try:
         kinds = [type(packet) for packet in packets.broadcast(payload)]
@@ -420,7 +518,7 @@ def _is_broadcast(payload: bytes) -> bool:
     return kinds in ([packets.Target], [packets.Pose], [packets.Pose, packets.Target])
 
 
-def _is_news(receiver: int, payload: bytes) -> str:
+def is_news(receiver: int, payload: bytes) -> str:
     """Say what is wrong with news; nothing if it is a broadcast of whole packets that may be units or reports."""
     if receiver != EVERYONE:
         return "said to one robot"
@@ -436,18 +534,18 @@ def _is_strange(piece: bytes) -> bool:
     """Whether a packet does not belong into news."""
     if packets.name(piece) == packets.Offer.name:
         return not isinstance(packets.decode(piece)[0], packets.Gossip)
-    return packets.name(piece) in (packets.Target.name, packets.Pose.name)
+    return packets.name(piece) in (packets.Target.name, packets.Pose.name, packets.Check.name)
 
 
 @lru_cache(maxsize=1 << 12)
-def _read_offer(payload: bytes, robots: int) -> tuple[int, str]:
+def _read_offer(payload: bytes, maps: int) -> tuple[int, str]:
     """Return whose map an offer frame offers; or what is wrong with it."""
     try:
         said = packets.handshake(payload)
     except ProtocolError as error:
         return -1, str(error)
     offer = said[0] if len(said) == 1 else None
-    if not isinstance(offer, packets.Offer) or offer.map >= robots:
+    if not isinstance(offer, packets.Offer) or offer.map >= maps:
         return -1, "an offer frame is one offer of a known map"
     return offer.map, ""
 
@@ -479,6 +577,7 @@ def _is_data(payload: bytes) -> str:
 
 
 _NO_DATA_BITS = {
-    kind.name: 1 << KIND_NUMBER[kind.name] for kind in (packets.Offer, packets.Target, packets.Pose)
+    kind.name: 1 << KIND_NUMBER[kind.name]
+    for kind in (packets.Offer, packets.Target, packets.Pose, packets.Check)
 }
 _NO_DATA = sum(_NO_DATA_BITS.values())

@@ -119,12 +119,14 @@ class Move(Record, tag=3, frozen=True):
 
 
 class Positions(Record, tag=4, frozen=True):
-    """World to relay, once a step: the cells in which the robots really are."""
+    """World to relay, once a step: the cells in which the robots really are, and whose radios cannot send or hear."""
 
     step: Step
     robots: RobotNumbers
     x: Coordinates
     y: Coordinates
+    mute: RobotNumbers = []
+    deaf: RobotNumbers = []
 
     def __post_init__(self) -> None:
         if not len(self.robots) == len(self.x) == len(self.y):
@@ -200,13 +202,16 @@ class Outcome(Record, tag=8, frozen=True):
 
 
 class Close(Record, tag=9, frozen=True):
-    """Relay to robot: the medium is closed for this step; merge, choose, plan, move."""
+    """Relay to robots and world: the medium is closed for this step; merge, choose, plan, move."""
 
     step: Step
 
 
 class Lost(Record, tag=10, frozen=True):
-    """Relay to world and laboratory: a robot is gone, with what is known of the cause."""
+    """Relay to world and laboratory: a robot is gone, with what is known of the cause.
+
+    World or laboratory to relay: it is to be gone, for it keeps the others waiting, or babbles.
+    """
 
     robot: RobotNumber
     cause: Text
@@ -218,6 +223,25 @@ class End(Record, tag=11, frozen=True):
     step: StepOrNone
     reason: Text
     first: RobotOrNone
+
+
+class Strike(Record, tag=22, frozen=True):
+    """A fault (`worldsim.faults`): laboratory to world, by way of the relay, to have it; world to laboratory: it has
+    come true; world to robot: it is killed.
+
+    `step`: at whose beginning; from the laboratory 0 means the next. `steps`: how long, 0 for good.
+    """
+
+    step: Step
+    robot: RobotNumber
+    kind: Word
+    steps: Step = 0
+
+
+class Back(Record, tag=23, frozen=True):
+    """Relay to world and laboratory: a robot that was gone has joined again."""
+
+    robot: RobotNumber
 
 
 class Stop(Record, tag=12, frozen=True):
@@ -332,7 +356,7 @@ class Fault(Record, tag=18, frozen=True):
 
 _TYPES: tuple[type[Record], ...] = (
     Begin, Configure, Sense, Move, Positions, Open, Turn, Said, Outcome, Close, Lost, End, Stop, Bye,
-    WorldReport, MindReport, RadioReport, Maps, Fault, Watched, Snapshot, Outlines,
+    WorldReport, MindReport, RadioReport, Maps, Fault, Watched, Snapshot, Outlines, Strike, Back,
 )  # fmt: skip
 _HEAD = {kind: 0x90 | len(kind.__struct_fields__) + 1 for kind in _TYPES}
 """The first byte of each message: a list of so many items."""

@@ -2,33 +2,38 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from protocol import keys as names
-from protocol import rights
+from protocol import messages, rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
-from protocol.fields import clip
+from protocol.fields import MOST_WORD, clip
 from protocol.keys import Keys
 from protocol.messages import (
+    Back,
     Begin,
     Bye,
+    Close,
     Configure,
     End,
-    Fault,
     Lost,
     Move,
     Positions,
     Record,
     Stop,
+    Strike,
     Watched,
     WorldReport,
     pack,
 )
+from protocol.rights import BABBLES, MOST_NONSENSE
 from worldsim.continuous_motion import FINE
+from worldsim.faults import KINDS, Fault
 from worldsim.world import World
 
 EXPLORED, OUT_OF_STEPS, ALL_LOST = "explored", "out of steps", "all robots are lost"
@@ -48,6 +53,8 @@ class WorldNode:
         Side of a cell in millimetres, for reports.
     wait : callable, optional
         Called before each step is opened: it may delay the step, so that people can watch (`worldsim.pace`).
+    revive : bool
+        Whether robots that are lost unasked are to be started again, as often as they have lives.
     """
 
     def __init__(
@@ -60,6 +67,7 @@ class WorldNode:
         cell_mm: float,
         *,
         wait: Callable[[], object] = lambda: None,
+        revive: bool = False,
     ) -> None:
         self.done = False
         self._bus = bus
@@ -69,10 +77,28 @@ class WorldNode:
         self._steps = steps
         self._cell_mm = cell_mm
         self._wait = wait
+        self._left = {
+            robot: settings.get("lives", 1) - 1 if revive else 0 for robot, settings in minds.items()
+        }
+        """How often each robot may still be started again, if it is lost unasked."""
+        self._coming: set[int] = set()
+        """Robots that were lost unasked, and are being started again."""
         self._moves: dict[int, Move] = {}
+        self._gone: set[int] = set()
+        """Robots whose processes have ended, as the relay said."""
+        self._back: set[int] = set()
+        """Robots that have come back, and have not been let into the world yet."""
+        self._restarting: set[int] = set()
+        """Robots without which the next step does not begin, for it is the one in which they come back."""
+        self._held: dict[int, Move] = {}
+        """The moves of the step that waits for them."""
         self._stop = ""
         self._running = False
         self._watched = False
+        self._closed = False
+        """Whether the medium of this step is: then all robots are to move."""
+        self._nonsense: Counter[str] = Counter()
+        """How often each participant has made no sense in this step."""
 
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
@@ -83,18 +109,50 @@ class WorldNode:
             else:
                 self._take_note(said)
         except ProtocolError as error:
-            self._report(Fault(names.parts(message.key)[3], clip(str(error))))
-        while self._running and self._moves.keys() >= self._world.cells.keys():
+            self._fault(names.parts(message.key)[3], str(error))
+        while self._running and not self._restarting and len(self._moves) >= self._world.awake_count:
             self._end_step()
+
+    @property
+    def phase(self) -> tuple[object, ...]:
+        """What the world waits for: all moves of a step whose medium is closed, or those who are to come back."""
+        return self._world.step, self._closed, len(self._restarting)
+
+    def waiting_for(self) -> list[int]:
+        """Robots whose moves the world is waiting for."""
+        if self._restarting:
+            return sorted(self._restarting - self._back)
+        return sorted({*self._world.awake()} - self._moves.keys()) if self._running and self._closed else []
+
+    def give_up_on(self, robot: int, cause: str) -> None:
+        """Have the relay go on without a robot: then it is lost to all."""
+        self._bus.put(self._keys.control_tx(names.WORLD), pack(Lost(robot, cause)))
+        if robot in self._restarting:
+            self._restarting.discard(robot)
+            self._back.discard(robot)
+            if self._restarting:
+                self._restart()
+            else:
+                self._advance()
 
     def _take_note(self, said: object) -> None:
         if isinstance(said, Begin):
             self._begin()
         elif isinstance(said, Lost):
-            self._world.lose(said.robot)
-            self._moves.pop(said.robot, None)
+            self._take_loss(said.robot)
+        elif isinstance(said, Close):
+            self._closed = said.step == self._world.step
+        elif isinstance(said, Back):
+            self._back.add(said.robot)
+            self._gone.discard(said.robot)
+            self._coming.discard(said.robot)
+            self._restart()
+        elif isinstance(said, Strike):
+            self._add(said)
         elif isinstance(said, Stop):
             self._stop = said.reason
+            if self._running and self._restarting:
+                self._end(self._stop, -1)
         elif isinstance(said, Watched):
             self._watched = said.here
         elif isinstance(said, Bye):
@@ -113,7 +171,7 @@ class WorldNode:
             raise ProtocolError("Move", 0, f"for step {move.step}, while step {step} is under way")
         if robot in self._moves:
             raise ProtocolError("Move", 0, f"a second one for step {step}")
-        if robot in self._world.cells:
+        if robot in self._world.cells and robot not in self._world.afflicted["stop"]:
             self._moves[robot] = move
 
     def _end_step(self) -> None:
@@ -126,9 +184,9 @@ class WorldNode:
             explored = [robot for robot in self._world.thinnest() if robot in explored]
         if explored and len(explored) >= wanted:
             self._end(EXPLORED, explored[0])
-        elif not self._world.cells:
+        elif self._world.hopeless() and not self._back and not self._coming:
             self._end(ALL_LOST, -1)
-        elif all(move.stalled for move in moves.values()):
+        elif moves and all(move.stalled for move in moves.values()):
             self._end(STALLED, -1)
         elif self._stop:
             self._end(self._stop, -1)
@@ -139,19 +197,97 @@ class WorldNode:
 
     def _open_step(self, moves: Mapping[int, Move]) -> None:
         self._wait()
+        self._closed = False
+        self._nonsense.clear()
+        for fault in self._world.strikes():
+            self._strike(fault)
+        self._held = dict(moves)
+        if self._world.hopeless():
+            self._restarting |= self._coming  # there is nobody else
+        if self._restarting:
+            self._restart()
+        else:
+            self._advance()
+
+    def _add(self, strike: Strike) -> None:
+        """Have a fault that was thought of during the run."""
         world = self._world
-        for robot in world.doomed():
-            world.lose(robot)
-            self._tell(robot, End(world.step, "broken down, as the scenario has it", -1))
+        known = strike.kind in KINDS and 0 <= strike.robot < len(self._minds) and strike.steps >= 0
+        if not known:
+            self._report(messages.Fault(names.LAB, f"{strike} is no fault of a robot of this run"))
+        else:
+            fault = Fault(max(strike.step, world.step + 1), strike.robot, strike.kind, strike.steps)
+            world.faults = sorted([*world.faults, fault])
+
+    def _strike(self, fault: Fault) -> None:
+        """Have a fault come true, and report it; a robot that is gone is past it."""
+        robot, here = fault.robot, fault.robot in self._world.cells
+        step = self._world.step + 1
+        if fault.kind == "restart":
+            self._restarting.add(robot)
+        if here and fault.kind in ("kill", "restart"):
+            killed = Strike(step, robot, "kill")
+            self._report(killed)
+            self._tell(robot, killed)
+            self._lose(robot)
+        elif here and fault.kind != "restart":
+            self._report(Strike(step, robot, fault.kind, fault.steps))
+        if here and fault.kind == "death":
+            self._tell(robot, End(self._world.step, "broken down, as the scenario has it", -1))
+            self._lose(robot)
+
+    def _take_loss(self, robot: int) -> None:
+        """A robot's process has ended: as a fault had it, or unasked."""
+        unasked = robot in self._world.cells or robot in self._back
+        self._lose(robot)
+        self._gone.add(robot)
+        self._back.discard(robot)
+        if unasked and robot not in self._restarting and self._left[robot]:
+            self._left[robot] -= 1
+            self._gone.discard(robot)
+            self._coming.add(robot)
+            self._report(Strike(self._world.step, robot, "restart"))
+        self._restart()
+
+    def _lose(self, robot: int) -> None:
+        self._world.lose(robot)
+        self._moves.pop(robot, None)
+        self._held.pop(robot, None)
+
+    def _restart(self) -> None:
+        """Have those started that are to come back, once they have ended; go on when all are here."""
+        for robot in sorted(self._restarting & self._gone):
+            self._gone.discard(robot)
+            self._report(Strike(self._world.step + 1, robot, "restart"))
+        if self._running and self._restarting and self._restarting <= self._back:
+            self._restarting.clear()
+            self._advance()
+
+    def _advance(self) -> None:
+        """Open the next step."""
+        world = self._world
+        for robot in sorted(self._back):
+            world.revive(robot)
+            self._tell(robot, Configure(dict(self._minds[robot])))
+        self._back.clear()
+        moves, self._held = self._held, {}
         senses = world.advance(moves)
         for robot, sense in senses.items():
             self._tell(robot, sense)
-        robots = list(world.cells)
-        positions = Positions(
-            world.step, robots, [world.cells[r][0] for r in robots], [world.cells[r][1] for r in robots]
-        )
+        robots = world.awake()
+        x, y = ([world.cells[robot][axis] for robot in robots] for axis in range(2))
+        ill = [sorted(world.afflicted[kind]) for kind in ("mute", "deaf")]
+        positions = Positions(world.step, robots, x, y, *ill)
         self._bus.put(self._keys.control_tx(names.WORLD), pack(positions))
         self._report(self._truth())
+
+    def _fault(self, who: str, what: str) -> None:
+        """Report what made no sense; who says too much of it is given up."""
+        self._nonsense[who] += 1
+        if self._nonsense[who] <= MOST_NONSENSE:
+            self._report(messages.Fault(who[:MOST_WORD], clip(what)))
+        elif self._nonsense[who] == MOST_NONSENSE + 1 and names.is_robot(who):
+            self.give_up_on(names.number(who), BABBLES)
 
     def _report(self, message: Record) -> None:
         """Tell the laboratory, and the viewer if there is one."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes, poi
 from protocol.scans import NONE, draw, mark_free
 from worldsim.cell_motion import DIAGONAL, INTERFERENCE, NOT_BLOCKED, drive, heading_of, swept
 from worldsim.continuous_motion import FINE, cell_of, glide
+from worldsim.faults import Fault
 from worldsim.laser import FULL_TURN, HEADINGS, cast
 
 MOVES_AS_PLANNED = 0.7
@@ -62,8 +64,8 @@ class WorldSettings:
         Laser beams a full turn.
     interference_cells : float
         Robots nearer to each other than this hinder each other (0: never).
-    deaths : tuple of (robot, step)
-        Robots that break down at the beginning of a step, as the scenario specifies.
+    faults : tuple of Fault
+        What befalls robots, as the scenario specifies.
     ends_with_all : bool
         Whether the run ends when all robots report that they are done, not when the first does.
     cell_steps : bool
@@ -78,7 +80,7 @@ class WorldSettings:
     beams: int = 360
     seed: int = 0
     interference_cells: float = 0.0
-    deaths: tuple[tuple[int, int], ...] = ()
+    faults: tuple[Fault, ...] = ()
     ends_with_all: bool = False
     cell_steps: bool = False
     solid: bool = True
@@ -115,22 +117,68 @@ class World:
         """Reachable free cells that the team has seen."""
         self._counted = np.zeros(truth.shape, np.bool_)
         self._taken = np.zeros(truth.shape, np.bool_)
+        self.faults = sorted(settings.faults)
+        """What is still to come, by step."""
+        self.afflicted: dict[str, dict[int, float]] = {"stop": {}, "mute": {}, "deaf": {}}
+        """By kind of fault, the robots that have it, and the step in which they are well again."""
+        self._fell = dict(self.cells)
+        """Where robots that are gone were last."""
         self._fans = [fan(body.range_cells, settings.beams) for body in settings.bodies]
         self._carry = [0.0] * len(settings.starts)
         self._scanner_angle = [0.0] * len(settings.starts)
 
     def lose(self, robot: int) -> None:
         """Remove a broken robot from the world: others do not collide with it."""
-        self.cells.pop(robot, None)
+        if robot in self.cells:
+            self._fell[robot] = self.cells.pop(robot)
+            self.afflicted["stop"].pop(robot, None)
+
+    def revive(self, robot: int) -> None:
+        """Put a robot that was lost back to where that happened, or into the free cell nearest to it."""
+        if robot in self.cells:
+            return
+        x, y = self.cells[robot] = self._fell[robot]
+        floor = self.floors[self.settings.bodies[robot].radius_cells] == FREE
+        with self._teammates_in_the_way(robot, math.inf) as taken:
+            rows, columns = np.nonzero(floor & self.reachable & ~taken)
+        if len(rows):
+            nearest = int(np.argmin((columns - x) ** 2 + (rows - y) ** 2))
+            self.cells[robot] = int(columns[nearest]), int(rows[nearest])
+        self.offsets[robot] = 0, 0
+        self._carry[robot] = 0.0
+
+    def strikes(self) -> list[Fault]:
+        """The faults that come with the next step, in order; those that pass are noted, and end by themselves."""
+        now = self.step + 1
+        due = [fault for fault in self.faults if fault.step <= now]
+        self.faults = [fault for fault in self.faults if fault.step > now]
+        for robots in self.afflicted.values():
+            for robot in [robot for robot, until in robots.items() if until <= now]:
+                del robots[robot]
+        for fault in due:
+            if fault.kind in self.afflicted and (fault.kind != "stop" or fault.robot in self.cells):
+                self.afflicted[fault.kind][fault.robot] = now + fault.steps if fault.steps else math.inf
+        return due
+
+    def awake(self) -> list[int]:
+        """Robots that take part in the step, in ascending order."""
+        return sorted(self.cells.keys() - self.afflicted["stop"].keys())
+
+    @property
+    def awake_count(self) -> int:
+        """How many those are."""
+        return len(self.cells) - len(self.afflicted["stop"])
+
+    def hopeless(self) -> bool:
+        """Whether nobody takes part, and nobody ever will again."""
+        comes = any(fault.kind == "restart" for fault in self.faults)
+        wakes = any(until < math.inf for until in self.afflicted["stop"].values())
+        return not self.awake_count and not comes and not wakes
 
     def thinnest(self) -> list[int]:
-        """Living robots of the least radius: nobody gets farther than they do, so they say when all is explored."""
-        radii = {robot: self.settings.bodies[robot].radius_cells for robot in sorted(self.cells)}
+        """Robots of the least radius: nobody gets farther than they do, so they say when all is explored."""
+        radii = {robot: self.settings.bodies[robot].radius_cells for robot in self.awake()}
         return [robot for robot, radius in radii.items() if radius == min(radii.values())]
-
-    def doomed(self) -> list[int]:
-        """Robots that, by the scenario, break down by the next step."""
-        return [r for r, step in self.settings.deaths if step <= self.step + 1 and r in self.cells]
 
     def advance(self, moves: Mapping[int, Move]) -> dict[int, Sense]:
         """Begin the next step: move the robots, by ascending number, then cast everyone's scan."""
@@ -138,14 +186,15 @@ class World:
         entered: dict[int, list[tuple[int, int]]] = {}
         blocked: dict[int, str] = {}
         before = dict(self.cells)
-        for robot in sorted(self.cells):
+        for robot in self.awake():
             entered[robot], blocked[robot] = [], NOT_BLOCKED
             move = moves.get(robot)
             if move is not None:
                 entered[robot], blocked[robot] = self._move(robot, move, before)
         senses = {}
         occupied = self._standing()
-        for robot, (x, y) in sorted(self.cells.items()):
+        for robot in self.awake():
+            x, y = self.cells[robot]
             look = robot not in moves or moves[robot].look
             senses[robot] = self._sense(robot, x, y, occupied, entered[robot], blocked[robot], look)
         return senses

@@ -16,7 +16,7 @@ from agent.outline.boxes import NO_BOXES, Boxes, box_of, united, whole
 from agent.settings import Settings
 from protocol import packets
 from protocol.errors import ProtocolError
-from protocol.grid import UNKNOWN, Grid, fan
+from protocol.grid import UNKNOWN, Fan, Grid, fan
 from protocol.kernels import kernel
 from protocol.scans import NONE, Change, Scan, decode_scan, draw, encode_scan, fragments, scan_size
 
@@ -30,6 +30,7 @@ class LaserExchange(Exchange):
         super().__init__(settings)
         self._fans = [fan(cells, settings.beams) for cells in settings.ranges_cells]
         self._size = scan_size(settings.beams)
+        self._most = settings.frame_bytes or packets.Fragment.size
         self._heard = np.zeros((settings.height, settings.width), np.uint8)
         self._heard_boxes = NO_BOXES
         self._own_news = ChangedCells()
@@ -45,7 +46,7 @@ class LaserExchange(Exchange):
         if data == self._last or (scan.readings == NONE).all():
             return []
         self._last = data
-        return fragments(data)
+        return fragments(data, self._most)
 
     def take(self, about: int, units: list[bytes]) -> None:
         """Put fragments together and draw the scans that are complete."""
@@ -61,7 +62,7 @@ class LaserExchange(Exchange):
                 buffer = b""
         self._partial[about] = buffer
         for scan in scans:
-            change = draw(self._heard, self._fans[about], scan.x, scan.y, scan.readings)
+            change = draw(self._heard, self._fan_of(about), scan.x, scan.y, scan.readings)
             self._heard_boxes = united(self._heard_boxes, box_of(change))
 
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
@@ -76,8 +77,12 @@ class LaserExchange(Exchange):
         self._heard_boxes = NO_BOXES
         return self._planning
 
+    def _fan_of(self, about: int) -> Fan:
+        """The beams of the robot whose map it is."""
+        return self._fans[about % self.settings.robots]
+
     def _read(self, about: int, data: bytes) -> Scan:
-        scan = decode_scan(data, self._fans[about])
+        scan = decode_scan(data, self._fan_of(about))
         height, width = self._heard.shape
         if scan.x >= width or scan.y >= height:
             reason = f"cell ({scan.x}, {scan.y}) is outside the {width} x {height} grid"

@@ -59,7 +59,7 @@ class PolygonExchange(Exchange):
         """One's own words, heard as teammates hear them."""
         self._outdated = True
         self._receivers = {
-            robot: Receiver(shape) for robot in range(settings.robots) if robot != settings.robot
+            about: Receiver(shape) for about in range(settings.maps) if about != settings.own_map
         }
         self._team = TeamMap(self._drawing)
         self._news: set[int] = set()
@@ -78,9 +78,9 @@ class PolygonExchange(Exchange):
     @property
     def polygons(self) -> Mapping[int, Polygons]:
         """One's own approximation as far as it has been logged, and teammates' as far as they came."""
-        held = {robot: receiver.held.polygons for robot, receiver in self._receivers.items()}
-        held[self.settings.robot] = self._held.held.polygons
-        return {robot: polygons for robot, polygons in held.items() if polygons.objects}
+        held = {about: receiver.held.polygons for about, receiver in self._receivers.items()}
+        held[self.settings.own_map] = self._held.held.polygons
+        return {about: polygons for about, polygons in held.items() if polygons.objects}
 
     def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
         """Repair, refine, and log the edits (Algorithm 10, lines 6 to 13)."""
@@ -126,7 +126,8 @@ class PolygonExchange(Exchange):
             receiver = self._receivers[about]
             self._team.update(about, receiver.held.polygons, receiver.changed())
         self._news.clear()
-        return self._team.merged(own, peers, self._unmerged.take(own))
+        near = [about for about in self._receivers if about % self.settings.robots in peers]
+        return self._team.merged(own, near, self._unmerged.take(own))
 
     def error(self, own: Grid) -> int:
         """Cells in which one's own grid and the drawing of its approximation differ: d(t) of Eq. 6.1.

@@ -138,17 +138,22 @@ class Connection:
 class Session:
     """One robot's end of all connections."""
 
-    def __init__(self, robot: int, robots: int, policy: str = "backoff") -> None:
+    def __init__(
+        self, robot: int, robots: int, policy: str = "backoff", *, lives: int = 1, life: int = 0
+    ) -> None:
         if policy not in POLICIES:
             raise ValueError(f"no offer policy is called {policy!r}; there are: {', '.join(POLICIES)}")
-        self.logs = [Log() for _ in range(robots)]
-        """What is held of every robot's map."""
+        self.logs = [Log() for _ in range(robots * lives)]
+        """What is held of every robot's map, of each of its lives (`agent.identity`)."""
+        self.own = robot + robots * life
+        """The number of one's own map."""
         self.urgency = 0
         """Offers wait for nothing: their order is drawn."""
         self.refused: set[tuple[int, int]] = set()
         """(peer, map): offers that are declined, for what came of them made no sense."""
         self._robot = robot
         self._robots = robots
+        self._lives = lives
         self._policy = policy
         self._now = 0
         self._only_first = True
@@ -160,32 +165,34 @@ class Session:
         self._offered: dict[int, Connection] = {}
         self._taken: dict[int, Connection] = {}
         self._being_taken: set[int] = set()
+        self._own_maps = np.arange(robots)
+        """The number of each robot's own map, in the life that it is in, as far as one has heard."""
 
     # Tables are made when the first map is to be offered: where none are exchanged there are none.
 
     @cached_property
     def known(self) -> Table:
         """``known[peer, map]``: up to which unit the map has reached the peer, as far as one can know."""
-        return np.zeros((self._robots, self._robots), np.int64)
+        return np.zeros((self._robots, len(self.logs)), np.int64)
 
     @cached_property
     def _wait(self) -> Table:
         """``_wait[peer, map]``: for how many exchanges offers of a map to a peer are put off if it refuses."""
-        return np.ones((self._robots, self._robots), np.int64)
+        return np.ones((self._robots, len(self.logs)), np.int64)
 
     @cached_property
     def _due(self) -> Table:
         """``_due[peer, map]``: the exchange before which it is not offered again."""
-        return np.zeros((self._robots, self._robots), np.int64)
+        return np.zeros((self._robots, len(self.logs)), np.int64)
 
     def record(self, units: list[bytes]) -> None:
         """Append to the log of one's own map."""
-        self.logs[self._robot].append(units)
+        self.logs[self.own].append(units)
 
     def retract(self, count: int) -> bool:
         """Take the last `count` units of one's own log back, if nobody has heard any of them; say whether."""
-        log = self.logs[self._robot]
-        if len(log) - count < max((known[self._robot] for known in self.known), default=0):
+        log = self.logs[self.own]
+        if len(log) - count < max((known[self.own] for known in self.known), default=0):
             return False
         log.retract(count)
         return True
@@ -227,7 +234,7 @@ class Session:
             connection = Connection(peer, offer.map)
             self._taken[number] = connection
             unwanted = (
-                offer.map == self._robot
+                (offer.map >= self.own and offer.map % self._robots == self._robot)
                 or offer.map in self._being_taken
                 or (peer, offer.map) in self.refused
             )
@@ -276,6 +283,10 @@ class Session:
             connection = self._offered.get(number)
             if connection is not None and answered:
                 self._settle(connection, sent)
+        for number, offered in zip(outcome.connections, outcome.offers, strict=True):
+            connection = self._taken.get(number)
+            if connection is not None and offered:
+                self._recognise(connection.peer, connection.map)
         news = []
         for number, (peer, payload) in zip(outcome.heard, heard, strict=True):
             connection = self._taken.get(number)
@@ -293,22 +304,22 @@ class Session:
 
         But for those who refuse it again and again (`PATIENCE`): nobody can silence the others.
         """
-        held = len(self.logs[self._robot])
+        held = len(self.logs[self.own])
         if not self._peers or not held:
             return bool(self._peers)
-        known, wait = self.known[:, self._robot], self._wait[:, self._robot]
+        known, wait = self.known[:, self.own], self._wait[:, self.own]
         return all(known[peer] == held or wait[peer] > PATIENCE for peer in self._peers)
 
     def undelivered(self) -> int:
         """Units of one's own map that have not reached a teammate yet, all teammates counted."""
-        held = len(self.logs[self._robot])
+        held = len(self.logs[self.own])
         if not held:
             return 0
-        return held * (self._robots - 1) - int(self.known[:, self._robot].sum())
+        return held * (self._robots - 1) - int(self.known[:, self.own].sum())
 
     def forget(self) -> None:
-        """Drop what all teammates hold."""
-        if not any(self.logs):
+        """Drop what all teammates hold; where they may come back, and hold nothing then, that is nothing."""
+        if self._lives > 1 or not any(self.logs):
             return
         reached = np.empty(self._robots, np.int64)
         reached_by_all(self.known, self._robot, reached)
@@ -319,11 +330,10 @@ class Session:
         """Offers to make now, as (peer, map), as the policy has it; `held`: the length of each log."""
         peers = np.array(self._peers, np.int64)
         if self._policy == "thesis":
-            return _all_news(self._robot, self._peers, self.known, held)
+            return _all_news(self.own, self._peers, self._own_maps, self.known, held)
         chosen = np.empty(len(peers), np.int64)
-        choose_offers(
-            self.known, self._due, held, peers, self._robot, self._now, exchange, self._only_first, chosen
-        )
+        rule = self._now, exchange, self._only_first
+        choose_offers(self.known, self._due, held, peers, self._own_maps, self.own, *rule, chosen)
         offers = [
             (peer, about) for peer, about in zip(self._peers, chosen.tolist(), strict=True) if about >= 0
         ]
@@ -340,6 +350,13 @@ class Session:
         if offers:
             self._next = offers[-1][0] + 1
         return offers
+
+    def _recognise(self, peer: int, about: int) -> None:
+        """Who offers the map of a new life of its own has begun anew, and holds nothing of what it was sent before."""
+        if about % self._robots == peer and about > self._own_maps[peer]:
+            self._own_maps[peer] = about
+            self.known[peer] = self._due[peer] = 0
+            self._wait[peer] = 1
 
     def _read_answer(self, connection: Connection, payload: bytes) -> Event:
         """Put the index of an answer together, and compare it with what is held."""
@@ -367,24 +384,29 @@ class Session:
         self.known[peer, about] = max(self.known[peer, about], reached)
 
 
-def _all_news(robot: int, peers: Sequence[int], known: Table, held: Table) -> list[tuple[int, int]]:
+def _all_news(
+    own_map: int, peers: Sequence[int], own_maps: Table, known: Table, held: Table
+) -> list[tuple[int, int]]:
     """All maps to all for whom they are news, the robot's own first: the thesis' policy."""
     news = known < held
     return [
         (peer, about)
         for peer in peers
-        for about in (robot, *(about for about in range(len(held)) if about not in (robot, peer)))
+        for about in (own_map, *(each for each in range(len(held)) if each not in (own_map, own_maps[peer])))
         if news[peer, about]
     ]
 
 
-@kernel("void(int64[:,::1], int64[:,::1], int64[::1], int64[::1], int64, int64, int64, boolean, int64[::1])")
+@kernel(
+    "void(int64[:,::1], int64[:,::1], int64[::1], int64[::1], int64[::1], int64, int64, int64, boolean, int64[::1])"
+)
 def choose_offers(
     known: Table,
     due: Table,
     held: Table,
     peers: Table,
-    robot: int,
+    own_maps: Table,
+    own_map: int,
     now: int,
     exchange: int,
     only_first: bool,
@@ -394,14 +416,14 @@ def choose_offers(
     turn_of_others = exchange != 0 or (only_first and now % 2 == 0)
     for each in range(len(peers)):
         peer = peers[each]
-        own = held[robot] > known[peer, robot] and now >= due[peer, robot]
-        chosen[each] = robot if own else -1
+        own = held[own_map] > known[peer, own_map] and now >= due[peer, own_map]
+        chosen[each] = own_map if own else -1
         if (own and not only_first) or not turn_of_others:
             continue
         most = 0
         for about in range(len(held)):
             news = held[about] - known[peer, about]
-            if news > most and about not in (robot, peer) and now >= due[peer, about]:
+            if news > most and about not in (own_map, own_maps[peer]) and now >= due[peer, about]:
                 most = news
                 chosen[each] = about
 

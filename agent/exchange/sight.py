@@ -25,7 +25,7 @@ from agent.sight.stream import Box, History, Stream, Told, around
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, fan
 from protocol.kernels import kernel
-from protocol.packets import LAST_LOOK_DATA, LOOK_DATA, LOOK_NUMBERS, Look, encode, look
+from protocol.packets import LAST_LOOK_DATA, LOOK_DATA, LOOK_NUMBERS, SHORT_HEAD, Look, encode, look
 from protocol.scans import Change, Scan
 
 ENOUGH_CELLS = 8
@@ -73,23 +73,30 @@ class SightExchange(Exchange):
         super().__init__(settings)
         shape = settings.height, settings.width
         options = SightOptions(**settings.sight)
-        self._grids = np.zeros((settings.robots, *shape), np.uint8)
-        self._histories = [History() for _ in range(settings.robots)]
+        self._grids = np.zeros((settings.maps, *shape), np.uint8)
+        self._histories = [History() for _ in range(settings.maps)]
         scratch = np.empty((2 * settings.height * settings.width, 2), np.int32)
         self._streams = [
             Stream(
                 maker,
                 self._grids[maker],
-                fan(settings.ranges_cells[maker], settings.beams),
+                fan(settings.ranges_cells[maker % settings.robots], settings.beams),
                 self._histories,
                 scratch,
                 team=options.base == "team",
+                makers=settings.robots,
             )
-            for maker in range(settings.robots)
+            for maker in range(settings.maps)
         ]
         self._heard: Grid = np.zeros(shape, np.uint8)
         """What all have told."""
-        room = LAST_LOOK_DATA if settings.bandwidth is None else int(settings.bandwidth) // PACKETS_A_STEP - 2
+        room = (
+            LAST_LOOK_DATA
+            if settings.bandwidth is None
+            else int(settings.bandwidth) // PACKETS_A_STEP - SHORT_HEAD
+        )
+        if settings.frame_bytes is not None:
+            room = min(room, settings.frame_bytes - SHORT_HEAD)
         self._most = min(max(room, LOOK_DATA), LAST_LOOK_DATA)
         self._patience = 1
         if settings.bandwidth is not None:
@@ -99,7 +106,7 @@ class SightExchange(Exchange):
         self._said = _Waiting()
         """What the last unit told of."""
         self._last: Told | None = None
-        self._coming = [_Coming() for _ in range(settings.robots)]
+        self._coming = [_Coming() for _ in range(settings.maps)]
 
     def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
         """Write a unit, if the one before has been said and there is enough to tell."""
@@ -113,7 +120,7 @@ class SightExchange(Exchange):
         self.revisable = 0
         if not delivered:
             return []
-        mine = self._grids[self.settings.robot]
+        mine = self._grids[self.settings.own_map]
         news = int(_news(self._heard, mine, own, *around(waiting.boxes)))
         if 0 < news < ENOUGH_CELLS and waiting.steps < self._patience:
             return []
@@ -121,7 +128,7 @@ class SightExchange(Exchange):
         return self._tell(own, waiting) if news else []
 
     def _tell(self, own: Grid, waiting: _Waiting) -> list[bytes]:
-        maker = self.settings.robot
+        maker = self.settings.own_map
         stream, history = self._streams[maker], self._histories[maker]
         packets: list[bytes] = []
         box = around(waiting.boxes)
@@ -139,7 +146,7 @@ class SightExchange(Exchange):
 
     def retract(self) -> None:
         """Take the last unit back: nobody has heard of it."""
-        maker = self.settings.robot
+        maker = self.settings.own_map
         assert self._last is not None
         self._streams[maker].undo()
         self._histories[maker].pop()

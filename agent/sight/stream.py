@@ -123,6 +123,9 @@ class Stream:
         Room for the cells that a unit changes; streams may share it.
     team : bool
         Whether it is built on what others told as well.
+    makers : int, optional
+        The number of the first stream that nothing is built on, nor on those behind it: a team's streams of later
+        lives (`agent.identity`). So one that has not begun yet costs the others nothing.
     counts : uint16 array, shape (CONTEXTS, 2), optional
         What its contexts begin with, if not with the shipped table.
     """
@@ -136,6 +139,7 @@ class Stream:
         scratch: Cells,
         *,
         team: bool,
+        makers: int | None = None,
         counts: Counts | None = None,
     ) -> None:
         self.maker = maker
@@ -145,7 +149,8 @@ class Stream:
         self._fan = fan
         self._histories = histories
         self._scratch = scratch
-        self._others = [robot for robot in range(len(histories)) if robot != maker] if team else []
+        bases = range(len(histories) if makers is None else makers) if team else ()
+        self._others = [robot for robot in bases if robot != maker]
         self._grew = [False] * len(histories)
         self._counts = contexts.start() if counts is None else counts
         self._way: Way = np.zeros(PLACES + 1, np.int64)

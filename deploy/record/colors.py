@@ -46,6 +46,7 @@ GROUPS: dict[str, Group] = {
     "handshakes": Group("handshakes", ("conn",), (195, 90, 220)),
     "targets": Group("targets, poses", ("targ", "pose"), (45, 180, 95)),
     "saves": Group("ends of updates", ("save",), (135, 141, 150)),
+    "sums": Group("checksums", ("sum",), (150, 120, 90)),
 }
 """Purposes of the bytes on the air."""
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
@@ -17,6 +19,7 @@ from protocol.errors import ProtocolError
 from protocol.grid import OCCUPIED, Grid
 from protocol.keys import Keys
 from protocol.messages import (
+    Back,
     Bye,
     End,
     Fault,
@@ -25,9 +28,11 @@ from protocol.messages import (
     MindReport,
     RadioReport,
     Stop,
+    Strike,
     WorldReport,
     pack,
 )
+from protocol.rights import BABBLES, MOST_NONSENSE
 
 MOST_FAULTS = 1000
 """Faults that are kept in words; more are counted."""
@@ -46,6 +51,12 @@ class Records:
     planning: dict[int, Grid] = field(default_factory=dict)
     lost: dict[int, str] = field(default_factory=dict)
     """Robots that died unexpectedly, and how."""
+    strikes: list[Strike] = field(default_factory=list)
+    """The faults that came true, as they were asked for (`worldsim.faults`)."""
+    killed: set[int] = field(default_factory=set)
+    """Robots that were killed as asked for, and have not been restarted."""
+    returned: list[tuple[int, int]] = field(default_factory=list)
+    """(step, robot): robots that had been lost unasked, and came back."""
     faults: list[str] = field(default_factory=list)
     """Who said what that made no sense: the first `MOST_FAULTS` of them."""
     fault_count: int = 0
@@ -72,6 +83,11 @@ class Records:
         """Fraction of the reachable free cells that the team has seen."""
         return self.world[-1].seen / self.world[-1].reachable if self.world else 0.0
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether what every robot has seen is among the grids: no life has ended without handing them in."""
+        return not (self.lost or self.returned or {s.kind for s in self.strikes} & {"kill", "restart"})
+
     def note_fault(self, who: str, what: str) -> None:
         """Record that `who` said what made no sense."""
         self.fault_count += 1
@@ -88,7 +104,8 @@ class LabNode:
 
     Each participant is believed what is its to say, of itself; all else is a fault. `shape` is that of the run's
     map. What the relay reports for the capture is written to `capture` step by step, and not kept; `meter` counts
-    the bytes that the bus moves.
+    the bytes that the bus moves. `obey` is called with what befalls robots' processes: who is killed, and who is to be
+    started again.
     """
 
     def __init__(
@@ -99,6 +116,7 @@ class LabNode:
         shape: tuple[int, int],
         capture: BinaryIO | None = None,
         meter: Meter | None = None,
+        obey: Callable[[Strike], object] = lambda _: None,
     ) -> None:
         self.done = False
         self.records = Records(robots)
@@ -107,6 +125,9 @@ class LabNode:
         self._meter = meter
         self._bus = bus
         self._keys = keys
+        self._nonsense: Counter[str] = Counter()
+        """How often each participant has made no sense in this step."""
+        self._obey = obey
 
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
@@ -114,21 +135,35 @@ class LabNode:
         try:
             self._take(sender, rights.read(*message))
         except ProtocolError as error:
-            self.records.note_fault(sender, str(error))
+            self._note_nonsense(sender, str(error))
         if self.records.end is not None and not self.done and not self.missing():
             self.send_home()
+
+    def _note_nonsense(self, sender: str, what: str) -> None:
+        """Record what made no sense; who says too much of it is given up."""
+        self.records.note_fault(sender, what)
+        self._nonsense[sender] += 1
+        if self._nonsense[sender] == MOST_NONSENSE + 1 and names.is_robot(sender):
+            self._bus.put(self._keys.control_tx(names.LAB), pack(Lost(names.number(sender), BABBLES)))
 
     def _take(self, sender: str, said: object) -> None:
         """Record what `sender` says, which is its to say; ProtocolError if it makes no sense."""
         records = self.records
         if isinstance(said, WorldReport):
             records.world.append(said)
+            self._nonsense.clear()
         elif isinstance(said, RadioReport):
             self._take_books(said)
         elif isinstance(said, MindReport):
             self._take_thoughts(self._number(sender), said)
         elif isinstance(said, Lost):
-            records.lost[said.robot] = said.cause
+            if said.robot not in records.killed:
+                records.lost[said.robot] = said.cause
+        elif isinstance(said, Back):
+            if records.lost.pop(said.robot, None) is not None:
+                records.returned.append((records.step, said.robot))
+        elif isinstance(said, Strike):
+            self._take_strike(said)
         elif isinstance(said, Fault):
             who = said.who if sender in (names.RELAY, names.WORLD) else sender
             records.note_fault(who, said.what)
@@ -174,11 +209,30 @@ class LabNode:
             raise ProtocolError("message", 0, f"there is no robot {number}")
         return number
 
+    def _take_strike(self, strike: Strike) -> None:
+        """A fault has come true; a restart of who was not killed as asked for is of one who was lost unasked."""
+        records, robot = self.records, strike.robot
+        if strike.kind == "kill":
+            records.killed.add(robot)
+            records.lost.pop(robot, None)
+        elif strike.kind == "restart":
+            records.killed.discard(robot)
+        if strike.kind != "restart" or robot not in records.lost:
+            records.strikes.append(strike)
+        self._obey(strike)
+
     def missing(self) -> list[int]:
         """Robots whose maps have not been handed in."""
-        return [
-            r for r in range(self.records.robots) if r not in self.records.own and r not in self.records.lost
-        ]
+        records = self.records
+        gone = records.own.keys() | records.lost.keys() | records.killed
+        return [robot for robot in range(records.robots) if robot not in gone]
+
+    def give_up_waiting(self) -> None:
+        """Send all home without what some still owe; a robot that owes its maps is lost with them."""
+        if self.records.end is not None:
+            for robot in self.missing():
+                self.records.lost[robot] = "it did not hand in its maps"
+        self.send_home()
 
     def stop(self, reason: str) -> None:
         """Ask the world to end after this step."""

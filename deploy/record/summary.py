@@ -16,6 +16,7 @@ from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import UNLIMITED
 from netshaper.ledger import CAUSES, sort_rows
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from protocol.messages import End
 from protocol.packets import ALL_KINDS
 
 SCAN_VALUES, VALUE_BYTES = 362, 2
@@ -28,18 +29,19 @@ def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
     """Compute ``summary.json`` from the records; figures that an aborted run does not have are null."""
     scenario = plan.scenario
     end = records.end
-    finished = end is not None and end.first >= 0
+    done = end is not None and end.first >= 0
+    finished = done and records.explored >= scenario.least_coverage
     ledger = records.ledger()
     reachable = plan.make_world().reachable
     kinds, packets = _per_kind(ledger)
-    wanted = end.first if finished and end is not None else min(records.planning, default=-1)
+    wanted = end.first if done and end is not None else min(records.planning, default=-1)
     steps = end.step if end is not None and end.step >= 0 else records.step
     return {
         "finished": finished,
-        "reason": end.reason if end is not None else "broken off",
+        "reason": _reason(end, finished=finished),
         "steps": steps,
         "explored_at": _explored_at(plan, steps) if finished else None,
-        "first_robot": end.first if finished and end is not None else None,
+        "first_robot": end.first if done and end is not None else None,
         "coverage": _coverage(records, reachable),
         "map_agreement": _share_free(records.planning[wanted], reachable)
         if wanted in records.planning
@@ -76,6 +78,13 @@ def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
     }
 
 
+def _reason(end: End | None, *, finished: bool) -> str:
+    """Why the run ended; robots say when they are done, and the laboratory knows how much they have truly seen."""
+    if end is None:
+        return "broken off"
+    return end.reason if finished or end.first < 0 else f"robot {end.first} believed itself done"
+
+
 def digest(records: Records) -> str:
     """Sha256 over canonical integers: the ledger sorted, poses by step and robot, all grids.
 
@@ -97,7 +106,7 @@ def digest(records: Records) -> str:
 
 def _coverage(records: Records, reachable: Mask) -> float:
     """What the team has seen, by its own grids; if a robot was lost with its grid, by the world's report."""
-    if not records.own or records.lost:
+    if not records.own or not records.is_whole:
         return records.explored
     team = np.zeros(reachable.shape, np.bool_)
     for grid in records.own.values():
@@ -107,7 +116,7 @@ def _coverage(records: Records, reachable: Mask) -> float:
 
 def _overlap(records: Records, reachable: Mask) -> float | None:
     """Cells that more than one robot has seen itself, over cells seen; None where not all have told their grids."""
-    if not records.own or records.lost:
+    if not records.own or not records.is_whole:
         return None
     seen = np.zeros(reachable.shape, np.int64)
     for grid in records.own.values():
@@ -197,8 +206,8 @@ def _over_budget(ledger: NDArray[np.void], bandwidth: int | str) -> int:
 
 
 def _undelivered(ledger: NDArray[np.void]) -> dict[str, int]:
-    """Frames that did not go on the air whole, by cause."""
-    cut = ledger[ledger["carried"] == 0]
+    """Frames that were not delivered whole, by cause."""
+    cut = ledger[ledger["cause"] > 0]
     frames = np.unique(cut[["step", "exchange", "connection", "frame", "sender", "receiver", "map", "cause"]])
     return {
         cause: int((frames["cause"] == number).sum())

@@ -15,23 +15,28 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+from agent.journal import journal_name
 from deploy.dashboard.process import ViewTask
 from deploy.dashboard.watch import announced
 from deploy.record.records import LabNode, Records
 from deploy.record.wire_bytes import Meter
 from deploy.run.meeting import Meeting, on_loopback
 from deploy.run.process_table import ProcessTable
-from deploy.run.processes import WorldTask, serve_agent, serve_relay, serve_view, serve_world
+from deploy.run.processes import WorldTask, serve_agent, serve_relay, serve_view, serve_world, silence_s
 from deploy.run.ssh import Fleet
 from deploy.scenario.plan import Plan
+from netshaper.process import ENDED
 from protocol import keys as names
 from protocol.bus import Bus, BusClosed
 from protocol.keys import Keys
+from protocol.messages import Strike
 from protocol.zenoh_bus import join
 
 POLL_S = 0.25
 VIEWER_S = 10.0
 """How long the viewer may take to join; after that the run begins without it."""
+FAREWELL_S = 1.0
+"""How long a lost robot's process may take to end."""
 VIEWER_END_S = 5.0
 """How long the viewer may take to write what it has at the end."""
 WRAP_UP_S = 3.0
@@ -71,6 +76,8 @@ def run(
     live: Path | None = None,
     fleet: Fleet | None = None,
     meeting: Meeting | None = None,
+    journals: Path | None = None,
+    revive: bool = False,
 ) -> Outcome:
     """Run a plan as processes; `watch` is called as records come in, at most a few times a second.
 
@@ -78,7 +85,8 @@ def run(
     takes the frames (`deploy.record.records`); `heed` may end it early; `show` adds a viewer; `pace` is the steps a
     second at most; `live` is a directory in which to say how to look at the run (`deploy.dashboard.watch`);
     `fleet`, whose hosts have been reached, runs its robots there, and says where all meet; without it that is
-    `meeting`, or on the loopback.
+    `meeting`, or on the loopback. Where robots may come back (`Plan.lives`) their journals are in the
+    folder `journals`; with `revive` those that are lost unasked are started again.
     """
     if logs is None:
         with tempfile.TemporaryDirectory() as folder:
@@ -93,9 +101,13 @@ def run(
                 live=live,
                 fleet=fleet,
                 meeting=meeting,
+                journals=journals or Path(folder) / "journals",
+                revive=revive,
             )
-    robots = plan.scenario.robots
-    world = WorldTask(plan.make_world(), plan.minds, plan.scenario.steps, 1000 * plan.map.resolution, pace)
+    robots, patience = plan.scenario.robots, plan.scenario.patience
+    world = WorldTask(
+        plan.make_world(), plan.minds, plan.scenario.steps, 1000 * plan.map.resolution, pace, patience, revive
+    )
     meeting = fleet.meeting if fleet is not None else meeting or on_loopback(robots)
     elsewhere = fleet.robots if fleet is not None else set()
     with (
@@ -110,19 +122,34 @@ def run(
                 meeting.credentials,
                 plan.radio,
                 meeting.certificate,
+                patience,
+                world.pause_s,
             ),
             names.WORLD: (serve_world, meeting.credentials[names.WORLD], world),
         }
-        for name in map(names.robot, range(robots)):
+        journals = journals or logs.parent / "journals"
+        for number, name in enumerate(map(names.robot, range(robots))):
             if name not in elsewhere:
-                table[name] = (serve_agent, meeting.credentials[name])
+                journal = journals / journal_name(number) if plan.lives > 1 else None
+                table[name] = (serve_agent, meeting.credentials[name], journal)
+
+        def obey(strike: Strike) -> None:
+            name = names.robot(strike.robot)
+            if strike.kind == "restart":
+                processes.give_up(name)
+            if strike.kind in ("kill", "restart"):
+                processes.excuse(name)
+            if strike.kind == "restart":
+                serve, *args = table[name]
+                processes.start(name, serve, *args)
+
         port = show.task.port if show is not None else None
         with announced(live, meeting.credentials[names.VIEW], port):
             for name, (serve, *args) in table.items():
                 processes.start(name, serve, *args)
             if show is not None:
                 _start_viewer(processes, meeting, show)
-            outcome = _attend(processes, meeting, fleet, plan, heed, watch, capture)
+            outcome = _attend(processes, meeting, fleet, plan, world.pause_s, heed, watch, capture, obey)
             if show is not None:
                 outcome.view_fault = processes.await_end(names.VIEW, VIEWER_END_S)
             return outcome
@@ -143,17 +170,30 @@ def _attend(
     meeting: Meeting,
     fleet: Fleet | None,
     plan: Plan,
+    pause_s: float,
     heed: Heed,
     watch: Callable[[Records], object] | None,
     capture: BinaryIO | None,
+    obey: Callable[[Strike], object],
 ) -> Outcome:
     """Serve as the laboratory until the run is over."""
     deaths = processes.deaths
+    ended: set[int] = set()
 
     def look_after_all() -> dict[str, str]:
         if fleet is not None:
             fleet.look(deaths)
         return processes.look()
+
+    def end_the_lost(records: Records) -> None:
+        """End the processes of robots that the run goes on without, once."""
+        ended.intersection_update(records.lost)
+        for robot in records.lost.keys() - ended:
+            ended.add(robot)
+            if records.lost[robot] != ENDED:
+                processes.give_up(names.robot(robot))
+                if fleet is not None:
+                    fleet.give_up(names.robot(robot))
 
     try:
         bus = join(meeting.credentials[names.LAB])
@@ -161,26 +201,29 @@ def _attend(
         look_after_all().setdefault(names.RELAY, str(error))
         return Outcome(Records(plan.scenario.robots), deaths)
     meter = Meter(meeting.endpoint, here=True)
-    lab = LabNode(bus, Keys(meeting.run), plan.scenario.robots, plan.map.cells.shape, capture, meter)
+    lab = LabNode(bus, Keys(meeting.run), plan.scenario.robots, plan.map.cells.shape, capture, meter, obey)
 
     def look() -> bool:
         if watch is not None:
             watch(lab.records)
+        end_the_lost(lab.records)
         if look_after_all() and not lab.records.world:
             lab.send_home()  # no first step can come
         return names.WORLD in deaths
 
     with contextlib.closing(bus):
         try:
-            attend(bus, lab, heed, look)
+            attend(bus, lab, heed, look, 2 * silence_s(plan.scenario.patience, pause_s))
         except BusClosed as error:
             time.sleep(POLL_S)  # the system tells of the death a moment after the bus
             look_after_all().setdefault(names.RELAY, str(error))
+    for robot in map(names.robot, lab.records.lost):
+        processes.await_end(robot, FAREWELL_S)  # the relay has heard of it before the system tells
     look_after_all()
     return Outcome(lab.records, deaths)
 
 
-def attend(bus: Bus, lab: LabNode, heed: Heed, look: Callable[[], bool]) -> None:
+def attend(bus: Bus, lab: LabNode, heed: Heed, look: Callable[[], bool], quiet_s: float) -> None:
     """Serve as the laboratory until everything is recorded, or the participants that still owe data fall silent.
 
     `look` is called a few times a second, and returns whether the run is broken: then it ends as well.
@@ -188,10 +231,11 @@ def attend(bus: Bus, lab: LabNode, heed: Heed, look: Callable[[], bool]) -> None
     Raises
     ------
     BusClosed
-        The connection to the relay is lost.
+        The connection to the relay is lost, or nothing has come for `quiet_s` seconds.
     """
-    ending = False
-    heard = looked = 0.0
+    ending: float | None = None
+    owed = -1
+    heard = looked = time.monotonic()
     while not lab.done:
         message = bus.receive(POLL_S)
         now = time.monotonic()
@@ -203,7 +247,10 @@ def attend(bus: Bus, lab: LabNode, heed: Heed, look: Callable[[], bool]) -> None
         looked = now
         lab.read_meter()
         broken, wished = look(), heed(lab)
-        if not ending and (broken or wished or lab.records.end is not None):
-            ending, heard = True, now
-        if ending and now - heard > WRAP_UP_S:
-            lab.send_home()
+        if now - heard > quiet_s:
+            raise BusClosed(f"the relay said nothing for {quiet_s:g} s")
+        is_over = lab.records.end is not None
+        if (broken or wished or is_over) and (ending is None or owed != len(lab.missing())):
+            ending, owed = now, len(lab.missing())
+        if ending is not None and now - ending > WRAP_UP_S:
+            lab.give_up_waiting()

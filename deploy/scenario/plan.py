@@ -16,6 +16,7 @@ from deploy.scenario.scenario import UNLIMITED, Scenario, ScenarioError
 from netshaper import medium
 from netshaper.radio import RadioSettings
 from protocol.grid import disc, enlarge
+from worldsim import faults
 from worldsim.map_error import MapError
 from worldsim.maps import Map, to_cell
 from worldsim.starts import Cell, check_free, moved_about, start_cells
@@ -32,14 +33,18 @@ class Plan:
     radio: RadioSettings
     minds: dict[int, dict[str, Any]]
     range_m: float
+    lives: int = 1
+    """How often a robot may begin: more than once only where robots may come back (`worldsim.faults`)."""
 
     def make_world(self) -> World:
         """The world in its initial state."""
         return World(self.map.cells, self.world)
 
 
-def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
+def make(scenario: Scenario, world_map: Map | None = None, *, lives: int = 1) -> Plan:
     """Derive the plan of a scenario, on `world_map` instead of the map that it names if one is given.
+
+    Robots may begin as often as `lives` says, or more often if the scenario restarts them more often.
 
     Raises
     ------
@@ -48,6 +53,7 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
         or for the strategy.
     """
     world_map = world_map or load_map(scenario)
+    lives = max(lives, faults.lives(scenario.faults))
     cell = world_map.resolution
     bodies = []
     for number in range(scenario.robots):
@@ -86,7 +92,7 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
         scenario.beams,
         scenario.seed,
         scenario.interference / cell,
-        tuple((death.robot, death.step) for death in scenario.death),
+        scenario.faults,
         chosen.returns(scenario.options),
         scenario.motion == "cells",
         scenario.bodies,
@@ -99,6 +105,12 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
         budget,
         scenario.exchanges,
         scenario.offers == gossip.POLICY,
+        lives,
+        scenario.radio,
+        cell,
+        world_map.cells if scenario.radio.model != "disc" else None,
+        tuple(scenario.body_of(number).send_bytes or 0 for number in range(scenario.robots)),
+        tuple(scenario.body_of(number).receive_bytes or 0 for number in range(scenario.robots)),
     )
     minds = {
         number: Settings(
@@ -122,10 +134,13 @@ def make(scenario: Scenario, world_map: Map | None = None) -> Plan:
             radii_cells=[body.radius_cells for body in bodies],
             field_of_view=bodies[number].field_of_view,
             scanner_turn=bodies[number].scanner_turn,
+            confirms=not radio.perfect,
+            frame_bytes=radio.packet_bytes,
+            lives=lives,
         ).to_message()
         for number in range(scenario.robots)
     }
-    return Plan(scenario, world_map, world, radio, minds, range_m)
+    return Plan(scenario, world_map, world, radio, minds, range_m, lives)
 
 
 def least_range(radius_cells: float) -> float:

@@ -16,6 +16,7 @@ from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, disc, fan
 from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
 from protocol.scans import HIT, NONE, Readings, check_readings, draw
 from worldsim.cell_motion import INTERFERENCE, NOT_BLOCKED, ROBOT, WALL
+from worldsim.faults import Fault
 from worldsim.starts import start_cells
 from worldsim.world import MOVES_AS_PLANNED, Body, World, WorldSettings, reachable_by
 
@@ -263,15 +264,30 @@ def test_without_interference_nobody_is_hindered() -> None:
     assert all(world.advance({0: go(along(2))})[0].blocked != INTERFERENCE for _ in range(30))
 
 
-def test_robots_are_doomed_at_the_beginning_of_their_step() -> None:
-    world = corridor(2, deaths=((1, 3),))
-    assert world.doomed() == []
-    world.advance({})
-    assert world.doomed() == []
-    world.advance({})
-    assert world.doomed() == [1]
-    world.lose(1)
-    assert world.doomed() == []
+def test_faults_come_at_the_beginning_of_their_step_and_those_that_last_pass() -> None:
+    stop, kill = Fault(2, 0, "stop", 2), Fault(3, 1, "kill")
+    world = corridor(2, faults=(kill, stop))
+    seen = []
+    for _ in range(4):
+        seen.append((world.strikes(), world.awake()))
+        assert sorted(world.advance({})) == world.awake()
+    assert seen == [([], [0, 1]), ([stop], [1]), ([kill], [1]), ([], [0, 1])]
+
+
+def test_who_was_lost_is_revived_where_that_was_or_beside_who_stands_there_now() -> None:
+    world = corridor(2)
+    places = dict(world.cells)
+    world.lose(0)
+    world.lose(0)
+    assert list(world.cells) == [1]
+    world.revive(0)
+    assert world.cells == places
+    world.lose(0)
+    world.cells[1] = places[0]
+    world.revive(0)
+    (x, y), (there_x, there_y) = world.cells[0], places[0]
+    assert abs(x - there_x) + abs(y - there_y) == 1
+    assert world.truth[y, x] == FREE
 
 
 # Robots with a size, and robots that glide.

@@ -32,6 +32,7 @@ from protocol.messages import (
     points_to_bytes,
     unpack,
 )
+from worldsim import faults
 from worldsim.process import ALL_LOST, EXPLORED, OUT_OF_STEPS, STALLED, WorldNode
 from worldsim.world import Body, World, WorldSettings
 
@@ -190,7 +191,7 @@ def test_the_world_goes_home_when_it_is_told_to() -> None:
 
 @pytest.mark.parametrize("step", [1, 2, 4])
 def test_a_robot_breaks_down_at_the_beginning_of_the_step_that_the_scenario_names(step: int) -> None:
-    run = Run(deaths=((1, step),))
+    run = Run(faults=(faults.Fault(step, 1, "death"),))
     for number in range(1, step):
         assert run.world.step == number
         assert list(run.world.cells) == [0, 1]
@@ -203,7 +204,7 @@ def test_a_robot_breaks_down_at_the_beginning_of_the_step_that_the_scenario_name
 
 
 def test_a_team_that_breaks_down_altogether_ends_the_run() -> None:
-    run = Run(deaths=((0, 1), (1, 1)))
+    run = Run(faults=(faults.Fault(1, 0, "death"), faults.Fault(1, 1, "death")))
     assert run.ended() == End(1, ALL_LOST, -1)
 
 

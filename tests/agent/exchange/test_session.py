@@ -440,7 +440,7 @@ def test_what_is_offered_is_what_the_rule_says(team: Any, exchange: int, now: in
     robot = int(rng.integers(robots))
     peers = np.array([peer for peer in range(robots) if peer != robot], np.int64)
     chosen = np.empty(len(peers), np.int64)
-    choose_offers(known, due, held, peers, robot, now, exchange, only_first, chosen)
+    choose_offers(known, due, held, peers, np.arange(len(known)), robot, now, exchange, only_first, chosen)
     wanted = [
         offered_by_the_rule(robot, peer, known, due, held, now, exchange, only_first)
         for peer in peers.tolist()

@@ -1,0 +1,63 @@
+from dataclasses import replace
+from io import BytesIO
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.identity import Identity
+from agent.journal import Journal, JournalError
+from agent.settings import Settings
+
+SETTINGS = Settings(1, 3, 20, 10, [5.0] * 3, 36, 5.0, 0, "polygon", "meier", "backoff", 1000.0, 50.0, lives=3)
+
+
+def test_each_life_has_a_map_of_its_own_and_the_home_of_the_first() -> None:
+    file = BytesIO()
+    lives = []
+    for place in ((4, 5), (9, 9), (0, 1)):
+        identity = Identity(Journal(file))
+        lives.append(identity.begin(SETTINGS))
+        identity.settle(*place)
+    assert [life.own_map for life in lives] == [1, 4, 7]
+    assert [life.home for life in lives] == [None, (4, 5), (4, 5)]
+    with pytest.raises(JournalError, match="robot 1 has used up its lives: 3"):
+        Identity(Journal(file)).begin(SETTINGS)
+
+
+def test_a_life_that_was_torn_off_was_not_begun() -> None:
+    file = BytesIO()
+    Identity(Journal(file)).begin(SETTINGS)
+    before = len(file.getvalue())
+    Identity(Journal(file)).begin(SETTINGS)
+    torn = BytesIO(file.getvalue()[: before + 9])
+    assert Identity(Journal(torn)).begin(SETTINGS).life == 1
+
+
+def test_the_journal_of_another_robot_is_refused() -> None:
+    file = BytesIO()
+    Identity(Journal(file)).begin(replace(SETTINGS, robot=2))
+    with pytest.raises(
+        JournalError, match="life 0 of robot 2 of 3, where life 0 of robot 1 of 3 is the next"
+    ):
+        Identity(Journal(file)).begin(SETTINGS)
+
+
+def test_a_home_outside_the_map_is_refused() -> None:
+    file = BytesIO()
+    identity = Identity(Journal(file))
+    identity.begin(SETTINGS)
+    identity.settle(20, 0)
+    with pytest.raises(JournalError, match=r"home is at \(20, 0\), outside the map"):
+        Identity(Journal(file)).begin(SETTINGS)
+
+
+@given(st.lists(st.binary(max_size=30), max_size=4))
+def test_any_records_are_a_journal_or_are_refused_in_words(records: list[bytes]) -> None:
+    journal = Journal(BytesIO())
+    for record in records:
+        journal.append(record)
+    try:
+        assert Identity(journal).begin(SETTINGS).life < SETTINGS.lives
+    except JournalError as error:
+        assert "record" in str(error) or "lives" in str(error)

@@ -1,0 +1,149 @@
+"""Faults that a scenario asks for: kills, restarts, stops, radios that fail; the same on both buses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deploy.run.exploration import EXPLORED, Result, explore
+from deploy.scenario.scenario import ScenarioError, parse
+from protocol.grid import FREE
+from worldsim import maps
+from worldsim.maps import Map
+
+
+@pytest.fixture(scope="module")
+def floor(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Three rooms in a row, with doors."""
+    truth = np.full((26, 62), 2, np.uint8)
+    for room in range(3):
+        truth[1:-1, 1 + 20 * room : 20 + 20 * room] = FREE
+    truth[12:14, 20] = truth[12:14, 40] = FREE
+    path = tmp_path_factory.mktemp("floor") / "floor.yaml"
+    maps.save(Map("floor", truth, 0.25), path)
+    return str(path)
+
+
+def run(floor: str, *faults: tuple[Any, ...], out: Path | None = None, **settings: Any) -> Result:
+    tables = [dict(zip(("step", "robot", "kind", "steps"), fault, strict=False)) for fault in faults]
+    given = {"map": floor, "robots": 3, "sensor_range": 2.5, "bus": "memory", "steps": 120, "fault": tables}
+    return explore(parse(given | settings), out=out, keep=out is not None)
+
+
+def said(result: Result, robot: int) -> list[int]:
+    """Steps in which a robot reported."""
+    return [report.step for report in result.records.minds[robot]]
+
+
+EVERYTHING = (
+    (5, 1, "kill"), (9, 2, "stop", 6), (12, 1, "restart"), (14, 0, "mute", 5), (16, 2, "deaf", 5), (20, 0, "restart"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("exchange", ["polygon", "laser", "sight"])
+@pytest.mark.parametrize("offers", ["backoff", "gossip"])
+def test_a_run_with_all_kinds_of_faults_ends_explored_and_repeats(
+    floor: str, exchange: str, offers: str
+) -> None:
+    runs = [
+        run(floor, *EVERYTHING, exchange=exchange, offers=offers, bandwidth=20000, steps=400)
+        for _ in range(2)
+    ]
+    assert runs[0].exit_code == EXPLORED
+    assert runs[0].summary["coverage"] > 0.97
+    assert not runs[0].records.faults
+    assert runs[0].summary["digest"] == runs[1].summary["digest"]
+
+
+def test_processes_with_all_kinds_of_faults_give_the_digest_of_memory(floor: str, tmp_path: Path) -> None:
+    memory = run(floor, *EVERYTHING, exchange="sight", offers="gossip")
+    zenoh = run(floor, *EVERYTHING, exchange="sight", offers="gossip", bus="zenoh", out=tmp_path / "run")
+    assert zenoh.summary["digest"] == memory.summary["digest"]
+    assert (zenoh.exit_code, zenoh.deaths, zenoh.records.lost) == (memory.exit_code, {}, {})
+    assert {path.name for path in (tmp_path / "run" / "journals").iterdir()} == {
+        "r0.journal", "r1.journal", "r2.journal",
+    }  # fmt: skip
+
+
+def test_a_killed_robot_says_nothing_more_and_hands_in_nothing(floor: str) -> None:
+    result = run(floor, (10, 1, "kill"))
+    assert max(said(result, 1)) == 9
+    assert sorted(result.records.own) == [0, 2]
+    assert result.exit_code == EXPLORED
+    assert result.records.killed == {1}
+
+
+@pytest.mark.parametrize("offers", ["backoff", "thesis", "gossip"])
+@pytest.mark.parametrize("exchange", ["polygon", "laser", "sight"])
+def test_a_restarted_robot_gets_back_from_teammates_what_it_had_told(
+    floor: str, exchange: str, offers: str
+) -> None:
+    settings = {"exchange": exchange, "offers": offers, "bandwidth": "unlimited"}
+    before = run(floor, steps=20, **settings).records
+    after = run(floor, (20, 1, "restart"), steps=30, **settings).records
+    told = (before.planning[0] == FREE) & (before.own[1] == FREE) & (before.own[0] != FREE)
+    assert told.sum() > 50
+    assert ((after.planning[1] == FREE) & told).sum() >= 0.97 * told.sum()
+    assert ((after.own[1] == FREE) & told).sum() < told.sum()
+
+
+def test_restarts_cost_no_byte_before_they_come(floor: str) -> None:
+    def carried(*faults: tuple[Any, ...], offers: str, exchange: str) -> list[tuple[int, int]]:
+        ledger = run(floor, *faults, steps=20, offers=offers, exchange=exchange).ledger
+        return ledger.filter(ledger["step"] < 20).select("step", "bytes").rows()
+
+    for offers in ("backoff", "gossip"):
+        for exchange in ("polygon", "sight"):
+            plain = carried(offers=offers, exchange=exchange)
+            assert carried((20, 1, "restart"), offers=offers, exchange=exchange) == plain
+
+
+def test_a_stopped_robot_goes_on_where_it_was_as_if_nothing_had_been(floor: str) -> None:
+    result = run(floor, (10, 1, "stop", 5))
+    assert not {10, 11, 12, 13, 14} & set(said(result, 1))
+    assert {9, 15} <= set(said(result, 1))
+    places = result.steps.filter(result.steps["robot"] == 1).rows_by_key("step", named=True)
+    assert len({(row["x"], row["y"]) for step in range(9, 15) for row in places[step]}) == 1
+
+
+def test_a_mute_robot_s_words_are_booked_as_mute_and_a_deaf_one_hears_nothing(floor: str) -> None:
+    ledger = run(floor, (5, 1, "mute", 10), (20, 2, "deaf", 10), steps=40).ledger
+    mute = ledger.filter((ledger["sender"] == 1) & ledger["step"].is_between(5, 14))
+    assert len(mute)
+    assert not mute["carried"].any()
+    assert set(mute["cause"]) == {"mute"}
+    deaf = ledger.filter((ledger["receiver"] == 2) & ledger["step"].is_between(20, 29))
+    assert not deaf["carried"].any()
+    others = ledger.filter(~ledger["step"].is_between(5, 29))
+    assert others.filter(others["sender"] == 1)["carried"].any()
+
+
+def test_all_are_killed_and_one_comes_back_and_finishes(floor: str) -> None:
+    result = run(floor, (10, 0, "kill"), (10, 1, "kill"), (10, 2, "kill"), (15, 2, "restart"), steps=600)
+    assert result.exit_code == EXPLORED
+    assert result.summary["first_robot"] == 2
+
+
+def test_deaths_are_faults(floor: str) -> None:
+    one, other = run(floor, (10, 1, "death")), run(floor, death=[{"step": 10, "robot": 1}])
+    assert one.summary["digest"] == other.summary["digest"]
+
+
+WRONG = [
+    ([(5, 3, "kill")], r"fault at step 5: kill of robot 3: the last robot is 2"),
+    ([(5, 1, "kill"), (9, 1, "stop")], r"fault at step 9: stop of robot 1: it is gone by then \(kill\)"),
+    ([(5, 1, "death"), (9, 1, "restart")], r"it is gone by then \(death\)"),
+    ([(5, 1, "kill"), (5, 1, "restart")], r"kill befalls it in the same step"),
+    ([(5, 1, "kill", 4)], r"steps = 4, but only stop, mute, deaf may pass"),
+    ([(5, 1, "explode")], r"fault.0.kind = 'explode'"),
+    ([(step, 1, "restart") for step in range(1, 30)], r"3 robots can begin 21 times each, not 30 times"),
+]
+
+
+@pytest.mark.parametrize(("faults", "words"), WRONG)
+def test_faults_that_cannot_be_are_refused(floor: str, faults: list[tuple[Any, ...]], words: str) -> None:
+    with pytest.raises(ScenarioError, match=words):
+        run(floor, *faults)
