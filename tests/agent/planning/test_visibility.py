@@ -42,7 +42,7 @@ def length(points: NDArray[np.float64]) -> float:
     return float(np.hypot(*np.diff(points, axis=0).T).sum())
 
 
-@settings(max_examples=8)
+@settings(max_examples=4)
 @given(st.integers(0, 2**32 - 1))
 def test_no_way_over_corners_or_over_any_points_is_shorter_and_obstacles_are_not_touched(seed: int) -> None:
     random = np.random.default_rng(seed)
