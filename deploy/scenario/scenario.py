@@ -26,7 +26,7 @@ from netshaper.presets import PRESETS
 from netshaper.radio_options import LEAST_FRAME, Partition, RadioOptions
 from protocol.errors import there_are
 from protocol.grid import MAX_ROBOTS
-from protocol.packets import MAX_MAPS
+from protocol.packets import MAX_GOSSIP_MAPS, MAX_MAPS
 from worldsim import faults
 from worldsim.faults import Fault
 
@@ -112,7 +112,7 @@ class Scenario(_Table):
     robots: Whole = Field(3, ge=1, le=MAX_ROBOTS, description="how many robots explore")
     range: str = Field("100%", description="communication range: metres, or % of the map's diagonal")
     bandwidth: int | Literal["unlimited"] = Field(1000, description="bytes per step for the whole team")
-    exchange: str = Field("polygon", description="how maps are shared: polygon, laser, sight, none")
+    exchange: str = Field("polygon", description="how maps are shared: polygon, laser, grid, sight, none")
     strategy: str = Field("meier", description="how targets are chosen (murmur strategies lists all)")
     sensor_range: Positive = Field(5.0, description="range of the lasers, metres")
     field_of_view: Degrees = Field(360.0, gt=0, description="degrees")
@@ -156,6 +156,15 @@ class Scenario(_Table):
     sight: SightOptions = Field(default_factory=SightOptions, description="options of the sight exchange")
     radio: RadioOptions = Field(default_factory=RadioOptions, description="options of the radio")
     options: dict[str, Any] = Field(default_factory=dict, description="options of the strategy, by name")
+    patience: Positive = Field(
+        60.0, description="seconds of wall clock in which a robot must be done with a phase or a move"
+    )
+    least_coverage: float = Field(
+        0.9,
+        ge=0,
+        le=1,
+        description="part of the area that must have been seen for a run to count as finished",
+    )
     robot: tuple[RobotOverride, ...] = Field((), description="robots with different hardware")
     death: tuple[Death, ...] = Field((), description="robots that break down")
     fault: tuple[FaultTable, ...] = Field((), description="what befalls robots, and when")
@@ -225,10 +234,10 @@ class Scenario(_Table):
         from agent.strategies.registry import strategy  # noqa: PLC0415  kernels, of which help needs none
 
         strategy(self.strategy).check(self.options)
-        if self.robots > MAX_MAPS and self.exchange != "none":
+        if self.robots > self.most_maps and self.exchange != "none":
             raise ValueError(
-                f"robots = {self.robots}: packets can name the maps of {MAX_MAPS} robots; "
-                "more need exchange = 'none'"
+                f"robots = {self.robots}: packets can name the maps of {self.most_maps} robots; "
+                "more need offers = 'gossip', or exchange = 'none'"
             )
         for partition in self.radio.partition:
             strange = [robot for group in partition.groups for robot in group if robot >= self.robots]
@@ -278,6 +287,11 @@ class Scenario(_Table):
             scanner_turn=self.scanner_turn if own.scanner_turn is None else own.scanner_turn,
         )
 
+    @property
+    def most_maps(self) -> int:
+        """Maps that packets can name: offers have fewer bits for it than gossip."""
+        return MAX_GOSSIP_MAPS if self.offers == "gossip" else MAX_MAPS
+
     def to_toml(self) -> str:
         """The scenario as TOML, every setting written out."""
         return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
@@ -285,10 +299,11 @@ class Scenario(_Table):
 
 def check_lives(scenario: Scenario, lives: int) -> None:
     """Raise ValueError if packets cannot name the maps of robots that begin so often (`agent.identity`)."""
-    if scenario.exchange != "none" and scenario.robots * lives > MAX_MAPS:
+    most = scenario.most_maps
+    if scenario.exchange != "none" and scenario.robots * lives > most:
         raise ValueError(
-            f"robots = {scenario.robots}: packets can name {MAX_MAPS} maps, one a life of each robot; so "
-            f"{scenario.robots} robots can begin {MAX_MAPS // scenario.robots} times each, not {lives} times"
+            f"robots = {scenario.robots}: packets can name {most} maps, one a life of each robot; so "
+            f"{scenario.robots} robots can begin {most // scenario.robots} times each, not {lives} times"
         )
 
 
