@@ -255,7 +255,8 @@ class Gossip:
         for about, log in enumerate(self.logs):
             met = any(self._told[peer][about] < len(log) for peer in self._met)
             gap = about in self._gaps and self._step >= self._asked[about] + PATIENCE
-            remind = reminds and self._step // SELDOM % len(self.logs) == about
+            turn = self._step // SELDOM % self._robots == about % self._robots
+            remind = reminds and turn and (about < self._robots or len(log) > 0)
             if about != self.own and (met or gap or remind) and len(said.payload) + Held.size <= left:
                 held = Held(about, len(log) % GOSSIP_WINDOW)
                 said.payload += packets.encode([held])

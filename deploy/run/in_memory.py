@@ -40,13 +40,15 @@ def run(
     wait: Callable[[], object] = lambda: None,
     journals: Path | None = None,
     leave: Callable[[list[Robot]], object] = lambda _: None,
+    inspect: Callable[[int, Robot], object] | None = None,
 ) -> Records:
     """Run a plan to its end.
 
     `watch` is called once a step, `capture` takes the frames (`deploy.record.records`), `heed` may end the run early
     (`deploy.run.interrupt`), `wrap` may lay something around each participant's end of the bus; `view` is a viewer,
     `wait` the world's pace; `journals` is the folder for what robots need to come back, in memory without it; `leave`
-    is given the robots at the end, with all that they hold.
+    is given the robots at the end, with all that they hold; `inspect` is called with the step and each robot that has
+    had its turn.
     """
     robots = plan.scenario.robots
     minds = [names.robot(number) for number in range(robots)]
@@ -95,6 +97,8 @@ def run(
             for message in _waiting(bus):
                 node.handle(message)
                 spoke = True
+            if inspect is not None and isinstance(node, AgentNode) and node.robot is not None:
+                inspect(lab.records.step, node.robot)
             if node.done:
                 bus.close()
         while due:

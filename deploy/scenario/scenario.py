@@ -255,9 +255,9 @@ class Scenario(_Table):
 
 
 def check_lives(scenario: Scenario, lives: int) -> None:
-    """Raise ValueError if packets cannot name the maps of robots that begin so often (`agent.identity`)."""
+    """Raise ScenarioError if packets cannot name the maps of robots that begin so often (`agent.identity`)."""
     if scenario.exchange != "none" and scenario.robots * lives > MAX_MAPS:
-        raise ValueError(
+        raise ScenarioError(
             f"robots = {scenario.robots}: packets can name {MAX_MAPS} maps, one a life of each robot; so "
             f"{scenario.robots} robots can begin {MAX_MAPS // scenario.robots} times each, not {lives} times"
         )
