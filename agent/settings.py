@@ -56,6 +56,10 @@ class Settings:
         Options of the sight exchange, by name (`agent.exchange.sight`).
     options : dict
         Options of the strategy, by name.
+    confirms : bool
+        Whether only what a teammate says tells that something has reached it, for the medium may lose it.
+    frame_bytes : int or None
+        Bytes that a packet may have; None: those of the longest.
     lives : int
         How often a robot may begin: once, and once more for each time that it may come back (`agent.identity`).
     life : int
@@ -84,6 +88,8 @@ class Settings:
     radii_cells: list[float] = field(default_factory=list)
     field_of_view: float = 360.0
     scanner_turn: float = 0.0
+    confirms: bool = False
+    frame_bytes: int | None = None
     lives: int = 1
     life: int = 0
     home: tuple[int, int] | None = None

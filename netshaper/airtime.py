@@ -7,7 +7,7 @@ than half of the air of late waits longer than all others (`Shares`), so that no
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from protocol import survey
 
@@ -56,3 +56,131 @@ class Shares:
     def next_step(self) -> None:
         """Let what was said fade."""
         self._had = {robot: had * (LATE - 1) // LATE for robot, had in self._had.items()}
+
+
+HOUR = 3600
+"""Steps over which a duty cycle is kept."""
+
+
+class Airtime:
+    """How much each robot may still put on the air in a step, and how much it can still take.
+
+    A byte takes the air of who says it and of all in range of it. With one budget for all that is everybody; with a
+    budget of each neighbourhood nobody has more than a budget's worth of bytes around it.
+
+    Parameters
+    ----------
+    budget : int
+        Bytes a step; `UNLIMITED` for no limit.
+    robots : int
+    reuse : bool
+        Whether each neighbourhood has the budget, or the team.
+    send, receive : sequence of int
+        Bytes a step that each robot can send, and take; 0: no limit.
+    duty_cycle : float
+        Share of an hour's bytes that each robot may send: saved up for an hour, and full at first.
+    """
+
+    def __init__(
+        self,
+        budget: int,
+        robots: int,
+        *,
+        reuse: bool = False,
+        send: Sequence[int] = (),
+        receive: Sequence[int] = (),
+        duty_cycle: float = 1.0,
+    ) -> None:
+        self._budget = budget
+        self._reuse = reuse
+        self._most_sent = send or [0] * robots
+        self._most_taken = receive or [0] * robots
+        self._earned = duty_cycle * budget if duty_cycle < 1 and budget != UNLIMITED else None
+        self._saved = [HOUR * (self._earned or 0.0)] * robots
+        self._around: Mapping[int, Sequence[int]] = {}
+        self._used = self._sent = self._taken = [0] * robots
+
+    def next_step(self, around: Mapping[int, Sequence[int]]) -> None:
+        """Open the air for a step, with the robots in range of each."""
+        self._around = around
+        robots = len(self._used)
+        self._used, self._sent, self._taken = [0] * robots, [0] * robots, [0] * robots
+        if self._earned is not None:
+            self._saved = [min(saved + self._earned, HOUR * self._earned) for saved in self._saved]
+
+    def shared(self, robot: int) -> int:
+        """What is left for a robot of the budget that it shares, `UNLIMITED` for no limit."""
+        if self._budget == UNLIMITED:
+            return UNLIMITED
+        return self._budget - max(self._used[each] for each in (robot, *self._sharing(robot)))
+
+    def own(self, robot: int) -> int:
+        """What is left of what a robot itself can send, `UNLIMITED` for no limit."""
+        limits = []
+        if self._most_sent[robot]:
+            limits.append(self._most_sent[robot] - self._sent[robot])
+        if self._earned is not None:
+            limits.append(int(self._saved[robot]))
+        return min(limits, default=UNLIMITED)
+
+    def room(self, robot: int) -> int:
+        """What a robot may put on the air, `UNLIMITED` for no limit."""
+        return least(self.shared(robot), self.own(robot))
+
+    def book(self, robot: int, size: int) -> None:
+        """A robot has put so many bytes on the air."""
+        for each in (robot, *self._sharing(robot)):
+            self._used[each] += size
+        self._sent[robot] += size
+        if self._earned is not None:
+            self._saved[robot] -= size
+
+    def takes(self, robot: int, size: int) -> bool:
+        """Whether a robot can take so many bytes more; then it has."""
+        most = self._most_taken[robot]
+        if most and self._taken[robot] + size > most:
+            return False
+        self._taken[robot] += size
+        return True
+
+    def _sharing(self, robot: int) -> Sequence[int]:
+        """Who shares the air with a robot."""
+        everyone = range(len(self._used))
+        return self._around.get(robot, ()) if self._reuse else [each for each in everyone if each != robot]
+
+
+def least(one: int, other: int) -> int:
+    """The smaller of two limits, of which `UNLIMITED` is none."""
+    return max(one, other) if UNLIMITED in (one, other) else min(one, other)
+
+
+def cut_into_frames(payload: bytes, room: int, most: int, tail: int) -> tuple[list[bytes], bytes]:
+    """Cut packets into frames for the air.
+
+    Parameters
+    ----------
+    payload : bytes
+        Whole packets.
+    room : int
+        Bytes that there is room for, `UNLIMITED` for no limit.
+    most : int
+        Bytes that a frame holds at most, 0 for no limit.
+    tail : int
+        Bytes that each frame has behind its packets.
+
+    Returns
+    -------
+    (frames, rest): as many whole packets as there is room for, without the tails, and those that found none.
+    """
+    frames: list[bytes] = []
+    rest = payload
+    while rest:
+        limit = least(room, most or UNLIMITED)
+        size = len(rest) if limit == UNLIMITED else survey.fitting(rest, limit - tail)
+        if not size:
+            break
+        frames.append(rest[:size])
+        rest = rest[size:]
+        if room != UNLIMITED:
+            room -= size + tail
+    return frames, rest

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from netshaper.ledger import MALFORMED, ROW
+from netshaper.ledger import FIRST_ON_AIR, MALFORMED, ROW
 from netshaper.sightings import (
     BEGIN,
     COLUMNS,
@@ -30,16 +30,18 @@ _FIELDS = len(ROW.names or ())
 
 def book(step: int, seen: Columns) -> bytes:
     """Write the rows of a step's frames (`netshaper.ledger.ROW`), in the order in which they were seen."""
-    table = _book(step, seen.rows, seen.payload, TABLE, np.empty((KINDS, 2), np.int64))
+    counts = np.empty((KINDS, 2), np.int64)
+    table = _book(step, seen.rows, seen.payload, TABLE, counts, FIRST_ON_AIR)
     rows = np.empty(len(table), ROW)
     for column, name in enumerate(ROW.names or ()):
         rows[name] = table[:, column]
     return rows.tobytes()
 
 
-@kernel(f"int64[:,::1](int64, int64[:,::1], {survey.FRAME}, int64[:,::1], int64[:,::1])")
-def _book(step: int, seen: Rows, payload: Bytes, table: Table, counts: Rows) -> Rows:
-    # How many kinds there are comes with an array: a constant of another file would be kept in a stale cache.
+@kernel(f"int64[:,::1](int64, int64[:,::1], {survey.FRAME}, int64[:,::1], int64[:,::1], int64)")
+def _book(step: int, seen: Rows, payload: Bytes, table: Table, counts: Rows, on_air: int) -> Rows:
+    # How many kinds there are comes with an array, and which verdicts mean carried: constants of other files would be
+    # kept in a stale cache.
     assert seen.shape[1] == COLUMNS
     kinds = len(counts)
     room = 0
@@ -67,7 +69,7 @@ def _book(step: int, seen: Rows, payload: Bytes, table: Table, counts: Rows) -> 
             row[7] = kind
             row[8] = packets
             row[9] = size
-            row[10] = seen[each, VERDICT] == 0
+            row[10] = seen[each, VERDICT] == 0 or seen[each, VERDICT] >= on_air
             row[11] = seen[each, VERDICT]
             row[12] = seen[each, HEARD_TO] - seen[each, HEARD_FROM]
             written += 1

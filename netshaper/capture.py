@@ -5,7 +5,7 @@ robot's number does not fit into it (from 64 on), the head is of version 2, with
 
     version   u8   1           2
     frame     u8   offer, answer, data, broadcast, news (`FRAMES`)
-    verdict   u8   carried, budget, range, protocol, lost (`VERDICTS`)
+    verdict   u8   carried, budget, range, protocol, lost, mute, limit, loss, damaged, full (`VERDICTS`)
     exchange  u8
     sender    i8          i16
     receiver  i8          i16  -1 for all; another negative number is a name that no robot has
@@ -15,7 +15,7 @@ robot's number does not fit into it (from 64 on), the head is of version 2, with
     connection i32 -1 for none
     hearers   u64         u256 bit r is set where robot r heard it
 
-A data frame that was cut is two packets, what was carried and the rest; of what was not carried the first
+A data frame that was cut is two packets, what was carried and the rest; of what was not on the air the first
 64 bytes are kept, and its size. The time is the step in seconds, and the place within the step in
 microseconds, so that two equal runs leave equal files.
 """
@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from netshaper import pcapng
-from netshaper.ledger import CAUSES
+from netshaper.ledger import CAUSES, FIRST_ON_AIR
 from netshaper.pcapng import CaptureError
 from netshaper.sightings import (
     BEGIN,
@@ -106,7 +106,7 @@ def head(description: str) -> bytes:
 
 def encode(step: int, seen: Columns) -> bytes:
     """Write the frames of a step, in the order in which they were booked, as blocks of the file."""
-    return _encode(step, *seen, TABLE).tobytes()
+    return _encode(step, *seen, TABLE, FIRST_ON_AIR).tobytes()
 
 
 def read(reader: pcapng.Reader) -> Iterator[Captured]:
@@ -201,10 +201,11 @@ def _write_comment(out: Bytes, at: int, text: Bytes, block: int) -> int:
 
 
 @kernel(
-    f"uint8[::1](int64, int64[:,::1], int64[::1], {survey.FRAME}, {survey.FRAME}, int64[::1], int64[:,::1])"
+    f"uint8[::1](int64, int64[:,::1], int64[::1], {survey.FRAME}, {survey.FRAME}, int64[::1], "
+    "int64[:,::1], int64)"
 )
 def _encode(
-    step: int, rows: Rows, heard: Rows, payload: Bytes, texts: Bytes, text_at: Rows, table: Table
+    step: int, rows: Rows, heard: Rows, payload: Bytes, texts: Bytes, text_at: Rows, table: Table, on_air: int
 ) -> Bytes:
     """Write enhanced packet blocks (`netshaper.pcapng.packet`), each with a head, a frame's part and its comment."""
     room = 0
@@ -212,7 +213,8 @@ def _encode(
         size = rows[each, END] - rows[each, BEGIN]
         text = text_at[rows[each, WORDS] + 1] - text_at[rows[each, WORDS]]
         parts = 1 + size // (PART // 2)
-        room += (size if rows[each, VERDICT] == 0 else min(size, KEPT)) + parts * (_BLOCK + text)
+        cut = 0 < rows[each, VERDICT] < on_air
+        room += (min(size, KEPT) if cut else size) + parts * (_BLOCK + text)
     out = np.empty(room, np.uint8)
     at = 0
     blocks = 0
@@ -223,9 +225,10 @@ def _encode(
         for hearer in heard[first:behind]:
             wide = wide or hearer >= NARROW
         part = 0
+        cut = 0 < rows[each, VERDICT] < on_air
         while True:
             size = kept = end - begin
-            if rows[each, VERDICT]:
+            if cut:
                 kept = min(kept, KEPT)
             elif size > PART:
                 size = kept = max(1, fitting_part(payload, begin, end, PART, table))
@@ -257,6 +260,6 @@ def _encode(
             blocks += 1
             part += 1
             begin += size
-            if rows[each, VERDICT] or begin >= end:
+            if cut or begin >= end:
                 break
     return out[:at]

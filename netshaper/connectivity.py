@@ -1,18 +1,146 @@
-"""Who hears whom: everyone within the communication range, a disc (docs/architecture.md, A step)."""
+"""Who hears whom (docs/radios.md): everyone within the communication range, a disc, unless walls are in the way.
+
+All models are mutual: who hears, is heard. `log_distance` is the disc where there are no walls and no shadowing.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
+
+from netshaper.radio_options import Partition
+from protocol.grid import OCCUPIED, Grid
+from protocol.kernels import kernel
+from protocol.keyed_random import keyed_random
+
+Cell = tuple[int, int]
+Hears = NDArray[np.bool_]
+"""Shape (robots, robots), symmetric."""
+Places = NDArray[np.int64]
+"""Cells (x, y) of robots, shape (robots, 2)."""
 
 
-def in_range(cells: Mapping[int, tuple[int, int]], range_cells: float) -> dict[int, list[int]]:
+def in_range(cells: Mapping[int, Cell], range_cells: float) -> dict[int, list[int]]:
     """For each robot the teammates at most `range_cells` away (cell centres), in ascending order."""
     robots = sorted(cells)
-    x, y = np.array([cells[robot] for robot in robots], np.int64).reshape(-1, 2).T
-    near = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2 <= range_cells * range_cells
+    return named(robots, disc(places_of(cells), range_cells))
+
+
+def places_of(cells: Mapping[int, Cell]) -> Places:
+    """Where robots are, by ascending number."""
+    return np.array([cells[robot] for robot in sorted(cells)], np.int64).reshape(-1, 2)
+
+
+def named(robots: Sequence[int], hears: Hears) -> dict[int, list[int]]:
+    """For each robot those that it hears, itself left out, in ascending order."""
     return {
-        one: [other for other, hears in zip(robots, row, strict=True) if hears and other != one]
-        for one, row in zip(robots, near.tolist(), strict=True)
+        one: [other for other, heard in zip(robots, row, strict=True) if heard and other != one]
+        for one, row in zip(robots, hears.tolist(), strict=True)
     }
+
+
+def disc(places: Places, range_cells: float) -> Hears:
+    """Those within the range."""
+    x, y = places.T
+    near: Hears = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2 <= range_cells * range_cells
+    return near
+
+
+def line_of_sight(places: Places, range_cells: float, walls: Grid) -> Hears:
+    """Those within the range with no wall between them."""
+    open_to: Hears = walls_crossed(walls, places) == 0
+    return disc(places, range_cells) & open_to
+
+
+def log_distance(
+    places: Places,
+    range_cells: float,
+    walls: Grid,
+    cell_m: float,
+    *,
+    exponent: float,
+    db_per_metre: float,
+    db_per_wall: float,
+    extra_db: NDArray[np.float64] | float = 0.0,
+) -> Hears:
+    """Those whose link has lost no more than a link of the range's length in the open.
+
+    The loss over d metres is ``10 exponent log10(d) + db_per_metre d`` dB, which is the site-general model of ITU-R
+    P.1238 with N = 10 exponent; each wall on the way adds to it, as in COST 231's multi-wall model, and so does
+    `extra_db`, symmetric, shape (robots, robots): shadowing.
+    """
+    if math.isinf(range_cells):
+        return np.ones((len(places), len(places)), np.bool_)
+    x, y = places.T
+    away = np.hypot(x[:, None] - x, y[:, None] - y)
+    near = np.maximum(away, 1e-9)
+    reach = max(range_cells, 1e-9)
+    margin = 10 * exponent * np.log10(reach / near) + db_per_metre * cell_m * (range_cells - away)
+    margin -= db_per_wall * walls_crossed(walls, places) + extra_db
+    # In thousandths of a dB, so that no machine's logarithm decides.
+    heard: Hears = (np.rint(1000 * margin) >= 0) | (away == 0)
+    return heard
+
+
+def shadowing(
+    places: Places, cell_m: float, seed: int, deviation_db: float, square_m: float
+) -> NDArray[np.float64]:
+    """What is lost beyond the mean between any two places, in dB: normal, the same in squares of a side of `square_m`.
+
+    It belongs to the two squares, not to the robots, nor to the step: who stands still keeps its links.
+    """
+    squares = [(int(x * cell_m // square_m), int(y * cell_m // square_m)) for x, y in places.tolist()]
+    return np.array(
+        [[deviation_db * _drawn_between(seed, *sorted((one, other))) for other in squares] for one in squares]
+    ).reshape(len(squares), len(squares))
+
+
+@lru_cache(maxsize=1 << 16)
+def _drawn_between(seed: int, one: Cell, other: Cell) -> float:
+    """A standard normal number that belongs to two squares."""
+    return float(keyed_random(seed, "shadowing", *one, *other).standard_normal())
+
+
+def parted(robots: Sequence[int], partitions: Sequence[Partition], step: int) -> Hears:
+    """Those whom no partition keeps apart in a step."""
+    together = np.ones((len(robots), len(robots)), np.bool_)
+    for partition in partitions:
+        if partition.first <= step <= partition.last:
+            group = np.array([partition.group_of(robot) for robot in robots], np.int64)
+            together &= group[:, None] == group
+    return together
+
+
+@kernel("int64[:,::1](uint8[:,::1], int64[:,::1])")
+def walls_crossed(grid: Grid, places: Places) -> NDArray[np.int64]:
+    """Count the walls between any two places: runs of occupied cells on the straight way between the cells' centres.
+
+    The way moves between 4-neighbours only, and from the smaller cell to the larger, so it is the same from both ends.
+    """
+    count = len(places)
+    walls = np.zeros((count, count), np.int64)
+    for one in range(count):
+        for other in range(one):
+            x, y = places[one, 0], places[one, 1]
+            end_x, end_y = places[other, 0], places[other, 1]
+            if (end_x, end_y) < (x, y):
+                x, y, end_x, end_y = end_x, end_y, x, y
+            along_x, along_y = abs(end_x - x), abs(end_y - y)
+            step_x, step_y = (1 if end_x > x else -1), (1 if end_y > y else -1)
+            inside = grid[y, x] == OCCUPIED
+            gone_x = gone_y = 0
+            crossed = 1 if inside else 0
+            while gone_x < along_x or gone_y < along_y:
+                if (2 * gone_x + 1) * along_y <= (2 * gone_y + 1) * along_x:
+                    gone_x += 1
+                else:
+                    gone_y += 1
+                wall = grid[y + step_y * gone_y, x + step_x * gone_x] == OCCUPIED
+                crossed += wall and not inside
+                inside = wall
+            walls[one, other] = walls[other, one] = crossed
+    return walls

@@ -7,9 +7,18 @@ from numpy.typing import NDArray
 
 from protocol.packets import ALL_KINDS
 
-CAUSES = ("", "budget", "range", "protocol", "lost", "mute")
-"""Why a row was not carried: no room left, receiver too far, frame malformed, a partner died in between,
-the sender's radio cannot send."""
+CAUSES = ("", "budget", "range", "protocol", "lost", "mute", "limit", "loss", "damaged", "full")
+"""Why a row was not carried: no room left, receiver too far, frame malformed, a partner died in between, the sender's
+radio cannot send, its own limit. From `FIRST_ON_AIR` on why nobody heard what was on the air: lost, damaged, the
+hearer had its fill."""
+
+FIRST_ON_AIR = CAUSES.index("loss")
+
+
+def on_air(cause: int) -> bool:
+    """Whether what has such a cause was carried, though perhaps not heard."""
+    return cause == 0 or cause >= FIRST_ON_AIR
+
 
 EVERYONE = -1
 """The receiver of a broadcast."""

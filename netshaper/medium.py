@@ -75,10 +75,13 @@ class Medium:
         The step, for the ledger.
     budget : int
         Bytes that the whole team may put on the air in this step; `UNLIMITED` for no limit.
+    frame_bytes : int
+        Bytes that a frame holds at most, 0 for no limit: what is longer goes on the air as several.
     """
 
-    def __init__(self, step: int, budget: int) -> None:
+    def __init__(self, step: int, budget: int, frame_bytes: int = 0) -> None:
         self.step = step
+        self._frame_bytes = frame_bytes
         self.left = budget
         self.carried = 0
         self.sightings = Sightings()
@@ -118,11 +121,13 @@ class Medium:
             [said for three in zip(*connections.frames, strict=True) for said in three if said is not None]
         )
         ends = np.array([connections.senders, connections.receivers, connections.maps, connections.lost])
-        rows = np.empty((6 * len(connections), COLUMNS), np.int64)
-        hearers = np.empty(3 * len(connections), np.int64)
+        frames = len(payload) if self._frame_bytes else 0
+        rows = np.empty((6 * len(connections) + frames, COLUMNS), np.int64)
+        hearers = np.empty(3 * len(connections) + frames, np.int64)
         data = np.frombuffer(payload, np.uint8)
+        most = self._frame_bytes or len(payload)
         written, heard, self.left = _play(
-            exchange, connections.first, ends, sizes, data, self.left, TABLE, carried, rows, hearers
+            exchange, connections.first, ends, sizes, data, self.left, most, TABLE, carried, rows, hearers
         )
         self.carried += int(carried.sum())
         self.sightings.extend(rows[:written], hearers[:heard], payload)
@@ -139,10 +144,8 @@ class Medium:
         """
         sizes = airtime.fill([payload for _, payload, _ in told], self.left)
         for (sender, payload, hearers), size in zip(told, sizes, strict=True):
-            if size:
-                self.sightings.add(
-                    exchange, -1, NEWS, sender, EVERYONE, -1, _CARRIED, payload[:size], hearers
-                )
+            for frame in airtime.cut_into_frames(payload[:size], UNLIMITED, self._frame_bytes, 0)[0]:
+                self.sightings.add(exchange, -1, NEWS, sender, EVERYONE, -1, _CARRIED, frame, hearers)
             if size < len(payload):
                 self.sightings.add(exchange, -1, NEWS, sender, EVERYONE, -1, _BUDGET, payload[size:])
             self.carried += size
@@ -165,7 +168,7 @@ class Medium:
 
 
 @kernel(
-    f"UniTuple(int64, 3)(int64, int64, int64[:,::1], int64[:,::1], {survey.FRAME}, int64, int64[:,::1], "
+    f"UniTuple(int64, 3)(int64, int64, int64[:,::1], int64[:,::1], {survey.FRAME}, int64, int64, int64[:,::1], "
     "int64[:,::1], int64[:,::1], int64[::1])"
 )
 def _play(
@@ -175,6 +178,7 @@ def _play(
     sizes: Rows,
     payload: Bytes,
     left: int,
+    most: int,
     table: Table,
     carried: Rows,
     rows: Rows,
@@ -183,7 +187,8 @@ def _play(
     """Play connections in their order; return the rows and hearers written, and what is left of the budget.
 
     `ends`: shape (4, connections), senders, receivers, maps and lost frames; `sizes`: shape (3, connections), bytes of
-    each frame. The frames stand behind each other in `payload`, connection by connection.
+    each frame. The frames stand behind each other in `payload`, connection by connection. `most`: bytes that one on
+    the air holds.
     """
     written = heard = begin = 0
     for each in range(ends.shape[1]):
@@ -213,10 +218,13 @@ def _play(
                 else:
                     left -= size
             carried[each, frame] = admitted
-            for part in range(2):
-                start, end = (begin, begin + admitted) if part == 0 else (begin + admitted, begin + size)
-                if start == end and not (lost and part == 1):
-                    continue
+            start = begin
+            while start < begin + size:
+                on_air = start < begin + admitted
+                end = begin + admitted if on_air else begin + size
+                if on_air and end - start > most:
+                    part = fitting_part(payload, start, end, most, table)
+                    end = start + part if part else end
                 row = rows[written]
                 row[0] = exchange
                 row[1] = first + each
@@ -224,15 +232,16 @@ def _play(
                 row[3] = sender
                 row[4] = receiver
                 row[5] = ends[2, each]
-                verdict = _CARRIED if part == 0 else _LOST if lost else _BUDGET
+                verdict = _CARRIED if on_air else _LOST if lost else _BUDGET
                 row[VERDICT] = row[WORDS] = verdict
                 row[HEARD_FROM] = heard
-                if part == 0:
+                if on_air:
                     hearers[heard] = receiver
                     heard += 1
                 row[HEARD_TO] = heard
                 row[BEGIN] = start
                 row[BEGIN + 1] = end
                 written += 1
+                start = end
             begin += size
     return written, heard, left

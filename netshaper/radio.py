@@ -24,12 +24,13 @@ from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from typing import NamedTuple, TypeVar
 
-from netshaper import airtime
-from netshaper.connectivity import in_range
+from netshaper import airtime, connectivity
 from netshaper.ledger import EVERYONE, KIND_NUMBER
 from netshaper.medium import ANSWER, BROADCAST, DATA, NEWS, OFFER, UNLIMITED, Connections, Medium
+from netshaper.radio_options import RadioOptions
 from protocol import packets, survey
 from protocol.errors import ProtocolError
+from protocol.grid import Grid
 from protocol.keyed_random import keyed_random
 from protocol.messages import Close, Open, Outcome, Record, Said, Turn
 
@@ -38,7 +39,7 @@ Item = TypeVar("Item")
 PHASES = ("offers", "answers", "data")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RadioSettings:
     """What the radio is like.
 
@@ -63,6 +64,26 @@ class RadioSettings:
     """Whether news of maps are broadcast; else robots offer them to each other."""
     lives: int = 1
     """How often a robot may begin; each of its lives has a map of its own."""
+    options: RadioOptions = field(default_factory=RadioOptions)
+    cell_m: float = 1.0
+    """Side of a cell in metres."""
+    walls: Grid | None = None
+    """The world's cells, where links depend on them."""
+    send: tuple[int, ...] = ()
+    """Bytes a step that each robot can send, 0 for no limit; nothing where none has one."""
+    receive: tuple[int, ...] = ()
+    """Bytes a step that each robot can take, likewise."""
+
+    @property
+    def perfect(self) -> bool:
+        """Whether what is put on the air is heard at once by all in range, and one budget is all there is."""
+        return self.options.perfect and not any(self.send) and not any(self.receive)
+
+    @property
+    def packet_bytes(self) -> int | None:
+        """Bytes that a packet may have for a frame to hold it; None: any number."""
+        tail = packets.Check.size if self.options.sums else 0
+        return self.options.frame_bytes - tail if self.options.frame_bytes else None
 
 
 class Frame(NamedTuple):
@@ -110,7 +131,7 @@ class Radio:
         self._reach: dict[int, list[int]] = {}
         self._mute: set[int] = set()
         self._deaf: set[int] = set()
-        self._medium = Medium(0, 0)
+        self._medium = self._new_medium(0, 0)
         self._shares = airtime.Shares(settings.budget)
         self._waiting: set[int] = set()
         self._spoken: dict[int, _Spoken] = {}
@@ -134,18 +155,18 @@ class Radio:
         self._mute, self._deaf = set(mute), set(deaf)
         self._connections = Connections()
         living = {robot: cell for robot, cell in cells.items() if robot not in self._dead}
-        self._reach = in_range(living, self.settings.range_cells)
+        self._reach = self._who_hears_whom(living)
         between = self._medium
-        self._medium = Medium(step, self.settings.budget)
+        self._medium = self._new_medium(step, self.settings.budget)
         self._medium.sightings = between.sightings
-        self._shares.next_step()
+        self._next_step()
         return self._open()
 
     def hear(self, sender: int, receiver: int, payload: bytes) -> None:
         """Take a frame that a robot put; `receiver` is `EVERYONE` for a broadcast."""
         if sender in self._waiting:
             self._spoken[sender].frames.append((receiver, payload))
-        else:
+        elif sender not in self._dead:
             self._refuse(sender, receiver, DATA, payload, "protocol", "spoke out of turn")
 
     def said(self, sender: int, note: Said) -> list[Outgoing]:
@@ -167,9 +188,52 @@ class Radio:
         """A robot that was lost is here again; it takes part from the next step on."""
         self._dead.discard(robot)
 
+    @property
+    def phase(self) -> tuple[int, int, str]:
+        """Step, exchange and phase under way."""
+        return self._step, self._exchange, self._phase
+
     def waiting_for(self) -> list[int]:
         """Robots which have not spoken in this phase yet."""
         return sorted(self._waiting)
+
+    def _new_medium(self, step: int, budget: int) -> Medium:
+        return Medium(step, budget, self.settings.options.frame_bytes)
+
+    def _who_hears_whom(self, cells: Mapping[int, tuple[int, int]]) -> dict[int, list[int]]:
+        """For each robot those in its range, by the model of the radio and the partitions of this step."""
+        settings, options = self.settings, self.settings.options
+        robots, places = sorted(cells), connectivity.places_of(cells)
+        if options.model == "disc" or settings.walls is None:
+            hears = connectivity.disc(places, settings.range_cells)
+        elif options.model == "line-of-sight":
+            hears = connectivity.line_of_sight(places, settings.range_cells, settings.walls)
+        else:
+            extra = connectivity.shadowing(
+                places, settings.cell_m, settings.seed, options.shadowing_db, options.shadowing_m
+            )
+            hears = connectivity.log_distance(
+                places, settings.range_cells, settings.walls, settings.cell_m,
+                exponent=options.exponent, db_per_metre=options.db_per_metre, db_per_wall=options.db_per_wall,
+                extra_db=extra,
+            )  # fmt: skip
+        if options.partition:
+            hears = hears & connectivity.parted(robots, options.partition, self._step)
+        return connectivity.named(robots, hears)
+
+    def _next_step(self) -> None:
+        """Make what is kept over steps ready for the next one."""
+        self._shares.next_step()
+
+    def _room(self, _robot: int) -> int:
+        """What a robot may still put on the air, as it is told."""
+        return self._medium.left
+
+    def _too_long(self, payload: bytes) -> str:
+        """Say which packet of a frame of whole packets no frame on the air has room for; nothing if none."""
+        most = self.settings.options.frame_bytes
+        size = survey.longest(payload) if most else 0
+        return f"a packet of {size} bytes, where a frame holds {most}" if size > most else ""
 
     def _advance(self) -> list[Outgoing]:
         out: list[Outgoing] = []
@@ -198,7 +262,7 @@ class Radio:
                     self._step,
                     self._exchange,
                     self._heard_by(robot),
-                    self._medium.left,
+                    self._room(robot),
                 ),
             )
             for robot in living
@@ -243,12 +307,14 @@ class Radio:
         """Put broadcasts and then news on the air, the most urgent first, and tell all what became of them."""
         told: list[tuple[int, bytes]] = []
         for sender, spoken in sorted(self._spoken.items()):
-            news = [
-                frame for frame in spoken.frames if not (frame[0] == EVERYONE and _is_broadcast(frame[1]))
-            ]
+            news = [frame for frame in spoken.frames if not (frame[0] == EVERYONE and is_broadcast(frame[1]))]
             spoken.frames = [frame for frame in spoken.frames if frame not in news]
             for receiver, payload in news:
-                problem = _is_news(receiver, payload) or ("twice" if told and told[-1][0] == sender else "")
+                problem = (
+                    is_news(receiver, payload)
+                    or self._too_long(payload)
+                    or ("twice" if told and told[-1][0] == sender else "")
+                )
                 if spoken.said is None:
                     self._refuse(sender, receiver, NEWS, payload, "lost", "")
                 elif sender in self._mute:
@@ -301,7 +367,7 @@ class Radio:
         ]
         out: list[Outgoing] = []
         for sender, payload in self._drawn("targets", said):
-            if not _is_broadcast(payload) or self._exchange or sender in self._broadcast_carried:
+            if not is_broadcast(payload) or self._exchange or sender in self._broadcast_carried:
                 reason = "broadcast something other than a target or a pose, at the start of a step"
                 self._refuse(sender, EVERYONE, BROADCAST, payload, "protocol", reason)
                 continue
@@ -361,7 +427,7 @@ class Radio:
         return self._pass_on(ANSWER, "data")
 
     def _end_data(self) -> list[Outgoing]:
-        self._collect(DATA, _is_data)
+        self._collect(DATA, lambda payload: _is_data(payload) or self._too_long(payload))
         these = self._connections
         for at, (receiver, payload) in enumerate(zip(these.receivers, these.frames[DATA], strict=True)):
             if payload is not None and receiver in self._dead:
@@ -403,7 +469,7 @@ class Radio:
         living = sorted(set(self._reach) - self._dead)
         out: list[Outgoing] = [Note(robot, Close(self._step)) for robot in living]
         out.append(self._medium)
-        self._medium = Medium(self._step, 0)
+        self._medium = self._new_medium(self._step, 0)
         return out
 
     def _collect(self, frame: int, valid: Callable[[bytes], str]) -> None:
@@ -443,7 +509,7 @@ class Radio:
             self.faults.append((sender, reason))
 
 
-def _is_broadcast(payload: bytes) -> bool:
+def is_broadcast(payload: bytes) -> bool:
     """Whether a frame says a target, a pose, or a pose and a target."""
     try:
         kinds = [type(packet) for packet in packets.broadcast(payload)]
@@ -452,7 +518,7 @@ def _is_broadcast(payload: bytes) -> bool:
     return kinds in ([packets.Target], [packets.Pose], [packets.Pose, packets.Target])
 
 
-def _is_news(receiver: int, payload: bytes) -> str:
+def is_news(receiver: int, payload: bytes) -> str:
     """Say what is wrong with news; nothing if it is a broadcast of whole packets that may be units or reports."""
     if receiver != EVERYONE:
         return "said to one robot"
@@ -468,7 +534,7 @@ def _is_strange(piece: bytes) -> bool:
     """Whether a packet does not belong into news."""
     if packets.name(piece) == packets.Offer.name:
         return not isinstance(packets.decode(piece)[0], packets.Gossip)
-    return packets.name(piece) in (packets.Target.name, packets.Pose.name)
+    return packets.name(piece) in (packets.Target.name, packets.Pose.name, packets.Check.name)
 
 
 @lru_cache(maxsize=1 << 12)
@@ -511,6 +577,7 @@ def _is_data(payload: bytes) -> str:
 
 
 _NO_DATA_BITS = {
-    kind.name: 1 << KIND_NUMBER[kind.name] for kind in (packets.Offer, packets.Target, packets.Pose)
+    kind.name: 1 << KIND_NUMBER[kind.name]
+    for kind in (packets.Offer, packets.Target, packets.Pose, packets.Check)
 }
 _NO_DATA = sum(_NO_DATA_BITS.values())

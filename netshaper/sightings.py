@@ -20,13 +20,9 @@ COLUMNS = 12
 `payload` the rest of it stands, and numbers as in `Sighting`."""
 
 WORDS_OF_CAUSE = (
-    "delivered",
-    "cut by budget",
-    "out of range",
-    "refused",
-    "a partner died",
-    "the sender is mute",
-)
+    "delivered", "cut by budget", "out of range", "refused", "a partner died", "the sender is mute",
+    "beyond the sender's own limit", "lost on the air", "damaged on the air", "beyond the hearer's own limit",
+)  # fmt: skip
 """What became of a frame to one robot, in words, by the number of its verdict."""
 
 Rows = NDArray[np.int64]
@@ -36,7 +32,7 @@ class Sighting(NamedTuple):
     """One frame, or the part of it that was carried or not.
 
     `frame` counts in `netshaper.capture.FRAMES`, `verdict` in `CAUSES`; `hearers` is a mask, bit r for robot r;
-    `reason`: why it was refused.
+    `reason`: why it was refused, or what else became of it.
     """
 
     exchange: int
@@ -150,10 +146,11 @@ def in_words(verdict: int, receiver: int, hearers: tuple[int, ...], reason: str)
     if verdict:
         words = WORDS_OF_CAUSE[verdict]
         return f"{words}: {reason}" if reason else words
-    if receiver != EVERYONE:
-        return WORDS_OF_CAUSE[verdict]
     names = [f"r{robot}" for robot in hearers]
-    return f"delivered to {', '.join(names)}" if names else "on the air, but nobody was in range"
+    words = WORDS_OF_CAUSE[verdict]
+    if receiver == EVERYONE:
+        words = f"delivered to {', '.join(names)}" if names else "on the air, but nobody was in range"
+    return f"{words}; {reason}" if reason else words
 
 
 assert len(WORDS_OF_CAUSE) == len(CAUSES)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Fan, Grid
 from protocol.kernels import kernel
-from protocol.packets import FRAGMENT_DATA, Fragment, encode
+from protocol.packets import FRAGMENT_DATA, SHORT_HEAD, Fragment, encode
 
 HIT = 0x8000
 NONE = 0x7FFF
@@ -87,9 +87,10 @@ def _first_too_long(readings: Readings, start: NDArray[np.int32]) -> int:
     return len(readings)
 
 
-def fragments(data: bytes) -> list[bytes]:
-    """Split a scan into the packets in which it travels."""
-    pieces = (data[at : at + FRAGMENT_DATA] for at in range(0, len(data), FRAGMENT_DATA))
+def fragments(data: bytes, most: int = Fragment.size) -> list[bytes]:
+    """Split a scan into the packets in which it travels, of `most` bytes at most."""
+    size = FRAGMENT_DATA if most >= Fragment.size else most - SHORT_HEAD
+    pieces = (data[at : at + size] for at in range(0, len(data), size))
     return [encode([Fragment(piece)]) for piece in pieces]
 
 

@@ -45,6 +45,11 @@ def fitting(frame: bytes, room: int) -> int:
     return int(fitting_part(np.frombuffer(frame, np.uint8), 0, len(frame), room, TABLE))
 
 
+def longest(frame: bytes) -> int:
+    """Return the bytes of the longest of a frame's whole packets."""
+    return max(map(len, split(frame)), default=0)
+
+
 def split(frame: bytes) -> list[bytes]:
     """Cut a frame into one piece a packet.
 

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protocol.grid import FREE, Grid, areas
 from protocol.keyed_random import keyed_random
@@ -59,6 +60,14 @@ def start_cells(
             f"{robots} robots do not fit: {len(chosen)} free cells lie {apart} cells apart around {first}"
         )
     return chosen
+
+
+def _parts(truth: Grid) -> tuple[NDArray[np.int32], int]:
+    """Number the 4-connected parts of the free cells from 1 on; and how many there are."""
+    from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
+
+    labels, parts = ndimage.label(truth == FREE)
+    return labels, int(parts)
 
 
 def moved_about(

@@ -30,6 +30,7 @@ class LaserExchange(Exchange):
         super().__init__(settings)
         self._fans = [fan(cells, settings.beams) for cells in settings.ranges_cells]
         self._size = scan_size(settings.beams)
+        self._most = settings.frame_bytes or packets.Fragment.size
         self._heard = np.zeros((settings.height, settings.width), np.uint8)
         self._heard_boxes = NO_BOXES
         self._own_news = ChangedCells()
@@ -45,7 +46,7 @@ class LaserExchange(Exchange):
         if data == self._last or (scan.readings == NONE).all():
             return []
         self._last = data
-        return fragments(data)
+        return fragments(data, self._most)
 
     def take(self, about: int, units: list[bytes]) -> None:
         """Put fragments together and draw the scans that are complete."""

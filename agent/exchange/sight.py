@@ -25,7 +25,7 @@ from agent.sight.stream import Box, History, Stream, Told, around
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, fan
 from protocol.kernels import kernel
-from protocol.packets import LAST_LOOK_DATA, LOOK_DATA, LOOK_NUMBERS, Look, encode, look
+from protocol.packets import LAST_LOOK_DATA, LOOK_DATA, LOOK_NUMBERS, SHORT_HEAD, Look, encode, look
 from protocol.scans import Change, Scan
 
 ENOUGH_CELLS = 8
@@ -90,7 +90,13 @@ class SightExchange(Exchange):
         ]
         self._heard: Grid = np.zeros(shape, np.uint8)
         """What all have told."""
-        room = LAST_LOOK_DATA if settings.bandwidth is None else int(settings.bandwidth) // PACKETS_A_STEP - 2
+        room = (
+            LAST_LOOK_DATA
+            if settings.bandwidth is None
+            else int(settings.bandwidth) // PACKETS_A_STEP - SHORT_HEAD
+        )
+        if settings.frame_bytes is not None:
+            room = min(room, settings.frame_bytes - SHORT_HEAD)
         self._most = min(max(room, LOOK_DATA), LAST_LOOK_DATA)
         self._patience = 1
         if settings.bandwidth is not None:

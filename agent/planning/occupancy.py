@@ -34,11 +34,36 @@ _BARRED = np.int32(-1)
 _DONE = np.uint8(16)
 
 
+def smoothed(grid: Grid) -> NDArray[np.float64]:
+    """Occupancy probability of each cell, the map smoothed by a Gaussian; shape (h, w)."""
+    from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
+
+    table = np.zeros(256, np.float32)
+    table[[UNKNOWN, FREE, OCCUPIED]] = P_UNKNOWN, P_FREE, P_OCCUPIED
+    found: NDArray[np.float32] = ndimage.gaussian_filter(
+        table[grid], SMOOTHING, mode="constant", cval=P_UNKNOWN, truncate=_TRUNCATE
+    )
+    return found.astype(np.float64)
+
+
+def barred(grid: Grid, floor: Grid, occ_max: float) -> Grid:
+    """The floor without cells of more than `occ_max` (section II-A): a robot may not enter them.
+
+    With 0.9 or more nothing is barred. With less doorways close that are narrow for the Gaussian: with 0.5 those of one
+    cell.
+    """
+    if occ_max >= P_OCCUPIED:
+        return floor
+    left = floor.copy()
+    left[(smoothed(grid) > occ_max) & (floor == FREE)] = OCCUPIED
+    return left
+
+
 class Terrain:
     """What steps into cells cost on one planning grid, laid out for `weighted_costs`.
 
-    Only cells that are free on `floor` can be entered at all: that is the paper's occ_max, put where no
-    doorway closes.
+    Only cells that are free on `floor` can be entered at all. The paper's occ_max (`barred`) takes some of them
+    away.
 
     Parameters
     ----------
@@ -54,14 +79,7 @@ class Terrain:
     """
 
     def __init__(self, grid: Grid, floor: Grid) -> None:
-        from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
-
-        table = np.zeros(256, np.float32)
-        table[[UNKNOWN, FREE, OCCUPIED]] = P_UNKNOWN, P_FREE, P_OCCUPIED
-        smoothed = ndimage.gaussian_filter(
-            table[grid], SMOOTHING, mode="constant", cval=P_UNKNOWN, truncate=_TRUNCATE
-        )
-        weights = np.clip(smoothed.astype(np.float64) / P_FREE, 1.0, P_OCCUPIED / P_FREE)
+        weights = np.clip(smoothed(grid) / P_FREE, 1.0, P_OCCUPIED / P_FREE)
         self.weights = np.rint(weights * _GRAIN) / _GRAIN
         self.straight = np.zeros((grid.shape[0] + 2, grid.shape[1] + 2), np.int32)
         self.diagonal = np.zeros_like(self.straight)

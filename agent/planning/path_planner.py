@@ -11,7 +11,7 @@ from agent.planning.best_frontier import Appeal, best_frontier
 from agent.planning.breadth_first import first_by_hops
 from agent.planning.cost_field import Field, Floor, costs_on, nearest_first, way, way_between, weighted_way
 from agent.planning.jump_point_search import costs_between
-from agent.planning.occupancy import Terrain, weighted_costs
+from agent.planning.occupancy import Terrain, barred, weighted_costs
 from agent.planning.reachability import reachable_frontier
 from protocol.grid import OCCUPIED, Grid, enlarge
 
@@ -33,6 +33,8 @@ class PathPlanner:
         The robot's radius: obstacles are enlarged by it.
     floor : uint8 array, shape (h, w), optional
         The grid with obstacles enlarged, if that has been done.
+    occ_max : float
+        Cells whose occupancy on a smoothed map is more are barred (`agent.planning.occupancy.barred`).
 
     Attributes
     ----------
@@ -43,12 +45,18 @@ class PathPlanner:
     """
 
     def __init__(
-        self, grid: Grid, kind: str = "shortest", radius_cells: float = 0.0, floor: Grid | None = None
+        self,
+        grid: Grid,
+        kind: str = "shortest",
+        radius_cells: float = 0.0,
+        floor: Grid | None = None,
+        occ_max: float = 1.0,
     ) -> None:
         self.grid = grid
-        self.floor = enlarge(grid, radius_cells) if floor is None else floor
+        self.floor = barred(grid, enlarge(grid, radius_cells), occ_max) if floor is None else floor
         self._kind = kind
         self._radius = radius_cells
+        self._occ_max = occ_max
         self._others: dict[float, PathPlanner] = {}
         self._fields: dict[tuple[int, int], Field] = {}
         self._near: dict[tuple[int, int], Field] = {}
@@ -147,11 +155,13 @@ class PathPlanner:
         if radius_cells == self._radius:
             return self
         if radius_cells not in self._others:
-            self._others[radius_cells] = PathPlanner(self.grid, self._kind, radius_cells)
+            self._others[radius_cells] = PathPlanner(
+                self.grid, self._kind, radius_cells, occ_max=self._occ_max
+            )
         return self._others[radius_cells]
 
     def without(self, x: int, y: int) -> PathPlanner:
         """The same ways with cell (x, y) barred."""
         grid, floor = self.grid.copy(), self.floor.copy()
         grid[y, x] = floor[y, x] = OCCUPIED
-        return PathPlanner(grid, self._kind, self._radius, floor)
+        return PathPlanner(grid, self._kind, self._radius, floor, self._occ_max)

@@ -4,13 +4,17 @@ nearest           each robot drives to its nearest frontier cell; maps are share
 burgard           Algorithm 1: the best pair of robot and frontier cell, utilities lowered, the next
 burgard-optimal   Algorithm 2: the assignment with the largest sum of U - beta V^2, searched at random
 
-With ``costs = "weighted"`` ways are counted as in section II-A, by length times occupancy on a smoothed map;
-that takes several times as long as counting their length, which is the default.
+The paper assigns anew when a robot reaches its target, or when a distance or a time since the last assignment
+has passed: ``replan = "at-goal"``, `after_metres`, `after_steps`. With ``costs = "weighted"`` ways are counted as
+in section II-A, by length times occupancy on a smoothed map; that takes several times as long as counting their
+length, which is the default.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +22,7 @@ from numpy.typing import NDArray
 from agent.planning.assignment import Assignment, best_of_all, in_turn
 from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import utilities
+from agent.settings import Settings
 from agent.strategies.base import Cell, Situation
 from agent.strategies.options import option
 from agent.strategies.targets import Parts, TargetStrategy
@@ -31,6 +36,13 @@ class Coordinated(Parts):
     beta: float = option(1.0, "weight of cost against utility", least=0)
     every: int = option(
         0, "targets are assigned anew after so many steps at the latest; 0: never for time alone", least=0
+    )
+    after_steps: int = option(0, "and so many steps after they were last assigned; 0: never", least=0)
+    after_metres: float = option(
+        0.0, "and when a member has driven so far since they were last assigned; 0: never", least=0
+    )
+    occ_max: float = option(
+        1.0, "cells of more occupancy on the smoothed map are barred; from 0.9 on none are", least=0
     )
 
 
@@ -56,10 +68,39 @@ class Burgard(TeamStrategy):
     source = "Burgard et al. 2005, Algorithm 1 (section II-C), sub-teams (II-D)"
     options_type = Coordinated
 
+    def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
+        super().__init__(options, settings)
+        self._assigned = 0
+        self._travelled: dict[int, float] = {}
+
     def is_due(self, situation: Situation) -> bool:
-        """As a team's, and after a time."""
-        every = self.options.every
-        return super().is_due(situation) or bool(every and situation.step % every == 0)
+        """As a team's, and after a time or a distance."""
+        every, after = self.options.every, self.options.after_steps
+        return (
+            super().is_due(situation)
+            or bool(every and situation.step % every == 0)
+            or bool(after and situation.step - self._assigned >= after)
+            or self._has_driven(situation)
+        )
+
+    def planner(self, situation: Situation) -> PathPlanner:
+        """As all, without cells that are too likely to be occupied."""
+        return PathPlanner(
+            situation.grid, self.options.costs, self.settings.radius_cells, occ_max=self.options.occ_max
+        )
+
+    def select(self, situation: Situation, planner: PathPlanner) -> tuple[Cell | None, bool]:
+        """As all, noting when, and how far all had come by then."""
+        self._assigned, self._travelled = situation.step, dict(situation.travelled)
+        return super().select(situation, planner)
+
+    def _has_driven(self, situation: Situation) -> bool:
+        """Whether a member has driven so far that targets are assigned anew."""
+        most = self.options.after_metres / self.settings.resolution
+        return bool(most) and any(
+            situation.travelled.get(robot, 0.0) - self._travelled.get(robot, 0.0) >= most
+            for robot in self.team(situation)
+        )
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """Utilities begin at 1, lowered by the targets remembered of those out of range."""

@@ -139,7 +139,7 @@ class TargetStrategy(Strategy):
         self._count_turn(here)
         self._route.drive_to(*here)
         self._giving_way.note(self._route, here, situation.step, stopped=situation.blocked == "robot")
-        planner = PathPlanner(situation.grid, self.options.costs, self.settings.radius_cells)
+        planner = self.planner(situation)
         before, left, gives_up = self.target, True, self._giving_way.gives_up()
         if gives_up or self.is_due(situation):
             left = self._renew(situation, planner)
@@ -166,6 +166,10 @@ class TargetStrategy(Strategy):
             publish=self.target is None or self.target != before or gives_up,
             status=self._status(here, left),
         )
+
+    def planner(self, situation: Situation) -> PathPlanner:
+        """The ways that the robot may take."""
+        return PathPlanner(situation.grid, self.options.costs, self.settings.radius_cells)
 
     def goals(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:
         """The cells that are worth going to, shape (n, 2)."""

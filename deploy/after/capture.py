@@ -13,7 +13,7 @@ from typing import Any
 from deploy.record.run_directory import CAPTURE, SCENARIO, read_scenario
 from netshaper import capture
 from netshaper.capture import FRAMES, VERDICTS, Captured
-from netshaper.ledger import EVERYONE
+from netshaper.ledger import EVERYONE, on_air
 from netshaper.pcapng import CaptureError, Reader
 from protocol import packets
 from protocol.errors import ProtocolError
@@ -72,11 +72,11 @@ class Totals:
     def add(self, frame: Captured, counts: dict[str, tuple[int, int]]) -> None:
         """Count a frame, whose packets were counted."""
         self.frames += 1
-        if frame.seen.verdict == CARRIED:
+        if on_air(frame.seen.verdict):
             for kind, (number, size) in counts.items():
                 before = self.carried.get(kind, (0, 0))
                 self.carried[kind] = (before[0] + number, before[1] + size)
-        else:
+        if frame.seen.verdict != CARRIED:
             frames, size = self.refused.get(frame.verdict, (0, 0))
             self.refused[frame.verdict] = (frames + 1, size + frame.size)
 
@@ -220,7 +220,8 @@ def _total_lines(totals: Totals) -> Iterator[str]:
         packet_sum, byte_sum = sum(numbers["packets"].values()), sum(numbers["bytes"].values())
         yield f"  {'total':<9} {packet_sum:>9} packets {byte_sum:>11} bytes carried"
     for verdict, refused in numbers["refused"].items():
-        yield f"  {verdict:<9} {refused['frames']:>9} frames  {refused['bytes']:>11} bytes not carried"
+        what = "heard" if on_air(VERDICTS.index(verdict)) else "carried"
+        yield f"  {verdict:<9} {refused['frames']:>9} frames  {refused['bytes']:>11} bytes not {what}"
 
 
 def _to_json(frame: Captured) -> dict[str, Any]:

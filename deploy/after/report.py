@@ -42,6 +42,7 @@ KINDS = {
     "scan": "piece of a raw laser scan",
     "look": "piece of a unit of looks",
     "pose": "a robot's position",
+    "sum": "checksum of a frame",
 }
 """The meaning of each kind of packet."""
 assert sorted(KINDS) == sorted(ALL_KINDS)
@@ -52,8 +53,12 @@ UNDELIVERED = {
     "protocol": "they were malformed or out of turn",
     "lost": "the other robot had died",
     "mute": "the sender's radio could not send",
+    "limit": "the sender had said as much as it can",
+    "loss": "they were lost on the air",
+    "damaged": "they were damaged on the air",
+    "full": "the receiver had heard as much as it can",
 }
-"""Why a frame was not carried."""
+"""Why a frame was not delivered."""
 assert ("", *UNDELIVERED) == CAUSES
 
 CAPTIONS = {
@@ -314,7 +319,7 @@ def _kinds(summary: dict[str, Any]) -> list[list[str]]:
 
 
 def _undelivered(summary: dict[str, Any]) -> list[list[str]]:
-    rows = [["frames not carried whole, because", "frames"]]
+    rows = [["frames not delivered whole, because", "frames"]]
     return [
         *rows,
         *([UNDELIVERED[cause], f"{count:,}"] for cause, count in summary["undelivered"].items()),

@@ -50,14 +50,14 @@ def replanning() -> Iterator[Figure]:
             robots=ROBOTS, strategy=name, exchange="laser", bandwidth="unlimited", speed=SPEED, steps=STEPS,
             bus="memory",
         )  # fmt: skip
-        watch = _Watch()
+        watch = Watch()
         with watch.over(kind):
             in_memory.run(plans.make(scenario, world))
         yield from watch.figures(name, graph)
 
 
-class _Watch:
-    """Measures the time of decisions."""
+class Watch:
+    """Measures the processor time of decisions in which a robot chooses a target."""
 
     def __init__(self) -> None:
         self.spent: list[float] = []

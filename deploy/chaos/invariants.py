@@ -57,7 +57,7 @@ class Watcher:
         self._held: dict[int, list[int]] = {}
 
     def inspect(self, step: int, robot: Robot) -> None:
-        """Check a robot, once a step.
+        """Check a robot, once a step, when the step is over.
 
         Raises
         ------
@@ -75,12 +75,11 @@ class Watcher:
         known = robot.own != UNKNOWN
         if (robot.own != self._truth)[known].any():
             raise Violation(f"{who} has seen what is not so")
+        if step and (robot.planning != robot.own)[known].any():
+            raise Violation(f"{who} plans on cells otherwise than it has seen them")
         if life is robot:
-            before = self._own[number] != UNKNOWN
-            if (robot.own == UNKNOWN)[before].any():
+            if (robot.own == UNKNOWN)[self._own[number] != UNKNOWN].any():
                 raise Violation(f"{who} does not know any more what it has seen")
-            if (robot.planning != robot.own)[before].any():
-                raise Violation(f"{who} plans on cells otherwise than it has seen them")
             for about, (then, now) in enumerate(zip(self._held[number], held, strict=True)):
                 if now < then and about != robot.settings.own_map:
                     raise Violation(f"{who} held {then} units of map {about}, and now {now}")

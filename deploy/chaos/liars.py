@@ -19,7 +19,7 @@ from protocol import packets, survey
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
 from protocol.keyed_random import keyed_random
-from protocol.packets import Answer, Block, Decline, From, Held, Near, Offer, Pose, Remove, Save, Target
+from protocol.packets import Answer, Block, Decline, From, Gone, Held, Near, Offer, Pose, Remove, Save, Target
 
 LIES = 0.25
 """Probability that a frame is another one."""
@@ -104,7 +104,7 @@ def _packet(draw: np.random.Generator) -> packets.Packet:
     number, index = int(draw.integers(64)), int(draw.integers(4096))
     few = int(draw.integers(6))
     all_kinds: list[packets.Packet] = [
-        Offer(few, number), Answer(index), Block(number), Decline(), From(few, index), Held(few, index), Near(few, 1),
-        Near(few, 0), Pose(index % 2048, few, few % 2), Save(), Remove(index), Target(index % 2048, number),
+        Offer(few, number), Answer(index), Block(number), Decline(), From(few, index), Held(few, index), Near(few),
+        Gone(few), Pose(index % 2048, few, few % 2), Save(), Remove(index), Target(index % 2048, number),
     ]  # fmt: skip
     return all_kinds[int(draw.integers(len(all_kinds)))]

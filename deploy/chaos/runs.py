@@ -11,7 +11,8 @@ from deploy.chaos.invariants import Violation, Watcher
 from deploy.chaos.liars import Lies
 from deploy.chaos.storm import Storm, storm
 from deploy.record.summary import digest
-from deploy.run import in_memory, launch
+from deploy.run import launch
+from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 
@@ -51,7 +52,12 @@ def weather(drawn: Storm, *, again: bool = False) -> Verdict:
     lies = Lies(drawn.seed, drawn.liars)
     began = time.perf_counter()
     try:
-        records = in_memory.run(plan, wrap=lies, inspect=watcher.inspect)
+        under_way = MemoryRun(plan, wrap=lies)
+        for step in under_way.steps():
+            for agent in under_way.agents:
+                if agent.robot is not None and not agent.done:
+                    watcher.inspect(step, agent.robot)
+        records = under_way.records
         watcher.conclude(records)
     except Violation as violation:
         return Verdict(drawn, str(violation))

@@ -1,8 +1,9 @@
 """A storm: a scenario, faults and liars, all drawn from one seed.
 
-First comes the safety phase, in which robots are killed, restarted and stopped, radios go mute and deaf, and the medium
-loses and delays what is said, and parts the team. By `CALM` all of that has healed, but for robots that stay dead; at
-least one lives. Then the rest must finish: the liveness phase. Liars lie all the time.
+First comes the safety phase, in which robots are killed, restarted and stopped, radios go mute and deaf, and teams are
+parted. By `CALM` all of that has healed, but for robots that stay dead; at least one lives. Then the rest must finish:
+the liveness phase. A medium that loses, delays, repeats or damages what is said does so all the time, and liars lie
+all the time.
 """
 
 from __future__ import annotations
@@ -137,6 +138,6 @@ def _radio(draw: np.random.Generator, robots: int) -> dict[str, Any]:
     if draw.random() < 0.6:
         first = int(draw.integers(1, CALM // 2))
         last = first + int(draw.integers(1, CALM // 2))
-        group = [robot for robot in range(robots) if draw.random() < 0.5]
-        radio["partition"] = [{"first": first, "last": last, "groups": [group]}]
+        group = draw.permutation(robots)[: int(draw.integers(1, robots))]
+        radio["partition"] = [{"first": first, "last": last, "groups": [sorted(group.tolist())]}]
     return radio

@@ -23,6 +23,7 @@ from deploy.commands.flags import (
 )
 from deploy.scenario.scenario import Scenario, load
 from deploy.scenario.thesis import thesis_settings
+from netshaper.presets import PRESETS
 
 app = family()
 
@@ -58,6 +59,14 @@ def explore(
     speed: setting("speed", float, "M_PER_STEP", ROBOTS) = None,  # type: ignore[valid-type]
     range: setting("range", str, "METRES|P%", RADIO) = None,  # type: ignore[valid-type]
     bandwidth: setting("bandwidth", str, "BYTES|unlimited", RADIO) = None,  # type: ignore[valid-type]
+    radio: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help=f"a radio's bandwidth, frames and range by name: {', '.join(PRESETS)}",
+            rich_help_panel=RADIO,
+        ),
+    ] = None,
     exchange: setting("exchange", str, "NAME", RADIO) = None,  # type: ignore[valid-type]
     offers: setting("offers", str, "NAME", RADIO) = None,  # type: ignore[valid-type]
     thesis: Annotated[
@@ -128,6 +137,7 @@ def explore(
     with speaking_clearly():
         if set_:
             overrides |= _other_settings(set_, overrides)
+        overrides["radio.preset"] = radio
         if resolution is not None:
             overrides["map_options.resolution"] = resolution
         if start is not None:

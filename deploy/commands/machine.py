@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 
-from deploy.commands.console import screen, speaking_clearly
-from deploy.commands.flags import JsonFlag, family
+from deploy.commands.console import errors, screen, speaking_clearly
+from deploy.commands.flags import JsonFlag, family, named_values
 
 app = family()
 
@@ -26,18 +27,79 @@ def bench(
     names: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="NAME", help="kernels, bus, swarm, replanning, relay, scale, link, hub; default: all"
+            metavar="NAME",
+            help="kernels, bus, swarm, replanning, relay, scale, link, hub; default: all of these. "
+            "Or strategies: the league table",
         ),
     ] = None,
     robots: Annotated[
-        list[int] | None, typer.Option(min=1, max=256, help="a team size for scale; repeatable")
+        list[int] | None,
+        typer.Option(min=1, max=256, help="a team size for scale and strategies; repeatable"),
+    ] = None,
+    maps: Annotated[
+        list[str] | None, typer.Option("--map", help="a map for strategies (default office); repeatable")
+    ] = None,
+    strategies: Annotated[
+        list[str] | None, typer.Option("--strategy", help="who competes (default: all); repeatable")
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="seeds of each map and team for strategies")] = 3,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="a setting of all scenarios for strategies; repeatable"
+        ),
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="draw the league table as well")
+    ] = None,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="processes for strategies (default: one a core)")
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Benchmark this machine: each figure as a ratio against a yardstick measured in the same run."""
-    from deploy.bench.ratios import run_benches  # noqa: PLC0415
+    """Benchmark this machine: each figure as a ratio against a yardstick measured in the same run.
 
+    ``murmur bench strategies`` is the league table: all strategies on the same buildings, from the same starts, as
+    multiples of the steps that a team needs which knows the map (docs/strategies.md).
+    """
     with speaking_clearly():
+        if names == ["strategies"]:
+            values = named_values(settings or [], "set", "bandwidth=1000")
+            _league(maps, robots, seeds, strategies, values, picture, jobs, as_json=as_json)
+            return
+        from deploy.bench.ratios import run_benches  # noqa: PLC0415
+
         figures = run_benches(names or [], (lambda _: None) if as_json else screen.print, robots or [])
         if as_json:
             print(json.dumps(figures, indent=2))
+
+
+def _league(
+    maps: list[str] | None,
+    robots: list[int] | None,
+    seeds: int,
+    strategies: list[str] | None,
+    settings: dict[str, Any],
+    picture: Path | None,
+    jobs: int | None,
+    *,
+    as_json: bool,
+) -> None:
+    from deploy.bench import league  # noqa: PLC0415
+    from deploy.commands.studies import print_table  # noqa: PLC0415
+    from deploy.commands.terminal import table  # noqa: PLC0415
+    from deploy.study.progress import counting  # noqa: PLC0415
+
+    contest = league.Contest(maps or ["office"], robots or [6], seeds, strategies or [], settings)
+    runs: list[league.Run] = []
+    with counting(errors, "strategies") as tell:
+        for done, found in enumerate(league.compete(contest, jobs), 1):
+            runs += found
+            tell(done, contest.tasks)
+    standings = league.table(runs)
+    if picture is not None:
+        league.draw(standings, picture)
+    if as_json:
+        print(standings.write_json())
+    else:
+        print_table(table(league.lines(standings)))

@@ -43,6 +43,7 @@ GROUPS: dict[str, Group] = {
     "handshakes": Group("handshakes", ("conn",), (215, 110, 235)),
     "targets": Group("targets, poses", ("targ", "pose"), (70, 210, 120)),
     "saves": Group("ends of updates", ("save",), (170, 175, 182)),
+    "sums": Group("checksums", ("sum",), (120, 125, 132)),
 }
 """Purposes of the bytes on the air."""
 

@@ -7,7 +7,7 @@ import contextlib
 import io
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
@@ -24,13 +24,14 @@ from deploy.record.summary import summarise
 from deploy.run import in_memory, launch
 from deploy.run.hosts import Hosts
 from deploy.run.interrupt import Interrupt
+from deploy.run.last_words import traceback_of
 from deploy.run.ssh import Fleet
 from deploy.scenario import plan as plans
+from deploy.scenario.effective_radio import effective_radio
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario, ScenarioError, check_lives, parse
 from protocol import keys as names
 from protocol.grid import Grid
-from protocol.packets import MAX_MAPS
 from worldsim.pace import Pace
 
 if TYPE_CHECKING:
@@ -59,7 +60,8 @@ class Result:
     records : Records
         All that was recorded, in memory.
     deaths : dict
-        Processes that ended prematurely, with their last line of output.
+        Processes that ended prematurely, with their last words: the traceback of what a strategy or an exchange
+        raised, else the last line of output. A robot in memory whose code raises dies as a process does.
     plan : Plan
         What was run: the scenario and its map.
     view_fault : str
@@ -77,12 +79,12 @@ class Result:
     @cached_property
     def steps(self) -> pl.DataFrame:
         """One row per step and robot: its pose and state; metres in the map's frame (``steps.parquet``)."""
-        return _frame(run_directory.steps_table(self.plan, self.records))
+        return frame(run_directory.steps_table(self.plan, self.records))
 
     @cached_property
     def ledger(self) -> pl.DataFrame:
         """One row per frame and packet kind (``ledger.parquet``, columns in docs/protocol.md)."""
-        return _frame(run_directory.ledger_table(self.records))
+        return frame(run_directory.ledger_table(self.records.ledger()))
 
     @property
     def maps(self) -> dict[str | int, Grid]:
@@ -119,6 +121,9 @@ class Result:
             f"coverage {summary['coverage']:.3f}, {summary['bytes']['total']} bytes{where}>"
         )
 
+    def __str__(self) -> str:
+        return "\n".join([repr(self), *(f"{name} died: {words}" for name, words in self.deaths.items())])
+
     def _repr_html_(self) -> str:
         """What a notebook shows."""
         rows = "".join(
@@ -129,7 +134,8 @@ class Result:
             file = io.BytesIO()
             self.plot().savefig(file, format="png", dpi=80)
             picture = f'<img src="data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}">'
-        return f"<p>{escape(repr(self)[1:-1])}</p>{picture}<table>{rows}</table>"
+        deaths = "".join(f"<pre>{name} died: {escape(words)}</pre>" for name, words in self.deaths.items())
+        return f"<p>{escape(repr(self)[1:-1])}</p>{deaths}{picture}<table>{rows}</table>"
 
 
 _SHOWN = ("steps", "coverage", "map_agreement", "t90", "t99", "strategy", "exchange", "bandwidth", "digest")
@@ -163,7 +169,8 @@ def explore(
     watch : callable, optional
         Called with the plan and the records during the run.
     tell : callable, optional
-        Called once Ctrl-C or SIGTERM takes effect: a run that is kept ends after the step, and is written.
+        Called with what is worth a word: the radio, at the beginning, if a scenario changes it; and once Ctrl-C or
+        SIGTERM takes effect: a run that is kept ends after the step, and is written.
     window : Window, optional
         Shows the run live; it is also recorded in its directory.
     snapshots : bool
@@ -189,12 +196,13 @@ def explore(
     """
     if not keep and (window is not None or snapshots):
         raise ValueError("a run that is shown, or whose maps are kept, needs a directory: keep = True")
-    if scenario is None or settings:
-        scenario = parse((scenario.model_dump() if scenario is not None else {}) | settings)
+    scenario = scenario_of(scenario, settings)
     wait: Callable[[], object] = Pace(pace).wait if pace is not None else _nothing
     plan = plans.make(scenario, lives=_lives(scenario, hosts) if restart else 1)
     if hosts is not None and scenario.bus == "memory":
         raise ScenarioError("bus = 'memory': is one process of one host; with hosts it must be 'zenoh'")
+    if radio := effective_radio(plan):
+        tell(radio)
     if hosts is not None and any(fault.kind in ("kill", "restart") for fault in scenario.faults):
         raise ScenarioError("fault: robots can be killed and restarted on this host only; leave --hosts out")
     interrupt = Interrupt(tell)
@@ -203,6 +211,7 @@ def explore(
         interrupt.caught() if keep else contextlib.nullcontext(),
     ):
         directory = run_directory.create(out, plan) if keep else None
+        logs = directory / run_directory.LOGS if directory is not None else None
         journals = directory / run_directory.JOURNALS if directory is not None else None
         began = time.perf_counter()
 
@@ -216,17 +225,24 @@ def explore(
             task = ViewTask(plan, directory.absolute(), records=window is not None, port=port)
         ready: Callable[[], object] = window.open if window is not None else _nothing
         show = launch.Show(task, ready) if task is not None else None
-        logs = directory / run_directory.LOGS if directory else None
         done = 0
         while True:
             with run_directory.open_capture(directory, plan) as capture:
                 if scenario.bus == "memory":
                     with watching(task) if task is not None else contextlib.nullcontext() as view:
                         ready()
+                        fallen = _Fallen(logs)
                         records = in_memory.run(
-                            plan, look, capture, heed=interrupt.heed, view=view, wait=wait, journals=journals
+                            plan,
+                            look,
+                            capture,
+                            heed=interrupt.heed,
+                            view=view,
+                            wait=wait,
+                            fell=fallen.take,
+                            journals=journals,
                         )
-                    outcome = launch.Outcome(records, {})
+                    outcome = launch.Outcome(records, fallen.deaths)
                 else:
                     outcome = launch.run(
                         plan,
@@ -265,9 +281,31 @@ def _lives(scenario: Scenario, hosts: Hosts | None) -> int:
         raise ScenarioError(
             "restart: robots of other hosts cannot be started again; leave --hosts or --restart out"
         )
-    lives = LIVES if scenario.exchange == "none" else min(LIVES, MAX_MAPS // scenario.robots)
+    lives = LIVES if scenario.exchange == "none" else min(LIVES, scenario.most_maps // scenario.robots)
     check_lives(scenario, max(lives, 2))
     return lives
+
+
+def scenario_of(scenario: Scenario | None, settings: Mapping[str, Any]) -> Scenario:
+    """Lay settings over a scenario, or over the defaults; ScenarioError names all that is wrong."""
+    if scenario is not None and not settings:
+        return scenario
+    return parse((scenario.model_dump() if scenario is not None else {}) | dict(settings))
+
+
+class _Fallen:
+    """Robots in memory whose code raised: their last words, and their logs, as of processes."""
+
+    def __init__(self, logs: Path | None) -> None:
+        self.deaths: dict[str, str] = {}
+        self._logs = logs
+
+    def take(self, name: str, error: Exception) -> None:
+        said = traceback_of(error)
+        self.deaths[name] = f"exit code 1; its last words: {said}"
+        if self._logs is not None:
+            self._logs.mkdir(exist_ok=True)
+            (self._logs / f"{name}.log").write_text(f"{said}\n", encoding="utf-8")
 
 
 def conclude(plan: Plan, outcome: launch.Outcome, directory: Path | None, wall_s: float) -> Result:
@@ -280,12 +318,14 @@ def conclude(plan: Plan, outcome: launch.Outcome, directory: Path | None, wall_s
 
 
 def _exit_code(outcome: launch.Outcome, summary: dict[str, Any]) -> int:
-    if outcome.deaths or outcome.records.lost or outcome.records.end is None:
+    end = outcome.records.end
+    if outcome.deaths or outcome.records.lost or end is None or end.step < 0:
         return BROKEN_OFF
     return EXPLORED if summary["finished"] else NOT_FINISHED
 
 
-def _frame(table: Any) -> pl.DataFrame:
+def frame(table: Any) -> pl.DataFrame:
+    """An arrow table as a polars frame."""
     import polars  # noqa: PLC0415  only who asks for a frame needs it
 
     frame = polars.from_arrow(table)

@@ -106,6 +106,11 @@ def make(scenario: Scenario, world_map: Map | None = None, *, lives: int = 1) ->
         scenario.exchanges,
         scenario.offers == gossip.POLICY,
         lives,
+        scenario.radio,
+        cell,
+        world_map.cells if scenario.radio.model != "disc" else None,
+        tuple(scenario.body_of(number).send_bytes or 0 for number in range(scenario.robots)),
+        tuple(scenario.body_of(number).receive_bytes or 0 for number in range(scenario.robots)),
     )
     minds = {
         number: Settings(
@@ -129,6 +134,8 @@ def make(scenario: Scenario, world_map: Map | None = None, *, lives: int = 1) ->
             radii_cells=[body.radius_cells for body in bodies],
             field_of_view=bodies[number].field_of_view,
             scanner_turn=bodies[number].scanner_turn,
+            confirms=not radio.perfect,
+            frame_bytes=radio.packet_bytes,
             lives=lives,
         ).to_message()
         for number in range(scenario.robots)

@@ -22,9 +22,11 @@ from pydantic import (
 from agent.exchange.polygon_options import PolygonOptions
 from agent.exchange.sight_options import SightOptions
 from deploy.scenario.finding_maps import FILES as MAP_FILES
+from netshaper.presets import PRESETS
+from netshaper.radio_options import LEAST_FRAME, Partition, RadioOptions
 from protocol.errors import there_are
 from protocol.grid import MAX_ROBOTS
-from protocol.packets import MAX_MAPS
+from protocol.packets import MAX_GOSSIP_MAPS, MAX_MAPS
 from worldsim import faults
 from worldsim.faults import Fault
 
@@ -42,6 +44,7 @@ Whole = Annotated[int, Field(strict=True)]
 Metres = Annotated[float, Field(strict=True, ge=-MOST_METRES, le=MOST_METRES)]
 Positive = Annotated[float, Field(strict=True, gt=0, le=MOST_METRES)]
 NotNegative = Annotated[float, Field(strict=True, ge=0, le=MOST_METRES)]
+LimitOrNone = Annotated[int | None, Field(strict=True, ge=LEAST_FRAME, le=MOST_INTEGER)]
 Degrees = Annotated[float, Field(strict=True, le=360)]
 
 
@@ -60,6 +63,8 @@ class RobotOverride(_Table):
     sensor_range: Positive | None = Field(None, description="metres")
     field_of_view: Degrees | None = Field(None, gt=0, description="degrees")
     speed: Positive | None = Field(None, description="metres a step")
+    send_bytes: LimitOrNone = Field(None, description="bytes a step that it can send")
+    receive_bytes: LimitOrNone = Field(None, description="bytes a step that it can take")
     radius: NotNegative | None = Field(None, description="metres; 0: a point")
     scanner_turn: Degrees | None = Field(None, ge=0, description="degrees a step; 0: full view at once")
 
@@ -149,10 +154,34 @@ class Scenario(_Table):
         default_factory=PolygonOptions, description="options of the polygon exchange"
     )
     sight: SightOptions = Field(default_factory=SightOptions, description="options of the sight exchange")
+    radio: RadioOptions = Field(default_factory=RadioOptions, description="options of the radio")
     options: dict[str, Any] = Field(default_factory=dict, description="options of the strategy, by name")
+    patience: Positive = Field(
+        60.0, description="seconds of wall clock in which a robot must be done with a phase or a move"
+    )
+    least_coverage: float = Field(
+        0.9,
+        ge=0,
+        le=1,
+        description="part of the area that must have been seen for a run to count as finished",
+    )
     robot: tuple[RobotOverride, ...] = Field((), description="robots with different hardware")
     death: tuple[Death, ...] = Field((), description="robots that break down")
     fault: tuple[FaultTable, ...] = Field((), description="what befalls robots, and when")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _take_preset(cls, data: Any) -> Any:
+        """What a preset says of the radio, where the scenario does not say it itself."""
+        radio = data.get("radio") if isinstance(data, dict) else None
+        if not isinstance(radio, dict) or not radio.get("preset"):
+            return data
+        name = radio["preset"]
+        if name not in PRESETS:
+            raise ValueError(f"radio.preset = {name!r}: {there_are(PRESETS, str(name))}")
+        preset = PRESETS[name]
+        taken = {"bandwidth": preset.bandwidth, "range": str(preset.range_m)} | data
+        return taken | {"radio": {"frame_bytes": preset.frame_bytes} | radio}
 
     @field_validator("robot", "death", "fault", mode="before")
     @classmethod
@@ -187,10 +216,9 @@ class Scenario(_Table):
     @field_validator("exchange")
     @classmethod
     def _exchange_is_known(cls, value: str) -> str:
-        from agent.exchange.catalogue import EXCHANGES  # noqa: PLC0415  kernels, of which help needs none
+        from agent.exchange.catalogue import exchange_kind  # noqa: PLC0415  arrays, of which help needs none
 
-        if value not in EXCHANGES:
-            raise ValueError(there_are(EXCHANGES, value))
+        exchange_kind(value)
         return value
 
     @field_validator("options")
@@ -206,11 +234,19 @@ class Scenario(_Table):
         from agent.strategies.registry import strategy  # noqa: PLC0415  kernels, of which help needs none
 
         strategy(self.strategy).check(self.options)
-        if self.robots > MAX_MAPS and self.exchange != "none":
+        if self.robots > self.most_maps and self.exchange != "none":
             raise ValueError(
-                f"robots = {self.robots}: packets can name the maps of {MAX_MAPS} robots; "
-                "more need exchange = 'none'"
+                f"robots = {self.robots}: packets can name the maps of {self.most_maps} robots; "
+                "more need offers = 'gossip', or exchange = 'none'"
             )
+        for partition in self.radio.partition:
+            strange = [robot for group in partition.groups for robot in group if robot >= self.robots]
+            if strange:
+                raise ValueError(
+                    f"[[radio.partition]] speaks of robot {strange[0]}; the last one is {self.robots - 1}"
+                )
+        if self.radio.duty_cycle < 1 and self.bandwidth == UNLIMITED:
+            raise ValueError("radio.duty_cycle: is a share of the bandwidth, which must not be unlimited")
         if self.start_jitter and self.start is None and not self.starts:
             raise ValueError("start_jitter moves a start about: give `start`, or `starts`")
         for table, entries in (("robot", self.robot), ("death", self.death)):
@@ -245,9 +281,16 @@ class Scenario(_Table):
             sensor_range=own.sensor_range or self.sensor_range,
             field_of_view=own.field_of_view or self.field_of_view,
             speed=own.speed or self.speed,
+            send_bytes=own.send_bytes or self.radio.send_bytes or None,
+            receive_bytes=own.receive_bytes or self.radio.receive_bytes or None,
             radius=self.radius if own.radius is None else own.radius,
             scanner_turn=self.scanner_turn if own.scanner_turn is None else own.scanner_turn,
         )
+
+    @property
+    def most_maps(self) -> int:
+        """Maps that packets can name: offers have fewer bits for it than gossip."""
+        return MAX_GOSSIP_MAPS if self.offers == "gossip" else MAX_MAPS
 
     def to_toml(self) -> str:
         """The scenario as TOML, every setting written out."""
@@ -256,10 +299,11 @@ class Scenario(_Table):
 
 def check_lives(scenario: Scenario, lives: int) -> None:
     """Raise ScenarioError if packets cannot name the maps of robots that begin so often (`agent.identity`)."""
-    if scenario.exchange != "none" and scenario.robots * lives > MAX_MAPS:
+    most = scenario.most_maps
+    if scenario.exchange != "none" and scenario.robots * lives > most:
         raise ScenarioError(
-            f"robots = {scenario.robots}: packets can name {MAX_MAPS} maps, one a life of each robot; so "
-            f"{scenario.robots} robots can begin {MAX_MAPS // scenario.robots} times each, not {lives} times"
+            f"robots = {scenario.robots}: packets can name {most} maps, one a life of each robot; so "
+            f"{scenario.robots} robots can begin {most // scenario.robots} times each, not {lives} times"
         )
 
 
@@ -279,9 +323,19 @@ def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
         path, data = read_toml(path, "scenario", SHIPPED)
         if "map" in data:
             data["map"] = beside(path, data["map"])
+    if overrides.get("radio.preset"):
+        _leave_to_preset(data)
     _lay_over(data, overrides)
     where = f"scenario {path}" if path is not None else "scenario"
     return parse(data, where)
+
+
+def _leave_to_preset(data: dict[str, Any]) -> None:
+    """Take out of a file's settings what the preset says that is asked for instead."""
+    for key in ("bandwidth", "range"):
+        data.pop(key, None)
+    if isinstance(data.get("radio"), dict):
+        data["radio"] = {key: value for key, value in data["radio"].items() if key != "frame_bytes"}
 
 
 def _lay_over(data: dict[str, Any], overrides: dict[str, Any]) -> None:
@@ -348,6 +402,8 @@ _KEYS = {
     "fault": list(FaultTable.model_fields),
     "polygon": [field.name for field in fields(PolygonOptions)],
     "sight": [field.name for field in fields(SightOptions)],
+    "radio": [field.name for field in fields(RadioOptions)],
+    "radio.partition": [field.name for field in fields(Partition)],
 }
 """What may be set in each table."""
 
@@ -356,7 +412,7 @@ def _explain(item: Any) -> str:
     key = ".".join(str(part) for part in item["loc"] if part not in ("int", "literal['unlimited']"))
     message = str(item["msg"]).removeprefix("Value error, ")
     if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-        table = str(item["loc"][0]) if len(item["loc"]) > 1 else ""
+        table = ".".join(str(part) for part in item["loc"][:-1] if isinstance(part, str))
         return f"{key} is no setting; {there_are(_KEYS[table], str(item['loc'][-1]))}"
     if item["type"] == "missing":
         return f"{key} is missing"

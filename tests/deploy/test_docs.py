@@ -31,6 +31,8 @@ from deploy.scenario.plan import make
 from deploy.scenario.scenario import SHIPPED, Death, FaultTable, RobotOverride, Scenario, ScenarioError, load
 from netshaper import access
 from netshaper.ledger import CAUSES, ROW
+from netshaper.presets import PRESETS
+from netshaper.radio_options import RadioOptions
 from protocol import messages, packets, survey
 from protocol.grid import MAX_ROBOTS, MAX_SIDE, UNKNOWN, Grid, fan
 from protocol.keys import Keys
@@ -44,7 +46,8 @@ GOLDEN = Path(__file__).parents[1] / "protocol" / "golden"
 
 LETTERS = {
     "index": "i", "x": "x", "y": "y", "side": "s", "occupied": "o", "object": "n", "count": "c",
-    "inside": "e", "map": "m", "block": "b", "leads": "l", "robot": "r", "here": "h",
+    "inside": "e", "map": "m", "block": "b", "leads": "l", "robot": "r",
+    "sum": "q",
 }  # fmt: skip
 
 ROOM = """
@@ -208,6 +211,10 @@ def defaults(kind: Any, prefix: str = "") -> dict[str, tuple[str, str]]:
         if name == "sight":
             found |= {f"sight.{n}": (plain(value), "") for n, value in asdict(SightOptions()).items()}
             continue
+        if name == "radio":
+            options = {**asdict(RadioOptions()), "partition": []}
+            found |= {f"radio.{n}": (plain(value), "") for n, value in options.items()}
+            continue
         default = "required" if info.is_required() else plain(info.get_default(call_default_factory=True))
         found[prefix + name] = default, info.description
     return found
@@ -243,7 +250,8 @@ def test_limits_are_those_of_the_code() -> None:
     assert limits == {
         "cells a side of the grid": str(MAX_SIDE),
         "robots": str(MAX_ROBOTS),
-        "robots whose maps travel": str(packets.MAX_MAPS),
+        "robots whose maps travel by offers": str(packets.MAX_MAPS),
+        "robots whose maps travel by gossip": str(packets.MAX_GOSSIP_MAPS),
         "robots times lives": str(packets.MAX_MAPS),
         "objects an approximation": str(packets.MAX_OBJECTS),
         "vertices an object": str(packets.MAX_VERTICES),
@@ -329,6 +337,21 @@ def test_the_ledger_s_columns_and_causes_are_all_there() -> None:
         assert f"\n- `{cause}`: " in text
 
 
+def test_the_table_of_radios_is_that_of_the_code() -> None:
+    told_of = {name: figures for name, *figures in rows("radios.md", "Radios by name")}
+    assert told_of == {
+        name: [
+            preset.words,
+            f"{preset.bits_per_s:,}",
+            f"{preset.bandwidth:,}",
+            str(preset.frame_bytes),
+            f"{1000 * preset.frame_s:.1f}",
+            str(preset.range_m),
+        ]
+        for name, preset in PRESETS.items()
+    }
+
+
 def test_keys_and_rights_are_what_participants_put_hear_and_say() -> None:
     keys = Keys("RUN")
     there_are = {row[0] for row in rows("protocol.md", "Keys")}
@@ -368,7 +391,7 @@ def test_links_between_documents_lead_somewhere(document: Path) -> None:
         assert (DOCS / target).exists(), f"{document.name} links to {target}"
 
 
-@pytest.mark.parametrize("document", ["architecture.md", "protocol.md", "several-terminals.md"])
+@pytest.mark.parametrize("document", ["architecture.md", "protocol.md", "radios.md", "several-terminals.md"])
 def test_files_that_documents_name_are_there(document: str) -> None:
     text = (DOCS / document).read_text(encoding="utf-8")
     rooms = "agent|deploy|netshaper|protocol|tests|worldsim"

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 
 from netshaper import pcapng
 from netshaper.capture import HEAD, KEPT, PART, VERSION, WIDE, WIDE_HEAD
-from netshaper.ledger import KIND_NUMBER, MALFORMED
+from netshaper.ledger import KIND_NUMBER, MALFORMED, on_air
 from netshaper.sightings import Sighting, hearers_of, in_words
 from protocol import packets
 from protocol.errors import ProtocolError
@@ -21,7 +21,7 @@ def rows(step: int, seen: Iterable[Sighting]) -> list[Row]:
     return [
         (
             step, each.exchange, each.connection, each.frame, each.sender, each.receiver, each.map, kind, number,
-            size, int(not each.verdict), each.verdict, each.hearers.bit_count(),
+            size, int(on_air(each.verdict)), each.verdict, each.hearers.bit_count(),
         )
         for each in seen
         for kind, number, size in counted(each.payload)
@@ -66,7 +66,7 @@ def head_of(step: int, seen: Sighting, part: int) -> bytes:
 def parts(seen: Sighting) -> Iterator[tuple[bytes, int]]:
     """What is kept of a frame, packet by packet of the capture, and the size of each."""
     rest = seen.payload
-    if seen.verdict:
+    if not on_air(seen.verdict):
         yield rest[:KEPT], len(rest)
         return
     while len(rest) > PART:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netshaper.airtime import LATE, MOST_URGENT, UNLIMITED, Shares, fill
+from netshaper.airtime import HOUR, LATE, MOST_URGENT, UNLIMITED, Airtime, Shares, cut_into_frames, fill
 from protocol import survey
 from protocol.packets import Delete, Fragment, Look, Save, encode
 
@@ -62,3 +63,83 @@ def test_without_a_limit_nobody_takes_the_air_from_others() -> None:
     shares = Shares(UNLIMITED)
     shares.book(0, 10**9)
     assert shares.rank(0, 1) < shares.rank(1, 0)
+
+
+LINE = {0: [1], 1: [0, 2], 2: [1, 3], 3: [2]}
+
+
+def test_one_budget_is_spent_by_all() -> None:
+    air = Airtime(100, 4)
+    air.next_step(LINE)
+    air.book(0, 60)
+    assert [air.room(robot) for robot in range(4)] == [40] * 4
+
+
+def test_who_cannot_hear_each_other_shares_no_air_where_neighbourhoods_have_budgets() -> None:
+    air = Airtime(100, 4, reuse=True)
+    air.next_step(LINE)
+    air.book(0, 60)
+    assert [air.room(robot) for robot in range(4)] == [40, 40, 40, 100]
+    air.book(3, 100)
+    assert [air.room(robot) for robot in range(4)] == [40, 0, 0, 0]
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 50)), max_size=30))
+def test_nobody_has_more_than_a_budget_around_it(said: list[tuple[int, int]]) -> None:
+    air = Airtime(100, 4, reuse=True)
+    air.next_step(LINE)
+    around = dict.fromkeys(LINE, 0)
+    for robot, size in said:
+        if size <= air.room(robot):
+            air.book(robot, size)
+            for each in (robot, *LINE[robot]):
+                around[each] += size
+    assert max(around.values()) <= 100
+    assert all(air.room(robot) == 100 - max(around[r] for r in (robot, *LINE[robot])) for robot in LINE)
+
+
+def test_a_duty_cycle_is_kept_over_an_hour_and_what_is_saved_is_bounded() -> None:
+    air = Airtime(100, 1, duty_cycle=0.01)
+    sent = []
+    for _ in range(2 * HOUR):
+        air.next_step({0: []})
+        size = min(100, air.room(0))
+        air.book(0, size)
+        sent.append(size)
+    # Saved up at first: an hour's bytes; and then what comes in.
+    assert sum(sent) == pytest.approx(3 * HOUR, abs=2)
+    assert sum(sent[HOUR:]) == pytest.approx(HOUR, abs=2)
+
+
+def test_a_robot_sends_and_takes_no_more_than_it_can() -> None:
+    air = Airtime(UNLIMITED, 2, send=[50, 0], receive=[0, 30])
+    air.next_step({0: [1], 1: [0]})
+    assert (air.room(0), air.room(1)) == (50, UNLIMITED)
+    air.book(0, 20)
+    assert air.room(0) == 30
+    assert air.takes(1, 20)
+    assert not air.takes(1, 11)
+    assert air.takes(1, 10)
+    air.next_step({0: [1], 1: [0]})
+    assert air.room(0) == 50
+    assert air.takes(1, 30)
+
+
+@given(
+    st.lists(st.integers(1, 12), max_size=12),
+    st.integers(-1, 60),
+    st.sampled_from((0, 16, 20)),
+    st.sampled_from((0, 3)),
+)
+def test_frames_hold_whole_packets_and_no_more_than_there_is_room_for(
+    sizes: list[int], room: int, most: int, tail: int
+) -> None:
+    said = [encode([Fragment(bytes(size))]) for size in sizes]
+    frames, rest = cut_into_frames(b"".join(said), room, most, tail)
+    assert b"".join(frames) + rest == b"".join(said)
+    assert all(not most or len(frame) + tail <= most for frame in frames)
+    assert room == UNLIMITED or sum(len(frame) + tail for frame in frames) <= room
+    for frame in [*frames, rest]:
+        assert survey.split(frame) or not frame
+    if rest and room == UNLIMITED:
+        assert most

@@ -1,14 +1,29 @@
-"""Who hears whom: a disc, the same from both sides."""
+"""Who hears whom: the same from both sides; a disc, or less where walls, shadowing and partitions are in the way."""
 
 from __future__ import annotations
 
 import math
+from fractions import Fraction
+from itertools import pairwise, product
 
+import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from netshaper.connectivity import in_range
+from netshaper.connectivity import (
+    Cell,
+    disc,
+    in_range,
+    line_of_sight,
+    log_distance,
+    named,
+    parted,
+    shadowing,
+    walls_crossed,
+)
+from netshaper.radio_options import Partition
+from protocol.grid import FREE, OCCUPIED, Grid
 
 places = st.dictionaries(
     st.integers(0, 20), st.tuples(st.integers(0, 30), st.integers(0, 30)), min_size=1, max_size=12
@@ -48,3 +63,113 @@ def test_without_a_limit_everyone_hears_everyone(count: int) -> None:
 
 def test_at_range_0_only_robots_in_one_cell_would_hear_each_other() -> None:
     assert in_range({0: (1, 1), 1: (1, 2)}, 0.0) == {0: [], 1: []}
+
+
+ROOMS = np.array(
+    [
+        [OCCUPIED if cell == "#" else FREE for cell in row]
+        for row in (
+            "############",
+            "#....#.....#",
+            "#....#.....#",
+            "#..........#",
+            "#....##....#",
+            "############",
+        )
+    ],
+    np.uint8,
+)
+inside = st.tuples(st.integers(1, 10), st.integers(1, 4))
+
+
+def plain_walls(grid: Grid, one: Cell, other: Cell) -> int:
+    """Walls on the way between two cells, walked border by border with fractions."""
+    (x, y), (end_x, end_y) = sorted((one, other))
+    way = [(x, y)]
+    while (x, y) != (end_x, end_y):
+        (x0, y0), _ = sorted((one, other))
+        along_x, along_y = abs(end_x - x0), abs(end_y - y0)
+        next_x = Fraction(2 * abs(x - x0) + 1, 2 * along_x) if along_x else math.inf
+        next_y = Fraction(2 * abs(y - y0) + 1, 2 * along_y) if along_y else math.inf
+        if next_x <= next_y:
+            x += 1 if end_x > x0 else -1
+        else:
+            y += 1 if end_y > y0 else -1
+        way.append((x, y))
+    solid = [grid[y, x] == OCCUPIED for x, y in way]
+    return sum(now and not before for before, now in pairwise([False, *solid]))
+
+
+@given(st.lists(inside, min_size=2, max_size=5))
+def test_walls_are_counted_as_on_a_walk_with_fractions(cells: list[Cell]) -> None:
+    counted = walls_crossed(ROOMS, np.array(cells, np.int64))
+    for (a, one), (b, other) in product(enumerate(cells), repeat=2):
+        assert counted[a, b] == (plain_walls(ROOMS, one, other) if a != b else 0)
+
+
+def test_a_wall_ends_a_line_of_sight_and_a_door_opens_it() -> None:
+    places = np.array([(3, 1), (8, 1), (3, 3), (8, 3)])
+    sight = line_of_sight(places, 20.0, ROOMS)
+    assert not sight[0, 1]
+    assert sight[2, 3]
+    assert (sight <= disc(places, 20.0)).all()
+    assert not line_of_sight(places, 4.9, ROOMS)[2, 3]
+
+
+@given(st.lists(inside, min_size=1, max_size=5), st.floats(0, 12), st.floats(1, 4), st.floats(0, 3))
+def test_without_walls_and_shadowing_the_logarithmic_model_is_the_disc(
+    cells: list[Cell], range_cells: float, exponent: float, per_metre: float
+) -> None:
+    places = np.array(cells, np.int64)
+    away = np.hypot(*(places[:, None] - places).transpose(2, 0, 1))
+    assume((np.abs(away - range_cells) > 0.01).all())  # at the very border thousandths of a dB decide
+    hears = log_distance(
+        places,
+        range_cells,
+        np.full_like(ROOMS, FREE),
+        0.1,
+        exponent=exponent,
+        db_per_metre=per_metre,
+        db_per_wall=9.0,
+    )
+    assert (hears == disc(places, range_cells)).all()
+
+
+@given(st.lists(inside, min_size=2, max_size=5), st.integers(0, 99))
+def test_walls_only_take_away_and_links_are_mutual_and_stay_as_they_are(cells: list[Cell], seed: int) -> None:
+    places = np.array(cells, np.int64)
+    extra = shadowing(places, 0.5, seed, 8.0, 2.0)
+    assert (extra == extra.T).all()
+    assert (extra == shadowing(places, 0.5, seed, 8.0, 2.0)).all()
+    loss = {"exponent": 2.0, "db_per_metre": 0.0, "extra_db": extra}
+    walls = log_distance(places, 6.0, ROOMS, 0.5, db_per_wall=6.9, **loss)
+    without = log_distance(places, 6.0, ROOMS, 0.5, db_per_wall=0.0, **loss)
+    assert (walls == walls.T).all()
+    assert (walls <= without).all()
+
+
+def test_a_wall_of_6_db_halves_the_range() -> None:
+    wall = np.full((1, 30), FREE, np.uint8)
+    wall[0, 3] = OCCUPIED
+    for length in range(4, 25):
+        places = np.array([(0, 0), (length, 0)])
+        heard = log_distance(
+            places, 20.0, wall, 1.0, exponent=2.0, db_per_metre=0.0, db_per_wall=20 * math.log10(2)
+        )[0, 1]
+        assert heard == (length <= 10)
+
+
+def test_shadowing_is_spread_as_it_is_asked_for() -> None:
+    places = np.array([(x, y) for x in range(0, 60, 4) for y in range(0, 24, 4)])
+    drawn = shadowing(places, 1.0, 3, 8.0, 2.0)[np.triu_indices(len(places), 1)]
+    assert abs(drawn.mean()) < 0.5
+    assert drawn.std() == pytest.approx(8.0, rel=0.05)
+
+
+def test_a_partition_keeps_groups_apart_while_it_lasts() -> None:
+    partition = Partition(5, 7, ((0, 1), (2,)))
+    robots = [0, 1, 2, 4, 5]
+    assert parted(robots, [partition], 4).all()
+    assert parted(robots, [partition], 8).all()
+    hears = named(robots, parted(robots, [partition], 5))
+    assert hears == {0: [1], 1: [0], 2: [], 4: [5], 5: [4]}

@@ -17,9 +17,10 @@ from agent.settings import Settings
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import parse
+from netshaper.imperfect import radio
 from netshaper.ledger import EVERYONE, ROW
 from netshaper.medium import UNLIMITED
-from netshaper.radio import Frame, Note, Outgoing, Radio
+from netshaper.radio import Frame, Note, Outgoing
 from protocol.grid import FREE, OCCUPIED, Grid, fan
 from protocol.messages import Close, Move, Open, Outcome, Said, Sense, Turn
 from worldsim import generators
@@ -111,7 +112,7 @@ class Team:
         self.said: dict[int, int] = {}
         """Bytes that robots put on their antennas, by step."""
         self.moves: dict[int, Move] = {}
-        self._radio = Radio(plan.radio)
+        self._radio = radio(plan.radio)
         self._rows: list[bytes] = []
         self._laser = fan(plan.world.bodies[0].range_cells, plan.world.beams)
 

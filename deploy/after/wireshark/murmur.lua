@@ -6,7 +6,10 @@
 local murmur = Proto("murmur", "Murmur radio")
 
 local FRAMES = { [0] = "offer", [1] = "answer", [2] = "data", [3] = "broadcast", [4] = "news" }
-local VERDICTS = { [0] = "carried", [1] = "budget", [2] = "range", [3] = "protocol", [4] = "lost", [5] = "mute" }
+local VERDICTS = { [0] = "carried", [1] = "budget", [2] = "range", [3] = "protocol", [4] = "lost", [5] = "mute",
+  [6] = "limit", [7] = "loss", [8] = "damaged", [9] = "full" }
+-- From here on a verdict says why nobody heard what was on the air.
+local FIRST_ON_AIR = 7
 local FULL_SCAN, SHORT_SCAN, SCAN = 0xF1, 0xF2, 63
 local LOOK, LAST_LOOK, LOOK_DATA = 0xF4, 0xF5, 8
 
@@ -31,9 +34,13 @@ local LAYOUTS = {
   { kind = "pose", name = "Pose", size = 4, code = 0xF3, bits = 8, fields = { { "x", 11 }, { "y", 11 }, { "leads", 1 } } },
   { kind = "conn", name = "Block", size = 2, code = 0x3E0, bits = 10, fields = { { "block", 6 } } },
   { kind = "conn", name = "Decline", size = 2, code = 0xFC00, bits = 16, fields = {} },
-  { kind = "conn", name = "From", size = 4, code = 0xF6, bits = 8, fields = { { "map", 6 }, { "index", 18 } } },
-  { kind = "conn", name = "Held", size = 4, code = 0xF7, bits = 8, fields = { { "map", 6 }, { "index", 18 } } },
-  { kind = "conn", name = "Near", size = 2, code = 0xF9, bits = 8, fields = { { "robot", 6 }, { "here", 1 } } },
+  { kind = "conn", name = "From", size = 5, code = 0xF6, bits = 8, fields = { { "map", 8 }, { "index", 24 } } },
+  { kind = "conn", name = "FromEarly", size = 3, code = 0xFB, bits = 8, fields = { { "map", 8 }, { "index", 8 } } },
+  { kind = "conn", name = "Held", size = 5, code = 0xF7, bits = 8, fields = { { "map", 8 }, { "index", 24 } } },
+  { kind = "conn", name = "HeldEarly", size = 3, code = 0xFD, bits = 8, fields = { { "map", 8 }, { "index", 8 } } },
+  { kind = "conn", name = "Near", size = 2, code = 0xF9, bits = 8, fields = { { "robot", 8 } } },
+  { kind = "conn", name = "Gone", size = 2, code = 0xFE, bits = 8, fields = { { "robot", 8 } } },
+  { kind = "sum", name = "Check", size = 3, code = 0xFA, bits = 8, fields = { { "sum", 16 } } },
 }
 
 local f = {
@@ -65,7 +72,7 @@ local f = {
   block = ProtoField.uint8("murmur.block", "Block"),
   leads = ProtoField.uint8("murmur.leads", "Sender leads"),
   robot = ProtoField.uint8("murmur.robot", "Robot"),
-  here = ProtoField.uint8("murmur.here", "In range"),
+  sum = ProtoField.uint16("murmur.sum", "Checksum"),
   number = ProtoField.uint8("murmur.number", "Unit, modulo 4"),
   data = ProtoField.bytes("murmur.data", "Piece of a scan, or of a unit of looks"),
   rest = ProtoField.bytes("murmur.rest", "Bytes that are no packet"),
@@ -256,7 +263,7 @@ function murmur.dissector(tvb, pinfo, root)
   tree:add(f.frame, tvb(1, 1))
   local result = tree:add(f.verdict, tvb(2, 1))
   if verdict ~= 0 then
-    result:add_proto_expert_info(refused, "not carried: " .. (VERDICTS[verdict] or "?"))
+    result:add_proto_expert_info(refused, (verdict < FIRST_ON_AIR and "not carried: " or "not heard: ") .. (VERDICTS[verdict] or "?"))
   end
   tree:add(f.step, step)
   tree:add(f.exchange, tvb(3, 1))

@@ -124,6 +124,24 @@ def test_burgard_assigns_anew_after_a_time_where_that_is_wanted() -> None:
         assert team.decide(replace(robot_at(11), step=5)).target == expected
 
 
+def test_burgard_assigns_anew_some_time_and_some_way_after_it_last_did() -> None:
+    for options in ({"after_steps": 5}, {"after_metres": 0.7}):
+        team = mind("burgard", options)
+        assert team.decide(replace(robot_at(4), step=3)).target == (0, 1)
+        soon = replace(robot_at(11), step=7, travelled={0: 6.0})
+        assert team.decide(soon).target == (0, 1)
+        assert team.decide(replace(soon, step=8, travelled={0: 7.0})).target == (14, 1)
+
+
+def test_where_occupancy_is_too_likely_burgard_does_not_drive() -> None:
+    # A corridor of one cell leads to the left, one of five to the right.
+    grid = drawn(*2 * ["######........."], "?.............?", *2 * ["######........."])
+    for occ_max, column in ((1.0, 1), (0.5, 13)):
+        target = decide("burgard", robot_at(6, 2, grid=grid), SHORTEST | {"occ_max": occ_max}).target
+        assert target is not None
+        assert abs(target[0] - column) <= 1
+
+
 def test_greedy_serves_robots_in_an_order_that_is_drawn_anew_and_alike_in_all_members() -> None:
     # Whoever comes first takes the left goal.
     cells = {0: (5, 1), 1: (6, 1)}

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from agent.robot import Robot
+from agent.exchange.log import Log
 from deploy.chaos import runs
 from deploy.chaos.invariants import Violation, Watcher
 from deploy.chaos.liars import Lies
 from deploy.chaos.runs import Verdict, shrink, weather
 from deploy.chaos.storm import CALM, Storm, storm
 from deploy.commands.main import app
-from deploy.run import in_memory
+from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
 from protocol.grid import UNKNOWN
 from protocol.memory_bus import MemoryHub
@@ -44,23 +44,27 @@ def test_storms_hold_and_repeat_byte_for_byte(seed: int) -> None:
 
 
 def sabotaged(drawn: Storm, wrong: str) -> None:
-    """Run a storm in which one robot goes wrong."""
+    """Run a storm in which robots go wrong after step 25."""
     plan = plans.make(drawn.scenario)
     watcher = Watcher(plan, ())
-
-    def inspect(step: int, robot: Robot) -> None:
-        if step == 25:
-            known = np.argwhere(robot.own != UNKNOWN)[0]
-            if wrong == "forgets":
-                robot.own[tuple(known)] = UNKNOWN
-            if wrong == "invents":
-                robot.own[tuple(known)] ^= 3
-            if wrong == "loses":
-                for log in robot.session.logs:
-                    log.retract(len(log))
-        watcher.inspect(step, robot)
-
-    watcher.conclude(in_memory.run(plan, inspect=inspect))
+    under_way = MemoryRun(plan)
+    for step in under_way.steps():
+        for agent in under_way.agents:
+            robot = agent.robot
+            if robot is None or agent.done:
+                continue
+            if step == 25:
+                known = tuple(np.argwhere(robot.own != UNKNOWN)[0])
+                if wrong == "forgets":
+                    robot.own[known] = UNKNOWN
+                if wrong == "invents":
+                    robot.own[known] ^= 3
+                if wrong == "overrules":
+                    robot.planning[known] ^= 3
+                if wrong == "loses":
+                    robot.session.logs[:] = [Log() for _ in robot.session.logs]
+            watcher.inspect(step, robot)
+    watcher.conclude(under_way.records)
 
 
 @pytest.mark.parametrize(
@@ -68,6 +72,7 @@ def sabotaged(drawn: Storm, wrong: str) -> None:
     [
         ("forgets", "does not know any more what it has seen"),
         ("invents", "has seen what is not so"),
+        ("overrules", "plans on cells otherwise than it has seen them"),
         ("loses", "units of map"),
     ],
 )

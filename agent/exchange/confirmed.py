@@ -1,0 +1,267 @@
+"""The session where the medium may lose, delay, repeat and reorder what is said: only what the other says confirms.
+
+As the session of a perfect medium (`agent.exchange.session`), of which it has the logs, the table and the rules of
+whom to offer what. But nothing follows from what was on the air, and each frame says by itself what it is about, so
+that it does not matter when it comes, how often, and behind which others:
+
+    event                                     what is said to the peer, in the next exchange
+    there is news for it, nothing is awaited  offer: the map, and the block that it is thought to be in
+    it offers a map, or sends some of it      held: how much of the map one holds by now
+    it said what it holds of late, and that   from, and the units from there on
+    is less
+    no word came for as long as a round trip  offer again; each time twice as long is waited
+    of late, and some
+
+What it has to say to one peer goes in one frame: reports, then offers, then units. Its table moves when a peer says
+what it holds, or shows that it holds units by sending them, and by nothing else. Units that one holds already are
+ignored, and so are those that come behind others that one lacks: the next word of what is held brings them again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from agent.exchange.session import MAX_WAIT, PATIENCE, Session, Table
+from protocol import packets, survey
+from protocol.errors import ProtocolError
+from protocol.messages import Outcome
+from protocol.packets import BLOCKS, GOSSIP_WINDOW, INDEX_WINDOW, From, Held, Offer
+
+LEAST_WAIT = 2
+"""Exchanges in which a word can come back at the soonest: it is said in one and answered in the next."""
+
+OF_LATE = 8
+"""Exchanges after which one asks again what a peer holds before one sends it more."""
+
+Pair = tuple[int, int]
+"""A peer, and whose map."""
+
+
+@dataclass
+class _Frame:
+    """What is said to one peer, and where in it each report, offer and unit ends, in bytes."""
+
+    payload: bytes = b""
+    reports: list[tuple[int, Pair]] = field(default_factory=list)
+    offers: list[tuple[int, Pair]] = field(default_factory=list)
+    units: list[tuple[int, Pair, int]] = field(default_factory=list)
+    """With each how many units of the log the peer then has been sent."""
+
+
+class ConfirmedSession(Session):
+    """One robot's end of all connections, where only what the other says confirms."""
+
+    def __init__(
+        self, robot: int, robots: int, policy: str = "backoff", *, lives: int = 1, life: int = 0
+    ) -> None:
+        super().__init__(robot, robots, policy, lives=lives, life=life)
+        self._owed: set[Pair] = set()
+        """Whom one is to tell how much of which map one holds."""
+        self._word: dict[Pair, int] = {}
+        """The exchange in which a peer said last what it holds of a map."""
+        self._spoken: dict[Pair, int] = {}
+        """The exchange in which one spoke to a peer of a map; it is taken out when a word comes."""
+        self._tries: dict[Pair, int] = {}
+        """How often one has since the last word."""
+        self._frames: list[_Frame] = []
+        self._aired = 0
+        """Units of one's own log that have been on the air."""
+
+    @cached_property
+    def _wait(self) -> Table:
+        return np.full((self._robots, len(self.logs)), LEAST_WAIT, np.int64)
+
+    def retract(self, count: int) -> bool:
+        """Take the last `count` units of one's own log back, if none of them has been on the air; say whether."""
+        log = self.logs[self.own]
+        if len(log) - count < self._aired:
+            return False
+        log.retract(count)
+        return True
+
+    def offers(self, exchange: int, peers: list[int], room: int | None) -> list[tuple[int, int, bytes]]:
+        """Open an exchange: return what to say, one frame a peer, as (peer, map, frame)."""
+        self._now += 1
+        self._only_first = self._only_first and exchange == 0
+        self._room = room
+        self._peers = peers
+        held = np.array([len(log) for log in self.logs], np.int64)
+        chosen = self._worth_offering(exchange, held) if peers and held.any() else []
+        chosen = [pair for pair in chosen if self._now >= self._due[pair]]
+        left = room
+        said: list[tuple[int, int, bytes]] = []
+        self._frames = []
+        for peer in peers:
+            frame = _Frame()
+            about = [pair for pair in chosen if pair[0] == peer]
+            send = [pair for pair in about if self._now <= self._word.get(pair, -MAX_WAIT) + OF_LATE]
+            self._report(frame, peer)
+            self._offer(frame, [pair for pair in about if pair not in send])
+            for pair in send:
+                self._send(frame, pair, left)
+            if frame.payload:
+                self._frames.append(frame)
+                said.append((peer, about[0][1] if about else peer, frame.payload))
+                left = None if left is None else max(0, left - len(frame.payload))
+        return said
+
+    def answers(self, heard: list[tuple[int, int, bytes]]) -> list[tuple[int, int, bytes]]:
+        """Answers are said when the medium opens next."""
+        raise ProtocolError("conn", 0, f"{len(heard)} offers out of turn")
+
+    def data(self, heard: list[tuple[int, int, int, bytes]]) -> list[tuple[int, int, bytes]]:
+        """Data are said when the medium opens next."""
+        raise ProtocolError("conn", 0, f"{len(heard)} answers out of turn")
+
+    def outcome(self, outcome: Outcome, heard: list[tuple[int, bytes]]) -> Iterator[tuple[int, int, bytes]]:  # type: ignore[override]
+        """Note what was on the air, and take what came; yield the news in it, as (peer, map, frame).
+
+        The caller appends the units of each with `accept` before it asks for the next, once it has made sense of
+        them.
+        """
+        for frame, sent in zip(self._frames, outcome.data, strict=False):
+            self._settle_frame(frame, sent)
+        self._frames = []
+        for peer, payload in heard:
+            yield from self._hear(peer, survey.split(payload))
+
+    def delivered(self) -> bool:
+        """Whether teammates were in range when the medium last opened, and all said to hold one's own log.
+
+        But for those from whom no word comes (`PATIENCE`).
+        """
+        held = len(self.logs[self.own])
+        if not self._peers or not held:
+            return bool(self._peers)
+        return all(
+            self.known[peer, self.own] >= held or self._tries.get((peer, self.own), 0) > PATIENCE
+            for peer in self._peers
+        )
+
+    # --- what is said
+
+    def _report(self, frame: _Frame, peer: int) -> None:
+        for about in sorted(each for to, each in self._owed if to == peer):
+            frame.payload += packets.encode([Held(about, len(self.logs[about]) % GOSSIP_WINDOW)])
+            frame.reports.append((len(frame.payload), (peer, about)))
+
+    def _offer(self, frame: _Frame, pairs: list[Pair]) -> None:
+        for peer, about in pairs:
+            block = int(self.known[peer, about]) // INDEX_WINDOW % BLOCKS
+            frame.payload += packets.encode([Offer(about, block)])
+            frame.offers.append((len(frame.payload), (peer, about)))
+
+    def _send(self, frame: _Frame, pair: Pair, room: int | None) -> None:
+        """Send the units that a peer lacks of a map, as many as there is room for."""
+        peer, about = pair
+        first = max(int(self.known[peer, about]), self.logs[about].oldest)
+        head = packets.encode([From(about, first % GOSSIP_WINDOW)])
+        left = None if room is None else room - len(frame.payload) - len(head)
+        units = self.logs[about].since(first, left)
+        if not units:
+            return
+        frame.payload += head
+        end = len(frame.payload)
+        for number, unit in enumerate(units, first + 1):
+            end += len(unit)
+            frame.units.append((end, pair, number))
+        frame.payload += b"".join(units)
+
+    # --- what becomes of it
+
+    def _settle_frame(self, frame: _Frame, sent: int) -> None:
+        """So many bytes of a frame were on the air; whether they were heard its hearer will say."""
+        for end, pair in frame.reports:
+            if end <= sent:
+                self._owed.discard(pair)
+        spoken = {pair for end, pair in frame.offers if end <= sent}
+        for end, pair, number in frame.units:
+            if end <= sent:
+                spoken.add(pair)
+                self._word.pop(pair, None)
+                if pair[1] == self.own:
+                    self._aired = max(self._aired, number)
+        for pair in spoken:
+            tries = self._tries[pair] = self._tries.get(pair, 0) + 1
+            if tries > 1:
+                self._wait[pair] = min(2 * int(self._wait[pair]), MAX_WAIT)
+            self._spoken[pair] = self._now
+            self._due[pair] = self._now + int(self._wait[pair])
+
+    def _hear(self, peer: int, pieces: list[bytes]) -> Iterator[tuple[int, int, bytes]]:
+        """Take a frame; yield the units in it that are news."""
+        about, first, units = -1, 0, list[bytes]()
+        for piece in pieces:
+            if packets.name(piece) != Offer.name:
+                units.append(piece)
+                continue
+            yield from self._take(peer, about, first, units)
+            units = []
+            match packets.decode(piece)[0]:
+                case Held(map, count) if map < len(self.logs):
+                    self._confirm((peer, map), self._unwrap(map, count))
+                case Offer(map, _) if map < len(self.logs):
+                    self._recognise(peer, map)
+                    self._owe((peer, map))
+                case From(map, index) if map < len(self.logs):
+                    self._recognise(peer, map)
+                    about, first = map, self._unwrap(map, index)
+        yield from self._take(peer, about, first, units)
+
+    def _take(
+        self, peer: int, about: int, first: int, units: list[bytes]
+    ) -> Iterator[tuple[int, int, bytes]]:
+        """A peer sent units of a map, from number `first` on: yield those that are news."""
+        if not units or about < 0:
+            return
+        held, end = len(self.logs[about]), first + len(units)
+        self._owe((peer, about))
+        self._learn((peer, about), end)
+        if first <= held < end and not self._is_mine(about):
+            yield peer, about, b"".join(units[held - first :])
+
+    def _owe(self, pair: Pair) -> None:
+        """A peer is to be told how much one holds, unless its word about that map is not wanted."""
+        if not self._is_mine(pair[1]) and pair not in self.refused:
+            self._owed.add(pair)
+
+    def _is_mine(self, about: int) -> bool:
+        """Whether a map is one's own, of this life or of one to come."""
+        return about % self._robots == self._robot and about >= self.own
+
+    def _recognise(self, peer: int, about: int) -> None:
+        """Who speaks of the map of a new life of its own has begun anew: nothing that it said before holds."""
+        known = int(self._own_maps[peer])
+        super()._recognise(peer, about)
+        if self._own_maps[peer] != known:
+            self._wait[peer] = LEAST_WAIT
+            for table in (self._word, self._spoken, self._tries):
+                for pair in [pair for pair in table if pair[0] == peer]:
+                    del table[pair]
+
+    def _confirm(self, pair: Pair, held: int) -> None:
+        """A peer says how much it holds of a map."""
+        if self._lives > 1:
+            self.known[pair] = 0  # an older word may come late, of a life that held more
+        self._learn(pair, held)
+        self._word[pair] = self._now
+        self._tries.pop(pair, None)
+        spoken = self._spoken.pop(pair, None)
+        if spoken is not None:
+            self._wait[pair] = min(max(LEAST_WAIT, self._now - spoken + 1), MAX_WAIT)
+        self._due[pair] = self._now
+
+    def _learn(self, pair: Pair, held: int) -> None:
+        """A peer holds so many units of a map, or more; of one's own map nobody holds more than oneself."""
+        if pair[1] == self.own:
+            held = min(held, len(self.logs[self.own]))
+        self.known[pair] = max(int(self.known[pair]), held)
+
+    def _unwrap(self, about: int, index: int) -> int:
+        """The number that is meant by one modulo `GOSSIP_WINDOW`: the nearest to what one holds."""
+        held = len(self.logs[about])
+        return max(0, held + (index - held + GOSSIP_WINDOW // 2) % GOSSIP_WINDOW - GOSSIP_WINDOW // 2)

@@ -1,0 +1,191 @@
+"""The league table: every strategy on the same buildings, from the same starts, against what is possible at all.
+
+The yardstick is the plan of a team that knows the building (`deploy.bench.known_map`): a strategy's steps are given as
+a multiple of that plan's. Robots share raw scans over an unlimited radio unless told otherwise, so that what
+differs is where they go.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from agent.strategies.registry import strategies, strategy
+from deploy.bench.known_map import KnownMap, fewest_steps, offline_steps
+from deploy.bench.replanning import Watch
+from deploy.run.exploration import explore
+from deploy.scenario import plan as plans
+from deploy.scenario.scenario import Scenario, parse
+
+BOUND, KNOWN = "(lower bound)", "(map known)"
+"""Contestants that are no strategies."""
+
+COMMON = {"bus": "memory", "exchange": "laser", "bandwidth": "unlimited", "sensor_range": 5.0, "speed": 0.5}
+"""What all scenarios of a contest are, unless it says otherwise."""
+
+Run = dict[str, Any]
+"""One run: strategy, map, robots, seed, steps; of a strategy also t90, t99, coverage, driven (metres of each robot) and
+replan_ms, the mean processor time of a decision in which a robot chooses a target."""
+
+
+@dataclass(frozen=True)
+class Contest:
+    """What is run.
+
+    Attributes
+    ----------
+    maps : sequence of str
+        Names of shipped maps, or files.
+    robots : sequence of int
+        Sizes of teams.
+    seeds : int
+        Seeds 0 to this less 1 of each.
+    strategies : sequence of str
+        All if empty.
+    settings : dict
+        Keys of a scenario for all runs, on top of `COMMON`.
+    """
+
+    maps: Sequence[str] = ("office",)
+    robots: Sequence[int] = (6,)
+    seeds: int = 3
+    strategies: Sequence[str] = ()
+    settings: dict[str, Any] = field(default_factory=dict)
+
+    def names(self) -> list[str]:
+        """Who competes; ValueError if there is no strategy of such a name."""
+        return [strategy(name).name for name in self.strategies] or sorted(strategies())
+
+    @property
+    def tasks(self) -> int:
+        """How many pieces of work there are."""
+        return len(set(self.maps)) + len(self.names()) * len(self.scenarios())
+
+    def scenarios(self) -> list[Scenario]:
+        """One a map, team and seed, seeds and teams of one map on end; ScenarioError if one makes no sense."""
+        return [
+            parse({**COMMON, **self.settings, "map": where, "robots": robots, "seed": seed})
+            for where, robots, seed in product(self.maps, self.robots, range(self.seeds))
+        ]
+
+
+def compete(contest: Contest, jobs: int | None = None) -> Iterator[list[Run]]:
+    """Run all that compete in a pool of `jobs` processes; yield the runs of each piece of work as it ends."""
+    scenarios, names = contest.scenarios(), contest.names()
+    with ProcessPoolExecutor(jobs or os.cpu_count()) as pool:
+        waiting = [
+            pool.submit(_with_the_map_known, [each for each in scenarios if each.map == where])
+            for where in dict.fromkeys(contest.maps)
+        ]
+        waiting += [pool.submit(_with, name, scenario) for scenario in scenarios for name in names]
+        for future in as_completed(waiting):
+            yield future.result()
+
+
+def _with(name: str, scenario: Scenario) -> list[Run]:
+    watch = Watch()
+    with watch.over(strategy(name)):
+        summary = explore(scenario, keep=False, strategy=name).summary
+    kept = {key: summary[key] for key in ("steps", "t90", "t99", "coverage")}
+    mean = float(np.mean(watch.spent)) if watch.spent else None
+    return [_run(name, scenario, **kept, driven=summary["path_length"], replan_ms=mean)]
+
+
+def _with_the_map_known(scenarios: Sequence[Scenario]) -> list[Run]:
+    """The offline plan, and the bound, of each team on one map."""
+    building: KnownMap | None = None
+    found = []
+    for scenario in scenarios:
+        settings = plans.make(scenario).world
+        truth, body, starts = plans.make(scenario).map.cells, settings.bodies[0], settings.starts
+        if building is None or not building.is_reached_from(starts[0]):
+            building = KnownMap(
+                truth, starts[0], body.range_cells, body.speed, settings.beams, body.radius_cells
+            )
+        found.append(_run(KNOWN, scenario, steps=offline_steps(building, starts)))
+        found.append(_run(BOUND, scenario, steps=fewest_steps(building, starts)))
+    return found
+
+
+def _run(name: str, scenario: Scenario, **figures: Any) -> Run:
+    return {
+        "strategy": name,
+        "map": scenario.map,
+        "robots": scenario.robots,
+        "seed": scenario.seed,
+        **figures,
+    }
+
+
+def table(runs: Sequence[Run]) -> pl.DataFrame:
+    """The league table: a row a strategy, means over its runs, the fastest on top.
+
+    Columns: strategy, runs, steps, t90, t99, multiple (steps over those of the offline plan for the same map, team
+    and start), coverage (the least), path_m (metres of the whole team), most and least (the way of the robot that
+    drives most and least, over the team's mean), replan_ms.
+    """
+    frame = pl.DataFrame(list(runs), infer_schema_length=None)
+    case = ["map", "robots", "seed"]
+    known = frame.filter(pl.col("strategy") == KNOWN).select(*case, pl.col("steps").alias("possible"))
+    way = pl.col("driven").list
+    return (
+        frame.join(known, on=case)
+        .group_by("strategy")
+        .agg(
+            pl.len().alias("runs"),
+            pl.col("steps", "t90", "t99").mean(),
+            (pl.col("steps") / pl.col("possible")).mean().alias("multiple"),
+            pl.col("coverage").min(),
+            way.sum().mean().alias("path_m"),
+            (way.max() / way.mean()).mean().alias("most"),
+            (way.min() / way.mean()).mean().alias("least"),
+            pl.col("replan_ms").mean(),
+        )
+        .sort("multiple", "strategy")
+    )
+
+
+def lines(league: pl.DataFrame) -> list[list[str]]:
+    """The table as text, its header first."""
+    digits = {"multiple": 2, "coverage": 4, "most": 2, "least": 2, "replan_ms": 2}
+    rows = [
+        [
+            ""
+            if value is None
+            else f"{value:.{digits.get(name, 0)}f}"
+            if isinstance(value, float)
+            else str(value)
+            for name, value in row.items()
+        ]
+        for row in league.iter_rows(named=True)
+    ]
+    return [league.columns, *rows]
+
+
+def draw(league: pl.DataFrame, file: Path) -> None:
+    """Draw the table as bars: steps to 90 %, to 99 % and to the end, as multiples of the offline plan's."""
+    from matplotlib.figure import Figure  # noqa: PLC0415  slow to import
+
+    rows = league.filter(~pl.col("strategy").is_in([BOUND, KNOWN])).reverse()
+    per_step = rows["multiple"] / rows["steps"]
+    figure = Figure((8, 1 + 0.32 * len(rows)), layout="constrained")
+    axes = figure.subplots()
+    for name, column, shade in (
+        ("to the end", "steps", "#c9d7e8"),
+        ("to 99 %", "t99", "#7fa3cc"),
+        ("to 90 %", "t90", "#2f5f95"),
+    ):
+        axes.barh(rows["strategy"], (rows[column] * per_step).fill_null(0.0), color=shade, label=name)
+    axes.axvline(1.0, color="#444444", linewidth=1)
+    axes.set_xlabel("steps, as a multiple of what a team needs that knows the map")
+    figure.legend(frameon=False, loc="outside upper right", ncols=3)
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.savefig(file, dpi=130)

@@ -1,0 +1,170 @@
+"""What of the radio can be chosen: who hears whom, what is lost, late or damaged, and how much a robot may say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+LEAST_FRAME = 16
+"""Bytes that a frame must have room for: the longest packet that is not made smaller, a broadcast, and a checksum."""
+
+MOST_STEPS = 10_000
+"""Steps that a frame may be late at most."""
+
+
+@dataclass(frozen=True)
+class Partition:
+    """Steps in which some robots do not hear others.
+
+    Attributes
+    ----------
+    first, last : int
+        The steps from and to which it holds, both included.
+    groups : lists of robots
+        Robots hear those of their own group only; all that are in none are one more group.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
+
+    first: int
+    last: int
+    groups: tuple[tuple[int, ...], ...]
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.first <= self.last:
+            raise ValueError(
+                f"first = {self.first}, last = {self.last}: a partition begins at step 1 or later"
+            )
+        named = [robot for group in self.groups for robot in group]
+        if len(set(named)) < len(named) or min(named, default=-1) < 0:
+            raise ValueError(f"groups = {[*map(list, self.groups)]}: must name robots, each at most once")
+
+    def group_of(self, robot: int) -> int:
+        """The number of a robot's group; -1 for those that are in none."""
+        return next((number for number, group in enumerate(self.groups) if robot in group), -1)
+
+
+@dataclass(frozen=True)
+class RadioOptions:
+    """Options of the radio; docs/radios.md says where their numbers come from.
+
+    Attributes
+    ----------
+    preset : str
+        The radio whose figures a scenario takes where it does not give its own (`netshaper.presets`).
+    frame_bytes : int
+        Bytes of packets that a frame holds at most; what is longer goes on the air as several. 0: no limit.
+    model : str
+        Who hears whom within the communication range: ``disc``, all; ``line-of-sight``, those between whom there is
+        no wall; ``log-distance``, those whose link has not lost more than a link as long as the range.
+    exponent, db_per_metre, db_per_wall, shadowing_db, shadowing_m : float
+        Of ``log-distance``: how the loss grows by the distance's logarithm and by the distance, what each wall adds,
+        the standard deviation of what places add at random, and the side of the squares in which that is the same.
+    loss : float
+        Probability that a frame is lost to a robot in range.
+    burst_loss, burst_every, burst_steps : float
+        Bursts (Gilbert and Elliott): the probability in a burst, the mean steps between bursts of one link, 0 for
+        none, and the mean steps of one.
+    delay, jitter : int
+        Steps after which a frame is heard, and how many more at most, drawn for each.
+    duplication : float
+        Probability that a frame is heard twice.
+    bit_errors : float
+        Probability of each bit to be flipped. Frames then end with a checksum.
+    checksums : bool
+        Whether frames end with a checksum in any case.
+    send_bytes, receive_bytes : int
+        Bytes a step that a robot can send, and take; 0: no limit of its own.
+    duty_cycle : float
+        Share of the time in which a robot may send, over an hour.
+    reuse : bool
+        Whether the bandwidth is that of each neighbourhood: of a robot and all whom it hears; else of the team.
+    partition : list of Partition
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
+
+    preset: str = ""
+    frame_bytes: int = 0
+    model: Literal["disc", "line-of-sight", "log-distance"] = "disc"
+    exponent: float = 2.0
+    db_per_metre: float = 0.0
+    db_per_wall: float = 6.9
+    shadowing_db: float = 0.0
+    shadowing_m: float = 5.0
+    loss: float = 0.0
+    burst_loss: float = 1.0
+    burst_every: float = 0.0
+    burst_steps: float = 5.0
+    delay: int = 0
+    jitter: int = 0
+    duplication: float = 0.0
+    bit_errors: float = 0.0
+    checksums: bool = False
+    send_bytes: int = 0
+    receive_bytes: int = 0
+    duty_cycle: float = 1.0
+    reuse: bool = False
+    partition: tuple[Partition, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, least, most in _BOUNDS:
+            value = getattr(self, name)
+            if not least <= value <= most:
+                raise ValueError(f"{name} = {value:g}: must be {least:g} to {most:g}")
+        if 0 < self.frame_bytes < LEAST_FRAME:
+            raise ValueError(
+                f"frame_bytes = {self.frame_bytes}: must be 0 (no limit), or {LEAST_FRAME} or more"
+            )
+        if 0 < self.burst_every < 1:
+            raise ValueError(f"burst_every = {self.burst_every:g}: must be 0 (no bursts), or 1 step or more")
+        for name in ("send_bytes", "receive_bytes"):
+            if 0 < getattr(self, name) < LEAST_FRAME:
+                raise ValueError(
+                    f"{name} = {getattr(self, name)}: must be 0 (no limit), or {LEAST_FRAME} or more"
+                )
+        if self.duty_cycle <= 0:
+            raise ValueError("duty_cycle = 0: must be above 0, as 0.01 for 1 %; 1: no limit")
+
+    @property
+    def sums(self) -> bool:
+        """Whether frames end with a checksum."""
+        return self.checksums or self.bit_errors > 0
+
+    @property
+    def perfect(self) -> bool:
+        """Whether what is put on the air is heard at once by all in range, and one budget is all there is."""
+        return not (
+            self.loss
+            or self.burst_every
+            or self.delay
+            or self.jitter
+            or self.duplication
+            or self.sums
+            or self.send_bytes
+            or self.receive_bytes
+            or self.duty_cycle < 1
+            or self.reuse
+        )
+
+
+_MOST = 1e6
+_BOUNDS = (
+    ("frame_bytes", 0, 65535),
+    ("exponent", 0.1, 10),
+    ("db_per_metre", 0, 1000),
+    ("db_per_wall", 0, 1000),
+    ("shadowing_db", 0, 100),
+    ("shadowing_m", 0.01, _MOST),
+    ("loss", 0, 1),
+    ("burst_loss", 0, 1),
+    ("burst_every", 0, _MOST),
+    ("burst_steps", 1, _MOST),
+    ("delay", 0, MOST_STEPS),
+    ("jitter", 0, MOST_STEPS),
+    ("duplication", 0, 1),
+    ("bit_errors", 0, 1),
+    ("send_bytes", 0, 2**31 - 1),
+    ("receive_bytes", 0, 2**31 - 1),
+    ("duty_cycle", 0, 1),
+)
