@@ -6,6 +6,7 @@ from agent.exchange import gossip, session
 from agent.exchange.base import Exchange
 from agent.exchange.confirmed import ConfirmedSession
 from agent.exchange.gossip import Gossip
+from agent.exchange.grid import GridExchange
 from agent.exchange.laser import LaserExchange
 from agent.exchange.none import NoExchange
 from agent.exchange.polygon import PolygonExchange
@@ -15,7 +16,7 @@ from agent.plugins import Plugins
 from agent.settings import Settings
 
 EXCHANGES: dict[str, type[Exchange]] = {
-    kind.name: kind for kind in (PolygonExchange, LaserExchange, SightExchange, NoExchange)
+    kind.name: kind for kind in (PolygonExchange, LaserExchange, GridExchange, SightExchange, NoExchange)
 }
 
 

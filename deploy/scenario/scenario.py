@@ -112,7 +112,7 @@ class Scenario(_Table):
     robots: Whole = Field(3, ge=1, le=MAX_ROBOTS, description="how many robots explore")
     range: str = Field("100%", description="communication range: metres, or % of the map's diagonal")
     bandwidth: int | Literal["unlimited"] = Field(1000, description="bytes per step for the whole team")
-    exchange: str = Field("polygon", description="how maps are shared: polygon, laser, sight, none")
+    exchange: str = Field("polygon", description="how maps are shared: polygon, laser, grid, sight, none")
     strategy: str = Field("meier", description="how targets are chosen (murmur strategies lists all)")
     sensor_range: Positive = Field(5.0, description="range of the lasers, metres")
     field_of_view: Degrees = Field(360.0, gt=0, description="degrees")
