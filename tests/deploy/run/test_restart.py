@@ -72,4 +72,4 @@ def test_what_cannot_be_restarted_is_said_before_anything_starts() -> None:
     with pytest.raises(ScenarioError, match="has no processes that could die"):
         explore(scenario(bus="memory"), keep=False, restart=True)
     with pytest.raises(ScenarioError, match="40 robots can begin 1 times each, not 2 times"):
-        explore(scenario(robots=40), keep=False, restart=True)
+        explore(scenario(robots=40, offers="backoff"), keep=False, restart=True)
