@@ -49,10 +49,25 @@ def exploration(plan: Plan) -> Figures:
     return figures | _load(plan, records, carried)
 
 
-MEASURES: dict[str, Measure] = {EXPLORATION: exploration}
+def voronoi(plan: Plan) -> Figures:
+    """Voronoi pixels for each contour pixel of the plan's map, as it is and smoothed (thesis, Table 3.1)."""
+    from deploy.study.voronoi import free_space, pixels, smoothed  # noqa: PLC0415  scipy, which few measures need
+
+    free = free_space(plan.map.cells)
+    before, after = pixels(free), pixels(smoothed(free))
+    return {
+        "voronoi.ratio": before.ratio,
+        "voronoi.ratio_smoothed": after.ratio,
+        "voronoi.pixels": before.voronoi,
+        "voronoi.contour": before.contour,
+    }
+
+
+MEASURES: dict[str, Measure] = {EXPLORATION: exploration, "voronoi": voronoi}
 
 FIGURES: dict[str, tuple[str, ...]] = {
-    EXPLORATION: ("load.first_quarter", "load.last_quarter", "load.emerging")
+    "voronoi": ("voronoi.ratio", "voronoi.ratio_smoothed", "voronoi.pixels", "voronoi.contour"),
+    EXPLORATION: ("load.first_quarter", "load.last_quarter", "load.emerging"),
 }
 """Figures of each measure; `exploration` has those of a summary besides."""
 
