@@ -37,6 +37,7 @@ COMMANDS = {
     "replay": Place("after_run", "Repeat a run and check that its digest is the same."),
     "sweep": Place("studies", "Run a scenario over a grid of settings and print a table."),
     "reproduce": Place("studies", "Run the papers' experiments and judge their claims."),
+    "chaos": Place("chaos", "Run swarms under faults drawn from seeds, and check what must hold of them."),
     "keys": Place("keys", "Make the certificates of a run whose hub asks for them."),
     "run": Place("by_hand", "Start one process of a run by hand."),
     "bench": Place("machine", "Benchmark this machine, as ratios against yardsticks of the same run."),
