@@ -39,6 +39,7 @@ COMMANDS = {
     "compare": Place("studies", "Compare scenarios, strategies or exchanges on the same seeds."),
     "size": Place("studies", "Find how large a team, bandwidth and range a building needs."),
     "reproduce": Place("studies", "Run the papers' experiments and judge their claims."),
+    "chaos": Place("chaos", "Run swarms under faults drawn from seeds, and check what must hold of them."),
     "keys": Place("keys", "Make the certificates of a run whose hub asks for them."),
     "run": Place("by_hand", "Start one process of a run by hand."),
     "bench": Place("machine", "Benchmark this machine, as ratios against yardsticks of the same run."),
