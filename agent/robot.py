@@ -195,6 +195,8 @@ class Robot:
             else:
                 self._heard_pose[peer] = self._sense.step if self._sense is not None else 0
                 self._note_pose(peer, Pose(packet.x, packet.y, bool(packet.leads)))
+                if self._sense is not None:
+                    self._exchange.plausible.place(peer, self._sense.step, packet.x, packet.y)
 
     def _note_pose(self, peer: int, pose: Pose) -> None:
         """A teammate is somewhere."""
@@ -226,6 +228,7 @@ class Robot:
             told_by = self._told_by.setdefault(about, set())
             try:
                 units = survey.split(frame)
+                self._exchange.plausible.listen(outcome.step, peer)
                 self._exchange.take(about, units)
             except ProtocolError as error:
                 self.faults.append(Fault(peer, str(error)))
