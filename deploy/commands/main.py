@@ -58,6 +58,14 @@ class Commands(TyperGroup):
         family = importlib.import_module(f"deploy.commands.{COMMANDS[cmd_name].module}")
         return typer.main.get_group(family.app).get_command(ctx, cmd_name)
 
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command that is meant; of one that there is not, say which are near."""
+        if args and args[0] not in COMMANDS and not args[0].startswith("-"):
+            from protocol.errors import there_are  # noqa: PLC0415
+
+            ctx.fail(f"no command is called {args[0]!r}; {there_are(COMMANDS, args[0])}")
+        return super().resolve_command(ctx, args)
+
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
         """Write the list for help, without importing any."""
         with formatter.section("Commands"):
