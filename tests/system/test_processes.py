@@ -39,7 +39,7 @@ def swarm(out: Path, *more: str) -> Iterator[subprocess.Popen[str]]:
         process.wait()
 
 
-def child(process: subprocess.Popen[str], name: str, timeout_s: float = 20) -> psutil.Process:
+def child(process: subprocess.Popen[str], name: str, timeout_s: float = 60) -> psutil.Process:
     """Wait for the child of that name; it has joined the bus once others have as well."""
     deadline = time.monotonic() + timeout_s
     while time.monotonic() < deadline:
