@@ -36,6 +36,8 @@ COMMANDS = {
     "export": Place("after_run", "Export a run to formats of other programs."),
     "replay": Place("after_run", "Repeat a run and check that its digest is the same."),
     "sweep": Place("studies", "Run a scenario over a grid of settings and print a table."),
+    "compare": Place("studies", "Compare scenarios, strategies or exchanges on the same seeds."),
+    "size": Place("studies", "Find how large a team, bandwidth and range a building needs."),
     "reproduce": Place("studies", "Run the papers' experiments and judge their claims."),
     "chaos": Place("chaos", "Run swarms under faults drawn from seeds, and check what must hold of them."),
     "keys": Place("keys", "Make the certificates of a run whose hub asks for them."),
