@@ -37,7 +37,7 @@ COMMANDS = {
     "replay": Place("after_run", "Repeat a run and check that its digest is the same."),
     "sweep": Place("studies", "Run a scenario over a grid of settings and print a table."),
     "compare": Place("studies", "Run scenarios, strategies or exchanges on the same seeds, and compare."),
-    "size": Place("studies", "Find how large a team, bandwidth and range a building needs."),
+    "size": Place("studies", "Try teams, bandwidths and ranges in a building, and say which is enough."),
     "reproduce": Place("studies", "Run the papers' experiments and judge their claims."),
     "chaos": Place("chaos", "Run swarms under faults drawn from seeds, and check what must hold of them."),
     "keys": Place("keys", "Make the certificates of a run whose hub asks for them."),
