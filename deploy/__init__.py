@@ -1,4 +1,7 @@
-"""The laboratory, and Murmur from Python: ``result = explore(Scenario(robots=5))``.
+"""The laboratory, and Murmur from Python.
+
+``result = explore(Scenario(robots=5))`` runs a scenario to its end, ``for step in steps(robots=5): ...`` one step after
+the other.
 
 Rooms, each of which may import those before it: `scenario`, `record`, `dashboard`, `run`; `after`, `study` and `bench`,
 which are independent of each other; `commands`. Start with `run/exploration.py`, one run from its scenario to its
@@ -11,18 +14,26 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from deploy.run.exploration import Result, explore
+    from deploy.run.stepwise import Step, Steps, steps
     from deploy.scenario.scenario import Scenario
 
-__all__ = ["Result", "Scenario", "explore"]
+_HOMES = {
+    "Result": "deploy.run.exploration",
+    "Scenario": "deploy.scenario.scenario",
+    "Step": "deploy.run.stepwise",
+    "Steps": "deploy.run.stepwise",
+    "explore": "deploy.run.exploration",
+    "steps": "deploy.run.stepwise",
+}
+"""Public names, and where they are defined."""
+
+__all__ = ["Result", "Scenario", "Step", "Steps", "explore", "steps"]
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name on first access: robots import this package too and need none of them."""
     import importlib  # noqa: PLC0415
 
-    if name not in __all__:
+    if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = importlib.import_module(
-        "deploy.scenario.scenario" if name == "Scenario" else "deploy.run.exploration"
-    )
-    return getattr(module, name)
+    return getattr(importlib.import_module(_HOMES[name]), name)

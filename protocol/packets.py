@@ -20,8 +20,12 @@ MAX_VERTICES = 4096
 MAX_OBJECTS = 4096
 """Objects an approximation may have."""
 
-GOSSIP_WINDOW = 1 << 18
+GOSSIP_WINDOW = 1 << 24
 """Units of a log that `From` and `Held` can tell apart."""
+EARLY = 1 << 8
+"""The first units of a log, of which `FromEarly` and `HeldEarly` speak."""
+MAX_GOSSIP_MAPS = 1 << 8
+"""Maps that gossip can name."""
 
 INDEX_WINDOW = 4096
 """Units of a log that one `Answer` can tell apart; the block says which window is meant."""
@@ -152,7 +156,16 @@ class Decline(Packet):
 class From(Packet):
     """Gossip: what follows are units of robot `map`'s log, the first of them number `index`, modulo `GOSSIP_WINDOW`."""
 
-    name, size, code, code_bits, bits = "conn", 4, 0xF6, 8, (6, 18)
+    name, size, code, code_bits, bits = "conn", 5, 0xF6, 8, (8, 24)
+    map: int
+    index: int
+
+
+@dataclass(frozen=True, slots=True)
+class FromEarly(Packet):
+    """Gossip: as `From`, with one of the first `EARLY` units."""
+
+    name, size, code, code_bits, bits = "conn", 3, 0xFB, 8, (8, 8)
     map: int
     index: int
 
@@ -161,18 +174,34 @@ class From(Packet):
 class Held(Packet):
     """Gossip: the sender holds `index` units of robot `map`'s log, modulo `GOSSIP_WINDOW`."""
 
-    name, size, code, code_bits, bits = "conn", 4, 0xF7, 8, (6, 18)
+    name, size, code, code_bits, bits = "conn", 5, 0xF7, 8, (8, 24)
+    map: int
+    index: int
+
+
+@dataclass(frozen=True, slots=True)
+class HeldEarly(Packet):
+    """Gossip: as `Held`, where they are fewer than `EARLY`."""
+
+    name, size, code, code_bits, bits = "conn", 3, 0xFD, 8, (8, 8)
     map: int
     index: int
 
 
 @dataclass(frozen=True, slots=True)
 class Near(Packet):
-    """Gossip: `robot` has come into the sender's range, or has left it."""
+    """Gossip: `robot` has come into the sender's range."""
 
-    name, size, code, code_bits, bits = "conn", 2, 0xF9, 8, (6, 1)
+    name, size, code, code_bits, bits = "conn", 2, 0xF9, 8, (8,)
     robot: int
-    here: int
+
+
+@dataclass(frozen=True, slots=True)
+class Gone(Packet):
+    """Gossip: `robot` has left the sender's range."""
+
+    name, size, code, code_bits, bits = "conn", 2, 0xFE, 8, (8,)
+    robot: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,12 +280,12 @@ _LOOK, _LAST_LOOK = 0xF4, 0xF5
 VertexEdit = Insert | Replace | Delete
 Edit = Insert | Replace | Delete | Emerge | Change | Remove | Save
 Handshake = Offer | Answer | Block | Decline
-Gossip = From | Held | Near
+Gossip = From | FromEarly | Held | HeldEarly | Near | Gone
 AnyPacket = Edit | Handshake | Gossip | Check | Target | Pose | Fragment | Look
 
 _TYPES: tuple[type[Packet], ...] = (
     Insert, Replace, Delete, Emerge, Change, Remove, Offer, Answer, Block, Decline, Target, Save, Pose,
-    From, Held, Near, Check,
+    From, FromEarly, Held, HeldEarly, Near, Gone, Check,
 )  # fmt: skip
 
 HANDSHAKE_SIZE = 3 * Answer.size

@@ -11,8 +11,8 @@ from agent.exchange.none import NoExchange
 from agent.exchange.polygon import PolygonExchange
 from agent.exchange.session import Session
 from agent.exchange.sight import SightExchange
+from agent.plugins import Plugins
 from agent.settings import Settings
-from protocol.errors import there_are
 
 EXCHANGES: dict[str, type[Exchange]] = {
     kind.name: kind for kind in (PolygonExchange, LaserExchange, SightExchange, NoExchange)
@@ -31,10 +31,21 @@ def distribution(settings: Settings) -> Session | Gossip:
     return kind(settings.robot, settings.robots, settings.offers, lives=settings.lives, life=settings.life)
 
 
+PLUGINS: Plugins[Exchange] = Plugins("exchange", "murmur.exchanges", Exchange)  # type: ignore[type-abstract]
+"""Those that are not ours."""
+
+
+def exchange_kind(name: str) -> type[Exchange]:
+    """Return the exchange called `name`: one of ours, of an installed package, or ``package.module:Class``.
+
+    Raises
+    ------
+    ValueError
+        There is none of that name (near names and those there are follow), or the class cannot be imported.
+    """
+    return PLUGINS.find(name, EXCHANGES)
+
+
 def exchange(settings: Settings) -> Exchange:
     """Return the exchange that the settings name; ValueError lists the names there are."""
-    if settings.exchange not in EXCHANGES:
-        raise ValueError(
-            f"no exchange is called {settings.exchange!r}; {there_are(EXCHANGES, settings.exchange)}"
-        )
-    return EXCHANGES[settings.exchange](settings)
+    return exchange_kind(settings.exchange)(settings)

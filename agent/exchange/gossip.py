@@ -15,12 +15,15 @@ Events and what follows from them; the tables move with the relay's word of what
     a teammate has come into range                    held: of each map of which one may hold more than it was told
     a unit came behind others that one lacks          held: how far one is; once in `PATIENCE` steps
     somebody has been out of range before             held: of one map, in turn; once in `SELDOM` steps
-    one's own log has units that nobody has heard     them, from where one's last broadcast ended
     a teammate in range lacks units of one's own log  from, and these
-    one is chosen to pass on what a teammate lacks    from, and these, the map of which it lacks most first
+    one is chosen to pass on what a teammate lacks    from, and these
+
+Who lacks least is served first, and of the maps that it lacks the one of which it lacks least. So those who keep up
+hear what is new before others hear what is old, and where much is lacking a few know all soon, and not all a part.
+Nothing is said that nobody in range can use, for it lacks what comes before.
 
 A log of one's own goes on where its last broadcast ended, and nothing says where that was, unless somebody is in range
-who has not been there since: then `From` goes before it.
+who has not been there since: then `From` goes before it. The first `EARLY` units of a log have a shorter one.
 """
 
 from __future__ import annotations
@@ -28,11 +31,27 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
 from agent.exchange.log import Log
 from protocol import packets, survey
 from protocol.errors import ProtocolError
 from protocol.messages import Outcome
-from protocol.packets import GOSSIP_WINDOW, From, Held, Near
+from protocol.packets import (
+    EARLY,
+    GOSSIP_WINDOW,
+    From,
+    FromEarly,
+    Gone,
+    Held,
+    HeldEarly,
+    Near,
+)
+
+Table = NDArray[np.int32]
+Mask = NDArray[np.bool_]
+Robots = list[int] | NDArray[np.intp]
 
 POLICY = "gossip"
 
@@ -50,15 +69,25 @@ GREETING = 1
 
 MOST_URGENT = 255
 
+KEEPING_UP = 64
+"""Units: who lacks fewer is served more urgently, and the more so the fewer."""
+
+LONG = 64
+"""Bytes of news that are more urgent the more there are."""
+
+AGING = 2
+"""What a step of waiting adds to the urgency."""
+
 
 @dataclass
 class _Said:
     """What a broadcast says: reports first, then stretches of logs."""
 
     payload: bytes = b""
-    near: list[tuple[int, Near]] = field(default_factory=list)
-    """Where each report ends, in bytes."""
-    held: list[tuple[int, Held]] = field(default_factory=list)
+    near: list[tuple[int, int, bool]] = field(default_factory=list)
+    """Each report of who has come, or left: where it ends, in bytes, who, and whether it is here."""
+    held: list[tuple[int, int]] = field(default_factory=list)
+    """Each report of what one holds: where it ends, and of which map."""
     met: set[int] = field(default_factory=set)
     """Whom they are for that have come into range."""
     stretches: list[_Stretch] = field(default_factory=list)
@@ -83,8 +112,8 @@ class Gossip:
         """What is held of every robot's map, of each of its lives (`agent.identity`)."""
         self.own = robot + robots * life
         """The number of one's own map."""
-        self.known = [[0] * maps for _ in range(robots)]
-        """``known[peer][map]``: up to which unit the map has reached the peer, as far as one can know."""
+        self.known: Table = np.zeros((robots, maps), np.int32)
+        """``known[peer, map]``: up to which unit the map has reached the peer, as far as one can know."""
         self.refused: set[tuple[int, int]] = set()
         """(peer, map): what is not taken from a peer, for what came of it made no sense."""
         self.urgency = 0
@@ -99,21 +128,21 @@ class Gossip:
         self._peers: list[int] = []
         self._sure: list[int] = []
         """Those in range who have said what they hold, or had the time to."""
-        self._near = [set(range(robots)) - {each} for each in range(robots)]
+        self._near: Mask = ~np.eye(robots, dtype=np.bool_)
         """Who is in whose range, as they said; all, until they say otherwise."""
-        self._told_near = [set(range(robots)) - {robot} for _ in range(robots)]
+        self._told_near: Mask = np.arange(robots) != np.full((robots, 1), robot)
         """Who is in one's own range, as each teammate has been told."""
         self._parted = False
         """Whether anybody has ever been out of one's range."""
-        self._told = [[0] * maps for _ in range(robots)]
-        """``_told[peer][map]``: how much of a map the peer knows one to hold."""
+        self._told: Table = np.zeros((robots, maps), np.int32)
+        """``_told[peer, map]``: how much of a map the peer knows one to hold."""
         self._met: set[int] = set()
         """Who has come into range and has not been told what one holds."""
         self._unsure: dict[int, int] = {}
         """Until which step, at most, one waits for those who have come into range to say what they hold."""
         self._gaps: set[int] = set()
         """Maps of which a unit came behind others that are lacking."""
-        self._asked = [-PATIENCE] * maps
+        self._asked = np.full(maps, -PATIENCE, np.int32)
         """The step in which one last said of a map what one holds."""
         self._begun = 0
         """Where what was last recorded begins in one's own log."""
@@ -125,8 +154,10 @@ class Gossip:
         """Who has been in range since then, so that it needs not be said."""
         self._cursors: list[int | None] = [None if life else 0] * robots
         """Where the last broadcast of each teammate's own log ended, if that was heard."""
-        self._lacking: dict[tuple[int, int], int] = {}
-        """(peer, map): since which step a peer in range lacks units of a map that one holds."""
+        self._lacks: Table = np.zeros((robots, maps), np.int32)
+        """How many units that one holds a peer in range lacks of each map."""
+        self._since: Table = np.zeros((robots, maps), np.int32)
+        """Since which step it lacks some."""
         self._waits = 0
         """Since which step there is something to say that has not been on the air."""
         self._said = _Said()
@@ -157,10 +188,7 @@ class Gossip:
         if not peers:
             return []
         self._report(said, room)
-        self._tell_own(said, room)
-        for about in self._to_pass_on():
-            self._tell(said, about, room)
-        self._set_urgency(said)
+        self._set_urgency(said, self._serve(said, room))
         return [(EVERYONE, self._robot, said.payload)] if said.payload else []
 
     def answers(self, heard: list[tuple[int, int, bytes]]) -> list[tuple[int, int, bytes]]:
@@ -204,15 +232,17 @@ class Gossip:
     def undelivered(self) -> int:
         """Units of one's own map that have not reached a teammate yet, all teammates counted."""
         held = len(self.logs[self.own])
-        return sum(held - known[self.own] for peer, known in enumerate(self.known) if peer != self._robot)
+        return held * (self._robots - 1) - int(np.delete(self.known[:, self.own], self._robot).sum())
 
     def forget(self) -> None:
         """Drop what all teammates hold; where they may come back, and hold nothing then, that is nothing."""
         if self._lives > 1:
             return
-        for about, (log, known) in enumerate(zip(self.logs, zip(*self.known, strict=True), strict=True)):
-            others = [reached for peer, reached in enumerate(known) if peer not in (self._robot, about)]
-            log.forget(min(others, default=len(log)))
+        others = self.known.copy()
+        np.fill_diagonal(others, np.iinfo(np.int32).max)
+        others[self._robot] = np.iinfo(np.int32).max
+        for log, reached in zip(self.logs, others.min(axis=0).tolist(), strict=True):
+            log.forget(reached)
 
     # --- what is said
 
@@ -233,54 +263,58 @@ class Gossip:
     def _look_who_lacks(self) -> None:
         """Note who in range lacks what, and since when, as far as one can know."""
         self._sure = [peer for peer in self._peers if self._unsure.get(peer, 0) < self._step]
-        lacking = {
-            (peer, about)
-            for peer in self._sure
-            for about, log in enumerate(self.logs)
-            if about != self._own_maps[peer] and self.known[peer][about] < len(log)
-        }
-        self._lacking = {pair: self._lacking.get(pair, self._step) for pair in sorted(lacking)}
+        lacks = np.zeros_like(self._lacks)
+        held = np.array([len(log) for log in self.logs], np.int32)
+        lacks[self._sure] = np.maximum(held - self.known[self._sure], 0)
+        lacks[self._sure, [self._own_maps[peer] for peer in self._sure]] = 0
+        self._since[(self._lacks == 0) & (lacks > 0)] = self._step
+        self._lacks = lacks
 
     def _report(self, said: _Said, room: int | None) -> None:
         """Say who is in range, where that has changed, and what one holds, where somebody should know."""
-        peers = set(self._peers)
         left = (1 << 30) if room is None else room
-        for peer in sorted(set().union(*((self._told_near[each] ^ peers) - {each} for each in peers))):
-            near = Near(peer, int(peer in peers))
-            if len(said.payload) + near.size <= left:
-                said.payload += packets.encode([near])
-                said.near.append((len(said.payload), near))
-        reminds = self._parted and self._step % SELDOM == self._robot % SELDOM
+        here = np.zeros(self._robots, np.bool_)
+        here[self._peers] = True
+        news = self._told_near[self._peers] ^ here
+        news[range(len(self._peers)), self._peers] = False
+        for peer in np.flatnonzero(news.any(axis=0)).tolist():
+            near = packets.encode([Near(peer) if here[peer] else Gone(peer)])
+            if len(said.payload) + len(near) <= left:
+                said.payload += near
+                said.near.append((len(said.payload), peer, bool(here[peer])))
         said.met = set(self._met)
-        for about, log in enumerate(self.logs):
-            met = any(self._told[peer][about] < len(log) for peer in self._met)
-            gap = about in self._gaps and self._step >= self._asked[about] + PATIENCE
-            remind = reminds and self._step // SELDOM % len(self.logs) == about
-            if about != self.own and (met or gap or remind) and len(said.payload) + Held.size <= left:
-                held = Held(about, len(log) % GOSSIP_WINDOW)
-                said.payload += packets.encode([held])
-                said.held.append((len(said.payload), held))
+        held = np.array([len(log) for log in self.logs], np.int32)
+        due: Mask = np.logical_or.reduce(self._told[sorted(self._met)] < held)
+        for about in self._gaps:
+            due[about] |= self._step >= self._asked[about] + PATIENCE
+        if self._parted and self._step % SELDOM == self._robot % SELDOM:
+            due[self._step // SELDOM % len(self.logs)] = True
+        due[self.own] = False
+        for about in np.flatnonzero(due).tolist():
+            packet = packets.encode([_held(about, len(self.logs[about]))])
+            if len(said.payload) + len(packet) <= left:
+                said.payload += packet
+                said.held.append((len(said.payload), about))
 
-    def _tell_own(self, said: _Said, room: int | None) -> None:
-        """Go on with one's own log; then say again what somebody in range has missed of it."""
-        own, log = self.own, self.logs[self.own]
-        aired = self._aired
-        if aired < len(log):
-            self._stretch(said, own, aired, len(log), room)
-        lowest = min((self.known[peer][own] for peer in self._sure), default=aired)
-        if lowest < aired:
-            self._stretch(said, own, lowest, aired, room)
+    def _serve(self, said: _Said, room: int | None) -> int:
+        """Say what those in range lack, as far as it is for oneself; return how much who is served first lacks."""
+        lacks = self._lacks.sum(axis=1)
+        end = [len(log) for log in self.logs]
+        served = 0
+        for peer in sorted(self._sure, key=lambda each: (lacks[each], each)):
+            wanted = np.flatnonzero(self._lacks[peer]).tolist()
+            for about in sorted(wanted, key=lambda each: (each != self.own, self._lacks[peer, each], each)):
+                first = int(self.known[peer, about])
+                if (
+                    first < end[about]
+                    and (about == self.own or self._is_chosen(peer, about))
+                    and self._stretch(said, about, first, end[about], room)
+                ):
+                    end[about] = first
+                    served = served or int(lacks[peer])
+        return served
 
-    def _to_pass_on(self) -> list[int]:
-        """Maps of others that somebody in range lacks units of, and that are for oneself to say; most first."""
-        lacks: dict[int, int] = {}
-        for (peer, about), since in self._lacking.items():
-            units = len(self.logs[about]) - self.known[peer][about]
-            if about != self.own and units > 0 and self._is_chosen(peer, about, since):
-                lacks[about] = max(lacks.get(about, 0), units)
-        return sorted(lacks, key=lambda about: (-lacks[about], about))
-
-    def _is_chosen(self, peer: int, about: int, since: int) -> bool:
+    def _is_chosen(self, peer: int, about: int) -> bool:
         """Whether it is for oneself to pass on what a peer lacks of a map.
 
         Of those who hold more of it than the peer and are in its range it is the maker, else one by turns; after
@@ -288,34 +322,28 @@ class Gossip:
         """
         able = [
             each
-            for each in [*self._peers, self._robot]
-            if each != peer
-            and (each == self._robot or peer in self._near[each])
-            and (
-                each == self._robot
-                or self._own_maps[each] == about
-                or self.known[each][about] > self.known[peer][about]
-            )
+            for each in self._peers
+            if self._near[each, peer]
+            and (self._own_maps[each] == about or self.known[each, about] > self.known[peer, about])
         ]
+        able.append(self._robot)
         able.sort(key=lambda each: (self._own_maps[each] != about, (each - about) % self._robots))
-        return able.index(self._robot) <= (self._step - since) // PATIENCE
+        return able.index(self._robot) <= (self._step - int(self._since[peer, about])) // PATIENCE
 
-    def _tell(self, said: _Said, about: int, room: int | None) -> None:
-        """Pass a map on, from where the peer is that lacks most."""
-        first = min(self.known[peer][about] for peer in self._sure if self._own_maps[peer] != about)
-        self._stretch(said, about, first, len(self.logs[about]), room)
+    def _stretch(self, said: _Said, about: int, first: int, end: int, room: int | None) -> bool:
+        """Say units `first` to `end` - 1 of a log as far as there is room, behind a `From` where it is needed.
 
-    def _stretch(self, said: _Said, about: int, first: int, end: int, room: int | None) -> None:
-        """Say units `first` to `end` - 1 of a log as far as there is room, behind a `From` where it is needed."""
+        Return whether there is room for any.
+        """
         first = max(first, self.logs[about].oldest)
         begins = about == self.own and first == self._cursor and not said.stretches
         head = b""
         if not (begins and set(self._peers) <= self._synced):
-            head = packets.encode([From(about, first % GOSSIP_WINDOW)])
+            head = packets.encode([_from(about, first)])
         left = None if room is None else room - len(said.payload) - len(head)
         units = self.logs[about].since(first, left)[: end - first]
         if not units:
-            return
+            return False
         said.payload += head
         begin = len(said.payload)
         ends: list[int] = []
@@ -323,30 +351,33 @@ class Gossip:
             ends.append((ends[-1] if ends else begin) + len(unit))
         said.payload += b"".join(units)
         said.stretches.append(_Stretch(about, first, begin, ends))
+        return True
 
-    def _set_urgency(self, said: _Said) -> None:
-        """Who has most to say, and has waited longest, speaks first; who has begun a unit ends it before."""
+    def _set_urgency(self, said: _Said, lacks: int) -> None:
+        """Whose hearers lack least, and who has most to say, and has waited longest, speaks first.
+
+        Who has begun a unit ends it before.
+        """
         if not said.payload:
             self._waits = self._step
         waited = self._step - self._waits
         begun = self._begun < self._aired < len(self.logs[self.own])
-        self.urgency = MOST_URGENT if begun else min(MOST_URGENT - 1, len(said.payload) + 8 * waited)
+        urgency = max(0, KEEPING_UP - lacks) + min(LONG, len(said.payload)) + AGING * waited
+        self.urgency = MOST_URGENT if begun else min(MOST_URGENT - 1, urgency)
 
     # --- what was heard
 
     def _settle(self, sent: int) -> None:
         """So many bytes of one's broadcast were on the air: all in range have heard them."""
         said, peers = self._said, set(self._peers)
-        for end, near in said.near:
+        for end, peer, here in said.near:
             if end <= sent:
-                for peer in peers:
-                    told = self._told_near[peer]
-                    (told.add if near.here else told.discard)(near.robot)
-        for end, held in said.held:
+                self._told_near[self._peers, peer] = here
+        for end, about in said.held:
             if end <= sent:
-                self._asked[held.map] = self._step
-                self._gaps.discard(held.map)
-                self._believe(held.map, len(self.logs[held.map]))
+                self._asked[about] = self._step
+                self._gaps.discard(about)
+                self._believe(self._peers, about, len(self.logs[about]))
         if all(end <= sent for end, _ in said.held):
             self._met -= said.met
         for stretch in said.stretches:
@@ -354,9 +385,8 @@ class Gossip:
             if not carried:
                 break
             end = stretch.first + carried
-            self._believe(stretch.map, end)
-            for peer in peers:
-                self._reach(peer, stretch.map, stretch.first, end)
+            self._believe(self._peers, stretch.map, end)
+            self._reach(self._peers, stretch.map, stretch.first, end)
             if stretch.map == self.own:
                 self._cursor, self._synced = end, peers
                 self._aired = max(self._aired, end)
@@ -366,32 +396,36 @@ class Gossip:
     def _recognise(self, peer: int, pieces: list[bytes]) -> None:
         """Who says units of the map of a new life of its own has begun anew, and knows and holds nothing."""
         for piece in pieces if self._lives > 1 else ():
-            said = packets.decode(piece)[0] if packets.name(piece) == From.name else None
-            if not isinstance(said, From) or not self._own_maps[peer] < said.map < len(self.logs):
+            said = _report(piece)
+            if not isinstance(said, From | FromEarly) or not self._own_maps[peer] < said.map < len(self.logs):
                 continue
             if said.map % self._robots == peer:
                 self._own_maps[peer] = said.map
                 self._cursors[peer] = None
-                self.known[peer] = [0] * len(self.logs)
-                self._told[peer] = [0] * len(self.logs)
-                self._near[peer] = set(range(self._robots)) - {peer}
-                self._told_near[peer] = set(range(self._robots)) - {self._robot}
+                self.known[peer] = 0
+                self._told[peer] = 0
+                self._near[peer] = np.arange(self._robots) != peer
+                self._told_near[peer] = np.arange(self._robots) != self._robot
                 self._met.add(peer)
                 self._synced.discard(peer)
 
     def _hear_reports(self, peer: int, pieces: list[bytes]) -> Iterator[tuple[int, int, bytes]]:
         """Take who is near a peer, and what it holds; yield what does not belong here."""
         for piece in pieces:
-            if packets.name(piece) != From.name:
-                continue
-            match packets.decode(piece)[0]:
-                case Near(robot, here) if robot < self._robots:
-                    (self._near[peer].add if here else self._near[peer].discard)(robot)
-                case Held(about, count) if about < len(self.logs) and (about != peer or self._lives > 1):
-                    self.known[peer][about] = self._unwrap(about, count)
+            match _report(piece):
+                case Near(robot) if robot < self._robots:
+                    self._near[peer, robot] = True
+                case Gone(robot) if robot < self._robots:
+                    self._near[peer, robot] = False
+                case (Held(about, _) | HeldEarly(about, _)) as held if about < len(self.logs) and (
+                    about != peer or self._lives > 1
+                ):
+                    self.known[peer, about] = self._number(held)
                     self._unsure.pop(peer, None)
-                    self._near[peer].add(self._robot)
-                case From(about, _) if about < len(self.logs):
+                    self._near[peer, self._robot] = True
+                case From(about, _) | FromEarly(about, _) if about < len(self.logs):
+                    pass
+                case None:
                     pass
                 case other:
                     yield peer, peer, packets.encode([other])
@@ -401,13 +435,12 @@ class Gossip:
         about, index = self._own_maps[peer], self._cursors[peer]
         units: list[bytes] = []
         for piece in pieces:
-            if packets.name(piece) != From.name:
+            said = _report(piece)
+            if said is None:
                 units.append(piece)
-                continue
-            said = packets.decode(piece)[0]
-            if isinstance(said, From) and said.map < len(self.logs):
+            elif isinstance(said, From | FromEarly) and said.map < len(self.logs):
                 yield from self._take(peer, about, index, units)
-                about, index, units = said.map, self._unwrap(said.map, said.index), []
+                about, index, units = said.map, self._number(said), []
         yield from self._take(peer, about, index, units)
 
     def _take(
@@ -422,7 +455,7 @@ class Gossip:
         end, held = index + len(units), len(self.logs[about])
         if about == self._own_maps[peer]:
             self._cursors[peer] = end
-        self.known[peer][about] = max(self.known[peer][about], end)
+        self.known[peer, about] = max(int(self.known[peer, about]), end)
         if index > held:
             self._gaps.add(about)
         else:
@@ -430,23 +463,38 @@ class Gossip:
         mine = about % self._robots == self._robot and about >= self.own
         if index <= held < end and not mine and (peer, about) not in self.refused:
             yield peer, about, b"".join(units[held - index :])
+        hearers = self._near[peer].copy()
+        hearers[self._robot] = False
+        self._reach(np.flatnonzero(hearers), about, index, end)
         if len(self.logs[about]) >= end:
-            for other in {peer} | self._near[peer]:
-                self._told[other][about] = max(self._told[other][about], end)
-        for other in self._near[peer] - {self._robot}:
-            self._reach(other, about, index, end)
+            hearers[[peer, self._robot]] = True
+            self._believe(np.flatnonzero(hearers), about, end)
 
-    def _reach(self, peer: int, about: int, first: int, end: int) -> None:
-        """A peer has heard units `first` to `end` - 1 of a map; it takes them unless it lacks earlier ones."""
-        if self.known[peer][about] >= first:
-            self.known[peer][about] = max(self.known[peer][about], end)
+    def _reach(self, peers: Robots, about: int, first: int, end: int) -> None:
+        """Peers have heard units `first` to `end` - 1 of a map; each takes them unless it lacks earlier ones."""
+        known = self.known[peers, about]
+        self.known[peers, about] = np.where(known >= first, np.maximum(known, end), known)
 
-    def _believe(self, about: int, held: int) -> None:
-        """All in range have heard that one holds so many units of a map."""
-        for peer in self._peers:
-            self._told[peer][about] = max(self._told[peer][about], held)
+    def _believe(self, peers: Robots, about: int, held: int) -> None:
+        """Peers have heard that one holds so many units of a map."""
+        self._told[peers, about] = np.maximum(self._told[peers, about], held)
 
-    def _unwrap(self, about: int, index: int) -> int:
-        """The number that is meant by one modulo `GOSSIP_WINDOW`: the nearest to what one holds."""
-        held = len(self.logs[about])
-        return max(0, held + (index - held + GOSSIP_WINDOW // 2) % GOSSIP_WINDOW - GOSSIP_WINDOW // 2)
+    def _number(self, said: From | FromEarly | Held | HeldEarly) -> int:
+        """The number that is meant; one modulo `GOSSIP_WINDOW` is the nearest to what one holds."""
+        if isinstance(said, FromEarly | HeldEarly):
+            return said.index
+        held = len(self.logs[said.map])
+        return max(0, held + (said.index - held + GOSSIP_WINDOW // 2) % GOSSIP_WINDOW - GOSSIP_WINDOW // 2)
+
+
+def _report(piece: bytes) -> packets.AnyPacket | None:
+    """Read a packet that is no unit of a log."""
+    return packets.decode(piece)[0] if packets.name(piece) == From.name else None
+
+
+def _from(about: int, index: int) -> From | FromEarly:
+    return FromEarly(about, index) if index < EARLY else From(about, index % GOSSIP_WINDOW)
+
+
+def _held(about: int, index: int) -> Held | HeldEarly:
+    return HeldEarly(about, index) if index < EARLY else Held(about, index % GOSSIP_WINDOW)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.metadata import EntryPoint
 
+from agent.plugins import package
 from agent.strategies.base import Strategy
 from agent.strategies.options import OptionLine, option_lines
-from agent.strategies.registry import strategies, strategy
+from agent.strategies.registry import PLUGINS, strategies, strategy
 
 COMBINING = """\
 A strategy is made of parts. Each names its own; options exchange them:
@@ -77,13 +79,26 @@ class Entry:
 
 
 def catalogue() -> list[Entry]:
-    """All strategies that have been imported, by name."""
-    return [_entry(kind) for kind in strategies().values()]
+    """All strategies by name: ours, those that have been imported, and those of installed packages."""
+    found = {kind.name: _entry(kind) for kind in strategies().values()}
+    for name, point in PLUGINS.installed().items():
+        if name not in found:
+            found[name] = _entry_of(point)
+    return [found[name] for name in sorted(found)]
 
 
 def entry(name: str) -> Entry:
     """The strategy of that name, or the class that ``package.module:Class`` names; ValueError if there is none."""
     return _entry(strategy(name))
+
+
+def _entry_of(point: EntryPoint) -> Entry:
+    """The strategy of an installed package; one that cannot be imported is told as that."""
+    try:
+        return _entry(PLUGINS.load(point))
+    except ValueError as error:
+        reason = str(error).splitlines()[-1]
+        return Entry(point.name, f"cannot be imported: {reason}", f"package {package(point)}", [], {}, [])
 
 
 def _entry(kind: type[Strategy]) -> Entry:

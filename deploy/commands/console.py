@@ -23,8 +23,9 @@ PAPER_WIDTH = 160
 def report_result(result: Any, *, as_json: bool) -> int:
     """Print the results of a run; return its exit code."""
     from deploy.commands.terminal import summary_lines  # noqa: PLC0415
+    from deploy.record.run_directory import LOGS  # noqa: PLC0415
 
-    report_deaths(result.deaths)
+    report_deaths(result.deaths, result.directory / LOGS if result.directory is not None else None)
     if result.view_fault:
         errors.print(f"the viewer failed, the run was not affected: {result.view_fault}")
     for robot, cause in sorted(result.records.lost.items()):
@@ -40,10 +41,15 @@ def report_result(result: Any, *, as_json: bool) -> int:
     return code
 
 
-def report_deaths(deaths: dict[str, str]) -> None:
-    """Print which processes died, and the last line that each printed."""
+def report_deaths(deaths: dict[str, str], logs: Path | None = None) -> None:
+    """Print which processes died, and their last words, those that several said once; `logs` is where the rest is."""
+    said: dict[str, list[str]] = {}
     for name, words in deaths.items():
-        errors.print(f"{name} died: {words}")
+        said.setdefault(words, []).append(name)
+    for words, names in said.items():
+        errors.print(f"{', '.join(names)} died: {words}")
+        if "\n" in words and logs is not None:
+            errors.print(f"that is in {', '.join(str(logs / f'{name}.log') for name in names)}")
 
 
 def explain_difference(before: dict[str, Any], now: dict[str, Any]) -> None:

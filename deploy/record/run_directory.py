@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deploy.record.records import Records
 from deploy.scenario.plan import Plan
@@ -142,7 +143,7 @@ def write_results(out: Path, plan: Plan, records: Records, summary: dict[str, An
     text = json.dumps(summary, indent=2) + "\n"
     write_whole(out / SUMMARY, lambda file: file.write(text.encode()))
     write_whole(out / STEPS, lambda file: parquet.write_table(steps_table(plan, records), file))
-    write_whole(out / LEDGER, lambda file: parquet.write_table(ledger_table(records), file))
+    write_whole(out / LEDGER, lambda file: parquet.write_table(ledger_table(records.ledger()), file))
     if records.own:
         team = np.maximum.reduce([records.own[robot] for robot in sorted(records.own)])
         named = {"team": team} | {f"planning-r{robot}": grid for robot, grid in records.planning.items()}
@@ -198,11 +199,10 @@ def steps_table(plan: Plan, records: Records) -> Any:
     return pa.Table.from_pylist(rows, schema=schema)
 
 
-def ledger_table(records: Records) -> Any:
-    """One row per frame and packet kind, with the columns of docs/protocol.md."""
+def ledger_table(ledger: NDArray[np.void]) -> Any:
+    """The rows of a ledger (`netshaper.ledger.ROW`) as a table: one row per frame and packet kind."""
     import pyarrow as pa  # noqa: PLC0415
 
-    ledger = records.ledger()
     kinds = np.array([*ALL_KINDS, "malformed"])
     causes = np.array(CAUSES)
     columns: dict[str, Any] = {}

@@ -6,7 +6,7 @@ import base64
 import contextlib
 import io
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
@@ -23,6 +23,7 @@ from deploy.record.summary import summarise
 from deploy.run import in_memory, launch
 from deploy.run.hosts import Hosts
 from deploy.run.interrupt import Interrupt
+from deploy.run.last_words import traceback_of
 from deploy.run.ssh import Fleet
 from deploy.scenario import plan as plans
 from deploy.scenario.effective_radio import effective_radio
@@ -54,7 +55,8 @@ class Result:
     records : Records
         All that was recorded, in memory.
     deaths : dict
-        Processes that ended prematurely, with their last line of output.
+        Processes that ended prematurely, with their last words: the traceback of what a strategy or an exchange
+        raised, else the last line of output. A robot in memory whose code raises dies as a process does.
     plan : Plan
         What was run: the scenario and its map.
     view_fault : str
@@ -72,12 +74,12 @@ class Result:
     @cached_property
     def steps(self) -> pl.DataFrame:
         """One row per step and robot: its pose and state; metres in the map's frame (``steps.parquet``)."""
-        return _frame(run_directory.steps_table(self.plan, self.records))
+        return frame(run_directory.steps_table(self.plan, self.records))
 
     @cached_property
     def ledger(self) -> pl.DataFrame:
         """One row per frame and packet kind (``ledger.parquet``, columns in docs/protocol.md)."""
-        return _frame(run_directory.ledger_table(self.records))
+        return frame(run_directory.ledger_table(self.records.ledger()))
 
     @property
     def maps(self) -> dict[str | int, Grid]:
@@ -114,6 +116,9 @@ class Result:
             f"coverage {summary['coverage']:.3f}, {summary['bytes']['total']} bytes{where}>"
         )
 
+    def __str__(self) -> str:
+        return "\n".join([repr(self), *(f"{name} died: {words}" for name, words in self.deaths.items())])
+
     def _repr_html_(self) -> str:
         """What a notebook shows."""
         rows = "".join(
@@ -124,7 +129,8 @@ class Result:
             file = io.BytesIO()
             self.plot().savefig(file, format="png", dpi=80)
             picture = f'<img src="data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}">'
-        return f"<p>{escape(repr(self)[1:-1])}</p>{picture}<table>{rows}</table>"
+        deaths = "".join(f"<pre>{name} died: {escape(words)}</pre>" for name, words in self.deaths.items())
+        return f"<p>{escape(repr(self)[1:-1])}</p>{deaths}{picture}<table>{rows}</table>"
 
 
 _SHOWN = ("steps", "coverage", "map_agreement", "t90", "t99", "strategy", "exchange", "bandwidth", "digest")
@@ -181,8 +187,7 @@ def explore(
     """
     if not keep and (window is not None or snapshots):
         raise ValueError("a run that is shown, or whose maps are kept, needs a directory: keep = True")
-    if scenario is None or settings:
-        scenario = parse((scenario.model_dump() if scenario is not None else {}) | settings)
+    scenario = scenario_of(scenario, settings)
     wait: Callable[[], object] = Pace(pace).wait if pace is not None else _nothing
     plan = plans.make(scenario)
     if hosts is not None and scenario.bus == "memory":
@@ -197,6 +202,7 @@ def explore(
         interrupt.caught() if keep else contextlib.nullcontext(),
     ):
         directory = run_directory.create(out, plan) if keep else None
+        logs = directory / run_directory.LOGS if directory is not None else None
         journals = directory / run_directory.JOURNALS if directory is not None else None
         began = time.perf_counter()
 
@@ -213,13 +219,20 @@ def explore(
             if scenario.bus == "memory":
                 with watching(task) if task is not None else contextlib.nullcontext() as view:
                     ready()
+                    fallen = _Fallen(logs)
                     records = in_memory.run(
-                        plan, look, capture, heed=interrupt.heed, view=view, wait=wait, journals=journals
+                        plan,
+                        look,
+                        capture,
+                        heed=interrupt.heed,
+                        view=view,
+                        wait=wait,
+                        fell=fallen.take,
+                        journals=journals,
                     )
-                outcome = launch.Outcome(records, {})
+                outcome = launch.Outcome(records, fallen.deaths)
             else:
                 show = launch.Show(task, ready) if task is not None else None
-                logs = directory / run_directory.LOGS if directory else None
                 outcome = launch.run(
                     plan,
                     logs,
@@ -238,6 +251,28 @@ def explore(
     return result
 
 
+def scenario_of(scenario: Scenario | None, settings: Mapping[str, Any]) -> Scenario:
+    """Lay settings over a scenario, or over the defaults; ScenarioError names all that is wrong."""
+    if scenario is not None and not settings:
+        return scenario
+    return parse((scenario.model_dump() if scenario is not None else {}) | dict(settings))
+
+
+class _Fallen:
+    """Robots in memory whose code raised: their last words, and their logs, as of processes."""
+
+    def __init__(self, logs: Path | None) -> None:
+        self.deaths: dict[str, str] = {}
+        self._logs = logs
+
+    def take(self, name: str, error: Exception) -> None:
+        said = traceback_of(error)
+        self.deaths[name] = f"exit code 1; its last words: {said}"
+        if self._logs is not None:
+            self._logs.mkdir(exist_ok=True)
+            (self._logs / f"{name}.log").write_text(f"{said}\n", encoding="utf-8")
+
+
 def conclude(plan: Plan, outcome: launch.Outcome, directory: Path | None, wall_s: float) -> Result:
     """Summarise a run and write its results."""
     summary = summarise(plan, outcome.records, wall_s)
@@ -253,7 +288,8 @@ def _exit_code(outcome: launch.Outcome, summary: dict[str, Any]) -> int:
     return EXPLORED if summary["finished"] else NOT_FINISHED
 
 
-def _frame(table: Any) -> pl.DataFrame:
+def frame(table: Any) -> pl.DataFrame:
+    """An arrow table as a polars frame."""
     import polars  # noqa: PLC0415  only who asks for a frame needs it
 
     frame = polars.from_arrow(table)

@@ -29,6 +29,159 @@ class Node(Protocol):
         """Take one message from the bus."""
 
 
+Fell = Callable[[str, Exception], object]
+"""Called with a robot's name, and with what its code raised."""
+
+
+class MemoryRun:
+    """A run in this process, from its first step to its last.
+
+    Parameters
+    ----------
+    plan : Plan
+    capture : binary file, optional
+        Takes the frames (`deploy.record.records`).
+    wrap : callable
+        May lay something around each participant's end of the bus.
+    view : Node, optional
+        A viewer.
+    wait : callable
+        The world's pace.
+    fell : callable, optional
+        Called when a robot's code raises: that robot is lost then, as a process of its own would be. Without it the
+        exception goes to the caller.
+    journals : Path, optional
+        The folder for what robots need to come back; in memory without it.
+
+    Attributes
+    ----------
+    agents : list of AgentNode
+        The robots' shells, by number; one that comes back has a new one.
+    records : Records
+        What the laboratory has been told so far.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        capture: BinaryIO | None = None,
+        *,
+        wrap: Callable[[str, Bus], Bus] = lambda _, bus: bus,
+        view: Node | None = None,
+        wait: Callable[[], object] = lambda: None,
+        fell: Fell | None = None,
+        journals: Path | None = None,
+    ) -> None:
+        robots = plan.scenario.robots
+        self._minds = [names.robot(number) for number in range(robots)]
+        watching = [names.VIEW] if view is not None else []
+        self._plan = plan
+        self._wrap = wrap
+        self._fell = fell
+        self._journals = journals
+        self._kept: dict[int, BytesIO] = {}
+        self._due: list[int] = []
+        """Robots that come back."""
+        self._hub = MemoryHub("memory", [names.RELAY, names.WORLD, names.LAB, *self._minds, *watching])
+        keys = self._hub.keys
+        self._buses: dict[str, Bus] = {}
+        for name in (names.RELAY, *watching, names.LAB, names.WORLD, *self._minds):
+            self._buses[name] = wrap(name, self._hub.join(name))
+        self._lab = LabNode(
+            self._buses[names.LAB], keys, robots, plan.map.cells.shape, capture, obey=self._obey
+        )
+        world = WorldNode(
+            self._buses[names.WORLD],
+            keys,
+            plan.make_world(),
+            plan.minds,
+            plan.scenario.steps,
+            1000 * plan.map.resolution,
+            wait=wait,
+        )
+        self._nodes: dict[str, Node] = {
+            names.RELAY: RelayNode(self._buses[names.RELAY], keys, plan.radio),
+            names.WORLD: world,
+            names.LAB: self._lab,
+        }
+        self.agents = [self._agent(number) for number in range(robots)]
+        self._nodes |= zip(self._minds, self.agents, strict=True)
+        if view is not None:
+            self._nodes[names.VIEW] = view
+
+    @property
+    def records(self) -> Records:
+        """What the laboratory has been told so far."""
+        return self._lab.records
+
+    def steps(self, heed: Callable[[LabNode], object] = lambda _: None) -> Iterator[int]:
+        """Go on, and yield each step that is over, from 0, the time before the first.
+
+        All has been told of it then, the world has opened the next one, and no robot knows of that.
+        `heed` may end the run early (`deploy.run.interrupt`).
+        """
+        over = -1
+        while not self._is_done():
+            spoke = False
+            heed(self._lab)
+            for name in self._hub.in_turn():
+                spoke |= self._take_turn(name)
+                if name == names.LAB and self._last_step() > over:
+                    over = self._last_step()
+                    yield over
+            while self._due:
+                self._come_back(self._due.pop())
+            if not spoke and not self._is_done():
+                raise RuntimeError("the run stands still: everyone waits for someone")
+
+    def _take_turn(self, name: str) -> bool:
+        """Let a participant take its messages; whether there were any."""
+        node, bus = self._nodes[name], self._buses[name]
+        spoke = False
+        try:
+            for message in _waiting(bus):
+                spoke = True
+                node.handle(message)
+        except Exception as error:
+            if self._fell is None or not isinstance(node, AgentNode):
+                raise
+            self._fell(name, error)
+            node.done = True
+        if node.done:
+            bus.close()
+        return spoke
+
+    def _obey(self, strike: Strike) -> None:
+        if strike.kind == "restart":
+            self._due.append(strike.robot)
+
+    def _come_back(self, number: int) -> None:
+        """Let a robot join anew, with what is in its journal."""
+        name = self._minds[number]
+        self._buses[name] = self._wrap(name, self._hub.join(name))
+        self._nodes[name] = self.agents[number] = self._agent(number)
+
+    def _agent(self, number: int) -> AgentNode:
+        bus = self._buses[self._minds[number]]
+        return AgentNode(bus, self._hub.keys, number, self._journal(number))
+
+    def _journal(self, number: int) -> Journal | None:
+        """The journal of a robot, in a folder or in memory; None where no robot can come back."""
+        if self._plan.lives == 1:
+            return None
+        if self._journals is not None:
+            return Journal.open(self._journals / journal_name(number))
+        return Journal(self._kept.setdefault(number, BytesIO()))
+
+    def _last_step(self) -> int:
+        """The last step that is over: the one before the one that the world has opened, or the end's."""
+        records = self._lab.records
+        return records.end.step if records.end is not None else records.step - 1
+
+    def _is_done(self) -> bool:
+        return all(node.done for node in self._nodes.values())
+
+
 def run(
     plan: Plan,
     watch: Callable[[Records], object] | None = None,
@@ -38,86 +191,22 @@ def run(
     wrap: Callable[[str, Bus], Bus] = lambda _, bus: bus,
     view: Node | None = None,
     wait: Callable[[], object] = lambda: None,
+    fell: Fell | None = None,
     journals: Path | None = None,
     leave: Callable[[list[Robot]], object] = lambda _: None,
 ) -> Records:
-    """Run a plan to its end.
+    """Run a plan to its end; as for `MemoryRun`.
 
-    `watch` is called once a step, `capture` takes the frames (`deploy.record.records`), `heed` may end the run early
-    (`deploy.run.interrupt`), `wrap` may lay something around each participant's end of the bus; `view` is a viewer,
-    `wait` the world's pace; `journals` is the folder for what robots need to come back, in memory without it; `leave`
-    is given the robots at the end, with all that they hold.
+    `watch` is called whenever a step has been opened, `leave` with the robots at the end, with all that they hold.
     """
-    robots = plan.scenario.robots
-    minds = [names.robot(number) for number in range(robots)]
-    watching = [names.VIEW] if view is not None else []
-    hub = MemoryHub("memory", [names.RELAY, names.WORLD, names.LAB, *minds, *watching])
-    keys = hub.keys
-    buses: dict[str, Bus] = {}
-    for name in (names.RELAY, *watching, names.LAB, names.WORLD, *minds):
-        buses[name] = wrap(name, hub.join(name))
-    due: list[int] = []
-
-    def obey(strike: Strike) -> None:
-        if strike.kind == "restart":
-            due.append(strike.robot)
-
-    lab = LabNode(buses[names.LAB], keys, robots, plan.map.cells.shape, capture, obey=obey)
-    world = WorldNode(
-        buses[names.WORLD],
-        keys,
-        plan.make_world(),
-        plan.minds,
-        plan.scenario.steps,
-        1000 * plan.map.resolution,
-        wait=wait,
-    )
-    nodes: dict[str, Node] = {
-        names.RELAY: RelayNode(buses[names.RELAY], keys, plan.radio),
-        names.WORLD: world,
-        names.LAB: lab,
-    }
-    kept: dict[int, BytesIO] = {}
-
-    def agent(number: int) -> AgentNode:
-        return AgentNode(buses[minds[number]], keys, number, _journal(plan, number, journals, kept))
-
-    agents = [agent(number) for number in range(robots)]
-    nodes |= zip(minds, agents, strict=True)
-    if view is not None:
-        nodes[names.VIEW] = view
-    step = 0
-    while not all(node.done for node in nodes.values()):
-        spoke = False
-        heed(lab)
-        for name in hub.in_turn():
-            node, bus = nodes[name], buses[name]
-            for message in _waiting(bus):
-                node.handle(message)
-                spoke = True
-            if node.done:
-                bus.close()
-        while due:
-            number = due.pop()
-            name = minds[number]
-            buses[name] = wrap(name, hub.join(name))
-            nodes[name] = agents[number] = agent(number)
-        if not spoke and not all(node.done for node in nodes.values()):
-            raise RuntimeError("the run stands still: everyone waits for someone")
-        if watch is not None and lab.records.step > step:
-            step = lab.records.step
-            watch(lab.records)
-    leave([agent.robot for agent in agents if agent.robot is not None])
-    return lab.records
-
-
-def _journal(plan: Plan, number: int, folder: Path | None, kept: dict[int, BytesIO]) -> Journal | None:
-    """The journal of a robot, in a folder or in memory; None where no robot can come back."""
-    if plan.lives == 1:
-        return None
-    if folder is not None:
-        return Journal.open(folder / journal_name(number))
-    return Journal(kept.setdefault(number, BytesIO()))
+    under_way = MemoryRun(plan, capture, wrap=wrap, view=view, wait=wait, fell=fell, journals=journals)
+    opened = 0
+    for _ in under_way.steps(heed):
+        if watch is not None and under_way.records.step > opened:
+            opened = under_way.records.step
+            watch(under_way.records)
+    leave([agent.robot for agent in under_way.agents if agent.robot is not None])
+    return under_way.records
 
 
 def _waiting(bus: Bus) -> Iterator[Message]:

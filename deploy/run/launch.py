@@ -34,6 +34,8 @@ from protocol.zenoh_bus import join
 POLL_S = 0.25
 VIEWER_S = 10.0
 """How long the viewer may take to join; after that the run begins without it."""
+FAREWELL_S = 1.0
+"""How long a lost robot's process may take to end."""
 VIEWER_END_S = 5.0
 """How long the viewer may take to write what it has at the end."""
 WRAP_UP_S = 3.0
@@ -197,6 +199,8 @@ def _attend(
         except BusClosed as error:
             time.sleep(POLL_S)  # the system tells of the death a moment after the bus
             look_after_all().setdefault(names.RELAY, str(error))
+    for robot in map(names.robot, lab.records.lost):
+        processes.await_end(robot, FAREWELL_S)  # the relay has heard of it before the system tells
     look_after_all()
     return Outcome(lab.records, deaths)
 

@@ -18,6 +18,7 @@ from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Self
 
+from deploy.run.last_words import last_words
 from deploy.run.processes import in_background
 
 GRACE_S = 1.0
@@ -40,9 +41,8 @@ class Child:
         how = f"exit code {code}"
         if code is not None and code < 0:
             how = f"killed by {signal.Signals(-code).name}"
-        lines = self.log.read_text(errors="replace").split("\n") if self.log.exists() else []
-        said = [line.strip() for line in lines if line.strip()]
-        return f"{how}; its last words: {said[-1]}" if said else f"{how}, without a word"
+        said = last_words(self.log.read_text(errors="replace")) if self.log.exists() else ""
+        return f"{how}; its last words: {said}" if said else f"{how}, without a word"
 
 
 class ProcessTable:
@@ -97,7 +97,9 @@ class ProcessTable:
 
     def await_end(self, name: str, timeout_s: float) -> str:
         """Wait for a child that ends by itself; return what went wrong with it, or an empty text."""
-        (child,) = (child for child in self._children if child.name == name)
+        child = next((child for child in self._children if child.name == name), None)
+        if child is None:
+            return "it is on another host"
         child.process.join(timeout_s)
         if child.process.exitcode is None:
             return f"it did not end within {timeout_s:g} s"

@@ -20,6 +20,7 @@ from setproctitle import setproctitle
 
 from agent.journal import Journal, JournalError
 from agent.process import AgentNode
+from deploy.run.last_words import traceback_of
 from netshaper.hub import open_hub
 from netshaper.process import RelayNode
 from netshaper.radio import RadioSettings
@@ -148,3 +149,6 @@ def in_background(name: str, log: Path, serve: Callable[..., None], *args: objec
     except (BusClosed, ConnectionError) as error:
         print(error, file=sys.stderr)
         sys.exit(BROKEN_OFF)
+    except Exception as error:
+        print(traceback_of(error), file=sys.stderr)
+        sys.exit(1)

@@ -26,7 +26,7 @@ from netshaper.presets import PRESETS
 from netshaper.radio_options import LEAST_FRAME, Partition, RadioOptions
 from protocol.errors import there_are
 from protocol.grid import MAX_ROBOTS
-from protocol.packets import MAX_MAPS
+from protocol.packets import MAX_GOSSIP_MAPS, MAX_MAPS
 from worldsim import faults
 from worldsim.faults import Fault
 
@@ -207,10 +207,9 @@ class Scenario(_Table):
     @field_validator("exchange")
     @classmethod
     def _exchange_is_known(cls, value: str) -> str:
-        from agent.exchange.catalogue import EXCHANGES  # noqa: PLC0415  kernels, of which help needs none
+        from agent.exchange.catalogue import exchange_kind  # noqa: PLC0415  arrays, of which help needs none
 
-        if value not in EXCHANGES:
-            raise ValueError(there_are(EXCHANGES, value))
+        exchange_kind(value)
         return value
 
     @field_validator("options")
@@ -226,10 +225,10 @@ class Scenario(_Table):
         from agent.strategies.registry import strategy  # noqa: PLC0415  kernels, of which help needs none
 
         strategy(self.strategy).check(self.options)
-        if self.robots > MAX_MAPS and self.exchange != "none":
+        if self.robots > self.most_maps and self.exchange != "none":
             raise ValueError(
-                f"robots = {self.robots}: packets can name the maps of {MAX_MAPS} robots; "
-                "more need exchange = 'none'"
+                f"robots = {self.robots}: packets can name the maps of {self.most_maps} robots; "
+                "more need offers = 'gossip', or exchange = 'none'"
             )
         for partition in self.radio.partition:
             strange = [robot for group in partition.groups for robot in group if robot >= self.robots]
@@ -279,6 +278,11 @@ class Scenario(_Table):
             scanner_turn=self.scanner_turn if own.scanner_turn is None else own.scanner_turn,
         )
 
+    @property
+    def most_maps(self) -> int:
+        """Maps that packets can name: offers have fewer bits for it than gossip."""
+        return MAX_GOSSIP_MAPS if self.offers == "gossip" else MAX_MAPS
+
     def to_toml(self) -> str:
         """The scenario as TOML, every setting written out."""
         return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
@@ -286,10 +290,11 @@ class Scenario(_Table):
 
 def check_lives(scenario: Scenario, lives: int) -> None:
     """Raise ValueError if packets cannot name the maps of robots that begin so often (`agent.identity`)."""
-    if scenario.exchange != "none" and scenario.robots * lives > MAX_MAPS:
+    most = scenario.most_maps
+    if scenario.exchange != "none" and scenario.robots * lives > most:
         raise ValueError(
-            f"robots = {scenario.robots}: packets can name {MAX_MAPS} maps, one a life of each robot; so "
-            f"{scenario.robots} robots can begin {MAX_MAPS // scenario.robots} times each, not {lives} times"
+            f"robots = {scenario.robots}: packets can name {most} maps, one a life of each robot; so "
+            f"{scenario.robots} robots can begin {most // scenario.robots} times each, not {lives} times"
         )
 
 

@@ -46,7 +46,7 @@ GOLDEN = Path(__file__).parents[1] / "protocol" / "golden"
 
 LETTERS = {
     "index": "i", "x": "x", "y": "y", "side": "s", "occupied": "o", "object": "n", "count": "c",
-    "inside": "e", "map": "m", "block": "b", "leads": "l", "robot": "r", "here": "h",
+    "inside": "e", "map": "m", "block": "b", "leads": "l", "robot": "r",
     "sum": "q",
 }  # fmt: skip
 
@@ -250,7 +250,8 @@ def test_limits_are_those_of_the_code() -> None:
     assert limits == {
         "cells a side of the grid": str(MAX_SIDE),
         "robots": str(MAX_ROBOTS),
-        "robots whose maps travel": str(packets.MAX_MAPS),
+        "robots whose maps travel by offers": str(packets.MAX_MAPS),
+        "robots whose maps travel by gossip": str(packets.MAX_GOSSIP_MAPS),
         "robots times lives": str(packets.MAX_MAPS),
         "objects an approximation": str(packets.MAX_OBJECTS),
         "vertices an object": str(packets.MAX_VERTICES),

@@ -94,9 +94,9 @@ class Gossiper(Robot):
             packets.Fragment(bytes(63)),
             packets.Look(None, bytes(8)),
             packets.Look(2, b"new"),
-            packets.From(1, 7),
-            packets.Held(0, 3),
-            packets.Near(1, 0),
+            packets.FromEarly(1, 7),
+            packets.Held(0, 300),
+            packets.Gone(1),
         ]
         news = packets.encode([kinds[kind] for kind in rng.integers(0, len(kinds), rng.integers(0, 9))])
         if news:

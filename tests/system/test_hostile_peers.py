@@ -46,10 +46,11 @@ from protocol.packets import (
     Emerge,
     Fragment,
     From,
+    FromEarly,
+    Gone,
     Held,
     Insert,
     Look,
-    Near,
     Offer,
     Packet,
     Pose,
@@ -280,8 +281,8 @@ NONSENSE: dict[str, list[Packet]] = {
     "a unit of noise": [Look(0, bytes(range(1, 60)))],
     "another unit than its next": [Look(3, b"ab")],
     "raw scans": [Fragment(b"noise")],
-    "another's map": [From(2, 0), Look(0, bytes(range(1, 60)))],
-    "reports of maps that nobody has": [Held(2, 4000), Held(0, 4000), Near(0, 0), Near(2, 0)],
+    "another's map": [FromEarly(2, 0), Look(0, bytes(range(1, 60)))],
+    "reports of maps that nobody has": [Held(2, 4000), Held(0, 4000), Gone(0), Gone(2)],
     "a map from its middle on": [From(1, 4000), Look(0, b"ab")],
 }
 

@@ -34,9 +34,12 @@ local LAYOUTS = {
   { kind = "pose", name = "Pose", size = 4, code = 0xF3, bits = 8, fields = { { "x", 11 }, { "y", 11 }, { "leads", 1 } } },
   { kind = "conn", name = "Block", size = 2, code = 0x3E0, bits = 10, fields = { { "block", 6 } } },
   { kind = "conn", name = "Decline", size = 2, code = 0xFC00, bits = 16, fields = {} },
-  { kind = "conn", name = "From", size = 4, code = 0xF6, bits = 8, fields = { { "map", 6 }, { "index", 18 } } },
-  { kind = "conn", name = "Held", size = 4, code = 0xF7, bits = 8, fields = { { "map", 6 }, { "index", 18 } } },
-  { kind = "conn", name = "Near", size = 2, code = 0xF9, bits = 8, fields = { { "robot", 6 }, { "here", 1 } } },
+  { kind = "conn", name = "From", size = 5, code = 0xF6, bits = 8, fields = { { "map", 8 }, { "index", 24 } } },
+  { kind = "conn", name = "FromEarly", size = 3, code = 0xFB, bits = 8, fields = { { "map", 8 }, { "index", 8 } } },
+  { kind = "conn", name = "Held", size = 5, code = 0xF7, bits = 8, fields = { { "map", 8 }, { "index", 24 } } },
+  { kind = "conn", name = "HeldEarly", size = 3, code = 0xFD, bits = 8, fields = { { "map", 8 }, { "index", 8 } } },
+  { kind = "conn", name = "Near", size = 2, code = 0xF9, bits = 8, fields = { { "robot", 8 } } },
+  { kind = "conn", name = "Gone", size = 2, code = 0xFE, bits = 8, fields = { { "robot", 8 } } },
   { kind = "sum", name = "Check", size = 3, code = 0xFA, bits = 8, fields = { { "sum", 16 } } },
 }
 
@@ -69,7 +72,6 @@ local f = {
   block = ProtoField.uint8("murmur.block", "Block"),
   leads = ProtoField.uint8("murmur.leads", "Sender leads"),
   robot = ProtoField.uint8("murmur.robot", "Robot"),
-  here = ProtoField.uint8("murmur.here", "In range"),
   sum = ProtoField.uint16("murmur.sum", "Checksum"),
   number = ProtoField.uint8("murmur.number", "Unit, modulo 4"),
   data = ProtoField.bytes("murmur.data", "Piece of a scan, or of a unit of looks"),

@@ -13,7 +13,21 @@ from agent.exchange.gossip import EVERYONE, GREETING, MOST_URGENT, PATIENCE, SEL
 from protocol import packets, survey
 from protocol.errors import ProtocolError
 from protocol.messages import Outcome
-from protocol.packets import GOSSIP_WINDOW, Delete, Fragment, From, Held, Near, Offer, Save, Target, encode
+from protocol.packets import (
+    GOSSIP_WINDOW,
+    Delete,
+    Fragment,
+    From,
+    FromEarly,
+    Gone,
+    Held,
+    HeldEarly,
+    Near,
+    Offer,
+    Save,
+    Target,
+    encode,
+)
 from tests.agent.exchange.session_link import everyone, line, word, words
 
 Reach = Mapping[int, Sequence[int]]
@@ -187,7 +201,7 @@ def test_of_several_who_could_pass_a_map_on_one_does() -> None:
     said: list[int] = []
     for _ in range(GREETING + 3):
         air.step({1: [2, 3, 4], 2: [1, 3, 4], 3: [1, 2, 4], 4: [1, 2, 3]})
-        said += [who for who, frame in air.said if packets.encode([From(0, 0)]) in frame]
+        said += [who for who, frame in air.said if packets.encode([FromEarly(0, 0)]) in frame]
     assert len(air.minds[4].logs[0]) == 4
     assert len(said) == 1
 
@@ -196,15 +210,17 @@ def test_who_has_missed_nothing_needs_no_head_and_who_has_gets_one() -> None:
     air = Air(3)
     air.log(0, 1)
     air.step({0: [1], 1: [0], 2: []})
-    assert dict(air.said)[0] == encode([Near(2, 0)]) + word(0, 0)
-    assert dict(air.said)[1].startswith(encode([Near(2, 0)]))
+    assert dict(air.said)[0] == encode([Gone(2)]) + word(0, 0)
+    assert dict(air.said)[1].startswith(encode([Gone(2)]))
     air.log(0, 1)
     air.step({0: [1], 1: [0], 2: []})
-    assert not [packet for packet in packets.decode(dict(air.said)[0]) if isinstance(packet, From)]
+    assert not [
+        packet for packet in packets.decode(dict(air.said)[0]) if isinstance(packet, From | FromEarly)
+    ]
     assert word(0, 1) in dict(air.said)[0]
     air.log(0, 1)
     air.step(everyone(3))
-    assert encode([From(0, 2)]) + word(0, 2) in dict(air.said)[0]
+    assert encode([FromEarly(0, 2)]) + word(0, 2) in dict(air.said)[0]
     for _ in range(GREETING + 2):
         air.step(everyone(3))
     assert len(air.minds[2].logs[0]) == 3
@@ -222,9 +238,9 @@ def test_who_meets_says_what_it_holds_and_only_what_has_changed_since() -> None:
         (who, packet)
         for who, frame in air.said
         for packet in packets.decode(frame)
-        if isinstance(packet, Held)
+        if isinstance(packet, Held | HeldEarly)
     }
-    assert (1, Held(2, 3)) in held
+    assert (1, HeldEarly(2, 3)) in held
     assert not [packet for who, packet in held if packet.map in (0, 1) and who != 0]
 
 
@@ -273,11 +289,46 @@ def test_who_has_begun_a_unit_is_the_most_urgent_and_who_waits_becomes_more_so()
 def test_numbers_of_units_are_told_modulo_the_window_and_meant_as_they_are_nearest() -> None:
     pair = [Gossip(robot, 2) for robot in range(2)]
     for mind in pair:
-        mind.logs[0].append([encode([Save()])] * (GOSSIP_WINDOW + 5))
+        for _ in range(16):
+            mind.logs[0].append([encode([Save()])] * (GOSSIP_WINDOW // 16))
+            mind.logs[0].forget(len(mind.logs[0]))
+        mind.logs[0].append([encode([Save()])] * 5)
     frame = encode([From(0, 5), Delete(1), Save()])
     note = Outcome(1, 0, [], [], [], [], [-1], False)
     pair[1].offers(0, [0], None)
     assert list(pair[1].outcome(note, [(0, frame)])) == [(0, 0, encode([Delete(1), Save()]))]
+
+
+def test_who_keeps_up_hears_what_is_new_before_who_was_away_hears_what_is_old() -> None:
+    air = Air(3)
+    apart, met = {0: [1], 1: [0], 2: []}, {0: [1, 2], 1: [0, 2], 2: [0, 1]}
+    for _ in range(10):
+        air.log(0, 1)
+        air.step(apart)
+    for _ in range(GREETING + 1):
+        air.step(met)
+    air.log(0, 1)
+    air.step(met, budget=40)
+    assert len(air.minds[1].logs[0]) == 11
+    for _ in range(20):
+        air.step(met, budget=40)
+    assert len(air.minds[2].logs[0]) == 11
+
+
+def test_nothing_is_said_that_all_in_range_lack_the_units_before() -> None:
+    air = Air(3)
+    for _ in range(4):
+        air.log(0, 2)
+        air.step({0: [1], 1: [0], 2: []})
+    for _ in range(GREETING + 1):
+        air.step({0: [2], 1: [], 2: [0]}, budget=20)
+    air.log(0, 1)
+    for _ in range(12):
+        before = len(air.minds[2].logs[0])
+        air.step({0: [2], 1: [], 2: [0]}, budget=20)
+        units = [p for _, frame in air.said for p in packets.decode(frame) if isinstance(p, Fragment)]
+        assert not units or len(air.minds[2].logs[0]) > before
+    assert len(air.minds[2].logs[0]) == 9
 
 
 def test_where_maps_travel_by_gossip_nobody_offers_or_answers() -> None:
@@ -288,9 +339,12 @@ def test_where_maps_travel_by_gossip_nobody_offers_or_answers() -> None:
 
 
 any_packet = st.one_of(
-    st.builds(From, st.integers(0, 63), st.integers(0, 2**18 - 1) | st.integers(0, 4)),
-    st.builds(Held, st.integers(0, 63), st.integers(0, 2**18 - 1) | st.integers(0, 4)),
-    st.builds(Near, st.integers(0, 63), st.integers(0, 1)),
+    st.builds(From, st.integers(0, 255), st.integers(0, 2**24 - 1) | st.integers(0, 4)),
+    st.builds(FromEarly, st.integers(0, 4), st.integers(0, 9)),
+    st.builds(Held, st.integers(0, 255), st.integers(0, 2**24 - 1) | st.integers(0, 4)),
+    st.builds(HeldEarly, st.integers(0, 4), st.integers(0, 9)),
+    st.builds(Near, st.integers(0, 255)),
+    st.builds(Gone, st.integers(0, 4)),
     st.builds(Offer, st.integers(0, 63), st.integers(0, 63)),
     st.builds(Target, st.integers(0, 2047), st.integers(0, 2047)),
     st.builds(Fragment, st.binary(min_size=1, max_size=9)),

@@ -1,0 +1,138 @@
+"""Strategies and exchanges from outside: classes by ``package.module:Class``, or entry points of installed packages.
+
+A package offers its own under the names that scenarios give::
+
+    [project.entry-points."murmur.strategies"]
+    farthest = "our_package.farthest:Farthest"
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import traceback
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from protocol.errors import there_are
+
+Base = TypeVar("Base")
+
+
+@dataclass(frozen=True)
+class Plugins(Generic[Base]):
+    """All classes of one sort that can be named in a scenario.
+
+    Attributes
+    ----------
+    what : str
+        The word for one of them, as ``strategy``.
+    group : str
+        The group of entry points.
+    base : type
+        What all of them are subclasses of; each has a ``name`` of its own.
+    """
+
+    what: str
+    group: str
+    base: type[Base]
+
+    def find(self, name: str, known: Mapping[str, type[Base]]) -> type[Base]:
+        """Return the class of that name: one of the `known`, an installed one, or ``package.module:Class``.
+
+        Raises
+        ------
+        ValueError
+            There is none of that name (near names and those there are follow), or it cannot be imported.
+        """
+        if name in known:
+            return known[name]
+        if ":" in name:
+            return self._imported(name)
+        installed = self.installed()
+        if name not in installed:
+            raise ValueError(
+                f"no {self.what} is called {name!r}; {there_are([*known, *installed], name)}; or give one as "
+                "package.module:Class"
+            )
+        return self.load(installed[name])
+
+    def installed(self) -> dict[str, EntryPoint]:
+        """Entry points of installed packages, by name.
+
+        Raises
+        ------
+        ValueError
+            Two packages have one of the same name.
+        """
+        found: dict[str, EntryPoint] = {}
+        for each in sorted(_entry_points(self.group), key=lambda each: each.name):
+            other = found.setdefault(each.name, each)
+            if other.value != each.value:
+                raise ValueError(
+                    f"two packages have a {self.what} called {each.name!r}, {package(other)} and {package(each)}: "
+                    "uninstall one of them"
+                )
+        return found
+
+    def load(self, point: EntryPoint) -> type[Base]:
+        """Import what an entry point leads to; ValueError if that cannot be, or it is none of its sort."""
+        where = f"{self.what} {point.name!r} of package {package(point)}"
+        try:
+            kind = point.load()
+        except Exception:
+            raise ValueError(f"{where} cannot be imported:\n{_own_traceback()}") from None
+        checked = self._checked(kind, where, point.value)
+        own: Any = vars(checked)["name"]
+        if own != point.name:
+            raise ValueError(
+                f"{where}: {point.value} calls itself {own!r}; the entry point must be called so too"
+            )
+        return checked
+
+    def _imported(self, name: str) -> type[Base]:
+        module_name, _, class_name = name.partition(":")
+        here = str(Path.cwd())
+        if here not in sys.path:
+            sys.path.append(here)  # last: a file here that is called as one of ours hides nothing
+        try:
+            module = importlib.import_module(module_name)
+        except ModuleNotFoundError as error:
+            if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
+                raise ValueError(f"{self.what} {name!r} cannot be imported:\n{_own_traceback()}") from None
+            raise ValueError(
+                f"{self.what} {name!r}: {error}; a module is looked for in this folder and on PYTHONPATH"
+            ) from None
+        except Exception:
+            raise ValueError(f"{self.what} {name!r} cannot be imported:\n{_own_traceback()}") from None
+        return self._checked(getattr(module, class_name, None), f"{self.what} {name!r}", class_name)
+
+    def _checked(self, kind: object, where: str, named: str) -> type[Base]:
+        if not isinstance(kind, type) or not issubclass(kind, self.base) or "name" not in vars(kind):
+            base = f"{self.base.__module__}.{self.base.__name__}"
+            raise ValueError(f"{where}: {named} is no subclass of {base} with a name")
+        return kind
+
+
+def package(point: EntryPoint) -> str:
+    """The name of the distribution that an entry point belongs to."""
+    return point.dist.name if point.dist is not None else "?"
+
+
+@cache
+def _entry_points(group: str) -> tuple[EntryPoint, ...]:
+    return tuple(entry_points(group=group))
+
+
+def _own_traceback() -> str:
+    """The traceback of the exception that is being handled, from the first frame behind the import's own."""
+    kind, error, frames = sys.exc_info()
+    while frames is not None and (
+        frames.tb_frame.f_code.co_filename == __file__ or "importlib" in frames.tb_frame.f_code.co_filename
+    ):
+        frames = frames.tb_next
+    return "".join(traceback.format_exception(kind, error, frames)).rstrip()

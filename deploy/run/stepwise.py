@@ -1,0 +1,227 @@
+"""A run step by step, in this process: ``for step in steps(robots=3): ...``. For experiments and teaching."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from deploy.record import run_directory
+from deploy.run.exploration import Result, conclude, frame, scenario_of
+from deploy.run.in_memory import MemoryRun
+from deploy.run.launch import Outcome
+from deploy.scenario import plan as plans
+from deploy.scenario.scenario import Scenario
+from netshaper.ledger import ROW
+from protocol.grid import Grid
+from worldsim.maps import to_world
+
+if TYPE_CHECKING:
+    import polars as pl
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RobotState:
+    """A robot at the end of a step.
+
+    Attributes
+    ----------
+    number : int
+        From 0.
+    x, y : float
+        Where it truly is; metres in the map's frame, y up.
+    heading : float
+        Degrees, a full turn is 360; 0 looks along x, 90 along -y.
+    cell : (x, y)
+        The cell in which it is, row 0 on top: ``grid[y, x]``.
+    driven : float
+        Metres since the start.
+    own : uint8 array, shape (h, w)
+        What it has seen itself: 0 unknown, 1 free, 2 occupied (`protocol.grid`). It is the robot's own array and
+        changes with the next step: copy what is to be kept.
+    planning : uint8 array, shape (h, w)
+        `own` merged with what its teammates have told it: the map that it plans on. Copy what is to be kept.
+    target : (x, y) or None
+        The cell that it is headed for.
+    status : str
+        What it says that it does.
+    """
+
+    number: int
+    x: float
+    y: float
+    heading: float
+    cell: tuple[int, int]
+    driven: float
+    own: Grid
+    planning: Grid
+    target: tuple[int, int] | None
+    status: str
+
+    def __repr__(self) -> str:
+        return f"<robot {self.number} at ({self.x:.2f}, {self.y:.2f}) m, {self.status or 'under way'}>"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Step:
+    """The state of a run at the end of a step. It is that of this step until the next one is asked for.
+
+    Attributes
+    ----------
+    number : int
+        From 1; one step is one second.
+    explored : float
+        The share of what can be reached that the team has seen, 0 to 1.
+    carried : int
+        Bytes on the air in this step.
+    robots : dict of int to RobotState
+        Those that are alive, by number.
+    truth : uint8 array, shape (h, w)
+        The world.
+    """
+
+    number: int
+    explored: float
+    carried: int
+    robots: dict[int, RobotState]
+    truth: Grid
+    _rows: bytes
+
+    @cached_property
+    def traffic(self) -> pl.DataFrame:
+        """One row per frame and kind of packet of this step, with the columns of ``ledger.parquet``."""
+        return frame(run_directory.ledger_table(np.frombuffer(self._rows, ROW)))
+
+    @property
+    def maps(self) -> dict[str | int, Grid]:
+        """Copies of the maps, as `Result.maps` has them: ``"truth"``, ``"team"``, planning grids by number."""
+        named: dict[str | int, Grid] = {"truth": self.truth}
+        if self.robots:
+            named["team"] = np.maximum.reduce([robot.own for robot in self.robots.values()])
+        return named | {number: robot.planning.copy() for number, robot in self.robots.items()}
+
+    def __repr__(self) -> str:
+        return (
+            f"<step {self.number}: {100 * self.explored:.1f} % explored, {len(self.robots)} robots, "
+            f"{self.carried} bytes>"
+        )
+
+
+class Steps:
+    """A run under way: iterate over it, for a while or to its end. Nothing is written.
+
+    It holds no process, thread or file: one that is left before its end needs no closing. ``with steps(...) as run:``
+    drops it where the block ends.
+
+    Attributes
+    ----------
+    plan : Plan
+        What is run: the scenario and its map.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.plan = plans.make(scenario)
+        self._began = time.perf_counter()
+        self._result: Result | None = None
+        self._run = MemoryRun(self.plan)
+        self._told = 0
+        """Reports of the relay that former steps have had."""
+        self._steps: Iterator[int] = self._run.steps()
+
+    def __iter__(self) -> Iterator[Step]:
+        return self
+
+    def __next__(self) -> Step:
+        number = next(self._steps, None) or next(self._steps, None)  # 0: the first step is opened
+        if number is not None:
+            return self._state(number)
+        if self._result is None and self._run.records.end is not None:
+            seconds = time.perf_counter() - self._began
+            self._result = conclude(self.plan, Outcome(self._run.records, {}), None, seconds)
+        raise StopIteration
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the run where it is; no more steps come."""
+        self._steps = iter(())
+
+    @property
+    def result(self) -> Result:
+        """The same as `explore` returns, once the last step has been taken.
+
+        Raises
+        ------
+        RuntimeError
+            The run is not over.
+        """
+        if self._result is None:
+            raise RuntimeError("there is no result before the end: iterate until no step comes any more")
+        return self._result
+
+    def _state(self, number: int) -> Step:
+        records, resolution = self._run.records, self.plan.map.resolution
+        report = next(each for each in reversed(records.world) if each.step == number)
+        robots = {}
+        for robot, x_mm, y_mm, heading in np.frombuffer(report.poses, "<i4").reshape(-1, 4).tolist():
+            mind = self._run.agents[robot].robot
+            if mind is None:
+                continue
+            x_cell, y_cell = x_mm / 1000 / resolution, y_mm / 1000 / resolution
+            x, y = to_world(self.plan.map, x_cell, y_cell)
+            robots[robot] = RobotState(
+                robot, x, y, heading / 10, (round(x_cell), round(y_cell)), report.driven[robot] / 1000,
+                _unwritable(mind.own), _unwritable(mind.planning), mind.target, mind.status,
+            )  # fmt: skip
+        rows = b"".join(records.rows[self._told :])
+        self._told = len(records.rows)
+        return Step(
+            number, report.seen / report.reachable, records.carried, robots, self.plan.map.cells, rows
+        )
+
+
+def steps(scenario: Scenario | None = None, **settings: Any) -> Steps:
+    """Begin a run in this process that goes on when its next step is asked for.
+
+    Parameters
+    ----------
+    scenario : Scenario, optional
+        The defaults if left out.
+    **settings
+        Settings of the scenario, over those of `scenario`: ``steps(robots=5, bandwidth=1000)``. The bus is always
+        that in memory.
+
+    Returns
+    -------
+    Steps
+        Yields a `Step` after each step, and has the `result` at the end: with the digest that `explore` gives.
+
+    Raises
+    ------
+    ScenarioError
+        The scenario cannot be run.
+
+    Examples
+    --------
+    >>> with steps(map="em", robots=2, steps=50) as run:
+    ...     for step in run:
+    ...         if step.explored > 0.5:
+    ...             break
+    >>> step
+    <step 20: 51.5 % explored, 2 robots, 130 bytes>
+    """
+    return Steps(scenario_of(scenario, {**settings, "bus": "memory"}))
+
+
+def _unwritable(grid: Grid) -> Grid:
+    view = grid.view()
+    view.flags.writeable = False
+    return view

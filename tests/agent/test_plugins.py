@@ -1,0 +1,78 @@
+"""Strategies and exchanges of installed packages: found by name, listed, run, and named where they are broken."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from zipfile import ZipFile
+
+import pytest
+
+HERE = Path(__file__).parents[2]
+INFO = {
+    "METADATA": "Metadata-Version: 2.1\nName: farthest-first\nVersion: 1\n",
+    "WHEEL": "Wheel-Version: 1.0\nGenerator: hand\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
+    "entry_points.txt": "[murmur.strategies]\nfarthest = farthest_first:Farthest\ntorn = torn_strategy:Torn\n"
+    "[murmur.exchanges]\nquiet = farthest_first:Quiet\n",
+    "RECORD": "",
+}
+MODULE = '''
+import numpy as np
+from agent.exchange.none import NoExchange
+from agent.strategies.targets import TargetStrategy
+
+class Farthest(TargetStrategy):
+    """To the farthest goal."""
+    name, summary, source = "farthest", "to the farthest goal", "our own, section 1"
+
+    def choose(self, situation, goals, planner):
+        costs = planner.costs(*situation.here)[goals[:, 1], goals[:, 0]]
+        x, y = goals[np.argmax(costs)]
+        return int(x), int(y)
+
+class Quiet(NoExchange):
+    """Tells nothing."""
+    name = "quiet"
+'''
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder into which a package with a strategy and an exchange has been installed."""
+    folder, target = tmp_path_factory.mktemp("wheel"), tmp_path_factory.mktemp("target")
+    with ZipFile(folder / "farthest_first-1-py3-none-any.whl", "w") as wheel:
+        for name, text in INFO.items():
+            wheel.writestr(f"farthest_first-1.dist-info/{name}", text)
+        wheel.writestr("farthest_first.py", MODULE)
+        wheel.writestr("torn_strategy.py", "raise RuntimeError('torn')\n")
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "install", "--quiet", "--no-index"]
+    subprocess.run([*pip, "--no-deps", "--target", target, *folder.iterdir()], check=True)
+    return target
+
+
+def python(installed: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    env = os.environ | {"PYTHONPATH": f"{HERE}:{installed}"}
+    return subprocess.run(
+        [sys.executable, *words], capture_output=True, text=True, env=env, cwd=installed, check=False
+    )
+
+
+def test_strategies_and_exchanges_of_a_package_are_run_by_their_names(installed: Path) -> None:
+    run = "from deploy import explore; print(explore(map='em', robots=2, steps=4, bus='memory', keep=False, "
+    done = python(installed, "-c", run + "strategy='farthest', exchange='quiet').summary['exchange'])")
+    assert done.stdout == "quiet\n", done.stderr
+    torn = python(installed, "-c", run + "strategy='torn'))")
+    assert "strategy 'torn' of package farthest-first cannot be imported:" in torn.stderr
+    assert torn.stderr.endswith("RuntimeError: torn\n")
+    wrong = python(installed, "-c", run + "strategy='fartest', exchange='quite'))")
+    assert "no exchange is called 'quite'; did you mean quiet? There are: polygon," in wrong.stderr
+
+
+def test_strategies_of_a_package_are_listed_those_that_are_broken_too(installed: Path) -> None:
+    listed = python(installed, "-m", "deploy.commands.main", "strategies")
+    assert listed.returncode == 0, listed.stderr
+    said = " ".join(listed.stdout.split())
+    assert "our own farthest section 1 to the farthest goal" in said
+    assert "package farthest-first torn cannot be imported: RuntimeError: torn" in said

@@ -1,0 +1,72 @@
+"""An exception in somebody's strategy: its own traceback and nothing of ours, on either bus, and where the log is."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from deploy import explore
+
+STRATEGY = """from agent.strategies.targets import TargetStrategy
+
+
+class Torn(TargetStrategy):
+    name, summary, source = "torn", "breaks in its third step", "our own"
+
+    def choose(self, situation, goals, planner):
+        if situation.step > 2:
+            return self.worth(goals)
+        x, y = goals[0]
+        return int(x), int(y)
+
+    def worth(self, goals):
+        raise IndexError("index 7 of 7")
+"""
+COMMAND = (
+    "explore",
+    "--map",
+    "em",
+    "--robots",
+    "2",
+    "--steps",
+    "40",
+    "--strategy",
+    "torn:Torn",
+    "--out",
+    "run",
+)
+
+
+@pytest.mark.parametrize("bus", ["memory", "zenoh"])
+def test_an_exception_in_a_strategy_is_told_as_its_author_knows_it(tmp_path: Path, bus: str) -> None:
+    (tmp_path / "torn.py").write_text(STRATEGY)
+    done = subprocess.run(
+        [sys.executable, "-m", "deploy.commands.main", *COMMAND, "--bus", bus],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env={"PYTHONPATH": str(Path(__file__).parents[2]), "PATH": "/usr/bin:/bin", "HOME": str(tmp_path)},
+        check=False,
+    )
+    assert done.returncode == 3, done.stderr
+    told = done.stderr.splitlines()
+    assert told[0] == "r0, r1 died: exit code 1; its last words: Traceback (most recent call last):"
+    frames = [line.strip().split(", ")[-1] for line in told if line.startswith('  File "')]
+    assert frames == ["in choose", "in worth"]
+    assert f'"{tmp_path / "torn.py"}", line 14' in done.stderr
+    assert "IndexError: index 7 of 7" in done.stderr
+    assert "that is in run/logs/r0.log, run/logs/r1.log" in told
+    assert "IndexError" in (tmp_path / "run" / "logs" / "r0.log").read_text()
+    assert done.stdout.startswith("Not finished after 3 steps: all robots are lost.")
+
+
+def test_a_result_in_python_tells_it_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "torn_too.py").write_text(STRATEGY)
+    monkeypatch.chdir(tmp_path)
+    result = explore(map="em", robots=1, strategy="torn_too:Torn", bus="memory", keep=False)
+    assert result.exit_code == 3
+    assert str(result).splitlines()[-1].startswith("IndexError: index 7 of 7")
+    assert "IndexError: index 7 of 7" in result._repr_html_()
