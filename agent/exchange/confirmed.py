@@ -35,6 +35,9 @@ from protocol.packets import BLOCKS, INDEX_WINDOW, From, FromEarly, Held, HeldEa
 LEAST_WAIT = 2
 """Exchanges in which a word can come back at the soonest: it is said in one and answered in the next."""
 
+MOST_WAIT = 16
+"""Exchanges after which one asks again at the latest, if a round trip is known to take much less."""
+
 OF_LATE = 8
 """Exchanges after which one asks again what a peer holds before one sends it more."""
 
@@ -68,6 +71,8 @@ class ConfirmedSession(Session):
         """The exchange in which one spoke to a peer of a map; it is taken out when a word comes."""
         self._tries: dict[Pair, int] = {}
         """How often one has since the last word."""
+        self._trip: dict[Pair, int] = {}
+        """Exchanges after which a word came back last, of those that one had spoken for once only."""
         self._frames: list[_Frame] = []
         self._aired = 0
         """Units of one's own log that have been on the air."""
@@ -189,7 +194,8 @@ class ConfirmedSession(Session):
         for pair in spoken:
             tries = self._tries[pair] = self._tries.get(pair, 0) + 1
             if tries > 1:
-                self._wait[pair] = min(2 * int(self._wait[pair]), MAX_WAIT)
+                longest = max(MOST_WAIT, 4 * self._trip[pair]) if pair in self._trip else MAX_WAIT
+                self._wait[pair] = min(2 * int(self._wait[pair]), longest)
             self._spoken[pair] = self._now
             self._due[pair] = self._now + int(self._wait[pair])
 
@@ -241,7 +247,7 @@ class ConfirmedSession(Session):
         super()._recognise(peer, about)
         if self._own_maps[peer] != known:
             self._wait[peer] = LEAST_WAIT
-            for table in (self._word, self._spoken, self._tries):
+            for table in (self._word, self._spoken, self._tries, self._trip):
                 for pair in [pair for pair in table if pair[0] == peer]:
                     del table[pair]
 
@@ -251,10 +257,11 @@ class ConfirmedSession(Session):
             self.known[pair] = 0  # an older word may come late, of a life that held more
         self._learn(pair, held)
         self._word[pair] = self._now
-        self._tries.pop(pair, None)
         spoken = self._spoken.pop(pair, None)
-        if spoken is not None:
-            self._wait[pair] = min(max(LEAST_WAIT, self._now - spoken + 1), MAX_WAIT)
+        if self._tries.pop(pair, 0) == 1 and spoken is not None:
+            self._trip[pair] = self._now - spoken
+        if pair in self._trip:
+            self._wait[pair] = min(max(LEAST_WAIT, self._trip[pair] + 1), MAX_WAIT)
         self._due[pair] = self._now
 
     def _learn(self, pair: Pair, held: int) -> None:
