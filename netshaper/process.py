@@ -6,6 +6,7 @@ without a robot that died. A viewer may join and leave; the run does not wait fo
 
 from __future__ import annotations
 
+from collections import Counter
 from operator import itemgetter
 
 from msgspec.structs import replace
@@ -18,12 +19,13 @@ from protocol import keys as names
 from protocol import rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
-from protocol.fields import clip
+from protocol.fields import MOST_WORD, clip
 from protocol.keys import Keys
 from protocol.messages import (
     Back,
     Begin,
     Bye,
+    Close,
     End,
     Fault,
     Lost,
@@ -36,8 +38,12 @@ from protocol.messages import (
     Watched,
     pack,
 )
+from protocol.rights import BABBLES, MOST_NONSENSE
 
 _RECEIVER = itemgetter(0)
+
+ENDED = "its process ended"
+"""Why a robot is lost that has left the bus."""
 
 NOBODY = -99
 """Receiver of a frame that is addressed to a name which belongs to no robot."""
@@ -53,7 +59,7 @@ class RelayNode:
         self._bus = bus
         self._keys = keys
         self._radio = radio(settings)
-        robots = [names.robot(number) for number in range(settings.robots)]
+        robots = self._robots = [names.robot(number) for number in range(settings.robots)]
         self._ends = {
             keys.radio_tx(sender, receiver): (number, hearer)
             for number, sender in enumerate(robots)
@@ -67,10 +73,17 @@ class RelayNode:
         self._watched = False
         self._begun = False
         self._ended = False
+        self._nonsense: Counter[str] = Counter()
+        """How often each participant has made no sense in this step."""
 
     def missing(self) -> list[str]:
         """Participants that have not joined yet; empty once the run has begun."""
         return [] if self._begun else sorted(self._expected - self._present)
+
+    @property
+    def phase(self) -> tuple[object, ...]:
+        """What the relay waits for."""
+        return self._begun, self._ended, self.going_home, len(self._present), self._radio.phase
 
     def waiting_for(self) -> list[int]:
         """Robots whose messages the relay is waiting for."""
@@ -126,13 +139,13 @@ class RelayNode:
             self._present.discard(who)
         elif who == names.WORLD:
             self._present.discard(who)
-            self._break_off("the world died")
+            self.break_off("the world died")
         elif who == names.LAB:
             self._present.discard(who)
-            self._break_off("the laboratory died")
+            self.break_off("the laboratory died")
             self._go_home()
         else:
-            self.give_up_on(names.number(who), "its process ended")
+            self.give_up_on(names.number(who), ENDED)
 
     def _come_back(self, robot: int) -> None:
         """A robot that was gone has joined again; it takes part from the next step on."""
@@ -149,16 +162,20 @@ class RelayNode:
         if isinstance(said, Said):
             self._send(self._radio.said(names.number(sender), said))
         elif isinstance(said, Positions):
+            self._nonsense.clear()
             cells = dict(zip(said.robots, zip(said.x, said.y, strict=True), strict=True))
             self._send(self._radio.begin(said.step, cells, said.mute, said.deaf))
         elif isinstance(said, End):
             self._end(said)
+        elif isinstance(said, Lost):
+            self.give_up_on(said.robot, said.cause)
         elif isinstance(said, Stop | Strike):
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), message.payload)
         elif isinstance(said, Bye):
             self._go_home()
 
-    def _break_off(self, reason: str) -> None:
+    def break_off(self, reason: str) -> None:
+        """End the run, for something without which it cannot be is gone."""
         if not self._ended:
             self._end(End(-1, reason, -1))
 
@@ -190,6 +207,7 @@ class RelayNode:
             self._bus.put(key, payload)
         for item in outgoing:
             if isinstance(item, Medium):
+                self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Close(item.step)))
                 self._report(item.report())
 
     def _report_faults(self) -> None:
@@ -198,7 +216,11 @@ class RelayNode:
         self._radio.faults.clear()
 
     def _fault(self, who: str, reason: str) -> None:
-        self._report(Fault(who, clip(reason)))
+        self._nonsense[who] += 1
+        if self._nonsense[who] <= MOST_NONSENSE:
+            self._report(Fault(who[:MOST_WORD], clip(reason)))
+        elif who in self._robots:
+            self.give_up_on(names.number(who), BABBLES)
 
     def _report(self, message: Record) -> None:
         """Tell the laboratory, and the viewer if there is one; frames on the air are only for the former."""

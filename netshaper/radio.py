@@ -166,7 +166,7 @@ class Radio:
         """Take a frame that a robot put; `receiver` is `EVERYONE` for a broadcast."""
         if sender in self._waiting:
             self._spoken[sender].frames.append((receiver, payload))
-        else:
+        elif sender not in self._dead:
             self._refuse(sender, receiver, DATA, payload, "protocol", "spoke out of turn")
 
     def said(self, sender: int, note: Said) -> list[Outgoing]:
@@ -187,6 +187,11 @@ class Radio:
     def back(self, robot: int) -> None:
         """A robot that was lost is here again; it takes part from the next step on."""
         self._dead.discard(robot)
+
+    @property
+    def phase(self) -> tuple[int, int, str]:
+        """Step, exchange and phase under way."""
+        return self._step, self._exchange, self._phase
 
     def waiting_for(self) -> list[int]:
         """Robots which have not spoken in this phase yet."""

@@ -15,7 +15,7 @@ MOST_ON_THE_WAY = 1 << 16
 """Cells, or way points, of a move."""
 MOST_CONNECTIONS = 1 << 13
 """Of one robot in an exchange: 63 teammates offer it 64 maps each, and it offers them as many."""
-MOST_TEXT = 1000
+MOST_WORD, MOST_TEXT = 16, 1000
 """Characters."""
 
 Step = Annotated[int, Meta(ge=0, le=MOST_STEPS)]
@@ -35,7 +35,7 @@ CountOrNone = Annotated[int, Meta(ge=-1, lt=2**53)]
 Connection = Annotated[int, Meta(ge=-1, lt=2**31)]
 Urgency = Annotated[int, Meta(ge=0, le=255)]
 
-Word = Annotated[str, Meta(max_length=16)]
+Word = Annotated[str, Meta(max_length=MOST_WORD)]
 Text = Annotated[str, Meta(max_length=MOST_TEXT)]
 
 RobotNumbers = Annotated[list[RobotNumber], Meta(max_length=MAX_ROBOTS)]

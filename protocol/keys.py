@@ -31,6 +31,15 @@ def number(name: str) -> int:
     return int(name[1:])
 
 
+def is_robot(name: str) -> bool:
+    """Whether a name is that of a robot."""
+    try:
+        number(name)
+    except ValueError:
+        return False
+    return True
+
+
 @dataclass(frozen=True)
 class Keys:
     """The keys of one run, whose name is made of letters, digits, `-`, `_` and dots."""

@@ -202,13 +202,16 @@ class Outcome(Record, tag=8, frozen=True):
 
 
 class Close(Record, tag=9, frozen=True):
-    """Relay to robot: the medium is closed for this step; merge, choose, plan, move."""
+    """Relay to robots and world: the medium is closed for this step; merge, choose, plan, move."""
 
     step: Step
 
 
 class Lost(Record, tag=10, frozen=True):
-    """Relay to world and laboratory: a robot is gone, with what is known of the cause."""
+    """Relay to world and laboratory: a robot is gone, with what is known of the cause.
+
+    World or laboratory to relay: it is to be gone, for it keeps the others waiting, or babbles.
+    """
 
     robot: RobotNumber
     cause: Text

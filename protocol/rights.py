@@ -45,15 +45,15 @@ ROBOT = "robot"
 """Stands in the table for each robot."""
 
 RIGHTS: dict[tuple[str, str], tuple[type[Record], ...]] = {
-    (RELAY, WORLD): (Begin, Lost, Back, Stop, Strike, Bye, Watched),
+    (RELAY, WORLD): (Begin, Close, Lost, Back, Stop, Strike, Bye, Watched),
     (RELAY, ROBOT): (Open, Turn, Outcome, Close, End, Bye, Watched),
     (RELAY, LAB): (Lost, Back, End, Bye, RadioReport, Fault),
     (RELAY, VIEW): (Lost, Back, End, Bye, RadioReport, Fault),
-    (WORLD, RELAY): (Positions, End),
+    (WORLD, RELAY): (Positions, Lost, End),
     (WORLD, ROBOT): (Configure, Sense, End, Strike),
     (WORLD, LAB): (WorldReport, Strike, Fault),
     (WORLD, VIEW): (WorldReport, Strike, Fault),
-    (LAB, RELAY): (Stop, Strike, Bye),
+    (LAB, RELAY): (Lost, Stop, Strike, Bye),
     (ROBOT, RELAY): (Said,),
     (ROBOT, WORLD): (Move,),
     (ROBOT, LAB): (MindReport, Maps, Fault),
@@ -63,6 +63,11 @@ RIGHTS: dict[tuple[str, str], tuple[type[Record], ...]] = {
 
 BODY = {(WORLD, ROBOT), (ROBOT, WORLD)}
 """Who speaks to whom on the body plane; all others do on the control plane."""
+
+
+MOST_NONSENSE = 1000
+"""Who says more in a step that makes no sense is given up."""
+BABBLES = f"said more than {MOST_NONSENSE} things in a step that make no sense"
 
 
 def read(key: str, payload: bytes) -> Any:
@@ -89,6 +94,10 @@ def _reader_of(ends: tuple[str, str], sender: str) -> Callable[[bytes], Any]:
     return unpacker(RIGHTS.get(ends, ()), sender or "nobody")
 
 
+def _role(name: str) -> str:
+    return ROBOT if names.is_robot(name) else name
+
+
 def may_put(keys: Keys, name: str) -> list[str]:
     """The keys that a participant may put messages and frames under; `*` stands for any name."""
     role = _role(name)
@@ -107,11 +116,3 @@ def _key(keys: Keys, name: str, role: str, receiver: str) -> str:
         return keys.control_tx(name)
     place = "*" if receiver == ROBOT else receiver
     return keys.body(place, name) if (role, receiver) in BODY else keys.control(place, name)
-
-
-def _role(name: str) -> str:
-    try:
-        names.number(name)
-    except ValueError:
-        return name
-    return ROBOT

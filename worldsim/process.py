@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -11,12 +12,13 @@ from protocol import keys as names
 from protocol import messages, rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
-from protocol.fields import clip
+from protocol.fields import MOST_WORD, clip
 from protocol.keys import Keys
 from protocol.messages import (
     Back,
     Begin,
     Bye,
+    Close,
     Configure,
     End,
     Lost,
@@ -29,6 +31,7 @@ from protocol.messages import (
     WorldReport,
     pack,
 )
+from protocol.rights import BABBLES, MOST_NONSENSE
 from worldsim.continuous_motion import FINE
 from worldsim.faults import KINDS, Fault
 from worldsim.world import World
@@ -92,6 +95,10 @@ class WorldNode:
         self._stop = ""
         self._running = False
         self._watched = False
+        self._closed = False
+        """Whether the medium of this step is: then all robots are to move."""
+        self._nonsense: Counter[str] = Counter()
+        """How often each participant has made no sense in this step."""
 
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
@@ -102,15 +109,39 @@ class WorldNode:
             else:
                 self._take_note(said)
         except ProtocolError as error:
-            self._report(messages.Fault(names.parts(message.key)[3], clip(str(error))))
+            self._fault(names.parts(message.key)[3], str(error))
         while self._running and not self._restarting and len(self._moves) >= self._world.awake_count:
             self._end_step()
+
+    @property
+    def phase(self) -> tuple[object, ...]:
+        """What the world waits for: all moves of a step whose medium is closed, or those who are to come back."""
+        return self._world.step, self._closed, len(self._restarting)
+
+    def waiting_for(self) -> list[int]:
+        """Robots whose moves the world is waiting for."""
+        if self._restarting:
+            return sorted(self._restarting - self._back)
+        return sorted({*self._world.awake()} - self._moves.keys()) if self._running and self._closed else []
+
+    def give_up_on(self, robot: int, cause: str) -> None:
+        """Have the relay go on without a robot: then it is lost to all."""
+        self._bus.put(self._keys.control_tx(names.WORLD), pack(Lost(robot, cause)))
+        if robot in self._restarting:
+            self._restarting.discard(robot)
+            self._back.discard(robot)
+            if self._restarting:
+                self._restart()
+            else:
+                self._advance()
 
     def _take_note(self, said: object) -> None:
         if isinstance(said, Begin):
             self._begin()
         elif isinstance(said, Lost):
             self._take_loss(said.robot)
+        elif isinstance(said, Close):
+            self._closed = said.step == self._world.step
         elif isinstance(said, Back):
             self._back.add(said.robot)
             self._gone.discard(said.robot)
@@ -166,6 +197,8 @@ class WorldNode:
 
     def _open_step(self, moves: Mapping[int, Move]) -> None:
         self._wait()
+        self._closed = False
+        self._nonsense.clear()
         for fault in self._world.strikes():
             self._strike(fault)
         self._held = dict(moves)
@@ -247,6 +280,14 @@ class WorldNode:
         positions = Positions(world.step, robots, x, y, *ill)
         self._bus.put(self._keys.control_tx(names.WORLD), pack(positions))
         self._report(self._truth())
+
+    def _fault(self, who: str, what: str) -> None:
+        """Report what made no sense; who says too much of it is given up."""
+        self._nonsense[who] += 1
+        if self._nonsense[who] <= MOST_NONSENSE:
+            self._report(messages.Fault(who[:MOST_WORD], clip(what)))
+        elif self._nonsense[who] == MOST_NONSENSE + 1 and names.is_robot(who):
+            self.give_up_on(names.number(who), BABBLES)
 
     def _report(self, message: Record) -> None:
         """Tell the laboratory, and the viewer if there is one."""

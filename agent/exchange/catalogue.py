@@ -7,6 +7,7 @@ from agent.exchange.base import Exchange
 from agent.exchange.confirmed import ConfirmedSession
 from agent.exchange.confirmed_gossip import ConfirmedGossip
 from agent.exchange.gossip import Gossip
+from agent.exchange.grid import GridExchange
 from agent.exchange.laser import LaserExchange
 from agent.exchange.none import NoExchange
 from agent.exchange.polygon import PolygonExchange
@@ -16,7 +17,7 @@ from agent.plugins import Plugins
 from agent.settings import Settings
 
 EXCHANGES: dict[str, type[Exchange]] = {
-    kind.name: kind for kind in (PolygonExchange, LaserExchange, SightExchange, NoExchange)
+    kind.name: kind for kind in (PolygonExchange, LaserExchange, GridExchange, SightExchange, NoExchange)
 }
 
 

@@ -9,15 +9,15 @@ TEXT = """\
 **{robots} robots explore an unknown building.** Their sensor range is {sensor:g} m. They share what they find \
 by radio: {medium}. The run ends when one has nothing left to explore.
 
-**Left: the true map.** Discs are robots, a line leads from each to its target. {circles}Grey and green lines \
-join robots within radio range; green ones carry data in this step.
+**Left: the true map.** Discs are robots, a line leads from each to its target. {circles}Green links carry data \
+in this step, grey ones could.{chosen}
 
 **Right: what each robot knows.** White is floor, black is wall, grey is unknown. {outlines}
 
-**Below: the radio.** {budget}White is what the team has seen, each robot's colour what is on its map; \
-the gap between them is news that has not arrived.
+**Below: the radio.** {budget}The thick line is what the team has seen, each robot's colour what is on its \
+map; the gap between them is news that has not arrived.
 """
-OUTLINES = "Thick outlines are sent by the robot itself, thin ones were received from others."
+OUTLINES = "Strong outlines are its own, faint ones were received."
 
 
 def about(plan: Plan) -> str:
@@ -30,7 +30,8 @@ def about(plan: Plan) -> str:
         robots=plan.scenario.robots,
         sensor=plan.scenario.sensor_range,
         medium=medium,
-        circles="Circles show the radio range. " if shows_range(plan) else "",
+        chosen=" A tab for each robot dims the others." if plan.scenario.robots > 1 else "",
+        circles="Circles: the radio range. " if shows_range(plan) else "",
         outlines=OUTLINES if polygons else "What it has not seen itself was received from others.",
         budget="" if budget == UNLIMITED else "The red line is the limit. ",
     )

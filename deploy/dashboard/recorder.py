@@ -18,12 +18,13 @@ from deploy.dashboard.run_events import Event, RunEvents
 from deploy.dashboard.shapes import axes, corner, flip, number_strips, outline_strips
 from deploy.record.colors import (
     ALARM,
-    CELLS,
     GREY,
     GROUPS,
     IN_RANGE,
     PAPER,
     SIGNAL,
+    TEAM,
+    mix,
     robot_color,
 )
 from deploy.scenario.plan import Plan
@@ -44,8 +45,12 @@ TIMELINE = "step"
 NAN = float("nan")
 SHARES_EVERY = 5
 """Steps from one drawing of the traffic shares to the next."""
-SHARES_HEIGHT = 150.0
-"""Height of the picture of the traffic shares, whose width is 100."""
+SHARES_HEIGHT, BAR_LENGTH = 150.0, 42.0
+"""Height of the picture of the traffic shares, whose width is 100, and the longest bar; the rest is for names."""
+LABEL_DROP = 0.26
+"""How far below its point a label appears, in rows of that picture."""
+FAINT = 0.5
+"""How pale outlines that were received from others are; lines have no opacity in Rerun, but turn black."""
 MAP_ORDER, RANGE_ORDER, WAY_ORDER, OUTLINE_ORDER, LINK_ORDER, TARGET_ORDER, ROBOT_ORDER = range(0, 70, 10)
 """The drawing order of layers."""
 
@@ -109,7 +114,7 @@ class Recorder:
             strips, places, labels = axes(world, most=6 if tree == "world" else 3)
             lines = rr.LineStrips2D(strips, colors=[GREY], radii=[_px(0.8)])
             self._log(f"{tree}/axes/lines", lines, static=True)
-            ticks = rr.Points2D(places, labels=labels, colors=[CELLS[0]], radii=[_px(0.1)], show_labels=True)
+            ticks = rr.Points2D(places, labels=labels, colors=[GREY], radii=[_px(0.1)], show_labels=True)
             self._log(f"{tree}/axes/labels", ticks, static=True)
 
     def _draw_styles(self) -> None:
@@ -124,17 +129,17 @@ class Recorder:
         }
         for robot in self._robots:
             lines[f"ways/{robot}"] = style(
-                colors=[(*robot_color(robot), 150)], radii=[_px(0.7)], draw_order=WAY_ORDER
+                colors=[robot_color(robot)], radii=[_px(0.6)], draw_order=WAY_ORDER
             )
             for about_robot in self._robots:
                 own = about_robot == robot
                 lines[f"minds/{robot}/outlines/{about_robot}"] = style(
-                    colors=[(*robot_color(about_robot), 255 if own else 190)],
-                    radii=[_px(1.1 if own else 0.6)],
+                    colors=[robot_color(about_robot) if own else mix(robot_color(about_robot), PAPER, FAINT)],
+                    radii=[_px(0.6 if own else 0.3)],
                     draw_order=OUTLINE_ORDER + own,
                 )
             disc = rr.Points2D.from_fields(
-                colors=[robot_color(robot)], radii=[self._disc], draw_order=ROBOT_ORDER
+                colors=[robot_color(robot)], radii=[self._disc], draw_order=ROBOT_ORDER + 0.5
             )
             self._log(f"minds/{robot}/self", disc, static=True)
             mark = rr.Points2D.from_fields(
@@ -143,7 +148,7 @@ class Recorder:
             self._log(f"minds/{robot}/target", mark, static=True)
         for path, line in lines.items():
             self._log(path, line, static=True)
-        team = rr.SeriesLines(names=["seen by the team"], colors=[PAPER], widths=[3])
+        team = rr.SeriesLines(names=["seen by the team"], colors=[TEAM], widths=[4])
         self._log("explored/team", team, static=True)
         for path, word in (("explored/maps", "on the map of robot"), ("backlog", "robot")):
             named = [f"{word} {robot}" for robot in self._robots]
@@ -152,8 +157,8 @@ class Recorder:
         groups = list(GROUPS.values())
         load = rr.SeriesLines(
             names=["all together", *(group.words for group in groups)],
-            colors=[PAPER, *(group.color for group in groups)],
-            widths=[1.0, *(1.5 for _ in groups)],
+            colors=[TEAM, *(group.color for group in groups)],
+            widths=[2.5, *(1.5 for _ in groups)],
         )
         self._log("air/load", load, static=True)
         self._log("air/budget", rr.SeriesLines(names=["budget"], colors=[ALARM], widths=[2]), static=True)
@@ -177,7 +182,7 @@ class Recorder:
             circles = rr.Ellipses2D(
                 centers=places,
                 half_sizes=[(reach, reach)] * len(places),
-                colors=[(*color, 90) for color in colors],
+                colors=[mix(color, GREY, 0.5) for color in colors],
                 line_radii=[_px(0.5)],
                 draw_order=RANGE_ORDER,
             )
@@ -225,21 +230,23 @@ class Recorder:
             self._draw_shares()
 
     def _draw_shares(self) -> None:
-        """Bars of the bytes so far by purpose, the longest on top, each with its name above it."""
+        """Bars of the bytes so far by purpose, the longest on top, each with its name beside it."""
         spent = {
             group: sum(self.events.bytes.get(kind, 0) for kind in GROUPS[group].kinds) for group in GROUPS
         }
         total = sum(spent.values())
         shown = sorted((group for group in spent if spent[group]), key=lambda group: -spent[group])
+        longest = max(spent.values())
         row = SHARES_HEIGHT / len(GROUPS)
         bars, places, labels = [], [], []
         for line, group in enumerate(shown):
             share = 100 * spent[group] / total
-            bars.append([(0.0, row * (line + 0.78)), (share, row * (line + 0.78))])
-            places.append((50.0, row * (line + 0.25)))
-            labels.append(f"{GROUPS[group].words}: {share:.1f} %")
+            across, down = BAR_LENGTH * spent[group] / longest, row * (line + 0.5)
+            bars.append([(0.0, down), (across, down)])
+            places.append(((BAR_LENGTH + 100) / 2, down - LABEL_DROP * row))
+            labels.append(f"{group} {share:.0f} %")
         colors = [GROUPS[group].color for group in shown]
-        self._log("air/shares/bars", rr.LineStrips2D(bars, colors=colors, radii=[0.16 * row]))
+        self._log("air/shares/bars", rr.LineStrips2D(bars, colors=colors, radii=[0.2 * row]))
         named = rr.Points2D(places, labels=labels, colors=colors, radii=[_px(0.1)], show_labels=True)
         self._log("air/shares/names", named)
 
@@ -262,5 +269,5 @@ def _px(size: float) -> Any:
 
 def _line(event: Event) -> rr.TextLog:
     level = (rr.TextLogLevel.DEBUG, rr.TextLogLevel.INFO, rr.TextLogLevel.ERROR)[event.weight]
-    color = (GREY, PAPER, ALARM)[event.weight]
+    color = (GREY, None, ALARM)[event.weight]  # None: the theme's own for text
     return rr.TextLog(f"{event.step}: {event.text}", level=level, color=color)

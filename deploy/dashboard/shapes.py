@@ -76,8 +76,9 @@ def axes(map_: Map, most: int) -> tuple[list[Strip], list[Point], list[str]]:
         labels.append(f"{x:g} m" if x == across[-1] else f"{x:g}")
     for y in tick_values(-bottom, -top, most):
         strips.append([(left, -y), (left - tick, -y)])
-        places.append((left - 4 * tick, -y))
-        labels.append(f"{y:g}")
+        if bottom + y > 4 * tick:  # the corner has one figure
+            places.append((left - 4 * tick, -y))
+            labels.append(f"{y:g}")
     return strips, places, labels
 
 

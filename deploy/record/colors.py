@@ -18,6 +18,9 @@ INK, PAPER, GREY = (20, 24, 30), (255, 255, 255), (128, 134, 142)
 IN_RANGE, SIGNAL, ALARM = (120, 150, 190), (0, 190, 90), (240, 60, 50)
 """Robots in range of each other; robots exchanging data in this step; the budget's line and losses."""
 
+TEAM, QUIET = (138, 132, 118), (172, 178, 186)
+"""What is about all robots together; robots beside the one that is looked at. To be seen on white and on black."""
+
 CELLS: tuple[Color, ...] = ((176, 182, 190), PAPER, (20, 24, 30))
 """Unknown, free, occupied."""
 
@@ -36,14 +39,14 @@ class Group:
 
 
 GROUPS: dict[str, Group] = {
-    "vertices": Group("corners of outlines", ("ins", "rep", "del"), (70, 140, 255)),
-    "objects": Group("new and removed outlines", ("em", "chg", "rm"), (255, 160, 40)),
-    "scans": Group("raw laser scans", ("scan",), (80, 200, 255)),
-    "looks": Group("looks and surprises", ("look",), (40, 190, 200)),
-    "handshakes": Group("handshakes", ("conn",), (215, 110, 235)),
-    "targets": Group("targets, poses", ("targ", "pose"), (70, 210, 120)),
-    "saves": Group("ends of updates", ("save",), (170, 175, 182)),
-    "sums": Group("checksums", ("sum",), (120, 125, 132)),
+    "vertices": Group("corners of outlines", ("ins", "rep", "del"), (60, 130, 250)),
+    "objects": Group("new and removed outlines", ("em", "chg", "rm"), (240, 140, 20)),
+    "scans": Group("raw laser scans", ("scan",), (45, 165, 220)),
+    "looks": Group("looks and surprises", ("look",), (20, 165, 175)),
+    "handshakes": Group("handshakes", ("conn",), (195, 90, 220)),
+    "targets": Group("targets, poses", ("targ", "pose"), (45, 180, 95)),
+    "saves": Group("ends of updates", ("save",), (135, 141, 150)),
+    "sums": Group("checksums", ("sum",), (150, 120, 90)),
 }
 """Purposes of the bytes on the air."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import BinaryIO
@@ -31,6 +32,7 @@ from protocol.messages import (
     WorldReport,
     pack,
 )
+from protocol.rights import BABBLES, MOST_NONSENSE
 
 MOST_FAULTS = 1000
 """Faults that are kept in words; more are counted."""
@@ -123,6 +125,8 @@ class LabNode:
         self._meter = meter
         self._bus = bus
         self._keys = keys
+        self._nonsense: Counter[str] = Counter()
+        """How often each participant has made no sense in this step."""
         self._obey = obey
 
     def handle(self, message: Message) -> None:
@@ -131,15 +135,23 @@ class LabNode:
         try:
             self._take(sender, rights.read(*message))
         except ProtocolError as error:
-            self.records.note_fault(sender, str(error))
+            self._note_nonsense(sender, str(error))
         if self.records.end is not None and not self.done and not self.missing():
             self.send_home()
+
+    def _note_nonsense(self, sender: str, what: str) -> None:
+        """Record what made no sense; who says too much of it is given up."""
+        self.records.note_fault(sender, what)
+        self._nonsense[sender] += 1
+        if self._nonsense[sender] == MOST_NONSENSE + 1 and names.is_robot(sender):
+            self._bus.put(self._keys.control_tx(names.LAB), pack(Lost(names.number(sender), BABBLES)))
 
     def _take(self, sender: str, said: object) -> None:
         """Record what `sender` says, which is its to say; ProtocolError if it makes no sense."""
         records = self.records
         if isinstance(said, WorldReport):
             records.world.append(said)
+            self._nonsense.clear()
         elif isinstance(said, RadioReport):
             self._take_books(said)
         elif isinstance(said, MindReport):
@@ -214,6 +226,13 @@ class LabNode:
         records = self.records
         gone = records.own.keys() | records.lost.keys() | records.killed
         return [robot for robot in range(records.robots) if robot not in gone]
+
+    def give_up_waiting(self) -> None:
+        """Send all home without what some still owe; a robot that owes its maps is lost with them."""
+        if self.records.end is not None:
+            for robot in self.missing():
+                self.records.lost[robot] = "it did not hand in its maps"
+        self.send_home()
 
     def stop(self, reason: str) -> None:
         """Ask the world to end after this step."""

@@ -16,6 +16,7 @@ from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import UNLIMITED
 from netshaper.ledger import CAUSES, sort_rows
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from protocol.messages import End
 from protocol.packets import ALL_KINDS
 
 SCAN_VALUES, VALUE_BYTES = 362, 2
@@ -28,18 +29,19 @@ def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
     """Compute ``summary.json`` from the records; figures that an aborted run does not have are null."""
     scenario = plan.scenario
     end = records.end
-    finished = end is not None and end.first >= 0
+    done = end is not None and end.first >= 0
+    finished = done and records.explored >= scenario.least_coverage
     ledger = records.ledger()
     reachable = plan.make_world().reachable
     kinds, packets = _per_kind(ledger)
-    wanted = end.first if finished and end is not None else min(records.planning, default=-1)
+    wanted = end.first if done and end is not None else min(records.planning, default=-1)
     steps = end.step if end is not None and end.step >= 0 else records.step
     return {
         "finished": finished,
-        "reason": end.reason if end is not None else "broken off",
+        "reason": _reason(end, finished=finished),
         "steps": steps,
         "explored_at": _explored_at(plan, steps) if finished else None,
-        "first_robot": end.first if finished and end is not None else None,
+        "first_robot": end.first if done and end is not None else None,
         "coverage": _coverage(records, reachable),
         "map_agreement": _share_free(records.planning[wanted], reachable)
         if wanted in records.planning
@@ -74,6 +76,13 @@ def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "work_us_median": _median_work(records),
         "versions": versions(),
     }
+
+
+def _reason(end: End | None, *, finished: bool) -> str:
+    """Why the run ended; robots say when they are done, and the laboratory knows how much they have truly seen."""
+    if end is None:
+        return "broken off"
+    return end.reason if finished or end.first < 0 else f"robot {end.first} believed itself done"
 
 
 def digest(records: Records) -> str:

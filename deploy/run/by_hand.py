@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import secrets
 import sys
 import time
@@ -62,7 +63,7 @@ def serve_netshaper(
             credential.write(folder / f"{name}.json")
         (folder / SCENARIO).write_text(scenario.to_toml(), encoding="utf-8")
         tell(f"run {run} at {endpoint}; credentials in {folder}: {', '.join(credentials)}")
-        relay(bus, run, plan.radio, tell)
+        relay(bus, run, plan.radio, scenario.patience, tell=tell)
 
 
 def _endpoint(listen: str) -> str:
@@ -92,7 +93,9 @@ def serve_worldsim(scenario: Scenario, credential: Path) -> None:
     """Serve as the world of the run that the credential belongs to."""
     _check_same(scenario, credential)
     plan = plans.make(scenario)
-    task = WorldTask(plan.make_world(), plan.minds, scenario.steps, 1000 * plan.map.resolution)
+    task = WorldTask(
+        plan.make_world(), plan.minds, scenario.steps, 1000 * plan.map.resolution, None, scenario.patience
+    )
     serve_world(_credential(credential, names.WORLD), task)
 
 
@@ -136,7 +139,7 @@ def serve_lab(
                     return False
 
                 try:
-                    attend(bus, lab, interrupt.heed, look)
+                    attend(bus, lab, interrupt.heed, look, quiet_s=math.inf)
                 except BusClosed as error:
                     deaths[names.RELAY] = str(error)
         return conclude(plan, Outcome(lab.records, deaths), directory, time.perf_counter() - began)

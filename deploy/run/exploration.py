@@ -283,7 +283,8 @@ def conclude(plan: Plan, outcome: launch.Outcome, directory: Path | None, wall_s
 
 
 def _exit_code(outcome: launch.Outcome, summary: dict[str, Any]) -> int:
-    if outcome.deaths or outcome.records.lost or outcome.records.end is None:
+    end = outcome.records.end
+    if outcome.deaths or outcome.records.lost or end is None or end.step < 0:
         return BROKEN_OFF
     return EXPLORED if summary["finished"] else NOT_FINISHED
 

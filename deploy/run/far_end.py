@@ -4,7 +4,8 @@ It says which code it is, is given credentials, starts one child a robot, and pa
 end. It ends when they have all ended, or when its standard input is closed: when the launcher goes, so do they.
 
 Both ways go lines of JSON. Here to the launcher: ``{"murmur", "code", "versions"}`` once, then ``{"robot", "log"}`` and
-``{"robot", "exit", "words"}``. From the launcher: ``{"credentials": [...]}`` once.
+``{"robot", "exit", "words"}``. From the launcher: ``{"credentials": [...]}`` once,
+then ``{"end": NAME}``.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import sys
 import tempfile
 import threading
 from functools import cache
+from io import RawIOBase
 from pathlib import Path
 from typing import Any
 
@@ -90,13 +92,13 @@ def serve() -> None:
         # Byte by byte, so that nothing stays in a buffer that `select` does not know of.
         with open(0, "rb", buffering=0, closefd=False) as orders:
             order = orders.readline()
-        if order:
-            _run(_credentials(order), channel)
+            if order:
+                _run(_credentials(order), orders, channel)
     except BrokenPipeError:
         pass  # the launcher is gone, and the robots with it
 
 
-def _run(credentials: list[Credential], channel: _Channel) -> None:
+def _run(credentials: list[Credential], orders: RawIOBase, channel: _Channel) -> None:
     from deploy.run.process_table import ProcessTable  # noqa: PLC0415  hello comes first
 
     with tempfile.TemporaryDirectory(prefix="murmur-far-") as folder:
@@ -115,7 +117,11 @@ def _run(credentials: list[Credential], channel: _Channel) -> None:
             for credential in credentials:
                 processes.start(credential.name, serve_tied, credential)
             while running:
-                is_over = bool(select.select([0], [], [], POLL_S)[0])
+                is_over = False
+                if select.select([0], [], [], POLL_S)[0]:
+                    order = orders.readline()
+                    is_over = not order
+                    processes.give_up(_to_end(order))
                 ended, deaths = processes.ended(), processes.look()
                 for name in sorted(running):
                     pass_on(name)
@@ -153,6 +159,14 @@ def _credentials(order: bytes) -> list[Credential]:
     for credential in found:
         names.number(credential.name)
     return found
+
+
+def _to_end(order: bytes) -> str:
+    """The robot that the launcher wants ended; empty if it says nothing of the kind."""
+    try:
+        return str(json.loads(order)["end"])
+    except (ValueError, KeyError, TypeError):
+        return ""
 
 
 def _leave(*_: object) -> None:

@@ -22,9 +22,10 @@ from deploy.record.records import LabNode, Records
 from deploy.record.wire_bytes import Meter
 from deploy.run.meeting import Meeting, on_loopback
 from deploy.run.process_table import ProcessTable
-from deploy.run.processes import WorldTask, serve_agent, serve_relay, serve_view, serve_world
+from deploy.run.processes import WorldTask, serve_agent, serve_relay, serve_view, serve_world, silence_s
 from deploy.run.ssh import Fleet
 from deploy.scenario.plan import Plan
+from netshaper.process import ENDED
 from protocol import keys as names
 from protocol.bus import Bus, BusClosed
 from protocol.keys import Keys
@@ -103,9 +104,9 @@ def run(
                 journals=journals or Path(folder) / "journals",
                 revive=revive,
             )
-    robots = plan.scenario.robots
+    robots, patience = plan.scenario.robots, plan.scenario.patience
     world = WorldTask(
-        plan.make_world(), plan.minds, plan.scenario.steps, 1000 * plan.map.resolution, pace, revive
+        plan.make_world(), plan.minds, plan.scenario.steps, 1000 * plan.map.resolution, pace, patience, revive
     )
     meeting = fleet.meeting if fleet is not None else meeting or on_loopback(robots)
     elsewhere = fleet.robots if fleet is not None else set()
@@ -121,6 +122,8 @@ def run(
                 meeting.credentials,
                 plan.radio,
                 meeting.certificate,
+                patience,
+                world.pause_s,
             ),
             names.WORLD: (serve_world, meeting.credentials[names.WORLD], world),
         }
@@ -132,6 +135,8 @@ def run(
 
         def obey(strike: Strike) -> None:
             name = names.robot(strike.robot)
+            if strike.kind == "restart":
+                processes.give_up(name)
             if strike.kind in ("kill", "restart"):
                 processes.excuse(name)
             if strike.kind == "restart":
@@ -144,7 +149,7 @@ def run(
                 processes.start(name, serve, *args)
             if show is not None:
                 _start_viewer(processes, meeting, show)
-            outcome = _attend(processes, meeting, fleet, plan, heed, watch, capture, obey)
+            outcome = _attend(processes, meeting, fleet, plan, world.pause_s, heed, watch, capture, obey)
             if show is not None:
                 outcome.view_fault = processes.await_end(names.VIEW, VIEWER_END_S)
             return outcome
@@ -165,6 +170,7 @@ def _attend(
     meeting: Meeting,
     fleet: Fleet | None,
     plan: Plan,
+    pause_s: float,
     heed: Heed,
     watch: Callable[[Records], object] | None,
     capture: BinaryIO | None,
@@ -172,11 +178,22 @@ def _attend(
 ) -> Outcome:
     """Serve as the laboratory until the run is over."""
     deaths = processes.deaths
+    ended: set[int] = set()
 
     def look_after_all() -> dict[str, str]:
         if fleet is not None:
             fleet.look(deaths)
         return processes.look()
+
+    def end_the_lost(records: Records) -> None:
+        """End the processes of robots that the run goes on without, once."""
+        ended.intersection_update(records.lost)
+        for robot in records.lost.keys() - ended:
+            ended.add(robot)
+            if records.lost[robot] != ENDED:
+                processes.give_up(names.robot(robot))
+                if fleet is not None:
+                    fleet.give_up(names.robot(robot))
 
     try:
         bus = join(meeting.credentials[names.LAB])
@@ -189,13 +206,14 @@ def _attend(
     def look() -> bool:
         if watch is not None:
             watch(lab.records)
+        end_the_lost(lab.records)
         if look_after_all() and not lab.records.world:
             lab.send_home()  # no first step can come
         return names.WORLD in deaths
 
     with contextlib.closing(bus):
         try:
-            attend(bus, lab, heed, look)
+            attend(bus, lab, heed, look, 2 * silence_s(plan.scenario.patience, pause_s))
         except BusClosed as error:
             time.sleep(POLL_S)  # the system tells of the death a moment after the bus
             look_after_all().setdefault(names.RELAY, str(error))
@@ -205,7 +223,7 @@ def _attend(
     return Outcome(lab.records, deaths)
 
 
-def attend(bus: Bus, lab: LabNode, heed: Heed, look: Callable[[], bool]) -> None:
+def attend(bus: Bus, lab: LabNode, heed: Heed, look: Callable[[], bool], quiet_s: float) -> None:
     """Serve as the laboratory until everything is recorded, or the participants that still owe data fall silent.
 
     `look` is called a few times a second, and returns whether the run is broken: then it ends as well.
@@ -213,10 +231,11 @@ def attend(bus: Bus, lab: LabNode, heed: Heed, look: Callable[[], bool]) -> None
     Raises
     ------
     BusClosed
-        The connection to the relay is lost.
+        The connection to the relay is lost, or nothing has come for `quiet_s` seconds.
     """
-    ending = False
-    heard = looked = 0.0
+    ending: float | None = None
+    owed = -1
+    heard = looked = time.monotonic()
     while not lab.done:
         message = bus.receive(POLL_S)
         now = time.monotonic()
@@ -228,7 +247,10 @@ def attend(bus: Bus, lab: LabNode, heed: Heed, look: Callable[[], bool]) -> None
         looked = now
         lab.read_meter()
         broken, wished = look(), heed(lab)
-        if not ending and (broken or wished or lab.records.end is not None):
-            ending, heard = True, now
-        if ending and now - heard > WRAP_UP_S:
-            lab.send_home()
+        if now - heard > quiet_s:
+            raise BusClosed(f"the relay said nothing for {quiet_s:g} s")
+        is_over = lab.records.end is not None
+        if (broken or wished or is_over) and (ending is None or owed != len(lab.missing())):
+            ending, owed = now, len(lab.missing())
+        if ending is not None and now - ending > WRAP_UP_S:
+            lab.give_up_waiting()

@@ -76,6 +76,13 @@ class ProcessTable:
             process.start()
         self._children.append(Child(name, process, log, needed))
 
+    def give_up(self, name: str) -> None:
+        """End a child, which is not missed: how it ends is no news any more."""
+        for child in self._children:
+            if child.name == name and child.needed and name not in self.deaths:
+                child.needed = False
+                child.process.kill()
+
     def excuse(self, name: str) -> None:
         """Note that a child ends before its time as asked for."""
         for child in self._children:

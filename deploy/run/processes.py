@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import time
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from setproctitle import setproctitle
 from agent.journal import Journal, JournalError
 from agent.process import AgentNode
 from deploy.run.last_words import traceback_of
+from deploy.run.patience import PATIENCE_S, Patience
 from netshaper.hub import open_hub
 from netshaper.process import RelayNode
 from netshaper.radio import RadioSettings
@@ -36,8 +36,7 @@ if TYPE_CHECKING:
     from deploy.dashboard.process import ViewTask
 
 BROKEN_OFF = 3
-PATIENCE_S = 60.0
-"""A robot that is silent for this long when it is its turn is given up."""
+POLL_S = 0.25
 FAREWELL_S = 2.0
 """How long the relay waits for others to leave, once everything is recorded."""
 
@@ -52,8 +51,15 @@ class WorldTask:
     cell_mm: float
     pace: float | None = None
     """Steps a second at most, for people who watch."""
+    patience_s: float = PATIENCE_S
+    """How long a robot may take for its move."""
     revive: bool = False
     """Whether robots that are lost unasked are to be started again."""
+
+    @property
+    def pause_s(self) -> float:
+        """Seconds that it waits between steps at most."""
+        return 1 / self.pace if self.pace else 0.0
 
     @property
     def wait(self) -> Callable[[], object]:
@@ -67,34 +73,52 @@ def serve_relay(
     credentials: Mapping[str, Credential],
     settings: RadioSettings,
     certificate: Certificate | None = None,
+    patience_s: float = PATIENCE_S,
+    pause_s: float = 0.0,
 ) -> None:
-    """Serve as the hub and relay of a run until all participants have left."""
+    """Serve as the hub and relay of a run until all participants have left; all are to be here soon."""
     with closing(open_hub(run, endpoint, credentials, certificate)) as bus:
-        relay(bus, run, settings)
+        relay(bus, run, settings, patience_s, pause_s, waits=False)
 
 
 def relay(
-    bus: Bus, run: str, settings: RadioSettings, tell: Callable[[str], object] = lambda _: None
+    bus: Bus,
+    run: str,
+    settings: RadioSettings,
+    patience_s: float,
+    pause_s: float = 0.0,
+    tell: Callable[[str], object] = lambda _: None,
+    *,
+    waits: bool = True,
 ) -> None:
-    """Serve as the relay at an open hub until all participants have left; `tell` is called with those missing."""
+    """Serve as the relay at an open hub until all participants have left; `tell` is called with those missing.
+
+    Who has not joined yet is waited for as long as it takes if it `waits`; else the run is broken off once nobody has
+    joined for as long as a robot may take for anything. `pause_s` is the world's pause between steps at most.
+    """
     node = RelayNode(bus, Keys(run), settings)
+    patience = Patience(node, patience_s)
     told: list[str] = []
-    heard = time.monotonic()
     while not node.done:
-        message = bus.receive(1.0)
+        message = bus.receive(POLL_S)
         if message is not None:
-            heard = time.monotonic()
             node.handle(message)
-        silent = time.monotonic() - heard
-        if node.going_home and silent > FAREWELL_S:
+        idle = patience.look()
+        if node.going_home and idle > FAREWELL_S:
             break
-        if silent > PATIENCE_S:
-            for robot in node.waiting_for():
-                node.give_up_on(robot, f"it said nothing for {PATIENCE_S:g} s")
-            heard = time.monotonic()
-        if node.missing() != told:
-            told = node.missing()
+        missing = node.missing()
+        if missing and idle > patience_s and not waits:
+            node.break_off(f"{', '.join(missing)} did not join within {patience_s:g} s")
+        if not missing and idle > silence_s(patience_s, pause_s) and not node.waiting_for():
+            node.break_off(f"the world said nothing for {idle:.0f} s")
+        if missing != told:
+            told = missing
             tell(f"waiting for {', '.join(told)}" if told else "all are here")
+
+
+def silence_s(patience_s: float, pause_s: float) -> float:
+    """For how long a world may say nothing: it waits for robots itself."""
+    return 2 * patience_s + pause_s
 
 
 def serve_world(credential: Credential, task: WorldTask) -> None:
@@ -104,7 +128,7 @@ def serve_world(credential: Credential, task: WorldTask) -> None:
     node = WorldNode(
         bus, keys, task.world, task.minds, task.steps, task.cell_mm, wait=task.wait, revive=task.revive
     )
-    _serve(bus, node)
+    _serve(bus, node, Patience(node, task.patience_s))
 
 
 def serve_agent(credential: Credential, journal: Path | None = None) -> None:
@@ -125,12 +149,14 @@ def serve_view(credential: Credential, task: ViewTask, ready: Connection) -> Non
     process.serve(credential, task, lambda: ready.send(True))
 
 
-def _serve(bus: Bus, node: WorldNode | AgentNode) -> None:
+def _serve(bus: Bus, node: WorldNode | AgentNode, patience: Patience | None = None) -> None:
     try:
         while not node.done:
-            message = bus.receive()
+            message = bus.receive(None if patience is None else POLL_S)
             if message is not None:
                 node.handle(message)
+            if patience is not None:
+                patience.look()
         if isinstance(node, AgentNode) and node.killed:
             os.kill(os.getpid(), signal.SIGKILL)
     finally:

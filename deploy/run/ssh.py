@@ -127,6 +127,12 @@ class Fleet:
             for name, words in link.deaths().items():
                 deaths.setdefault(name, words)
 
+    def give_up(self, name: str) -> None:
+        """Have a robot ended, which is not missed."""
+        for link in self._links:
+            if name in link.robots:
+                link.give_up(name)
+
     def _hang_up(self) -> None:
         for link in self._links:
             link.hang_up()
@@ -199,12 +205,8 @@ class _Link:
                 yield f"{where}: has {package} {theirs.get(package)}, here it is {ours}; the digest may differ"
 
     def start(self, credentials: list[Credential], logs: Path) -> None:
-        assert self._ssh is not None and self._ssh.stdin is not None
         self._logs = logs
-        order = json.dumps({"credentials": [asdict(credential) for credential in credentials]})
-        with contextlib.suppress(BrokenPipeError):  # it is gone: `deaths` tells
-            self._ssh.stdin.write(order.encode() + b"\n")
-            self._ssh.stdin.flush()
+        self._order({"credentials": [asdict(credential) for credential in credentials]})
 
     def deaths(self) -> dict[str, str]:
         """Robots that ended before their time; the host itself if it is gone and they with it."""
@@ -214,6 +216,18 @@ class _Link:
         if missing and self._ssh is not None and self._ssh.poll() is not None and not self._ear.is_alive():
             found[self._host.name] = f"{self._why_gone()}; with it {', '.join(missing)}"
         return found
+
+    def give_up(self, name: str) -> None:
+        """Have the far end end a robot, once; it need not say how."""
+        if name not in self._ended and self._ssh is not None and self._ssh.stdin is not None:
+            self._ended[name] = ""
+            self._order({"end": name})
+
+    def _order(self, order: Mapping[str, Any]) -> None:
+        assert self._ssh is not None and self._ssh.stdin is not None
+        with contextlib.suppress(BrokenPipeError):  # it is gone: `deaths` tells
+            self._ssh.stdin.write(json.dumps(order).encode() + b"\n")
+            self._ssh.stdin.flush()
 
     def is_over(self) -> bool:
         return self._ssh is None or self._ssh.poll() is not None
@@ -260,7 +274,7 @@ class _Link:
         if "log" in said and self._logs is not None:
             with (self._logs / f"{name}.log").open("a", encoding="utf-8") as file:
                 file.write(str(said["log"]))
-        elif "exit" in said:
+        elif "exit" in said and name not in self._ended:
             code = said["exit"]
             self._ended[name] = str(said.get("words") or f"exit code {code}") if code else ""
 

@@ -112,7 +112,7 @@ class Scenario(_Table):
     robots: Whole = Field(3, ge=1, le=MAX_ROBOTS, description="how many robots explore")
     range: str = Field("100%", description="communication range: metres, or % of the map's diagonal")
     bandwidth: int | Literal["unlimited"] = Field(1000, description="bytes per step for the whole team")
-    exchange: str = Field("polygon", description="how maps are shared: polygon, laser, sight, none")
+    exchange: str = Field("polygon", description="how maps are shared: polygon, laser, grid, sight, none")
     strategy: str = Field("meier", description="how targets are chosen (murmur strategies lists all)")
     sensor_range: Positive = Field(5.0, description="range of the lasers, metres")
     field_of_view: Degrees = Field(360.0, gt=0, description="degrees")
@@ -156,6 +156,15 @@ class Scenario(_Table):
     sight: SightOptions = Field(default_factory=SightOptions, description="options of the sight exchange")
     radio: RadioOptions = Field(default_factory=RadioOptions, description="options of the radio")
     options: dict[str, Any] = Field(default_factory=dict, description="options of the strategy, by name")
+    patience: Positive = Field(
+        60.0, description="seconds of wall clock in which a robot must be done with a phase or a move"
+    )
+    least_coverage: float = Field(
+        0.9,
+        ge=0,
+        le=1,
+        description="part of the area that must have been seen for a run to count as finished",
+    )
     robot: tuple[RobotOverride, ...] = Field((), description="robots with different hardware")
     death: tuple[Death, ...] = Field((), description="robots that break down")
     fault: tuple[FaultTable, ...] = Field((), description="what befalls robots, and when")

@@ -159,7 +159,7 @@ def test_what_a_robot_is_told_goes_out_at_one_go_and_the_books_once_all_are_told
             run.say(robot, Said(1, 0, phase, []))
     for robot in run.robots:
         run.say(robot, Said(1, 1, "offers", []))
-    assert told[-4:] == ["r0", "r1", "r2", LAB]
+    assert told[-5:] == ["r0", "r1", "r2", WORLD, LAB]
 
 
 def test_a_robot_that_dies_is_reported_and_nobody_waits_for_it() -> None:

@@ -57,6 +57,8 @@ QUICK = [
     {"exchange": "sight", "robots": 5, "bandwidth": 50, "offers": "gossip"},
     {"exchange": "sight", "robots": 4, "bandwidth": "unlimited", "range": "30%", "offers": "gossip"},
     {"exchange": "sight", "robots": 3, "bandwidth": 200},
+    {"exchange": "grid", "robots": 3, "bandwidth": 300, "offers": "gossip"},
+    {"exchange": "grid", "robots": 3, "bandwidth": 1000},
     {"exchange": "polygon", "robots": 3, "bandwidth": 500, "range": 5, "offers": "gossip"},
     {"exchange": "laser", "robots": 3, "bandwidth": "unlimited", "range": 5, "offers": "gossip"},
     {"exchange": "polygon", "robots": 1},

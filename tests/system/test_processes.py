@@ -91,6 +91,33 @@ def test_a_killed_robot_is_reported_and_the_others_finish(tmp_path: Path) -> Non
     assert result["lost"] == {"1": "its process ended"}
 
 
+def test_a_robot_that_hangs_is_named_and_ended_and_the_others_finish(tmp_path: Path) -> None:
+    with swarm(tmp_path / "run", "--set", "patience=1.0") as process:
+        wait_for_steps(process)
+        stopped = child(process, "r1")
+        stopped.suspend()
+        code, said, _ = finish(process, 60)
+    assert code == 3
+    assert "robot 1 was lost: kept the others waiting for more than 1 s" in said
+    assert "died" not in said
+    assert not stopped.is_running()
+    result = summary(tmp_path / "run")
+    assert result["coverage"] == 1.0
+    assert list(result["lost"]) == ["1"]
+
+
+@pytest.mark.parametrize("name", ["relay", "world"])
+def test_a_relay_or_world_that_hangs_ends_the_run_and_is_named(tmp_path: Path, name: str) -> None:
+    with swarm(tmp_path / "run", "--set", "patience=0.5") as process:
+        wait_for_steps(process)
+        family = descendants(process)
+        child(process, name).suspend()
+        code, said, _ = finish(process, 30)
+    assert code == 3
+    assert f"the {name} said nothing for" in said
+    assert not psutil.wait_procs(family, timeout=3)[1]
+
+
 @pytest.mark.parametrize("name", ["relay", "world"])
 def test_a_killed_relay_or_world_ends_the_run_and_is_named(tmp_path: Path, name: str) -> None:
     with swarm(tmp_path / "run") as process:

@@ -40,6 +40,8 @@ EXAMPLES: tuple[messages.Record, ...] = (
     messages.Maps(0, 1, 1, b"\x01", b"\x01"),
     messages.Fault("r0", "I say so"),
     messages.Watched(here=True),
+    messages.Back(0),
+    messages.Strike(3, 0, "kill"),
     messages.Snapshot(3, 1, 1, b"\x00"),
     messages.Outlines(3, 0, bytes(16)),
 )

@@ -43,7 +43,7 @@ def test_without_a_limit_every_robot_knows_all_but_what_waits_for_the_next_step(
         assert ((robot.planning != seen) & (seen != UNKNOWN)).mean() < 0.01
 
 
-@pytest.mark.parametrize("exchange", ["sight", "laser", "polygon"])
+@pytest.mark.parametrize("exchange", ["sight", "laser", "polygon", "grid"])
 @pytest.mark.parametrize("reach", ["25%", "100%"])
 def test_what_is_said_is_carried_or_cut_to_the_byte_and_never_beyond_the_budget(
     exchange: str, reach: str
@@ -60,7 +60,7 @@ def test_what_is_said_is_carried_or_cut_to_the_byte_and_never_beyond_the_budget(
     assert not [fault for robot in team.robots for fault in robot.faults]
 
 
-@pytest.mark.parametrize("exchange", ["sight", "laser"])
+@pytest.mark.parametrize("exchange", ["sight", "laser", "grid"])
 def test_robots_that_part_and_meet_know_all_in_the_end(exchange: str) -> None:
     team = explored(robots=5, exchange=exchange, bandwidth="unlimited", range="30%")
     together = dict(enumerate(team.plan.world.starts))

@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from deploy.dashboard.layout import RADIO_SHARES
 from deploy.dashboard.process import RECORDING
 from deploy.dashboard.windows import Window
-from deploy.record.colors import robot_color
+from deploy.record.colors import GROUPS, TEAM, robot_color
 from deploy.record.run_directory import SUMMARY
 from deploy.run.exploration import explore
 from deploy.scenario.scenario import parse
@@ -44,46 +45,77 @@ def keep(name: str, png: bytes) -> None:
 
 
 def assert_shows_robots(png: bytes, robots: int) -> None:
-    """Every robot's colour is on the dashboard, many times over."""
+    """The colour of every robot, up to those whose maps are in another tab, is on the dashboard many times over."""
     pixels = np.array(Image.open(io.BytesIO(png)).convert("RGB")).reshape(-1, 3).astype(int)
-    for robot in range(robots):
+    for robot in range(min(8, robots)):
         near = np.abs(pixels - robot_color(robot)).max(axis=1) <= 6
         assert near.sum() > 200, f"robot {robot} is hardly to be seen"
 
 
-@pytest.mark.parametrize("name", ["office", "intel"])
-def test_eight_robots_are_shown_and_no_view_reports_an_error(
-    name: str, tmp_path: Path, request: pytest.FixtureRequest
+def assert_is_to_be_read(png: bytes, *, light: bool) -> None:
+    """The theme is what was asked for, the team's curves stand out from it, and captions are beside their bars."""
+    picture = np.array(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)
+    lower = picture[int(0.67 * len(picture)) : int(0.95 * len(picture))]
+    wide = lower.shape[1]
+    paper = np.median(lower.reshape(-1, 3), axis=0)
+    assert (paper > 230).all() if light else (paper < 40).all()
+    first, second = (sum(RADIO_SHARES[:n]) * wide // sum(RADIO_SHARES) for n in (1, 3))
+    for curve in (lower[:, first : first + wide // 6], lower[:, second : second + wide // 6]):
+        assert (np.abs(curve - TEAM).max(axis=2) <= 30).sum() > 300, "the team's curve is hardly to be seen"
+    bars_from = sum(RADIO_SHARES[:2]) * wide // sum(RADIO_SHARES)
+    panel = lower[:, bars_from + 4 : second - 4]
+    half = int(0.45 * panel.shape[1])
+    bars = 0
+    for group in GROUPS.values():
+        off = np.abs(panel - group.color).max(axis=2)
+        rows = np.flatnonzero((off[:, :half] <= 6).sum(axis=1) > 5)
+        if len(rows):
+            bars += 1
+            caption = off[max(0, rows[0] - 3) : rows[-1] + 4, half:] <= 60
+            assert caption.sum() > 20, f"the caption of {group.words} is not beside its bar"
+            assert not caption[:, -3:].any(), "a caption is cut off"
+    assert bars >= 4
+
+
+@pytest.mark.parametrize(("name", "robots"), [("office", 16), ("intel", 5)])
+def test_all_robots_are_shown_in_the_dark_and_no_view_reports_an_error(
+    name: str, robots: int, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
     where = name if name == "office" else str(request.getfixturevalue("real_maps") / "intel.yaml")
-    recording = recorded(tmp_path, map=where, robots=8, range="30%", steps=130)
+    recording = recorded(tmp_path, map=where, robots=robots, range="30%", steps=130)
     with viewer(recording) as client:
         png = settled_picture(client, 125)
         state = client.get_state()
         logs = client.get_logs()
     keep(f"dashboard-{name}", png)
     assert {view.name: view.reports for view in state.views if view.reports} == {}
-    assert {view.name for view in state.views} >= {*VIEWS, *(f"Robot {robot} knows" for robot in range(8))}
+    assert {view.name for view in state.views} >= {
+        *VIEWS,
+        *(f"Robot {robot} knows" for robot in range(min(8, robots))),
+    }
     assert [entry.message for entry in logs if entry.level == "ERROR"] == []
     assert Image.open(io.BytesIO(png)).size == (1920, 1080)
-    assert_shows_robots(png, 8)
+    assert_shows_robots(png, robots)
+    assert_is_to_be_read(png, light=False)
 
 
-def test_a_page_shows_the_dashboard_in_a_real_browser(tmp_path: Path) -> None:
-    recording = recorded(tmp_path, robots=3, range="30%", steps=60)
+@pytest.mark.parametrize("robots", [5, pytest.param(16, marks=pytest.mark.long)])
+def test_a_light_page_shows_the_dashboard_in_a_real_browser(robots: int, tmp_path: Path) -> None:
+    recording = recorded(tmp_path, robots=robots, range="30%", steps=25)
     told: list[str] = []
     window = Window("web", told.append)
-    with Browser(1600, 1000) as browser:
+    with Browser(1440, 900) as browser:
         window.open(recording)
         try:
             assert told == [f"Look at {window.address}  (until Ctrl-C)"]
             assert window.address.startswith("http://127.0.0.1:")
-            browser.open(f"{window.address}&persist=0&renderer=webgl&theme=dark")
+            browser.open(f"{window.address}&persist=0&renderer=webgl&theme=light")
             png = browser.settled_picture(120.0, least=100_000)
         finally:
             window.close()
-    keep("dashboard-browser", png)
-    assert_shows_robots(png, 3)
+    keep(f"dashboard-light-{robots}", png)
+    assert_shows_robots(png, robots)
+    assert_is_to_be_read(png, light=True)
 
 
 @pytest.mark.long

@@ -113,7 +113,7 @@ EXPLORE = {
     "--robots three": "Invalid value for '--robots'",
     "--robots 30 --map small.yaml": "30 robots do not fit: 16 free cells lie 3 cells apart",
     "--strategy best": "no strategy is called 'best'; there are: burgard,",
-    "--exchange radio": "exchange = 'radio': no exchange is called 'radio'; there are: polygon, laser, sight, none",
+    "--exchange radio": "exchange = 'radio': no exchange is called 'radio'; there are: polygon, laser, grid, sight",
     "--offers never": "offers = 'never': Input should be 'backoff', 'thesis' or 'gossip'",
     "--bus can": "bus = 'can': Input should be 'zenoh' or 'memory'",
     "--option beta": "option = 'beta': must be NAME=VALUE, as beta=0.5",

@@ -1,0 +1,61 @@
+"""A run has finished when a robot says so and the team has truly seen the area, and not before."""
+
+from __future__ import annotations
+
+import pytest
+from msgspec.structs import replace
+
+from deploy.record.records import Records
+from deploy.record.summary import summarise
+from deploy.run import in_memory
+from deploy.run.exploration import NOT_FINISHED, conclude
+from deploy.run.launch import Outcome
+from deploy.scenario.plan import Plan
+from protocol import keys as names
+from protocol import rights
+from protocol.bus import Bus
+from protocol.messages import End, Move, pack
+from tests.system.team import small_plan
+
+
+class Boaster:
+    """The end of the bus of a robot that says that it is done with its first move."""
+
+    def __init__(self, inner: Bus) -> None:
+        self._inner = inner
+        self.receive, self.close = inner.receive, inner.close
+
+    def put(self, key: str, payload: bytes) -> None:
+        if names.parts(key)[0] == "body":
+            said = rights.read(key, payload)
+            payload = pack(replace(said, explored=isinstance(said, Move)))
+        self._inner.put(key, payload)
+
+
+def boasted(**settings: object) -> tuple[Plan, Records]:
+    plan = small_plan(robots=2, **settings)
+    return plan, in_memory.run(plan, wrap=lambda name, bus: Boaster(bus) if name == "r1" else bus)
+
+
+@pytest.mark.parametrize("least", [0.0, 0.9])
+def test_a_robot_that_believes_itself_done_has_not_finished_what_the_team_has_not_seen(least: float) -> None:
+    plan, records = boasted(least_coverage=least)
+    assert records.end == End(1, "explored", 1)
+    assert 0 < records.explored < 0.9
+    result = conclude(plan, Outcome(records, {}), None, 1.0)
+    if least:
+        assert not result.summary["finished"]
+        assert result.summary["reason"] == "robot 1 believed itself done"
+        assert result.exit_code == NOT_FINISHED
+    else:
+        assert result.summary["finished"]
+        assert result.summary["reason"] == "explored"
+    assert result.summary["first_robot"] == 1
+
+
+def test_a_robots_own_maps_do_not_count_for_what_has_been_seen() -> None:
+    plan, records = boasted()
+    for grid in records.own.values():
+        assert grid.shape == plan.map.cells.shape
+    records.own = dict.fromkeys(records.own, plan.map.cells)
+    assert not summarise(plan, records, 1.0)["finished"]
