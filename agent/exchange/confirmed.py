@@ -72,7 +72,8 @@ class ConfirmedSession(Session):
         self._tries: dict[Pair, int] = {}
         """How often one has since the last word."""
         self._trip: dict[Pair, int] = {}
-        """Exchanges after which a word came back last, of those that one had spoken for once only."""
+        """Exchanges after which a word came back last, of those that one had spoken for once only,
+        if there are any."""
         self._frames: list[_Frame] = []
         self._aired = 0
         """Units of one's own log that have been on the air."""
@@ -258,7 +259,8 @@ class ConfirmedSession(Session):
         self._learn(pair, held)
         self._word[pair] = self._now
         spoken = self._spoken.pop(pair, None)
-        if self._tries.pop(pair, 0) == 1 and spoken is not None:
+        tries = self._tries.pop(pair, 0)
+        if spoken is not None and (tries == 1 or pair not in self._trip):
             self._trip[pair] = self._now - spoken
         if pair in self._trip:
             self._wait[pair] = min(max(LEAST_WAIT, self._trip[pair] + 1), MAX_WAIT)

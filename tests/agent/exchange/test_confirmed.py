@@ -22,7 +22,7 @@ def level(link: LossyLink) -> bool:
     return all(held(mind, about) == link.recorded(about) for mind in link.minds for about in robots)  # type: ignore[arg-type]
 
 
-@settings(max_examples=25)
+@settings(max_examples=20)
 @given(
     policies,
     st.integers(2, 4),
