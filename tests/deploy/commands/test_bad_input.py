@@ -99,7 +99,7 @@ EXPLORE = {
     "--set polygon.lasy=true": "polygon.lasy is no setting; did you mean lazy?",
     "--set robots=3 --robots 4": "set = 'robots=...': --robots sets it too; leave it to one of them",
     "--set radius": "set = 'radius': must be NAME=VALUE, as radius=0.2",
-    "--set robot=3": "robot = 3: must be tables, [[robot]], of robot, sensor_range, field_of_view, speed, send_bytes,",
+    "--set robot=3": "robot = 3: must be tables, [[robot]], of robot, sensor_range, field_of_view, speed,",
     "--map offise": "no environment is called 'offise'; did you mean office? There are: unstructured, mixed, office,",
     "--range -3": "range = '-3': must be a distance of 0 or more: metres, as 12.5, or a share of the diagonal",
     "--range nan": "range = 'nan': must be a distance",
