@@ -177,6 +177,8 @@ class Robot:
                 if before is not None:
                     self._travel(peer, before[:2], (packet.x, packet.y))
                 self._poses[peer] = Pose(packet.x, packet.y, bool(packet.leads))
+                if self._sense is not None:
+                    self._exchange.plausible.place(peer, self._sense.step, packet.x, packet.y)
 
     def settle(self, outcome: Outcome, heard: list[tuple[int, bytes]]) -> None:
         """Take the outcome of an exchange, and the data that came as (peer, frame).
@@ -190,6 +192,7 @@ class Robot:
             told_by = self._told_by.setdefault(about, set())
             try:
                 units = survey.split(frame)
+                self._exchange.plausible.listen(outcome.step, peer)
                 self._exchange.take(about, units)
             except ProtocolError as error:
                 self.faults.append(Fault(peer, str(error)))

@@ -175,7 +175,7 @@ class SightExchange(Exchange):
                 number += 1
                 rest = b""
         if whole and not coming.whole:
-            first = self._streams[about].decode(whole[0])
+            first = self._decode(about, whole[0])
             if first is not None:
                 _update(self._grids, first.places, self._heard)
                 whole = whole[1:]
@@ -191,7 +191,7 @@ class SightExchange(Exchange):
             for maker, coming in enumerate(self._coming):
                 while coming.whole and not coming.broken:
                     try:
-                        told = self._streams[maker].decode(coming.whole[0])
+                        told = self._decode(maker, coming.whole[0])
                     except ProtocolError as error:
                         coming.broken = error.reason
                         coming.whole.clear()
@@ -201,6 +201,18 @@ class SightExchange(Exchange):
                     _update(self._grids, told.places, self._heard)
                     del coming.whole[0]
                     progress = True
+
+    def _decode(self, maker: int, unit: bytes) -> Told | None:
+        """Read a unit that tells of no more than its maker can have seen."""
+        told = self._streams[maker].decode(unit)
+        if told is not None:
+            try:
+                self.plausible.claim(maker, told.box)
+            except ProtocolError:
+                self._streams[maker].undo()
+                self._histories[maker].pop()
+                raise
+        return told
 
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
         """Lay the robot's own grid over what all have told."""

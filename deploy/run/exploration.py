@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import io
+import shutil
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -28,7 +29,8 @@ from deploy.run.ssh import Fleet
 from deploy.scenario import plan as plans
 from deploy.scenario.effective_radio import effective_radio
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import Scenario, ScenarioError, parse
+from deploy.scenario.scenario import Scenario, ScenarioError, check_lives, parse
+from protocol import keys as names
 from protocol.grid import Grid
 from worldsim.pace import Pace
 
@@ -38,6 +40,9 @@ if TYPE_CHECKING:
 
 EXPLORED, NOT_FINISHED, BAD_INPUT, BROKEN_OFF = range(4)
 """Exit codes of the contract."""
+
+LIVES = 4
+"""How often a robot may begin, with `restart`, if there is room for the maps of so many lives."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -148,6 +153,7 @@ def explore(
     snapshots: bool = False,
     pace: float | None = None,
     hosts: Hosts | None = None,
+    restart: bool = False,
     **settings: Any,
 ) -> Result:
     """Run a scenario. Viewing and pace do not affect its results.
@@ -173,6 +179,9 @@ def explore(
         Steps a second at most.
     hosts : Hosts, optional
         Other hosts that robots run on (`deploy.run.hosts`).
+    restart : bool
+        Whether what dies unasked is started again: a robot where it fell, as often as it has lives; and where relay or
+        world die the whole run, which gets to the step that it was in and goes on from there (docs/reliability.md).
     **settings
         Settings of the scenario, over those of `scenario`: ``explore(robots=5, bandwidth=1000)``.
 
@@ -189,7 +198,7 @@ def explore(
         raise ValueError("a run that is shown, or whose maps are kept, needs a directory: keep = True")
     scenario = scenario_of(scenario, settings)
     wait: Callable[[], object] = Pace(pace).wait if pace is not None else _nothing
-    plan = plans.make(scenario)
+    plan = plans.make(scenario, lives=_lives(scenario, hosts) if restart else 1)
     if hosts is not None and scenario.bus == "memory":
         raise ScenarioError("bus = 'memory': is one process of one host; with hosts it must be 'zenoh'")
     if radio := effective_radio(plan):
@@ -215,40 +224,66 @@ def explore(
             port = window.port if window is not None else None
             task = ViewTask(plan, directory.absolute(), records=window is not None, port=port)
         ready: Callable[[], object] = window.open if window is not None else _nothing
-        with run_directory.open_capture(directory, plan) as capture:
-            if scenario.bus == "memory":
-                with watching(task) if task is not None else contextlib.nullcontext() as view:
-                    ready()
-                    fallen = _Fallen(logs)
-                    records = in_memory.run(
+        show = launch.Show(task, ready) if task is not None else None
+        done = 0
+        while True:
+            with run_directory.open_capture(directory, plan) as capture:
+                if scenario.bus == "memory":
+                    with watching(task) if task is not None else contextlib.nullcontext() as view:
+                        ready()
+                        fallen = _Fallen(logs)
+                        records = in_memory.run(
+                            plan,
+                            look,
+                            capture,
+                            heed=interrupt.heed,
+                            view=view,
+                            wait=wait,
+                            fell=fallen.take,
+                            journals=journals,
+                        )
+                    outcome = launch.Outcome(records, fallen.deaths)
+                else:
+                    outcome = launch.run(
                         plan,
+                        logs,
                         look,
                         capture,
                         heed=interrupt.heed,
-                        view=view,
-                        wait=wait,
-                        fell=fallen.take,
+                        show=show,
+                        pace=pace,
+                        live=directory,
+                        fleet=fleet,
                         journals=journals,
+                        free=done,
+                        revive=restart,
                     )
-                outcome = launch.Outcome(records, fallen.deaths)
-            else:
-                show = launch.Show(task, ready) if task is not None else None
-                outcome = launch.run(
-                    plan,
-                    logs,
-                    look,
-                    capture,
-                    heed=interrupt.heed,
-                    show=show,
-                    pace=pace,
-                    live=directory,
-                    fleet=fleet,
-                    journals=journals,
-                )
+            dead = sorted({names.RELAY, names.WORLD} & outcome.deaths.keys())
+            if not (restart and dead and outcome.records.step > done) or interrupt.came:
+                break
+            done = outcome.records.step
+            tell(
+                f"{' and '.join(dead)} died at step {done}: going through the run again up to there, then on"
+            )
+            if journals is not None:
+                shutil.rmtree(journals, ignore_errors=True)
         result = conclude(plan, outcome, directory, time.perf_counter() - began)
         if directory is not None and window is not None and outcome.view_fault:
             optimise(directory / RECORDING)  # the failed viewer did not close it
     return result
+
+
+def _lives(scenario: Scenario, hosts: Hosts | None) -> int:
+    """How often robots may begin if they are started again; ScenarioError if they cannot be."""
+    if scenario.bus == "memory":
+        raise ScenarioError("bus = 'memory': has no processes that could die; restart needs 'zenoh'")
+    if hosts is not None:
+        raise ScenarioError(
+            "restart: robots of other hosts cannot be started again; leave --hosts or --restart out"
+        )
+    lives = LIVES if scenario.exchange == "none" else min(LIVES, scenario.most_maps // scenario.robots)
+    check_lives(scenario, max(lives, 2))
+    return lives
 
 
 def scenario_of(scenario: Scenario | None, settings: Mapping[str, Any]) -> Scenario:

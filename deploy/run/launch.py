@@ -77,16 +77,19 @@ def run(
     fleet: Fleet | None = None,
     meeting: Meeting | None = None,
     journals: Path | None = None,
+    free: int = 0,
     revive: bool = False,
+    wrap: Callable[[str, Bus], Bus] | None = None,
 ) -> Outcome:
     """Run a plan as processes; `watch` is called as records come in, at most a few times a second.
 
     What the processes print goes to files in `logs`, or is gone after the run if that is None; `capture`
     takes the frames (`deploy.record.records`); `heed` may end it early; `show` adds a viewer; `pace` is the steps a
-    second at most; `live` is a directory in which to say how to look at the run (`deploy.dashboard.watch`);
-    `fleet`, whose hosts have been reached, runs its robots there, and says where all meet; without it that is
-    `meeting`, or on the loopback. Where robots may come back (`Plan.lives`) their journals are in the
-    folder `journals`; with `revive` those that are lost unasked are started again.
+    second at most, but of the first `free` ones; `live` is a directory in which to say how to look at the run
+    (`deploy.dashboard.watch`); `fleet`, whose hosts have been reached, runs its robots there, and says where all meet;
+    without it that is `meeting`, or on the loopback. Where robots may come back (`Plan.lives`) their journals are in
+    the folder `journals`; with `revive` those that are lost unasked are started again. `wrap`, which must be picklable,
+    may lay something around each robot's end of the bus.
     """
     if logs is None:
         with tempfile.TemporaryDirectory() as folder:
@@ -102,11 +105,20 @@ def run(
                 fleet=fleet,
                 meeting=meeting,
                 journals=journals or Path(folder) / "journals",
+                free=free,
                 revive=revive,
+                wrap=wrap,
             )
     robots, patience = plan.scenario.robots, plan.scenario.patience
     world = WorldTask(
-        plan.make_world(), plan.minds, plan.scenario.steps, 1000 * plan.map.resolution, pace, patience, revive
+        plan.make_world(),
+        plan.minds,
+        plan.scenario.steps,
+        1000 * plan.map.resolution,
+        pace,
+        free,
+        patience,
+        revive,
     )
     meeting = fleet.meeting if fleet is not None else meeting or on_loopback(robots)
     elsewhere = fleet.robots if fleet is not None else set()
@@ -131,7 +143,7 @@ def run(
         for number, name in enumerate(map(names.robot, range(robots))):
             if name not in elsewhere:
                 journal = journals / journal_name(number) if plan.lives > 1 else None
-                table[name] = (serve_agent, meeting.credentials[name], journal)
+                table[name] = (serve_agent, meeting.credentials[name], journal, wrap)
 
         def obey(strike: Strike) -> None:
             name = names.robot(strike.robot)
@@ -217,6 +229,8 @@ def _attend(
         except BusClosed as error:
             time.sleep(POLL_S)  # the system tells of the death a moment after the bus
             look_after_all().setdefault(names.RELAY, str(error))
+    if lab.records.end is not None and lab.records.end.step < 0:
+        time.sleep(POLL_S)  # likewise
     for robot in map(names.robot, lab.records.lost):
         processes.await_end(robot, FAREWELL_S)  # the relay has heard of it before the system tells
     look_after_all()

@@ -51,6 +51,8 @@ class WorldTask:
     cell_mm: float
     pace: float | None = None
     """Steps a second at most, for people who watch."""
+    free: int = 0
+    """The first steps, which go as fast as they can all the same."""
     patience_s: float = PATIENCE_S
     """How long a robot may take for its move."""
     revive: bool = False
@@ -64,7 +66,7 @@ class WorldTask:
     @property
     def wait(self) -> Callable[[], object]:
         """Called by the world before it opens a step."""
-        return Pace(self.pace).wait if self.pace else lambda: None
+        return Pace(self.pace, self.free).wait if self.pace else lambda: None
 
 
 def serve_relay(
@@ -131,10 +133,14 @@ def serve_world(credential: Credential, task: WorldTask) -> None:
     _serve(bus, node, Patience(node, task.patience_s))
 
 
-def serve_agent(credential: Credential, journal: Path | None = None) -> None:
+def serve_agent(
+    credential: Credential, journal: Path | None = None, wrap: Callable[[str, Bus], Bus] | None = None
+) -> None:
     """Serve as one robot of a run; with a `journal` it may be killed and begin again."""
     kept = Journal.open(journal) if journal is not None else None
-    bus = join(credential)
+    bus: Bus = join(credential)
+    if wrap is not None:
+        bus = wrap(credential.name, bus)
     node = AgentNode(bus, Keys(credential.run), names.number(credential.name), kept)
     try:
         _serve(bus, node)

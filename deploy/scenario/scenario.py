@@ -299,10 +299,10 @@ class Scenario(_Table):
 
 
 def check_lives(scenario: Scenario, lives: int) -> None:
-    """Raise ValueError if packets cannot name the maps of robots that begin so often (`agent.identity`)."""
+    """Raise ScenarioError if packets cannot name the maps of robots that begin so often (`agent.identity`)."""
     most = scenario.most_maps
     if scenario.exchange != "none" and scenario.robots * lives > most:
-        raise ValueError(
+        raise ScenarioError(
             f"robots = {scenario.robots}: packets can name {most} maps, one a life of each robot; so "
             f"{scenario.robots} robots can begin {most // scenario.robots} times each, not {lives} times"
         )

@@ -109,7 +109,7 @@ def test_a_run_is_another_with_any_other_setting_map_or_measure(tmp_path: Path) 
         for settings in ({"seed": 0}, {"seed": 0, "map": "jh-like"}, {"seed": 0, "speed": 0.2})
     )
     assert plain.key == small(tmp_path, seed=0)[0].key
-    measured = runs.identity(plain.scenario, "something else", "the map")
+    measured = runs.identity(plain.scenario, "something else", b"")
     assert len({plain.key, other.key, slow.key, measured}) == 4
 
 
