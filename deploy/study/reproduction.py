@@ -117,14 +117,12 @@ def asked(names: Sequence[str], *, quick: bool, settings: dict[str, Any]) -> dic
         claim = experiment.claim.id if experiment.claim is not None else None
         if claim in found:
             experiment = experiments.quickened(experiment) if quick else experiment
-            experiment = _on_maps_at_hand(experiments.override(experiment, settings))
-            if experiment.grid.get("map", True):
-                found[claim].append(experiment)
+            found[claim].append(_on_maps_at_hand(experiments.override(experiment, settings)))
     return found
 
 
 def _on_maps_at_hand(experiment: Experiment) -> Experiment:
-    """The experiment without map files that are not there: real buildings are not shipped."""
+    """The experiment without map files that are not there: real buildings are not shipped. No run decides nothing."""
     maps = experiment.grid.get("map", [])
     there = [each for each in maps if not (str(each).endswith(".yaml") and not Path(str(each)).exists())]
     return experiment if there == maps else replace(experiment, grid=experiment.grid | {"map": there})
