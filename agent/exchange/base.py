@@ -67,6 +67,11 @@ class Exchange(ABC):
         `peers` are the teammates in range: what they have told so far they can still correct.
         """
 
+    def pose(self, about: int) -> tuple[int, int] | None:
+        """From which cell (x, y) the maker of a map looked last, if what it tells of the map says so."""
+        del about
+        return None
+
     def error(self, own: Grid) -> int:
         """Cells in which `own` and what one has told of it differ (d(t) of Eq. 6.1); none where scans travel."""
         del own
