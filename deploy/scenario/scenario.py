@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import tomllib
 from dataclasses import fields
 from pathlib import Path
@@ -377,9 +378,15 @@ def read_toml(path: Path, kind: str, shipped: Path | None = None) -> tuple[Path,
 
 
 def beside(path: Path, named: Any) -> Any:
-    """The map that a file names: a YAML file is looked for beside that file, a generator's name stays."""
-    is_file = isinstance(named, str) and named.endswith(MAP_FILES)
-    return str(path.parent / named) if is_file else named
+    """The map that a file names; a generator's name stays.
+
+    A YAML file is looked for beside that file, then in the folder that the environment variable MURMUR_MAPS names.
+    """
+    if not isinstance(named, str) or not named.endswith(MAP_FILES):
+        return named
+    elsewhere = Path(os.environ.get("MURMUR_MAPS", "")) / named
+    is_there = not (path.parent / named).exists() and elsewhere.exists()
+    return str(elsewhere if is_there else path.parent / named)
 
 
 def parse(data: dict[str, Any], where: str = "scenario") -> Scenario:
