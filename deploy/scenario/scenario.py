@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import tomllib
 from dataclasses import fields
 from pathlib import Path
@@ -372,7 +373,8 @@ def read_toml(path: Path, kind: str, shipped: Path | None = None) -> tuple[Path,
     except FileNotFoundError:
         names = [file.name for file in shipped.glob("*.toml")] if shipped else []
         others = f", and none of the shipped ones; {there_are(sorted(names), path.name)}" if names else ""
-        raise ScenarioError(f"{kind} {path}: no such file{others}") from None
+        setting = f"; a setting is given as --set {path}" if "=" in path.name else ""
+        raise ScenarioError(f"{kind} {path}: no such file{others}{setting}") from None
     except OSError as error:
         raise ScenarioError(f"{kind} {path}: {error.strerror or error}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -380,9 +382,15 @@ def read_toml(path: Path, kind: str, shipped: Path | None = None) -> tuple[Path,
 
 
 def beside(path: Path, named: Any) -> Any:
-    """The map that a file names: a YAML file is looked for beside that file, a generator's name stays."""
-    is_file = isinstance(named, str) and named.endswith(MAP_FILES)
-    return str(path.parent / named) if is_file else named
+    """The map that a file names; a generator's name stays.
+
+    A YAML file is looked for beside that file, then in the folder that the environment variable MURMUR_MAPS names.
+    """
+    if not isinstance(named, str) or not named.endswith(MAP_FILES):
+        return named
+    elsewhere = Path(os.environ.get("MURMUR_MAPS", "")) / named
+    is_there = not (path.parent / named).exists() and elsewhere.exists()
+    return str(elsewhere if is_there else path.parent / named)
 
 
 def parse(data: dict[str, Any], where: str = "scenario") -> Scenario:
@@ -412,9 +420,21 @@ _KEYS = {
 """What may be set in each table."""
 
 
+_WORDS = {
+    "Input should be": "must be",
+    "a valid integer": "a whole number",
+    "a valid number": "a number",
+    "a valid string": "text",
+    ", unable to parse string as an integer": "",
+}
+"""What the checking library says, and how we say it."""
+
+
 def _explain(item: Any) -> str:
     key = ".".join(str(part) for part in item["loc"] if part not in ("int", "literal['unlimited']"))
     message = str(item["msg"]).removeprefix("Value error, ")
+    for theirs, ours in _WORDS.items():
+        message = message.replace(theirs, ours)
     if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         table = ".".join(str(part) for part in item["loc"][:-1] if isinstance(part, str))
         return f"{key} is no setting; {there_are(_KEYS[table], str(item['loc'][-1]))}"

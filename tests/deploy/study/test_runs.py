@@ -133,7 +133,7 @@ def test_dotted_keys_of_the_grid_set_one_key_of_a_table(tmp_path: Path) -> None:
     ("settings", "said"),
     [
         ({"robots": [1, 0]}, "robots = 0, seed = 0, variant = polygons): robots = 0: "),
-        ({"seed": None}, "seed = None: Input should be a valid integer"),
+        ({"seed": None}, "seed = None: must be a whole number"),
         ({"seed": []}, "--set seed = []: must be a list of values"),
         ({"variant": 3}, "--variant NAME chooses"),
         ({"robtos": 3}, "robtos is no setting"),
