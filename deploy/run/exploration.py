@@ -145,7 +145,7 @@ _SHOWN = ("steps", "coverage", "map_agreement", "t90", "t99", "strategy", "excha
 def explore(
     scenario: Scenario | None = None,
     *,
-    out: Path | None = None,
+    out: Path | str | None = None,
     keep: bool = True,
     watch: Callable[[Plan, Records], object] | None = None,
     tell: Callable[[str], object] = lambda _: None,
@@ -162,7 +162,7 @@ def explore(
     ----------
     scenario : Scenario, optional
         ``Scenario(robots=5)`` or ``deploy.scenario.scenario.load(path, {})`` makes one; the defaults if left out.
-    out : Path, optional
+    out : Path or str, optional
         The run directory; a new one under ``runs`` if left out.
     keep : bool
         Whether to write a run directory at all.
@@ -196,6 +196,8 @@ def explore(
     """
     if not keep and (window is not None or snapshots):
         raise ValueError("a run that is shown, or whose maps are kept, needs a directory: keep = True")
+    if not keep and out is not None:
+        raise ValueError(f"out = {str(out)!r}: with keep = False nothing is written; leave one of them out")
     scenario = scenario_of(scenario, settings)
     wait: Callable[[], object] = Pace(pace).wait if pace is not None else _nothing
     plan = plans.make(scenario, lives=_lives(scenario, hosts) if restart else 1)
@@ -210,7 +212,7 @@ def explore(
         Fleet(hosts, scenario.robots, tell) if hosts is not None else contextlib.nullcontext() as fleet,
         interrupt.caught() if keep else contextlib.nullcontext(),
     ):
-        directory = run_directory.create(out, plan) if keep else None
+        directory = run_directory.create(Path(out) if out is not None else None, plan) if keep else None
         logs = directory / run_directory.LOGS if directory is not None else None
         journals = directory / run_directory.JOURNALS if directory is not None else None
         began = time.perf_counter()
@@ -287,7 +289,18 @@ def _lives(scenario: Scenario, hosts: Hosts | None) -> int:
 
 
 def scenario_of(scenario: Scenario | None, settings: Mapping[str, Any]) -> Scenario:
-    """Lay settings over a scenario, or over the defaults; ScenarioError names all that is wrong."""
+    """Lay settings over a scenario, or over the defaults; ScenarioError names all that is wrong.
+
+    Raises
+    ------
+    TypeError
+        It is no scenario.
+    """
+    if not isinstance(scenario, Scenario | None):
+        raise TypeError(
+            f"scenario = {scenario!r}: must be a Scenario; settings are given by name, as in "
+            "explore(map='office', robots=3), and deploy.scenario.scenario.load(Path('office.toml'), {}) reads a file"
+        )
     if scenario is not None and not settings:
         return scenario
     return parse((scenario.model_dump() if scenario is not None else {}) | dict(settings))

@@ -21,7 +21,7 @@ from deploy.dashboard.watch import announced
 from deploy.record.records import LabNode, Records
 from deploy.record.wire_bytes import Meter
 from deploy.run.meeting import Meeting, on_loopback
-from deploy.run.process_table import ProcessTable
+from deploy.run.process_table import FORK_SERVER, ProcessTable
 from deploy.run.processes import WorldTask, serve_agent, serve_relay, serve_view, serve_world, silence_s
 from deploy.run.ssh import Fleet
 from deploy.scenario.plan import Plan
@@ -221,7 +221,7 @@ def _attend(
         end_the_lost(lab.records)
         if look_after_all() and not lab.records.world:
             lab.send_home()  # no first step can come
-        return names.WORLD in deaths
+        return bool({names.WORLD, FORK_SERVER} & deaths.keys())
 
     with contextlib.closing(bus):
         try:
@@ -231,9 +231,14 @@ def _attend(
             look_after_all().setdefault(names.RELAY, str(error))
     if lab.records.end is not None and lab.records.end.step < 0:
         time.sleep(POLL_S)  # likewise
-    for robot in map(names.robot, lab.records.lost):
-        processes.await_end(robot, FAREWELL_S)  # the relay has heard of it before the system tells
+    for robot, cause in lab.records.lost.items():
+        if cause == ENDED:
+            processes.await_end(
+                names.robot(robot), FAREWELL_S
+            )  # the relay has heard of it before the system tells
     look_after_all()
+    if names.RELAY in deaths:
+        processes.forget_who_left()
     return Outcome(lab.records, deaths)
 
 

@@ -19,6 +19,7 @@ from setproctitle import setproctitle
 
 from agent.journal import Journal, JournalError
 from agent.process import AgentNode
+from deploy.run import orphans
 from deploy.run.last_words import traceback_of
 from deploy.run.patience import PATIENCE_S, Patience
 from netshaper.hub import open_hub
@@ -172,6 +173,7 @@ def _serve(bus: Bus, node: WorldNode | AgentNode, patience: Patience | None = No
 def in_background(name: str, log: Path, serve: Callable[..., None], *args: object) -> None:
     """Run `serve` as a child of the launcher: its output goes to `log`; Ctrl-C is handled by the launcher."""
     setproctitle(f"murmur {name}")
+    orphans.end_with_launcher()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     os.dup2(file, 1)

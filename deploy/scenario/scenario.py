@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import tomllib
 from dataclasses import fields
 from pathlib import Path
@@ -208,7 +209,7 @@ class Scenario(_Table):
     @field_validator("bandwidth", mode="before")
     @classmethod
     def _bandwidth_makes_sense(cls, value: object) -> object:
-        if isinstance(value, str) and value.strip().isdecimal():
+        if isinstance(value, str) and value.isascii() and value.strip().isdecimal():
             value = int(value)
         if value != UNLIMITED and (type(value) is not int or not 0 <= value <= MOST_INTEGER):
             raise ValueError(f"must be a whole number of bytes a step, 0 to {MOST_INTEGER}, or 'unlimited'")
@@ -369,11 +370,16 @@ def read_toml(path: Path, kind: str, shipped: Path | None = None) -> tuple[Path,
     if shipped and len(path.parts) == 1 and not path.exists() and (shipped / path.name).exists():
         path = shipped / path.name
     try:
-        return path, tomllib.loads(path.read_text(encoding="utf-8"))
+        if path.is_char_device() or path.is_block_device():
+            raise ScenarioError(f"{kind} {path}: is a device, not a file")
+        return path, tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except RecursionError:
+        raise ScenarioError(f"{kind} {path}: is nested too deeply") from None
     except FileNotFoundError:
         names = [file.name for file in shipped.glob("*.toml")] if shipped else []
         others = f", and none of the shipped ones; {there_are(sorted(names), path.name)}" if names else ""
-        raise ScenarioError(f"{kind} {path}: no such file{others}") from None
+        setting = f"; a setting is given as --set {path}" if "=" in path.name else ""
+        raise ScenarioError(f"{kind} {path}: no such file{others}{setting}") from None
     except OSError as error:
         raise ScenarioError(f"{kind} {path}: {error.strerror or error}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -381,9 +387,15 @@ def read_toml(path: Path, kind: str, shipped: Path | None = None) -> tuple[Path,
 
 
 def beside(path: Path, named: Any) -> Any:
-    """The map that a file names: a YAML file is looked for beside that file, a generator's name stays."""
-    is_file = isinstance(named, str) and named.endswith(MAP_FILES)
-    return str(path.parent / named) if is_file else named
+    """The map that a file names; a generator's name stays.
+
+    A YAML file is looked for beside that file, then in the folder that the environment variable MURMUR_MAPS names.
+    """
+    if not isinstance(named, str) or not named.endswith(MAP_FILES):
+        return named
+    elsewhere = Path(os.environ.get("MURMUR_MAPS", "")) / named
+    is_there = not (path.parent / named).exists() and elsewhere.exists()
+    return str(elsewhere if is_there else path.parent / named)
 
 
 def parse(data: dict[str, Any], where: str = "scenario") -> Scenario:
@@ -413,9 +425,21 @@ _KEYS = {
 """What may be set in each table."""
 
 
+_WORDS = {
+    "Input should be": "must be",
+    "a valid integer": "a whole number",
+    "a valid number": "a number",
+    "a valid string": "text",
+    ", unable to parse string as an integer": "",
+}
+"""What the checking library says, and how we say it."""
+
+
 def _explain(item: Any) -> str:
     key = ".".join(str(part) for part in item["loc"] if part not in ("int", "literal['unlimited']"))
     message = str(item["msg"]).removeprefix("Value error, ")
+    for theirs, ours in _WORDS.items():
+        message = message.replace(theirs, ours)
     if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         table = ".".join(str(part) for part in item["loc"][:-1] if isinstance(part, str))
         return f"{key} is no setting; {there_are(_KEYS[table], str(item['loc'][-1]))}"

@@ -58,6 +58,14 @@ FILES = {
     "list.json": "[]",
     "short.json": '{"run": "a", "name": "r0"}',
     "nowhere.json": '{"run": "a", "name": "r0", "hub": "the hub", "password": "x"}',
+    "deep.toml": "options = " + 5000 * "[" + 5000 * "]",
+    "deep.yaml": 5000 * "[" + 5000 * "]",
+    "deep.json": 100_000 * "[",
+    "endless.yaml": YAML.format(image="/dev/zero"),
+    "coarse.yaml": YAML.format(image="room.png").replace("0.1", "900000", 1),
+    "afar.yaml": YAML.format(image="room.png").replace("[0, 0, 0]", "[1.0e+308, 0, 0]"),
+    "star.json": '{"run": "a*", "name": "r0", "hub": "tcp/127.0.0.1:1", "password": "x"}',
+    "port.json": '{"run": "a", "name": "r0", "hub": "tcp/127.0.0.1:99999", "password": "x"}',
     "bob.json": '{"run": "a", "name": "bob", "hub": "tcp/127.0.0.1:1", "password": "x"}',
 }
 
@@ -108,14 +116,16 @@ EXPLORE = {
     "--strategy leaders --range 5 --option rho_lead=6": "not rho_lead = 6 m with a range of 5 m: a leader that cannot",
     "--range -5%": "range = '-5%': must be a distance",
     "--range far": "range = 'far': must be a distance",
-    "--robots 0": "robots = 0: Input should be greater than or equal to 1",
+    "--robots 0": "robots = 0: must be greater than or equal to 1",
     "--robots 65": "robots = 65: packets can name the maps of 64 robots",
     "--robots three": "Invalid value for '--robots'",
     "--robots 30 --map small.yaml": "30 robots do not fit: 16 free cells lie 3 cells apart",
     "--strategy best": "no strategy is called 'best'; there are: burgard,",
+    "robots=3": "no such file, and none of the shipped ones",
+    "--strategy agent.strategies.meier:Meyer": "agent.strategies.meier has no Meyer; did you mean Meier?",
     "--exchange radio": "exchange = 'radio': no exchange is called 'radio'; there are: polygon, laser, grid, sight",
-    "--offers never": "offers = 'never': Input should be 'backoff', 'thesis' or 'gossip'",
-    "--bus can": "bus = 'can': Input should be 'zenoh' or 'memory'",
+    "--offers never": "offers = 'never': must be 'backoff', 'thesis' or 'gossip'",
+    "--bus can": "bus = 'can': must be 'zenoh' or 'memory'",
     "--option beta": "option = 'beta': must be NAME=VALUE, as beta=0.5",
     "--option gamma=3": "meier has no option 'gamma'; there are: candidates,",
     "--option beta=x": "option beta of meier must be float, not 'x'",
@@ -125,10 +135,10 @@ EXPLORE = {
     "--bandwidth nan": "bandwidth = 'nan': must be a whole number of bytes a step",
     "--sensor-range 0.05": "sensor_range = 0.05 m of robot 0 is less than a cell of 0.1 m",
     "--sensor-range nan": "sensor_range = nan",
-    "--speed 0": "speed = 0.0: Input should be greater than 0",
+    "--speed 0": "speed = 0.0: must be greater than 0",
     "--speed nan": "speed = nan",
-    "--steps 0": "steps = 0: Input should be greater than or equal to 1",
-    "--seed -1": "seed = -1: Input should be greater than or equal to 0",
+    "--steps 0": "steps = 0: must be greater than or equal to 1",
+    "--seed -1": "seed = -1: must be greater than or equal to 0",
     "--start 0,0": "cell (0, 250) is not free: robots cannot start there; murmur map show office draws where",
     "--start -50,3": "is not free: robots cannot start there",
     "--start nan,1": "start.0 = nan",
@@ -142,7 +152,7 @@ EXPLORE = {
     "full": "scenario full: Is a directory",
     "broken.toml": "scenario broken.toml: not TOML: Invalid value (at line 1, column 10)",
     "unknown.toml": "scenario unknown.toml: robtos is no setting; did you mean robots or robot or options? There",
-    "type.toml": "scenario type.toml: robots = 'three': Input should be a valid integer",
+    "type.toml": "scenario type.toml: robots = 'three': must be a whole number",
     "table.toml": "robot.0.spede is no setting; did you mean speed? There are: robot, sensor_range,",
     "death.toml": "[[death]] speaks of robot 5; the last one is 1",
     "nan.toml": "scenario nan.toml: speed = nan",
@@ -151,6 +161,14 @@ EXPLORE = {
     "wide.toml": "start on map room: no cell is free for robots of that radius",
     "wall.toml": "start on map room: cell (0, 9) is not free",
     "blind.toml": "sensor_range = 0.01 m of robot 1 is less than a cell of 0.1 m",
+    "deep.toml": "scenario deep.toml: is nested too deeply",
+    "/dev/zero": "scenario /dev/zero: is a device, not a file",
+    "--map deep.yaml": "deep.yaml: is nested too deeply; a map_server YAML file has `key: value` lines",
+    "--map endless.yaml": "/dev/zero: cannot be read (it is a device); a map's picture must be a PGM or PNG file",
+    "--map coarse.yaml": "resolution is 900000.0, not a number of metres a cell above 0, 1000 at most",
+    "--map afar.yaml": "origin is [1e+308, 0.0, 0.0], not three numbers of 1e+08 at most",
+    f"--set options={5000 * '[' + 5000 * ']'}": "set = 'options=...': is nested too deeply",
+    "--set radius=1e6 --set sensor_range=1e6": "radius = 1e+06 m: no map is as large as that, with cells of 0.1 m",
     "--nonsense": "No such option: --nonsense",
 }
 
@@ -165,7 +183,7 @@ OTHERS = {
     "replay half": "half: no readable summary.json",
     "replay other": "other: summary.json is not that of a run, for it has no finished, reason, steps,",
     "replay whole": "whole: summary.json is not that of a run, for it has no finished, reason, steps,",
-    "replay whole --bus can": "bus = 'can': Input should be 'zenoh' or 'memory'",
+    "replay whole --bus can": "bus = 'can': must be 'zenoh' or 'memory'",
     "report full": "full: no run directory, for it has no scenario.toml",
     "export full --mcap": "full: no run directory, for it has no scenario.toml",
     "watch full": "full: no recording (run.rrd), and no run is under way there",
@@ -180,6 +198,7 @@ OTHERS = {
     "capture full --step 5-2": "step = '5-2': the first step comes first, as in 10-20",
     "sweep missing.toml": "experiment missing.toml: no such file, and none of the shipped ones; there are:",
     "sweep broken.toml": "experiment broken.toml: not TOML",
+    "strategy": "no command is called 'strategy'; did you mean strategies? There are: explore, watch",
     "strategies burgart": "no strategy is called 'burgart'; did you mean burgard or burgard-optimal?",
     "bench speed": "no bench is called 'speed'; there are: kernels, bus, swarm",
     "run agent": "Missing option '--credential'",
@@ -188,6 +207,10 @@ OTHERS = {
     "run agent --credential list.json": "credential list.json: needs the texts run, name, hub, password",
     "run agent --credential short.json": "credential short.json: needs the texts run, name, hub, password",
     "run agent --credential nowhere.json": "hub = 'the hub': must be as tcp/127.0.0.1:7447",
+    "run agent --credential deep.json": "credential deep.json: not JSON",
+    "run agent --credential star.json": "a run cannot be called 'a*': use letters, digits",
+    "run agent --credential port.json": "hub = 'tcp/127.0.0.1:99999': must be as tcp/127.0.0.1:7447",
+    "run netshaper --listen 127.0.0.1:٣": "with a port from 1 to 65535",
     "run agent --credential bob.json": "'bob' is not a robot's name",
     "run worldsim --credential r0.json": "credential r0.json is that of r0; world.json is needed here",
     "run lab --credential r0.json": "credential r0.json is that of r0; lab.json is needed here",
@@ -216,6 +239,14 @@ def test_bad_input_is_named_with_what_would_be_right_and_leaves_nothing_behind(
     assert "Traceback" not in said
     assert said.startswith(("murmur: ", "Usage: "))
     assert contents(desk) == before
+
+
+def test_a_scenario_may_begin_with_a_byte_order_mark(desk: Path) -> None:
+    (desk / "mark.toml").write_bytes(
+        b"\xef\xbb\xbf" + b'map = "room.yaml"\nrobots = 1\nsteps = 1\nbus = "memory"\n'
+    )
+    assert murmur("explore", "mark.toml", "--sensor-range", "1", "--out", "[/x]").exit_code in (0, 1)
+    assert (desk / "[/x]" / "summary.json").exists()
 
 
 def test_several_things_that_are_wrong_are_all_named(desk: Path) -> None:
