@@ -214,11 +214,16 @@ def _over_budget(ledger: NDArray[np.void], bandwidth: int | str, *, each: bool) 
 def _undelivered(ledger: NDArray[np.void]) -> dict[str, int]:
     """Frames that were not delivered whole, by cause."""
     cut = ledger[ledger["cause"] > 0]
-    frames = np.unique(cut[["step", "exchange", "connection", "frame", "sender", "receiver", "map", "cause"]])
+    whose = cut[["step", "exchange", "connection", "frame", "sender", "receiver", "map", "cause"]]
+    belongs = cut["connection"] >= 0
+    # Of frames of no connection the order of the rows tells where one ends: within it kinds ascend.
+    starts = np.ones(len(cut), np.bool_)
+    starts[1:] = (whose[1:] != whose[:-1]) | (cut["kind"][1:] <= cut["kind"][:-1])
+    causes = np.concatenate([np.unique(whose[belongs])["cause"], cut["cause"][starts & ~belongs]])
     return {
-        cause: int((frames["cause"] == number).sum())
+        cause: int((causes == number).sum())
         for number, cause in enumerate(CAUSES)
-        if cause and (frames["cause"] == number).any()
+        if cause and (causes == number).any()
     }
 
 

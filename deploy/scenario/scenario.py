@@ -208,7 +208,7 @@ class Scenario(_Table):
     @field_validator("bandwidth", mode="before")
     @classmethod
     def _bandwidth_makes_sense(cls, value: object) -> object:
-        if isinstance(value, str) and value.strip().isdecimal():
+        if isinstance(value, str) and value.isascii() and value.strip().isdecimal():
             value = int(value)
         if value != UNLIMITED and (type(value) is not int or not 0 <= value <= MOST_INTEGER):
             raise ValueError(f"must be a whole number of bytes a step, 0 to {MOST_INTEGER}, or 'unlimited'")
@@ -365,7 +365,11 @@ def read_toml(path: Path, kind: str, shipped: Path | None = None) -> tuple[Path,
     if shipped and len(path.parts) == 1 and not path.exists() and (shipped / path.name).exists():
         path = shipped / path.name
     try:
-        return path, tomllib.loads(path.read_text(encoding="utf-8"))
+        if path.is_char_device() or path.is_block_device():
+            raise ScenarioError(f"{kind} {path}: is a device, not a file")
+        return path, tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except RecursionError:
+        raise ScenarioError(f"{kind} {path}: is nested too deeply") from None
     except FileNotFoundError:
         names = [file.name for file in shipped.glob("*.toml")] if shipped else []
         others = f", and none of the shipped ones; {there_are(sorted(names), path.name)}" if names else ""

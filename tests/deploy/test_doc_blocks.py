@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import gc
 import os
 import re
 import shlex
@@ -112,6 +113,8 @@ def test_the_blocks_of_a_page_do_what_they_say(
             exec(compile(block.text, str(page), "exec"), names)
         else:
             assert rule in ("", "shell", "output"), f"{page.name}: there is no rule {block.rule!r}"
+    names.clear()
+    gc.collect()  # strategies that a page defines are not there for other tests
 
 
 def run(line: str) -> None:
