@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -13,10 +15,10 @@ from agent.settings import Settings
 from deploy.record.records import Records
 from deploy.record.versions import versions
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import UNLIMITED
 from netshaper.ledger import CAUSES, sort_rows
+from netshaper.medium import UNLIMITED
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
-from protocol.messages import End
+from protocol.messages import Change, End
 from protocol.packets import ALL_KINDS
 
 SCAN_VALUES, VALUE_BYTES = 362, 2
@@ -65,7 +67,7 @@ def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "packets": packets,
         "approximation_error": _approximation_error(records, wanted, int(reachable.sum())),
         "approximation_error_net": _net_error(records, wanted, int(reachable.sum())),
-        "over_budget_steps": _over_budget(ledger, scenario.bandwidth),
+        "over_budget_steps": _over_budget(ledger, plan.radio.budget, records.changes),
         "wire_bytes": records.wire_bytes,
         "undelivered": _undelivered(ledger),
         "lost": {str(robot): cause for robot, cause in sorted(records.lost.items())},
@@ -197,12 +199,22 @@ def _explored_at(plan: Plan, steps: int) -> int:
     return steps - sure_after(Settings.from_message(plan.minds[0]))
 
 
-def _over_budget(ledger: NDArray[np.void], bandwidth: int | str) -> int:
-    """Steps that carried more than the budget: there must be none."""
-    if bandwidth == UNLIMITED or not len(ledger):
+def _over_budget(ledger: NDArray[np.void], budget: int, changes: Iterable[Change]) -> int:
+    """Steps that carried more than the budget that they had: there must be none."""
+    if not len(ledger):
         return 0
-    on_air = ledger["bytes"] * ledger["carried"]
-    return int((np.bincount(ledger["step"], weights=on_air) > int(bandwidth)).sum())
+    carried = np.bincount(ledger["step"], weights=ledger["bytes"] * ledger["carried"])
+    allowed = budgets(budget, changes, len(carried))
+    return int((carried > allowed).sum())
+
+
+def budgets(budget: int, changes: Iterable[Change], steps: int) -> NDArray[np.float64]:
+    """The budget of each step from 0 on, infinite where there is none."""
+    allowed = np.full(steps, math.inf if budget == UNLIMITED else float(budget))
+    for change in changes:
+        if change.budget >= UNLIMITED:
+            allowed[change.step :] = math.inf if change.budget == UNLIMITED else change.budget
+    return allowed
 
 
 def _undelivered(ledger: NDArray[np.void]) -> dict[str, int]:

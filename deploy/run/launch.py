@@ -20,6 +20,7 @@ from deploy.dashboard.process import ViewTask
 from deploy.dashboard.watch import announced
 from deploy.record.records import LabNode, Records
 from deploy.record.wire_bytes import Meter
+from deploy.run.control import Gate
 from deploy.run.meeting import Meeting, on_loopback
 from deploy.run.process_table import ProcessTable
 from deploy.run.processes import WorldTask, serve_agent, serve_relay, serve_view, serve_world, silence_s
@@ -78,6 +79,7 @@ def run(
     meeting: Meeting | None = None,
     journals: Path | None = None,
     revive: bool = False,
+    gate: Gate | None = None,
 ) -> Outcome:
     """Run a plan as processes; `watch` is called as records come in, at most a few times a second.
 
@@ -86,7 +88,8 @@ def run(
     second at most; `live` is a directory in which to say how to look at the run (`deploy.dashboard.watch`);
     `fleet`, whose hosts have been reached, runs its robots there, and says where all meet; without it that is
     `meeting`, or on the loopback. Where robots may come back (`Plan.lives`) their journals are in the
-    folder `journals`; with `revive` those that are lost unasked are started again.
+    folder `journals`; with `revive` those that are lost unasked are started again. `gate` is what the world passes
+    before it opens a step, where the run is controlled (`deploy.run.control`).
     """
     if logs is None:
         with tempfile.TemporaryDirectory() as folder:
@@ -103,10 +106,18 @@ def run(
                 meeting=meeting,
                 journals=journals or Path(folder) / "journals",
                 revive=revive,
+                gate=gate,
             )
     robots, patience = plan.scenario.robots, plan.scenario.patience
     world = WorldTask(
-        plan.make_world(), plan.minds, plan.scenario.steps, 1000 * plan.map.resolution, pace, patience, revive
+        plan.make_world(),
+        plan.minds,
+        plan.scenario.steps,
+        1000 * plan.map.resolution,
+        pace,
+        patience,
+        revive,
+        gate,
     )
     meeting = fleet.meeting if fleet is not None else meeting or on_loopback(robots)
     elsewhere = fleet.robots if fleet is not None else set()
