@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, cast
 
 from protocol.errors import there_are
 
@@ -55,6 +55,11 @@ class Plugins(Generic[Base]):
             return self._imported(name)
         installed = self.installed()
         if name not in installed:
+            module = Path(name.replace("-", "_")).stem
+            if name.endswith(".py") or Path(f"{module}.py").is_file():
+                raise ValueError(
+                    f"{module}.py is a file: give the {self.what} in it as {module}:Class, from its folder"
+                )
             raise ValueError(
                 f"no {self.what} is called {name!r}; {there_are([*known, *installed], name)}; or give one as "
                 "package.module:Class"
@@ -109,13 +114,21 @@ class Plugins(Generic[Base]):
             ) from None
         except Exception:
             raise ValueError(f"{self.what} {name!r} cannot be imported:\n{_own_traceback()}") from None
-        return self._checked(getattr(module, class_name, None), f"{self.what} {name!r}", class_name)
+        if not hasattr(module, class_name):
+            there = [each for each, kind in vars(module).items() if self._is_one(kind)]
+            raise ValueError(
+                f"{self.what} {name!r}: {module_name} has no {class_name}; {there_are(there, class_name)}"
+            )
+        return self._checked(getattr(module, class_name), f"{self.what} {name!r}", class_name)
+
+    def _is_one(self, kind: object) -> bool:
+        return isinstance(kind, type) and issubclass(kind, self.base) and "name" in vars(kind)
 
     def _checked(self, kind: object, where: str, named: str) -> type[Base]:
-        if not isinstance(kind, type) or not issubclass(kind, self.base) or "name" not in vars(kind):
+        if not self._is_one(kind):
             base = f"{self.base.__module__}.{self.base.__name__}"
             raise ValueError(f"{where}: {named} is no subclass of {base} with a name")
-        return kind
+        return cast("type[Base]", kind)
 
 
 def package(point: EntryPoint) -> str:

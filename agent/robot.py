@@ -36,6 +36,10 @@ TARGET_SLACK = 10
 """Where maps travel by gossip, a target that is nearer to the one told last than the so-manieth part of the sensor's
 range is not told: utilities around it are almost the same."""
 
+POSE_SLACK = 3
+"""A pose is not told that is nearer to where a robot has looked from, as it has told, than the so-manieth part of its
+sensor's range."""
+
 SURE_AFTER = 10
 """Steps for which a map with assumptions must have nothing left to explore before a robot reports that it is done:
 by then teammates have sent more of areas that looked insignificant when they first saw them."""
@@ -87,6 +91,12 @@ class Robot:
         self._slack = settings.range_cells / TARGET_SLACK if settings.offers == gossip.POLICY else 0.0
         self._pose_news: packets.Pose | None = None
         self._told: tuple[packets.Pose | None, tuple[int, ...], int] = (None, (), 0)
+        self._looked: tuple[Cell | None, tuple[int, ...]] = (None, ())
+        """Where teammates know from its looks that it was, and which of them."""
+        self._by_looks = False
+        """Whether its pose is not told in this step since looks have."""
+        self._heard_pose: dict[int, int] = {}
+        """The step in which each teammate last told its pose."""
         self._targets: dict[int, Cell] = {}
         self._heard: dict[int, int] = {}
         self._news: dict[int, Cell] = {}
@@ -130,6 +140,8 @@ class Robot:
         if self._exchange.revisable and not self._withheld and self.session.retract(self._exchange.revisable):
             self._exchange.retract()
         delivered = self.session.delivered() and not self._withheld
+        if delivered:
+            self._looked = self._exchange.pose(self.session.own), self._peers
         self._withheld += self._exchange.record(self.own, scan, change, delivered=delivered)
         if not self._strategy.withholds:
             self._publish()
@@ -147,11 +159,20 @@ class Robot:
         if self._pose_news is not None:
             last, audience, step = self._told
             known = last == self._pose_news and set(peers) <= set(audience)
+            self._by_looks = not known and self._looks_tell(self._pose_news, peers)
+            known = known or self._by_looks
             if not known or self._sense.step >= step + REPEAT_POSE:
                 said.append(self._pose_news)
         if self._target_news is not None:
             said.append(packets.Target(*self._target_news))
         return packets.encode(said) if said else None
+
+    def _looks_tell(self, pose: packets.Pose, peers: list[int]) -> bool:
+        """Whether peers know from its looks about where the robot is, and nothing else is new of its pose."""
+        cell, audience = self._looked
+        if cell is None or pose.leads or self._told[0] is None or not set(peers) <= set(audience):
+            return False
+        return math.dist(cell, (pose.x, pose.y)) < self.settings.range_cells / POSE_SLACK
 
     def hear_broadcast(self, peer: int, payload: bytes) -> None:
         """Take a teammate's broadcast."""
@@ -172,11 +193,28 @@ class Robot:
             elif isinstance(packet, packets.Target):
                 self._news[peer] = packet.x, packet.y
             else:
-                self._homes.setdefault(peer, (packet.x, packet.y))
-                before = self._poses.get(peer)
-                if before is not None:
-                    self._travel(peer, before[:2], (packet.x, packet.y))
-                self._poses[peer] = Pose(packet.x, packet.y, bool(packet.leads))
+                self._heard_pose[peer] = self._sense.step if self._sense is not None else 0
+                self._note_pose(peer, Pose(packet.x, packet.y, bool(packet.leads)))
+                if self._sense is not None:
+                    self._exchange.plausible.place(peer, self._sense.step, packet.x, packet.y)
+
+    def _note_pose(self, peer: int, pose: Pose) -> None:
+        """A teammate is somewhere."""
+        self._homes.setdefault(peer, pose[:2])
+        before = self._poses.get(peer)
+        if before is not None:
+            self._travel(peer, before[:2], pose[:2])
+        self._poses[peer] = pose
+
+    def _note_look(self, about: int) -> None:
+        """Take where a teammate is from its looks, if it has told its pose before, but not in this step."""
+        assert self._sense is not None
+        peer, cell = about % self.settings.robots, self._exchange.pose(about)
+        before = self._poses.get(peer)
+        if cell is None or before is None or before[:2] == cell:
+            return
+        if self._heard_pose[peer] < self._sense.step:
+            self._note_pose(peer, Pose(*cell, before.leads))
 
     def settle(self, outcome: Outcome, heard: list[tuple[int, bytes]]) -> None:
         """Take the outcome of an exchange, and the data that came as (peer, frame).
@@ -190,6 +228,7 @@ class Robot:
             told_by = self._told_by.setdefault(about, set())
             try:
                 units = survey.split(frame)
+                self._exchange.plausible.listen(outcome.step, peer)
                 self._exchange.take(about, units)
             except ProtocolError as error:
                 self.faults.append(Fault(peer, str(error)))
@@ -200,9 +239,11 @@ class Robot:
             else:
                 self.session.accept(peer, about, units)
                 told_by.add(peer)
+                self._note_look(about)
         if outcome.broadcast:
             self._told_target, self._target_news = self._target_news or self._told_target, None
-            self._told = self._pose_news, self._peers, outcome.step
+            if not self._by_looks:
+                self._told = self._pose_news, self._peers, outcome.step
 
     def decide(self) -> Move:
         """End a step: merge, and let the strategy say where to go."""

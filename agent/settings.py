@@ -66,6 +66,8 @@ class Settings:
         Which of its lives this is, from 0.
     home : (x, y) or None
         Cell where its first life began; None: here and now.
+    fastest_cells : float
+        Cells that the fastest robot of the team can drive in a step.
     """
 
     robot: int
@@ -93,6 +95,7 @@ class Settings:
     lives: int = 1
     life: int = 0
     home: tuple[int, int] | None = None
+    fastest_cells: float = 0.0
 
     @property
     def maps(self) -> int:

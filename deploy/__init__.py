@@ -16,18 +16,24 @@ if TYPE_CHECKING:
     from deploy.run.exploration import Result, explore
     from deploy.run.stepwise import Step, Steps, steps
     from deploy.scenario.scenario import Scenario
+    from deploy.study.comparison import compare
+    from deploy.study.sizing import size
+    from deploy.study.sweep import sweep
 
 _HOMES = {
     "Result": "deploy.run.exploration",
     "Scenario": "deploy.scenario.scenario",
     "Step": "deploy.run.stepwise",
     "Steps": "deploy.run.stepwise",
+    "compare": "deploy.study.comparison",
     "explore": "deploy.run.exploration",
+    "size": "deploy.study.sizing",
     "steps": "deploy.run.stepwise",
+    "sweep": "deploy.study.sweep",
 }
 """Public names, and where they are defined."""
 
-__all__ = ["Result", "Scenario", "Step", "Steps", "explore", "steps"]
+__all__ = ["Result", "Scenario", "Step", "Steps", "compare", "explore", "size", "steps", "sweep"]
 
 
 def __getattr__(name: str) -> Any:

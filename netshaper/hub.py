@@ -14,6 +14,9 @@ from protocol import keys as names
 from protocol.keys import Keys
 from protocol.zenoh_bus import Certificate, Credential, ZenohBus, insert, mutual_tls, plain_config
 
+MOST_BYTES = 1 << 25
+"""Of a message that anybody sends to the hub: whoever sends a longer one is cut off."""
+
 
 def open_hub(
     run: str, endpoint: str, credentials: Mapping[str, Credential], certificate: Certificate | None = None
@@ -34,6 +37,7 @@ def open_hub(
     insert(config, "listen/endpoints", [endpoint])
     by = access.PASSWORDS if certificate is None else access.CERTIFICATES
     insert(config, "access_control", access.rules(keys, robots, by))
+    insert(config, "transport/link/rx/max_message_size", MOST_BYTES)
     with tempfile.TemporaryDirectory() as folder:
         if certificate is not None:
             insert(config, "transport/link/tls", mutual_tls(certificate, "listen"))

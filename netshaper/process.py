@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from netshaper.imperfect import radio
 from netshaper.ledger import EVERYONE
-from netshaper.medium import Medium
+from netshaper.medium import UNLIMITED, Medium
 from netshaper.radio import Frame, Outgoing, RadioSettings
 from protocol import keys as names
 from protocol import rights
@@ -46,6 +46,9 @@ _RECEIVER = itemgetter(0)
 ENDED = "its process ended"
 """Why a robot is lost that has left the bus."""
 
+LEAST_FRAME, MOST_FRAME = 64, 1 << 24
+"""Bytes of a frame that are taken from a robot besides the budget; and where there is none."""
+
 NOBODY = -99
 """Receiver of a frame that is addressed to a name which belongs to no robot."""
 
@@ -68,6 +71,8 @@ class RelayNode:
         }
         """Sender and receiver of each radio key of the robots."""
         self._hears_at = [[keys.radio_rx(hearer, sender) for sender in robots] for hearer in robots]
+        self._most_bytes = MOST_FRAME if settings.budget == UNLIMITED else settings.budget + LEAST_FRAME
+        """Of a frame: what is longer is not looked at."""
         self._told_at = [keys.control(robot, names.RELAY) for robot in robots]
         self._expected = {names.WORLD, names.LAB, *robots}
         self._present: set[str] = set()
@@ -94,10 +99,15 @@ class RelayNode:
         """Take one message from the bus."""
         key, payload = message
         ends = self._ends.get(key)
-        if ends is not None:
+        if ends is None:
+            self._take(message)
+        elif len(payload) <= self._most_bytes:
             self._radio.hear(*ends, payload)
         else:
-            self._take(message)
+            said = (
+                f"a frame of {len(payload)} bytes, where {self._most_bytes} are the most that can be carried"
+            )
+            self._fault(self._robots[ends[0]], said)
         if self._radio.faults:
             self._report_faults()
         self.done = self.going_home and not self._present
@@ -106,8 +116,10 @@ class RelayNode:
         """Take what no robot says to another."""
         key, payload = message
         plane, _, first, _ = names.parts(key)
-        if plane == "radio":
+        if plane == "radio" and len(payload) <= self._most_bytes:
             self._radio.hear(names.number(first), NOBODY, payload)
+        elif plane == "radio":
+            self._fault(first, f"a frame of {len(payload)} bytes for nobody")
         elif plane == "presence":
             self._presence(first, came=payload == b"1")
         else:

@@ -33,6 +33,7 @@ from netshaper.medium import ANSWER, BROADCAST, DATA, NEWS, OFFER, UNLIMITED, Co
 from netshaper.radio_options import RadioOptions
 from protocol import packets, survey
 from protocol.errors import ProtocolError
+from protocol.fields import MOST_CONNECTIONS
 from protocol.grid import Grid
 from protocol.keyed_random import keyed_random
 from protocol.messages import Change, Close, Open, Outcome, Record, Said, Turn
@@ -195,7 +196,11 @@ class Radio:
     def hear(self, sender: int, receiver: int, payload: bytes) -> None:
         """Take a frame that a robot put; `receiver` is `EVERYONE` for a broadcast."""
         if sender in self._waiting:
-            self._spoken[sender].frames.append((receiver, payload))
+            frames = self._spoken[sender].frames
+            if len(frames) < MOST_CONNECTIONS:
+                frames.append((receiver, payload))
+            else:
+                self.faults.append((sender, f"said more than {MOST_CONNECTIONS} frames in a phase"))
         elif sender not in self._dead:
             self._refuse(sender, receiver, DATA, payload, "protocol", "spoke out of turn")
 

@@ -9,7 +9,7 @@ SLOWEST = 0.5
 
 
 class Pace:
-    """A maximum of steps a second; later steps do not catch up after a slow one.
+    """A maximum of steps a second; later steps do not catch up after a slow one. The first `free` steps go unpaced.
 
     Raises
     ------
@@ -17,14 +17,18 @@ class Pace:
         Fewer steps a second than `SLOWEST`.
     """
 
-    def __init__(self, steps_per_s: float) -> None:
+    def __init__(self, steps_per_s: float, free: int = 0) -> None:
         if not steps_per_s >= SLOWEST:
             raise ValueError(f"pace = {steps_per_s:g}: must be {SLOWEST:g} steps a second or more")
         self._period = 1.0 / steps_per_s
         self._due = 0.0
+        self._free = free
 
     def wait(self) -> None:
         """Wait until the next step may be opened."""
+        if self._free:
+            self._free -= 1
+            return
         now = time.monotonic()
         if now < self._due:
             time.sleep(self._due - now)

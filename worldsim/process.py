@@ -77,10 +77,9 @@ class WorldNode:
         self._steps = steps
         self._cell_mm = cell_mm
         self._wait = wait
-        self._left = {
-            robot: settings.get("lives", 1) - 1 if revive else 0 for robot, settings in minds.items()
-        }
-        """How often each robot may still be started again, if it is lost unasked."""
+        self._revive = revive
+        self._left = {robot: settings.get("lives", 1) - 1 for robot, settings in minds.items()}
+        """How often each robot may still be started again."""
         self._coming: set[int] = set()
         """Robots that were lost unasked, and are being started again."""
         self._moves: dict[int, Move] = {}
@@ -215,6 +214,10 @@ class WorldNode:
         known = strike.kind in KINDS and 0 <= strike.robot < len(self._minds) and strike.steps >= 0
         if not known:
             self._report(messages.Fault(names.LAB, f"{strike} is no fault of a robot of this run"))
+        elif strike.kind == "restart" and not self._left[strike.robot]:
+            self._report(
+                messages.Fault(names.LAB, f"robot {strike.robot} cannot begin once more in this run")
+            )
         else:
             fault = Fault(max(strike.step, world.step + 1), strike.robot, strike.kind, strike.steps)
             world.faults = sorted([*world.faults, fault])
@@ -225,6 +228,7 @@ class WorldNode:
         step = self._world.step + 1
         if fault.kind == "restart":
             self._restarting.add(robot)
+            self._left[robot] -= 1
         if here and fault.kind in ("kill", "restart"):
             killed = Strike(step, robot, "kill")
             self._report(killed)
@@ -242,7 +246,7 @@ class WorldNode:
         self._lose(robot)
         self._gone.add(robot)
         self._back.discard(robot)
-        if unasked and robot not in self._restarting and self._left[robot]:
+        if unasked and self._revive and robot not in self._restarting and self._left[robot] > 0:
             self._left[robot] -= 1
             self._gone.discard(robot)
             self._coming.add(robot)

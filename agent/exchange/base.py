@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
 from typing import ClassVar
 
+from agent.exchange.plausible import Plausible
 from agent.outline.polygons import Polygons
 from agent.settings import Settings
 from protocol.grid import Grid
@@ -21,6 +22,8 @@ class Exchange(ABC):
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
+        self.plausible = Plausible(settings)
+        """What teammates can have seen by now."""
 
     @classmethod
     def guesses(cls, settings: Settings) -> bool:
@@ -52,7 +55,8 @@ class Exchange(ABC):
         Raises
         ------
         ProtocolError
-            They make no sense; nothing has changed.
+            They make no sense, or tell of more than their maker can have seen (`agent.exchange.plausible`); nothing has
+            changed.
         """
 
     @abstractmethod
@@ -62,6 +66,11 @@ class Exchange(ABC):
         It is written over by the next call. All that changes `own` in between has been recorded.
         `peers` are the teammates in range: what they have told so far they can still correct.
         """
+
+    def pose(self, about: int) -> tuple[int, int] | None:
+        """From which cell (x, y) the maker of a map looked last, if what it tells of the map says so."""
+        del about
+        return None
 
     def error(self, own: Grid) -> int:
         """Cells in which `own` and what one has told of it differ (d(t) of Eq. 6.1); none where scans travel."""

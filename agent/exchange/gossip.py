@@ -288,7 +288,9 @@ class Gossip:
         for about in self._gaps:
             due[about] |= self._step >= self._asked[about] + PATIENCE
         if self._parted and self._step % SELDOM == self._robot % SELDOM:
-            due[self._step // SELDOM % len(self.logs)] = True
+            mine = np.arange(len(self.logs)) % self._robots == self._step // SELDOM % self._robots
+            mine[self._robots :] &= held[self._robots :] > 0
+            due |= mine
         due[self.own] = False
         for about in np.flatnonzero(due).tolist():
             packet = packets.encode([_held(about, len(self.logs[about]))])

@@ -89,6 +89,8 @@ class GridExchange(Exchange):
         while (read := unpack(data, self._heard.shape)) is not None:
             x0, y0, patch, data = read
             patches.append((x0, y0, patch))
+        for x0, y0, patch in patches:
+            self.plausible.claim(about, (x0, y0, x0 + patch.shape[1], y0 + patch.shape[0]))
         self._partial[about] = data
         for x0, y0, patch in patches:
             height, width = patch.shape

@@ -60,6 +60,9 @@ class LaserExchange(Exchange):
             if len(buffer) == self._size:
                 scans.append(self._read(about, buffer))
                 buffer = b""
+        if scans:
+            x, y = [scan.x for scan in scans], [scan.y for scan in scans]
+            self.plausible.claim(about, (min(x), min(y), max(x) + 1, max(y) + 1), len(scans))
         self._partial[about] = buffer
         for scan in scans:
             change = draw(self._heard, self._fan_of(about), scan.x, scan.y, scan.readings)

@@ -14,6 +14,7 @@ from agent.exchange.base import Exchange
 from agent.exchange.changed_cells import ChangedCells
 from agent.exchange.polygon_options import PolygonOptions
 from agent.outline.approximation import Marks, approximation, repair
+from agent.outline.boxes import Boxes
 from agent.outline.claims import Drawing
 from agent.outline.contour import Tracer
 from agent.outline.edits import edit_units, script_size
@@ -24,8 +25,11 @@ from agent.outline.receiver import Receiver
 from agent.outline.simplify import by_distance, mixed_first, refine
 from agent.outline.splitting import SplitAllowance, Splitting
 from agent.settings import Settings
+from protocol import packets
 from protocol.grid import Grid
 from protocol.scans import Change, Scan
+
+SAVE = packets.encode([packets.Save()])
 
 
 class PolygonExchange(Exchange):
@@ -117,7 +121,14 @@ class PolygonExchange(Exchange):
 
     def take(self, about: int, units: list[bytes]) -> None:
         """Rebuild a teammate's approximation."""
-        if self._receivers[about].feed(b"".join(units)):
+        saves = units.count(SAVE)
+
+        def check(boxes: Boxes) -> None:
+            if len(boxes):
+                (x0, y0), (x1, y1) = boxes[:, :2].min(axis=0).tolist(), boxes[:, 2:].max(axis=0).tolist()
+                self.plausible.claim(about, (x0, y0, x1, y1), saves)
+
+        if self._receivers[about].feed(b"".join(units), check):
             self._news.add(about)
 
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:

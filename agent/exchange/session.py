@@ -165,6 +165,8 @@ class Session:
         self._offered: dict[int, Connection] = {}
         self._taken: dict[int, Connection] = {}
         self._being_taken: set[int] = set()
+        self._heard = 0
+        """Up to which unit one's own log has reached teammates in lives that are over."""
         self._own_maps = np.arange(robots)
         """The number of each robot's own map, in the life that it is in, as far as one has heard."""
 
@@ -192,7 +194,7 @@ class Session:
     def retract(self, count: int) -> bool:
         """Take the last `count` units of one's own log back, if nobody has heard any of them; say whether."""
         log = self.logs[self.own]
-        if len(log) - count < max((known[self.own] for known in self.known), default=0):
+        if len(log) - count < max(self._heard, *self.known[:, self.own].tolist()):
             return False
         log.retract(count)
         return True
@@ -355,6 +357,7 @@ class Session:
         """Who offers the map of a new life of its own has begun anew, and holds nothing of what it was sent before."""
         if about % self._robots == peer and about > self._own_maps[peer]:
             self._own_maps[peer] = about
+            self._heard = max(self._heard, int(self.known[peer, self.own]))
             self.known[peer] = self._due[peer] = 0
             self._wait[peer] = 1
 

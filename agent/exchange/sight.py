@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.exchange.base import Exchange
+from agent.exchange.changed_cells import ChangedCells
 from agent.exchange.laser import lay_over
 from agent.exchange.sight_options import SightOptions
-from agent.outline.boxes import whole
+from agent.outline.boxes import NO_BOXES, united, whole
 from agent.settings import Settings
 from agent.sight.looks import MAX_LOOKS, STATE, TOLD
 from agent.sight.stream import Box, History, Stream, Told, around
@@ -28,13 +29,13 @@ from protocol.kernels import kernel
 from protocol.packets import LAST_LOOK_DATA, LOOK_DATA, LOOK_NUMBERS, SHORT_HEAD, Look, encode, look
 from protocol.scans import Change, Scan
 
-ENOUGH_CELLS = 8
+ENOUGH_CELLS = 14
 """New cells for which a unit is worth its head."""
 
-ENOUGH_STEPS = 3
+ENOUGH_STEPS = 4
 """Steps that fewer new cells wait at most, on a narrow medium."""
 
-FAIR_SHARE = 20
+FAIR_SHARE = 28
 """Bytes a robot and step with which they wait for one step, with half of it for two, and so on."""
 
 
@@ -90,6 +91,9 @@ class SightExchange(Exchange):
         ]
         self._heard: Grid = np.zeros(shape, np.uint8)
         """What all have told."""
+        self._heard_boxes = NO_BOXES
+        self._own_news = ChangedCells()
+        self._planning: Grid | None = None
         room = (
             LAST_LOOK_DATA
             if settings.bandwidth is None
@@ -110,6 +114,7 @@ class SightExchange(Exchange):
 
     def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
         """Write a unit, if the one before has been said and there is enough to tell."""
+        self._own_news.add(own, change)
         waiting = self._waiting
         if change.cells:
             waiting.poses.append((scan.x, scan.y))
@@ -138,7 +143,7 @@ class SightExchange(Exchange):
             unit = stream.encode(own, waiting.poses[first : first + MAX_LOOKS], box, last=last)
             if unit is not None:
                 message, told = unit
-                _update(self._grids, told.places, self._heard)
+                self._lay(told)
                 packets += pieces(message, number, self._most)
                 self._last = told
                 self.revisable = len(packets) if len(waiting.poses) <= MAX_LOOKS else 0
@@ -150,7 +155,7 @@ class SightExchange(Exchange):
         assert self._last is not None
         self._streams[maker].undo()
         self._histories[maker].pop()
-        _update(self._grids, self._last.places, self._heard)
+        self._lay(self._last)
         said, waiting = self._said, self._waiting
         self._waiting = _Waiting(
             said.poses + waiting.poses, said.boxes + waiting.boxes, said.steps + waiting.steps
@@ -175,9 +180,9 @@ class SightExchange(Exchange):
                 number += 1
                 rest = b""
         if whole and not coming.whole:
-            first = self._streams[about].decode(whole[0])
+            first = self._decode(about, whole[0])
             if first is not None:
-                _update(self._grids, first.places, self._heard)
+                self._lay(first)
                 whole = whole[1:]
         coming.pieces, coming.units = rest, number
         coming.whole += whole
@@ -191,25 +196,52 @@ class SightExchange(Exchange):
             for maker, coming in enumerate(self._coming):
                 while coming.whole and not coming.broken:
                     try:
-                        told = self._streams[maker].decode(coming.whole[0])
+                        told = self._decode(maker, coming.whole[0])
                     except ProtocolError as error:
                         coming.broken = error.reason
                         coming.whole.clear()
                         break
                     if told is None:
                         break
-                    _update(self._grids, told.places, self._heard)
+                    self._lay(told)
                     del coming.whole[0]
                     progress = True
+
+    def _decode(self, maker: int, unit: bytes) -> Told | None:
+        """Read a unit that tells of no more than its maker can have seen."""
+        told = self._streams[maker].decode(unit)
+        if told is not None:
+            try:
+                self.plausible.claim(maker, told.box)
+            except ProtocolError:
+                self._streams[maker].undo()
+                self._histories[maker].pop()
+                raise
+        return told
 
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
         """Lay the robot's own grid over what all have told."""
         del peers
         for robot, history in enumerate(self._histories):
             history.forget(min((s.builds_from(robot) for s in self._streams if s.maker != robot), default=0))
-        planning = np.empty_like(own)
-        lay_over(self._heard, own, whole(own.shape), planning)
-        return planning
+        changed = self._own_news.take(own)
+        if self._planning is None or changed is None:
+            self._planning, changed = np.empty_like(own), whole(own.shape)
+        for boxes in (changed, self._heard_boxes):
+            if len(boxes):
+                lay_over(self._heard, own, boxes, self._planning)
+        self._heard_boxes = NO_BOXES
+        return self._planning
+
+    def pose(self, about: int) -> tuple[int, int] | None:
+        """From where the last look of a map's units was taken."""
+        return self._streams[about].pose
+
+    def _lay(self, told: Told) -> None:
+        """Put cells of which a unit tells, or told before it was taken back, together anew."""
+        _update(self._grids, told.places, self._heard)
+        if len(told.places):
+            self._heard_boxes = united(self._heard_boxes, np.array([told.box], np.int32))
 
 
 def pieces(message: bytes, number: int, most: int) -> list[bytes]:

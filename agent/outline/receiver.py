@@ -6,6 +6,8 @@ that contradicts itself or what came before, or that says what cannot be, is ref
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from agent.outline.boxes import NO_BOXES, Boxes, united
@@ -44,8 +46,10 @@ class Receiver:
         boxes, self._changed = self._changed, NO_BOXES
         return boxes
 
-    def feed(self, data: bytes) -> bool:
+    def feed(self, data: bytes, check: Callable[[Boxes], object] = lambda _: None) -> bool:
         """Take the next piece of the stream, cut anywhere; say whether a save point was in it.
+
+        `check` is called with where the approximation changes by it, and may refuse that.
 
         Raises
         ------
@@ -59,6 +63,8 @@ class Receiver:
             _draft_of(self._shape, self._reading).read(self._pending, data)
         if found is None:
             raise RuntimeError("a piece was refused in which each packet makes sense")
+        if found[2] is not None:
+            check(found[2].boxes)
         used, self._reading, saved = found
         self._pending = piece[used:]
         if saved is not None:

@@ -20,6 +20,7 @@ from agent.planning import forces
 from agent.planning.giving_way import GivingWay
 from agent.planning.path_planner import PathPlanner
 from agent.planning.route import Route, corners, crossed
+from agent.planning.visibility import shortest_way
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Situation, Strategy
 from agent.strategies.options import option
@@ -48,10 +49,16 @@ class FieldOptions:
     damping: float = option(1.5, "viscous damping, newtons for each metre a second", least=0)
 
 
+WAYS = ("cells", "visibility")
+"""How a leader's way is found. ``cells``: from cell to cell, straightened afterwards. ``visibility``: the shortest in
+the continuous plane, by a visibility graph (III-A)."""
+
+
 @dataclass(frozen=True)
 class LeaderOptions(FieldOptions):
     """Options of `leaders`."""
 
+    way: str = option("cells", "how a leader's way is found", WAYS)
     rho_lead: float = option(4.0, "a robot that knows of no leader so near becomes one, metres")
     first: int = option(1, "how many robots, from number 0, lead throughout", least=0)
     dynamic: bool = option(True, "whether others may become leaders")
@@ -162,7 +169,13 @@ class PotentialField(Strategy):
         if self._giving_way.has_waited:
             planner = self._giving_way.pass_by(self._route, planner, situation.here, goal, situation.step)
         start = situation.x * FINE + situation.offset[0], situation.y * FINE + situation.offset[1]
-        points = corners(planner.floor, start, self._route.cells)
+        points = None
+        if self.options.way == "visibility" and not self._giving_way.has_waited:
+            points = shortest_way(planner.floor, start, frontier, float(costs.min()))
+        if points is None:
+            points = corners(planner.floor, start, self._route.cells)
+        else:
+            target = (points[-1] + FINE // 2) // FINE
         self._route.cells = crossed(start, points, self.settings.speed_cells)
         return target, points
 

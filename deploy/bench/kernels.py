@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.exchange.polygon import PolygonExchange
+from agent.exchange.sight import SightExchange
 from agent.outline.approximation import approximation, repair
 from agent.outline.claims import Drawing
 from agent.outline.contour import contours
@@ -67,6 +69,7 @@ def kernels() -> Iterator[Figure]:
     yield from _merging(walks[0], telling)
     yield _ways(walks[0], graph)
     yield _session(plan, telling.units)
+    yield from _looks(plan, walks[0])
 
 
 def _map() -> Map:
@@ -213,6 +216,33 @@ def _ways(walk: Sequence[Moment], graph: Any) -> Figure:
         raise AssertionError("costs: skimage finds other ways")
     name = "skimage's MCP_Geometric"
     return compare("costs to all cells", "ms", ours, name, theirs, "at most 0.20")
+
+
+def _looks(plan: Plan, walk: Sequence[Moment]) -> Iterator[Figure]:
+    """Tell a walk in looks and read them, against drawing its scans."""
+    settings = replace(
+        Settings.from_message(plan.minds[0]), exchange="sight", offers="gossip", bandwidth=None
+    )
+    maker, hearer = SightExchange(settings), SightExchange(replace(settings, robot=1))
+    drawn, fan = np.zeros_like(walk[0].grid), beams(plan)
+    cells = size = 0
+    written, read, scans = [], [], []
+    for moment in walk:
+        record = partial(maker.record, moment.grid, moment.scan, moment.change, delivered=True)
+        units, spent = timed(record)
+        scan = moment.scan
+        scans.append(timed(partial(draw, drawn, fan, scan.x, scan.y, scan.readings))[1])
+        written.append(spent)
+        read.append(timed(partial(hearer.take, 0, units))[1])
+        cells += moment.change.cells
+        size += sum(map(len, units))
+    _check_same(hearer.merge(np.zeros_like(drawn)), walk[-1].grid, "looks")
+    yield compare("looks of a step, written", "ms", written, "drawing its scan", scans, "at most 1 ms")
+    yield compare("looks of a step, read", "ms", read, "drawing its scan", scans, "at most 0.2 ms")
+    for what, times in (("written", written), ("read", read)):
+        seconds = sum(times) / 1000
+        yield Figure(f"looks, {what}", "cells/s", cells / seconds)
+        yield Figure(f"looks, {what}", "bytes/s", size / seconds)
 
 
 def _session(plan: Plan, units: Sequence[Sequence[list[bytes]]]) -> Figure:

@@ -39,11 +39,13 @@ class Case:
     bandwidth: int | Literal["unlimited"]
     aim_speed: str
     aim_work: str
+    offers: str = "backoff"
 
 
 CASES = (
     Case("laser", "unlimited", "at least 0.50", "at most 1"),
     Case("polygon", 1000, "at least 0.33", "at most 2"),
+    Case("sight", "unlimited", "at least 0.33", "at most 1 more than with laser", "gossip"),
 )
 
 
@@ -108,7 +110,9 @@ class _Watched:
 
 
 def _plan(case: Case) -> Plan:
-    scenario = Scenario(robots=ROBOTS, steps=STEPS, exchange=case.exchange, bandwidth=case.bandwidth)
+    scenario = Scenario(
+        robots=ROBOTS, steps=STEPS, exchange=case.exchange, bandwidth=case.bandwidth, offers=case.offers
+    )
     return plans.make(scenario, generators.make("office", width_m=SIDE_M, height_m=SIDE_M))
 
 

@@ -112,6 +112,12 @@ def explore(
     hosts: Annotated[
         Path | None, typer.Option(metavar="HOSTS.toml", help="run robots on other hosts too (docs/hosts.md)")
     ] = None,
+    restart: Annotated[
+        bool,
+        typer.Option(
+            "--restart", help="start what dies again, and go on (docs/reliability.md)", rich_help_panel=RUN
+        ),
+    ] = False,
     out: OutOption = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -142,7 +148,9 @@ def explore(
         if thesis:
             chosen = load(scenario, _with_thesis(overrides, chosen.strategy))
         show = view_as or ("auto" if view else None)
-        code = _explore(chosen, out, show, hosts, pictures=pictures, pace=pace, as_json=as_json)
+        code = _explore(
+            chosen, out, show, hosts, pictures=pictures, pace=pace, restart=restart, as_json=as_json
+        )
         raise typer.Exit(code)
 
 
@@ -190,6 +198,7 @@ def _explore(
     *,
     pictures: bool,
     pace: float | None,
+    restart: bool,
     as_json: bool,
 ) -> int:
     from deploy.commands.live_keys import controlled, is_at_terminal  # noqa: PLC0415
@@ -214,6 +223,7 @@ def _explore(
                 pace=pace,
                 hosts=placed,
                 control=control,
+                restart=restart,
             )
         if pictures and result.directory is not None and result.records.world:
             _draw(result.directory)

@@ -36,7 +36,10 @@ COMMANDS = {
     "export": Place("after_run", "Export a run to formats of other programs."),
     "replay": Place("after_run", "Repeat a run and check that its digest is the same."),
     "sweep": Place("studies", "Run a scenario over a grid of settings and print a table."),
+    "compare": Place("studies", "Run scenarios, strategies or exchanges on the same seeds, and compare."),
+    "size": Place("studies", "Try teams, bandwidths and ranges in a building, and say which is enough."),
     "reproduce": Place("studies", "Run the papers' experiments and judge their claims."),
+    "chaos": Place("chaos", "Run swarms under faults drawn from seeds, and check what must hold of them."),
     "keys": Place("keys", "Make the certificates of a run whose hub asks for them."),
     "run": Place("by_hand", "Start one process of a run by hand."),
     "bench": Place("machine", "Benchmark this machine, as ratios against yardsticks of the same run."),
@@ -57,6 +60,14 @@ class Commands(TyperGroup):
             return None
         family = importlib.import_module(f"deploy.commands.{COMMANDS[cmd_name].module}")
         return typer.main.get_group(family.app).get_command(ctx, cmd_name)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command that is meant; of one that there is not, say which are near."""
+        if args and args[0] not in COMMANDS and not args[0].startswith("-"):
+            from protocol.errors import there_are  # noqa: PLC0415
+
+            ctx.fail(f"no command is called {args[0]!r}; {there_are(COMMANDS, args[0])}")
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
         """Write the list for help, without importing any."""

@@ -1,21 +1,17 @@
-"""Many runs: `murmur sweep`, `reproduce`."""
+"""Many runs: `murmur sweep`, `reproduce`, `compare`, `size`."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 
 from deploy.commands.console import PAPER_WIDTH, errors, fail, screen, speaking_clearly
 from deploy.commands.flags import family, named_values
-
-if TYPE_CHECKING:
-    from deploy.study.workers import Workers
 
 app = family()
 
@@ -27,6 +23,12 @@ SchedulerOption = Annotated[
     ),
 ]
 SeedsOption = Annotated[int | None, typer.Option(min=1, metavar="N", help="run the seeds 0 to N - 1")]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="a setting of all runs, or a list to run through; repeatable"
+    ),
+]
 RetryFlag = Annotated[bool, typer.Option("--retry", help="run failed runs of the table again")]
 AnyCodeFlag = Annotated[
     bool, typer.Option("--any-code", help="take runs of the table that other versions of the code have made")
@@ -40,12 +42,7 @@ def sweep(
     ],
     jobs: JobsOption = None,
     scheduler: SchedulerOption = None,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", metavar="KEY=VALUE", help="replace a list of the grid or a key of the base; repeatable"
-        ),
-    ] = None,
+    set_: SetOption = None,
     seeds: SeedsOption = None,
     variant: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="run only this variant; repeatable")
@@ -72,6 +69,7 @@ def sweep(
     from deploy.study.results import Results, write_table  # noqa: PLC0415
     from deploy.study.runs import cases, failures, looked_up, make  # noqa: PLC0415
     from deploy.study.tables import described, tabulate  # noqa: PLC0415
+    from deploy.study.workers import workers  # noqa: PLC0415
 
     with speaking_clearly():
         settings = named_values(set_ or [], "set", "seed=[0,1]")
@@ -122,6 +120,7 @@ def reproduce(
     from deploy.commands import terminal  # noqa: PLC0415
     from deploy.study import reproduction  # noqa: PLC0415
     from deploy.study.results import Results  # noqa: PLC0415
+    from deploy.study.workers import workers  # noqa: PLC0415
 
     with speaking_clearly():
         settings = {"seed": list(range(seeds))} if seeds is not None else {}
@@ -156,11 +155,140 @@ def reproduce(
     raise typer.Exit(0 if done.all_hold else 1)
 
 
-def workers(jobs: int | None, scheduler: str | None) -> Workers:
-    """Who makes the runs, by the flags."""
-    from deploy.study.workers import Cluster, LocalPool  # noqa: PLC0415
+@app.command()
+def compare(
+    scenario: Annotated[
+        list[Path] | None, typer.Argument(metavar="A.toml B.toml ...", help="scenarios to compare")
+    ] = None,
+    strategies: Annotated[str | None, typer.Option(metavar="A,B,...", help="strategies to compare")] = None,
+    exchanges: Annotated[str | None, typer.Option(metavar="A,B,...", help="exchanges to compare")] = None,
+    map_: Annotated[
+        list[str] | None, typer.Option("--map", metavar="FILE|NAME", help="on this map; repeatable")
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=2, metavar="N", help="run the seeds 0 to N - 1")] = 10,
+    figure: Annotated[
+        str, typer.Option(metavar="NAME", help="what is compared (docs/experiments.md)")
+    ] = "steps",
+    set_: SetOption = None,
+    jobs: JobsOption = None,
+    scheduler: SchedulerOption = None,
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="where pictures, means and runs are written")
+    ] = Path("comparison"),
+) -> None:
+    """Run scenarios, strategies or exchanges on the same seeds, and say which is better."""
+    from deploy.study import comparison  # noqa: PLC0415
 
-    return LocalPool(jobs or os.cpu_count() or 1) if scheduler is None else Cluster(scheduler)
+    with speaking_clearly():
+        settings = named_values(set_ or [], "set", "robots=4")
+        choices = {"strategy": strategies, "exchange": exchanges}
+        given = [(key, names.split(",")) for key, names in choices.items() if names is not None]
+        if len(given) + bool(scenario) != 1:
+            raise ValueError("give scenario files, --strategies or --exchanges: one of them")
+        compared: Any = [{key: name.strip()} for key, names in given for name in names] or scenario
+        if map_:
+            settings["map"] = map_ if len(map_) > 1 else map_[0]
+        out.mkdir(parents=True, exist_ok=True)
+        runs = out / "runs.parquet"
+        with stopping(runs):
+            done = comparison.compare(
+                compared, seeds=seeds, figure=figure, jobs=jobs, scheduler=scheduler, out=runs, **settings
+            )
+        report_failures(done.sweep.failures)
+        if not done.sweep.rows:
+            fail("no run has ended without an error", 3)
+        print_means(done.sweep)
+        for sentence in done.verdicts:
+            screen.print(f"{sentence}.")
+        files = done.write(out)
+        screen.print(f"Everything is in {out}; look at {files[0]} and {files[1]}.")
+
+
+@app.command()
+def size(
+    map_: Annotated[str, typer.Option("--map", metavar="FILE|NAME", help="the building")] = "office",
+    robots: Annotated[str, typer.Option(metavar="2..8|2,4", help="numbers of robots to try")] = "2..8",
+    bandwidth: Annotated[
+        str, typer.Option(metavar="BYTES,...", help="bandwidths to try, bytes a step")
+    ] = "100,1000,10000",
+    range_: Annotated[
+        str, typer.Option("--range", metavar="METRES|P%,...", help="communication ranges to try")
+    ] = "30%,100%",
+    within: Annotated[
+        int | None, typer.Option(min=1, metavar="STEPS", help="an exploration may take so long")
+    ] = None,
+    agreement: Annotated[
+        float, typer.Option(min=0, max=1, metavar="SHARE", help="of the building that a map must have right")
+    ] = 0.95,
+    seeds: Annotated[int, typer.Option(min=1, metavar="N", help="runs of each combination")] = 5,
+    set_: SetOption = None,
+    jobs: JobsOption = None,
+    scheduler: SchedulerOption = None,
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="where curves, the table and runs are written")
+    ] = Path("size"),
+) -> None:
+    """Try teams, bandwidths and ranges in a building, and say which is enough."""
+    from deploy.study import sizing  # noqa: PLC0415
+
+    with speaking_clearly():
+        settings = named_values(set_ or [], "set", "exchange=sight")
+        out.mkdir(parents=True, exist_ok=True)
+        runs = out / "runs.parquet"
+        with stopping(runs):
+            done = sizing.size(
+                map_,
+                robots=whole_numbers(robots, "robots"),
+                bandwidth=[int(word) if word.isdecimal() else word for word in words(bandwidth)],
+                range=words(range_),
+                within=within, agreement=agreement, seeds=seeds, jobs=jobs, scheduler=scheduler, out=runs,
+                **settings,
+            )  # fmt: skip
+        report_failures(done.sweep.failures)
+        if not done.sweep.rows:
+            fail("no run has ended without an error", 3)
+        print_means(done.sweep)
+        screen.print(done.sentence)
+        files = done.write(out)
+        screen.print(f"Everything is in {out}; look at {files[0]}.")
+    raise typer.Exit(0 if done.enough is not None else 1)
+
+
+def words(text: str) -> list[str]:
+    """The words of a list with commas."""
+    return [word.strip() for word in text.split(",") if word.strip()]
+
+
+def whole_numbers(text: str, flag: str) -> list[int]:
+    """Parse ``2..8`` or ``2,4,8``; ValueError if it is neither."""
+    first, dots, last = text.partition("..")
+    try:
+        numbers = list(range(int(first), int(last) + 1)) if dots else [int(word) for word in words(text)]
+    except ValueError:
+        numbers = []
+    if not numbers:
+        raise ValueError(f"{flag} = {text!r}: must be whole numbers, as 2..8 or 2,4,8")
+    return numbers
+
+
+def print_means(sweep: Any) -> None:
+    """Print a sweep's table of means."""
+    from deploy.commands import terminal  # noqa: PLC0415
+    from deploy.study.tables import tabulate  # noqa: PLC0415
+
+    screen.print(
+        f"{' '.join(sweep.experiment.table.values)}, means of {len(sweep.rows)} runs with 95 % intervals"
+    )
+    print_table(terminal.table(tabulate(sweep.experiment.table, sweep.rows)))
+
+
+@contextmanager
+def stopping(out: Path | None) -> Iterator[None]:
+    """Ctrl-C says how to go on."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        fail("stopped" + (f"; the same command continues from {out}" if out is not None else ""), 130)
 
 
 @contextmanager
@@ -168,11 +296,8 @@ def running(name: str, out: Path | None) -> Iterator[Any]:
     """Show the progress of many runs; Ctrl-C says how to go on."""
     from deploy.study.progress import counting  # noqa: PLC0415
 
-    try:
-        with counting(errors, name) as tell:
-            yield tell
-    except KeyboardInterrupt:
-        fail("stopped" + (f"; the same command continues from {out}" if out is not None else ""), 130)
+    with stopping(out), counting(errors, name) as tell:
+        yield tell
 
 
 def print_table(table: Any) -> None:

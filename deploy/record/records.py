@@ -247,6 +247,10 @@ class LabNode:
         """Ask the world to end after this step."""
         self._bus.put(self._keys.control_tx(names.LAB), pack(Stop(reason)))
 
+    def strike(self, robot: int, kind: str, steps: int = 0) -> None:
+        """Have a fault befall a robot at the beginning of the next step (`worldsim.faults`)."""
+        self._bus.put(self._keys.control_tx(names.LAB), pack(Strike(0, robot, kind, steps)))
+
     def read_meter(self) -> None:
         """Record the bytes that the bus has moved so far."""
         if self._meter is not None:

@@ -17,6 +17,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.record.columns import STEPS as STEP_COLUMNS
+from deploy.record.columns import schema
 from deploy.record.records import Records
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario, ScenarioError, load, parse
@@ -185,18 +187,7 @@ def steps_table(plan: Plan, records: Records) -> Any:
                     "work_us": mind.work_us,
                 }
             rows.append(row)
-    schema = pa.schema(
-        [(name, pa.int32()) for name in ("step", "robot")]
-        + [(name, pa.float64()) for name in ("x", "y", "heading", "driven", "team_seen")]
-        + [(name, pa.float64()) for name in ("target_x", "target_y")]
-        + [
-            ("known_cells", pa.int32()),
-            ("backlog", pa.int32()),
-            ("status", pa.string()),
-            ("work_us", pa.int32()),
-        ]
-    )
-    return pa.Table.from_pylist(rows, schema=schema)
+    return pa.Table.from_pylist(rows, schema=schema(STEP_COLUMNS))
 
 
 def ledger_table(ledger: NDArray[np.void]) -> Any:

@@ -71,6 +71,7 @@ def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "wire_bytes": records.wire_bytes,
         "undelivered": _undelivered(ledger),
         "lost": {str(robot): cause for robot, cause in sorted(records.lost.items())},
+        "returned": [list(each) for each in records.returned],
         "faults": records.fault_count,
         "digest": digest(records),
         "wall_s": round(wall_s, 3),

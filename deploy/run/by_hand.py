@@ -94,7 +94,11 @@ def serve_worldsim(scenario: Scenario, credential: Path) -> None:
     _check_same(scenario, credential)
     plan = plans.make(scenario)
     task = WorldTask(
-        plan.make_world(), plan.minds, scenario.steps, 1000 * plan.map.resolution, None, scenario.patience
+        plan.make_world(),
+        plan.minds,
+        scenario.steps,
+        1000 * plan.map.resolution,
+        patience_s=scenario.patience,
     )
     serve_world(_credential(credential, names.WORLD), task)
 

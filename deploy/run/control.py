@@ -7,19 +7,14 @@ from __future__ import annotations
 
 import multiprocessing
 import queue
-import time
 from dataclasses import replace
-from typing import Any
 
 from deploy.record.records import LabNode, Records
+from deploy.run.gate import Gate
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import ChangeTable, FaultTable, Scenario
 from protocol.messages import Change, Strike
 from worldsim.pace import SLOWEST
-
-LONGEST_PAUSE_S = 3600.0
-"""After so long a run goes on by itself."""
-POLL_S = 0.02
 
 
 class Control:
@@ -89,35 +84,14 @@ class Control:
         while not self._wishes.empty():
             lab.ask(self._wishes.get())
 
-    def gate(self) -> Gate:
-        """What the world passes before it opens a step."""
-        return Gate(self._credit, self._period)
+    def gate(self, free: int = 0) -> Gate:
+        """What the world passes before it opens a step; the first `free` ones it opens without."""
+        return Gate(self._credit, self._period, free)
 
     def _expect(self) -> Scenario:
         if self._scenario is None:
             raise ValueError("the run has not begun")
         return self._scenario
-
-
-class Gate:
-    """Lets the world open its steps, in its own process."""
-
-    def __init__(self, credit: Any, period: Any) -> None:
-        self._credit, self._period = credit, period
-        self._due = 0.0
-
-    def wait(self) -> None:
-        """Wait until the next step may be opened."""
-        until = time.monotonic() + LONGEST_PAUSE_S
-        while self._credit.value == 0 and time.monotonic() < until:
-            time.sleep(POLL_S)
-        with self._credit.get_lock():
-            if self._credit.value > 0:
-                self._credit.value -= 1
-        now = time.monotonic()
-        if now < self._due:
-            time.sleep(self._due - now)
-        self._due = max(min(self._due, now + self._period.value), now) + self._period.value
 
 
 def kill(scenario: Scenario, robot: int) -> Strike:

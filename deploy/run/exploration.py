@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import io
+import shutil
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -29,7 +30,8 @@ from deploy.run.ssh import Fleet
 from deploy.scenario import plan as plans
 from deploy.scenario.effective_radio import effective_radio
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import Scenario, ScenarioError, parse
+from deploy.scenario.scenario import Scenario, ScenarioError, check_lives, parse
+from protocol import keys as names
 from protocol.grid import Grid
 from worldsim.pace import Pace
 
@@ -39,6 +41,9 @@ if TYPE_CHECKING:
 
 EXPLORED, NOT_FINISHED, BAD_INPUT, BROKEN_OFF = range(4)
 """Exit codes of the contract."""
+
+LIVES = 4
+"""How often a robot may begin, with `restart`, if there is room for the maps of so many lives."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -141,7 +146,7 @@ _SHOWN = ("steps", "coverage", "map_agreement", "t90", "t99", "strategy", "excha
 def explore(
     scenario: Scenario | None = None,
     *,
-    out: Path | None = None,
+    out: Path | str | None = None,
     keep: bool = True,
     watch: Callable[[Plan, Records], object] | None = None,
     tell: Callable[[str], object] = lambda _: None,
@@ -150,6 +155,7 @@ def explore(
     pace: float | None = None,
     hosts: Hosts | None = None,
     control: Control | None = None,
+    restart: bool = False,
     **settings: Any,
 ) -> Result:
     """Run a scenario. Viewing and pace do not affect its results.
@@ -158,7 +164,7 @@ def explore(
     ----------
     scenario : Scenario, optional
         ``Scenario(robots=5)`` or ``deploy.scenario.scenario.load(path, {})`` makes one; the defaults if left out.
-    out : Path, optional
+    out : Path or str, optional
         The run directory; a new one under ``runs`` if left out.
     keep : bool
         Whether to write a run directory at all.
@@ -178,6 +184,9 @@ def explore(
     control : Control, optional
         Pauses the run, kills robots, changes the radio, from another thread or from `watch` (`deploy.run.control`).
         What was done is in the scenario of the run directory, and of the result's plan.
+    restart : bool
+        Whether what dies unasked is started again: a robot where it fell, as often as it has lives; and where relay or
+        world die the whole run, which gets to the step that it was in and goes on from there (docs/reliability.md).
     **settings
         Settings of the scenario, over those of `scenario`: ``explore(robots=5, bandwidth=1000)``.
 
@@ -192,9 +201,11 @@ def explore(
     """
     if not keep and (window is not None or snapshots):
         raise ValueError("a run that is shown, or whose maps are kept, needs a directory: keep = True")
+    if not keep and out is not None:
+        raise ValueError(f"out = {str(out)!r}: with keep = False nothing is written; leave one of them out")
     scenario = scenario_of(scenario, settings)
     wait: Callable[[], object] = Pace(pace).wait if pace is not None else _nothing
-    plan = plans.make(scenario)
+    plan = plans.make(scenario, lives=_lives(scenario, hosts) if restart else 1)
     if hosts is not None and scenario.bus == "memory":
         raise ScenarioError("bus = 'memory': is one process of one host; with hosts it must be 'zenoh'")
     if radio := effective_radio(plan):
@@ -217,7 +228,7 @@ def explore(
         Fleet(hosts, scenario.robots, tell) if hosts is not None else contextlib.nullcontext() as fleet,
         interrupt.caught() if keep else contextlib.nullcontext(),
     ):
-        directory = run_directory.create(out, plan) if keep else None
+        directory = run_directory.create(Path(out) if out is not None else None, plan) if keep else None
         logs = directory / run_directory.LOGS if directory is not None else None
         journals = directory / run_directory.JOURNALS if directory is not None else None
         began = time.perf_counter()
@@ -231,45 +242,84 @@ def explore(
             port = window.port if window is not None else None
             task = ViewTask(plan, directory.absolute(), records=window is not None, port=port)
         ready: Callable[[], object] = window.open if window is not None else _nothing
-        with run_directory.open_capture(directory, plan) as capture:
-            if scenario.bus == "memory":
-                with watching(task) if task is not None else contextlib.nullcontext() as view:
-                    ready()
-                    fallen = _Fallen(logs)
-                    records = in_memory.run(
+        show = launch.Show(task, ready) if task is not None else None
+        done = 0
+        while True:
+            with run_directory.open_capture(directory, plan) as capture:
+                if scenario.bus == "memory":
+                    with watching(task) if task is not None else contextlib.nullcontext() as view:
+                        ready()
+                        fallen = _Fallen(logs)
+                        records = in_memory.run(
+                            plan,
+                            look,
+                            capture,
+                            heed=heed,
+                            view=view,
+                            wait=wait,
+                            fell=fallen.take,
+                            journals=journals,
+                        )
+                    outcome = launch.Outcome(records, fallen.deaths)
+                else:
+                    outcome = launch.run(
                         plan,
+                        logs,
                         look,
                         capture,
                         heed=heed,
-                        view=view,
-                        wait=wait,
-                        fell=fallen.take,
+                        show=show,
+                        pace=pace,
+                        live=directory,
+                        fleet=fleet,
                         journals=journals,
+                        free=done,
+                        revive=restart,
+                        gate=control.gate(done) if control is not None else None,
                     )
-                outcome = launch.Outcome(records, fallen.deaths)
-            else:
-                show = launch.Show(task, ready) if task is not None else None
-                outcome = launch.run(
-                    plan,
-                    logs,
-                    look,
-                    capture,
-                    heed=heed,
-                    show=show,
-                    pace=pace,
-                    live=directory,
-                    fleet=fleet,
-                    journals=journals,
-                    gate=control.gate() if control is not None else None,
-                )
+            dead = sorted({names.RELAY, names.WORLD} & outcome.deaths.keys())
+            if not (restart and dead and outcome.records.step > done) or interrupt.came:
+                break
+            done = outcome.records.step
+            went = as_it_went(plan, outcome.records)
+            plan = plan if went is plan else plans.make(went.scenario, plan.map, lives=plan.lives)
+            tell(
+                f"{' and '.join(dead)} died at step {done}: going through the run again up to there, then on"
+            )
+            if journals is not None:
+                shutil.rmtree(journals, ignore_errors=True)
         result = conclude(plan, outcome, directory, time.perf_counter() - began)
         if directory is not None and window is not None and outcome.view_fault:
             optimise(directory / RECORDING)  # the failed viewer did not close it
     return result
 
 
+def _lives(scenario: Scenario, hosts: Hosts | None) -> int:
+    """How often robots may begin if they are started again; ScenarioError if they cannot be."""
+    if scenario.bus == "memory":
+        raise ScenarioError("bus = 'memory': has no processes that could die; restart needs 'zenoh'")
+    if hosts is not None:
+        raise ScenarioError(
+            "restart: robots of other hosts cannot be started again; leave --hosts or --restart out"
+        )
+    lives = LIVES if scenario.exchange == "none" else min(LIVES, scenario.most_maps // scenario.robots)
+    check_lives(scenario, max(lives, 2))
+    return lives
+
+
 def scenario_of(scenario: Scenario | None, settings: Mapping[str, Any]) -> Scenario:
-    """Lay settings over a scenario, or over the defaults; ScenarioError names all that is wrong."""
+    """Lay settings over a scenario, or over the defaults; ScenarioError names all that is wrong.
+
+    Raises
+    ------
+    TypeError
+        It is no scenario.
+    """
+    if not isinstance(scenario, Scenario | None):
+        raise TypeError(
+            f"scenario = {scenario!r}: must be a Scenario; settings are given by name, as in "
+            "explore(map='office', robots=3), and deploy.scenario.scenario.load(Path('office.toml'), {}) reads a file"
+        )
     if scenario is not None and not settings:
         return scenario
     return parse((scenario.model_dump() if scenario is not None else {}) | dict(settings))

@@ -90,7 +90,7 @@ class MemoryRun:
         self._lab = LabNode(
             self._buses[names.LAB], keys, robots, plan.map.cells.shape, capture, obey=self._obey
         )
-        world = WorldNode(
+        self._world = WorldNode(
             self._buses[names.WORLD],
             keys,
             plan.make_world(),
@@ -99,9 +99,10 @@ class MemoryRun:
             1000 * plan.map.resolution,
             wait=wait,
         )
+        self._relay = RelayNode(self._buses[names.RELAY], keys, plan.radio)
         self._nodes: dict[str, Node] = {
-            names.RELAY: RelayNode(self._buses[names.RELAY], keys, plan.radio),
-            names.WORLD: world,
+            names.RELAY: self._relay,
+            names.WORLD: self._world,
             names.LAB: self._lab,
         }
         self.agents = [self._agent(number) for number in range(robots)]
@@ -136,7 +137,19 @@ class MemoryRun:
             while self._due:
                 self._come_back(self._due.pop())
             if not spoke and not self._is_done():
-                raise RuntimeError("the run stands still: everyone waits for someone")
+                self._give_up_on_the_late()
+
+    def _give_up_on_the_late(self) -> None:
+        """All wait for somebody. Nothing more can come, so that who is waited for is given up at once."""
+        late = {robot: node for node in (self._relay, self._world) for robot in node.waiting_for()}
+        for robot, node in late.items():
+            node.give_up_on(robot, "kept the others waiting")
+            self.agents[robot].done = True
+            self._buses[self._minds[robot]].close()
+        if not late and self._lab.records.end is not None and not self._lab.done:
+            self._lab.give_up_waiting()
+        elif not late:
+            raise RuntimeError("the run stands still: everyone waits for someone")
 
     def _take_turn(self, name: str) -> bool:
         """Let a participant take its messages; whether there were any."""

@@ -30,6 +30,11 @@ class Interrupt:
         self._heeded = False
         self._tell = tell
 
+    @property
+    def came(self) -> bool:
+        """Whether it was requested."""
+        return self._came
+
     @contextlib.contextmanager
     def caught(self) -> Iterator[None]:
         """Treat Ctrl-C and SIGTERM as that request instead of being killed by them (in the main thread)."""

@@ -20,9 +20,9 @@ from deploy.dashboard.process import ViewTask
 from deploy.dashboard.watch import announced
 from deploy.record.records import LabNode, Records
 from deploy.record.wire_bytes import Meter
-from deploy.run.control import Gate
+from deploy.run.gate import Gate
 from deploy.run.meeting import Meeting, on_loopback
-from deploy.run.process_table import ProcessTable
+from deploy.run.process_table import FORK_SERVER, ProcessTable
 from deploy.run.processes import WorldTask, serve_agent, serve_relay, serve_view, serve_world, silence_s
 from deploy.run.ssh import Fleet
 from deploy.scenario.plan import Plan
@@ -78,18 +78,21 @@ def run(
     fleet: Fleet | None = None,
     meeting: Meeting | None = None,
     journals: Path | None = None,
+    free: int = 0,
     revive: bool = False,
     gate: Gate | None = None,
+    wrap: Callable[[str, Bus], Bus] | None = None,
 ) -> Outcome:
     """Run a plan as processes; `watch` is called as records come in, at most a few times a second.
 
     What the processes print goes to files in `logs`, or is gone after the run if that is None; `capture`
     takes the frames (`deploy.record.records`); `heed` may end it early; `show` adds a viewer; `pace` is the steps a
-    second at most; `live` is a directory in which to say how to look at the run (`deploy.dashboard.watch`);
-    `fleet`, whose hosts have been reached, runs its robots there, and says where all meet; without it that is
-    `meeting`, or on the loopback. Where robots may come back (`Plan.lives`) their journals are in the
-    folder `journals`; with `revive` those that are lost unasked are started again. `gate` is what the world passes
-    before it opens a step, where the run is controlled (`deploy.run.control`).
+    second at most, but of the first `free` ones; `live` is a directory in which to say how to look at the run
+    (`deploy.dashboard.watch`); `fleet`, whose hosts have been reached, runs its robots there, and says where all meet;
+    without it that is `meeting`, or on the loopback. Where robots may come back (`Plan.lives`) their journals are in
+    the folder `journals`; with `revive` those that are lost unasked are started again. `wrap`, which must be picklable,
+    may lay something around each robot's end of the bus. `gate` is what the world passes before it opens a step, where
+    the run is controlled (`deploy.run.control`).
     """
     if logs is None:
         with tempfile.TemporaryDirectory() as folder:
@@ -105,8 +108,10 @@ def run(
                 fleet=fleet,
                 meeting=meeting,
                 journals=journals or Path(folder) / "journals",
+                free=free,
                 revive=revive,
                 gate=gate,
+                wrap=wrap,
             )
     robots, patience = plan.scenario.robots, plan.scenario.patience
     world = WorldTask(
@@ -115,6 +120,7 @@ def run(
         plan.scenario.steps,
         1000 * plan.map.resolution,
         pace,
+        free,
         patience,
         revive,
         gate,
@@ -142,7 +148,7 @@ def run(
         for number, name in enumerate(map(names.robot, range(robots))):
             if name not in elsewhere:
                 journal = journals / journal_name(number) if plan.lives > 1 else None
-                table[name] = (serve_agent, meeting.credentials[name], journal)
+                table[name] = (serve_agent, meeting.credentials[name], journal, wrap)
 
         def obey(strike: Strike) -> None:
             name = names.robot(strike.robot)
@@ -220,7 +226,7 @@ def _attend(
         end_the_lost(lab.records)
         if look_after_all() and not lab.records.world:
             lab.send_home()  # no first step can come
-        return names.WORLD in deaths
+        return bool({names.WORLD, FORK_SERVER} & deaths.keys())
 
     with contextlib.closing(bus):
         try:
@@ -228,9 +234,16 @@ def _attend(
         except BusClosed as error:
             time.sleep(POLL_S)  # the system tells of the death a moment after the bus
             look_after_all().setdefault(names.RELAY, str(error))
-    for robot in map(names.robot, lab.records.lost):
-        processes.await_end(robot, FAREWELL_S)  # the relay has heard of it before the system tells
+    if lab.records.end is not None and lab.records.end.step < 0:
+        time.sleep(POLL_S)  # likewise
+    for robot, cause in lab.records.lost.items():
+        if cause == ENDED:
+            processes.await_end(
+                names.robot(robot), FAREWELL_S
+            )  # the relay has heard of it before the system tells
     look_after_all()
+    if names.RELAY in deaths:
+        processes.forget_who_left()
     return Outcome(lab.records, deaths)
 
 

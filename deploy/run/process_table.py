@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import os
 import signal
 import sys
 import time
@@ -18,9 +19,13 @@ from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Self
 
+from deploy.run import orphans
 from deploy.run.last_words import last_words
-from deploy.run.processes import in_background
+from deploy.run.processes import BROKEN_OFF, in_background
 
+FORK_SERVER = "the fork server"
+UNKNOWN = 255
+"""Exit code of a child whose fork server has died."""
 GRACE_S = 1.0
 """How long a child may take to end by itself before it is terminated, and then killed."""
 
@@ -34,6 +39,11 @@ class Child:
     log: Path
     needed: bool = True
     """Whether the run is broken if it ends prematurely."""
+
+    @property
+    def has_spoken(self) -> bool:
+        """Whether it has printed anything."""
+        return self.log.exists() and self.log.stat().st_size > 0
 
     def last_words(self) -> str:
         """How it ended, and its last line of output."""
@@ -59,7 +69,7 @@ class ProcessTable:
         self._logs = logs
         self._children: list[Child] = []
         self._context = multiprocessing.get_context("forkserver")
-        self._context.set_forkserver_preload(["deploy.run.preload"])
+        self._context.set_forkserver_preload(["deploy.run.orphans", "deploy.run.preload"])
 
     def __enter__(self) -> Self:
         self._logs.mkdir(parents=True, exist_ok=True)
@@ -73,7 +83,13 @@ class ProcessTable:
         log = self._logs / f"{name}.log"
         with _blank_main():
             process = self._context.Process(target=in_background, args=(name, log, serve, *args), name=name)
-            process.start()
+            os.environ[orphans.FOLDER] = orphans.open_folder()
+            try:
+                process.start()
+            except (EOFError, ConnectionError):
+                raise ConnectionError(f"{FORK_SERVER} died before it had started {name}") from None
+            finally:
+                del os.environ[orphans.FOLDER]
         self._children.append(Child(name, process, log, needed))
 
     def give_up(self, name: str) -> None:
@@ -92,10 +108,20 @@ class ProcessTable:
 
     def look(self) -> dict[str, str]:
         """Check the children; return all deaths so far."""
-        for child in self._children:
-            if child.needed and child.name not in self.deaths and child.process.exitcode not in (None, 0):
+        dead = [child for child in self._children if child.needed and child.process.exitcode not in (None, 0)]
+        if dead and all(child.process.exitcode == UNKNOWN and not child.has_spoken for child in dead):
+            self.deaths.setdefault(FORK_SERVER, "nobody knows how its processes end")
+            return self.deaths
+        for child in dead:
+            if child.name not in self.deaths:
                 self.deaths[child.name] = child.last_words()
         return self.deaths
+
+    def forget_who_left(self) -> None:
+        """Take those from the deaths who ended because the hub had gone."""
+        for child in self._children:
+            if child.process.exitcode == BROKEN_OFF:
+                self.deaths.pop(child.name, None)
 
     def ended(self) -> dict[str, int]:
         """Children that have ended, with their exit codes; below 0: by that signal."""

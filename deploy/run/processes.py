@@ -19,7 +19,8 @@ from setproctitle import setproctitle
 
 from agent.journal import Journal, JournalError
 from agent.process import AgentNode
-from deploy.run.control import LONGEST_PAUSE_S, Gate
+from deploy.run import orphans
+from deploy.run.gate import LONGEST_PAUSE_S, Gate
 from deploy.run.last_words import traceback_of
 from deploy.run.patience import PATIENCE_S, Patience
 from netshaper.hub import open_hub
@@ -52,6 +53,8 @@ class WorldTask:
     cell_mm: float
     pace: float | None = None
     """Steps a second at most, for people who watch."""
+    free: int = 0
+    """The first steps, which go as fast as they can all the same."""
     patience_s: float = PATIENCE_S
     """How long a robot may take for its move."""
     revive: bool = False
@@ -71,7 +74,7 @@ class WorldTask:
         """Called by the world before it opens a step."""
         if self.gate is not None:
             return self.gate.wait
-        return Pace(self.pace).wait if self.pace else lambda: None
+        return Pace(self.pace, self.free).wait if self.pace else lambda: None
 
 
 def serve_relay(
@@ -138,10 +141,14 @@ def serve_world(credential: Credential, task: WorldTask) -> None:
     _serve(bus, node, Patience(node, task.patience_s))
 
 
-def serve_agent(credential: Credential, journal: Path | None = None) -> None:
+def serve_agent(
+    credential: Credential, journal: Path | None = None, wrap: Callable[[str, Bus], Bus] | None = None
+) -> None:
     """Serve as one robot of a run; with a `journal` it may be killed and begin again."""
     kept = Journal.open(journal) if journal is not None else None
-    bus = join(credential)
+    bus: Bus = join(credential)
+    if wrap is not None:
+        bus = wrap(credential.name, bus)
     node = AgentNode(bus, Keys(credential.run), names.number(credential.name), kept)
     try:
         _serve(bus, node)
@@ -173,6 +180,7 @@ def _serve(bus: Bus, node: WorldNode | AgentNode, patience: Patience | None = No
 def in_background(name: str, log: Path, serve: Callable[..., None], *args: object) -> None:
     """Run `serve` as a child of the launcher: its output goes to `log`; Ctrl-C is handled by the launcher."""
     setproctitle(f"murmur {name}")
+    orphans.end_with_launcher()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     os.dup2(file, 1)

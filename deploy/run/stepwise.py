@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from agent.outline.polygons import Polygons
 from deploy.record import run_directory
 from deploy.run.control import change, kill
 from deploy.run.exploration import Result, conclude, frame, scenario_of
@@ -50,6 +51,9 @@ class RobotState:
         The cell that it is headed for.
     status : str
         What it says that it does.
+    polygons : mapping of int to Polygons
+        The outlines of each robot's map as this robot holds them, its own included (`agent.outline.polygons`); empty
+        where maps travel in another form.
     """
 
     number: int
@@ -62,6 +66,7 @@ class RobotState:
     planning: Grid
     target: tuple[int, int] | None
     status: str
+    polygons: Mapping[int, Polygons]
 
     def __repr__(self) -> str:
         return f"<robot {self.number} at ({self.x:.2f}, {self.y:.2f}) m, {self.status or 'under way'}>"
@@ -188,7 +193,7 @@ class Steps:
             x, y = to_world(self.plan.map, x_cell, y_cell)
             robots[robot] = RobotState(
                 robot, x, y, heading / 10, (round(x_cell), round(y_cell)), report.driven[robot] / 1000,
-                _unwritable(mind.own), _unwritable(mind.planning), mind.target, mind.status,
+                _unwritable(mind.own), _unwritable(mind.planning), mind.target, mind.status, mind.polygons,
             )  # fmt: skip
         rows = b"".join(records.rows[self._told :])
         self._told = len(records.rows)

@@ -136,6 +136,7 @@ def make(scenario: Scenario, world_map: Map | None = None, *, lives: int = 1) ->
             field_of_view=bodies[number].field_of_view,
             scanner_turn=bodies[number].scanner_turn,
             confirms=not radio.perfect,
+            fastest_cells=max(body.speed for body in bodies),
             frame_bytes=radio.packet_bytes,
             lives=lives,
         ).to_message()

@@ -360,10 +360,10 @@ def _check_bandwidth(value: object) -> object:
 
 
 def check_lives(scenario: Scenario, lives: int) -> None:
-    """Raise ValueError if packets cannot name the maps of robots that begin so often (`agent.identity`)."""
+    """Raise ScenarioError if packets cannot name the maps of robots that begin so often (`agent.identity`)."""
     most = scenario.most_maps
     if scenario.exchange != "none" and scenario.robots * lives > most:
-        raise ValueError(
+        raise ScenarioError(
             f"robots = {scenario.robots}: packets can name {most} maps, one a life of each robot; so "
             f"{scenario.robots} robots can begin {most // scenario.robots} times each, not {lives} times"
         )
@@ -430,7 +430,8 @@ def read_toml(path: Path, kind: str, shipped: Path | None = None) -> tuple[Path,
     except FileNotFoundError:
         names = [file.name for file in shipped.glob("*.toml")] if shipped else []
         others = f", and none of the shipped ones; {there_are(sorted(names), path.name)}" if names else ""
-        raise ScenarioError(f"{kind} {path}: no such file{others}") from None
+        setting = f"; a setting is given as --set {path}" if "=" in path.name else ""
+        raise ScenarioError(f"{kind} {path}: no such file{others}{setting}") from None
     except OSError as error:
         raise ScenarioError(f"{kind} {path}: {error.strerror or error}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -471,9 +472,21 @@ _KEYS = {
 """What may be set in each table."""
 
 
+_WORDS = {
+    "Input should be": "must be",
+    "a valid integer": "a whole number",
+    "a valid number": "a number",
+    "a valid string": "text",
+    ", unable to parse string as an integer": "",
+}
+"""What the checking library says, and how we say it."""
+
+
 def _explain(item: Any) -> str:
     key = ".".join(str(part) for part in item["loc"] if part not in ("int", "literal['unlimited']"))
     message = str(item["msg"]).removeprefix("Value error, ")
+    for theirs, ours in _WORDS.items():
+        message = message.replace(theirs, ours)
     if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         table = ".".join(str(part) for part in item["loc"][:-1] if isinstance(part, str))
         return f"{key} is no setting; {there_are(_KEYS[table], str(item['loc'][-1]))}"

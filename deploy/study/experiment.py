@@ -73,6 +73,10 @@ class Experiment:
     quick: dict[str, Any] = field(default_factory=dict)
     measure: str = EXPLORATION
 
+    def with_plots(self, plots: tuple[Plot, ...]) -> Experiment:
+        """The experiment with other plots."""
+        return replace(self, plots=plots)
+
 
 def read(path: Path) -> Experiment:
     """Read an experiment's file; files and the maps that they name are looked for as for scenarios.

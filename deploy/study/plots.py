@@ -14,6 +14,8 @@ A picture is data, in the experiment's file::
 
 from __future__ import annotations
 
+import base64
+import io
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass
@@ -41,6 +43,9 @@ PANEL = 4.2, 3.2
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#555555", "#a07000")
 MARKERS = "osD^vP*X"
 """Of Okabe and Ito: they can be told apart by colour-blind people."""
+
+SHARES = ("explored", "coverage", "finished")
+"""Of which an axis ends at 1."""
 
 STEPS_OF_CURVES = 200
 """Points of a curve."""
@@ -86,27 +91,37 @@ def draw(plot: Plot, rows: Sequence[Row], results: Results) -> Figure:
         painter(panel, plot, chosen, lines, results)
         if shown is not None:
             panel.set_title(f"{plot.panels.rpartition('.')[2]} {short(shown)}", fontsize=10)
-        panel.set_xlabel(plot.xlabel or plot.x or "step")
+        panel.set_xlabel(plot.xlabel or plot.x or ("step" if plot.kind == CURVES else ""))
         panel.grid(visible=True, color="#e5e5e5", linewidth=0.6)
         panel.set_axisbelow(True)
         panel.spines[["top", "right"]].set_visible(False)
         if plot.log:
             panel.set_yscale("log")
         else:
-            panel.set_ylim(bottom=0)
+            panel.set_ylim(0, 1 if plot.y in SHARES else None)
     for panel in axes[:: max(columns, 1)]:
         panel.set_ylabel(plot.ylabel or plot.y)
     for panel in axes[len(panels) :]:
         panel.set_axis_off()
     handles, labels = axes[0].get_legend_handles_labels()
     if len(handles) > 1:
-        canvas.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)), frameon=False)
+        canvas.legend(
+            handles, labels, loc="outside lower center", ncols=min(4, len(labels)), frameon=False,
+            title=None if plot.lines == VARIANT else plot.lines.rpartition(".")[2], title_fontsize="small",
+        )  # fmt: skip
     return canvas
 
 
 def save(canvas: Figure, file: Path) -> None:
     """Write a picture, without anything in it that changes from one writing to the next."""
     write_whole(file, lambda out: canvas.savefig(out, format="png", dpi=90, metadata={"Software": None}))
+
+
+def as_html(canvas: Figure) -> str:
+    """A picture for a notebook."""
+    file = io.BytesIO()
+    canvas.savefig(file, format="png", dpi=80)
+    return f'<img src="data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}">'
 
 
 def short(value: object) -> str:

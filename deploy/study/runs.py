@@ -63,7 +63,7 @@ class Case:
     code : str
         Sha256 of the sources and versions that are to make it.
     world : bytes
-        The map, for processes that have not its file; empty for generated maps.
+        The map's `content`, compressed, for processes that have not its file; empty for generated maps.
     """
 
     place: dict[str, Any]
@@ -75,8 +75,12 @@ class Case:
 
 
 def cases(experiment: Experiment) -> list[Case]:
-    """All runs of an experiment, in the order of its grid; ScenarioError if one is invalid."""
-    worlds: dict[str, tuple[Map, str, bytes]] = {}
+    """All runs of an experiment, in the order of its grid; ScenarioError if one is invalid.
+
+    Of runs that differ in their seeds only, the first is checked on its map; the others would fail as rows.
+    """
+    files: dict[str, bytes] = {}
+    checked = set()
     result = []
     for combination in itertools.product(*experiment.grid.values()):
         settings: dict[str, Any] = {}
@@ -97,17 +101,27 @@ def cases(experiment: Experiment) -> list[Case]:
                     f"{where}: bus = {data['bus']!r}: sweeps run on the memory bus; leave it out"
                 )
             scenario = parse(data, where)
-            source = repr((scenario.map, scenario.map_seed, scenario.map_options))
+            without_seeds = scenario.model_copy(update={"seed": 0, "map_seed": 0})
             try:
-                if source not in worlds:
-                    world = plans.load_map(scenario)
-                    worlds[source] = world, _digest(world), packed(world, scenario)
-                world, digest, sent = worlds[source]
-                plans.make(scenario, world)
+                if is_file(scenario.map) and scenario.map not in files:
+                    files[scenario.map] = content(plans.load_map(scenario))
+                if repr(without_seeds) not in checked:
+                    plans.make(scenario)
+                    checked.add(repr(without_seeds))
             except ScenarioError as error:
                 raise ScenarioError(f"{where}: {error}") from None
-            key = identity(scenario, experiment.measure, digest)
-            result.append(Case(place, scenario, experiment.measure, key, code_of(scenario), sent))
+            world = files.get(scenario.map, b"")
+            key = identity(scenario, experiment.measure, world)
+            result.append(
+                Case(
+                    place,
+                    scenario,
+                    experiment.measure,
+                    key,
+                    code_of(scenario),
+                    world and zlib.compress(world),
+                )
+            )
     return result
 
 
@@ -186,7 +200,7 @@ def run_case(case: Case) -> Row:
             raise RuntimeError(
                 "this process has another version of the code than the one that asked for the run"
             )
-        world = unpacked(case.world) if case.world else None
+        world = world_of(zlib.decompress(case.world)) if case.world else None
         figures = MEASURES[case.measure](plans.make(case.scenario, world))
     except Exception as error:  # a failed run is a row
         return _failed(case, f"{type(error).__name__}: {error}")
@@ -210,16 +224,29 @@ def _settings(case: Case) -> Row:
     return {KEY: case.key, CODE: case.code, "measure": case.measure, **settings}
 
 
-def identity(scenario: Scenario, measure: str, world: str) -> str:
-    """Sha256 over what is run: the settings, the digest of the map's cells, and what is measured."""
-    about = (scenario.model_dump(mode="json"), measure, world)
-    return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()
+def identity(scenario: Scenario, measure: str, world: bytes) -> str:
+    """Sha256 over what is run: the settings, what is measured, and the map's `content` if it is a file's."""
+    settings = scenario.model_dump(mode="json")
+    if world:
+        settings["map"] = Path(scenario.map).name
+    about = json.dumps((settings, measure), sort_keys=True)
+    return hashlib.sha256(about.encode() + world).hexdigest()
 
 
 def code_of(scenario: Scenario) -> str:
     """Sha256 over what runs it: versions, our sources, and the strategy's."""
-    about = (versions(), _sources(), inspect.getsource(sys.modules[strategy(scenario.strategy).__module__]))
-    return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(f"{_versions()} {_sources()} {_strategy(scenario.strategy)}".encode()).hexdigest()
+
+
+@cache
+def _versions() -> str:
+    return json.dumps(versions(), sort_keys=True)
+
+
+@cache
+def _strategy(name: str) -> str:
+    """The source of a strategy, which may be somebody's own."""
+    return inspect.getsource(sys.modules[strategy(name).__module__])
 
 
 @cache
@@ -234,22 +261,19 @@ def _sources() -> str:
     return total.hexdigest()
 
 
-def packed(world: Map, scenario: Scenario) -> bytes:
-    """A map from a file, for processes that may not have it; nothing for a generated one."""
-    if not (scenario.map.endswith(FILES) or Path(scenario.map).is_file()):
-        return b""
+def is_file(name: str) -> bool:
+    """Whether a map is that of a file; others are generated."""
+    return name.endswith(FILES) or Path(name).is_file()
+
+
+def content(world: Map) -> bytes:
+    """A map of a file, for processes that may not have it."""
     head = json.dumps([world.name, world.resolution, world.origin, world.cells.shape])
-    return zlib.compress(head.encode() + b"\n" + world.cells.tobytes())
+    return head.encode() + b"\n" + world.cells.tobytes()
 
 
-def unpacked(sent: bytes) -> Map:
-    """The map that `packed` made `sent` of."""
-    head, _, cells = zlib.decompress(sent).partition(b"\n")
+def world_of(content: bytes) -> Map:
+    """The map that this is the content of."""
+    head, _, cells = content.partition(b"\n")
     name, resolution, origin, shape = json.loads(head)
     return Map(name, np.frombuffer(cells, np.uint8).reshape(shape).copy(), resolution, tuple(origin))
-
-
-def _digest(world: Map) -> str:
-    total = hashlib.sha256(repr((world.cells.shape, world.resolution, world.origin)).encode())
-    total.update(world.cells.tobytes())
-    return total.hexdigest()

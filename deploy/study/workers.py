@@ -148,6 +148,11 @@ class Cluster:
             self._client.close()
 
 
+def workers(jobs: int | None, scheduler: str | None) -> Workers:
+    """A cluster's workers if its scheduler's address is given, else `jobs` processes here, one per core if None."""
+    return LocalPool(jobs or os.cpu_count() or 1) if scheduler is None else Cluster(scheduler)
+
+
 _TURN = threading.Lock()
 
 

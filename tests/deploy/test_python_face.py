@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import polars
@@ -92,3 +93,25 @@ def test_the_plot_has_a_panel_a_map() -> None:
 def test_a_typing_error_in_a_name_of_the_package_is_one() -> None:
     with pytest.raises(AttributeError, match="exlpore"):
         deploy.exlpore  # noqa: B018
+
+
+@pytest.mark.parametrize("given", ["office", {"robots": 3}, 3])
+def test_what_is_no_scenario_is_told_how_settings_are_given(given: object) -> None:
+    for call in (explore, deploy.steps):
+        with pytest.raises(
+            TypeError, match=r"must be a Scenario; settings are given by name, as in explore\(map="
+        ):
+            call(given)  # type: ignore[operator]
+
+
+def test_a_directory_may_be_text_and_is_refused_where_nothing_is_kept(tmp_path: Path) -> None:
+    assert explore(out=str(tmp_path / "run"), **SMALL).directory == tmp_path / "run"  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="with keep = False nothing is written"):
+        explore(out="run", keep=False, **SMALL)  # type: ignore[arg-type]
+
+
+def test_a_file_of_a_strategy_is_told_how_its_class_is_named() -> None:
+    with pytest.raises(
+        ScenarioError, match=r"farthest\.py is a file: give the strategy in it as farthest:Class"
+    ):
+        Scenario(strategy="farthest.py")

@@ -12,10 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from netshaper.ledger import CAUSES, ROW
+from netshaper.medium import UNLIMITED
 from netshaper.process import RelayNode
 from netshaper.radio import RadioSettings
 from protocol import keys as names
 from protocol.bus import Bus
+from protocol.fields import MOST_CONNECTIONS
 from protocol.keys import Keys
 from protocol.memory_bus import MemoryHub
 from protocol.messages import (
@@ -35,6 +37,7 @@ from protocol.messages import (
     unpack,
 )
 from protocol.packets import Offer, Target, encode
+from protocol.rights import MOST_NONSENSE
 
 KEYS = Keys("relay")
 WORLD, LAB = names.WORLD, names.LAB
@@ -43,10 +46,10 @@ WORLD, LAB = names.WORLD, names.LAB
 class Run:
     """A relay on a bus in memory, and the ends of all others, which the test speaks for."""
 
-    def __init__(self, robots: int = 2, *, begun: bool = True) -> None:
+    def __init__(self, robots: int = 2, *, begun: bool = True, budget: int = UNLIMITED) -> None:
         self.hub = MemoryHub(KEYS.run)
         self._relay_bus = self.hub.join(names.RELAY)
-        self.relay = RelayNode(self._relay_bus, KEYS, RadioSettings(robots, 0, 100.0))
+        self.relay = RelayNode(self._relay_bus, KEYS, RadioSettings(robots, 0, 100.0, budget))
         self.ends: dict[str, Bus] = {}
         self.robots = [names.robot(number) for number in range(robots)]
         if begun:
@@ -315,6 +318,33 @@ def test_a_frame_for_a_name_that_no_robot_has_is_booked_as_out_of_range(receiver
     (report,) = run.finish_step()
     rows = np.frombuffer(report.rows, ROW)
     assert [(row["sender"], row["bytes"], CAUSES[row["cause"]]) for row in rows] == [(1, 2, "range")]
+
+
+def test_a_frame_longer_than_could_be_carried_is_reported_and_not_looked_at() -> None:
+    run = Run(budget=1000)
+    run.begin_step()
+    for receiver in ("r0", names.ALL, "r9"):
+        run.radio("r1", receiver, bytes(20 << 20))
+    faults = run.heard(LAB)
+    assert [fault.who for fault in faults] == 3 * ["r1"]
+    assert "a frame of 20971520 bytes" in faults[0].what
+    (report,) = run.finish_step()
+    assert report.rows == b""
+
+
+def test_more_frames_in_a_phase_than_there_can_be_connections_are_reported_and_the_robot_is_given_up() -> (
+    None
+):
+    run = Run()
+    run.begin_step()
+    frame = encode([Offer(1, 0)])
+    for _ in range(MOST_CONNECTIONS):
+        run.radio("r1", "r0", frame)
+    assert run.heard(LAB) == []
+    for _ in range(MOST_NONSENSE + 1):
+        run.radio("r1", "r0", frame)
+    assert [type(message) for message in run.heard(LAB)] == [*MOST_NONSENSE * [Fault], Lost]
+    assert run.relay.waiting_for() == [0]
 
 
 def test_a_target_is_passed_on_with_its_sender_in_the_key() -> None:

@@ -74,6 +74,11 @@ LIES: dict[str, list[Packet]] = {
     "no inside object": [Emerge(4000, 2, 0), Insert(0, 1, 1, 0, 0), Insert(1, 9, 9, 0, 0), Save()],
     "two save points in a row": [Save(), Save()],
     "raw scans": [Fragment(b"noise")],
+    "all of the building": [
+        Emerge(0, 4, 1),
+        *(Insert(i, *corner, 0, 1) for i, corner in enumerate([(1, 1), (1, 118), (118, 118), (118, 1)])),
+        Save(),
+    ],
 }
 
 

@@ -39,7 +39,7 @@ def swarm(out: Path, *more: str) -> Iterator[subprocess.Popen[str]]:
         process.wait()
 
 
-def child(process: subprocess.Popen[str], name: str, timeout_s: float = 20) -> psutil.Process:
+def child(process: subprocess.Popen[str], name: str, timeout_s: float = 60) -> psutil.Process:
     """Wait for the child of that name; it has joined the bus once others have as well."""
     deadline = time.monotonic() + timeout_s
     while time.monotonic() < deadline:
@@ -127,6 +127,7 @@ def test_a_killed_relay_or_world_ends_the_run_and_is_named(tmp_path: Path, name:
         code, said, _ = finish(process, 30)
     assert code == 3
     assert f"{name} died: killed by SIGKILL" in said
+    assert " died: exit code" not in said
     assert not psutil.wait_procs(family, timeout=3)[1]
     result = summary(tmp_path / "run")
     assert not result["finished"]
@@ -168,14 +169,42 @@ def test_ctrl_c_which_all_in_the_terminal_get_ends_a_run_that_is_watched_to_its_
     assert (out / "pictures" / "channel-load.png").exists()
 
 
-def test_a_launcher_that_is_killed_leaves_no_process_behind(tmp_path: Path) -> None:
+@pytest.mark.parametrize("moment", ["at the start", "under way"])
+def test_a_launcher_that_is_killed_leaves_no_process_and_no_folder_behind(
+    tmp_path: Path, moment: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    long_name = tmp_path / ("long" * 40)
+    folder = long_name if moment == "under way" else tmp_path / "short"
+    folder.mkdir()
+    monkeypatch.setenv("TMPDIR", str(folder))
+    before = {path.name for path in Path("/tmp").glob("pymp-*")}
     with swarm(tmp_path / "run") as process:
-        wait_for_steps(process)
+        if moment == "under way":
+            wait_for_steps(process)
+        else:
+            while len(descendants(process)) < 2:
+                time.sleep(0.02)
         family = descendants(process)
         process.kill()
         process.wait()
-        _gone, alive = psutil.wait_procs(family, timeout=10)
+        _gone, alive = psutil.wait_procs(family, timeout=60)
     assert not alive
+    assert not list(folder.glob("pymp-*"))
+    assert folder != long_name or {path.name for path in Path("/tmp").glob("pymp-*")} <= before
+
+
+def test_a_fork_server_that_is_killed_is_named_once(tmp_path: Path) -> None:
+    with swarm(tmp_path / "run") as process:
+        wait_for_steps(process)
+        family = descendants(process)
+        parents = {found.ppid() for found in family}
+        (server,) = [found for found in family if found.pid in parents]
+        server.kill()
+        code, said, _ = finish(process, 60)
+    assert code == 3
+    assert said.count(" died: ") == 1
+    assert "the fork server died: " in said
+    assert not psutil.wait_procs(family, timeout=20)[1]
 
 
 def test_replay_repeats_a_run_from_its_directory_alone(tmp_path: Path) -> None:

@@ -127,3 +127,36 @@ def test_what_is_not_ones_to_say_is_a_fault_with_ones_name_and_changes_nothing(r
     assert any(
         fault.startswith(f"{rogue}: ") and f"not for {rogue} to say" in fault for fault in records.faults
     )
+
+
+class Silent:
+    """The end of the bus of a robot that never says messages of one kind, from the `after`-th on."""
+
+    def __init__(self, inner: Bus, kind: type[messages.Record], after: int) -> None:
+        self._inner, self._kind, self._left = inner, kind, after
+        self.receive, self.close = inner.receive, inner.close
+
+    def put(self, key: str, payload: bytes) -> None:
+        if "/radio/" not in key and isinstance(messages.unpack(payload), self._kind):
+            self._left -= 1
+            if self._left < 0:
+                return
+        self._inner.put(key, payload)
+
+
+@pytest.mark.parametrize("kind", [messages.Move, messages.Said, messages.Maps])
+@pytest.mark.parametrize("after", [0, 7])
+def test_who_does_not_say_what_is_waited_for_is_given_up_and_the_others_go_on(
+    kind: type[messages.Record], after: int
+) -> None:
+    def wrap(name: str, bus: Bus) -> Bus:
+        return Silent(bus, kind, after) if name == "r1" else bus
+
+    records = in_memory.run(plan(), wrap=wrap)
+    assert records.end is not None
+    assert records.end.step == STEPS
+    lost = "did not hand in its maps" if kind is messages.Maps else "kept the others waiting"
+    if kind is not messages.Maps or not after:
+        assert list(records.lost) == [1]
+        assert lost in records.lost[1]
+    assert sorted({0, 1, 2} - records.own.keys()) == sorted(records.lost)

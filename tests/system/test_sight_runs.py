@@ -71,6 +71,17 @@ def test_robots_that_part_and_meet_know_all_in_the_end(exchange: str) -> None:
         assert (robot.planning == seen).all()
 
 
+def test_looks_tell_where_robots_are_so_that_fewer_poses_are_told() -> None:
+    plans = [
+        small_plan("office", robots=4, exchange=exchange, offers="gossip", strategy="repairmen", seed=3)
+        for exchange in ("sight", "laser")
+    ]
+    sight, laser = (Team(plan) for plan in plans)
+    for team in (sight, laser):
+        team.explore(60)
+    assert 0 < bytes_of(sight, "pose") < 0.7 * bytes_of(laser, "pose")
+
+
 def test_sight_by_gossip_takes_a_hundredth_of_raw_scans() -> None:
     sight = explored(robots=3, bandwidth="unlimited")
     laser = explored(robots=3, bandwidth="unlimited", exchange="laser", offers="backoff")

@@ -160,7 +160,7 @@ def test_a_look_that_shows_nothing_new_to_all_is_not_told() -> None:
     assert second.own.any()
 
 
-@pytest.mark.parametrize(("bandwidth", "steps"), [(None, 0), (1000.0, 0), (50.0, 1), (25.0, 2), (1.0, 2)])
+@pytest.mark.parametrize(("bandwidth", "steps"), [(None, 0), (1000.0, 0), (50.0, 1), (25.0, 3), (1.0, 3)])
 def test_few_new_cells_wait_for_a_few_steps_where_bytes_are_scarce(
     bandwidth: float | None, steps: int
 ) -> None:

@@ -19,8 +19,8 @@ from tests.deploy.study.small_experiment import EXPERIMENT, write
 MURMUR = [sys.executable, "-m", "deploy.commands.main"]
 
 
-def command(*words: object) -> tuple[int, str, str]:
-    result = CliRunner().invoke(app, ["sweep", *map(str, words)])
+def command(*words: object, of: str = "sweep") -> tuple[int, str, str]:
+    result = CliRunner().invoke(app, [of, *map(str, words)])
     return result.exit_code, result.stdout, result.stderr
 
 
@@ -70,15 +70,20 @@ def test_bad_input_is_refused_before_the_first_run(
     assert said in errors
 
 
+def sweeping_in_a_group(path: Path, out: Path, *words: str) -> subprocess.Popen[str]:
+    """A sweep by two processes, in a process group of its own."""
+    return subprocess.Popen(
+        [*MURMUR, "sweep", path, "--jobs", "2", *words, "--out", out],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
+    )  # fmt: skip
+
+
 def begun(tmp_path: Path, out: Path) -> subprocess.Popen[str]:
     """A sweep of eight runs in a process group of its own, of which one at least is finished."""
     text = EXPERIMENT.replace("seed = [0, 1]", "seed = [0, 1]\nsteps = [1, 5000]").replace("steps = 6\n", "")
     path = write(tmp_path, text.replace('"em"', '"office"'))
-    sweeping = subprocess.Popen(
-        [*MURMUR, "sweep", path, "--jobs", "2", "--set", "robots=12", "--out", out],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
-    )  # fmt: skip
+    sweeping = sweeping_in_a_group(path, out, "--set", "robots=12")
     while not out.exists() or not len(pl.read_parquet(out)):
         assert sweeping.poll() is None
         time.sleep(0.1)
@@ -98,16 +103,60 @@ def test_ctrl_c_stops_a_sweep_at_once_and_keeps_what_is_finished(tmp_path: Path)
     sweeping = begun(tmp_path, out)
     os.killpg(sweeping.pid, signal.SIGINT)
     asked = time.monotonic()
-    table, errors = sweeping.communicate(timeout=30)
-    assert sweeping.returncode == 130 and time.monotonic() - asked < 10
+    table, errors = sweeping.communicate(timeout=60)
+    assert sweeping.returncode == 130 and time.monotonic() - asked < 30
     assert_none_is_left(sweeping.pid)
     assert f"stopped; the same command continues from {out}" in errors and "Traceback" not in errors
     kept = len(pl.read_parquet(out))
     assert 0 < kept < 8 and f"means of {kept} of 8 runs" in table
 
 
-def test_nothing_outlives_a_sweep_that_is_killed(tmp_path: Path) -> None:
-    sweeping = begun(tmp_path, tmp_path / "all.parquet")
+TIMES = ("wall_s", "steps_per_s", "work_us_median")
+
+
+def test_a_sweep_that_is_killed_goes_on_to_the_same_table_and_nothing_outlives_it(tmp_path: Path) -> None:
+    path = write(
+        tmp_path,
+        EXPERIMENT.replace("steps = 6", "steps = 12").replace("seed = [0, 1]", "seed = [0, 1, 2]"),
+    )
+    whole, out = tmp_path / "whole.parquet", tmp_path / "killed.parquet"
+    assert command(path, "--jobs", 1, "--out", whole)[0] == 0
+    sweeping = sweeping_in_a_group(path, out)
+    while not out.exists() or not len(pl.read_parquet(out)):
+        assert sweeping.poll() is None
+        time.sleep(0.05)
     sweeping.kill()
     sweeping.communicate(timeout=30)
     assert_none_is_left(sweeping.pid)
+    kept = len(pl.read_parquet(out))
+    assert 0 < kept < 12
+    assert command(path, "--jobs", 1, "--out", out)[0] == 0
+    assert pl.read_parquet(out).drop(TIMES).equals(pl.read_parquet(whole).drop(TIMES))
+
+
+def test_teams_are_compared_by_the_command(tmp_path: Path) -> None:
+    words = ["--strategies", "leaders,potential-field", "--map", "leader-rooms", "--seeds", 3, "--jobs", 1]
+    for setting in ("sensor_range=2.5", "speed=1.0", "exchange=laser", "bandwidth=unlimited"):
+        words += ["--set", setting]
+    code, text, _ = command(*words, "--out", tmp_path / "c", of="compare")
+    assert code == 0 and "leaders" in text and "of its steps (p = " in text
+    written = {file.name for file in (tmp_path / "c").iterdir()}
+    assert written >= {"boxes.png", "curves.png", "means.csv", "runs.parquet"}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["compare"], "give scenario files, --strategies or --exchanges: one of them"),
+        (["compare", "--strategies", "meier,meyer"], "did you mean meier"),
+        (["compare", "--strategies", "meier"], "nothing to compare"),
+        (["size", "--robots", "two"], "robots = 'two': must be whole numbers, as 2..8 or 2,4,8"),
+        (["size", "--bandwidth", "much"], "must be a whole number of bytes a step"),
+        (["reproduce", "X9"], "no claim is called 'X9'"),
+        (["sweep", "lossy.toml", "--scheduler", "nowhere"], "scheduler = 'nowhere'"),
+    ],
+)
+def test_bad_input_of_the_others_is_refused(tmp_path: Path, words: list[str], said: str) -> None:
+    out = [] if words[0] == "sweep" else ["--out", tmp_path / "out"]
+    code, _, errors = command(*words[1:], *out, of=words[0])
+    assert code == 2 and said in errors and "Traceback" not in errors

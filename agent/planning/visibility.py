@@ -1,0 +1,154 @@
+"""The shortest collision-free way in the continuous plane: visibility graph and Dijkstra (leader paper, III-A).
+
+Obstacles are all cells that are not free. A shortest way is a polyline that bends at convex corners of obstacles only,
+so its search visits corners, straight from each to all that it sees. The way keeps a tenth of a cell from all
+obstacles: a robot that is checked every tenth of a cell is then never stopped at a corner that it passes. But for that,
+it is exact.
+
+Only what lies nearer than an upper bound of the way is looked at: the way from cell to cell, which is no shorter.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.grid import FREE, Grid
+from protocol.kernels import kernel
+
+FINE = 1000
+"""Units a cell."""
+
+MARGIN = 100
+"""How far a way keeps from obstacles, in these units."""
+
+_HALF = FINE // 2
+
+
+def shortest_way(
+    floor: Grid, start: tuple[int, int], goals: NDArray[np.int32], most: float
+) -> NDArray[np.int32] | None:
+    """Find the shortest way to the nearest of some cells.
+
+    Parameters
+    ----------
+    floor : uint8 array, shape (h, w)
+        Where the robot may be.
+    start : (x, y)
+        Where it is, in thousandths of a cell. If that is nearer to an obstacle than the way may come, the centre of
+        its cell comes first.
+    goals : int32 array, shape (n, 2)
+        Free cells (x, y); their centres are meant.
+    most : float
+        Length of a way from the centre of its cell to a goal from cell to cell, in cells: none is shorter by any
+        means than the one that is found.
+
+    Returns
+    -------
+    int32 array, shape (m, 2), optional
+        Way points in thousandths of a cell, the last one a goal's centre; None if no way leads to any.
+    """
+    at = np.array(start, np.int64)
+    middle = (at + _HALF) // FINE * FINE
+    first: list[NDArray[np.int64]] = []
+    if not _is_clear(floor, at[0], at[1], at[0], at[1]) or not _is_clear(
+        floor, at[0], at[1], middle[0], middle[1]
+    ):
+        first, at = [middle], middle
+    reach = (most + 1.0) * FINE
+    targets = _within(goals.astype(np.int64) * FINE, at, reach)
+    nodes = np.concatenate([at[None], targets, _within(_corners(floor), at, reach)])
+    came = np.full(len(nodes), -1, np.int64)
+    found = int(_search(floor, nodes, len(targets), reach, came))
+    if found < 0:
+        return None
+    way = []
+    while found > 0:
+        way.append(nodes[found])
+        found = int(came[found])
+    return np.array(first + way[::-1], np.int32).reshape(-1, 2)
+
+
+def _within(points: NDArray[np.int64], at: NDArray[np.int64], reach: float) -> NDArray[np.int64]:
+    near: NDArray[np.int64] = points[((points - at) ** 2).sum(axis=1) <= reach * reach]
+    return near
+
+
+@kernel("int64[:,::1](uint8[:,::1])")
+def _corners(floor: Grid) -> NDArray[np.int64]:
+    """Where ways may bend: off the convex corners of obstacles, shape (n, 2)."""
+    height, width = floor.shape
+    out = np.empty((256, 2), np.int64)
+    count = 0
+    for y in range(height):
+        for x in range(width):
+            if floor[y, x] != FREE:
+                continue
+            for sy in (-1, 1):
+                for sx in (-1, 1):
+                    nx, ny = x + sx, y + sy
+                    if not (0 <= nx < width and 0 <= ny < height) or floor[ny, nx] == FREE:
+                        continue
+                    if floor[y, nx] != FREE or floor[ny, x] != FREE:
+                        continue
+                    if count == len(out):
+                        larger = np.empty((2 * count, 2), np.int64)
+                        larger[:count] = out
+                        out = larger
+                    out[count, 0] = x * FINE + sx * (_HALF - MARGIN)
+                    out[count, 1] = y * FINE + sy * (_HALF - MARGIN)
+                    count += 1
+    return out[:count].copy()
+
+
+@kernel("boolean(uint8[:,::1], int64, int64, int64, int64)")
+def _is_clear(floor: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
+    """Whether a line keeps `MARGIN` from all obstacles, or touches what lies so far around them."""
+    height, width = floor.shape
+    side = float(_HALF + MARGIN) - 0.5
+    low_y, high_y = min(y0, y1), max(y0, y1)
+    for row in range(int(np.ceil((low_y - side) / FINE)), int(np.floor((high_y + side) / FINE)) + 1):
+        # The part of the line at the height of this row of cells, and of what lies around them.
+        left, right = float(min(x0, x1)), float(max(x0, x1))
+        if y0 != y1:
+            top, bottom = max(float(low_y), row * FINE - side), min(float(high_y), row * FINE + side)
+            at_top = x0 + (x1 - x0) * ((top - y0) / (y1 - y0))
+            at_bottom = x0 + (x1 - x0) * ((bottom - y0) / (y1 - y0))
+            left, right = min(at_top, at_bottom), max(at_top, at_bottom)
+        for column in range(int(np.ceil((left - side) / FINE)), int(np.floor((right + side) / FINE)) + 1):
+            inside = 0 <= row < height and 0 <= column < width
+            if not inside or floor[row, column] != FREE:
+                return False
+    return True
+
+
+@kernel("int64(uint8[:,::1], int64[:,::1], int64, float64, int64[::1])")
+def _search(floor: Grid, nodes: NDArray[np.int64], goals: int, reach: float, came: NDArray[np.int64]) -> int:
+    """Dijkstra's search from node 0 to the first of the next `goals` nodes; -1 if none is reached.
+
+    `came` says from where each was reached. Of equally long ways the one over the first nodes counts.
+    """
+    length = np.full(len(nodes), np.inf)
+    done = np.zeros(len(nodes), np.bool_)
+    length[0] = 0.0
+    while True:
+        here = -1
+        for node in range(len(nodes)):
+            if not done[node] and length[node] < np.inf and (here < 0 or length[node] < length[here]):
+                here = node
+        if here < 0 or 1 <= here <= goals:
+            return here
+        done[here] = True
+        for node in range(1, len(nodes)):
+            if done[node]:
+                continue
+            dx, dy = float(nodes[node, 0] - nodes[here, 0]), float(nodes[node, 1] - nodes[here, 1])
+            new = length[here] + np.sqrt(dx * dx + dy * dy)
+            if (
+                new < length[node]
+                and new <= reach
+                and _is_clear(floor, nodes[here, 0], nodes[here, 1], nodes[node, 0], nodes[node, 1])
+            ):
+                length[node] = new
+                came[node] = here
+    return -1

@@ -1,0 +1,187 @@
+"""Which of several settings explores faster: paired runs, a verdict for each pair, boxes and curves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
+
+from deploy.scenario.scenario import Scenario, ScenarioError, load
+from deploy.study import plots
+from deploy.study.claims import HOLDS, UNDECIDED, Finding, Rule, judge
+from deploy.study.plots import BOXES, CURVES, Plot
+from deploy.study.results import write_table
+from deploy.study.sweep import Sweep, of_settings, run
+from deploy.study.tables import VARIANT, check
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SEEDS = 10
+
+OWN = ("seed", "bus")
+"""Settings of a scenario that a comparison decides."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison:
+    """Settings compared with each other. In a notebook it shows its verdicts, table, and pictures.
+
+    Attributes
+    ----------
+    sweep : Sweep
+        The runs.
+    figure : str
+        What is compared.
+    findings : list of Finding
+        A paired test for each two, corrected for how many there are (Holm).
+    """
+
+    sweep: Sweep
+    figure: str
+    findings: list[Finding]
+
+    @property
+    def verdicts(self) -> list[str]:
+        """A sentence for each two."""
+        return [_sentence(self.figure, finding) for finding in self.findings]
+
+    @property
+    def table(self) -> pl.DataFrame:
+        """Means, intervals and five numbers."""
+        return self.sweep.table
+
+    def plot(self) -> Figure:
+        """Boxes of the figure."""
+        return self.sweep.plot(0)
+
+    def curves(self) -> Figure:
+        """What is explored over time, means with 95 % bands."""
+        return self.sweep.plot(1)
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write ``boxes.png``, ``curves.png`` and ``means.csv``."""
+        files = [folder / name for name in ("boxes.png", "curves.png", "means.csv")]
+        plots.save(self.plot(), files[0])
+        plots.save(self.curves(), files[1])
+        write_table(self.table, files[2])
+        return files
+
+    def __repr__(self) -> str:
+        return f"<Comparison of {len(self.sweep.rows)} runs: {'; '.join(self.verdicts)}>"
+
+    def _repr_html_(self) -> str:
+        pictures = "".join(plots.as_html(canvas) for canvas in (self.plot(), self.curves()))
+        sentences = "".join(f"<li>{sentence}</li>" for sentence in self.verdicts)
+        return f"<ul>{sentences}</ul>{pictures}{self.table._repr_html_()}"
+
+
+def compare(
+    scenarios: Sequence[Scenario | dict[str, Any] | Path | str] | dict[str, dict[str, Any]],
+    *,
+    seeds: int = SEEDS,
+    figure: str = "steps",
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    out: Path | None = None,
+    progress: bool = True,
+    **settings: Any,
+) -> Comparison:
+    """Run scenarios on the same seeds, and say which is better.
+
+    Parameters
+    ----------
+    scenarios : sequence of Scenario, settings or paths; or dict of name to settings
+        Two or more. Their seeds are replaced.
+    seeds : int
+        Runs of each, on each map.
+    figure : str
+        What is compared, as in tables (docs/experiments.md).
+    **settings
+        Settings of all of them; lists are run through: ``map=["office", "mixed"], robots=4``.
+
+    Raises
+    ------
+    ValueError
+        Fewer than two scenarios, or one that cannot be run; nothing has been run.
+
+    See Also
+    --------
+    deploy.study.sweep.sweep : the other parameters
+    """
+    variants = _named(scenarios)
+    if len(variants) < 2:
+        raise ScenarioError("there is nothing to compare: give two scenarios or more")
+    check(figure, ())
+    taken = [key for key in settings if any(key in keys for keys in variants.values())]
+    variants = {name: {k: v for k, v in keys.items() if k not in taken} for name, keys in variants.items()}
+    if len({repr(keys) for keys in variants.values()}) < len(variants):
+        raise ScenarioError("two of the scenarios are the same")
+    figures = list(
+        dict.fromkeys([figure, "steps", "t90", "map_agreement", "worst_wall_precision", "bytes.total"])
+    )
+    made = of_settings("compare", {}, {**settings, "seed": range(seeds)}, variants, figures)
+    panels = "map" if "map" in made.grid else ""
+    made = made.with_plots(
+        (
+            Plot(figure, kind=BOXES, panels=panels, finished_only=True),
+            Plot("explored", kind=CURVES, panels=panels, xlabel="step", ylabel="explored"),
+        )
+    )
+    done = run(made, jobs=jobs, scheduler=scheduler, out=out, progress=progress)
+    rules = [
+        Rule(
+            "", figure, "ratio < 1", {VARIANT: one}, {VARIANT: other}, [], {}, {}, all_runs=False, exact=False
+        )
+        for one, other in combinations(variants, 2)
+    ]
+    return Comparison(done, figure, judge([(rules, done.rows)]).findings)
+
+
+def _named(
+    scenarios: Sequence[Scenario | dict[str, Any] | Path | str] | dict[str, dict[str, Any]],
+) -> dict[str, dict[str, Any]]:
+    """The settings of each scenario, by a name: that of its file, or what it has of its own."""
+    if isinstance(scenarios, dict):
+        return scenarios
+    named: dict[str, dict[str, Any]] = {}
+    settings = [_settings(each) for each in scenarios]
+    for each, own in zip(scenarios, settings, strict=True):
+        if isinstance(each, str | Path):
+            name = Path(each).stem
+        else:
+            differing = {k: v for k, v in own.items() if any(other.get(k) != v for other in settings)}
+            name = (
+                ", ".join(f"{v}" if isinstance(v, str) else f"{k} {v}" for k, v in differing.items())
+                or "plain"
+            )
+        if name in named:
+            raise ScenarioError(f"two scenarios are called {name!r}: give them in a dict, by names")
+        named[name] = own
+    return named
+
+
+def _settings(scenario: Scenario | dict[str, Any] | Path | str) -> dict[str, Any]:
+    """What a scenario sets itself."""
+    if isinstance(scenario, dict):
+        return {key: value for key, value in scenario.items() if key not in OWN}
+    read = scenario if isinstance(scenario, Scenario) else load(Path(scenario), {})
+    return read.model_dump(mode="json", exclude_unset=True, exclude=set(OWN))
+
+
+def _sentence(figure: str, finding: Finding) -> str:
+    """What was found of two, in a sentence."""
+    one, other = finding.rule.compare[VARIANT], finding.rule.to[VARIANT]
+    effect = finding.effect
+    if not effect.n:
+        return f"{one} and {other}: no two runs to compare"
+    bounds = "" if effect.low != effect.low else f" [{effect.low:.2f}, {effect.high:.2f}]"
+    pairs = f"{effect.n} pairs" + (f", {finding.left_out} left out as unfinished" if finding.left_out else "")
+    told = f"{effect.mean:.2f}{bounds} of its {figure} (p = {finding.p:.3g}, {pairs})"
+    if finding.verdict == UNDECIDED:
+        return f"{one} and {other} cannot be told apart: {one} has {told}"
+    return f"{one} has {'less' if finding.verdict == HOLDS else 'more'} than {other}: {told}"

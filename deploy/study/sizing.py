@@ -1,0 +1,233 @@
+"""How large a team, how much bandwidth and range a building needs: `murmur size`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
+
+from deploy.study import plots
+from deploy.study.plots import Plot
+from deploy.study.results import Row, write_table
+from deploy.study.statistics import Interval, interval, share
+from deploy.study.sweep import Sweep, of_settings, run
+from deploy.study.tables import has_finished
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+KEYS = ("robots", "bandwidth", "range")
+
+AGREEMENT = 0.95
+SEEDS = 5
+
+
+@dataclass(frozen=True)
+class Option:
+    """A team that was tried.
+
+    Attributes
+    ----------
+    robots, bandwidth, range
+        Its settings.
+    met : Interval
+        What share of its runs explored in time and with a map that is good enough (Wilson).
+    steps : Interval
+        Steps of those that finished.
+    """
+
+    robots: int
+    bandwidth: int | str
+    range: str
+    met: Interval
+    steps: Interval
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sizing:
+    """Teams tried in a building. In a notebook it shows its sentence, curves and table.
+
+    Attributes
+    ----------
+    sweep : Sweep
+        The runs.
+    options : list of Option
+        By robots, bandwidth and range, ascending.
+    within : int or None
+        Steps that an exploration may take.
+    agreement : float
+        Share of the building that the first robot's map must have right.
+    """
+
+    sweep: Sweep
+    options: list[Option]
+    within: int | None
+    agreement: float
+
+    @property
+    def enough(self) -> Option | None:
+        """The smallest team, then bandwidth, then range, of which all runs met what was asked."""
+        return next((option for option in self.options if option.met.n and option.met.mean == 1), None)
+
+    @property
+    def sentence(self) -> str:
+        """The answer."""
+        asked = f"with at least {100 * self.agreement:g} % of the map right"
+        if self.within is not None:
+            asked = f"within {self.within} steps and {asked}"
+        best = self.enough
+        if best is not None:
+            n = best.met.n
+            return (
+                f"{_count(best.robots)} with {_bandwidth(best.bandwidth)} and a range of {best.range} explore "
+                f"{self._map} {asked}: in {_steps(best.steps)}, {n} of {n} runs (so in at least "
+                f"{100 * best.met.low:.0f} % of all, with 95 % confidence)."
+            )
+        nearest = max(self.options, key=lambda option: (option.met.mean, -option.steps.mean), default=None)
+        if nearest is None or not nearest.met.n:
+            return "No run has ended."
+        met = round(nearest.met.mean * nearest.met.n)
+        return (
+            f"None of these teams always explores {self._map} {asked}; nearest come {_count(nearest.robots)} with "
+            f"{_bandwidth(nearest.bandwidth)} and a range of {nearest.range}: {met} of {nearest.met.n} runs"
+            + (f", in {_steps(nearest.steps)}." if nearest.steps.n else ".")
+        )
+
+    @property
+    def table(self) -> pl.DataFrame:
+        """A row an option."""
+        return pl.DataFrame(
+            [
+                {
+                    "robots": o.robots, "bandwidth": str(o.bandwidth), "range": o.range, "runs": o.met.n,
+                    "met": o.met.mean, "met_low": o.met.low, "met_high": o.met.high,
+                    "steps": o.steps.mean, "steps_low": o.steps.low, "steps_high": o.steps.high,
+                }
+                for o in self.options
+            ],
+            infer_schema_length=None,
+        )  # fmt: skip
+
+    def plot(self) -> Figure:
+        """Steps by number of robots, a curve a bandwidth, a panel a range, with 95 % intervals."""
+        canvas = self.sweep.plot(0)
+        if self.within is not None:
+            for panel in canvas.axes:
+                panel.axhline(self.within, color="#555555", linewidth=1, linestyle="--")
+        return canvas
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write ``size.png`` and ``size.csv``."""
+        files = [folder / "size.png", folder / "size.csv"]
+        plots.save(self.plot(), files[0])
+        write_table(self.table, files[1])
+        return files
+
+    @property
+    def _map(self) -> str:
+        return plots.short(self.sweep.experiment.base["map"])
+
+    def __repr__(self) -> str:
+        return f"<Sizing of {len(self.sweep.rows)} runs: {self.sentence}>"
+
+    def _repr_html_(self) -> str:
+        return f"<p>{self.sentence}</p>{plots.as_html(self.plot())}{self.table._repr_html_()}"
+
+
+def size(
+    map: str,
+    *,
+    robots: Sequence[int] = range(2, 9),
+    bandwidth: Sequence[int | str] = (100, 1000, 10000),
+    range: Sequence[str] = ("30%", "100%"),
+    within: int | None = None,
+    agreement: float = AGREEMENT,
+    seeds: int = SEEDS,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    out: Path | None = None,
+    progress: bool = True,
+    **settings: Any,
+) -> Sizing:
+    """Try teams in a building; `Sizing.sentence` says which is enough.
+
+    Parameters
+    ----------
+    map : str
+        A map's file, or the name of a generator.
+    robots, bandwidth, range : sequences
+        What is tried, in all combinations.
+    within : int, optional
+        Steps that an exploration may take.
+    agreement : float
+        Share of the building that the first robot's map must have right at the end.
+    seeds : int
+        Runs of each combination.
+    **settings
+        Other settings of all runs: ``exchange="sight", offers="gossip"``.
+
+    Raises
+    ------
+    ValueError
+        A setting is wrong; nothing has been run.
+
+    See Also
+    --------
+    deploy.study.sweep.sweep : the other parameters
+    """
+    grid: dict[str, list[Any]] = {
+        "robots": sorted(robots),
+        "bandwidth": sorted(bandwidth, key=lambda b: float("inf") if isinstance(b, str) else b),
+        "range": list(range),
+        "seed": list(_counted(seeds)),
+    }
+    made = of_settings("size", {"map": map, **settings}, grid, {"plain": {}}, ("steps", "map_agreement"))
+    plot = Plot(
+        "steps",
+        x="robots",
+        lines="bandwidth",
+        panels="range",
+        xlabel="robots",
+        ylabel="exploration time (steps)",
+    )
+    done = run(made.with_plots((plot,)), jobs=jobs, scheduler=scheduler, out=out, progress=progress)
+    return Sizing(done, _options(done.rows, grid, within, agreement), within, agreement)
+
+
+_counted = range
+"""Python's own; `size` has a setting of that name."""
+
+
+def _options(
+    rows: Sequence[Row], grid: dict[str, list[Any]], within: int | None, agreement: float
+) -> list[Option]:
+    options = []
+    for robots in grid["robots"]:
+        for bandwidth in grid["bandwidth"]:
+            for reach in grid["range"]:
+                here = dict(zip(KEYS, (robots, bandwidth, reach), strict=True))
+                runs = [row for row in rows if here.items() <= row["place"].items()]
+                met = sum(_meets(row, within, agreement) for row in runs)
+                steps = interval([row["steps"] for row in runs if has_finished(row)])
+                options.append(Option(robots, bandwidth, reach, share(met, len(runs)), steps))
+    return options
+
+
+def _meets(row: Row, within: int | None, agreement: float) -> bool:
+    in_time = within is None or row["steps"] <= within
+    return has_finished(row) and in_time and (row["map_agreement"] or 0) >= agreement
+
+
+def _count(robots: int) -> str:
+    return "1 robot" if robots == 1 else f"{robots} robots"
+
+
+def _bandwidth(bandwidth: int | str) -> str:
+    return "unlimited bandwidth" if isinstance(bandwidth, str) else f"{bandwidth} bytes a step"
+
+
+def _steps(steps: Interval) -> str:
+    return f"{steps.mean:.0f} steps" + (f" ± {steps.half:.0f}" if steps.n > 1 else "")

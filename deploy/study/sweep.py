@@ -1,0 +1,161 @@
+"""Many runs from Python: ``sweep("lossy.toml", quick=True)``, ``sweep(robots=[2, 4], seed=[0, 1], map="office")``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
+from rich.console import Console
+
+from deploy.scenario.scenario import ScenarioError
+from deploy.study import experiment as experiments
+from deploy.study import plots
+from deploy.study.experiment import Experiment
+from deploy.study.progress import counting
+from deploy.study.results import Results, Row
+from deploy.study.runs import Case, cases, failures, looked_up, make
+from deploy.study.tables import VARIANT, Table, described
+from deploy.study.workers import workers
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+USUAL = ("steps", "coverage", "map_agreement")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sweep:
+    """The runs of an experiment. In a notebook it shows its table of means.
+
+    Attributes
+    ----------
+    experiment : Experiment
+    cases : list of Case
+        All that were to be run, in the order of the grid.
+    rows : list of dict
+        The runs that did not fail, each with its ``place`` in the grid.
+    results : Results
+        The table that they are in, with their series.
+    failures : dict
+        What went wrong, and how often.
+    """
+
+    experiment: Experiment
+    cases: list[Case]
+    rows: list[Row]
+    results: Results
+    failures: dict[str, int]
+
+    @property
+    def runs(self) -> pl.DataFrame:
+        """A row a run: keys of the grid and the variant first, then all settings and figures."""
+        return pl.DataFrame(
+            [
+                {name: plots.short(value) if isinstance(value, str | dict | list) else value
+                 for name, value in row["place"].items()}
+                | {name: value for name, value in row.items() if name != "place" and name not in row["place"]}
+                for row in self.rows
+            ],
+            infer_schema_length=None,
+        )  # fmt: skip
+
+    @property
+    def table(self) -> pl.DataFrame:
+        """Means, 95 % intervals and five numbers of each cell of the experiment's table."""
+        return described(self.experiment.table, self.rows)
+
+    def plot(self, number: int = 0) -> Figure:
+        """Draw one of the experiment's plots; ValueError if there is none."""
+        if number >= len(self.experiment.plots) or not self.rows:
+            raise ValueError(f"there is no plot {number}: the experiment has {len(self.experiment.plots)}")
+        return plots.draw(self.experiment.plots[number], self.rows, self.results)
+
+    def __repr__(self) -> str:
+        failed = f", {sum(self.failures.values())} failed" if self.failures else ""
+        return f"<Sweep {self.experiment.name}: {len(self.rows)} of {len(self.cases)} runs{failed}>"
+
+    def _repr_html_(self) -> str:
+        return f"<p>{self.experiment.name}: {len(self.rows)} runs</p>{self.table._repr_html_()}"
+
+
+def sweep(
+    experiment: Path | str | Experiment | None = None,
+    *,
+    base: dict[str, Any] | None = None,
+    variants: dict[str, dict[str, Any]] | None = None,
+    figures: Sequence[str] = USUAL,
+    quick: bool = False,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    out: Path | None = None,
+    progress: bool = True,
+    **settings: Any,
+) -> Sweep:
+    """Run an experiment, or all combinations of settings, and return the runs.
+
+    Parameters
+    ----------
+    experiment : path, name or Experiment, optional
+        A file as for `murmur sweep`; `settings` replace values of its grid and base.
+    base : dict, optional
+        Without an experiment: settings that all runs share.
+    variants : dict of name to settings, optional
+        Without an experiment: what is compared, each on the same grid.
+    figures : sequence of str
+        Without an experiment: what `Sweep.table` shows.
+    quick : bool
+        Whether to run only what the experiment's ``[quick]`` says.
+    jobs : int, optional
+        Processes; one per core if left out.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers make the runs instead.
+    out : Path, optional
+        The table of runs (parquet); those that are in it are not run again.
+    progress : bool
+        Whether to show how far it is, and the time left.
+    **settings
+        Lists of values, of which all combinations are run, and single values: ``robots=[2, 4], map="office"``.
+
+    Raises
+    ------
+    ValueError
+        A setting, the experiment or `out` is wrong; nothing has been run.
+    """
+    if experiment is None:
+        read = of_settings("sweep", base or {}, settings, variants or {"plain": {}}, figures)
+    else:
+        if base or variants:
+            raise ScenarioError("base and variants: the experiment has its own; give one or the other")
+        read = experiment if isinstance(experiment, Experiment) else experiments.read(Path(experiment))
+        read = experiments.override(experiments.quickened(read) if quick else read, settings)
+    return run(read, jobs=jobs, scheduler=scheduler, out=out, progress=progress)
+
+
+def run(
+    experiment: Experiment, *, jobs: int | None, scheduler: str | None, out: Path | None, progress: bool
+) -> Sweep:
+    """Run an experiment; parameters as for `sweep`."""
+    todo = cases(experiment)
+    with Results(out) as results:
+        with counting(Console(stderr=True, quiet=not progress), experiment.name) as tell:
+            make(todo, results, workers(jobs, scheduler), tell)
+        return Sweep(experiment, todo, looked_up(todo, results), results, failures(todo, results))
+
+
+def of_settings(
+    name: str,
+    base: dict[str, Any],
+    settings: dict[str, Any],
+    variants: dict[str, dict[str, Any]],
+    figures: Sequence[str],
+) -> Experiment:
+    """An experiment of settings: those that are lists make its grid."""
+    grid = {key: list(values) for key, values in settings.items() if isinstance(values, list | tuple | range)}
+    single = {key: value for key, value in settings.items() if key not in grid}
+    rows = [key for key in grid if key != "seed"] + ([VARIANT] if len(variants) > 1 else [])
+    table = Table(rows, [], list(figures), interval=True, finished_only=True)
+    made = Experiment(name, name, base | single, {key: [] for key in grid}, {}, variants, table)
+    return experiments.override(made, grid)

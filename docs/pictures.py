@@ -1,0 +1,114 @@
+"""The pictures of docs/concepts.md: python docs/pictures.py [FOLDER]."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from numpy.typing import NDArray
+
+from agent.outline.contour import contours
+from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
+from deploy import Step, steps
+from deploy.record.colors import ALARM, CELLS, GROUPS, Color, robot_color
+
+AFTER = 80
+"""The step that is shown."""
+SHADES = ListedColormap(np.array(CELLS) / 255)
+
+
+def main(folder: Path) -> None:
+    """Draw all pictures into a folder."""
+    folder.mkdir(exist_ok=True)
+    run = steps(map="office", robots=3, range=12, bandwidth=250)
+    taken = [next(run) for _ in range(AFTER)]
+    _save(outline(taken[-1]), folder / "outline.png")
+    _save(knowledge(taken[-1]), folder / "knowledge.png")
+    _save(sent(taken, 250), folder / "bytes.png")
+
+
+def outline(step: Step) -> plt.Figure:
+    """One robot's grid, the exact contour of its free space, and the polygons that it tells."""
+    robot = step.robots[0]
+    figure, panels = plt.subplots(1, 3, figsize=(10.5, 4), layout="constrained")
+    exact, told = contours(robot.own, robot.cell), robot.polygons[0]
+    for axes, title, polygons in zip(
+        panels,
+        (
+            "what robot 0 has seen",
+            f"its exact contour: {len(exact.x)} points",
+            f"told: {len(told.x)} corners",
+        ),
+        (None, exact, told),
+        strict=True,
+    ):
+        _draw(axes, robot.own, title)
+        if polygons is not None:
+            for x, y in _rings(polygons):
+                axes.plot(x, y, color=_rgb(robot_color(0)), linewidth=1.2, marker="o", markersize=1.5)
+    return figure
+
+
+def knowledge(step: Step) -> plt.Figure:
+    """Each robot's planning map."""
+    figure, panels = plt.subplots(1, len(step.robots), figsize=(10.5, 4), layout="constrained")
+    for axes, robot in zip(panels, step.robots.values(), strict=True):
+        _draw(axes, robot.planning, f"robot {robot.number} knows")
+        axes.plot(*robot.cell, "o", color=_rgb(robot_color(robot.number)), markersize=7)
+        if robot.target is not None:
+            axes.plot(*robot.target, "x", color=_rgb(robot_color(robot.number)), markersize=7)
+    return figure
+
+
+def sent(taken: list[Step], budget: int) -> plt.Figure:
+    """Bytes of each step by purpose, and the budget."""
+    figure, axes = plt.subplots(figsize=(10.5, 3), layout="constrained")
+    numbers = [step.number for step in taken]
+    below = np.zeros(len(taken))
+    for group in GROUPS.values():
+        size = np.array([_bytes(step, group.kinds) for step in taken])
+        if size.any():
+            axes.bar(numbers, size, bottom=below, label=group.words, color=_rgb(group.color), width=1.0)
+            below += size
+    axes.axhline(budget, color=_rgb(ALARM), linewidth=1)
+    axes.set(xlabel="step", ylabel="bytes on the air", xlim=(0.5, len(taken) + 0.5), ylim=(0, 1.35 * budget))
+    axes.legend(frameon=False, loc="upper right", ncols=5)
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def _bytes(step: Step, kinds: tuple[str, ...]) -> int:
+    rows = step.traffic
+    return int(rows.filter(rows["carried"] & rows["kind"].is_in(kinds))["bytes"].sum())
+
+
+def _rgb(color: Color) -> tuple[float, float, float]:
+    red, green, blue = color
+    return red / 255, green / 255, blue / 255
+
+
+def _draw(axes: Axes, grid: NDArray[np.uint8], title: str) -> None:
+    axes.imshow(grid, cmap=SHADES, vmin=0, vmax=2, interpolation="nearest")
+    axes.set(title=title, xticks=[], yticks=[])
+
+
+def _rings(polygons: Polygons) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """The closed line of each polygon, in cells."""
+    x, y = polygons.x + SIDE_X[polygons.side] / 4, polygons.y + SIDE_Y[polygons.side] / 4
+    for begin, end in zip(polygons.start[:-1], polygons.start[1:], strict=True):
+        ring = [*range(begin, end), begin]
+        yield x[ring], y[ring]
+
+
+def _save(figure: plt.Figure, path: Path) -> None:
+    figure.savefig(path, dpi=90)
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "concepts")

@@ -1,0 +1,22 @@
+"""The columns that documents are made of are those of the files."""
+
+from __future__ import annotations
+
+from pyarrow import parquet
+
+from deploy.record.columns import FILES
+from netshaper.ledger import CAUSES, ROW
+from tests.deploy.small_run import small_directory
+
+
+def test_each_file_has_the_columns_that_are_described() -> None:
+    for name, columns in FILES.items():
+        schema = parquet.read_schema(small_directory() / name)
+        assert [(field.name, str(field.type)) for field in schema] == [
+            (column.name, column.type) for column in columns
+        ]
+
+
+def test_the_ledger_is_described_as_the_relay_writes_it() -> None:
+    assert [column.name for column in FILES["ledger.parquet"]] == list(ROW.names or ())
+    assert CAUSES[0] == ""

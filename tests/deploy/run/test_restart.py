@@ -1,0 +1,75 @@
+"""What dies unasked is started again: robots where they fell, and the run where relay or world die."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from deploy.record.records import Records
+from deploy.run.exploration import EXPLORED, explore
+from deploy.run.repeat import why_unrepeatable
+from deploy.scenario.plan import Plan
+from deploy.scenario.scenario import ScenarioError, parse
+
+
+def scenario(**settings: Any) -> Any:
+    return parse({"map": "leader-rooms", "robots": 2, "sensor_range": 2.5, "offers": "gossip"} | settings)
+
+
+def killing(name: str, step: int, number: signal.Signals = signal.SIGKILL) -> Callable[[Plan, Records], None]:
+    """Send a participant a signal as soon as a step has been reached; once."""
+    sent: list[int] = []
+
+    def watch(_: Plan, records: Records) -> None:
+        for child in psutil.Process(os.getpid()).children(recursive=True) if records.step >= step else ():
+            if not sent and child.name().startswith(f"murmur {name}"):
+                sent.append(child.pid)
+                child.send_signal(number)
+
+    return watch
+
+
+@pytest.mark.parametrize("name", ["world", "relay"])
+def test_a_run_whose_world_or_relay_dies_goes_on_to_the_digest_of_an_undisturbed_one(
+    tmp_path: Path, name: str
+) -> None:
+    plain = explore(scenario(bus="memory"), keep=False)
+    told: list[str] = []
+    result = explore(
+        scenario(), out=tmp_path / "run", watch=killing(name, 10), tell=told.append, pace=20, restart=True
+    )
+    assert len(told) == 1, result.summary
+    assert name in told[0]
+    assert (result.exit_code, result.deaths) == (EXPLORED, {})
+    assert result.summary["digest"] == plain.summary["digest"]
+    assert why_unrepeatable(result.summary) == ""
+
+
+def test_a_robot_that_is_killed_comes_back_and_the_run_ends_explored(tmp_path: Path) -> None:
+    result = explore(scenario(), out=tmp_path / "run", watch=killing("r1", 5), pace=20, restart=True)
+    assert (result.exit_code, result.deaths, result.summary["lost"]) == (EXPLORED, {}, {})
+    ((step, robot),) = result.summary["returned"]
+    assert robot == 1
+    assert step >= 5
+    assert "robot 1 was lost at step" in why_unrepeatable(result.summary)
+    assert sorted(result.records.own) == [0, 1]
+    assert {report.step for report in result.records.minds[1]} >= {1, result.summary["steps"]}
+
+
+def test_the_only_robot_is_waited_for(tmp_path: Path) -> None:
+    result = explore(scenario(robots=1), out=tmp_path / "run", watch=killing("r0", 5), pace=20, restart=True)
+    assert result.exit_code == EXPLORED
+    assert [robot for _, robot in result.summary["returned"]] == [0]
+
+
+def test_what_cannot_be_restarted_is_said_before_anything_starts() -> None:
+    with pytest.raises(ScenarioError, match="has no processes that could die"):
+        explore(scenario(bus="memory"), keep=False, restart=True)
+    with pytest.raises(ScenarioError, match="40 robots can begin 1 times each, not 2 times"):
+        explore(scenario(robots=40, offers="backoff"), keep=False, restart=True)

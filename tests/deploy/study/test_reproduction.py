@@ -1,0 +1,58 @@
+"""The papers' claims: all that the shipped experiments say of them, and the report of one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from deploy.commands.main import app
+from deploy.scenario.scenario import ScenarioError
+from deploy.study import measures, reproduction, runs
+from deploy.study.reproduction import CLAIMS, asked
+
+
+def test_there_are_24_claims_and_experiments_name_no_others() -> None:
+    assert len(CLAIMS) == 24
+    found = asked([], quick=False, settings={})
+    shipped = sorted(reproduction.SHIPPED.glob("claim-*.toml"))
+    assert sum(map(len, found.values())) == len(shipped)
+
+
+def test_first_looks_are_smaller_and_of_the_same_claims() -> None:
+    whole, quick = (asked(["B1", "l1"], quick=quick, settings={}) for quick in (False, True))
+    assert list(whole) == list(quick) == ["B1", "L1"]
+    for name in whole:
+        ((one,), (other,)) = whole[name], quick[name]
+        assert len(runs.cases(other)) < len(runs.cases(one)) and one.claim == other.claim
+
+
+def test_a_claim_that_there_is_not_is_named() -> None:
+    with pytest.raises(ScenarioError, match="no claim is called 'B9'; there are: M1"):
+        asked(["B9"], quick=True, settings={})
+
+
+def test_without_leaders_the_team_stalls_where_with_leaders_it_finishes(tmp_path: Path) -> None:
+    stem = tmp_path / "docs"
+    result = CliRunner().invoke(app, ["reproduce", "L1", "--quick", "--jobs", "1", "--out", str(stem)])
+    assert result.exit_code == 0 and "L1" in result.stdout and "holds" in result.stdout
+    page = stem.with_suffix(".md").read_text()
+    assert "Here: **holds** (3 as expected; a first look)." in page
+    assert "![claim-L1](docs/claim-L1-1.png)" in page and "40 of 40 runs of `claim-L1.toml`" in page
+    html = stem.with_suffix(".html").read_text()
+    assert '<h2 id="L1">' in html and 'src="docs/claim-L1-1.png"' in html
+    assert {file.name for file in stem.iterdir()} >= {"runs.parquet", "claim-L1-1.png", "claim-L1.csv"}
+    again = CliRunner().invoke(app, ["reproduce", "L1", "--quick", "--jobs", "1", "--out", str(stem)])
+    assert (
+        again.exit_code == 0 and again.stdout == result.stdout and stem.with_suffix(".md").read_text() == page
+    )
+
+
+def test_an_assignment_by_algorithm_2_takes_longer_and_is_worth_more() -> None:
+    ((experiment,),) = asked(["B3"], quick=True, settings={"robots": [8], "seed": 0}).values()
+    (case,) = runs.cases(experiment)
+    row = runs.run_case(case)
+    assert set(measures.FIGURES["assignment"]) <= set(row)
+    assert row["assignment.optimal_ms"] > row["assignment.greedy_ms"]
+    assert row["assignment.optimal_value"] >= row["assignment.greedy_value"]

@@ -1,0 +1,107 @@
+"""Sweeps, comparisons and sizings from Python."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+import pytest
+
+import deploy
+from deploy import Scenario, compare, size, sweep
+from deploy.scenario.scenario import ScenarioError
+from tests.deploy.study.small_experiment import EXPERIMENT, write
+
+ROOMS: dict[str, Any] = {
+    "map": "leader-rooms", "robots": 3, "sensor_range": 2.5, "speed": 1.0, "exchange": "laser",
+    "bandwidth": "unlimited", "strategy": "leaders",
+}  # fmt: skip
+QUIET: dict[str, Any] = {"progress": False, "jobs": 1}
+
+
+def test_settings_that_are_lists_are_run_through(tmp_path: Path) -> None:
+    out = tmp_path / "runs.parquet"
+    done = sweep(map="em", steps=[2, 3], seed=range(2), robots=1, out=out, **QUIET)
+    assert done.runs.select("steps", "seed").rows() == [(2, 0), (2, 1), (3, 0), (3, 1)]
+    assert len(pl.read_parquet(out)) == 4 and len(done.table) == 6
+    assert repr(done) == "<Sweep sweep: 4 of 4 runs>" and "<table" in done._repr_html_()
+
+
+def test_an_experiment_is_swept_with_other_settings(tmp_path: Path) -> None:
+    plot = '[[plot]]\nx = "robots"\ny = "steps"\nfinished_only = false\n'
+    done = sweep(write(tmp_path, EXPERIMENT + plot), seed=0, robots=[1], **QUIET)
+    assert done.runs["variant"].to_list() == ["polygons", "scans"]
+    assert len(done.plot().axes) == 1
+    with pytest.raises(ValueError, match="there is no plot 1: the experiment has 1"):
+        done.plot(1)
+    with pytest.raises(ScenarioError, match="the experiment has its own"):
+        sweep("lossy.toml", base={"robots": 3})
+
+
+def test_variants_are_run_on_the_same_grid() -> None:
+    variants = {"near": {"sensor_range": 2.0}, "far": {"sensor_range": 5.0}}
+    done = sweep(base={"map": "em", "steps": 2}, variants=variants, robots=[1], **QUIET)
+    assert done.runs.select("variant", "sensor_range").rows() == [("near", 2.0), ("far", 5.0)]
+
+
+def test_scenarios_are_compared_in_pairs_with_a_verdict_and_pictures(tmp_path: Path) -> None:
+    done = compare([ROOMS, ROOMS | {"speed": 0.3}], seeds=4, **QUIET)
+    (sentence,) = done.verdicts
+    assert sentence.startswith("speed 1.0 has less than speed 0.3: 0.")
+    assert "of its steps (p = " in sentence and sentence.endswith("4 pairs)")
+    assert done.table.filter(pl.col("figure") == "steps")["variant"].to_list() == ["speed 1.0", "speed 0.3"]
+    for file in done.write(tmp_path):
+        assert file.stat().st_size > 100
+    assert done._repr_html_().count("<img") == 2
+
+
+def test_scenarios_of_files_and_objects_are_compared_by_their_names(tmp_path: Path) -> None:
+    (tmp_path / "slow.toml").write_text('map = "em"\nspeed = 0.2\nsteps = 3\n')
+    (tmp_path / "fast.toml").write_text('map = "em"\nspeed = 1.0\nsteps = 3\n')
+    done = compare([tmp_path / "slow.toml", tmp_path / "fast.toml"], seeds=2, robots=1, **QUIET)
+    assert done.verdicts == ["slow and fast: no two runs to compare"]
+    objects = [Scenario(map="em", steps=2, robots=1, exchange=name) for name in ("none", "sight")]
+    assert "none and sight" in compare(objects, seeds=2, **QUIET).verdicts[0]
+
+
+@pytest.mark.parametrize(
+    ("scenarios", "settings", "said"),
+    [
+        ([ROOMS], {}, "nothing to compare"),
+        ([ROOMS, ROOMS], {}, "two scenarios are called 'plain'"),
+        ({"a": ROOMS, "b": ROOMS}, {}, "two of the scenarios are the same"),
+        ([ROOMS, ROOMS | {"robots": 0}], {}, "robots = 0"),
+        ([ROOMS, ROOMS | {"speed": 2.0}], {"figure": "stepz"}, "'stepz' is no figure"),
+    ],
+)
+def test_comparisons_that_make_no_sense_are_refused(scenarios: Any, settings: Any, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        compare(scenarios, **settings, **QUIET)
+
+
+def test_the_smallest_team_that_is_enough_is_named(tmp_path: Path) -> None:
+    settings = {name: value for name, value in ROOMS.items() if name not in ("map", "robots", "bandwidth")}
+    tried = {"robots": [3, 1], "bandwidth": ["unlimited", 100], "range": ["100%"], "seeds": 2}
+    done = size("leader-rooms", within=45, **tried, **settings, **QUIET)
+    assert [(o.robots, o.bandwidth) for o in done.options] == [
+        (1, 100),
+        (1, "unlimited"),
+        (3, 100),
+        (3, "unlimited"),
+    ]
+    assert done.enough is not None and done.enough.robots == 3
+    assert (
+        done.sentence.startswith("3 robots with ")
+        and "2 of 2 runs (so in at least 34 % of all" in done.sentence
+    )
+    assert [file.name for file in done.write(tmp_path)] == ["size.png", "size.csv"]
+    assert "<img" in done._repr_html_()
+    never = size("leader-rooms", within=3, **tried, **settings, **QUIET)
+    assert never.enough is None and never.sentence.startswith(
+        "None of these teams always explores leader-rooms"
+    )
+
+
+def test_all_of_it_is_exported() -> None:
+    assert {"compare", "explore", "size", "sweep"} <= set(deploy.__all__)
