@@ -46,8 +46,13 @@ by then teammates have sent more of areas that looked insignificant when they fi
 
 
 def sure_after(settings: Settings) -> int:
-    """Steps for which a robot makes sure that nothing is left before it says so."""
-    return SURE_AFTER if EXCHANGES[settings.exchange].guesses(settings) else 0
+    """Steps for which a robot makes sure that nothing is left before it says so.
+
+    Twice as many where words may be late, or lost and said again.
+    """
+    if not EXCHANGES[settings.exchange].guesses(settings):
+        return 0
+    return 2 * SURE_AFTER if settings.confirms else SURE_AFTER
 
 
 @dataclass(frozen=True)

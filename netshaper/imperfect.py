@@ -24,7 +24,10 @@ from netshaper.radio import Frame, Note, Outgoing, Radio, RadioSettings, is_broa
 from protocol import packets, survey
 from protocol.errors import ProtocolError
 from protocol.messages import Outcome
-from protocol.packets import Check, From, Held, Offer
+from protocol.packets import Check, From, FromEarly, Held, HeldEarly, Offer
+
+Begins = Offer | From | FromEarly
+"""What says which map is spoken of from here on."""
 
 CARRIED, BUDGET, LIMIT, FULL = (CAUSES.index(cause) for cause in ("", "budget", "limit", "full"))
 
@@ -257,8 +260,8 @@ def _read(receiver: int, payload: bytes, settings: RadioSettings) -> tuple[int, 
         frame = DATA
     else:
         frame = OFFER if any(isinstance(each, Offer) for each in handshakes) else ANSWER
-    begun = [each.map for each in handshakes if isinstance(each, From | Offer)]
-    held = [each.map for each in handshakes if isinstance(each, Held)]
+    begun = [each.map for each in handshakes if isinstance(each, Begins)]
+    held = [each.map for each in handshakes if isinstance(each, Held | HeldEarly)]
     return frame, (begun or held or [-1])[0], strange
 
 
@@ -268,14 +271,14 @@ def _strange(
     """Say what does not belong into a frame for one robot; nothing if it is reports and offers, then units of a map."""
     if receiver == EVERYONE:
         return "said to all, where maps are offered to one"
-    odd = [type(each).__name__ for each in handshakes if not isinstance(each, Offer | Held | From)]
+    odd = [type(each).__name__ for each in handshakes if not isinstance(each, Begins | Held | HeldEarly)]
     no_units = {packets.Target.name, packets.Pose.name, Check.name}
     odd += [packets.name(piece) for piece in pieces if packets.name(piece) in no_units]
     if odd:
         return f"no {odd[0]} of this kind"
-    if any(each.map >= maps for each in handshakes if isinstance(each, Offer | Held | From)):
+    if any(each.map >= maps for each in handshakes if isinstance(each, Begins | Held | HeldEarly)):
         return "it speaks of a robot that there is not"
     first = next((at for at, piece in enumerate(pieces) if packets.name(piece) != Offer.name), len(pieces))
-    if first < len(pieces) and not any(isinstance(each, From) for each in handshakes[:first]):
+    if first < len(pieces) and not any(isinstance(each, From | FromEarly) for each in handshakes[:first]):
         return "units without a word of what they are units of"
     return "" if pieces else "nothing in it"

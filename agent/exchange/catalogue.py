@@ -5,6 +5,7 @@ from __future__ import annotations
 from agent.exchange import gossip, session
 from agent.exchange.base import Exchange
 from agent.exchange.confirmed import ConfirmedSession
+from agent.exchange.confirmed_gossip import ConfirmedGossip
 from agent.exchange.gossip import Gossip
 from agent.exchange.grid import GridExchange
 from agent.exchange.laser import LaserExchange
@@ -27,7 +28,8 @@ OFFERS = (*session.POLICIES, gossip.POLICY)
 def distribution(settings: Settings) -> Session | Gossip:
     """Return the robot's end of what distributes logs; ValueError lists the policies there are."""
     if settings.offers == gossip.POLICY:
-        return Gossip(settings.robot, settings.robots, lives=settings.lives, life=settings.life)
+        way = ConfirmedGossip if settings.confirms else Gossip
+        return way(settings.robot, settings.robots, lives=settings.lives, life=settings.life)
     kind = ConfirmedSession if settings.confirms else Session
     return kind(settings.robot, settings.robots, settings.offers, lives=settings.lives, life=settings.life)
 

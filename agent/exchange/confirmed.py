@@ -25,14 +25,18 @@ from functools import cached_property
 
 import numpy as np
 
+from agent.exchange.gossip import from_packet, held_packet, number, report
 from agent.exchange.session import MAX_WAIT, PATIENCE, Session, Table
 from protocol import packets, survey
 from protocol.errors import ProtocolError
 from protocol.messages import Outcome
-from protocol.packets import BLOCKS, GOSSIP_WINDOW, INDEX_WINDOW, From, Held, Offer
+from protocol.packets import BLOCKS, INDEX_WINDOW, From, FromEarly, Held, HeldEarly, Offer
 
 LEAST_WAIT = 2
 """Exchanges in which a word can come back at the soonest: it is said in one and answered in the next."""
+
+MOST_WAIT = 16
+"""Exchanges after which one asks again at the latest, if a round trip is known to take much less."""
 
 OF_LATE = 8
 """Exchanges after which one asks again what a peer holds before one sends it more."""
@@ -67,6 +71,9 @@ class ConfirmedSession(Session):
         """The exchange in which one spoke to a peer of a map; it is taken out when a word comes."""
         self._tries: dict[Pair, int] = {}
         """How often one has since the last word."""
+        self._trip: dict[Pair, int] = {}
+        """Exchanges after which a word came back last, of those that one had spoken for once only,
+        if there are any."""
         self._frames: list[_Frame] = []
         self._aired = 0
         """Units of one's own log that have been on the air."""
@@ -146,7 +153,7 @@ class ConfirmedSession(Session):
 
     def _report(self, frame: _Frame, peer: int) -> None:
         for about in sorted(each for to, each in self._owed if to == peer):
-            frame.payload += packets.encode([Held(about, len(self.logs[about]) % GOSSIP_WINDOW)])
+            frame.payload += packets.encode([held_packet(about, len(self.logs[about]))])
             frame.reports.append((len(frame.payload), (peer, about)))
 
     def _offer(self, frame: _Frame, pairs: list[Pair]) -> None:
@@ -159,16 +166,16 @@ class ConfirmedSession(Session):
         """Send the units that a peer lacks of a map, as many as there is room for."""
         peer, about = pair
         first = max(int(self.known[peer, about]), self.logs[about].oldest)
-        head = packets.encode([From(about, first % GOSSIP_WINDOW)])
+        head = packets.encode([from_packet(about, first)])
         left = None if room is None else room - len(frame.payload) - len(head)
         units = self.logs[about].since(first, left)
         if not units:
             return
         frame.payload += head
         end = len(frame.payload)
-        for number, unit in enumerate(units, first + 1):
+        for count, unit in enumerate(units, first + 1):
             end += len(unit)
-            frame.units.append((end, pair, number))
+            frame.units.append((end, pair, count))
         frame.payload += b"".join(units)
 
     # --- what becomes of it
@@ -179,16 +186,17 @@ class ConfirmedSession(Session):
             if end <= sent:
                 self._owed.discard(pair)
         spoken = {pair for end, pair in frame.offers if end <= sent}
-        for end, pair, number in frame.units:
+        for end, pair, count in frame.units:
             if end <= sent:
                 spoken.add(pair)
                 self._word.pop(pair, None)
                 if pair[1] == self.own:
-                    self._aired = max(self._aired, number)
+                    self._aired = max(self._aired, count)
         for pair in spoken:
             tries = self._tries[pair] = self._tries.get(pair, 0) + 1
             if tries > 1:
-                self._wait[pair] = min(2 * int(self._wait[pair]), MAX_WAIT)
+                longest = max(MOST_WAIT, 4 * self._trip[pair]) if pair in self._trip else MAX_WAIT
+                self._wait[pair] = min(2 * int(self._wait[pair]), longest)
             self._spoken[pair] = self._now
             self._due[pair] = self._now + int(self._wait[pair])
 
@@ -196,20 +204,21 @@ class ConfirmedSession(Session):
         """Take a frame; yield the units in it that are news."""
         about, first, units = -1, 0, list[bytes]()
         for piece in pieces:
-            if packets.name(piece) != Offer.name:
+            said = report(piece)
+            if said is None:
                 units.append(piece)
                 continue
             yield from self._take(peer, about, first, units)
             units = []
-            match packets.decode(piece)[0]:
-                case Held(map, count) if map < len(self.logs):
-                    self._confirm((peer, map), self._unwrap(map, count))
+            match said:
+                case (Held(map, _) | HeldEarly(map, _)) as held if map < len(self.logs):
+                    self._confirm((peer, map), number(held, len(self.logs[map])))
                 case Offer(map, _) if map < len(self.logs):
                     self._recognise(peer, map)
                     self._owe((peer, map))
-                case From(map, index) if map < len(self.logs):
+                case (From(map, _) | FromEarly(map, _)) as begin if map < len(self.logs):
                     self._recognise(peer, map)
-                    about, first = map, self._unwrap(map, index)
+                    about, first = map, number(begin, len(self.logs[map]))
         yield from self._take(peer, about, first, units)
 
     def _take(
@@ -239,7 +248,7 @@ class ConfirmedSession(Session):
         super()._recognise(peer, about)
         if self._own_maps[peer] != known:
             self._wait[peer] = LEAST_WAIT
-            for table in (self._word, self._spoken, self._tries):
+            for table in (self._word, self._spoken, self._tries, self._trip):
                 for pair in [pair for pair in table if pair[0] == peer]:
                     del table[pair]
 
@@ -249,10 +258,12 @@ class ConfirmedSession(Session):
             self.known[pair] = 0  # an older word may come late, of a life that held more
         self._learn(pair, held)
         self._word[pair] = self._now
-        self._tries.pop(pair, None)
         spoken = self._spoken.pop(pair, None)
-        if spoken is not None:
-            self._wait[pair] = min(max(LEAST_WAIT, self._now - spoken + 1), MAX_WAIT)
+        tries = self._tries.pop(pair, 0)
+        if spoken is not None and (tries == 1 or pair not in self._trip):
+            self._trip[pair] = self._now - spoken
+        if pair in self._trip:
+            self._wait[pair] = min(max(LEAST_WAIT, self._trip[pair] + 1), MAX_WAIT)
         self._due[pair] = self._now
 
     def _learn(self, pair: Pair, held: int) -> None:
@@ -260,8 +271,3 @@ class ConfirmedSession(Session):
         if pair[1] == self.own:
             held = min(held, len(self.logs[self.own]))
         self.known[pair] = max(int(self.known[pair]), held)
-
-    def _unwrap(self, about: int, index: int) -> int:
-        """The number that is meant by one modulo `GOSSIP_WINDOW`: the nearest to what one holds."""
-        held = len(self.logs[about])
-        return max(0, held + (index - held + GOSSIP_WINDOW // 2) % GOSSIP_WINDOW - GOSSIP_WINDOW // 2)

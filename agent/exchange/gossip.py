@@ -162,6 +162,11 @@ class Gossip:
         """Since which step there is something to say that has not been on the air."""
         self._said = _Said()
 
+    @property
+    def certain(self) -> Table:
+        """As `known`, of what nothing can have prevented: on a medium that loses nothing it is the same."""
+        return self.known
+
     def record(self, units: list[bytes]) -> None:
         """Append to the log of one's own map."""
         if units:
@@ -232,13 +237,13 @@ class Gossip:
     def undelivered(self) -> int:
         """Units of one's own map that have not reached a teammate yet, all teammates counted."""
         held = len(self.logs[self.own])
-        return held * (self._robots - 1) - int(np.delete(self.known[:, self.own], self._robot).sum())
+        return held * (self._robots - 1) - int(np.delete(self.certain[:, self.own], self._robot).sum())
 
     def forget(self) -> None:
         """Drop what all teammates hold; where they may come back, and hold nothing then, that is nothing."""
         if self._lives > 1:
             return
-        others = self.known.copy()
+        others = self.certain.copy()
         np.fill_diagonal(others, np.iinfo(np.int32).max)
         others[self._robot] = np.iinfo(np.int32).max
         for log, reached in zip(self.logs, others.min(axis=0).tolist(), strict=True):
@@ -283,6 +288,16 @@ class Gossip:
                 said.payload += near
                 said.near.append((len(said.payload), peer, bool(here[peer])))
         said.met = set(self._met)
+        due = self._worth_reporting()
+        due[self.own] = False
+        for about in np.flatnonzero(due).tolist():
+            packet = packets.encode([held_packet(about, len(self.logs[about]))])
+            if len(said.payload) + len(packet) <= left:
+                said.payload += packet
+                said.held.append((len(said.payload), about))
+
+    def _worth_reporting(self) -> Mask:
+        """Maps of which somebody should know how much of them one holds."""
         held = np.array([len(log) for log in self.logs], np.int32)
         due: Mask = np.logical_or.reduce(self._told[sorted(self._met)] < held)
         for about in self._gaps:
@@ -291,12 +306,7 @@ class Gossip:
             mine = np.arange(len(self.logs)) % self._robots == self._step // SELDOM % self._robots
             mine[self._robots :] &= held[self._robots :] > 0
             due |= mine
-        due[self.own] = False
-        for about in np.flatnonzero(due).tolist():
-            packet = packets.encode([_held(about, len(self.logs[about]))])
-            if len(said.payload) + len(packet) <= left:
-                said.payload += packet
-                said.held.append((len(said.payload), about))
+        return due
 
     def _serve(self, said: _Said, room: int | None) -> int:
         """Say what those in range lack, as far as it is for oneself; return how much who is served first lacks."""
@@ -341,7 +351,7 @@ class Gossip:
         begins = about == self.own and first == self._cursor and not said.stretches
         head = b""
         if not (begins and set(self._peers) <= self._synced):
-            head = packets.encode([_from(about, first)])
+            head = packets.encode([from_packet(about, first)])
         left = None if room is None else room - len(said.payload) - len(head)
         units = self.logs[about].since(first, left)[: end - first]
         if not units:
@@ -398,7 +408,7 @@ class Gossip:
     def _recognise(self, peer: int, pieces: list[bytes]) -> None:
         """Who says units of the map of a new life of its own has begun anew, and knows and holds nothing."""
         for piece in pieces if self._lives > 1 else ():
-            said = _report(piece)
+            said = report(piece)
             if not isinstance(said, From | FromEarly) or not self._own_maps[peer] < said.map < len(self.logs):
                 continue
             if said.map % self._robots == peer:
@@ -414,7 +424,7 @@ class Gossip:
     def _hear_reports(self, peer: int, pieces: list[bytes]) -> Iterator[tuple[int, int, bytes]]:
         """Take who is near a peer, and what it holds; yield what does not belong here."""
         for piece in pieces:
-            match _report(piece):
+            match report(piece):
                 case Near(robot) if robot < self._robots:
                     self._near[peer, robot] = True
                 case Gone(robot) if robot < self._robots:
@@ -422,7 +432,7 @@ class Gossip:
                 case (Held(about, _) | HeldEarly(about, _)) as held if about < len(self.logs) and (
                     about != peer or self._lives > 1
                 ):
-                    self.known[peer, about] = self._number(held)
+                    self._hear_held(peer, about, self._number(held))
                     self._unsure.pop(peer, None)
                     self._near[peer, self._robot] = True
                 case From(about, _) | FromEarly(about, _) if about < len(self.logs):
@@ -432,12 +442,16 @@ class Gossip:
                 case other:
                     yield peer, peer, packets.encode([other])
 
+    def _hear_held(self, peer: int, about: int, held: int) -> None:
+        """A peer says how many units of a map it holds."""
+        self.known[peer, about] = held
+
     def _hear_units(self, peer: int, pieces: list[bytes]) -> Iterator[tuple[int, int, bytes]]:
         """Take what a peer said of logs; yield what is news."""
         about, index = self._own_maps[peer], self._cursors[peer]
         units: list[bytes] = []
         for piece in pieces:
-            said = _report(piece)
+            said = report(piece)
             if said is None:
                 units.append(piece)
             elif isinstance(said, From | FromEarly) and said.map < len(self.logs):
@@ -482,21 +496,26 @@ class Gossip:
         self._told[peers, about] = np.maximum(self._told[peers, about], held)
 
     def _number(self, said: From | FromEarly | Held | HeldEarly) -> int:
-        """The number that is meant; one modulo `GOSSIP_WINDOW` is the nearest to what one holds."""
-        if isinstance(said, FromEarly | HeldEarly):
-            return said.index
-        held = len(self.logs[said.map])
-        return max(0, held + (said.index - held + GOSSIP_WINDOW // 2) % GOSSIP_WINDOW - GOSSIP_WINDOW // 2)
+        return number(said, len(self.logs[said.map]))
 
 
-def _report(piece: bytes) -> packets.AnyPacket | None:
+def number(said: From | FromEarly | Held | HeldEarly, held: int) -> int:
+    """The number of a unit that is meant; one modulo `GOSSIP_WINDOW` is the nearest to what one holds."""
+    if isinstance(said, FromEarly | HeldEarly):
+        return said.index
+    return max(0, held + (said.index - held + GOSSIP_WINDOW // 2) % GOSSIP_WINDOW - GOSSIP_WINDOW // 2)
+
+
+def report(piece: bytes) -> packets.AnyPacket | None:
     """Read a packet that is no unit of a log."""
     return packets.decode(piece)[0] if packets.name(piece) == From.name else None
 
 
-def _from(about: int, index: int) -> From | FromEarly:
+def from_packet(about: int, index: int) -> From | FromEarly:
+    """The shortest packet that says of which log, and from which unit on, units follow."""
     return FromEarly(about, index) if index < EARLY else From(about, index % GOSSIP_WINDOW)
 
 
-def _held(about: int, index: int) -> Held | HeldEarly:
+def held_packet(about: int, index: int) -> Held | HeldEarly:
+    """The shortest packet that says how many units of a log one holds."""
     return HeldEarly(about, index) if index < EARLY else Held(about, index % GOSSIP_WINDOW)

@@ -81,6 +81,8 @@ class speaking_clearly:  # noqa: N801  used like a statement
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
         if isinstance(error, ValueError):
             fail(str(error), BAD_INPUT)
+        if isinstance(error, RecursionError):
+            fail("what was given is nested too deeply", BAD_INPUT)
         if isinstance(error, OSError) and not isinstance(error, BrokenPipeError):
             fail(*_explain(error))
 

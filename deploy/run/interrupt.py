@@ -11,6 +11,16 @@ from deploy.record.records import LabNode
 REASON = "interrupted"
 
 
+@contextlib.contextmanager
+def sigterm_as_ctrl_c() -> Iterator[None]:
+    """Have SIGTERM raise what Ctrl-C does, so that what was opened is closed (in the main thread)."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 class Interrupt:
     """A request to end a run early.
 

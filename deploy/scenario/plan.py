@@ -15,7 +15,7 @@ from deploy.scenario.finding_maps import find_map
 from deploy.scenario.scenario import UNLIMITED, Scenario, ScenarioError
 from netshaper import medium
 from netshaper.radio import RadioSettings
-from protocol.grid import disc, enlarge
+from protocol.grid import MAX_SIDE, disc, enlarge
 from worldsim import faults
 from worldsim.map_error import MapError
 from worldsim.maps import Map, to_cell
@@ -64,6 +64,10 @@ def make(scenario: Scenario, world_map: Map | None = None, *, lives: int = 1) ->
         if body.sensor_range < cell:
             raise ScenarioError(
                 f"sensor_range = {body.sensor_range:g} m of robot {number} is less than a cell of {cell:g} m"
+            )
+        if body.radius > MAX_SIDE * cell:
+            raise ScenarioError(
+                f"radius = {body.radius:g} m: no map is as large as that, with cells of {cell:g} m"
             )
         if body.sensor_range < (least := least_range(body.radius / cell) * cell):
             raise ScenarioError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import tomllib
 from dataclasses import fields
 from pathlib import Path
@@ -352,7 +353,7 @@ def _range_m(text: str, diagonal_m: float) -> float:
 
 
 def _check_bandwidth(value: object) -> object:
-    if isinstance(value, str) and value.strip().isdecimal():
+    if isinstance(value, str) and value.isascii() and value.strip().isdecimal():
         value = int(value)
     if value != UNLIMITED and (type(value) is not int or not 0 <= value <= MOST_INTEGER):
         raise ValueError(f"must be a whole number of bytes a step, 0 to {MOST_INTEGER}, or 'unlimited'")
@@ -426,7 +427,11 @@ def read_toml(path: Path, kind: str, shipped: Path | None = None) -> tuple[Path,
     if shipped and len(path.parts) == 1 and not path.exists() and (shipped / path.name).exists():
         path = shipped / path.name
     try:
-        return path, tomllib.loads(path.read_text(encoding="utf-8"))
+        if path.is_char_device() or path.is_block_device():
+            raise ScenarioError(f"{kind} {path}: is a device, not a file")
+        return path, tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except RecursionError:
+        raise ScenarioError(f"{kind} {path}: is nested too deeply") from None
     except FileNotFoundError:
         names = [file.name for file in shipped.glob("*.toml")] if shipped else []
         others = f", and none of the shipped ones; {there_are(sorted(names), path.name)}" if names else ""
@@ -439,9 +444,15 @@ def read_toml(path: Path, kind: str, shipped: Path | None = None) -> tuple[Path,
 
 
 def beside(path: Path, named: Any) -> Any:
-    """The map that a file names: a YAML file is looked for beside that file, a generator's name stays."""
-    is_file = isinstance(named, str) and named.endswith(MAP_FILES)
-    return str(path.parent / named) if is_file else named
+    """The map that a file names; a generator's name stays.
+
+    A YAML file is looked for beside that file, then in the folder that the environment variable MURMUR_MAPS names.
+    """
+    if not isinstance(named, str) or not named.endswith(MAP_FILES):
+        return named
+    elsewhere = Path(os.environ.get("MURMUR_MAPS", "")) / named
+    is_there = not (path.parent / named).exists() and elsewhere.exists()
+    return str(elsewhere if is_there else path.parent / named)
 
 
 def parse(data: dict[str, Any], where: str = "scenario") -> Scenario:

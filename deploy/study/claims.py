@@ -38,6 +38,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -272,7 +273,9 @@ def _trend(rule: Rule, rows: Sequence[Row], key: str, sign: int) -> tuple[Eviden
 def _order(rule: Rule, rows: Sequence[Row], key: str) -> tuple[Evidence, int]:
     found, wanted = [], []
     for level, rank in rule.like.items():
-        of_level = [row for row in rows if str(row["place"][key]) == level]
+        of_level = [
+            row for row in rows if level in (str(row["place"][key]), Path(str(row["place"][key])).stem)
+        ]
         values = [value for value in _values(rule, of_level).values() if value is not None]
         if values:
             found.append(float(np.mean(values)))

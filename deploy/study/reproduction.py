@@ -8,7 +8,7 @@ written from two templates. Nothing in it is written by hand but what stands in 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -117,8 +117,15 @@ def asked(names: Sequence[str], *, quick: bool, settings: dict[str, Any]) -> dic
         claim = experiment.claim.id if experiment.claim is not None else None
         if claim in found:
             experiment = experiments.quickened(experiment) if quick else experiment
-            found[claim].append(experiments.override(experiment, settings))
+            found[claim].append(_on_maps_at_hand(experiments.override(experiment, settings)))
     return found
+
+
+def _on_maps_at_hand(experiment: Experiment) -> Experiment:
+    """The experiment without map files that are not there: real buildings are not shipped. No run decides nothing."""
+    maps = experiment.grid.get("map", [])
+    there = [each for each in maps if not (str(each).endswith(".yaml") and not Path(str(each)).exists())]
+    return experiment if there == maps else replace(experiment, grid=experiment.grid | {"map": there})
 
 
 def reproduce(

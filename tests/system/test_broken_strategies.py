@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
 from pathlib import Path
@@ -70,3 +71,5 @@ def test_a_result_in_python_tells_it_too(tmp_path: Path, monkeypatch: pytest.Mon
     assert result.exit_code == 3
     assert str(result).splitlines()[-1].startswith("IndexError: index 7 of 7")
     assert "IndexError: index 7 of 7" in result._repr_html_()
+    del result, sys.modules["torn_too"]
+    gc.collect()  # the strategy is not there for other tests

@@ -224,6 +224,19 @@ def test_overrides_lie_over_the_file_and_the_file_over_the_defaults(tmp_path: Pa
     assert (scenario.robots, scenario.speed, scenario.range, scenario.seed) == (2, 0.25, "10%", 0)
 
 
+def test_a_map_file_is_looked_for_where_maps_are_kept_if_it_is_not_beside_the_scenario(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    maps, mine = tmp_path / "maps", tmp_path / "mine"
+    maps.mkdir()
+    mine.mkdir()
+    (maps / "house.yaml").touch()
+    monkeypatch.setenv("MURMUR_MAPS", str(maps))
+    assert Path(load(write(mine, 'map = "house.yaml"'), {}).map) == maps / "house.yaml"
+    (mine / "house.yaml").touch()
+    assert Path(load(write(mine, 'map = "house.yaml"'), {}).map) == mine / "house.yaml"
+
+
 def test_a_map_file_is_looked_for_beside_the_scenario(tmp_path: Path) -> None:
     path = write(tmp_path, 'map = "maps/house.yaml"')
     assert Path(load(path, {}).map) == tmp_path / "maps" / "house.yaml"

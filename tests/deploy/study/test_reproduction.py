@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 from deploy.commands.main import app
 from deploy.scenario.scenario import ScenarioError
 from deploy.study import measures, reproduction, runs
+from deploy.study.claims import UNDECIDED, judge
 from deploy.study.reproduction import CLAIMS, asked
 
 
@@ -26,6 +27,17 @@ def test_first_looks_are_smaller_and_of_the_same_claims() -> None:
     for name in whole:
         ((one,), (other,)) = whole[name], quick[name]
         assert len(runs.cases(other)) < len(runs.cases(one)) and one.claim == other.claim
+
+
+def test_a_claim_on_real_buildings_is_undecided_where_their_maps_are_not_at_hand(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("MURMUR_MAPS", "nowhere")
+    ((experiment,),) = asked(["M8"], quick=True, settings={}).values()
+    assert experiment.grid["map"] == []
+    assert runs.cases(experiment) == []
+    assert experiment.claim is not None
+    assert judge([(experiment.claim.rules, [])]).word == UNDECIDED
 
 
 def test_a_claim_that_there_is_not_is_named() -> None:

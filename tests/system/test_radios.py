@@ -1,0 +1,176 @@
+"""The radio as it is: whatever it loses, delays, damages or keeps apart, all learn the same in the end, only later."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deploy.run.exploration import Result, explore
+from deploy.scenario.scenario import load
+from netshaper.ledger import CAUSES, EVERYONE, FIRST_ON_AIR, KIND_NUMBER
+from netshaper.sightings import BEGIN, END, VERDICT
+from protocol.grid import FREE
+from tests.system.team import Cell, Team, small_plan
+
+FLOOR: dict[str, Any] = {
+    "map": "office", "map_options": {"width_m": 10.0, "height_m": 10.0}, "bus": "memory", "sensor_range": 3.0,
+    "robots": 3, "seed": 4, "steps": 1500,
+}  # fmt: skip
+
+APART = [{"first": 10, "last": 109, "groups": [[0], [1, 2]]}]
+TROUBLES: dict[str, dict[str, Any]] = {
+    "loss": {"loss": 0.2},
+    "delay": {"delay": 3},
+    "partition": {"partition": APART},
+    "all at once": {
+        "loss": 0.1, "jitter": 2, "duplication": 0.2, "bit_errors": 0.0005, "frame_bytes": 60, "reuse": True,
+        "burst_every": 40.0,
+    },
+}  # fmt: skip
+WAYS = [(exchange, offers) for exchange in ("laser", "polygon", "sight") for offers in ("backoff", "gossip")]
+
+
+@cache
+def tour() -> list[dict[int, Cell]]:
+    """Where three robots go on the floor: the same whatever they tell each other."""
+    team = Team(small_plan(side_m=10.0, exchange="laser", robots=3, seed=4))
+    cells: list[dict[int, Cell]] = []
+    while len(cells) < 40 and not any(move.explored for move in team.moves.values()):
+        team.explore(team.step + 1)
+        cells.append(dict(team.world.cells))
+    return cells
+
+
+def walk(exchange: str, offers: str, radio: dict[str, Any], more: int) -> Team:
+    """Robots that take the tour, and then stand for some steps more."""
+    settings = {"polygon": {"lazy": False}} if exchange == "polygon" else {}
+    team = Team(
+        small_plan(
+            side_m=10.0,
+            exchange=exchange,
+            offers=offers,
+            radio=radio,
+            robots=3,
+            seed=4,
+            bandwidth="unlimited",
+            **settings,
+        )
+    )
+    for cells in [*tour(), *more * tour()[-1:]]:
+        team.stand(cells)
+    return team
+
+
+@pytest.mark.parametrize(("exchange", "offers"), WAYS)
+def test_all_robots_hold_the_same_maps_in_the_end_as_on_a_perfect_radio(exchange: str, offers: str) -> None:
+    perfect = walk(exchange, offers, {}, 90)
+    for trouble in ("loss", "delay", "partition"):
+        team = walk(exchange, offers, TROUBLES[trouble], 90)
+        for robot, other in zip(team.robots, perfect.robots, strict=True):
+            assert np.array_equal(robot.planning, other.planning), trouble
+            for about in range(3):
+                held = team.held(robot.settings.robot, about)
+                same = held == perfect.held(robot.settings.robot, about)
+                assert same, trouble
+
+
+@pytest.mark.parametrize("trouble", ["loss", "all at once"])
+@pytest.mark.parametrize(("exchange", "offers"), WAYS)
+def test_a_team_explores_all_there_is_on_any_radio(exchange: str, offers: str, trouble: str) -> None:
+    result = explore(
+        load(None, FLOOR | {"exchange": exchange, "offers": offers, "radio": TROUBLES[trouble]}), keep=False
+    )
+    perfect = explored(exchange, offers)
+    assert result.summary["finished"]
+    seen = result.maps["team"] == FREE
+    assert (seen == (perfect.maps["team"] == FREE)).all()
+    assert result.summary["coverage"] == perfect.summary["coverage"]
+    assert result.summary["over_budget_steps"] == result.summary["faults"] == 0
+    books_balance(result)
+
+
+@cache
+def explored(exchange: str, offers: str) -> Result:
+    return explore(load(None, FLOOR | {"exchange": exchange, "offers": offers}), keep=False)
+
+
+def books_balance(result: Result) -> None:
+    """What is carried by unicast is heard once, or lost, damaged or too much; each frame has its sum."""
+    rows = result.records.ledger()
+    carried, cause = rows["carried"] == 1, rows["cause"]
+    assert (carried == ((cause == 0) | (cause >= FIRST_ON_AIR))).all()
+    unicast = carried & (rows["receiver"] != EVERYONE)
+    assert (rows["heard"][unicast] == (cause[unicast] == 0)).all()
+    assert (rows["heard"][cause != 0] == 0).all()
+    options = result.plan.scenario.radio
+    sums = carried & (rows["kind"] == KIND_NUMBER["sum"])
+    assert sums.any() == options.sums
+    if options.frame_bytes and not options.perfect:
+        frames = rows["packets"][sums].sum()
+        assert rows["bytes"][carried].sum() <= frames * options.frame_bytes
+
+
+@pytest.mark.parametrize("offers", ["backoff", "thesis", "gossip"])
+@pytest.mark.parametrize("exchange", ["laser", "polygon", "sight", "grid"])
+@pytest.mark.parametrize("loss", [0.0, 0.1])
+def test_no_frame_on_the_air_is_longer_than_a_frame_may_be(exchange: str, offers: str, loss: float) -> None:
+    radio = {"frame_bytes": 20, "loss": loss, "checksums": loss > 0}
+    team = Team(small_plan(side_m=10.0, exchange=exchange, offers=offers, radio=radio, bandwidth=400, seed=1))
+    frames: list[int] = []
+
+    def note(rows: Any) -> None:
+        frames.extend((rows[:, END] - rows[:, BEGIN])[rows[:, VERDICT] == 0].tolist())
+
+    listen(team, note)
+    team.explore(60)
+    assert frames
+    assert max(frames) <= 20
+    assert not (team.ledger()["cause"] == CAUSES.index("protocol")).any()
+
+
+def listen(team: Team, note: Any) -> None:
+    """Call `note` with the columns of each step's frames."""
+    close = team._radio._close
+
+    def closing() -> Any:
+        out = close()
+        note(out[-1].sightings.columns().rows)  # type: ignore[union-attr]
+        return out
+
+    team._radio._close = closing  # type: ignore[method-assign]
+
+
+@pytest.mark.parametrize("offers", ["backoff", "gossip"])
+def test_the_digest_is_the_same_on_both_buses(offers: str) -> None:
+    radio = TROUBLES["all at once"] | {
+        "model": "log-distance",
+        "shadowing_db": 6.0,
+        "partition": APART,
+        "delay": 1,
+    }
+    scenario = FLOOR | {"exchange": "sight", "offers": offers, "radio": radio, "bandwidth": 200, "steps": 60}
+    runs = [explore(load(None, scenario | {"bus": bus}), keep=False) for bus in ("memory", "zenoh")]
+    assert runs[0].summary["digest"] == runs[1].summary["digest"]
+    assert {"loss", "damaged"} <= set(runs[0].summary["undelivered"])
+
+
+def test_two_ends_of_a_corridor_speak_at_once_where_air_is_reused() -> None:
+    said = {}
+    for reuse in (False, True):
+        radio = {"reuse": reuse, "checksums": True}
+        plan = small_plan(
+            side_m=10.0, exchange="laser", robots=4, range="2", bandwidth=300, seed=1, radio=radio
+        )
+        team = Team(plan)
+        free = np.argwhere(team.truth == FREE)[:, ::-1]
+        near, far = free[0], free[-1]
+        cells = {at: (int(x), int(y)) for at, (x, y) in enumerate([near, free[1], far, free[-2]])}
+        for _ in range(12):
+            team.stand(cells)
+        rows = team.ledger()
+        said[reuse] = np.bincount(rows["step"], rows["bytes"] * rows["carried"]).max()
+    assert said[False] <= 300
+    assert 300 < said[True] <= 600
