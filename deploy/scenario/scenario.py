@@ -180,6 +180,7 @@ class Scenario(_Table):
     offers: Literal["backoff", "thesis", "gossip"] = Field(
         "backoff", description="when maps are offered: backoff, thesis, gossip"
     )
+    pass_on: bool = Field(True, description="whether robots offer maps of others too", strict=True)
     interference: NotNegative = Field(0.0, description="metres; nearer robots hinder each other")
     polygon: PolygonOptions = Field(
         default_factory=PolygonOptions, description="options of the polygon exchange"
@@ -273,6 +274,10 @@ class Scenario(_Table):
             raise ValueError(
                 f"robots = {self.robots}: packets can name the maps of {self.most_maps} robots; "
                 "more need offers = 'gossip', or exchange = 'none'"
+            )
+        if not self.pass_on and self.offers == "gossip":
+            raise ValueError(
+                "pass_on = false: with offers = 'gossip' whoever is nearest passes maps on; leave one out"
             )
         for partition in self.radio.partition:
             strange = [robot for group in partition.groups for robot in group if robot >= self.robots]
