@@ -72,7 +72,7 @@ class Credential:
         """Read a credential from JSON; ValueError says what is wrong with it, and `where` it came from."""
         try:
             data = json.loads(text)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise ValueError(f"{where}: not JSON ({error})") from None
         certificate = data.get("certificate") if isinstance(data, dict) else None
         wanted = ["run", "name", "hub", *(["password"] if certificate is None else [])]
@@ -84,7 +84,9 @@ class Credential:
             or any(not isinstance(certificate.get(key), str) for key in parts)
         ):
             raise ValueError(f"{where}: its certificate needs the texts {', '.join(parts)}")
-        if not re.fullmatch(r"(tcp|tls)/\S+:\d{1,5}", data["hub"]):
+        Keys(data["run"])
+        port = re.fullmatch(r"(?:tcp|tls)/\S+:([0-9]{1,5})", data["hub"])
+        if port is None or not 0 < int(port[1]) < 1 << 16:
             raise ValueError(f"{where}: hub = {data['hub']!r}: must be as tcp/127.0.0.1:7447")
         found = Certificate(**{key: certificate[key] for key in parts}) if certificate is not None else None
         password = data["password"] if found is None else ""

@@ -7,6 +7,7 @@ origin at the lower left corner of the picture; ours is in cells, with y down (`
 
 from __future__ import annotations
 
+import errno
 import io
 import math
 import os
@@ -30,6 +31,11 @@ _SHADES = np.array([205, 254, 0], np.uint8)
 
 _FORMATS = {".png": "PNG", ".pgm": "PPM"}
 """Pillow's name of the picture's format, by the suffix of its name."""
+
+MOST_RESOLUTION = 1000.0
+"""Metres a cell: positions are told in millimetres, of 32 bits."""
+MOST_ORIGIN = 1e8
+"""Metres: more than once around the earth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +72,12 @@ class Map:
             )
         if max(self.cells.shape) > MAX_SIDE:
             raise MapError(_too_large(self.width, self.height))
-        if not (math.isfinite(self.resolution) and self.resolution > 0):
-            raise MapError(f"resolution is {self.resolution}, not a number of metres a cell above 0")
-        if not all(math.isfinite(value) for value in self.origin):
-            raise MapError(f"origin is {list(self.origin)}, not three finite numbers")
+        if not 0 < self.resolution <= MOST_RESOLUTION:
+            raise MapError(
+                f"resolution is {self.resolution}, not a number of metres a cell above 0, {MOST_RESOLUTION:g} at most"
+            )
+        if not all(abs(value) <= MOST_ORIGIN for value in self.origin):
+            raise MapError(f"origin is {list(self.origin)}, not three numbers of {MOST_ORIGIN:g} at most")
         if self.origin[2] != 0:
             raise MapError(
                 f"origin is turned by {self.origin[2]} rad; turn the picture instead and give a yaw of 0"
@@ -229,7 +237,11 @@ def save(map_: Map, yaml_path: str | os.PathLike[str], image: str | None = None)
 
 def _read_yaml(path: Path) -> dict[str, Any]:
     try:
-        entries = yaml.safe_load(path.read_bytes())
+        entries = yaml.safe_load(_bytes_of(path))
+    except RecursionError:
+        raise MapError(
+            f"{path}: is nested too deeply; a map_server YAML file has `key: value` lines"
+        ) from None
     except OSError as error:
         raise MapError(f"{path}: cannot be read ({error.strerror}); give a map_server YAML file") from None
     except yaml.YAMLError as error:
@@ -239,6 +251,13 @@ def _read_yaml(path: Path) -> dict[str, Any]:
             f"{path}: holds no `key: value` lines; a map_server YAML file names image, resolution, origin"
         )
     return entries
+
+
+def _bytes_of(path: Path) -> bytes:
+    """A file's content; OSError of one that has no end."""
+    if path.is_char_device() or path.is_block_device():
+        raise OSError(errno.EINVAL, "it is a device")
+    return path.read_bytes()
 
 
 def _entry(path: Path, entries: dict[str, Any], key: str) -> Any:
@@ -286,7 +305,7 @@ def _origin(path: Path, entries: dict[str, Any]) -> tuple[float, float, float]:
 def _read_picture(path: Path) -> tuple[NDArray[np.float64], int]:
     """Read a picture's shades, of shape (height, width), and the shade that is white."""
     try:
-        data = path.read_bytes()
+        data = _bytes_of(path)
     except OSError as error:
         raise MapError(
             f"{path}: cannot be read ({error.strerror}); a map's picture must be a PGM or PNG file"

@@ -162,8 +162,9 @@ def watch(
     """View a run in progress, or the recording of one (docs/dashboard.md)."""
     from deploy.dashboard import watch as watching  # noqa: PLC0415
     from deploy.dashboard.windows import Window  # noqa: PLC0415
+    from deploy.run.interrupt import sigterm_as_ctrl_c  # noqa: PLC0415
 
-    with speaking_clearly():
+    with speaking_clearly(), sigterm_as_ctrl_c():
         window = Window(view_as, errors.print)
         try:
             watching.watch(directory, window)
@@ -201,15 +202,19 @@ def _explore(
     restart: bool,
     as_json: bool,
 ) -> int:
+    from deploy.commands.live_keys import controlled, is_at_terminal  # noqa: PLC0415
     from deploy.dashboard.watch import keep_showing  # noqa: PLC0415
     from deploy.dashboard.windows import Window  # noqa: PLC0415
     from deploy.run import exploration  # noqa: PLC0415
+    from deploy.run.control import Control  # noqa: PLC0415
     from deploy.run.hosts import load as load_hosts  # noqa: PLC0415
+    from deploy.run.interrupt import sigterm_as_ctrl_c  # noqa: PLC0415
 
     placed = load_hosts(hosts) if hosts is not None else None
     window = Window(show, errors.print) if show else None
+    control = Control() if is_at_terminal() and not as_json else None
     try:
-        with progress(shown=not as_json) as watch:
+        with controlled(control) as below, progress(shown=not as_json, below=below) as watch:
             result = exploration.explore(
                 scenario,
                 out=out,
@@ -219,13 +224,15 @@ def _explore(
                 snapshots=pictures,
                 pace=pace,
                 hosts=placed,
+                control=control,
                 restart=restart,
             )
         if pictures and result.directory is not None and result.records.world:
             _draw(result.directory)
         code = report_result(result, as_json=as_json)
         if window is not None and result.directory is not None and sys.stdout.isatty():
-            keep_showing(result.directory, window)
+            with sigterm_as_ctrl_c():
+                keep_showing(result.directory, window)
     finally:
         if window is not None:
             window.close()

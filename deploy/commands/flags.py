@@ -85,6 +85,8 @@ def named_values(texts: list[str], flag: str, example: str) -> dict[str, Any]:
             raise ValueError(f"{flag} = {text!r}: {name} is given twice; give it once, as {example}")
         try:
             values[name] = json.loads(value)
+        except RecursionError:
+            raise ValueError(f"{flag} = '{name}=...': is nested too deeply") from None
         except ValueError:
             values[name] = value
     return values

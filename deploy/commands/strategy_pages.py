@@ -20,7 +20,7 @@ WIDTH = 100
 def console(terminal: Console) -> Console:
     """A console like `terminal` for pages of at most `WIDTH` columns."""
     width = min(WIDTH, terminal.width) if terminal.is_terminal else WIDTH
-    return Console(file=terminal.file, width=width, highlight=False)
+    return Console(file=terminal.file, width=width, highlight=False, markup=False)
 
 
 def listing(entries: list[Entry]) -> RenderableType:

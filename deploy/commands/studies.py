@@ -302,7 +302,7 @@ def running(name: str, out: Path | None) -> Iterator[Any]:
 
 def print_table(table: Any) -> None:
     """Print a table as wide as the terminal, or wide enough for a file."""
-    paper = screen if screen.is_terminal else Console(width=PAPER_WIDTH, highlight=False)
+    paper = screen if screen.is_terminal else Console(width=PAPER_WIDTH, highlight=False, markup=False)
     paper.print(table)
 
 

@@ -125,7 +125,7 @@ def read_summary(directory: Path) -> dict[str, Any]:
     """Read the summary of a run directory; ScenarioError if it has none."""
     try:
         summary = json.loads((directory / SUMMARY).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ScenarioError(f"{directory}: no readable {SUMMARY} ({error})") from None
     missing = [key for key in FIGURES if not isinstance(summary, dict) or key not in summary]
     if missing:

@@ -69,7 +69,7 @@ def serve_netshaper(
 def _endpoint(listen: str) -> str:
     """The hub's address in zenoh's form; it is part of every credential."""
     host, _, port = listen.rpartition(":")
-    if not host or not port.isdecimal() or not 1 <= int(port) <= MOST_PORT:
+    if not host or not (port.isascii() and port.isdecimal()) or not 1 <= int(port) <= MOST_PORT:
         raise ScenarioError(
             f"listen = {listen!r}: must be HOST:PORT, as 127.0.0.1:7447, with a port from 1 to {MOST_PORT}"
         )

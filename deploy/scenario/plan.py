@@ -15,7 +15,7 @@ from deploy.scenario.finding_maps import find_map
 from deploy.scenario.scenario import UNLIMITED, Scenario, ScenarioError
 from netshaper import medium
 from netshaper.radio import RadioSettings
-from protocol.grid import disc, enlarge
+from protocol.grid import MAX_SIDE, disc, enlarge
 from worldsim import faults
 from worldsim.map_error import MapError
 from worldsim.maps import Map, to_cell
@@ -65,6 +65,10 @@ def make(scenario: Scenario, world_map: Map | None = None, *, lives: int = 1) ->
             raise ScenarioError(
                 f"sensor_range = {body.sensor_range:g} m of robot {number} is less than a cell of {cell:g} m"
             )
+        if body.radius > MAX_SIDE * cell:
+            raise ScenarioError(
+                f"radius = {body.radius:g} m: no map is as large as that, with cells of {cell:g} m"
+            )
         if body.sensor_range < (least := least_range(body.radius / cell) * cell):
             raise ScenarioError(
                 f"sensor_range = {body.sensor_range:g} m of robot {number} is less than {least:.3g} m: a disc of "
@@ -111,6 +115,7 @@ def make(scenario: Scenario, world_map: Map | None = None, *, lives: int = 1) ->
         world_map.cells if scenario.radio.model != "disc" else None,
         tuple(scenario.body_of(number).send_bytes or 0 for number in range(scenario.robots)),
         tuple(scenario.body_of(number).receive_bytes or 0 for number in range(scenario.robots)),
+        scenario.changes(world_map.diagonal_m),
     )
     minds = {
         number: Settings(
@@ -134,6 +139,7 @@ def make(scenario: Scenario, world_map: Map | None = None, *, lives: int = 1) ->
             radii_cells=[body.radius_cells for body in bodies],
             field_of_view=bodies[number].field_of_view,
             scanner_turn=bodies[number].scanner_turn,
+            pass_on=scenario.pass_on,
             confirms=not radio.perfect,
             fastest_cells=max(body.speed for body in bodies),
             frame_bytes=radio.packet_bytes,

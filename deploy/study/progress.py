@@ -30,7 +30,8 @@ def counting(console: Console, what: str) -> Iterator[Tell]:
         yield _Lines(console, what).tell
         return
     bar = Progress(
-        TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"),
+        TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(),
+        TimeElapsedColumn(), TextColumn("left"),
         TimeRemainingColumn(elapsed_when_finished=False), console=console, transient=True,
     )  # fmt: skip
     task = bar.add_task(what, total=None)

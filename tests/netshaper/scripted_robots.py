@@ -13,8 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from netshaper.imperfect import radio
 from netshaper.ledger import EVERYONE, ROW
-from netshaper.radio import Frame, Note, Outgoing, Radio, RadioSettings
+from netshaper.radio import Frame, Note, Outgoing, RadioSettings
 from protocol import packets
 from protocol.messages import Close, Open, Outcome, RadioReport, Said, Turn
 
@@ -176,7 +177,7 @@ class Air:
     """A radio and its robots."""
 
     def __init__(self, settings: RadioSettings, robots: Mapping[int, Robot], interleaving: int = 0) -> None:
-        self.radio = Radio(settings)
+        self.radio = radio(settings)
         self.robots = dict(robots)
         self.dead: set[int] = set()
         self._rng = np.random.default_rng(interleaving)

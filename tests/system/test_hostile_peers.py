@@ -326,6 +326,37 @@ def test_who_lies_to_all_does_not_stop_the_honest_from_sharing_all_they_see(
         assert {fault.peer for fault in robot.faults} <= {LIAR}
 
 
+class Hoarse(Mind):
+    """A robot whose news are cut, said twice, or turned round: each time in another way."""
+
+    def hear(self, note: Open | Turn | Outcome | Close, heard: Heard) -> tuple[list[Put], Said | None]:
+        puts, said = super().hear(note, heard)
+        if isinstance(note, Open):
+            puts = [(receiver, self._spoilt(frame, note.step % 3)) for receiver, frame in puts]
+        return puts, said
+
+    def _spoilt(self, frame: bytes, way: int) -> bytes:
+        words = survey.split(frame)
+        if any(packets.name(word) in ("targ", "pose") for word in words):
+            return frame
+        return b"".join((words[::-1], words + words, words[: len(words) // 2 + 1])[way])
+
+
+@pytest.mark.parametrize("liar", ["noise", "hoarse"])
+def test_one_liar_among_eight_does_not_stop_the_honest(liar: str) -> None:
+    plan = small_plan("office", robots=8, exchange="sight", offers="gossip", bandwidth=200, seed=4)
+    settings = Settings.from_message(plan.minds[LIAR])
+    mind = Gossip(settings, NONSENSE["a unit of noise"]) if liar == "noise" else Hoarse(settings)
+    team = Team(plan, {LIAR: mind})
+    team.explore(400)
+    assert any(move.explored for move in team.moves.values())
+    honest = [robot for number, robot in enumerate(team.robots) if number != LIAR]
+    seen = np.max([robot.own for robot in honest], axis=0)
+    for robot in honest:
+        assert ((robot.planning != seen) & (seen != UNKNOWN)).mean() < 0.01
+        assert {fault.peer for fault in robot.faults} <= {LIAR}
+
+
 def test_a_unit_of_a_liar_that_makes_no_sense_is_reported_and_no_more_is_taken_from_it() -> None:
     plan = small_plan("office", robots=3, exchange="sight", offers="gossip", bandwidth="unlimited")
     liar = Gossip(Settings.from_message(plan.minds[LIAR]), NONSENSE["a unit of noise"])

@@ -71,6 +71,15 @@ def test_robots_that_part_and_meet_know_all_in_the_end(exchange: str) -> None:
         assert (robot.planning == seen).all()
 
 
+def test_by_gossip_more_maps_travel_than_offers_can_name() -> None:
+    team = Team(
+        small_plan("office", robots=66, exchange="sight", offers="gossip", bandwidth="unlimited", seed=3)
+    )
+    team.explore(2)
+    assert all(len(robot.session.logs[65]) for robot in team.robots)
+    assert not [fault for robot in team.robots for fault in robot.faults]
+
+
 def test_looks_tell_where_robots_are_so_that_fewer_poses_are_told() -> None:
     plans = [
         small_plan("office", robots=4, exchange=exchange, offers="gossip", strategy="repairmen", seed=3)

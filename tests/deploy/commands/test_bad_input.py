@@ -58,6 +58,14 @@ FILES = {
     "list.json": "[]",
     "short.json": '{"run": "a", "name": "r0"}',
     "nowhere.json": '{"run": "a", "name": "r0", "hub": "the hub", "password": "x"}',
+    "deep.toml": "options = " + 5000 * "[" + 5000 * "]",
+    "deep.yaml": 5000 * "[" + 5000 * "]",
+    "deep.json": 100_000 * "[",
+    "endless.yaml": YAML.format(image="/dev/zero"),
+    "coarse.yaml": YAML.format(image="room.png").replace("0.1", "900000", 1),
+    "afar.yaml": YAML.format(image="room.png").replace("[0, 0, 0]", "[1.0e+308, 0, 0]"),
+    "star.json": '{"run": "a*", "name": "r0", "hub": "tcp/127.0.0.1:1", "password": "x"}',
+    "port.json": '{"run": "a", "name": "r0", "hub": "tcp/127.0.0.1:99999", "password": "x"}',
     "bob.json": '{"run": "a", "name": "bob", "hub": "tcp/127.0.0.1:1", "password": "x"}',
 }
 
@@ -153,6 +161,14 @@ EXPLORE = {
     "wide.toml": "start on map room: no cell is free for robots of that radius",
     "wall.toml": "start on map room: cell (0, 9) is not free",
     "blind.toml": "sensor_range = 0.01 m of robot 1 is less than a cell of 0.1 m",
+    "deep.toml": "scenario deep.toml: is nested too deeply",
+    "/dev/zero": "scenario /dev/zero: is a device, not a file",
+    "--map deep.yaml": "deep.yaml: is nested too deeply; a map_server YAML file has `key: value` lines",
+    "--map endless.yaml": "/dev/zero: cannot be read (it is a device); a map's picture must be a PGM or PNG file",
+    "--map coarse.yaml": "resolution is 900000.0, not a number of metres a cell above 0, 1000 at most",
+    "--map afar.yaml": "origin is [1e+308, 0.0, 0.0], not three numbers of 1e+08 at most",
+    f"--set options={5000 * '[' + 5000 * ']'}": "set = 'options=...': is nested too deeply",
+    "--set radius=1e6 --set sensor_range=1e6": "radius = 1e+06 m: no map is as large as that, with cells of 0.1 m",
     "--nonsense": "No such option: --nonsense",
 }
 
@@ -191,6 +207,10 @@ OTHERS = {
     "run agent --credential list.json": "credential list.json: needs the texts run, name, hub, password",
     "run agent --credential short.json": "credential short.json: needs the texts run, name, hub, password",
     "run agent --credential nowhere.json": "hub = 'the hub': must be as tcp/127.0.0.1:7447",
+    "run agent --credential deep.json": "credential deep.json: not JSON",
+    "run agent --credential star.json": "a run cannot be called 'a*': use letters, digits",
+    "run agent --credential port.json": "hub = 'tcp/127.0.0.1:99999': must be as tcp/127.0.0.1:7447",
+    "run netshaper --listen 127.0.0.1:٣": "with a port from 1 to 65535",
     "run agent --credential bob.json": "'bob' is not a robot's name",
     "run worldsim --credential r0.json": "credential r0.json is that of r0; world.json is needed here",
     "run lab --credential r0.json": "credential r0.json is that of r0; lab.json is needed here",
@@ -219,6 +239,14 @@ def test_bad_input_is_named_with_what_would_be_right_and_leaves_nothing_behind(
     assert "Traceback" not in said
     assert said.startswith(("murmur: ", "Usage: "))
     assert contents(desk) == before
+
+
+def test_a_scenario_may_begin_with_a_byte_order_mark(desk: Path) -> None:
+    (desk / "mark.toml").write_bytes(
+        b"\xef\xbb\xbf" + b'map = "room.yaml"\nrobots = 1\nsteps = 1\nbus = "memory"\n'
+    )
+    assert murmur("explore", "mark.toml", "--sensor-range", "1", "--out", "[/x]").exit_code in (0, 1)
+    assert (desk / "[/x]" / "summary.json").exists()
 
 
 def test_several_things_that_are_wrong_are_all_named(desk: Path) -> None:

@@ -59,3 +59,23 @@ def test_a_robots_own_maps_do_not_count_for_what_has_been_seen() -> None:
         assert grid.shape == plan.map.cells.shape
     records.own = dict.fromkeys(records.own, plan.map.cells)
     assert not summarise(plan, records, 1.0)["finished"]
+
+
+class Chatterbox:
+    """The end of the bus of a robot that says the same frame ten times, out of turn, before each move."""
+
+    def __init__(self, inner: Bus) -> None:
+        self._inner = inner
+        self.receive, self.close = inner.receive, inner.close
+
+    def put(self, key: str, payload: bytes) -> None:
+        if names.parts(key)[0] == "body":
+            for _ in range(10):
+                self._inner.put(key.replace("body/rx/world/r1", "radio/tx/r1/r0"), b"\x80\x00")
+        self._inner.put(key, payload)
+
+
+def test_equal_frames_that_were_not_delivered_are_counted_one_by_one() -> None:
+    plan = small_plan(robots=2, steps=3)
+    records = in_memory.run(plan, wrap=lambda name, bus: Chatterbox(bus) if name == "r1" else bus)
+    assert summarise(plan, records, 1.0)["undelivered"]["protocol"] >= 20
