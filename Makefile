@@ -1,6 +1,7 @@
 # make demo   sets up what it needs and explores an office with five robots
 # make test   sets up what it needs and runs format, lint, types, import rules and tests
 # make bench  prints ratios against named yardsticks
+# make fuzz  gives every reader of bytes ten minutes of nonsense
 # make docs   builds the documentation as a site, in site/
 
 VENV := .venv
@@ -8,7 +9,7 @@ PYTHON ?= python3
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: setup demo test check bench docs clean
+.PHONY: setup demo test check bench fuzz docs clean
 
 setup: $(VENV)/main.stamp
 
@@ -40,6 +41,12 @@ check: $(VENV)/dev.stamp
 
 bench: $(VENV)/dev.stamp
 	$(BIN)/murmur bench
+
+# Rounds of many inputs until ten minutes are over.
+fuzz: $(VENV)/dev.stamp
+	end=$$(($$(date +%s) + 600)); while [ $$(date +%s) -lt $$end ]; do \
+	FUZZ_EXAMPLES=3000 timeout $$((end - $$(date +%s) + 1)) $(BIN)/python -m pytest -q tests/fuzz; code=$$?; \
+	[ $$code = 0 ] || [ $$code = 124 ] || exit $$code; done
 
 docs: $(VENV)/dev.stamp
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict

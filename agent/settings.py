@@ -56,6 +56,8 @@ class Settings:
         Options of the sight exchange, by name (`agent.exchange.sight`).
     options : dict
         Options of the strategy, by name.
+    pass_on : bool
+        Whether it offers maps of others as well as its own.
     confirms : bool
         Whether only what a teammate says tells that something has reached it, for the medium may lose it.
     frame_bytes : int or None
@@ -90,6 +92,7 @@ class Settings:
     radii_cells: list[float] = field(default_factory=list)
     field_of_view: float = 360.0
     scanner_turn: float = 0.0
+    pass_on: bool = True
     confirms: bool = False
     frame_bytes: int | None = None
     lives: int = 1

@@ -31,7 +31,9 @@ def distribution(settings: Settings) -> Session | Gossip:
         way = ConfirmedGossip if settings.confirms else Gossip
         return way(settings.robot, settings.robots, lives=settings.lives, life=settings.life)
     kind = ConfirmedSession if settings.confirms else Session
-    return kind(settings.robot, settings.robots, settings.offers, lives=settings.lives, life=settings.life)
+    session = kind(settings.robot, settings.robots, settings.offers, lives=settings.lives, life=settings.life)
+    session.passes_on = settings.pass_on
+    return session
 
 
 PLUGINS: Plugins[Exchange] = Plugins("exchange", "murmur.exchanges", Exchange)  # type: ignore[type-abstract]

@@ -152,6 +152,8 @@ class Session:
         self.refused: set[tuple[int, int]] = set()
         """(peer, map): offers that are declined, for what came of them made no sense."""
         self._robot = robot
+        self.passes_on = True
+        """Whether maps of others are offered as well as one's own."""
         self._robots = robots
         self._lives = lives
         self._policy = policy
@@ -330,6 +332,8 @@ class Session:
 
     def _worth_offering(self, exchange: int, held: Table) -> list[tuple[int, int]]:
         """Offers to make now, as (peer, map), as the policy has it; `held`: the length of each log."""
+        if not self.passes_on:
+            held = np.where(np.arange(len(held)) == self.own, held, 0)
         peers = np.array(self._peers, np.int64)
         if self._policy == "thesis":
             return _all_news(self.own, self._peers, self._own_maps, self.known, held)

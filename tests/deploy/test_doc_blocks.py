@@ -19,6 +19,7 @@ import pytest
 import typer
 from typer._click.exceptions import UsageError
 
+import deploy
 from deploy.commands.main import app
 from tests.deploy.commands.office_floor import murmur
 
@@ -164,6 +165,8 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     pages = list((tmp_path / "site").rglob("*.html"))
     text = "".join(page.read_text(encoding="utf-8") for page in pages)
-    assert "known_cells" in text and "deploy.run.stepwise.steps" in text
+    assert "known_cells" in text, "columns of files are made from code"
+    for name in deploy.__all__:
+        assert f".{name}" in text, f"{name} is in no reference"
     loaded = re.findall(r'<(?:script|link|img)[^>]*(?:src|href)="(https?:[^"]*)"', text)
     assert not loaded, "the site needs no network"

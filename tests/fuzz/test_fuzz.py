@@ -1,0 +1,246 @@
+"""Fuzzing: whatever bytes come, they are read or refused in words; a short look here, ten minutes by ``make fuzz``.
+
+Each reader says by which error it refuses. What once broke one is a file in ``corpus``, and is read first, by all.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import tomllib
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from agent.exchange.catalogue import EXCHANGES, exchange
+from agent.exchange.gossip import Gossip
+from agent.exchange.session import Session
+from agent.identity import Identity
+from agent.journal import Journal, JournalError
+from agent.outline.receiver import Receiver
+from agent.settings import Settings
+from deploy.scenario.scenario import ScenarioError, parse
+from protocol import packets, survey
+from protocol.errors import ProtocolError
+from protocol.keys import Keys
+from protocol.messages import Outcome, Record, unpack
+from protocol.rights import RIGHTS, read
+from protocol.zenoh_bus import Credential
+from worldsim import maps
+from worldsim.map_error import MapError
+
+CORPUS = sorted((Path(__file__).parent / "corpus").iterdir())
+EXAMPLES = int(os.environ.get("FUZZ_EXAMPLES", "60"))
+"""How many inputs each reader gets."""
+
+SETTINGS = Settings(
+    1,
+    3,
+    40,
+    30,
+    [8.0] * 3,
+    36,
+    5.0,
+    0,
+    "polygon",
+    "meier",
+    "backoff",
+    1000.0,
+    50.0,
+    radii_cells=[0.0] * 3,
+    lives=2,
+)
+
+
+def read_packets(data: bytes) -> None:
+    assert b"".join(survey.split(data)) == data
+    for packet in packets.decode(data):
+        assert packets.decode(packets.encode([packet])) == [packet]
+
+
+def read_messages(data: bytes) -> None:
+    assert isinstance(unpack(data), Record)
+
+
+def read_as_anybody(data: bytes) -> None:
+    keys = Keys("run")
+    for sender, receiver in RIGHTS:
+        names = [name.replace("robot", "r1") for name in (receiver, sender)]
+        key = keys.control_tx(names[1]) if receiver == "relay" else keys.control(*names)
+        try:
+            read(key, data)
+        except ProtocolError:
+            continue
+
+
+def read_polygons(data: bytes) -> None:
+    receiver = Receiver((30, 40))
+    for at in range(0, len(data), 7):
+        receiver.feed(data[at : at + 7])
+
+
+def take_units(data: bytes) -> None:
+    for name in EXCHANGES:
+        mind = exchange(Settings(**(SETTINGS.to_message() | {"exchange": name})))
+        try:
+            mind.take(0, survey.split(data))
+        except ProtocolError:
+            continue
+
+
+def hear_in_session(data: bytes) -> None:
+    session = Session(1, 3, lives=2)
+    session.offers(0, [0, 2], None)
+    answered = session.answers([(0, 0, data)])
+    assert len(answered) == 1
+    session.outcome(Outcome(1, 0, [0], [2], [2], [0], [], broadcast=False), [])
+
+
+def hear_gossip(data: bytes) -> None:
+    gossip = Gossip(1, 3, lives=2)
+    gossip.offers(0, [0, 2], None)
+    for peer, about, units in gossip.outcome(
+        Outcome(1, 0, [], [], [], [], [-1], broadcast=False), [(0, data)]
+    ):
+        gossip.accept(peer, about, survey.split(units))
+
+
+def read_journal(data: bytes) -> None:
+    Identity(Journal(BytesIO(data))).begin(SETTINGS)
+    framed = BytesIO()
+    Journal(framed).append(data)
+    Identity(Journal(framed)).begin(SETTINGS)
+
+
+def read_scenario(data: bytes) -> None:
+    try:
+        table = tomllib.loads(data.decode())
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError):
+        return
+    assert parse(parse(table).model_dump()) == parse(table)
+
+
+def read_credential(data: bytes) -> None:
+    Credential.parse(data.decode(errors="replace"))
+
+
+def read_map(data: bytes, folder: Path) -> None:
+    path = folder / "map.yaml"
+    path.write_bytes(data)
+    (folder / "map.pgm").write_bytes(b"P5 2 2 255\n" + bytes([0, 254, 205, 254]))
+    maps.load(str(path))
+
+
+READERS: dict[Callable[[bytes], None], type[Exception]] = {
+    read_packets: ProtocolError,
+    read_messages: ProtocolError,
+    read_as_anybody: ProtocolError,
+    read_polygons: ProtocolError,
+    take_units: ProtocolError,
+    hear_in_session: ProtocolError,
+    hear_gossip: ProtocolError,
+    read_journal: JournalError,
+    read_scenario: ScenarioError,
+    read_credential: ValueError,
+}
+
+KINDS = b"".join(
+    bytes([code])
+    for code in (0x40, 0x60, 0x80, 0xD0, 0xE0, 0xA0, 0xC0, 0xB0, 0xF0, 0xF1, 0xF2, 0xF4, 0xF5, 0xF6, 0xF7)
+)
+some_packets = st.lists(
+    st.tuples(st.sampled_from(list(KINDS)), st.binary(min_size=1, max_size=8)), max_size=8
+).map(lambda pieces: b"".join(bytes([code]) + rest for code, rest in pieces))
+some_messages = st.lists(st.integers(0, 30) | st.binary(max_size=4) | st.text(max_size=4), max_size=8).map(
+    lambda items: struct.pack("B", 0x90 | len(items)) + b"".join(_packed(item) for item in items)
+)
+some_toml = st.lists(
+    st.tuples(
+        st.sampled_from(
+            ["robots", "map", "range", "bandwidth", "fault", "radio", "starts", "steps", "exchange"]
+        ),
+        st.sampled_from(
+            [
+                "3",
+                "-1",
+                '"x"',
+                "1e999",
+                "nan",
+                "[]",
+                "[[1, 2]]",
+                '[{step = 1, robot = 0, kind = "kill"}]',
+                "{}",
+                '"sight"',
+            ]
+        ),
+    ),
+    max_size=4,
+    unique_by=lambda pair: pair[0],
+).map(lambda pairs: "\n".join(f"{key} = {value}" for key, value in pairs).encode())
+anything = st.binary(max_size=120) | some_packets | some_messages | some_toml
+
+
+def _packed(item: object) -> bytes:
+    if isinstance(item, int):
+        return bytes([item])
+    text = item.encode() if isinstance(item, str) else item
+    assert isinstance(text, bytes)
+    return (bytes([0xD9, len(text)]) if isinstance(item, str) else bytes([0xC4, len(text)])) + text
+
+
+@pytest.mark.parametrize("reader", READERS, ids=lambda reader: reader.__name__)
+@settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=anything)
+def test_any_bytes_are_read_or_refused_in_words(reader: Callable[[bytes], None], data: bytes) -> None:
+    try:
+        reader(data)
+    except READERS[reader] as error:
+        assert str(error)
+
+
+@pytest.mark.parametrize("file", CORPUS, ids=lambda file: file.name)
+def test_what_once_broke_a_reader_does_not_any_more(file: Path) -> None:
+    for reader, refusal in READERS.items():
+        try:
+            reader(file.read_bytes())
+        except refusal as error:
+            assert str(error)
+
+
+@settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
+@given(
+    data=st.binary(max_size=60)
+    | st.lists(
+        st.tuples(
+            st.sampled_from(
+                ["image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh", "mode"]
+            ),
+            st.sampled_from(
+                [
+                    "map.pgm",
+                    "0.1",
+                    "[0, 0, 0]",
+                    "0",
+                    "0.65",
+                    "0.2",
+                    "trinary",
+                    "-1",
+                    "[]",
+                    "{a: b}",
+                    "1e309",
+                    "&a [*a]",
+                ]
+            ),
+        ),
+        max_size=7,
+    ).map(lambda pairs: "\n".join(f"{key}: {value}" for key, value in pairs).encode())
+)
+def test_any_map_is_read_or_refused_in_words(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
+    try:
+        read_map(data, tmp_path_factory.mktemp("map"))
+    except MapError as error:
+        assert str(error)
