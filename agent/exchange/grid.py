@@ -43,6 +43,11 @@ LEVEL = 19
 WINDOW = 22
 """Bits of the window that a zstd frame may ask for."""
 
+PACKETS_A_STEP = 3
+"""Fragments that a step's budget has room for at least, if it has room for as many of `LEAST` bytes."""
+
+LEAST = 8
+
 MOST_DIGITS = 4
 """Bytes of a number at most."""
 
@@ -58,6 +63,8 @@ class GridExchange(Exchange):
         super().__init__(settings)
         shape = settings.height, settings.width
         self._most = settings.frame_bytes or packets.Fragment.size
+        if settings.bandwidth is not None:
+            self._most = min(self._most, max(int(settings.bandwidth) // PACKETS_A_STEP, LEAST))
         self._told: Grid = np.zeros(shape, np.uint8)
         self._untold = NO_BOXES
         """Where the robot's own grid has changed since the last patch."""
