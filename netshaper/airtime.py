@@ -41,12 +41,12 @@ class Shares:
     """
 
     def __init__(self, budget: int) -> None:
-        self._budget = budget
+        self.budget = budget
         self._had: dict[int, int] = {}
 
     def rank(self, robot: int, urgency: int) -> tuple[bool, int]:
         """What decides who speaks first: the least."""
-        shouts = self._budget != UNLIMITED and 2 * self._had.get(robot, 0) > self._budget * LATE
+        shouts = self.budget != UNLIMITED and 2 * self._had.get(robot, 0) > self.budget * LATE
         return shouts, -min(max(urgency, 0), MOST_URGENT)
 
     def book(self, robot: int, size: int) -> None:
@@ -91,14 +91,20 @@ class Airtime:
         receive: Sequence[int] = (),
         duty_cycle: float = 1.0,
     ) -> None:
-        self._budget = budget
+        self._duty_cycle = duty_cycle
         self._reuse = reuse
         self._most_sent = send or [0] * robots
         self._most_taken = receive or [0] * robots
-        self._earned = duty_cycle * budget if duty_cycle < 1 and budget != UNLIMITED else None
+        self.set_budget(budget)
         self._saved = [HOUR * (self._earned or 0.0)] * robots
         self._around: Mapping[int, Sequence[int]] = {}
         self._used = self._sent = self._taken = [0] * robots
+
+    def set_budget(self, budget: int) -> None:
+        """Have another budget from now on; what has been saved up stays."""
+        self._budget = budget
+        limited = self._duty_cycle < 1 and budget != UNLIMITED
+        self._earned = self._duty_cycle * budget if limited else None
 
     def next_step(self, around: Mapping[int, Sequence[int]]) -> None:
         """Open the air for a step, with the robots in range of each."""

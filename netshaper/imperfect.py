@@ -83,6 +83,10 @@ class ImperfectRadio(Radio):
         self._air.next_step(self._reach)
         self._channel.next_step(self._step)
 
+    def _set_budget(self, budget: int) -> None:
+        super()._set_budget(budget)
+        self._air.set_budget(budget)
+
     def _room(self, robot: int) -> int:
         return self._air.room(robot)
 

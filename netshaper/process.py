@@ -25,6 +25,7 @@ from protocol.messages import (
     Back,
     Begin,
     Bye,
+    Change,
     Close,
     End,
     Fault,
@@ -176,13 +177,19 @@ class RelayNode:
         elif isinstance(said, Positions):
             self._nonsense.clear()
             cells = dict(zip(said.robots, zip(said.x, said.y, strict=True), strict=True))
-            self._send(self._radio.begin(said.step, cells, said.mute, said.deaf))
+            opening = self._radio.begin(said.step, cells, said.mute, said.deaf)
+            for change in self._radio.changed:
+                self._report(change)
+            self._radio.changed.clear()
+            self._send(opening)
         elif isinstance(said, End):
             self._end(said)
         elif isinstance(said, Lost):
             self.give_up_on(said.robot, said.cause)
         elif isinstance(said, Stop | Strike):
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), message.payload)
+        elif isinstance(said, Change):
+            self._radio.change(said)
         elif isinstance(said, Bye):
             self._go_home()
 

@@ -20,9 +20,12 @@ believed: a frame that is malformed, out of range or out of turn is booked as su
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
+from operator import attrgetter
 from typing import NamedTuple, TypeVar
+
+import msgspec
 
 from netshaper import airtime, connectivity
 from netshaper.ledger import EVERYONE, KIND_NUMBER
@@ -33,9 +36,11 @@ from protocol.errors import ProtocolError
 from protocol.fields import MOST_CONNECTIONS
 from protocol.grid import Grid
 from protocol.keyed_random import keyed_random
-from protocol.messages import Close, Open, Outcome, Record, Said, Turn
+from protocol.messages import Change, Close, Open, Outcome, Record, Said, Turn
 
 Item = TypeVar("Item")
+
+_WHEN = attrgetter("step")
 
 PHASES = ("offers", "answers", "data")
 
@@ -74,6 +79,8 @@ class RadioSettings:
     """Bytes a step that each robot can send, 0 for no limit; nothing where none has one."""
     receive: tuple[int, ...] = ()
     """Bytes a step that each robot can take, likewise."""
+    changes: tuple[Change, ...] = ()
+    """When budget and range become others, as the scenario has it."""
 
     @property
     def perfect(self) -> bool:
@@ -125,6 +132,10 @@ class Radio:
         self.settings = settings
         self.faults: list[tuple[int, str]] = []
         """Who said what that made no sense, since this list was last emptied."""
+        self.changed: list[Change] = []
+        """What has changed with this step, since this list was last emptied."""
+        self._changes = sorted(settings.changes, key=_WHEN)
+        """What is still to change."""
         self._dead: set[int] = set()
         self._step = 0
         self._exchange = 0
@@ -152,6 +163,8 @@ class Radio:
         What was said while it was closed is booked here, and refused.
         """
         self._step = step
+        while self._changes and self._changes[0].step <= step:
+            self._apply(msgspec.structs.replace(self._changes.pop(0), step=step))
         self._exchange = 0
         self._mute, self._deaf = set(mute), set(deaf)
         self._connections = Connections()
@@ -162,6 +175,23 @@ class Radio:
         self._medium.sightings = between.sightings
         self._next_step()
         return self._open()
+
+    def change(self, change: Change) -> None:
+        """Have budget or range be others from a step on that has not begun."""
+        coming = msgspec.structs.replace(change, step=max(change.step, self._step + 1))
+        self._changes = sorted([*self._changes, coming], key=_WHEN)
+
+    def _apply(self, change: Change) -> None:
+        self.changed.append(change)
+        if change.budget >= UNLIMITED:
+            self._set_budget(change.budget)
+        if change.range_mm >= 0:
+            cells = change.range_mm / 1000 / self.settings.cell_m
+            self.settings = replace(self.settings, range_cells=cells)
+
+    def _set_budget(self, budget: int) -> None:
+        self.settings = replace(self.settings, budget=budget)
+        self._shares.budget = budget
 
     def hear(self, sender: int, receiver: int, payload: bytes) -> None:
         """Take a frame that a robot put; `receiver` is `EVERYONE` for a broadcast."""

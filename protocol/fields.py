@@ -32,6 +32,8 @@ CellCount = Annotated[int, Meta(ge=0, le=MOST_CELLS)]
 CellCountOrNone = Annotated[int, Meta(ge=-1, le=MOST_CELLS)]
 Count = Annotated[int, Meta(ge=0, lt=2**53)]
 CountOrNone = Annotated[int, Meta(ge=-1, lt=2**53)]
+Budget = Annotated[int, Meta(ge=-2, lt=2**53)]
+"""Bytes a step; -1: no limit, -2: as it is."""
 Connection = Annotated[int, Meta(ge=-1, lt=2**31)]
 Urgency = Annotated[int, Meta(ge=0, le=255)]
 

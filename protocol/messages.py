@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from protocol.errors import ProtocolError
 from protocol.fields import (
     Books,
+    Budget,
     CellCount,
     CellCountOrNone,
     Cells,
@@ -238,6 +239,18 @@ class Strike(Record, tag=22, frozen=True):
     steps: Step = 0
 
 
+class Change(Record, tag=24, frozen=True):
+    """Another radio: laboratory to relay, to have it; relay to laboratory: it is so from this step on.
+
+    `step`: at whose beginning; from the laboratory 0 means the next. `budget`: bytes a step, -1 for no limit, -2: as it
+    is. `range_mm`: the communication range in millimetres, -1: as it is.
+    """
+
+    step: Step
+    budget: Budget = -2
+    range_mm: CountOrNone = -1
+
+
 class Back(Record, tag=23, frozen=True):
     """Relay to world and laboratory: a robot that was gone has joined again."""
 
@@ -356,7 +369,7 @@ class Fault(Record, tag=18, frozen=True):
 
 _TYPES: tuple[type[Record], ...] = (
     Begin, Configure, Sense, Move, Positions, Open, Turn, Said, Outcome, Close, Lost, End, Stop, Bye,
-    WorldReport, MindReport, RadioReport, Maps, Fault, Watched, Snapshot, Outlines, Strike, Back,
+    WorldReport, MindReport, RadioReport, Maps, Fault, Watched, Snapshot, Outlines, Strike, Back, Change,
 )  # fmt: skip
 _HEAD = {kind: 0x90 | len(kind.__struct_fields__) + 1 for kind in _TYPES}
 """The first byte of each message: a list of so many items."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from deploy.record import run_directory
 from deploy.record.snapshots import SNAPSHOTS, Snapshots
+from deploy.record.summary import budgets
 from deploy.run.repeat import maps_over_time, why_unrepeatable
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
@@ -48,6 +49,21 @@ class Archive:
     def ledger(self) -> Table:
         """``ledger.parquet``: one row per frame and packet kind."""
         return _read_table(self.directory / run_directory.LEDGER)
+
+    @cached_property
+    def budgets(self) -> NDArray[np.float64]:
+        """Bytes that the team could put on the air, by step from 0 on; infinite where there is no limit."""
+        radio = self.plan.radio
+        return budgets(radio.budget, radio.changes, self.last_step + 1)
+
+    def range_m(self, step: int) -> float:
+        """The communication range in a step, in metres."""
+        told = [
+            each.range_mm / 1000
+            for each in self.plan.radio.changes
+            if each.step <= step and each.range_mm >= 0
+        ]
+        return told[-1] if told else self.plan.range_m
 
     @property
     def last_step(self) -> int:

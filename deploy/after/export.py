@@ -31,7 +31,6 @@ from deploy.after.recast_scans import Lasers, Rescan
 from deploy.dashboard.shapes import corner
 from deploy.record.colors import GROUPS, robot_color
 from deploy.record.snapshots import Snapshots
-from deploy.scenario.scenario import UNLIMITED
 from netshaper.capture import FRAMES
 from protocol.grid import FREE, OCCUPIED, Fan, Grid
 from protocol.messages import Outlines, Snapshot, grid_from_bytes
@@ -201,7 +200,7 @@ class _Messages:
             name: int(here["bytes"][carried & np.isin(here["kind"], group.kinds)].sum())
             for name, group in GROUPS.items()
         }
-        budget = self._archive.plan.scenario.bandwidth
+        budget = float(self._archive.budgets[step])
         yield (
             "/radio/steps",
             RADIO_STEP,
@@ -209,7 +208,7 @@ class _Messages:
             self._make(
                 RADIO_STEP,
                 header=self._header(step),
-                budget=math.nan if budget == UNLIMITED else float(budget),
+                budget=budget if math.isfinite(budget) else math.nan,
                 frames=len(frames),
                 carried=int(here["bytes"][carried].sum()),
                 waiting=int(here["bytes"][here["cause"] == "budget"].sum()),

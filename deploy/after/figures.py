@@ -8,6 +8,7 @@ channel load       what is explored over time, and over the same steps bytes on 
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -194,13 +195,16 @@ def draw_load(panel: Axes, archive: Archive) -> None:
             steps, *shown.values(), labels=[GROUPS[name].words for name in shown],
             colors=[rgb(GROUPS[name].color) for name in shown], step="mid", linewidth=0,
         )  # fmt: skip
-    budget = archive.plan.scenario.bandwidth
+    budgets = archive.budgets[1:]
     title = "On the air"
-    if budget != UNLIMITED:
-        panel.axhline(float(budget), color=RED, linewidth=1.2, label=f"budget: {budget} bytes a step")
-        used = sum(values.sum() for values in carried.values()) / max(1, last * float(budget))
+    if np.isfinite(budgets).any():
+        few = f": {budgets[0]:.0f} bytes a step" if len(set(budgets.tolist())) == 1 else ""
+        panel.step(steps, budgets, where="mid", color=RED, linewidth=1.2, label=f"budget{few}")
+    if np.isfinite(budgets).all():
+        used = sum(values.sum() for values in carried.values()) / max(1.0, budgets.sum())
         title += f": {100 * used:.0f} % of the budget"
-        unit = float(budget) / 100
+    if len(set(budgets.tolist())) == 1 and 0 < budgets[0] < math.inf:
+        unit = budgets[0] / 100
 
         def to_share(size: Any) -> Any:
             return size / unit

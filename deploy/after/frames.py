@@ -214,7 +214,8 @@ class Frames:
     def _in_range(self, rows: dict[str, NDArray[Any]], a: int, b: int) -> bool:
         (first,), (second,) = (np.flatnonzero(rows["robot"] == robot) for robot in (a, b))
         x, y = rows["x"], rows["y"]
-        return math.dist((x[first], y[first]), (x[second], y[second])) <= self._archive.plan.range_m
+        away = math.dist((x[first], y[first]), (x[second], y[second]))
+        return away <= self._archive.range_m(int(rows["step"][first]))
 
     def _now(self, step: int) -> dict[str, NDArray[Any]]:
         """The rows of a step."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -64,11 +65,11 @@ def explain_difference(before: dict[str, Any], now: dict[str, Any]) -> None:
             errors.print(f"  {key}: {before[key]} then, {now[key]} now")
 
 
-def progress(*, shown: bool) -> Any:
-    """A progress line on the error stream, which is not piped to other programs."""
+def progress(*, shown: bool, below: Callable[[], str] = lambda: "") -> Any:
+    """A progress line, and what is said `below` it, on the error stream, which is not piped to other programs."""
     from deploy.commands import terminal  # noqa: PLC0415
 
-    return terminal.progress(errors, shown=shown)
+    return terminal.progress(errors, shown=shown, below=below)
 
 
 class speaking_clearly:  # noqa: N801  used like a statement

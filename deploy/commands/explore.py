@@ -202,16 +202,19 @@ def _explore(
     restart: bool,
     as_json: bool,
 ) -> int:
+    from deploy.commands.live_keys import controlled, is_at_terminal  # noqa: PLC0415
     from deploy.dashboard.watch import keep_showing  # noqa: PLC0415
     from deploy.dashboard.windows import Window  # noqa: PLC0415
     from deploy.run import exploration  # noqa: PLC0415
+    from deploy.run.control import Control  # noqa: PLC0415
     from deploy.run.hosts import load as load_hosts  # noqa: PLC0415
     from deploy.run.interrupt import sigterm_as_ctrl_c  # noqa: PLC0415
 
     placed = load_hosts(hosts) if hosts is not None else None
     window = Window(show, errors.print) if show else None
+    control = Control() if is_at_terminal() and not as_json else None
     try:
-        with progress(shown=not as_json) as watch:
+        with controlled(control) as below, progress(shown=not as_json, below=below) as watch:
             result = exploration.explore(
                 scenario,
                 out=out,
@@ -221,6 +224,7 @@ def _explore(
                 snapshots=pictures,
                 pace=pace,
                 hosts=placed,
+                control=control,
                 restart=restart,
             )
         if pictures and result.directory is not None and result.records.world:

@@ -8,28 +8,47 @@ from pathlib import Path
 from typing import Any
 
 from rich.box import SIMPLE
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.console import Console, RenderableType
+from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
 
 from deploy.record.records import Records
 from deploy.record.run_directory import PICTURE, PICTURES
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import UNLIMITED
+from netshaper.medium import UNLIMITED
 
 Watch = Callable[[Plan, Records], object]
 
 
+class _WithWords(Progress):
+    """A progress line with another line below it, if there is anything to say."""
+
+    def __init__(self, below: Callable[[], str], *columns: ProgressColumn, **options: Any) -> None:
+        self._below = below
+        super().__init__(*columns, **options)
+
+    def get_renderables(self) -> Iterator[RenderableType]:
+        """The line, and what stands below it."""
+        yield self.make_tasks_table(self.tasks)
+        if words := self._below():
+            yield Text(words, style="dim", overflow="ellipsis", no_wrap=True)
+
+
 @contextlib.contextmanager
-def progress(console: Console, *, shown: bool) -> Iterator[Watch | None]:
+def progress(
+    console: Console, *, shown: bool, below: Callable[[], str] = lambda: ""
+) -> Iterator[Watch | None]:
     """A progress line, if `console` is a terminal: step, explored share, bytes of the budget, robots alive.
 
-    It begins with the first step: until then others may have to say something, as that kernels are compiled.
+    What `below` gives stands below it. It begins with the first step: until then others may have to say something,
+    as that kernels are compiled.
     """
     if not shown or not console.is_terminal:
         yield None
         return
-    bar = Progress(
+    bar = _WithWords(
+        below,
         TextColumn("step {task.fields[step]:>5}"),
         BarColumn(),
         TextColumn("{task.percentage:>5.1f} % explored"),
@@ -44,14 +63,14 @@ def progress(console: Console, *, shown: bool) -> Iterator[Watch | None]:
     def watch(plan: Plan, records: Records) -> None:
         if records.step:
             bar.start()
-        budget = plan.scenario.bandwidth
-        of = "" if budget == UNLIMITED else f" of {budget}"
+        budgets = [plan.radio.budget, *(each.budget for each in records.changes if each.budget >= UNLIMITED)]
+        of = "" if budgets[-1] == UNLIMITED else f" of {budgets[-1]}"
         bar.update(
             task,
             completed=records.explored,
             step=records.step,
             medium=f"{records.carried}{of} B on the air",
-            alive=plan.scenario.robots - len(records.lost),
+            alive=plan.scenario.robots - len(records.lost.keys() | records.killed),
         )
 
     try:

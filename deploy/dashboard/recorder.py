@@ -177,7 +177,7 @@ class Recorder:
             for strip in number_strips(robot, place, 1.1 * self._disc)
         ]
         self._log("world/robots/numbers", rr.LineStrips2D.from_fields(strips=numbers))
-        reach = self._plan.range_m
+        reach = events.range_m
         if shows_range(self._plan):
             circles = rr.Ellipses2D(
                 centers=places,
@@ -217,8 +217,8 @@ class Recorder:
         used = {group for group in GROUPS if any(kind in events.bytes for kind in GROUPS[group].kinds)}
         load = [air.groups[group] if group in used else NAN for group in GROUPS]
         self._log("air/load", rr.Scalars([air.carried, *load]))
-        if self._plan.radio.budget != UNLIMITED:
-            self._log("air/budget", rr.Scalars(self._plan.radio.budget))
+        if events.budget != UNLIMITED:
+            self._log("air/budget", rr.Scalars(events.budget))
         here = events.positions
         busy = {pair: size for pair, size in sorted(air.talks.items()) if pair[0] in here and pair[1] in here}
         quiet = sorted(events.in_range - busy.keys())

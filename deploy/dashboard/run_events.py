@@ -15,7 +15,7 @@ from deploy.scenario.plan import Plan
 from netshaper.ledger import CAUSES, EVERYONE, KIND_NUMBER, ROW
 from netshaper.medium import UNLIMITED
 from protocol import keys as names
-from protocol.messages import End, Fault, Lost, MindReport, RadioReport, WorldReport
+from protocol.messages import Change, End, Fault, Lost, MindReport, RadioReport, WorldReport
 from worldsim.maps import to_world
 
 BUDGET = CAUSES.index("budget")
@@ -76,8 +76,14 @@ class RunEvents:
     bytes: dict[str, int] = field(default_factory=dict)
     """Bytes carried so far, by packet kind."""
     idle: set[int] = field(default_factory=set)
+    budget: int = UNLIMITED
+    """Bytes that the team may put on the air in this step."""
+    range_m: float = 0.0
     _full: bool = False
     _said_targets: dict[int, Point] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.budget, self.range_m = self.plan.radio.budget, self.plan.range_m
 
     def take(self, sender: str, said: object) -> list[Event]:
         """Take a report; return the resulting events."""
@@ -92,6 +98,8 @@ class RunEvents:
             self.targets.pop(said.robot, None)
             self.in_range = {pair for pair in self.in_range if said.robot not in pair}
             return [Event(self.step, f"robot {said.robot} is lost: {said.cause}", 2)]
+        if isinstance(said, Change):
+            return self._change(said)
         if isinstance(said, Fault):
             return [Event(self.step, f"{said.who} sent a malformed message: {said.what}", 2)]
         if isinstance(said, End):
@@ -116,7 +124,7 @@ class RunEvents:
         self.in_range = {
             (a, b)
             for (a, p), (b, q) in combinations(sorted(self.positions.items()), 2)
-            if math.dist(p, q) <= self.plan.range_m
+            if math.dist(p, q) <= self.range_m
         }
         events = [Event(self.step, f"robot {robot} has broken down", 2) for robot in gone]
         return events + [
@@ -144,7 +152,7 @@ class RunEvents:
         self.traffic = StepTraffic(groups, cut, _talks(carried))
         events = _emergences(report.step, carried)
         full = cut > 0
-        if full != self._full and self.plan.radio.budget != UNLIMITED:
+        if full != self._full and self.budget != UNLIMITED:
             self._full = full
             if full:
                 events.append(Event(report.step, f"the channel is full: {cut} bytes must wait", 1))
@@ -173,6 +181,16 @@ class RunEvents:
             )
         (self.idle.add if idle else self.idle.discard)(robot)
         return events
+
+    def _change(self, change: Change) -> list[Event]:
+        words = []
+        if change.budget >= UNLIMITED:
+            self.budget = change.budget
+            words.append("unlimited" if self.budget == UNLIMITED else f"{self.budget} bytes a step")
+        if change.range_mm >= 0:
+            self.range_m = change.range_mm / 1000
+            words.append(f"range {self.range_m:.1f} m")
+        return [Event(change.step, f"the radio has changed: {', '.join(words)}", 2)]
 
     def _ending(self, end: End) -> str:
         if end.first < 0:

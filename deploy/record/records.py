@@ -21,6 +21,7 @@ from protocol.keys import Keys
 from protocol.messages import (
     Back,
     Bye,
+    Change,
     End,
     Fault,
     Lost,
@@ -53,6 +54,8 @@ class Records:
     """Robots that died unexpectedly, and how."""
     strikes: list[Strike] = field(default_factory=list)
     """The faults that came true, as they were asked for (`worldsim.faults`)."""
+    changes: list[Change] = field(default_factory=list)
+    """When budget and range of the radio became others."""
     killed: set[int] = field(default_factory=set)
     """Robots that were killed as asked for, and have not been restarted."""
     returned: list[tuple[int, int]] = field(default_factory=list)
@@ -164,6 +167,8 @@ class LabNode:
                 records.returned.append((records.step, said.robot))
         elif isinstance(said, Strike):
             self._take_strike(said)
+        elif isinstance(said, Change):
+            records.changes.append(said)
         elif isinstance(said, Fault):
             who = said.who if sender in (names.RELAY, names.WORLD) else sender
             records.note_fault(who, said.what)
@@ -233,6 +238,10 @@ class LabNode:
             for robot in self.missing():
                 self.records.lost[robot] = "it did not hand in its maps"
         self.send_home()
+
+    def ask(self, wish: Strike | Change) -> None:
+        """Ask for something that the scenario does not have: with the next step."""
+        self._bus.put(self._keys.control_tx(names.LAB), pack(wish))
 
     def stop(self, reason: str) -> None:
         """Ask the world to end after this step."""

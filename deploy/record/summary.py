@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -13,10 +15,10 @@ from agent.settings import Settings
 from deploy.record.records import Records
 from deploy.record.versions import versions
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import UNLIMITED
 from netshaper.ledger import CAUSES, sort_rows
+from netshaper.medium import UNLIMITED
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
-from protocol.messages import End
+from protocol.messages import Change, End
 from protocol.packets import ALL_KINDS
 
 SCAN_VALUES, VALUE_BYTES = 362, 2
@@ -36,6 +38,7 @@ def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
     kinds, packets = _per_kind(ledger)
     wanted = end.first if done and end is not None else min(records.planning, default=-1)
     steps = end.step if end is not None and end.step >= 0 else records.step
+    allowed = budgets(plan.radio.budget, records.changes, int(ledger["step"].max(initial=0)) + 1)
     return {
         "finished": finished,
         "reason": _reason(end, finished=finished),
@@ -65,7 +68,7 @@ def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "packets": packets,
         "approximation_error": _approximation_error(records, wanted, int(reachable.sum())),
         "approximation_error_net": _net_error(records, wanted, int(reachable.sum())),
-        "over_budget_steps": _over_budget(ledger, scenario.bandwidth, each=scenario.radio.reuse),
+        "over_budget_steps": _over_budget(ledger, allowed, each=scenario.radio.reuse),
         "wire_bytes": records.wire_bytes,
         "undelivered": _undelivered(ledger),
         "lost": {str(robot): cause for robot, cause in sorted(records.lost.items())},
@@ -198,17 +201,26 @@ def _explored_at(plan: Plan, steps: int) -> int:
     return steps - sure_after(Settings.from_message(plan.minds[0]))
 
 
-def _over_budget(ledger: NDArray[np.void], bandwidth: int | str, *, each: bool) -> int:
-    """Steps that carried more than the budget: there must be none.
+def _over_budget(ledger: NDArray[np.void], allowed: NDArray[np.float64], *, each: bool) -> int:
+    """Steps that carried more than the budget that they had: there must be none.
 
     Where neighbourhoods have budgets (`each`), steps in which a robot has said more than one.
     """
-    if bandwidth == UNLIMITED or not len(ledger):
+    if not len(ledger):
         return 0
     whose = ledger["sender"] * each
-    on_air = np.zeros((ledger["step"].max() + 1, whose.max() + 1), np.int64)
+    on_air = np.zeros((len(allowed), whose.max() + 1), np.int64)
     np.add.at(on_air, (ledger["step"], whose), ledger["bytes"] * ledger["carried"])
-    return int((on_air > int(bandwidth)).any(axis=1).sum())
+    return int((on_air > allowed[:, None]).any(axis=1).sum())
+
+
+def budgets(budget: int, changes: Iterable[Change], steps: int) -> NDArray[np.float64]:
+    """The budget of each step from 0 on, infinite where there is none."""
+    allowed = np.full(steps, math.inf if budget == UNLIMITED else float(budget))
+    for change in changes:
+        if change.budget >= UNLIMITED:
+            allowed[change.step :] = math.inf if change.budget == UNLIMITED else change.budget
+    return allowed
 
 
 def _undelivered(ledger: NDArray[np.void]) -> dict[str, int]:

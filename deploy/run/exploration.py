@@ -19,9 +19,10 @@ import numpy as np
 from deploy.dashboard.process import RECORDING, ViewTask, watching
 from deploy.dashboard.windows import Window, optimise
 from deploy.record import run_directory
-from deploy.record.records import Records
+from deploy.record.records import LabNode, Records
 from deploy.record.summary import summarise
 from deploy.run import in_memory, launch
+from deploy.run.control import Control, as_it_went
 from deploy.run.hosts import Hosts
 from deploy.run.interrupt import Interrupt
 from deploy.run.last_words import traceback_of
@@ -153,6 +154,7 @@ def explore(
     snapshots: bool = False,
     pace: float | None = None,
     hosts: Hosts | None = None,
+    control: Control | None = None,
     restart: bool = False,
     **settings: Any,
 ) -> Result:
@@ -179,6 +181,9 @@ def explore(
         Steps a second at most.
     hosts : Hosts, optional
         Other hosts that robots run on (`deploy.run.hosts`).
+    control : Control, optional
+        Pauses the run, kills robots, changes the radio, from another thread or from `watch` (`deploy.run.control`).
+        What was done is in the scenario of the run directory, and of the result's plan.
     restart : bool
         Whether what dies unasked is started again: a robot where it fell, as often as it has lives; and where relay or
         world die the whole run, which gets to the step that it was in and goes on from there (docs/reliability.md).
@@ -207,7 +212,18 @@ def explore(
         tell(radio)
     if hosts is not None and any(fault.kind in ("kill", "restart") for fault in scenario.faults):
         raise ScenarioError("fault: robots can be killed and restarted on this host only; leave --hosts out")
-    interrupt = Interrupt(tell)
+    interrupt = Interrupt(tell, control.resume if control is not None else _nothing)
+    if control is not None:
+        control.attach(plan, may_kill=hosts is None)
+        if pace is not None:
+            control.set_speed(pace)
+        wait = control.gate().wait
+
+    def heed(lab: LabNode) -> bool:
+        if control is not None:
+            control.heed(lab)
+        return interrupt.heed(lab)
+
     with (
         Fleet(hosts, scenario.robots, tell) if hosts is not None else contextlib.nullcontext() as fleet,
         interrupt.caught() if keep else contextlib.nullcontext(),
@@ -238,7 +254,7 @@ def explore(
                             plan,
                             look,
                             capture,
-                            heed=interrupt.heed,
+                            heed=heed,
                             view=view,
                             wait=wait,
                             fell=fallen.take,
@@ -251,7 +267,7 @@ def explore(
                         logs,
                         look,
                         capture,
-                        heed=interrupt.heed,
+                        heed=heed,
                         show=show,
                         pace=pace,
                         live=directory,
@@ -259,11 +275,14 @@ def explore(
                         journals=journals,
                         free=done,
                         revive=restart,
+                        gate=control.gate(done) if control is not None else None,
                     )
             dead = sorted({names.RELAY, names.WORLD} & outcome.deaths.keys())
             if not (restart and dead and outcome.records.step > done) or interrupt.came:
                 break
             done = outcome.records.step
+            went = as_it_went(plan, outcome.records)
+            plan = plan if went is plan else plans.make(went.scenario, plan.map, lives=plan.lives)
             tell(
                 f"{' and '.join(dead)} died at step {done}: going through the run again up to there, then on"
             )
@@ -322,8 +341,12 @@ class _Fallen:
 
 
 def conclude(plan: Plan, outcome: launch.Outcome, directory: Path | None, wall_s: float) -> Result:
-    """Summarise a run and write its results."""
+    """Summarise a run and write its results; what was done to it becomes a part of its scenario."""
     summary = summarise(plan, outcome.records, wall_s)
+    done = as_it_went(plan, outcome.records)
+    if directory is not None and done is not plan:
+        run_directory.write_inputs(directory, done)
+    plan = done
     if directory is not None:
         run_directory.write_results(directory, plan, outcome.records, summary)
     code = _exit_code(outcome, summary)

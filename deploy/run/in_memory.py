@@ -16,7 +16,7 @@ from netshaper.process import RelayNode
 from protocol import keys as names
 from protocol.bus import Bus, BusClosed, Message
 from protocol.memory_bus import MemoryHub
-from protocol.messages import Strike
+from protocol.messages import Change, Strike
 from worldsim.process import WorldNode
 
 
@@ -114,6 +114,10 @@ class MemoryRun:
     def records(self) -> Records:
         """What the laboratory has been told so far."""
         return self._lab.records
+
+    def ask(self, wish: Strike | Change) -> None:
+        """Ask for something that the scenario does not have."""
+        self._lab.ask(wish)
 
     def steps(self, heed: Callable[[LabNode], object] = lambda _: None) -> Iterator[int]:
         """Go on, and yield each step that is over, from 0, the time before the first.

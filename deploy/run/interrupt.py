@@ -28,9 +28,14 @@ class Interrupt:
     ----------
     tell : callable, optional
         Called once when the request takes effect, since the end takes a while.
+    then : callable, optional
+        Called whenever it comes: a run that is paused has to go on to its end.
     """
 
-    def __init__(self, tell: Callable[[str], object] = lambda _: None) -> None:
+    def __init__(
+        self, tell: Callable[[str], object] = lambda _: None, then: Callable[[], object] = lambda: None
+    ) -> None:
+        self._then = then
         self._came = False
         self._heeded = False
         self._tell = tell
@@ -65,3 +70,4 @@ class Interrupt:
 
     def _come(self, *_: object) -> None:
         self._came = True
+        self._then()

@@ -20,6 +20,7 @@ from deploy.dashboard.process import ViewTask
 from deploy.dashboard.watch import announced
 from deploy.record.records import LabNode, Records
 from deploy.record.wire_bytes import Meter
+from deploy.run.gate import Gate
 from deploy.run.meeting import Meeting, on_loopback
 from deploy.run.process_table import FORK_SERVER, ProcessTable
 from deploy.run.processes import WorldTask, serve_agent, serve_relay, serve_view, serve_world, silence_s
@@ -79,6 +80,7 @@ def run(
     journals: Path | None = None,
     free: int = 0,
     revive: bool = False,
+    gate: Gate | None = None,
     wrap: Callable[[str, Bus], Bus] | None = None,
 ) -> Outcome:
     """Run a plan as processes; `watch` is called as records come in, at most a few times a second.
@@ -89,7 +91,8 @@ def run(
     (`deploy.dashboard.watch`); `fleet`, whose hosts have been reached, runs its robots there, and says where all meet;
     without it that is `meeting`, or on the loopback. Where robots may come back (`Plan.lives`) their journals are in
     the folder `journals`; with `revive` those that are lost unasked are started again. `wrap`, which must be picklable,
-    may lay something around each robot's end of the bus.
+    may lay something around each robot's end of the bus. `gate` is what the world passes before it opens a step, where
+    the run is controlled (`deploy.run.control`).
     """
     if logs is None:
         with tempfile.TemporaryDirectory() as folder:
@@ -107,6 +110,7 @@ def run(
                 journals=journals or Path(folder) / "journals",
                 free=free,
                 revive=revive,
+                gate=gate,
                 wrap=wrap,
             )
     robots, patience = plan.scenario.robots, plan.scenario.patience
@@ -119,6 +123,7 @@ def run(
         free,
         patience,
         revive,
+        gate,
     )
     meeting = fleet.meeting if fleet is not None else meeting or on_loopback(robots)
     elsewhere = fleet.robots if fleet is not None else set()

@@ -20,6 +20,7 @@ from setproctitle import setproctitle
 from agent.journal import Journal, JournalError
 from agent.process import AgentNode
 from deploy.run import orphans
+from deploy.run.gate import LONGEST_PAUSE_S, Gate
 from deploy.run.last_words import traceback_of
 from deploy.run.patience import PATIENCE_S, Patience
 from netshaper.hub import open_hub
@@ -58,15 +59,21 @@ class WorldTask:
     """How long a robot may take for its move."""
     revive: bool = False
     """Whether robots that are lost unasked are to be started again."""
+    gate: Gate | None = None
+    """What it passes before it opens a step, instead of the pace, where the run is controlled."""
 
     @property
     def pause_s(self) -> float:
         """Seconds that it waits between steps at most."""
+        if self.gate is not None:
+            return LONGEST_PAUSE_S
         return 1 / self.pace if self.pace else 0.0
 
     @property
     def wait(self) -> Callable[[], object]:
         """Called by the world before it opens a step."""
+        if self.gate is not None:
+            return self.gate.wait
         return Pace(self.pace, self.free).wait if self.pace else lambda: None
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from agent.outline.polygons import Polygons
 from deploy.record import run_directory
+from deploy.run.control import change, kill
 from deploy.run.exploration import Result, conclude, frame, scenario_of
 from deploy.run.in_memory import MemoryRun
 from deploy.run.launch import Outcome
@@ -148,6 +149,14 @@ class Steps:
             seconds = time.perf_counter() - self._began
             self._result = conclude(self.plan, Outcome(self._run.records, {}), None, seconds)
         raise StopIteration
+
+    def kill(self, robot: int) -> None:
+        """Kill a robot with all that it knows, as soon as a step begins; ValueError if there is no such robot."""
+        self._run.ask(kill(self.plan.scenario, robot))
+
+    def change(self, *, bandwidth: int | str | None = None, range: float | str | None = None) -> None:
+        """Change the radio, as soon as a step begins; values as in a scenario. ScenarioError says what is wrong."""
+        self._run.ask(change(self.plan.scenario, self.plan.map.diagonal_m, bandwidth=bandwidth, range=range))
 
     def __enter__(self) -> Self:
         return self

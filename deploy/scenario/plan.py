@@ -115,6 +115,7 @@ def make(scenario: Scenario, world_map: Map | None = None, *, lives: int = 1) ->
         world_map.cells if scenario.radio.model != "disc" else None,
         tuple(scenario.body_of(number).send_bytes or 0 for number in range(scenario.robots)),
         tuple(scenario.body_of(number).receive_bytes or 0 for number in range(scenario.robots)),
+        scenario.changes(world_map.diagonal_m),
     )
     minds = {
         number: Settings(

@@ -27,6 +27,7 @@ from netshaper.presets import PRESETS
 from netshaper.radio_options import LEAST_FRAME, Partition, RadioOptions
 from protocol.errors import there_are
 from protocol.grid import MAX_ROBOTS
+from protocol.messages import Change
 from protocol.packets import MAX_GOSSIP_MAPS, MAX_MAPS
 from worldsim import faults
 from worldsim.faults import Fault
@@ -88,6 +89,35 @@ class FaultTable(_Table):
     steps: Whole = Field(
         0, ge=0, le=MOST_INTEGER, description="how long a robot is stopped, mute or deaf; 0: for good"
     )
+
+
+class ChangeTable(_Table):
+    """Another radio from a step on; robots are not told."""
+
+    step: Whole = Field(ge=1, le=MOST_INTEGER, description="the step at whose beginning it comes")
+    bandwidth: int | Literal["unlimited"] | None = Field(
+        None, description="bytes per step for the whole team"
+    )
+    range: str | None = Field(None, description="communication range: metres, or % of the map's diagonal")
+
+    @field_validator("range", mode="before")
+    @classmethod
+    def _range_makes_sense(cls, value: object) -> object:
+        text = _as_text(value)
+        if isinstance(text, str):
+            _parse_range(text)
+        return text
+
+    @field_validator("bandwidth", mode="before")
+    @classmethod
+    def _bandwidth_makes_sense(cls, value: object) -> object:
+        return None if value is None else _check_bandwidth(value)
+
+    @model_validator(mode="after")
+    def _changes_something(self) -> Self:
+        if self.bandwidth is None and self.range is None:
+            raise ValueError(f"the change at step {self.step} changes neither bandwidth nor range")
+        return self
 
 
 class Scenario(_Table):
@@ -170,6 +200,9 @@ class Scenario(_Table):
     robot: tuple[RobotOverride, ...] = Field((), description="robots with different hardware")
     death: tuple[Death, ...] = Field((), description="robots that break down")
     fault: tuple[FaultTable, ...] = Field((), description="what befalls robots, and when")
+    change: tuple[ChangeTable, ...] = Field(
+        (), description="when the radio's bandwidth or range become others"
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -185,12 +218,17 @@ class Scenario(_Table):
         taken = {"bandwidth": preset.bandwidth, "range": str(preset.range_m)} | data
         return taken | {"radio": {"frame_bytes": preset.frame_bytes} | radio}
 
-    @field_validator("robot", "death", "fault", mode="before")
+    @field_validator("robot", "death", "fault", "change", mode="before")
     @classmethod
     def _tables_are_tables(cls, value: object, info: ValidationInfo) -> object:
         if isinstance(value, list | tuple) and all(isinstance(each, dict | _Table) for each in value):
             return value
-        kinds: dict[str, type[_Table]] = {"robot": RobotOverride, "death": Death, "fault": FaultTable}
+        kinds: dict[str, type[_Table]] = {
+            "robot": RobotOverride,
+            "death": Death,
+            "fault": FaultTable,
+            "change": ChangeTable,
+        }
         kind = kinds[str(info.field_name)]
         hint = "; how many robots explore is `robots`" if info.field_name == "robot" else ""
         raise ValueError(f"must be tables, [[{info.field_name}]], of {', '.join(kind.model_fields)}{hint}")
@@ -198,7 +236,7 @@ class Scenario(_Table):
     @field_validator("range", mode="before")
     @classmethod
     def _range_is_text(cls, value: object) -> object:
-        return str(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
+        return _as_text(value)
 
     @field_validator("range")
     @classmethod
@@ -209,11 +247,7 @@ class Scenario(_Table):
     @field_validator("bandwidth", mode="before")
     @classmethod
     def _bandwidth_makes_sense(cls, value: object) -> object:
-        if isinstance(value, str) and value.isascii() and value.strip().isdecimal():
-            value = int(value)
-        if value != UNLIMITED and (type(value) is not int or not 0 <= value <= MOST_INTEGER):
-            raise ValueError(f"must be a whole number of bytes a step, 0 to {MOST_INTEGER}, or 'unlimited'")
-        return value
+        return _check_bandwidth(value)
 
     @field_validator("exchange")
     @classmethod
@@ -251,7 +285,8 @@ class Scenario(_Table):
                 raise ValueError(
                     f"[[radio.partition]] speaks of robot {strange[0]}; the last one is {self.robots - 1}"
                 )
-        if self.radio.duty_cycle < 1 and self.bandwidth == UNLIMITED:
+        bandwidths = [self.bandwidth, *(change.bandwidth for change in self.change)]
+        if self.radio.duty_cycle < 1 and UNLIMITED in bandwidths:
             raise ValueError("radio.duty_cycle: is a share of the bandwidth, which must not be unlimited")
         if self.start_jitter and self.start is None and not self.starts:
             raise ValueError("start_jitter moves a start about: give `start`, or `starts`")
@@ -276,8 +311,18 @@ class Scenario(_Table):
 
     def range_m(self, diagonal_m: float) -> float:
         """Communication range in metres on a map with such a diagonal."""
-        number, is_share = _parse_range(self.range)
-        return diagonal_m * number / 100 if is_share else number
+        return _range_m(self.range, diagonal_m)
+
+    def changes(self, diagonal_m: float) -> tuple[Change, ...]:
+        """The changes of the radio, as the relay is told them."""
+        return tuple(
+            Change(
+                each.step,
+                -2 if each.bandwidth is None else -1 if each.bandwidth == UNLIMITED else int(each.bandwidth),
+                -1 if each.range is None else round(1000 * _range_m(each.range, diagonal_m)),
+            )
+            for each in sorted(self.change, key=lambda each: each.step)
+        )
 
     def body_of(self, number: int) -> RobotOverride:
         """The hardware of one robot, with all values filled in."""
@@ -301,6 +346,23 @@ class Scenario(_Table):
     def to_toml(self) -> str:
         """The scenario as TOML, every setting written out."""
         return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
+
+
+def _as_text(value: object) -> object:
+    return str(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
+def _range_m(text: str, diagonal_m: float) -> float:
+    number, is_share = _parse_range(text)
+    return diagonal_m * number / 100 if is_share else number
+
+
+def _check_bandwidth(value: object) -> object:
+    if isinstance(value, str) and value.isascii() and value.strip().isdecimal():
+        value = int(value)
+    if value != UNLIMITED and (type(value) is not int or not 0 <= value <= MOST_INTEGER):
+        raise ValueError(f"must be a whole number of bytes a step, 0 to {MOST_INTEGER}, or 'unlimited'")
+    return value
 
 
 def check_lives(scenario: Scenario, lives: int) -> None:
@@ -417,6 +479,7 @@ _KEYS = {
     "robot": list(RobotOverride.model_fields),
     "death": list(Death.model_fields),
     "fault": list(FaultTable.model_fields),
+    "change": list(ChangeTable.model_fields),
     "polygon": [field.name for field in fields(PolygonOptions)],
     "sight": [field.name for field in fields(SightOptions)],
     "radio": [field.name for field in fields(RadioOptions)],

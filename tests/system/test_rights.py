@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from deploy.record.records import Records
 from deploy.record.summary import digest
-from deploy.run import in_memory
+from deploy.run import in_memory, launch
 from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol import messages, rights
@@ -77,19 +78,23 @@ def forbidden(keys: Keys, name: str) -> list[Message]:
 class Rogue:
     """The end of the bus of who says all that it may not, whenever it has heard something: in every phase."""
 
-    def __init__(self, inner: Bus, lies: list[Message]) -> None:
-        self._inner, self._lies, self._heard = inner, lies, Counter[str]()
+    def __init__(self, inner: Bus, name: str, most_bytes: int = 1 << 30) -> None:
+        self._inner, self._name, self._most_bytes = inner, name, most_bytes
+        self._lies: list[Message] = []
+        self._heard = Counter[str]()
         self.put, self.close = inner.put, inner.close
 
     def receive(self, timeout_s: float | None = None) -> Message | None:
         message = self._inner.receive(timeout_s)
-        if message is not None:
-            kind = (
-                type(messages.unpack(message.payload)).__name__ if "/radio/" not in message.key else "frame"
-            )
-            self._heard[kind] += 1
-            for lie in self._lies if self._heard[kind] <= OFTEN else ():
-                self._inner.put(*lie)
+        if message is None:
+            return None
+        if not self._lies:
+            lies = forbidden(Keys(message.key.split("/")[1]), self._name)
+            self._lies = [lie for lie in lies if len(lie.payload) <= self._most_bytes]
+        kind = type(messages.unpack(message.payload)).__name__ if "/radio/" not in message.key else "frame"
+        self._heard[kind] += 1
+        for lie in self._lies if self._heard[kind] <= OFTEN else ():
+            self._inner.put(*lie)
         return message
 
 
@@ -100,7 +105,7 @@ def plan() -> Plan:
 
 def play(rogue: str = "") -> Records:
     def wrap(name: str, bus: Bus) -> Bus:
-        return Rogue(bus, forbidden(Keys("memory"), name)) if name == rogue else bus
+        return Rogue(bus, name) if name == rogue else bus
 
     return in_memory.run(plan(), wrap=wrap)
 
@@ -127,6 +132,20 @@ def test_what_is_not_ones_to_say_is_a_fault_with_ones_name_and_changes_nothing(r
     assert any(
         fault.startswith(f"{rogue}: ") and f"not for {rogue} to say" in fault for fault in records.faults
     )
+
+
+def rogue_over_zenoh(name: str, bus: Bus) -> Bus:
+    return Rogue(bus, name, 1 << 20) if name == "r1" else bus
+
+
+def test_over_zenoh_what_is_not_ones_to_say_changes_nothing_either(tmp_path: Path) -> None:
+    outcome = launch.run(plan(), tmp_path / "logs", wrap=rogue_over_zenoh)
+    assert outcome.deaths == {}
+    records = outcome.records
+    assert digest(records) == honest_digest()
+    assert records.lost == {}
+    assert records.fault_count > 100
+    assert {fault.split(":")[0] for fault in records.faults} == {"r1"}
 
 
 class Silent:

@@ -114,7 +114,7 @@ def test_the_command_writes_a_gif_and_names_it(tmp_path: Path) -> None:
             ["movie", "RUN", "--out", "/nowhere/film.mp4"],
             "/nowhere/.film.part.mp4: No such file or directory",
         ),
-        (["report", "RUN", "RUN", "RUN"], "a report is of one run, or compares two"),
+        (["report", "RUN", "RUN", "RUN"], "a report is of one run, or compares two; stages are of one"),
     ],
 )
 def test_what_cannot_be_filmed_is_refused_in_a_sentence(words: list[str], said: str) -> None:

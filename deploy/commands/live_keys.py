@@ -1,0 +1,128 @@
+"""Keys that control a run from the terminal that started it: only where that is a terminal."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import sys
+import threading
+from collections.abc import Callable, Iterator
+
+from deploy.run.control import Control
+from deploy.scenario.scenario import UNLIMITED
+
+HELP = "space pause, s step, + - speed, k kill, b bandwidth, r range"
+ASKING = {"k": "kill robot", "b": "bandwidth", "r": "range"}
+"""Keys after which a value is typed, and Enter."""
+SPEEDS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+"""Steps a second that + and - go through; behind the last one there is no limit."""
+
+
+class Keys:
+    """Turns keys into what is done to a run.
+
+    Attributes
+    ----------
+    words : str
+        What is to be shown: what is typed, what was done, or what was wrong with it.
+    """
+
+    def __init__(self, control: Control) -> None:
+        self.words = HELP
+        self._control = control
+        self._asked = ""
+        self._typed = ""
+
+    def press(self, key: str) -> None:
+        """Take a key."""
+        if self._asked:
+            self._type(key)
+        elif key == " ":
+            (self._control.resume if self._control.paused else self._control.pause)()
+            self.words = "paused: space goes on, s steps" if self._control.paused else HELP
+        elif key == "s":
+            self._control.step()
+            self.words = "paused: space goes on, s steps"
+        elif key in "+-":
+            self._control.set_speed(_next_speed(self._control.speed, faster=key == "+"))
+            speed = self._control.speed
+            self.words = f"{speed:g} steps a second" if speed else "as fast as it goes"
+        elif key in ASKING:
+            self._asked, self._typed = key, ""
+            self.words = f"{ASKING[key]}: "
+
+    def _type(self, key: str) -> None:
+        if key in "\r\n":
+            asked, self._asked = self._asked, ""
+            self.words = self._do(asked, self._typed.strip())
+        elif key == "\x1b":
+            self._asked, self.words = "", HELP
+        else:
+            self._typed = self._typed[:-1] if key in "\x7f\b" else self._typed + key
+            self.words = f"{ASKING[self._asked]}: {self._typed}"
+
+    def _do(self, asked: str, value: str) -> str:
+        try:
+            if asked == "k":
+                self._control.kill(_robot(value))
+                return f"robot {value} is killed with the next step"
+            if asked == "b":
+                self._control.change(bandwidth=value)
+                return f"bandwidth {value} from the next step on" + ("" if value == UNLIMITED else " [bytes]")
+            self._control.change(range=value)
+        except ValueError as error:
+            return str(error)
+        return f"range {value} from the next step on"
+
+
+@contextlib.contextmanager
+def controlled(control: Control | None) -> Iterator[Callable[[], str]]:
+    """Read keys as long as the block lasts; yields what says what is to be shown beside the progress."""
+    if control is None:
+        yield lambda: ""
+        return
+    import termios  # noqa: PLC0415  only terminals have it
+    import tty  # noqa: PLC0415
+
+    keys, stdin = Keys(control), sys.stdin.fileno()
+    before = termios.tcgetattr(stdin)
+    over_in, over = os.pipe()
+
+    def read() -> None:
+        while True:
+            ready, _, _ = select.select([stdin, over_in], [], [])
+            pressed = os.read(stdin, 64) if over_in not in ready else b""
+            if not pressed:
+                return
+            for key in pressed.decode(errors="ignore"):
+                keys.press(key)
+
+    reader = threading.Thread(target=read, daemon=True)
+    tty.setcbreak(stdin)
+    reader.start()
+    try:
+        yield lambda: keys.words
+    finally:
+        os.write(over, b".")
+        reader.join()
+        os.close(over)
+        os.close(over_in)
+        termios.tcsetattr(stdin, termios.TCSADRAIN, before)
+
+
+def is_at_terminal() -> bool:
+    """Whether keys can be read, and what they do can be shown."""
+    return sys.stdin.isatty() and sys.stderr.isatty() and os.name == "posix"
+
+
+def _next_speed(now: float | None, *, faster: bool) -> float | None:
+    if faster:
+        return next((speed for speed in SPEEDS if now is not None and speed > now), None)
+    return next((speed for speed in reversed(SPEEDS) if now is None or speed < now), SPEEDS[0])
+
+
+def _robot(text: str) -> int:
+    if not text.isdecimal():
+        raise ValueError(f"kill: {text!r} is no robot's number")
+    return int(text)

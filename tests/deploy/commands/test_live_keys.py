@@ -1,0 +1,86 @@
+"""Keys: what is pressed is done to the run, and said; what makes no sense is said as well."""
+
+from __future__ import annotations
+
+import os
+import pty
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from deploy.commands.live_keys import HELP, Keys
+from deploy.run.control import Control
+from deploy.scenario.plan import make
+from deploy.scenario.scenario import load, parse
+
+
+@pytest.fixture
+def control() -> Control:
+    made = Control()
+    made.attach(make(parse({"map": "em", "robots": 2})))
+    return made
+
+
+def press(keys: Keys, text: str) -> str:
+    for key in text:
+        keys.press(key)
+    return keys.words
+
+
+def test_space_pauses_and_goes_on_and_s_opens_a_step(control: Control) -> None:
+    keys = Keys(control)
+    assert press(keys, " ") == "paused: space goes on, s steps"
+    assert control.paused
+    assert press(keys, " ") == HELP
+    assert not control.paused
+    press(keys, "s")
+    assert control._credit.value == 1
+
+
+def test_plus_and_minus_go_through_the_speeds(control: Control) -> None:
+    keys = Keys(control)
+    assert press(keys, "-") == "50 steps a second"
+    assert press(keys, "--") == "10 steps a second"
+    assert press(keys, "-" * 9) == "0.5 steps a second"
+    assert press(keys, "+") == "1 steps a second"
+    assert press(keys, "+" * 9) == "as fast as it goes"
+    assert control.speed is None
+
+
+def test_values_are_typed_corrected_and_checked(control: Control) -> None:
+    keys = Keys(control)
+    assert press(keys, "b5x") == "bandwidth: 5x"
+    assert press(keys, "\x7f00") == "bandwidth: 500"
+    assert press(keys, "\n").startswith("bandwidth 500 from the next step on")
+    assert press(keys, "r25%\n") == "range 25% from the next step on"
+    assert press(keys, "k1\n") == "robot 1 is killed with the next step"
+    assert press(keys, "k7\n") == "kill: there is no robot 7; the last one is 1"
+    assert press(keys, "kx\n") == "kill: 'x' is no robot's number"
+    assert "must be a whole number" in press(keys, "bmuch\n")
+    assert press(keys, "k1\x1b") == HELP
+    assert control._wishes.qsize() == 3
+
+
+def test_a_run_at_a_terminal_obeys_keys_and_leaves_the_terminal_as_it_was(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    words = ["explore", "--map", "em", "--robots", "2", "--bus", "memory", "--steps", "40", "--out", str(out)]
+    child, terminal = pty.fork()
+    if child == 0:
+        os.execv(sys.executable, [sys.executable, "-m", "deploy.commands.main", *words, "--pace", "20"])
+    shown, presses = b"", [(b"space pause", b"k1\n"), (b"robot 1 is killed", b"b50\n")]
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline:
+        try:
+            shown += os.read(terminal, 4096)
+        except OSError:
+            break
+        if presses and presses[0][0] in shown:
+            os.write(terminal, presses.pop(0)[1])
+    _, status = os.waitpid(child, 0)
+    assert os.waitstatus_to_exitcode(status) in (0, 1), shown.decode()
+    assert b"robot 1 is killed" in shown
+    scenario = load(out / "scenario.toml", {})
+    assert [fault.robot for fault in scenario.fault] == [1]
+    assert [change.bandwidth for change in scenario.change] == [50]

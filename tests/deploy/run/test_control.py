@@ -1,0 +1,122 @@
+"""Live control: what is done to a run takes effect, and is data of its scenario, so that it repeats."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deploy.record.records import Records
+from deploy.run.control import Control
+from deploy.run.exploration import Result, explore
+from deploy.run.stepwise import steps
+from deploy.scenario.plan import Plan
+from deploy.scenario.scenario import ScenarioError, load, parse
+
+SETTINGS = {"map": "em", "robots": 3, "range": "30%", "bandwidth": 600, "steps": 60, "bus": "memory"}
+
+
+def meddled(**more: Any) -> Result:
+    """A run in which a robot is killed and the radio changed twice."""
+    with steps(parse(SETTINGS | more)) as run:
+        for step in run:
+            if step.number == 10:
+                run.change(bandwidth=100, range=4)
+            elif step.number == 20:
+                run.kill(1)
+            elif step.number == 30:
+                run.change(bandwidth="unlimited")
+    return run.result
+
+
+def carried(result: Result) -> np.ndarray[Any, Any]:
+    ledger = result.records.ledger()
+    return np.bincount(ledger["step"], ledger["bytes"] * ledger["carried"], minlength=61)
+
+
+def test_what_was_done_takes_effect_and_is_in_the_scenario_with_its_steps() -> None:
+    result = meddled()
+    scenario = result.plan.scenario
+    assert [(each.step, each.bandwidth, each.range) for each in scenario.change] == [
+        (12, 100, "4.0"),
+        (32, "unlimited", None),
+    ]
+    assert [(each.step, each.robot, each.kind) for each in scenario.fault] == [(22, 1, "kill")]
+    load = carried(result)
+    assert load[1:12].max() > 100 >= load[12:32].max()
+    assert result.summary["over_budget_steps"] == 0
+    assert result.summary["lost"] == {}
+    assert 1 not in result.records.planning
+
+
+@pytest.mark.parametrize("more", [{}, {"offers": "gossip"}, {"radio": {"loss": 0.1}}])
+def test_a_run_that_was_meddled_with_repeats_from_its_scenario(more: dict[str, Any]) -> None:
+    result = meddled(**more)
+    again = explore(parse(result.plan.scenario.model_dump()), keep=False)
+    assert again.summary["digest"] == result.summary["digest"]
+    assert again.plan == result.plan or again.plan.scenario == result.plan.scenario
+    untouched = explore(parse(SETTINGS | more), keep=False)
+    assert untouched.summary["digest"] != result.summary["digest"]
+
+
+def test_a_pause_holds_the_run_steps_are_counted_and_what_was_done_is_kept(tmp_path: Path) -> None:
+    control, seen = Control(), []
+
+    def watch(plan: Plan, records: Records) -> None:
+        seen.append(records.step)
+        if records.step == 5:
+            control.pause()
+        if records.step == 8:
+            control.kill(0)
+            control.resume()
+
+    def go_on() -> None:
+        while not control.paused:
+            time.sleep(0.01)
+        time.sleep(0.3)
+        held.append(len(seen))
+        time.sleep(0.2)
+        held.append(len(seen))
+        control.step(3)
+
+    held: list[int] = []
+    other = threading.Thread(target=go_on)
+    other.start()
+    result = explore(parse(SETTINGS), out=tmp_path / "run", watch=watch, control=control)
+    other.join()
+    assert held[0] == held[1]
+    assert seen[held[0] - 1] in (5, 6)
+    written = load(tmp_path / "run" / "scenario.toml", {})
+    assert [fault.robot for fault in written.fault] == [0]
+    assert explore(written, keep=False).summary["digest"] == result.summary["digest"]
+
+
+def test_what_cannot_be_done_is_said_and_changes_nothing() -> None:
+    control = Control()
+    with pytest.raises(ValueError, match="the run has not begun"):
+        control.kill(0)
+    with pytest.raises(ValueError, match=r"speed = 0.1: must be 0.5 steps a second or more"):
+        control.set_speed(0.1)
+    with steps(parse(SETTINGS)) as run:
+        with pytest.raises(ValueError, match="there is no robot 3; the last one is 2"):
+            run.kill(3)
+        with pytest.raises(ScenarioError, match=r"bandwidth = -1"):
+            run.change(bandwidth=-1)
+        with pytest.raises(ScenarioError, match=r"range"):
+            run.change(range="near")
+        with pytest.raises(ScenarioError, match="changes neither bandwidth nor range"):
+            run.change()
+
+
+def test_a_change_of_a_scenario_is_checked() -> None:
+    with pytest.raises(ScenarioError, match=r"change.*step"):
+        parse(SETTINGS | {"change": [{"step": 0, "bandwidth": 3}]})
+    with pytest.raises(ScenarioError, match=r"must be tables, \[\[change\]\], of step, bandwidth, range"):
+        parse(SETTINGS | {"change": 3})
+    with pytest.raises(ScenarioError, match="must not be unlimited"):
+        change = {"step": 4, "bandwidth": "unlimited"}
+        parse(SETTINGS | {"radio": {"duty_cycle": 0.5}, "change": [change]})
