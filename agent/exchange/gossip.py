@@ -402,6 +402,10 @@ class Gossip:
             if stretch.map == self.own:
                 self._cursor, self._synced = end, peers
                 self._aired = max(self._aired, end)
+            elif stretch.map % self._robots == self._robot:
+                self._synced = (
+                    set()
+                )  # who has not heard of this life takes its old map for the one that goes on
         if sent:
             self._waits = self._step
 

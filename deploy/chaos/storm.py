@@ -97,10 +97,7 @@ def storm(seed: int) -> Storm:
     }
     settings["fault"] = _faults(draw, robots)
     if "radio" in Scenario.model_fields and draw.random() < 0.5:
-        radio = _radio(draw, robots)
-        if settings["offers"] == "gossip":  # which takes what was on the air for heard
-            radio = {name: value for name, value in radio.items() if name == "partition"}
-        settings["radio"] = radio
+        settings["radio"] = _radio(draw, robots)
     liars = (int(draw.integers(robots)),) if robots > 2 and draw.random() < 0.3 else ()
     return Storm(seed, parse(settings), liars)
 
