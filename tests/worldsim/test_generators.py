@@ -21,9 +21,11 @@ ALIKE_FOR_ALL_SEEDS = {
     "em",
     "leader-trap",
     "leader-rooms",
+    "two-circles",
     *(name for name in names() if name.startswith("hilbert")),
 }
 WITH_SOLID_OBJECTS = {
+    "two-circles",
     "unstructured",
     "mixed",
     "potholes",

@@ -164,5 +164,7 @@ def test_a_strategy_from_outside_the_tree_is_one_class_and_explores(
 def test_a_class_that_is_no_strategy_or_cannot_be_imported_is_refused() -> None:
     with pytest.raises(ValueError, match=r"no_such_module.*PYTHONPATH"):
         strategy("no_such_module:Best")
-    with pytest.raises(ValueError, match=r"Path is no subclass of agent.strategies.Strategy"):
+    with pytest.raises(
+        ValueError, match=r"Path is no subclass of agent.strategies.base.Strategy with a name"
+    ):
         strategy("pathlib:Path")
