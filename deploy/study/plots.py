@@ -106,7 +106,7 @@ def draw(plot: Plot, rows: Sequence[Row], results: Results) -> Figure:
     handles, labels = axes[0].get_legend_handles_labels()
     if len(handles) > 1:
         canvas.legend(
-            handles, labels, loc="outside lower center", ncols=min(4, len(labels)), frameon=False,
+            handles, labels, loc="outside lower center", ncols=min(2 * columns, 4, len(labels)), frameon=False,
             title=None if plot.lines == VARIANT else plot.lines.rpartition(".")[2], title_fontsize="small",
         )  # fmt: skip
     return canvas
