@@ -47,7 +47,7 @@ def exploration(plan: Plan) -> Figures:
     records = in_memory.run(plan)
     figures: Figures = {}
     for name, value in summarise(plan, records, time.perf_counter() - began).items():
-        if name in ("lost", "versions"):
+        if name in ("lost", "returned", "versions"):
             figures[name] = json.dumps(value, sort_keys=True)
         elif isinstance(value, dict):
             figures |= {f"{name}.{inner}": number for inner, number in value.items()}
