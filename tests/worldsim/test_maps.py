@@ -199,7 +199,7 @@ def test_a_missing_key_is_named(tmp_path: Path, key: str) -> None:
         ({"origin": [0, 0]}, r"origin is \[0, 0\], not \[x in metres, y in metres, yaw in radians\]"),
         ({"origin": "here"}, "origin is 'here', not"),
         ({"origin": [0, "a", 0]}, "origin is 'a', not a number"),
-        ({"origin": [math.nan, 0, 0]}, r"origin is \[nan, 0\.0, 0\.0\], not three finite numbers"),
+        ({"origin": [math.nan, 0, 0]}, r"origin is \[nan, 0\.0, 0\.0\], not three numbers of 1e\+08 at most"),
         ({"origin": [0, 0, 0.5]}, r"origin is turned by 0\.5 rad; turn the picture instead"),
         ({"negate": 2}, r"negate is 2; give 0 \(white is free\) or 1 \(black is free\)"),
         ({"negate": "no"}, "negate is 'no'"),

@@ -222,7 +222,7 @@ OTHERS = {
     "run netshaper --listen [::]:7447": "give the address by which others know this host",
     "run netshaper --credentials full": "credentials = full: it exists already; name a new directory",
     "run netshaper --credentials file": "credentials = file: it exists already; name a new directory",
-    "fly": "No such command 'fly'",
+    "fly": "no command is called 'fly'; there are: explore",
 }
 
 
