@@ -25,6 +25,9 @@ from protocol.messages import Bye, Fault
 from protocol.zenoh_bus import Credential, join
 
 RECORDING = "run.rrd"
+LAST_S = 0.2
+"""Silence after the run's end by which all has been heard: the relay's last word can overtake those of robots."""
+
 TICK_S = 0.25
 """How often a viewer that receives nothing checks whether it was asked to stop."""
 
@@ -104,12 +107,15 @@ def serve(credential: Credential, task: ViewTask, ready: Callable[[], object] = 
         bus = join(credential)
         try:
             ready()
-            while not node.done and not asked:
-                message = bus.receive(TICK_S)
+            while not asked:
+                message = bus.receive(LAST_S if node.done else TICK_S)
                 if message is not None:
                     node.handle(message)
+                elif node.done:
+                    break
         except BusClosed as error:
-            print(f"{error}; what was seen until then is kept", file=sys.stderr)
+            if not node.done:
+                print(f"{error}; what was seen until then is kept", file=sys.stderr)
         finally:
             bus.close()
     return not asked
