@@ -32,8 +32,8 @@ COMMON = {"bus": "memory", "exchange": "laser", "bandwidth": "unlimited", "senso
 """What all scenarios of a contest are, unless it says otherwise."""
 
 Run = dict[str, Any]
-"""One run: strategy, map, robots, seed, steps; of a strategy also t90, t99, coverage, driven (metres of each robot) and
-replan_ms, the mean processor time of a decision in which a robot chooses a target."""
+"""One run: strategy, map, robots, seed, steps; of a strategy also finished, t90, t99, coverage, driven (metres of each
+robot) and replan_ms, the mean processor time of a decision in which a robot chooses a target."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def _with(name: str, scenario: Scenario) -> list[Run]:
     watch = Watch()
     with watch.over(strategy(name)):
         summary = explore(scenario, keep=False, strategy=name).summary
-    kept = {key: summary[key] for key in ("steps", "t90", "t99", "coverage")}
+    kept = {key: summary[key] for key in ("finished", "steps", "t90", "t99", "coverage")}
     mean = float(np.mean(watch.spent)) if watch.spent else None
     return [_run(name, scenario, **kept, driven=summary["path_length"], replan_ms=mean)]
 
@@ -128,19 +128,22 @@ def _run(name: str, scenario: Scenario, **figures: Any) -> Run:
 def table(runs: Sequence[Run]) -> pl.DataFrame:
     """The league table: a row a strategy, means over its runs, the fastest on top.
 
-    Columns: strategy, runs, steps, t90, t99, multiple (steps over those of the offline plan for the same map, team
-    and start), coverage (the least), path_m (metres of the whole team), most and least (the way of the robot that
-    drives most and least, over the team's mean), replan_ms.
+    Columns: strategy, runs, finished (their share), of those that finished steps, t90, t99, multiple (steps over those
+    of the offline plan for the same map, team and start), coverage (the least), path_m (metres of the whole team), most
+    and least (the way of the robot that drives most and least, over the team's mean), replan_ms.
     """
     frame = pl.DataFrame(list(runs), infer_schema_length=None)
     case = ["map", "robots", "seed"]
     known = frame.filter(pl.col("strategy") == KNOWN).select(*case, pl.col("steps").alias("possible"))
     way = pl.col("driven").list
+    ended = pl.col("finished").fill_null(value=True)
     return (
         frame.join(known, on=case)
+        .with_columns(ended, pl.when(ended).then(pl.col("steps", "t90", "t99")))
         .group_by("strategy")
         .agg(
             pl.len().alias("runs"),
+            pl.col("finished").mean(),
             pl.col("steps", "t90", "t99").mean(),
             (pl.col("steps") / pl.col("possible")).mean().alias("multiple"),
             pl.col("coverage").min(),
@@ -149,13 +152,13 @@ def table(runs: Sequence[Run]) -> pl.DataFrame:
             (way.min() / way.mean()).mean().alias("least"),
             pl.col("replan_ms").mean(),
         )
-        .sort("multiple", "strategy")
+        .sort("finished", "multiple", "strategy", descending=[True, False, False])
     )
 
 
 def lines(league: pl.DataFrame) -> list[list[str]]:
     """The table as text, its header first."""
-    digits = {"multiple": 2, "coverage": 4, "most": 2, "least": 2, "replan_ms": 2}
+    digits = {"finished": 2, "multiple": 2, "coverage": 4, "most": 2, "least": 2, "replan_ms": 2}
     rows = [
         [
             ""
@@ -174,7 +177,7 @@ def draw(league: pl.DataFrame, file: Path) -> None:
     """Draw the table as bars: steps to 90 %, to 99 % and to the end, as multiples of the offline plan's."""
     from matplotlib.figure import Figure  # noqa: PLC0415  slow to import
 
-    rows = league.filter(~pl.col("strategy").is_in([BOUND, KNOWN])).reverse()
+    rows = league.filter(pl.col("finished") > 0, ~pl.col("strategy").is_in([BOUND, KNOWN])).reverse()
     per_step = rows["multiple"] / rows["steps"]
     figure = Figure((8, 1 + 0.32 * len(rows)), layout="constrained")
     axes = figure.subplots()

@@ -50,6 +50,7 @@ def test_the_order_of_the_table_is_that_of_multiples_whoever_was_first_to_end() 
         "map": "a",
         "robots": 2,
         "seed": 0,
+        "finished": True,
         "t90": 1,
         "t99": 2,
         "coverage": 1.0,
@@ -60,12 +61,14 @@ def test_the_order_of_the_table_is_that_of_multiples_whoever_was_first_to_end() 
         {"strategy": "slow", **run, "steps": 30},
         {"strategy": league.KNOWN, "map": "a", "robots": 2, "seed": 0, "steps": 10},
         {"strategy": "quick", **run, "steps": 15},
+        {"strategy": "stalls", **run, "steps": 5, "finished": False},
     ]
     table = league.table(runs)
-    assert table["strategy"].to_list() == [league.KNOWN, "quick", "slow"]
+    assert table["strategy"].to_list() == [league.KNOWN, "quick", "slow", "stalls"]
+    assert table["multiple"].to_list()[1:] == [1.5, 3.0, None]
     assert table.equals(league.table(runs[::-1]))
-    assert table["most"].to_list()[1:] == [1.5, 1.5]
-    assert league.lines(table)[2][:6] == ["quick", "1", "15", "1", "2", "1.50"]
+    assert table["most"].to_list()[1:] == [1.5, 1.5, 1.5]
+    assert league.lines(table)[2][:7] == ["quick", "1", "1.00", "15", "1", "2", "1.50"]
 
 
 @pytest.mark.parametrize(
