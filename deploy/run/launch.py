@@ -166,7 +166,9 @@ def run(
                 processes.start(name, serve, *args)
             if show is not None:
                 _start_viewer(processes, meeting, show)
-            outcome = _attend(processes, meeting, fleet, plan, world.pause_s, heed, watch, capture, obey, wrap)
+            outcome = _attend(
+                processes, meeting, fleet, plan, world.pause_s, heed, watch, capture, obey, wrap
+            )
             if show is not None:
                 outcome.view_fault = processes.await_end(names.VIEW, VIEWER_END_S)
             return outcome

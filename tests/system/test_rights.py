@@ -201,7 +201,9 @@ class Babbler(Rogue):
     """The end of the bus of a robot whose radio says noise, whenever it has heard something: in every phase."""
 
     def _words(self, keys: Keys) -> list[Message]:
-        places = [keys.radio_tx(self._name, receiver) for receiver in (names.ALL, "r0", "r1", "r2", "r9", "x")]
+        places = [
+            keys.radio_tx(self._name, receiver) for receiver in (names.ALL, "r0", "r1", "r2", "r9", "x")
+        ]
         return [Message(place, noise) for place in places for noise in NOISE]
 
 
