@@ -25,7 +25,8 @@ from deploy.run.workers import Workers
 from deploy.scenario import plan as plans
 from deploy.scenario.finding_maps import FILES
 from deploy.scenario.scenario import Scenario, ScenarioError, parse
-from deploy.study.experiment import Experiment, settings_of
+from deploy.scenario.thesis import with_thesis
+from deploy.study.experiment import Experiment, lay, settings_of
 from deploy.study.measures import MEASURES
 from deploy.study.progress import Tell
 from deploy.study.results import CODE, ERROR, KEY, Results, Row
@@ -96,6 +97,7 @@ def cases(experiment: Experiment) -> list[Case]:
             for layer in (experiment.base, settings, keys):
                 lay(data, layer)
             data |= {key: data[leader] for key, leader in experiment.follow.items() if leader in data}
+            data = with_thesis(data, where)
             if data["bus"] != MEMORY:
                 raise ScenarioError(
                     f"{where}: bus = {data['bus']!r}: sweeps run on the memory bus; leave it out"
@@ -123,16 +125,6 @@ def cases(experiment: Experiment) -> list[Case]:
                 )
             )
     return result
-
-
-def lay(data: dict[str, Any], settings: dict[str, Any]) -> None:
-    """Lay settings over others; of tables only the keys that a dotted name names (``options.beta``)."""
-    for key, value in settings.items():
-        table, dot, inner = key.partition(".")
-        if dot:
-            data[table] = {**data.get(table, {}), inner: value}
-        else:
-            data[key] = value
 
 
 def make(
