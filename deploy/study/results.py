@@ -94,7 +94,9 @@ class Results:
             row[KEY]: row[KEY] if row[ERROR] is not None else key_of(row)
             for row in self.frame.select(plain).iter_rows(named=True)
         }
-        renamed = self.frame.with_columns(pl.col(KEY).replace(found)).unique(KEY, keep="last", maintain_order=True)
+        renamed = self.frame.with_columns(pl.col(KEY).replace(found)).unique(
+            KEY, keep="last", maintain_order=True
+        )
         self._is_behind = self._is_behind or any(old != new for old, new in found.items())
         self._frame = renamed
         self._known = dict(renamed.select(KEY, CODE).iter_rows())

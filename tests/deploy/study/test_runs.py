@@ -103,7 +103,9 @@ def test_runs_of_other_code_are_made_again_unless_they_are_taken(
         assert len(us.made) == 4 and len(results.frame) == 2
 
 
-def test_runs_of_other_code_are_taken_by_their_settings_where_there_are_more_of_these_now(tmp_path: Path) -> None:
+def test_runs_of_other_code_are_taken_by_their_settings_where_there_are_more_of_these_now(
+    tmp_path: Path,
+) -> None:
     keep, us = tmp_path / "kept.parquet", Ourselves()
     todo = small(tmp_path, robots=1, seed=0, start=[10.0, 10.0])
     with Results(keep) as results:
@@ -115,7 +117,10 @@ def test_runs_of_other_code_are_taken_by_their_settings_where_there_are_more_of_
         runs.make(todo, results, us, any_code=True)
         assert len(us.made) == 2 and len(runs.looked_up(todo, results)) == 2
     old.with_columns(digest=pl.lit("another")).write_parquet(keep)
-    with Results(keep) as results, pytest.raises(ValueError, match="comes out otherwise now than in the table"):
+    with (
+        Results(keep) as results,
+        pytest.raises(ValueError, match="comes out otherwise now than in the table"),
+    ):
         runs.make(todo, results, us, any_code=True)
 
 
