@@ -46,8 +46,8 @@ def test_robots_come_into_range_and_are_lost_from_it(events: RunEvents) -> None:
     assert texts(events, "world", where(1, (10, 10), (20, 10), (200, 200))) == []
     assert events.in_range == {(0, 1)}
     assert texts(events, "world", where(2, (10, 10), (200, 210), (200, 200))) == [
-        "robots 0 and 1 have lost each other",
-        "robots 1 and 2 can hear each other",
+        "robots 0 and 1 are out of touch",
+        "robots 1 and 2 are in touch",
     ]
     assert events.seen == 0.5
     assert events.positions[0] == to_world(small_plan().map, 10, 10)
@@ -101,7 +101,7 @@ def test_loads_are_summed_by_what_they_are_for_and_who_talks(events: RunEvents) 
     assert events.traffic.cut == 600
     assert events.traffic.talks == {(0, 2): 77}
     assert events.bytes == {"ins": 60, "conn": 2, "em": 15, "targ": 3}
-    assert said == ["robot 2 reports 2 new objects", "the channel is full: 600 bytes must wait"]
+    assert said == ["robot 2 reports 2 new objects", "channel full: 600 bytes wait"]
     assert texts(events, "relay", air(4)) == []
 
 
