@@ -131,6 +131,7 @@ class MemoryRun:
             heed(self._lab)
             for name in self._hub.in_turn():
                 spoke |= self._take_turn(name)
+                self._end_the_lost()
                 if name == names.LAB and self._last_step() > over:
                     over = self._last_step()
                     yield over
@@ -144,12 +145,17 @@ class MemoryRun:
         late = {robot: node for node in (self._relay, self._world) for robot in node.waiting_for()}
         for robot, node in late.items():
             node.give_up_on(robot, "kept the others waiting")
-            self.agents[robot].done = True
-            self._buses[self._minds[robot]].close()
         if not late and self._lab.records.end is not None and not self._lab.done:
             self._lab.give_up_waiting()
         elif not late:
             raise RuntimeError("the run stands still: everyone waits for someone")
+
+    def _end_the_lost(self) -> None:
+        """End the robots that the run goes on without, as a launcher ends their processes."""
+        for robot in self._lab.records.lost:
+            if not self.agents[robot].done:
+                self.agents[robot].done = True
+                self._buses[self._minds[robot]].close()
 
     def _take_turn(self, name: str) -> bool:
         """Let a participant take its messages; whether there were any."""

@@ -23,7 +23,7 @@ from deploy.record.wire_bytes import Meter
 from deploy.run.gate import Gate
 from deploy.run.meeting import Meeting, on_loopback
 from deploy.run.process_table import FORK_SERVER, ProcessTable
-from deploy.run.processes import WorldTask, serve_agent, serve_relay, serve_view, serve_world, silence_s
+from deploy.run.processes import WorldTask, Wrap, serve_agent, serve_relay, serve_view, serve_world, silence_s
 from deploy.run.ssh import Fleet
 from deploy.scenario.plan import Plan
 from netshaper.process import ENDED
@@ -81,7 +81,7 @@ def run(
     free: int = 0,
     revive: bool = False,
     gate: Gate | None = None,
-    wrap: Callable[[str, Bus], Bus] | None = None,
+    wrap: Wrap | None = None,
 ) -> Outcome:
     """Run a plan as processes; `watch` is called as records come in, at most a few times a second.
 
@@ -91,8 +91,8 @@ def run(
     (`deploy.dashboard.watch`); `fleet`, whose hosts have been reached, runs its robots there, and says where all meet;
     without it that is `meeting`, or on the loopback. Where robots may come back (`Plan.lives`) their journals are in
     the folder `journals`; with `revive` those that are lost unasked are started again. `wrap`, which must be picklable,
-    may lay something around each robot's end of the bus. `gate` is what the world passes before it opens a step, where
-    the run is controlled (`deploy.run.control`).
+    may lay something around the ends of the bus of world, laboratory and robots here. `gate` is what the world passes
+    before it opens a step, where the run is controlled (`deploy.run.control`).
     """
     if logs is None:
         with tempfile.TemporaryDirectory() as folder:
@@ -142,7 +142,7 @@ def run(
                 patience,
                 world.pause_s,
             ),
-            names.WORLD: (serve_world, meeting.credentials[names.WORLD], world),
+            names.WORLD: (serve_world, meeting.credentials[names.WORLD], world, wrap),
         }
         journals = journals or logs.parent / "journals"
         for number, name in enumerate(map(names.robot, range(robots))):
@@ -166,7 +166,9 @@ def run(
                 processes.start(name, serve, *args)
             if show is not None:
                 _start_viewer(processes, meeting, show)
-            outcome = _attend(processes, meeting, fleet, plan, world.pause_s, heed, watch, capture, obey)
+            outcome = _attend(
+                processes, meeting, fleet, plan, world.pause_s, heed, watch, capture, obey, wrap
+            )
             if show is not None:
                 outcome.view_fault = processes.await_end(names.VIEW, VIEWER_END_S)
             return outcome
@@ -192,6 +194,7 @@ def _attend(
     watch: Callable[[Records], object] | None,
     capture: BinaryIO | None,
     obey: Callable[[Strike], object],
+    wrap: Wrap | None,
 ) -> Outcome:
     """Serve as the laboratory until the run is over."""
     deaths = processes.deaths
@@ -213,10 +216,12 @@ def _attend(
                     fleet.give_up(names.robot(robot))
 
     try:
-        bus = join(meeting.credentials[names.LAB])
+        bus: Bus = join(meeting.credentials[names.LAB])
     except ConnectionError as error:
         look_after_all().setdefault(names.RELAY, str(error))
         return Outcome(Records(plan.scenario.robots), deaths)
+    if wrap is not None:
+        bus = wrap(names.LAB, bus)
     meter = Meter(meeting.endpoint, here=True)
     lab = LabNode(bus, Keys(meeting.run), plan.scenario.robots, plan.map.cells.shape, capture, meter, obey)
 

@@ -42,6 +42,9 @@ POLL_S = 0.25
 FAREWELL_S = 2.0
 """How long the relay waits for others to leave, once everything is recorded."""
 
+Wrap = Callable[[str, Bus], Bus]
+"""Lays something around a participant's end of the bus, by its name."""
+
 
 @dataclass(frozen=True)
 class WorldTask:
@@ -131,9 +134,9 @@ def silence_s(patience_s: float, pause_s: float) -> float:
     return 2 * patience_s + pause_s
 
 
-def serve_world(credential: Credential, task: WorldTask) -> None:
+def serve_world(credential: Credential, task: WorldTask, wrap: Wrap | None = None) -> None:
     """Serve as the world of a run."""
-    bus = join(credential)
+    bus = _joined(credential, wrap)
     keys = Keys(credential.run)
     node = WorldNode(
         bus, keys, task.world, task.minds, task.steps, task.cell_mm, wait=task.wait, revive=task.revive
@@ -141,14 +144,10 @@ def serve_world(credential: Credential, task: WorldTask) -> None:
     _serve(bus, node, Patience(node, task.patience_s))
 
 
-def serve_agent(
-    credential: Credential, journal: Path | None = None, wrap: Callable[[str, Bus], Bus] | None = None
-) -> None:
+def serve_agent(credential: Credential, journal: Path | None = None, wrap: Wrap | None = None) -> None:
     """Serve as one robot of a run; with a `journal` it may be killed and begin again."""
     kept = Journal.open(journal) if journal is not None else None
-    bus: Bus = join(credential)
-    if wrap is not None:
-        bus = wrap(credential.name, bus)
+    bus = _joined(credential, wrap)
     node = AgentNode(bus, Keys(credential.run), names.number(credential.name), kept)
     try:
         _serve(bus, node)
@@ -161,6 +160,11 @@ def serve_view(credential: Credential, task: ViewTask, ready: Connection) -> Non
     from deploy.dashboard import process  # noqa: PLC0415  only the viewer needs its imports
 
     process.serve(credential, task, lambda: ready.send(True))
+
+
+def _joined(credential: Credential, wrap: Wrap | None) -> Bus:
+    bus = join(credential)
+    return bus if wrap is None else wrap(credential.name, bus)
 
 
 def _serve(bus: Bus, node: WorldNode | AgentNode, patience: Patience | None = None) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,9 @@ from deploy.record.summary import digest
 from deploy.run import in_memory, launch
 from deploy.scenario.plan import Plan
 from protocol import keys as names
-from protocol import messages, rights
+from protocol import messages, packets, rights
 from protocol.bus import Bus, Message
+from protocol.grid import FREE, UNKNOWN
 from protocol.keys import Keys
 from protocol.messages import pack
 from tests.system.team import small_plan
@@ -59,10 +60,17 @@ JUNK = (
 STEPS, OFTEN = 12, 8
 
 
+def everywhere(keys: Keys, name: str) -> list[str]:
+    """Where somebody speaks who may say nothing: a hub would not let it, memory does."""
+    return [keys.control_tx(name), keys.body("*", name)] + [
+        keys.control(receiver, name) for receiver in (names.WORLD, names.LAB, "*")
+    ]
+
+
 def forbidden(keys: Keys, name: str) -> list[Message]:
     """All that a participant can put but may not say: every kind to everyone, and what is no message."""
     found = []
-    for key in rights.may_put(keys, name):
+    for key in rights.may_put(keys, name) or everywhere(keys, name):
         if "/radio/" in key:
             continue
         for receiver in ("r0", "r2") if "*" in key else ("",):
@@ -70,7 +78,7 @@ def forbidden(keys: Keys, name: str) -> list[Message]:
             _, direction, first, second = names.parts(place)
             ends = (first, names.RELAY) if direction == "tx" else (second, first)
             roles = tuple(rights.ROBOT if end[1:].isdigit() else end for end in ends)
-            may = rights.RIGHTS[roles[0], roles[1]]
+            may = rights.RIGHTS.get((roles[0], roles[1]), ())
             found += [Message(place, pack(each)) for each in EXAMPLES if type(each) not in may]
             found += [Message(place, junk) for junk in JUNK]
     return found
@@ -90,13 +98,18 @@ class Rogue:
         if message is None:
             return None
         if not self._lies:
-            lies = forbidden(Keys(message.key.split("/")[1]), self._name)
+            lies = self._words(Keys(message.key.split("/")[1]))
             self._lies = [lie for lie in lies if len(lie.payload) <= self._most_bytes]
-        kind = type(messages.unpack(message.payload)).__name__ if "/radio/" not in message.key else "frame"
+        plane = names.parts(message.key)[0]
+        told = plane in ("body", "control")
+        kind = type(messages.unpack(message.payload)).__name__ if told else plane
         self._heard[kind] += 1
         for lie in self._lies if self._heard[kind] <= OFTEN else ():
             self._inner.put(*lie)
         return message
+
+    def _words(self, keys: Keys) -> list[Message]:
+        return forbidden(keys, self._name)
 
 
 @cache
@@ -104,11 +117,20 @@ def plan() -> Plan:
     return small_plan(robots=3, steps=STEPS)
 
 
+class Listener:
+    """A viewer that looks at nothing, until the run is over."""
+
+    done = False
+
+    def handle(self, message: Message) -> None:
+        self.done = isinstance(messages.unpack(message.payload), messages.Bye)
+
+
 def play(rogue: str = "") -> Records:
     def wrap(name: str, bus: Bus) -> Bus:
         return Rogue(bus, name) if name == rogue else bus
 
-    return in_memory.run(plan(), wrap=wrap)
+    return in_memory.run(plan(), wrap=wrap, view=Listener() if rogue == names.VIEW else None)
 
 
 @cache
@@ -121,7 +143,7 @@ def test_there_is_an_example_of_every_kind() -> None:
     assert {type(each) for each in EXAMPLES} == set(kinds)
 
 
-@pytest.mark.parametrize("rogue", ["r1", names.WORLD, names.LAB])
+@pytest.mark.parametrize("rogue", ["r1", names.WORLD, names.LAB, names.RELAY, names.VIEW])
 def test_what_is_not_ones_to_say_is_a_fault_with_ones_name_and_changes_nothing(rogue: str) -> None:
     records = play(rogue)
     assert digest(records) == honest_digest()
@@ -130,23 +152,75 @@ def test_what_is_not_ones_to_say_is_a_fault_with_ones_name_and_changes_nothing(r
     assert records.lost == {}
     assert records.fault_count > 100
     assert {fault.split(":")[0] for fault in records.faults} <= {rogue, "r0", "r2"}
-    assert any(
-        fault.startswith(f"{rogue}: ") and f"not for {rogue} to say" in fault for fault in records.faults
-    )
+    reason = f"{'nothing is' if rogue == names.VIEW else 'not'} for {rogue} to say"
+    assert any(fault.startswith(f"{rogue}: ") and reason in fault for fault in records.faults)
 
 
-def rogue_over_zenoh(name: str, bus: Bus) -> Bus:
-    return Rogue(bus, name, 1 << 20) if name == "r1" else bus
+def rogue_over_zenoh(rogue: str, name: str, bus: Bus) -> Bus:
+    return Rogue(bus, name, 1 << 20) if name == rogue else bus
 
 
-def test_over_zenoh_what_is_not_ones_to_say_changes_nothing_either(tmp_path: Path) -> None:
-    outcome = launch.run(plan(), tmp_path / "logs", wrap=rogue_over_zenoh)
+@pytest.mark.parametrize("rogue", ["r1", names.WORLD, names.LAB])
+def test_over_zenoh_what_is_not_ones_to_say_changes_nothing_either(tmp_path: Path, rogue: str) -> None:
+    outcome = launch.run(plan(), tmp_path / "logs", wrap=partial(rogue_over_zenoh, rogue))
     assert outcome.deaths == {}
     records = outcome.records
     assert digest(records) == honest_digest()
     assert records.lost == {}
     assert records.fault_count > 100
-    assert {fault.split(":")[0] for fault in records.faults} == {"r1"}
+    assert {fault.split(":")[0] for fault in records.faults} <= {rogue, "r0", "r2"}
+    assert any(f"not for {rogue} to say" in fault for fault in records.faults)
+
+
+NOISE = (
+    b"",
+    b"\xff\x00",
+    bytes(range(256)),
+    bytes(100_000),
+    1000 * packets.encode([packets.Save()]),
+    *(
+        packets.encode([each])
+        for each in (
+            packets.Offer(1, 0),
+            packets.Answer(4095),
+            packets.Block(63),
+            packets.Decline(),
+            packets.Emerge(4000, 5, 1),
+            packets.Insert(9, 4000, 4000, 0, 1),
+            packets.Fragment(b"noise"),
+            packets.From(63, 4095),
+            packets.Held(63, 4095),
+            packets.Gone(0),
+            packets.Look(3, b"noise"),
+        )
+    ),
+)
+
+
+class Babbler(Rogue):
+    """The end of the bus of a robot whose radio says noise, whenever it has heard something: in every phase."""
+
+    def _words(self, keys: Keys) -> list[Message]:
+        places = [
+            keys.radio_tx(self._name, receiver) for receiver in (names.ALL, "r0", "r1", "r2", "r9", "x")
+        ]
+        return [Message(place, noise) for place in places for noise in NOISE]
+
+
+@pytest.mark.parametrize("exchange", ["polygon", "laser", "sight"])
+@pytest.mark.parametrize("offers", ["backoff", "gossip"])
+def test_noise_on_the_radio_in_every_phase_stops_nobody(exchange: str, offers: str) -> None:
+    noisy = small_plan(robots=3, steps=STEPS, exchange=exchange, offers=offers)
+    truth = noisy.map.cells
+    records = in_memory.run(noisy, wrap=lambda name, bus: Babbler(bus, name) if name == "r1" else bus)
+    assert records.end is not None
+    assert records.end.step == STEPS
+    assert records.lost.keys() <= {1}
+    assert records.fault_count > 100
+    for robot in (0, 2):
+        known = records.own[robot] != UNKNOWN
+        assert known.sum() > 100
+        assert ((records.own[robot] == FREE) == (truth == FREE))[known].all()
 
 
 class Silent:
