@@ -176,9 +176,7 @@ class RunEvents:
                 )
         idle = report.status.startswith("idle")
         if idle and robot not in self.idle:
-            events.append(
-                Event(report.step, f"robot {robot} is idle: its map is done", 1)
-            )
+            events.append(Event(report.step, f"robot {robot} is idle: its map is done", 1))
         (self.idle.add if idle else self.idle.discard)(robot)
         return events
 
