@@ -13,21 +13,17 @@ shorter one may still use the rest.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 from netshaper.airtime import Airtime, cut_into_frames, least
 from netshaper.channel import DAMAGED, LOSS, Channel, Reception, with_sum
+from netshaper.frames import is_broadcast, read_confirmed, wrong_in_news
+from netshaper.gossip_radio import GossipRadio
 from netshaper.ledger import CAUSES, EVERYONE
-from netshaper.medium import ANSWER, BROADCAST, DATA, NEWS, OFFER, UNLIMITED
-from netshaper.radio import Frame, Note, Outgoing, Radio, RadioSettings, is_broadcast, is_news
-from protocol import packets, survey
-from protocol.errors import ProtocolError
-from protocol.messages import Outcome
-from protocol.packets import Check, From, FromEarly, Held, HeldEarly, Offer
-
-Begins = Offer | From | FromEarly
-"""What says which map is spoken of from here on."""
+from netshaper.medium import ANSWER, BROADCAST, DATA, NEWS, UNLIMITED
+from netshaper.radio import Frame, Outgoing, Radio, RadioSettings
+from protocol import survey
+from protocol.packets import Check
 
 CARRIED, BUDGET, LIMIT, FULL = (CAUSES.index(cause) for cause in ("", "budget", "limit", "full"))
 
@@ -57,7 +53,9 @@ class _Coming(NamedTuple):
 
 def radio(settings: RadioSettings) -> Radio:
     """The radio of a run: what is put on the air is heard, or it is as radios are."""
-    return Radio(settings) if settings.perfect else ImperfectRadio(settings)
+    if not settings.perfect:
+        return ImperfectRadio(settings)
+    return GossipRadio(settings) if settings.gossip else Radio(settings)
 
 
 class ImperfectRadio(Radio):
@@ -100,7 +98,7 @@ class ImperfectRadio(Radio):
     def _end_offers(self) -> list[Outgoing]:
         """Put all on the air, hand over what has come by now, and tell each robot what of its own was carried."""
         broadcasts, said = self._heed()
-        share = self._medium.left // (len(self._spoken) + 1) if self.settings.gossip else UNLIMITED
+        share = self._fair_share() if self.settings.gossip else UNLIMITED
         for each in self._drawn("targets", broadcasts):
             self._put_broadcast(each, share)
         carried: dict[int, dict[int, int]] = {}
@@ -116,13 +114,8 @@ class ImperfectRadio(Radio):
                 for number, (receiver, payload) in enumerate(self._spoken[robot].frames)
                 if not (receiver == EVERYONE and is_broadcast(payload))
             ]
-            nothing = [0] * len(own)
             if own or heard.get(robot) or robot in self._broadcast_carried:
-                note = Outcome(
-                    self._step, self._exchange, [-1] * len(own), nothing, nothing, own,
-                    [-1] * heard.get(robot, 0), self._broadcast_carried.get(robot, False),
-                )  # fmt: skip
-                out.append(Note(robot, note))
+                out.append(self._tell(robot, own, heard.get(robot, 0)))
         self._exchange += 1
         busy = any(size for sizes in carried.values() for size in sizes.values()) or bool(heard)
         if busy and self._exchange < self.settings.exchanges and any(map(self._room, self._reach)):
@@ -141,7 +134,7 @@ class ImperfectRadio(Radio):
                 if target and (self._exchange or sender in self._broadcast_carried):
                     problem = "broadcast something other than a target or a pose, at the start of a step"
                 elif not target:
-                    frame, about, problem = _read(receiver, payload, self.settings)
+                    frame, about, problem = self._read(receiver, payload)
                     problem = problem or self._too_long(payload) or ("twice" if receiver in told else "")
                     told.add(receiver)
                 if spoken.said is None:
@@ -161,10 +154,15 @@ class ImperfectRadio(Radio):
                     (broadcasts if target else frames).append(one)
         return broadcasts, frames
 
+    def _read(self, receiver: int, payload: bytes) -> tuple[int, int, str]:
+        """Return what kind of frame it is, which map it is about, and what is wrong with it."""
+        if self.settings.gossip:
+            return NEWS, -1, wrong_in_news(receiver, payload)
+        return read_confirmed(receiver, payload, self.settings.maps)
+
     def _put_broadcast(self, said: _Said, share: int) -> None:
         """Put a target or a pose on the air, behind the first as long as they have not had their share."""
-        carried = self._medium.carried
-        if share != UNLIMITED and carried and carried + len(said.payload) > share >= 0:
+        if self._waits(said.payload, share):
             self._medium.leave_out(self._exchange, said.sender, said.payload)
         else:
             self._broadcast_carried[said.sender] = self._put(said) > 0
@@ -244,41 +242,3 @@ class ImperfectRadio(Radio):
                 if not each.broadcast:
                     heard[each.receiver] = heard.get(each.receiver, 0) + 1
         return out, heard
-
-
-def _read(receiver: int, payload: bytes, settings: RadioSettings) -> tuple[int, int, str]:
-    """Return what kind of frame it is, which map it is about, and what is wrong with it."""
-    if settings.gossip:
-        return NEWS, -1, is_news(receiver, payload)
-    try:
-        pieces = survey.split(payload)
-        handshakes = [packets.decode(piece)[0] for piece in pieces if packets.name(piece) == Offer.name]
-    except ProtocolError as error:
-        return DATA, -1, str(error)
-    strange = _strange(receiver, pieces, handshakes, settings.robots * settings.lives)
-    if len(handshakes) < len(pieces):
-        frame = DATA
-    else:
-        frame = OFFER if any(isinstance(each, Offer) for each in handshakes) else ANSWER
-    begun = [each.map for each in handshakes if isinstance(each, Begins)]
-    held = [each.map for each in handshakes if isinstance(each, Held | HeldEarly)]
-    return frame, (begun or held or [-1])[0], strange
-
-
-def _strange(
-    receiver: int, pieces: Sequence[bytes], handshakes: Sequence[packets.AnyPacket], maps: int
-) -> str:
-    """Say what does not belong into a frame for one robot; nothing if it is reports and offers, then units of a map."""
-    if receiver == EVERYONE:
-        return "said to all, where maps are offered to one"
-    odd = [type(each).__name__ for each in handshakes if not isinstance(each, Begins | Held | HeldEarly)]
-    no_units = {packets.Target.name, packets.Pose.name, Check.name}
-    odd += [packets.name(piece) for piece in pieces if packets.name(piece) in no_units]
-    if odd:
-        return f"no {odd[0]} of this kind"
-    if any(each.map >= maps for each in handshakes if isinstance(each, Begins | Held | HeldEarly)):
-        return "it speaks of a robot that there is not"
-    first = next((at for at, piece in enumerate(pieces) if packets.name(piece) != Offer.name), len(pieces))
-    if first < len(pieces) and not any(isinstance(each, From | FromEarly) for each in handshakes[:first]):
-        return "units without a word of what they are units of"
-    return "" if pieces else "nothing in it"

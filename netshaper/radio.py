@@ -7,11 +7,7 @@
 
 A further exchange is opened while something is left of the budget.
 
-Where maps travel by gossip there is one phase, and no connections:
-
-    offers    all robots say their targets (first exchange), and news; targets go on the air first, then news,
-              the most urgent first
-    (played)  the news go on the air until the budget is spent; all in range hear them, and what was carried
+Where maps travel by gossip there are no connections (`netshaper.gossip_radio`).
 
 A phase ends when all whom it concerns have spoken or are known to be dead. Nothing that robots say is
 believed: a frame that is malformed, out of range or out of turn is booked as such and passed on to nobody.
@@ -21,18 +17,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import partial
 from operator import attrgetter
 from typing import NamedTuple, TypeVar
 
 import msgspec
 
 from netshaper import airtime, connectivity
-from netshaper.ledger import EVERYONE, KIND_NUMBER
-from netshaper.medium import ANSWER, BROADCAST, DATA, NEWS, OFFER, UNLIMITED, Connections, Medium
+from netshaper.frames import is_broadcast, read_offer, wrong_in_answer, wrong_in_data
+from netshaper.ledger import EVERYONE
+from netshaper.medium import ANSWER, BROADCAST, DATA, OFFER, UNLIMITED, Connections, Medium
 from netshaper.radio_options import RadioOptions
 from protocol import packets, survey
-from protocol.errors import ProtocolError
 from protocol.fields import MOST_CONNECTIONS
 from protocol.grid import Grid
 from protocol.keyed_random import keyed_random
@@ -83,6 +79,11 @@ class RadioSettings:
     """When budget and range become others, as the scenario has it."""
 
     @property
+    def maps(self) -> int:
+        """How many maps can be spoken of."""
+        return self.robots * self.lives
+
+    @property
     def perfect(self) -> bool:
         """Whether what is put on the air is heard at once by all in range, and one budget is all there is."""
         return self.options.perfect and not any(self.send) and not any(self.receive)
@@ -102,7 +103,7 @@ class Frame(NamedTuple):
     payload: bytes
 
 
-_frame = partial(tuple.__new__, Frame)
+framed = partial(tuple.__new__, Frame)
 """A frame of its three parts: a named tuple's own way takes twice as long."""
 
 
@@ -314,8 +315,6 @@ class Radio:
         return [peer for peer in self._reach[sender] if peer not in self._dead and peer not in self._deaf]
 
     def _end_offers(self) -> list[Outgoing]:
-        if self.settings.gossip:
-            return self._end_news()
         out = self._put_broadcasts_on_air()
         offers: dict[tuple[int, int, int], bytes] = {}
         for sender, spoken in sorted(self._spoken.items()):
@@ -327,7 +326,7 @@ class Radio:
                     cause = "range" if receiver not in reach else "mute"
                     self._refuse(sender, receiver, OFFER, payload, cause, "")
                     continue
-                about, problem = _read_offer(payload, self.settings.robots * self.settings.lives)
+                about, problem = read_offer(payload, self.settings.maps)
                 if not problem and (sender, receiver, about) in offers:
                     problem = f"map {about} was offered to robot {receiver} twice in an exchange"
                 if problem:
@@ -338,62 +337,12 @@ class Radio:
         self._connections.add(ends, [offers[each] for each in ends])
         return out + self._pass_on(OFFER, "answers")
 
-    def _end_news(self) -> list[Outgoing]:
-        """Put broadcasts and then news on the air, the most urgent first, and tell all what became of them."""
-        told: list[tuple[int, bytes]] = []
-        for sender, spoken in sorted(self._spoken.items()):
-            news = [frame for frame in spoken.frames if not (frame[0] == EVERYONE and is_broadcast(frame[1]))]
-            spoken.frames = [frame for frame in spoken.frames if frame not in news]
-            for receiver, payload in news:
-                problem = (
-                    is_news(receiver, payload)
-                    or self._too_long(payload)
-                    or ("twice" if told and told[-1][0] == sender else "")
-                )
-                if spoken.said is None:
-                    self._refuse(sender, receiver, NEWS, payload, "lost", "")
-                elif sender in self._mute:
-                    self._refuse(sender, receiver, NEWS, payload, "mute", "")
-                elif problem:
-                    reason = f"news are one broadcast of units: {problem}"
-                    self._refuse(sender, receiver, NEWS, payload, "protocol", reason)
-                else:
-                    told.append((sender, payload))
-        out = self._put_broadcasts_on_air(self._medium.left // (len(self._spoken) + 1))
-        order = self._drawn("back-off", told)
-        order.sort(key=lambda item: self._shares.rank(item[0], self._urgency(item[0])))
-        hearers = {sender: self._hearers(sender) for sender, _ in order}
-        sizes = self._medium.tell(self._exchange, [(s, payload, hearers[s]) for s, payload in order])
-        carried = {sender: size for (sender, _), size in zip(order, sizes, strict=True)}
-        for sender, size in carried.items():
-            self._shares.book(sender, size)
-        heard: dict[int, int] = {}
-        for (sender, payload), size in zip(order, sizes, strict=True):
-            for hearer in hearers[sender] if size else ():
-                out.append(_frame((hearer, sender, payload[:size])))
-                heard[hearer] = heard.get(hearer, 0) + 1
-        for robot in sorted({*carried, *heard, *self._broadcast_carried} - self._dead):
-            own = [carried[robot]] if robot in carried else []
-            nothing = [0] * len(own)
-            note = Outcome(
-                self._step, self._exchange, [-1] * len(own), nothing, nothing, own,
-                [-1] * heard.get(robot, 0), self._broadcast_carried.get(robot, False),
-            )  # fmt: skip
-            out.append(Note(robot, note))
-        self._exchange += 1
-        if any(sizes) and self._exchange < self.settings.exchanges and self._medium.left:
-            return out + self._open()
-        return out + self._close()
-
     def _urgency(self, sender: int) -> int:
         said = self._spoken[sender].said
         return said.urgency if said is not None else 0
 
-    def _put_broadcasts_on_air(self, share: int | None = None) -> list[Outgoing]:
-        """Put targets and poses on the air; behind the first, in all no more bytes than `share`, if it is given.
-
-        Where news travel by gossip it is a fair share of the step, as if targets were one robot more.
-        """
+    def _put_broadcasts_on_air(self, share: int = UNLIMITED) -> list[Outgoing]:
+        """Put targets and poses on the air; behind the first, in all no more bytes than `share`."""
         said = [
             (sender, payload)
             for sender, spoken in sorted(self._spoken.items())
@@ -410,19 +359,24 @@ class Radio:
                 self._refuse(sender, EVERYONE, BROADCAST, payload, "mute", "")
                 continue
             hearers = self._hearers(sender)
-            if (
-                share is not None
-                and self._medium.carried
-                and self._medium.carried + len(payload) > share >= 0
-            ):
+            if self._waits(payload, share):
                 self._medium.leave_out(self._exchange, sender, payload)
                 self._broadcast_carried[sender] = False
                 continue
             carried = self._medium.broadcast(self._exchange, sender, payload, hearers)
             self._broadcast_carried[sender] = carried
             if carried:
-                out += [_frame((hearer, sender, payload)) for hearer in hearers]
+                out += [framed((hearer, sender, payload)) for hearer in hearers]
         return out
+
+    def _fair_share(self) -> int:
+        """Bytes of targets and poses in a step where news travel by gossip, as if these were one robot more."""
+        return self._medium.left // (len(self._spoken) + 1)
+
+    def _waits(self, payload: bytes, share: int) -> bool:
+        """Whether a broadcast is to leave the rest of the step to news."""
+        carried = self._medium.carried
+        return carried > 0 and carried + len(payload) > share >= 0
 
     def _drawn(self, purpose: str, items: list[Item]) -> list[Item]:
         """Put things into an order that is drawn for this exchange."""
@@ -446,7 +400,7 @@ class Radio:
             if receiver in self._dead or receiver in self._deaf:
                 these.lost[at] = frame
                 continue
-            out.append(_frame((receiver, sender, payload)))
+            out.append(framed((receiver, sender, payload)))
             if receiver not in heard:
                 heard[receiver] = [], []
             numbers, maps = heard[receiver]
@@ -458,11 +412,11 @@ class Radio:
         return out
 
     def _end_answers(self) -> list[Outgoing]:
-        self._collect(ANSWER, _is_answer)
+        self._collect(ANSWER, wrong_in_answer)
         return self._pass_on(ANSWER, "data")
 
     def _end_data(self) -> list[Outgoing]:
-        self._collect(DATA, lambda payload: _is_data(payload) or self._too_long(payload))
+        self._collect(DATA, lambda payload: wrong_in_data(payload) or self._too_long(payload))
         these = self._connections
         for at, (receiver, payload) in enumerate(zip(these.receivers, these.frames[DATA], strict=True)):
             if payload is not None and receiver in self._dead:
@@ -474,7 +428,7 @@ class Radio:
             zip(these.senders, these.receivers, these.frames[DATA], data, strict=True)
         ):
             if payload is not None and size:
-                out.append(_frame((receiver, sender, payload[:size])))
+                out.append(framed((receiver, sender, payload[:size])))
                 heard.setdefault(receiver, []).append(these.first + at)
         concerned: dict[int, list[int]] = {robot: [] for robot in self._broadcast_carried}
         for at, ends in enumerate(zip(these.senders, these.receivers, strict=True)):
@@ -498,6 +452,15 @@ class Radio:
         if self._exchange < self.settings.exchanges and self._medium.left:
             return out + self._open()
         return out + self._close()
+
+    def _tell(self, robot: int, own: list[int], heard: int) -> Note:
+        """Tell a robot how much of its frames was on the air, and how many it hears; none is of a connection."""
+        nothing = [0] * len(own)
+        outcome = Outcome(
+            self._step, self._exchange, [-1] * len(own), nothing, nothing, own, [-1] * heard,
+            self._broadcast_carried.get(robot, False),
+        )  # fmt: skip
+        return Note(robot, outcome)
 
     def _close(self) -> list[Outgoing]:
         self._phase = ""
@@ -542,77 +505,3 @@ class Radio:
         self._medium.refuse(self._exchange, frame, sender, receiver, payload, cause, reason)
         if reason:
             self.faults.append((sender, reason))
-
-
-def is_broadcast(payload: bytes) -> bool:
-    """Whether a frame says a target, a pose, or a pose and a target."""
-    try:
-        kinds = [type(packet) for packet in packets.broadcast(payload)]
-    except ProtocolError:
-        return False
-    return kinds in ([packets.Target], [packets.Pose], [packets.Pose, packets.Target])
-
-
-def is_news(receiver: int, payload: bytes) -> str:
-    """Say what is wrong with news; nothing if it is a broadcast of whole packets that may be units or reports."""
-    if receiver != EVERYONE:
-        return "said to one robot"
-    try:
-        pieces = survey.split(payload)
-    except ProtocolError as error:
-        return str(error)
-    strange = [packets.name(piece) for piece in pieces if _is_strange(piece)]
-    return f"no {strange[0]} of this kind" if strange else "" if pieces else "nothing in it"
-
-
-def _is_strange(piece: bytes) -> bool:
-    """Whether a packet does not belong into news."""
-    if packets.name(piece) == packets.Offer.name:
-        return not isinstance(packets.decode(piece)[0], packets.Gossip)
-    return packets.name(piece) in (packets.Target.name, packets.Pose.name, packets.Check.name)
-
-
-@lru_cache(maxsize=1 << 12)
-def _read_offer(payload: bytes, maps: int) -> tuple[int, str]:
-    """Return whose map an offer frame offers; or what is wrong with it."""
-    try:
-        said = packets.handshake(payload)
-    except ProtocolError as error:
-        return -1, str(error)
-    offer = said[0] if len(said) == 1 else None
-    if not isinstance(offer, packets.Offer) or offer.map >= maps:
-        return -1, "an offer frame is one offer of a known map"
-    return offer.map, ""
-
-
-@lru_cache(maxsize=1 << 13)
-def _is_answer(payload: bytes) -> str:
-    """Say what is wrong with an answer frame; nothing if it is one."""
-    try:
-        said = packets.handshake(payload)
-    except ProtocolError as error:
-        return str(error)
-    kinds = [type(packet) for packet in said]
-    if kinds == [packets.Decline]:
-        return ""
-    if kinds[-1:] == [packets.Answer] and kinds[:-1] in ([], [packets.Block], 2 * [packets.Block]):
-        return ""
-    return "an answer frame is an answer behind at most two blocks, or a decline"
-
-
-def _is_data(payload: bytes) -> str:
-    """Say what is wrong with a data frame; nothing if it is whole packets that may be data."""
-    try:
-        kinds = survey.kinds(payload)
-    except ProtocolError as error:
-        return str(error)
-    if kinds & _NO_DATA:
-        return f"a data frame holds no {next(name for name, bit in _NO_DATA_BITS.items() if kinds & bit)}"
-    return "" if kinds else "an empty data frame"
-
-
-_NO_DATA_BITS = {
-    kind.name: 1 << KIND_NUMBER[kind.name]
-    for kind in (packets.Offer, packets.Target, packets.Pose, packets.Check)
-}
-_NO_DATA = sum(_NO_DATA_BITS.values())

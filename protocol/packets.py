@@ -277,7 +277,6 @@ LOOK_NUMBERS = 4
 """Units that the last piece can tell apart."""
 _LOOK, _LAST_LOOK = 0xF4, 0xF5
 
-VertexEdit = Insert | Replace | Delete
 Edit = Insert | Replace | Delete | Emerge | Change | Remove | Save
 Handshake = Offer | Answer | Block | Decline
 Gossip = From | FromEarly | Held | HeldEarly | Near | Gone

@@ -25,7 +25,7 @@ from functools import cached_property
 
 import numpy as np
 
-from agent.exchange.gossip import from_packet, held_packet, number, report
+from agent.exchange.reports import from_packet, held_packet, number, report
 from agent.exchange.session import MAX_WAIT, PATIENCE, Session, Table
 from protocol import packets, survey
 from protocol.errors import ProtocolError
@@ -84,11 +84,7 @@ class ConfirmedSession(Session):
 
     def retract(self, count: int) -> bool:
         """Take the last `count` units of one's own log back, if none of them has been on the air; say whether."""
-        log = self.logs[self.own]
-        if len(log) - count < self._aired:
-            return False
-        log.retract(count)
-        return True
+        return self.logs[self.own].retract(count, self._aired)
 
     def offers(self, exchange: int, peers: list[int], room: int | None) -> list[tuple[int, int, bytes]]:
         """Open an exchange: return what to say, one frame a peer, as (peer, map, frame)."""

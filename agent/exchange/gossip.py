@@ -35,19 +35,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.exchange.log import Log
+from agent.exchange.reports import from_packet, held_packet, number, report
 from protocol import packets, survey
 from protocol.errors import ProtocolError
 from protocol.messages import Outcome
-from protocol.packets import (
-    EARLY,
-    GOSSIP_WINDOW,
-    From,
-    FromEarly,
-    Gone,
-    Held,
-    HeldEarly,
-    Near,
-)
+from protocol.packets import From, FromEarly, Gone, Held, HeldEarly, Near
 
 Table = NDArray[np.int32]
 Mask = NDArray[np.bool_]
@@ -175,11 +167,7 @@ class Gossip:
 
     def retract(self, count: int) -> bool:
         """Take the last `count` units of one's own log back, if nobody has heard any of them; say whether."""
-        log = self.logs[self.own]
-        if len(log) - count < self._aired:
-            return False
-        log.retract(count)
-        return True
+        return self.logs[self.own].retract(count, self._aired)
 
     def offers(self, exchange: int, peers: list[int], room: int | None) -> list[tuple[int, int, bytes]]:
         """Open an exchange: return what to broadcast, as [(EVERYONE, own number, frame)], or nothing.
@@ -501,25 +489,3 @@ class Gossip:
 
     def _number(self, said: From | FromEarly | Held | HeldEarly) -> int:
         return number(said, len(self.logs[said.map]))
-
-
-def number(said: From | FromEarly | Held | HeldEarly, held: int) -> int:
-    """The number of a unit that is meant; one modulo `GOSSIP_WINDOW` is the nearest to what one holds."""
-    if isinstance(said, FromEarly | HeldEarly):
-        return said.index
-    return max(0, held + (said.index - held + GOSSIP_WINDOW // 2) % GOSSIP_WINDOW - GOSSIP_WINDOW // 2)
-
-
-def report(piece: bytes) -> packets.AnyPacket | None:
-    """Read a packet that is no unit of a log."""
-    return packets.decode(piece)[0] if packets.name(piece) == From.name else None
-
-
-def from_packet(about: int, index: int) -> From | FromEarly:
-    """The shortest packet that says of which log, and from which unit on, units follow."""
-    return FromEarly(about, index) if index < EARLY else From(about, index % GOSSIP_WINDOW)
-
-
-def held_packet(about: int, index: int) -> Held | HeldEarly:
-    """The shortest packet that says how many units of a log one holds."""
-    return HeldEarly(about, index) if index < EARLY else Held(about, index % GOSSIP_WINDOW)

@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.exchange.base import Exchange
-from agent.exchange.changed_cells import ChangedCells
-from agent.exchange.laser import lay_over
-from agent.outline.boxes import NO_BOXES, Boxes, box_of, united, whole
+from agent.exchange.heard import Heard
+from agent.outline.boxes import NO_BOXES, box_of, united
 from agent.settings import Settings
 from protocol import packets
 from protocol.errors import ProtocolError
@@ -68,16 +67,13 @@ class GridExchange(Exchange):
         self._told: Grid = np.zeros(shape, np.uint8)
         self._untold = NO_BOXES
         """Where the robot's own grid has changed since the last patch."""
-        self._heard: Grid = np.zeros(shape, np.uint8)
-        self._heard_boxes = NO_BOXES
-        self._own_news = ChangedCells()
-        self._planning: Grid | None = None
+        self._heard = Heard(shape)
         self._partial: dict[int, bytes] = {}
 
     def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
         """Tell what has changed, once all in range have heard what was told before."""
         del scan
-        self._own_news.add(own, change)
+        self._heard.seen(own, change)
         self._untold = united(self._untold, box_of(change))
         if not delivered or not len(self._untold):
             return []
@@ -93,7 +89,7 @@ class GridExchange(Exchange):
         """Put fragments together, and write the patches that are complete."""
         data = self._partial.get(about, b"") + b"".join(map(packets.content, units))
         patches = []
-        while (read := unpack(data, self._heard.shape)) is not None:
+        while (read := unpack(data, self._heard.grid.shape)) is not None:
             x0, y0, patch, data = read
             patches.append((x0, y0, patch))
         for x0, y0, patch in patches:
@@ -101,22 +97,14 @@ class GridExchange(Exchange):
         self._partial[about] = data
         for x0, y0, patch in patches:
             height, width = patch.shape
-            there = self._heard[y0 : y0 + height, x0 : x0 + width]
+            there = self._heard.grid[y0 : y0 + height, x0 : x0 + width]
             there[patch != SAME] = patch[patch != SAME] - 1
-            box = np.array([(x0, y0, x0 + width, y0 + height)], np.int32)
-            self._heard_boxes = united(self._heard_boxes, box)
+            self._heard.told(np.array([(x0, y0, x0 + width, y0 + height)], np.int32))
 
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
         """Lay the robot's own grid over what it heard, where either has changed."""
         del peers
-        changed: Boxes | None = self._own_news.take(own)
-        if self._planning is None or changed is None:
-            self._planning, changed = np.empty_like(own), whole(own.shape)
-        for boxes in (changed, self._heard_boxes):
-            if len(boxes):
-                lay_over(self._heard, own, boxes, self._planning)
-        self._heard_boxes = NO_BOXES
-        return self._planning
+        return self._heard.under(own)
 
 
 def pack(x0: int, y0: int, patch: Patch) -> bytes:

@@ -8,16 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-import numpy as np
-
 from agent.exchange.base import Exchange
-from agent.exchange.changed_cells import ChangedCells
-from agent.outline.boxes import NO_BOXES, Boxes, box_of, united, whole
+from agent.exchange.heard import Heard
+from agent.outline.boxes import box_of
 from agent.settings import Settings
 from protocol import packets
 from protocol.errors import ProtocolError
-from protocol.grid import UNKNOWN, Fan, Grid, fan
-from protocol.kernels import kernel
+from protocol.grid import Fan, Grid, fan
 from protocol.scans import NONE, Change, Scan, decode_scan, draw, encode_scan, fragments, scan_size
 
 
@@ -31,17 +28,14 @@ class LaserExchange(Exchange):
         self._fans = [fan(cells, settings.beams) for cells in settings.ranges_cells]
         self._size = scan_size(settings.beams)
         self._most = settings.frame_bytes or packets.Fragment.size
-        self._heard = np.zeros((settings.height, settings.width), np.uint8)
-        self._heard_boxes = NO_BOXES
-        self._own_news = ChangedCells()
-        self._planning: Grid | None = None
+        self._heard = Heard((settings.height, settings.width))
         self._partial: dict[int, bytes] = {}
         self._last = b""
 
     def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
         """Log the scan, unless it is the last one again or the scanner did not work."""
         del delivered
-        self._own_news.add(own, change)
+        self._heard.seen(own, change)
         data = encode_scan(scan)
         if data == self._last or (scan.readings == NONE).all():
             return []
@@ -65,20 +59,13 @@ class LaserExchange(Exchange):
             self.plausible.claim(about, (min(x), min(y), max(x) + 1, max(y) + 1), len(scans))
         self._partial[about] = buffer
         for scan in scans:
-            change = draw(self._heard, self._fan_of(about), scan.x, scan.y, scan.readings)
-            self._heard_boxes = united(self._heard_boxes, box_of(change))
+            change = draw(self._heard.grid, self._fan_of(about), scan.x, scan.y, scan.readings)
+            self._heard.told(box_of(change))
 
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
         """Lay the robot's own grid over what it heard, where either has changed."""
         del peers
-        changed = self._own_news.take(own)
-        if self._planning is None or changed is None:
-            self._planning, changed = np.empty_like(own), whole(own.shape)
-        for boxes in (changed, self._heard_boxes):
-            if len(boxes):
-                lay_over(self._heard, own, boxes, self._planning)
-        self._heard_boxes = NO_BOXES
-        return self._planning
+        return self._heard.under(own)
 
     def _fan_of(self, about: int) -> Fan:
         """The beams of the robot whose map it is."""
@@ -86,17 +73,8 @@ class LaserExchange(Exchange):
 
     def _read(self, about: int, data: bytes) -> Scan:
         scan = decode_scan(data, self._fan_of(about))
-        height, width = self._heard.shape
+        height, width = self._heard.grid.shape
         if scan.x >= width or scan.y >= height:
             reason = f"cell ({scan.x}, {scan.y}) is outside the {width} x {height} grid"
             raise ProtocolError("scan", 0, reason)
         return scan
-
-
-@kernel("void(uint8[:,::1], uint8[:,::1], int32[:,::1], uint8[:,::1])")
-def lay_over(below: Grid, above: Grid, boxes: Boxes, both: Grid) -> None:
-    """Write what is above where that is known, else what is below, in some boxes."""
-    for box in boxes:
-        for y in range(box[1], box[3]):
-            for x in range(box[0], box[2]):
-                both[y, x] = below[y, x] if above[y, x] == UNKNOWN else above[y, x]

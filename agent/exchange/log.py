@@ -23,9 +23,12 @@ class Log:
         """Add units at the end."""
         self._units += units
 
-    def retract(self, count: int) -> None:
-        """Take the last `count` units back, of which nobody has heard."""
+    def retract(self, count: int, heard: int) -> bool:
+        """Take the last `count` units back, if they are behind the first `heard` ones; say whether."""
+        if len(self) - count < heard:
+            return False
         del self._units[len(self._units) - count :]
+        return True
 
     def since(self, index: int, room: int | None) -> list[bytes]:
         """Units from `index` on, as many as fit into `room` bytes (None: all).

@@ -195,11 +195,8 @@ class Session:
 
     def retract(self, count: int) -> bool:
         """Take the last `count` units of one's own log back, if nobody has heard any of them; say whether."""
-        log = self.logs[self.own]
-        if len(log) - count < max(self._heard, *self.known[:, self.own].tolist()):
-            return False
-        log.retract(count)
-        return True
+        heard = max(self._heard, *self.known[:, self.own].tolist())
+        return self.logs[self.own].retract(count, heard)
 
     def offers(self, exchange: int, peers: list[int], room: int | None) -> list[tuple[int, int, bytes]]:
         """Open an exchange: return offers as (peer, map, frame).

@@ -16,10 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.exchange.base import Exchange
-from agent.exchange.changed_cells import ChangedCells
-from agent.exchange.laser import lay_over
+from agent.exchange.heard import Heard
 from agent.exchange.sight_options import SightOptions
-from agent.outline.boxes import NO_BOXES, united, whole
 from agent.settings import Settings
 from agent.sight.looks import MAX_LOOKS, STATE, TOLD
 from agent.sight.stream import Box, History, Stream, Told, around
@@ -89,11 +87,7 @@ class SightExchange(Exchange):
             )
             for maker in range(settings.maps)
         ]
-        self._heard: Grid = np.zeros(shape, np.uint8)
-        """What all have told."""
-        self._heard_boxes = NO_BOXES
-        self._own_news = ChangedCells()
-        self._planning: Grid | None = None
+        self._heard = Heard(shape)
         room = (
             LAST_LOOK_DATA
             if settings.bandwidth is None
@@ -114,7 +108,7 @@ class SightExchange(Exchange):
 
     def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
         """Write a unit, if the one before has been said and there is enough to tell."""
-        self._own_news.add(own, change)
+        self._heard.seen(own, change)
         waiting = self._waiting
         if change.cells:
             waiting.poses.append((scan.x, scan.y))
@@ -126,7 +120,7 @@ class SightExchange(Exchange):
         if not delivered:
             return []
         mine = self._grids[self.settings.own_map]
-        news = int(_news(self._heard, mine, own, *around(waiting.boxes)))
+        news = int(_news(self._heard.grid, mine, own, *around(waiting.boxes)))
         if 0 < news < ENOUGH_CELLS and waiting.steps < self._patience:
             return []
         self._said, self._waiting = waiting, _Waiting()
@@ -160,7 +154,8 @@ class SightExchange(Exchange):
         self._waiting = _Waiting(
             said.poses + waiting.poses, said.boxes + waiting.boxes, said.steps + waiting.steps
         )
-        self._last, self.revisable = None, 0
+        self._last = None
+        super().retract()
 
     def take(self, about: int, units: list[bytes]) -> None:
         """Put pieces together, and read the units that can be read by now, of all maps."""
@@ -224,14 +219,7 @@ class SightExchange(Exchange):
         del peers
         for robot, history in enumerate(self._histories):
             history.forget(min((s.builds_from(robot) for s in self._streams if s.maker != robot), default=0))
-        changed = self._own_news.take(own)
-        if self._planning is None or changed is None:
-            self._planning, changed = np.empty_like(own), whole(own.shape)
-        for boxes in (changed, self._heard_boxes):
-            if len(boxes):
-                lay_over(self._heard, own, boxes, self._planning)
-        self._heard_boxes = NO_BOXES
-        return self._planning
+        return self._heard.under(own)
 
     def pose(self, about: int) -> tuple[int, int] | None:
         """From where the last look of a map's units was taken."""
@@ -239,9 +227,9 @@ class SightExchange(Exchange):
 
     def _lay(self, told: Told) -> None:
         """Put cells of which a unit tells, or told before it was taken back, together anew."""
-        _update(self._grids, told.places, self._heard)
+        _update(self._grids, told.places, self._heard.grid)
         if len(told.places):
-            self._heard_boxes = united(self._heard_boxes, np.array([told.box], np.int32))
+            self._heard.told(np.array([told.box], np.int32))
 
 
 def pieces(message: bytes, number: int, most: int) -> list[bytes]:

@@ -24,7 +24,7 @@ from deploy.dashboard.shapes import outline_strips
 from deploy.record.colors import GROUPS
 from deploy.record.map_pictures import rgb, robot_color, save, show_grid
 from deploy.record.snapshots import Snapshots
-from deploy.scenario.scenario import UNLIMITED
+from deploy.scenario.tables import UNLIMITED
 from netshaper.ledger import CAUSES
 from protocol.grid import FREE
 

@@ -7,9 +7,7 @@ differs is where they go.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
@@ -22,6 +20,7 @@ from agent.strategies.registry import strategies, strategy
 from deploy.bench.known_map import KnownMap, fewest_steps, offline_steps
 from deploy.bench.replanning import Watch
 from deploy.run.exploration import explore
+from deploy.run.workers import workers
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import Scenario, parse
 
@@ -34,6 +33,20 @@ COMMON = {"bus": "memory", "exchange": "laser", "bandwidth": "unlimited", "senso
 Run = dict[str, Any]
 """One run: strategy, map, robots, seed, steps; of a strategy also finished, t90, t99, coverage, driven (metres of each
 robot) and replan_ms, the mean processor time of a decision in which a robot chooses a target."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A strategy in a scenario; or `KNOWN`, what is possible in all scenarios of a map."""
+
+    name: str
+    scenarios: tuple[Scenario, ...]
+
+    @property
+    def key(self) -> str:
+        """Its name, which no other has."""
+        first = self.scenarios[0]
+        return f"{self.name} on {first.map}, {first.robots} robots, seed {first.seed}"
 
 
 @dataclass(frozen=True)
@@ -64,10 +77,14 @@ class Contest:
         """Who competes; ValueError if there is no strategy of such a name."""
         return [strategy(name).name for name in self.strategies] or sorted(strategies())
 
-    @property
-    def tasks(self) -> int:
-        """How many pieces of work there are."""
-        return len(set(self.maps)) + len(self.names()) * len(self.scenarios())
+    def tasks(self) -> list[Task]:
+        """The pieces of work: what is possible on each map, and each strategy in each scenario."""
+        scenarios = self.scenarios()
+        known = [
+            Task(KNOWN, tuple(each for each in scenarios if each.map == where))
+            for where in dict.fromkeys(self.maps)
+        ]
+        return known + [Task(name, (scenario,)) for scenario in scenarios for name in self.names()]
 
     def scenarios(self) -> list[Scenario]:
         """One a map, team and seed, seeds and teams of one map on end; ScenarioError if one makes no sense."""
@@ -77,17 +94,16 @@ class Contest:
         ]
 
 
-def compete(contest: Contest, jobs: int | None = None) -> Iterator[list[Run]]:
-    """Run all that compete in a pool of `jobs` processes; yield the runs of each piece of work as it ends."""
-    scenarios, names = contest.scenarios(), contest.names()
-    with ProcessPoolExecutor(jobs or os.cpu_count()) as pool:
-        waiting = [
-            pool.submit(_with_the_map_known, [each for each in scenarios if each.map == where])
-            for where in dict.fromkeys(contest.maps)
-        ]
-        waiting += [pool.submit(_with, name, scenario) for scenario in scenarios for name in names]
-        for future in as_completed(waiting):
-            yield future.result()
+def compete(tasks: Sequence[Task], jobs: int | None = None) -> Iterator[list[Run]]:
+    """Yield the runs of each piece of work as it ends, by `jobs` processes; ConnectionError if one of them dies."""
+    for task, found in workers(jobs, None).each(tasks, _do):
+        if isinstance(found, str):
+            raise ConnectionError(f"{task.key}: {found}")
+        yield found
+
+
+def _do(task: Task) -> list[Run]:
+    return _with_the_map_known(task.scenarios) if task.name == KNOWN else _with(task.name, *task.scenarios)
 
 
 def _with(name: str, scenario: Scenario) -> list[Run]:

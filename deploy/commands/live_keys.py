@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable, Iterator
 
 from deploy.run.control import Control
-from deploy.scenario.scenario import UNLIMITED
+from deploy.scenario.tables import UNLIMITED
 
 HELP = "space pause, s step, + - speed, k kill, b bandwidth, r range"
 ASKING = {"k": "kill robot", "b": "bandwidth", "r": "range"}

@@ -91,11 +91,12 @@ def _league(
     from deploy.study.progress import counting  # noqa: PLC0415
 
     contest = league.Contest(maps or ["office"], robots or [6], seeds, strategies or [], settings)
+    tasks = contest.tasks()
     runs: list[league.Run] = []
     with counting(errors, "strategies") as tell:
-        for done, found in enumerate(league.compete(contest, jobs), 1):
+        for done, found in enumerate(league.compete(tasks, jobs), 1):
             runs += found
-            tell(done, contest.tasks)
+            tell(done, len(tasks))
     standings = league.table(runs)
     if picture is not None:
         league.draw(standings, picture)

@@ -64,12 +64,12 @@ def sweep(
 ) -> None:
     """Run a scenario over a grid of settings, on the memory bus, and print the table that the file defines."""
     from deploy.commands import terminal  # noqa: PLC0415
+    from deploy.run.workers import workers  # noqa: PLC0415
     from deploy.study import experiment as experiments  # noqa: PLC0415
     from deploy.study import plots  # noqa: PLC0415
     from deploy.study.results import Results, write_table  # noqa: PLC0415
     from deploy.study.runs import cases, failures, looked_up, make  # noqa: PLC0415
     from deploy.study.tables import described, tabulate  # noqa: PLC0415
-    from deploy.study.workers import workers  # noqa: PLC0415
 
     with speaking_clearly():
         settings = named_values(set_ or [], "set", "seed=[0,1]")
@@ -118,9 +118,9 @@ def reproduce(
 ) -> None:
     """Run the experiments of the papers, and say of each claim whether it holds here (exit code 1: not all do)."""
     from deploy.commands import terminal  # noqa: PLC0415
+    from deploy.run.workers import workers  # noqa: PLC0415
     from deploy.study import reproduction  # noqa: PLC0415
     from deploy.study.results import Results  # noqa: PLC0415
-    from deploy.study.workers import workers  # noqa: PLC0415
 
     with speaking_clearly():
         settings = {"seed": list(range(seeds))} if seeds is not None else {}

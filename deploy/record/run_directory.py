@@ -32,7 +32,6 @@ from worldsim.maps import Map, to_world
 SCENARIO, SUMMARY, STEPS, LEDGER = "scenario.toml", "summary.json", "steps.parquet", "ledger.parquet"
 CAPTURE = "radio.pcapng"
 MAP = "map.yaml"
-TEAM_MAP = "team.yaml"
 PICTURE = "maps.png"
 PICTURES = "pictures"
 LOGS = "logs"

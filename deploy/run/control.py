@@ -12,7 +12,8 @@ from dataclasses import replace
 from deploy.record.records import LabNode, Records
 from deploy.run.gate import Gate
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import ChangeTable, FaultTable, Scenario
+from deploy.scenario.scenario import Scenario
+from deploy.scenario.tables import ChangeTable, FaultTable
 from protocol.messages import Change, Strike
 from worldsim.pace import SLOWEST
 

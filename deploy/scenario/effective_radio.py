@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import fields
 
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import UNLIMITED
+from deploy.scenario.tables import UNLIMITED
 from netshaper.presets import PRESETS
 from netshaper.radio_options import RadioOptions
 

@@ -12,7 +12,8 @@ from agent.exchange import gossip
 from agent.settings import Settings
 from agent.strategies.registry import strategy
 from deploy.scenario.finding_maps import find_map
-from deploy.scenario.scenario import UNLIMITED, Scenario, ScenarioError
+from deploy.scenario.scenario import Scenario, ScenarioError
+from deploy.scenario.tables import UNLIMITED
 from netshaper import medium
 from netshaper.radio import RadioSettings
 from protocol.grid import MAX_SIDE, disc, enlarge

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import tomllib
 from dataclasses import fields
@@ -10,21 +9,30 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import tomli_w
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    ValidationError,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
 from agent.exchange.polygon_options import PolygonOptions
 from agent.exchange.sight_options import SightOptions
 from deploy.scenario.finding_maps import FILES as MAP_FILES
+from deploy.scenario.tables import (
+    MOST_INTEGER,
+    UNLIMITED,
+    Bandwidth,
+    ChangeTable,
+    Death,
+    Degrees,
+    FaultTable,
+    Metres,
+    NotNegative,
+    Positive,
+    Range,
+    RobotOverride,
+    Table,
+    Whole,
+    range_in_metres,
+)
 from netshaper.presets import PRESETS
-from netshaper.radio_options import LEAST_FRAME, Partition, RadioOptions
+from netshaper.radio_options import Partition, RadioOptions
 from protocol.errors import there_are
 from protocol.grid import MAX_ROBOTS
 from protocol.messages import Change
@@ -32,95 +40,15 @@ from protocol.packets import MAX_GOSSIP_MAPS, MAX_MAPS
 from worldsim import faults
 from worldsim.faults import Fault
 
-UNLIMITED = "unlimited"
-
 SHIPPED = Path(__file__).with_name("shipped")
 """Scenarios that are installed with the code; they can be given by name instead of a path."""
-
-MOST_INTEGER = 2**31 - 1
-"""The largest integer that a ledger's columns can hold."""
-
-MOST_METRES = 1e6
-
-Whole = Annotated[int, Field(strict=True)]
-Metres = Annotated[float, Field(strict=True, ge=-MOST_METRES, le=MOST_METRES)]
-Positive = Annotated[float, Field(strict=True, gt=0, le=MOST_METRES)]
-NotNegative = Annotated[float, Field(strict=True, ge=0, le=MOST_METRES)]
-LimitOrNone = Annotated[int | None, Field(strict=True, ge=LEAST_FRAME, le=MOST_INTEGER)]
-Degrees = Annotated[float, Field(strict=True, le=360)]
 
 
 class ScenarioError(ValueError):
     """A scenario that cannot be run: the message names each key, its value and what would be right."""
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class RobotOverride(_Table):
-    """Hardware of one robot that differs from the others."""
-
-    robot: Whole = Field(ge=0, description="the robot's number, from 0")
-    sensor_range: Positive | None = Field(None, description="metres")
-    field_of_view: Degrees | None = Field(None, gt=0, description="degrees")
-    speed: Positive | None = Field(None, description="metres a step")
-    send_bytes: LimitOrNone = Field(None, description="bytes a step that it can send")
-    receive_bytes: LimitOrNone = Field(None, description="bytes a step that it can take")
-    radius: NotNegative | None = Field(None, description="metres; 0: a point")
-    scanner_turn: Degrees | None = Field(None, ge=0, description="degrees a step; 0: full view at once")
-
-
-class Death(_Table):
-    """A robot that breaks down."""
-
-    robot: Whole = Field(ge=0, description="the robot's number, from 0")
-    step: Whole = Field(ge=1, le=MOST_INTEGER, description="the step at whose beginning it stops")
-
-
-class FaultTable(_Table):
-    """What befalls a robot (`worldsim.faults`)."""
-
-    step: Whole = Field(ge=1, le=MOST_INTEGER, description="the step at whose beginning it comes")
-    robot: Whole = Field(ge=0, description="the robot's number, from 0")
-    kind: Literal["death", "kill", "restart", "stop", "mute", "deaf"] = Field(
-        description="death, kill, restart, stop, mute, deaf"
-    )
-    steps: Whole = Field(
-        0, ge=0, le=MOST_INTEGER, description="how long a robot is stopped, mute or deaf; 0: for good"
-    )
-
-
-class ChangeTable(_Table):
-    """Another radio from a step on; robots are not told."""
-
-    step: Whole = Field(ge=1, le=MOST_INTEGER, description="the step at whose beginning it comes")
-    bandwidth: int | Literal["unlimited"] | None = Field(
-        None, description="bytes per step for the whole team"
-    )
-    range: str | None = Field(None, description="communication range: metres, or % of the map's diagonal")
-
-    @field_validator("range", mode="before")
-    @classmethod
-    def _range_makes_sense(cls, value: object) -> object:
-        text = _as_text(value)
-        if isinstance(text, str):
-            _parse_range(text)
-        return text
-
-    @field_validator("bandwidth", mode="before")
-    @classmethod
-    def _bandwidth_makes_sense(cls, value: object) -> object:
-        return None if value is None else _check_bandwidth(value)
-
-    @model_validator(mode="after")
-    def _changes_something(self) -> Self:
-        if self.bandwidth is None and self.range is None:
-            raise ValueError(f"the change at step {self.step} changes neither bandwidth nor range")
-        return self
-
-
-class Scenario(_Table):
+class Scenario(Table):
     """All settings of a run, with their defaults. One step is one second.
 
     Raises
@@ -141,8 +69,8 @@ class Scenario(_Table):
         default_factory=dict, description="parameters of the generator: resolution, width_m, ..."
     )
     robots: Whole = Field(3, ge=1, le=MAX_ROBOTS, description="how many robots explore")
-    range: str = Field("100%", description="communication range: metres, or % of the map's diagonal")
-    bandwidth: int | Literal["unlimited"] = Field(1000, description="bytes per step for the whole team")
+    range: Range = Field("100%", description="communication range: metres, or % of the map's diagonal")
+    bandwidth: Bandwidth = Field(1000, description="bytes per step for the whole team")
     exchange: str = Field("polygon", description="how maps are shared: polygon, laser, grid, sight, none")
     strategy: str = Field("meier", description="how targets are chosen (murmur strategies lists all)")
     sensor_range: Positive = Field(5.0, description="range of the lasers, metres")
@@ -221,9 +149,9 @@ class Scenario(_Table):
     @field_validator("robot", "death", "fault", "change", mode="before")
     @classmethod
     def _tables_are_tables(cls, value: object, info: ValidationInfo) -> object:
-        if isinstance(value, list | tuple) and all(isinstance(each, dict | _Table) for each in value):
+        if isinstance(value, list | tuple) and all(isinstance(each, dict | Table) for each in value):
             return value
-        kinds: dict[str, type[_Table]] = {
+        kinds: dict[str, type[Table]] = {
             "robot": RobotOverride,
             "death": Death,
             "fault": FaultTable,
@@ -232,22 +160,6 @@ class Scenario(_Table):
         kind = kinds[str(info.field_name)]
         hint = "; how many robots explore is `robots`" if info.field_name == "robot" else ""
         raise ValueError(f"must be tables, [[{info.field_name}]], of {', '.join(kind.model_fields)}{hint}")
-
-    @field_validator("range", mode="before")
-    @classmethod
-    def _range_is_text(cls, value: object) -> object:
-        return _as_text(value)
-
-    @field_validator("range")
-    @classmethod
-    def _range_makes_sense(cls, value: str) -> str:
-        _parse_range(value)
-        return value
-
-    @field_validator("bandwidth", mode="before")
-    @classmethod
-    def _bandwidth_makes_sense(cls, value: object) -> object:
-        return _check_bandwidth(value)
 
     @field_validator("exchange")
     @classmethod
@@ -311,7 +223,7 @@ class Scenario(_Table):
 
     def range_m(self, diagonal_m: float) -> float:
         """Communication range in metres on a map with such a diagonal."""
-        return _range_m(self.range, diagonal_m)
+        return range_in_metres(self.range, diagonal_m)
 
     def changes(self, diagonal_m: float) -> tuple[Change, ...]:
         """The changes of the radio, as the relay is told them."""
@@ -319,7 +231,7 @@ class Scenario(_Table):
             Change(
                 each.step,
                 -2 if each.bandwidth is None else -1 if each.bandwidth == UNLIMITED else int(each.bandwidth),
-                -1 if each.range is None else round(1000 * _range_m(each.range, diagonal_m)),
+                -1 if each.range is None else round(1000 * range_in_metres(each.range, diagonal_m)),
             )
             for each in sorted(self.change, key=lambda each: each.step)
         )
@@ -346,23 +258,6 @@ class Scenario(_Table):
     def to_toml(self) -> str:
         """The scenario as TOML, every setting written out."""
         return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
-
-
-def _as_text(value: object) -> object:
-    return str(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
-
-
-def _range_m(text: str, diagonal_m: float) -> float:
-    number, is_share = _parse_range(text)
-    return diagonal_m * number / 100 if is_share else number
-
-
-def _check_bandwidth(value: object) -> object:
-    if isinstance(value, str) and value.isascii() and value.strip().isdecimal():
-        value = int(value)
-    if value != UNLIMITED and (type(value) is not int or not 0 <= value <= MOST_INTEGER):
-        raise ValueError(f"must be a whole number of bytes a step, 0 to {MOST_INTEGER}, or 'unlimited'")
-    return value
 
 
 def check_lives(scenario: Scenario, lives: int) -> None:
@@ -509,17 +404,3 @@ def _explain(item: Any) -> str:
     if item["type"] == "missing":
         return f"{key} is missing"
     return f"{key} = {item['input']!r}: {message}" if key else message
-
-
-def _parse_range(text: str) -> tuple[float, bool]:
-    """Read a range: (number, whether it is a share of the diagonal in %)."""
-    share = text.strip().endswith("%")
-    try:
-        number = float(text.strip().removesuffix("%"))
-    except ValueError:
-        number = math.nan
-    if not (number >= 0 and math.isfinite(number)):
-        raise ValueError(
-            "must be a distance of 0 or more: metres, as 12.5, or a share of the diagonal, as 30%"
-        )
-    return number, share

@@ -21,7 +21,7 @@ from deploy.record.records import Records
 from deploy.record.summary import summarise
 from deploy.run import in_memory
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import UNLIMITED
+from deploy.scenario.tables import UNLIMITED
 from deploy.study.recovery import recovery
 from netshaper.ledger import KIND_NUMBER
 from protocol.grid import FREE, UNKNOWN

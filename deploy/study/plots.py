@@ -17,7 +17,7 @@ from __future__ import annotations
 import base64
 import io
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,16 +41,14 @@ PANEL = 4.2, 3.2
 """Width and height of a panel in inches."""
 
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#555555", "#a07000")
-MARKERS = "osD^vP*X"
 """Of Okabe and Ito: they can be told apart by colour-blind people."""
+MARKERS = "osD^vP*X"
 
 SHARES = ("explored", "coverage", "finished")
 """Of which an axis ends at 1."""
 
 STEPS_OF_CURVES = 200
 """Points of a curve."""
-
-Series = Callable[[str, Collection[str]], dict[str, list[float]]]
 
 
 @dataclass(frozen=True)

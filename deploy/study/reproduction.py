@@ -18,6 +18,7 @@ import polars as pl
 import tomli_w
 
 from deploy.record.versions import versions
+from deploy.run.workers import Workers
 from deploy.scenario.scenario import ScenarioError
 from deploy.study import experiment as experiments
 from deploy.study import plots
@@ -27,7 +28,6 @@ from deploy.study.progress import Tell
 from deploy.study.results import Results, Row, write_table
 from deploy.study.runs import Case, cases, failures, looked_up, make
 from deploy.study.tables import described
-from deploy.study.workers import Workers
 from protocol.errors import there_are
 from worldsim.atomic_files import write_whole
 

@@ -21,6 +21,7 @@ import numpy as np
 
 from agent.strategies.registry import strategy
 from deploy.record.versions import versions
+from deploy.run.workers import Workers
 from deploy.scenario import plan as plans
 from deploy.scenario.finding_maps import FILES
 from deploy.scenario.scenario import Scenario, ScenarioError, parse
@@ -29,7 +30,6 @@ from deploy.study.measures import MEASURES
 from deploy.study.progress import Tell
 from deploy.study.results import CODE, ERROR, KEY, Results, Row
 from deploy.study.tables import VARIANT
-from deploy.study.workers import Workers
 from worldsim.maps import Map
 
 MEMORY = "memory"

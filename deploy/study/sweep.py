@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 from rich.console import Console
 
+from deploy.run.workers import workers
 from deploy.scenario.scenario import ScenarioError
 from deploy.study import experiment as experiments
 from deploy.study import plots
@@ -18,7 +19,6 @@ from deploy.study.progress import counting
 from deploy.study.results import Results, Row
 from deploy.study.runs import Case, cases, failures, looked_up, make
 from deploy.study.tables import VARIANT, Table, described
-from deploy.study.workers import workers
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

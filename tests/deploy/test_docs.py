@@ -28,16 +28,8 @@ from agent.sight.looks import MAX_LOOKS
 from deploy.run.exploration import explore
 from deploy.run.in_memory import run as run_in_memory
 from deploy.scenario.plan import make
-from deploy.scenario.scenario import (
-    SHIPPED,
-    ChangeTable,
-    Death,
-    FaultTable,
-    RobotOverride,
-    Scenario,
-    ScenarioError,
-    load,
-)
+from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load
+from deploy.scenario.tables import ChangeTable, Death, FaultTable, RobotOverride
 from netshaper import access
 from netshaper.ledger import CAUSES, ROW
 from netshaper.presets import PRESETS

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from netshaper.ledger import CAUSES, EVERYONE, FIRST_ON_AIR, KIND_NUMBER
 from netshaper.medium import UNLIMITED
 from netshaper.radio_options import RadioOptions
+from tests.netshaper.scenes import gossip, play, scenes
 from tests.netshaper.scripted_robots import Liar, Mute, Step
-from tests.netshaper.test_radio import gossip, play, scenes
 
 troubles = st.builds(
     RadioOptions,

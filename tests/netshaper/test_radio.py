@@ -13,53 +13,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from netshaper.ledger import CAUSES, EVERYONE, KIND_NUMBER, MALFORMED, ROW, balance
-from netshaper.medium import ANSWER, BROADCAST, DATA, NEWS, OFFER, UNLIMITED, Medium
+from netshaper.medium import ANSWER, BROADCAST, DATA, OFFER, UNLIMITED, Medium
 from netshaper.radio import Note, RadioSettings
 from protocol import packets, survey
 from protocol.messages import Close, Open, Outcome, Said, Turn
 from protocol.packets import Answer, Decline, Delete, Offer, Save, Target, encode
-from tests.netshaper.scripted_robots import Air, Gossiper, Heard, Liar, Mute, Put, Robot, Step
-
-seeds = st.integers(0, 2**32 - 1)
-budgets = st.sampled_from((0, 1, 2, 3, 5, 7, 20, 64, 150, 1000, UNLIMITED))
-kinds = st.lists(st.sampled_from((Robot, Robot, Robot, Liar, Mute)), min_size=1, max_size=6)
-
-
-@st.composite
-def scenes(
-    draw: st.DrawFn, robots: Any = kinds
-) -> tuple[RadioSettings, dict[int, Robot], list[Any], list[Any]]:
-    """Settings, robots, their cells in each step, and who dies when."""
-    classes, seed = draw(robots), draw(seeds)
-    count = len(classes)
-    settings = RadioSettings(
-        count, seed, draw(st.sampled_from((0.0, 3.0, 5.0, math.inf))), draw(budgets), draw(st.integers(1, 3))
-    )
-    rng = np.random.default_rng(seed)
-    steps = draw(st.integers(1, 4))
-    cells = [{r: tuple(rng.integers(0, 8, 2).tolist()) for r in range(count)} for _ in range(steps)]
-    deaths = [
-        {r: int(rng.integers(0, 60)) for r in range(count) if rng.random() < 0.08} for _ in range(steps)
-    ]
-    return settings, {n: kind(n, count, seed) for n, kind in enumerate(classes)}, cells, deaths
-
-
-@st.composite
-def gossip(draw: st.DrawFn, honest: bool = False) -> Any:
-    """As `scenes`, of robots whose maps travel by gossip."""
-    classes = (Gossiper, Gossiper, Mute) if honest else (Gossiper, Gossiper, Liar, Mute)
-    teams = st.lists(st.sampled_from(classes), min_size=1, max_size=6)
-    settings, *rest = draw(scenes(teams))
-    return replace(settings, gossip=True), *rest
-
+from tests.netshaper.scenes import gossip, play, scenes, seeds
+from tests.netshaper.scripted_robots import Air, Heard, Liar, Mute, Put, Robot, Step
 
 either = st.one_of(scenes(), gossip())
-
-
-def play(scene: Any, interleaving: int = 0, deadly: bool = True) -> list[Step]:
-    settings, robots, cells, deaths = scene
-    air = Air(settings, robots, interleaving)
-    return [air.step(1 + at, where, deaths[at] if deadly else {}) for at, where in enumerate(cells)]
 
 
 def unicast_data(step: Step) -> Any:
@@ -140,89 +102,6 @@ def test_the_order_in_which_the_relay_reads_robots_changes_nothing(scene: Any, o
     for first, second in zip(play(scene, one, False), play(scene, other, False), strict=True):
         assert first.rows.tolist() == second.rows.tolist()
         assert sorted(first.outcomes, key=_by_robot) == sorted(second.outcomes, key=_by_robot)
-
-
-@given(gossip())
-def test_news_are_heard_by_all_in_range_and_both_ends_are_told_what_was_carried(scene: Any) -> None:
-    for step in play(scene, deadly=False):
-        reach = {robot: note.peers for robot, note in step.opened}
-        carried: Counter[tuple[int, int]] = Counter()
-        heard: Counter[int] = Counter()
-        for row in step.rows[(step.rows["frame"] == NEWS) & (step.rows["carried"] == 1)]:
-            sender, size = int(row["sender"]), int(row["bytes"])
-            assert int(row["heard"]) == len(reach[sender])
-            carried[sender, int(row["exchange"])] += size
-            heard[sender] += size * len(reach[sender])
-        told = Counter({(robot, o.exchange): sum(o.data) for robot, o in step.outcomes})
-        assert +told == +carried
-        delivered: Counter[int] = Counter()
-        for kind, frame in step.delivered:
-            if kind == "data":
-                delivered[frame.sender] += len(frame.payload)
-        assert delivered == +heard
-
-
-@given(gossip())
-def test_news_are_cut_between_packets(scene: Any) -> None:
-    for step in play(scene):
-        for kind, frame in step.delivered:
-            if kind == "data":
-                assert b"".join(survey.split(frame.payload)) == frame.payload
-
-
-def test_the_most_urgent_news_go_first_and_a_shorter_packet_may_use_the_rest() -> None:
-    class Says(Gossiper):
-        def opens(self, note: Open) -> list[Put | Said]:
-            size = (40, 30, 3)[self.number]
-            news = (EVERYONE, encode([packets.Look(0, bytes(size))]))
-            return [news, Said(note.step, note.exchange, "offers", [], 10 * self.number % 20)]
-
-    settings = RadioSettings(3, 0, math.inf, 40, 1, gossip=True)
-    air = Air(settings, {number: Says(number, 3, 0) for number in range(3)})
-    rows = air.step(1, {number: (number, 0) for number in range(3)}).rows
-    assert [(int(row["sender"]), int(row["carried"])) for row in rows] in (
-        [(1, 1), (0, 0), (2, 1)],
-        [(1, 1), (2, 1), (0, 0)],
-    )
-
-
-@pytest.mark.parametrize(
-    ("payload", "receiver", "reason"),
-    [
-        (encode([Offer(1, 0)]), EVERYONE, "no conn of this kind"),
-        (encode([Target(1, 2), Save()]), EVERYONE, "no targ of this kind"),
-        (b"\xff", EVERYONE, "no packet begins with 0xff"),
-        (b"", EVERYONE, "nothing in it"),
-        (encode([Save()]), 1, "said to one robot"),
-    ],
-)
-def test_what_are_no_news_is_refused_and_booked(payload: bytes, receiver: int, reason: str) -> None:
-    class Says(Gossiper):
-        def opens(self, note: Open) -> list[Put | Said]:
-            said: list[Put | Said] = [(receiver, payload)] if self.number == 0 else []
-            return [*said, Said(note.step, note.exchange, "offers", [])]
-
-    air = Air(RadioSettings(2, 0, math.inf, gossip=True), {number: Says(number, 2, 0) for number in range(2)})
-    step = air.step(1, {0: (0, 0), 1: (1, 0)})
-    assert not step.delivered
-    ((sender, why),) = air.radio.faults
-    assert sender == 0
-    assert reason in why
-    assert step.rows["bytes"].sum() == len(payload)
-
-
-def test_targets_leave_most_of_a_narrow_medium_to_news() -> None:
-    class Says(Gossiper):
-        def opens(self, note: Open) -> list[Put | Said]:
-            target = (EVERYONE, encode([Target(self.number, 1)]))
-            news = (EVERYONE, encode([packets.Look(0, bytes(6))]))
-            return [target, news, Said(note.step, note.exchange, "offers", [])]
-
-    air = Air(RadioSettings(8, 0, math.inf, 48, 1, gossip=True), {n: Says(n, 8, 0) for n in range(8)})
-    rows = air.step(1, {number: (number, 0) for number in range(8)}).rows
-    carried = rows[rows["carried"] == 1]
-    assert carried["bytes"][carried["frame"] == BROADCAST].sum() == 3
-    assert carried["bytes"][carried["frame"] == NEWS].sum() == 40
 
 
 def _by_robot(outcome: tuple[int, Outcome]) -> tuple[int, int]:

@@ -64,7 +64,7 @@ def test_the_command_prints_the_table_and_writes_runs_means_and_pictures(tmp_pat
 def test_bad_input_is_refused_before_the_first_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], said: str
 ) -> None:
-    monkeypatch.setattr("deploy.study.workers.ProcessPoolExecutor.submit", None)
+    monkeypatch.setattr("deploy.run.workers.ProcessPoolExecutor.submit", None)
     code, table, errors = command(write(tmp_path, EXPERIMENT), *words)
     assert (code, table, errors.count("\n")) == (2, "", 1)
     assert said in errors

@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.exchange.catalogue import EXCHANGES, OFFERS
-from deploy.scenario.scenario import SHIPPED, UNLIMITED, Scenario, ScenarioError, load, parse
+from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load, parse
+from deploy.scenario.tables import UNLIMITED
 from protocol.grid import MAX_ROBOTS
 from protocol.packets import MAX_MAPS
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.study.workers import DIED, Cluster, LocalPool
+from deploy.run.workers import DIED, Cluster, LocalPool
 
 ROOT = Path(__file__).parents[3]
 
