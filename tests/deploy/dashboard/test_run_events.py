@@ -66,9 +66,7 @@ def test_a_target_is_told_when_it_is_another_frontier_not_the_same_one_moved_on(
 
 def test_idleness_is_told_once(events: RunEvents) -> None:
     idle = "idle: no reachable frontier is left on its planning grid"
-    assert texts(events, "r2", mind(5, -1, -1, idle)) == [
-        "robot 2 is idle: nothing is left to explore on its map"
-    ]
+    assert texts(events, "r2", mind(5, -1, -1, idle)) == ["robot 2 is idle: its map is done"]
     assert texts(events, "r2", mind(6, -1, -1, idle)) == []
     texts(events, "r2", mind(7, 10, 10))
     assert len(texts(events, "r2", mind(8, -1, -1, idle))) == 1
