@@ -12,8 +12,8 @@ TEXT = """\
 
 **Right: what each robot knows.** Floor is white, wall black, grey unknown. {outlines}
 
-**Below: the radio.** {budget}Bytes a step, and what for. Thick: what the team has seen; in colours: what is on \
-robots' maps. The gap is news not arrived: packets untold.
+**Below: the radio.** {budget}Bytes a step, and what for. Thick line: what the team has seen; in colours: what \
+each robot has on its map. The gap is news still under way.
 """
 OUTLINES = "Faint outlines were received."
 

@@ -188,7 +188,7 @@ class RunEvents:
         if change.range_mm >= 0:
             self.range_m = change.range_mm / 1000
             words.append(f"range {self.range_m:.1f} m")
-        return [Event(change.step, f"the radio: {', '.join(words)}", 2)]
+        return [Event(change.step, f"the radio now: {', '.join(words)}", 2)]
 
     def _ending(self, end: End) -> str:
         if end.first < 0:
