@@ -138,7 +138,7 @@ def test_the_words_that_explain_speak_of_this_run() -> None:
     words = about(small_plan())
     assert "3 robots" in words
     assert "1000 bytes a step" in words
-    assert "Strong outlines" in words
+    assert "Faint outlines" in words
     words = about(small_plan(exchange="laser", bandwidth="unlimited", range="100%"))
     assert "unlimited bandwidth" in words
     assert "outlines" not in words
