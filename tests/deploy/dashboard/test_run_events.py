@@ -139,8 +139,9 @@ def test_the_words_that_explain_speak_of_this_run() -> None:
     assert "3 robots" in words
     assert "1000 bytes a step" in words
     assert "Faint outlines" in words
+    assert "Red:" in words
     words = about(small_plan(exchange="laser", bandwidth="unlimited", range="100%"))
     assert "unlimited bandwidth" in words
     assert "outlines" not in words
-    assert "red line" not in words
+    assert "Red:" not in words
     assert "Circles" not in words
