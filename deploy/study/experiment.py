@@ -3,11 +3,11 @@
 It is TOML: ``[base]`` holds a scenario's keys, ``[grid]`` lists of values of which every combination is run,
 ``[follow]`` keys that take the value of a key of the grid, ``[[variant]]`` named sets of keys that are compared.
 A value of the grid that is a table with the key's own name in it sets all its keys; ``seeds = 20`` is short for the
-seeds 0 to 19. ``scenario = "burgard.toml"`` names a scenario whose settings lie under ``[base]``; ``thesis = true``, wherever
-a setting may stand, lays the thesis' plain rules under a run's settings (`deploy.scenario.thesis`). ``[table]`` says what to print (`deploy.study.tables`), ``[[plot]]`` what to draw (`deploy.study.plots`),
-``[claim]`` what a paper claims of it and by which rules that is tested (`deploy.study.claims`). ``[quick]``
-replaces values for a first look, and ``measure`` names something other than an exploration
-(`deploy.study.measures`).
+seeds 0 to 19. ``scenario = "burgard.toml"`` names a scenario whose settings lie under ``[base]``; ``thesis = true``,
+wherever a setting may stand, lays the thesis' plain rules under those of a run (`deploy.scenario.thesis`). ``[table]``
+says what to print (`deploy.study.tables`), ``[[plot]]`` what to draw (`deploy.study.plots`), ``[claim]`` what a paper
+claims of it and by which rules that is tested (`deploy.study.claims`). ``[quick]`` replaces values for a first look,
+and ``measure`` names something other than an exploration (`deploy.study.measures`).
 """
 
 from __future__ import annotations

@@ -178,11 +178,8 @@ def key_by_settings(row: Row) -> str:
     """The key that a row's run would have today; its own if it has a map that is a file, or no such run is possible."""
     data = {name: row[name] for name in Scenario.model_fields if row.get(name) is not None}
     data["steps"] = row[MOST_STEPS]
-    for name in data:
-        if isinstance(data[name], str) and data[name][:1] in ("{", "["):
-            data[name] = json.loads(data[name])
-    if data.get("start") == "null":
-        del data["start"]
+    tables = ("start", *(name for name, value in data.items() if str(value)[:1] in ("{", "[")))
+    data |= {name: json.loads(data[name]) for name in tables if name in data}
     try:
         return row[KEY] if is_file(row["map"]) else identity(parse(data), row["measure"], b"")
     except ScenarioError:

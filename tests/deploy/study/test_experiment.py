@@ -64,7 +64,7 @@ def test_an_experiment_can_rest_on_a_scenario(tmp_path: Path) -> None:
     assert case.scenario.options == {"beta": 2.0, "replan": "at-goal"}
     (shipped,) = runs.cases(experiments.read(write(tmp_path, "scenario = 'burgard.toml'\n")))
     assert shipped.scenario.strategy == "burgard" and shipped.scenario.interference == 1.0
-    with pytest.raises(ScenarioError, match="nowhere.toml: no such file"):
+    with pytest.raises(ScenarioError, match=r"nowhere\.toml: no such file"):
         experiments.read(write(tmp_path, "scenario = 'nowhere.toml'\n"))
     with pytest.raises(ScenarioError, match="scenario = 3: must be the name"):
         experiments.read(write(tmp_path, "scenario = 3\n"))
