@@ -43,8 +43,8 @@ from agent.outline.claims import (
     Layer,
     Tally,
     draw_anew,
-    layer,
 )
+from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
@@ -73,7 +73,7 @@ class TeamMap:
         self._plan: Grid | None = None
         """The same with slivers closed."""
 
-    def update(self, robot: int, approximation: Polygons, changed: Boxes | None = None) -> None:
+    def update(self, robot: int, approximation: Objects, changed: Boxes | None = None) -> None:
         """Take over the approximation that `robot` has last saved.
 
         It differs from the one before in the boxes `changed` at most (None: anywhere).
@@ -124,7 +124,7 @@ class TeamMap:
 def rendered(approximation: Polygons, drawing: Drawing = THESIS) -> Grid:
     """Return the grid that one approximation describes by itself."""
     team = TeamMap(drawing)
-    team.update(0, approximation)
+    team.update(0, Objects.of(approximation))
     return team.merged(np.zeros(approximation.shape, np.uint8))
 
 
@@ -157,21 +157,19 @@ class ErrorCount:
     def count(
         self,
         own: Grid,
-        approximation: Polygons,
+        approximation: Objects,
         own_changed: Boxes | None = None,
         changed: Boxes | None = None,
     ) -> int:
         """Return the error now; both differ from the last ones in the boxes at most (None: anywhere)."""
         if self._layer is None or changed is None or own_changed is None:
-            self._layer = layer(approximation, self._drawing)
-            self._wrong, self._scratch = np.zeros(own.shape, np.bool_), np.zeros(own.shape, np.uint8)
-            self._count = 0
-            boxes = whole(own.shape)
-        else:
-            boxes = own_changed
-            if len(changed):
-                drawn = draw_anew(self._layer, approximation, self._drawing, self._scratch, changed)
-                boxes = united(boxes, drawn)
+            self._layer, self._scratch = np.zeros(own.shape, np.uint8), np.zeros(own.shape, np.uint8)
+            self._wrong, self._count = np.zeros(own.shape, np.bool_), 0
+            own_changed = changed = whole(own.shape)
+        boxes = own_changed
+        if len(changed):
+            drawn = draw_anew(self._layer, approximation, self._drawing, self._scratch, changed)
+            boxes = united(boxes, drawn)
         if len(boxes):
             self._count += int(_count_wrong(own, self._layer, boxes, self._wrong))
         return self._count
