@@ -105,7 +105,7 @@ THESIS = Drawing()
 def layer(polygons: Polygons, drawing: Drawing = THESIS) -> Layer:
     """Render an approximation into the claims that it makes, a byte of bits a cell."""
     out = np.zeros(polygons.shape, np.uint8)
-    draw_anew(out, Objects.of(polygons), drawing, np.zeros_like(out), whole(polygons.shape))
+    draw_anew(out, Objects.of(polygons), drawing, whole(polygons.shape))
     return out
 
 
@@ -113,20 +113,18 @@ def draw_anew(
     out: Layer,
     objects: Objects,
     drawing: Drawing,
-    scratch: Layer,
     boxes: Boxes,
     tally: Tally = NO_TALLY,
     near: bool = False,
 ) -> Boxes:
     """Render the claims of an approximation in some boxes, in place of what was claimed there.
 
-    `scratch` has the shape of the layer, and is zero before and after. In a `tally` that has counted the layer, as one
-    that is `near` or not, what is claimed now is counted instead. Returns boxes around the claims that are others than
-    before.
+    In a `tally` that has counted the layer, as one that is `near` or not, what is claimed now is counted instead.
+    Returns boxes around the claims that are others than before.
     """
     _, table, pool = objects
     wished = drawing.free_inside_edges, drawing.unknown_pairs
-    changed: Boxes = _render(out, table, pool, *wished, scratch, boxes, near, tally.counts, tally.claims)
+    changed: Boxes = _render(out, table, pool, *wished, boxes, near, tally.counts, tally.claims)
     return changed
 
 
@@ -135,9 +133,10 @@ _CHUNK = 16
 
 
 @kernel("UniTuple(int64, 2)(int32)")
-def _cell(symbol: int) -> tuple[int, int]:
-    """The cell of a vertex."""
-    return (symbol >> 3 & 0xFFF) - 1, (symbol >> 15) - 1
+def _place(symbol: int) -> tuple[int, int]:
+    """Where a vertex stands, in quarters of a cell."""
+    side = symbol >> 1 & 3
+    return ((symbol >> 3 & 0xFFF) - 1) * 4 + SIDE_X[side], ((symbol >> 15) - 1) * 4 + SIDE_Y[side]
 
 
 @kernel("void(int32[::1], int32[:,::1])")
@@ -145,13 +144,15 @@ def _measure(vertices: Symbols, chunks: Boxes) -> None:
     """Write the boxes in which the edges of each chunk of an object lie, with a cell to spare."""
     for begin in range(0, len(vertices), _CHUNK):
         end = begin + _CHUNK
-        x0, y0 = x1, y1 = _cell(vertices[end if end < len(vertices) else 0])  # where the last edge ends
-        for i in range(begin, min(end, len(vertices))):
-            x, y = _cell(vertices[i])
+        after = vertices[end if end < len(vertices) else 0]  # where the last edge ends
+        x0 = x1 = after >> 3 & 0xFFF
+        y0 = y1 = after >> 15
+        for symbol in vertices[begin:end]:
+            x, y = symbol >> 3 & 0xFFF, symbol >> 15
             x0, x1 = min(x0, x), max(x1, x)
             y0, y1 = min(y0, y), max(y1, y)
         box = chunks[begin // _CHUNK]
-        box[0], box[1], box[2], box[3] = x0 - 1, y0 - 1, x1 + 2, y1 + 2
+        box[0], box[1], box[2], box[3] = x0 - 2, y0 - 2, x1 + 1, y1 + 1
 
 
 @kernel("boolean(int32[::1], int32[::1], int32[::1])")
@@ -170,15 +171,12 @@ def _edges_near(vertices: Symbols, chunks: Boxes, box: NDArray[np.int32], edges:
         chunk = begin // _CHUNK
         if chunks[chunk, 0] >= box[2] or chunks[chunk, 2] <= box[0] or chunks[chunk, 1] >= box[3]:
             continue
+        x, y = _place(vertices[begin])
         for i in range(begin, min(begin + _CHUNK, len(vertices))):
-            symbol, after = vertices[i], vertices[i + 1 if i + 1 < len(vertices) else 0]
-            x, y = _cell(symbol)
-            end_x, end_y = _cell(after)
-            edges[count, 0] = 4 * x + SIDE_X[symbol >> 1 & 3]
-            edges[count, 1] = 4 * y + SIDE_Y[symbol >> 1 & 3]
-            edges[count, 2] = 4 * end_x + SIDE_X[after >> 1 & 3]
-            edges[count, 3] = 4 * end_y + SIDE_Y[after >> 1 & 3]
-            edges[count, 4] = symbol & 1
+            end_x, end_y = _place(vertices[i + 1 if i + 1 < len(vertices) else 0])
+            edge = edges[count]
+            edge[0], edge[1], edge[2], edge[3], edge[4] = x, y, end_x, end_y, vertices[i] & 1
+            x, y = end_x, end_y
             count += 1
     return count
 
@@ -237,8 +235,8 @@ def _turn(layer: Layer, near: bool, counts: NDArray[np.int64], claims: Layer, bo
 
 
 @kernel(
-    "int32[:,::1](uint8[:,::1], int32[:,::1], int32[::1], boolean, boolean, uint8[:,::1], int32[:,::1], boolean,"
-    " int64[:,::1], uint8[:,::1])"
+    "int32[:,::1](uint8[:,::1], int32[:,::1], int32[::1], boolean, boolean, int32[:,::1], boolean, int64[:,::1],"
+    " uint8[:,::1])"
 )
 def _render(
     out: Layer,
@@ -246,7 +244,6 @@ def _render(
     pool: Symbols,
     free_inside_edges: bool,
     unknown_pairs: bool,
-    scratch: NDArray[np.uint8],
     boxes: Boxes,
     near: bool,
     counts: NDArray[np.int64],
@@ -284,19 +281,18 @@ def _render(
                 measured += length // _CHUNK + 1
             touched[hits] = k
             hits += 1
-        for stage in range(3):
+        for outside in range(2):
             for k in touched[:hits]:
-                if (table[k, INSIDE] != 0) == (stage == 1):
+                if (table[k, INSIDE] == 0) != outside:
                     continue
                 _overlap(table[k], box, part)
                 vertices = pool[table[k, FIRST] : table[k, FIRST] + table[k, LENGTH]]
                 found = edges[: _edges_near(vertices, chunks[chunk_of[k] :], part, edges)]
-                if stage == 0:
-                    fill(out, found, scratch, FREE_AREA, 0, part)
-                elif stage == 1:
-                    fill(out, found, scratch, 0, FREE_AREA, part)
+                if outside:
+                    fill(out, found, 0, FREE_AREA, part)
                     draw(out, found, OUTSIDE_OCCUPIED, 0, FREE_AREA, part)
                 else:
+                    fill(out, found, FREE_AREA, 0, part)
                     draw(out, found, INSIDE_OCCUPIED, other, 0, part)
         if _note_change(before, out, near, counts, claims, box, changed[count]):
             count += 1

@@ -101,12 +101,12 @@ def _objects(polygons: Polygons, drawing: Drawing) -> list[_Object]:
     for inside, first, end in zip(polygons.inside, polygons.start[:-1], polygons.start[1:], strict=True):
         if not (inside or drawing.unknown_pairs or end - first > 2 or occupied[first:end].any()):
             continue
-        area, edges, scratch = (np.zeros(polygons.shape, np.uint8) for _ in range(3))
+        area, edges = np.zeros(polygons.shape, np.uint8), np.zeros(polygons.shape, np.uint8)
         outline, everywhere = places[first:end], whole(polygons.shape)[0]
         all_edges = np.column_stack([outline, np.roll(outline, -1, axis=0), occupied[first:end]]).astype(
             np.int32
         )
-        fill(area, all_edges, scratch, 1, 0, everywhere)
+        fill(area, all_edges, 1, 0, everywhere)
         draw(edges, all_edges, 1, 2, 0, everywhere)
         objects.append(_Object(bool(inside), area == 1, edges & 1 > 0, edges & 2 > 0))
     return objects

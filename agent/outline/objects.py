@@ -88,12 +88,20 @@ def _unpack(
     NDArray[np.int32], NDArray[np.bool_],
 ]:  # fmt: skip
     """Numbers, and the columns of the polygons."""
-    number = np.flatnonzero(table[:, FIRST] >= 0).astype(np.int32)
-    start = np.zeros(len(number) + 1, np.int32)
-    inside = np.empty(len(number), np.bool_)
-    for k in range(len(number)):
-        start[k + 1] = start[k] + table[number[k], LENGTH]
-        inside[k] = table[number[k], INSIDE] != 0
+    count = 0
+    for row in table:
+        count += row[FIRST] >= 0
+    number, start, inside = (
+        np.empty(count, np.int32),
+        np.zeros(count + 1, np.int32),
+        np.empty(count, np.bool_),
+    )
+    count = 0
+    for k in range(len(table)):
+        if table[k, FIRST] >= 0:
+            number[count], inside[count] = k, table[k, INSIDE] != 0
+            start[count + 1] = start[count] + table[k, LENGTH]
+            count += 1
     x, y = np.empty(start[-1], np.int16), np.empty(start[-1], np.int16)
     side, occupied = np.empty(start[-1], np.uint8), np.empty(start[-1], np.uint8)
     for k in range(len(number)):

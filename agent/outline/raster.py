@@ -27,22 +27,22 @@ def _four(numbers: NDArray[np.int32]) -> tuple[int, int, int, int]:
     return numbers[0], numbers[1], numbers[2], numbers[3]
 
 
-@kernel("void(uint8[:,::1], int32[:,::1], uint8[:,::1], uint8, uint8, int32[::1])")
+@kernel("void(uint8[:,::1], int32[:,::1], uint8, uint8, int32[::1])")
 def fill(
     layer: NDArray[np.uint8],
     edges: Edges,
-    scratch: NDArray[np.uint8],
     set_bits: int,
     clear_bits: int,
     box: NDArray[np.int32],
 ) -> None:
     """Set and clear bits of the cells in a box that a polygon encloses.
 
-    `edges` are those that cross a column of the box, in it or above it, at least.
-    `scratch` has the shape of `layer`, and is zero before and after. The box, (x0, y0, x1, y1), is on the grid.
+    `edges` are those that cross a column of the box, in it or above it, at least. The box, (x0, y0, x1, y1), is on the
+    grid.
     """
     x0, y0, x1, y1 = _four(box)
-    if y0 >= y1:
+    toggles = np.zeros((y1 - y0, x1 - x0), np.uint8)
+    if not toggles.size:
         return
     for e in range(len(edges)):
         low_x, low_y, high_x, high_y = _four(edges[e])
@@ -54,7 +54,7 @@ def fill(
             continue
         if max(low_y, high_y) <= 4 * y0:
             for at in range(column, last + 1):
-                scratch[y0, at] ^= 255
+                toggles[0, at - x0] ^= 255
         else:
             run, rise = high_x - low_x, high_y - low_y
             denominator = 4 * run
@@ -62,19 +62,14 @@ def fill(
             for at in range(column, last + 1):
                 row = max(numerator // denominator, y0)
                 if row < y1:
-                    scratch[row, at] ^= 255
+                    toggles[row - y0, at - x0] ^= 255
                 numerator += 4 * rise
+    within = np.zeros(x1 - x0, np.uint8)
     for row in range(y0, y1):
-        within = scratch[row, x0:x1]
-        bits = layer[row, x0:x1]
-        if row > y0:
-            above = scratch[row - 1, x0:x1]
-            for at in range(len(within)):
-                within[at] ^= above[at]
-        for at in range(len(bits)):
+        toggled, bits = toggles[row - y0], layer[row, x0:x1]
+        for at in range(len(within)):
+            within[at] ^= toggled[at]
             bits[at] = bits[at] & ~(clear_bits & within[at]) | set_bits & within[at]
-    for row in range(y0, y1):
-        scratch[row, x0:x1] = 0
 
 
 @kernel("void(uint8[:,::1], int32[:,::1], uint8, uint8, uint8, int32[::1])")
