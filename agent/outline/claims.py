@@ -11,15 +11,56 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.outline.boxes import Boxes, clip, whole
+from agent.outline.boxes import NO_BOXES, Boxes, clip, whole
 from agent.outline.polygons import Polygons
 from agent.outline.raster import draw, fill
 from protocol.kernels import kernel
 
-BESIDE_WALL, FREE_AREA, OUTSIDE_OCCUPIED, INSIDE_FREE, INSIDE_OCCUPIED = 1, 2, 4, 8, 16
-"""The claims of a layer; the stronger has the higher bit."""
+NEAR_WALL, FREE_AREA, OUTSIDE_OCCUPIED, INSIDE_FREE, INSIDE_OCCUPIED = 1, 2, 4, 8, 16
+"""The claims of a cell; the stronger has the higher bit. A layer itself does not claim that a wall is near: whose it is
+says that."""
+
+_WALL = OUTSIDE_OCCUPIED | INSIDE_OCCUPIED
+_COUNT = 12
+"""Bits in which a claim is counted."""
+
+COUNTED = np.array(
+    [
+        [
+            sum((bits >> k & 1) << _COUNT * k for k in range(5)) + (near and bits & _WALL > 0)
+            for bits in range(32)
+        ]
+        for near in (False, True)
+    ],
+    np.int64,
+)
+"""What is counted of a cell's claims in a layer that is not near, and in one that is."""
 
 Layer = NDArray[np.uint8]
+
+
+class Tally:
+    """What several layers claim together: by what one of them claims otherwise it changes, however many they are.
+
+    Attributes
+    ----------
+    counts : int64 array, shape (h, w)
+        How many make each claim of a cell.
+    claims : uint8 array, shape (h, w)
+        Which claims any of them makes, as bits.
+    """
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.counts: NDArray[np.int64] = np.zeros(shape, np.int64)
+        self.claims: Layer = np.zeros(shape, np.uint8)
+
+    def turn(self, layer: Layer, near: bool) -> Boxes:
+        """Count a layer that was not near as one that is, or the other way round; return boxes around its claims."""
+        box = np.empty((1, 4), np.int32)
+        return box if _turn(layer, near, self.counts, self.claims, box[0]) else NO_BOXES
+
+
+NO_TALLY = Tally((0, 0))
 
 
 @dataclass(frozen=True)
@@ -56,11 +97,20 @@ def layer(polygons: Polygons, drawing: Drawing = THESIS) -> Layer:
     return out
 
 
-def draw_anew(out: Layer, polygons: Polygons, drawing: Drawing, scratch: Layer, boxes: Boxes) -> Boxes:
+def draw_anew(
+    out: Layer,
+    polygons: Polygons,
+    drawing: Drawing,
+    scratch: Layer,
+    boxes: Boxes,
+    tally: Tally = NO_TALLY,
+    near: bool = False,
+) -> Boxes:
     """Render the claims of an approximation in some boxes, in place of what was claimed there.
 
-    `scratch` has the shape of the layer, and is zero before and after. Returns boxes around the claims that are others
-    than before.
+    `scratch` has the shape of the layer, and is zero before and after. In a `tally` that has counted the layer, as one
+    that is `near` or not, what is claimed now is counted instead. Returns boxes around the claims that are others than
+    before.
     """
     changed: Boxes = _render(
         out,
@@ -74,6 +124,9 @@ def draw_anew(out: Layer, polygons: Polygons, drawing: Drawing, scratch: Layer, 
         drawing.unknown_pairs,
         scratch,
         boxes,
+        near,
+        tally.counts,
+        tally.claims,
     )
     return changed
 
@@ -145,24 +198,62 @@ def _edges_near(
     return count
 
 
-@kernel("boolean(uint8[:,::1], uint8[:,::1], int32[::1], int32[::1])")
-def _around_change(before: Layer, layer: Layer, box: NDArray[np.int32], changed: NDArray[np.int32]) -> bool:
-    """Write the box around what has changed in a box; whether anything has."""
+@kernel("uint8(int64)")
+def _claimed(count: int) -> int:
+    """Which claims have been counted."""
+    claims = 0
+    for k in range(5):
+        claims |= (count >> _COUNT * k & (1 << _COUNT) - 1 != 0) << k
+    return claims
+
+
+@kernel("boolean(uint8[:,::1], uint8[:,::1], boolean, int64[:,::1], uint8[:,::1], int32[::1], int32[::1])")
+def _note_change(
+    before: Layer,
+    layer: Layer,
+    near: bool,
+    counts: NDArray[np.int64],
+    claims: Layer,
+    box: NDArray[np.int32],
+    changed: NDArray[np.int32],
+) -> bool:
+    """Count what has changed in a box, and write the box around it; whether anything has."""
     x0, y0 = box[0], box[1]
     height, width = before.shape
     top, bottom, left, right = height, -1, width, -1
     for y in range(height):
         for x in range(width):
-            if before[y, x] != layer[y0 + y, x0 + x]:
+            old, new = before[y, x], layer[y0 + y, x0 + x]
+            if old == new:
+                continue
+            top, bottom = min(top, y), y
+            left, right = min(left, x), max(right, x)
+            if counts.size:
+                counts[y0 + y, x0 + x] += COUNTED[int(near), new] - COUNTED[int(near), old]
+                claims[y0 + y, x0 + x] = _claimed(counts[y0 + y, x0 + x])
+    changed[0], changed[1], changed[2], changed[3] = x0 + left, y0 + top, x0 + right + 1, y0 + bottom + 1
+    return bottom >= 0
+
+
+@kernel("boolean(uint8[:,::1], boolean, int64[:,::1], uint8[:,::1], int32[::1])")
+def _turn(layer: Layer, near: bool, counts: NDArray[np.int64], claims: Layer, box: NDArray[np.int32]) -> bool:
+    """Count the walls of a layer as near, or no longer, and write the box around them; whether there are any."""
+    height, width = layer.shape
+    top, bottom, left, right = height, -1, width, -1
+    for y in range(height):
+        for x in range(width):
+            if layer[y, x] & _WALL:
                 top, bottom = min(top, y), y
                 left, right = min(left, x), max(right, x)
-    changed[0], changed[1], changed[2], changed[3] = x0 + left, y0 + top, x0 + right + 1, y0 + bottom + 1
+                counts[y, x] += 1 if near else -1
+                claims[y, x] = _claimed(counts[y, x])
+    box[0], box[1], box[2], box[3] = left, top, right + 1, bottom + 1
     return bottom >= 0
 
 
 @kernel(
     "int32[:,::1](uint8[:,::1], int16[::1], int16[::1], uint8[::1], uint8[::1], int32[::1], boolean[::1], boolean, "
-    "boolean, uint8[:,::1], int32[:,::1])"
+    "boolean, uint8[:,::1], int32[:,::1], boolean, int64[:,::1], uint8[:,::1])"
 )
 def _render(
     out: NDArray[np.uint8],
@@ -176,6 +267,9 @@ def _render(
     unknown_pairs: bool,
     scratch: NDArray[np.uint8],
     boxes: Boxes,
+    near: bool,
+    counts: NDArray[np.int64],
+    claims: Layer,
 ) -> Boxes:
     bounds = np.empty((len(inside), 4), np.int32)
     chunks = np.empty((len(x) // _CHUNK + len(inside), 4), np.int32)
@@ -206,6 +300,6 @@ def _render(
                     draw(out, x, y, side, occupied, first, end, found, OUTSIDE_OCCUPIED, 0, FREE_AREA, part)
                 else:
                     draw(out, x, y, side, occupied, first, end, found, INSIDE_OCCUPIED, other, 0, part)
-        if _around_change(before, out, box, changed[count]):
+        if _note_change(before, out, near, counts, claims, box, changed[count]):
             count += 1
     return changed[:count].copy()
