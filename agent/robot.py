@@ -16,10 +16,10 @@ import numpy as np
 
 from agent.exchange import gossip
 from agent.exchange.catalogue import EXCHANGES, distribution, exchange
-from agent.hearsay import Hearsay
 from agent.outline.polygons import Polygons
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Pose, Situation
+from agent.strategies.hearsay import Hearsay
 from agent.strategies.registry import strategy
 from protocol import packets, survey
 from protocol.errors import ProtocolError

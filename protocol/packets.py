@@ -238,7 +238,7 @@ class Pose(Packet):
 class Passed(Packet):
     """Broadcast: `robot` was in cell (x, y) `age` steps ago; a `Target` behind it is that robot's.
 
-    Its own words, passed on to those who do not hear it (`agent.hearsay`).
+    Its own words, passed on to those who do not hear it (`agent.strategies.hearsay`).
     """
 
     name, size, code, code_bits, bits = "pose", 6, 0xFF0, 12, (8, 6, 11, 11)

@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from agent.hearsay import Hearsay
 from agent.robot import Robot
 from agent.strategies.base import Cell, Pose, Situation
 from agent.strategies.burgard import Burgard
+from agent.strategies.hearsay import Hearsay
 from netshaper.frames import is_broadcast
 from protocol import packets
 from protocol.grid import fan
