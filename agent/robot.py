@@ -188,20 +188,16 @@ class Robot:
             return
         height, width = self.own.shape
         for packet in said:
-            if (
-                not isinstance(packet, packets.Target | packets.Pose)
-                or packet.x >= width
-                or packet.y >= height
-            ):
-                reason = f"{packet} is no target or pose on a {width} x {height} grid"
-                self.faults.append(Fault(peer, reason))
-            elif isinstance(packet, packets.Target):
+            if isinstance(packet, packets.Target) and packet.x < width and packet.y < height:
                 self._news[peer] = packet.x, packet.y
-            else:
+            elif isinstance(packet, packets.Pose) and packet.x < width and packet.y < height:
                 self._heard_pose[peer] = self._sense.step if self._sense is not None else 0
                 self._note_pose(peer, Pose(packet.x, packet.y, bool(packet.leads)))
                 if self._sense is not None:
                     self._exchange.plausible.place(peer, self._sense.step, packet.x, packet.y)
+            else:
+                reason = f"{packet} is no target or pose on a {width} x {height} grid"
+                self.faults.append(Fault(peer, reason))
 
     def _note_pose(self, peer: int, pose: Pose) -> None:
         """A teammate is somewhere."""
