@@ -357,7 +357,7 @@ def test_keys_and_rights_are_what_participants_put_hear_and_say() -> None:
     keys = Keys("RUN")
     there_are = {row[0] for row in rows("protocol.md", "Keys")}
     assert there_are == {
-        keys.radio_tx("FROM", "TO"),
+        keys.radio_tx("FROM"),
         keys.radio_rx("TO", "FROM"),
         keys.body("TO", "FROM"),
         keys.control("TO", "FROM"),

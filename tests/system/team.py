@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from agent.robot import Robot
@@ -173,8 +174,8 @@ class Team:
                 note = item.message
                 assert isinstance(note, Open | Turn | Outcome | Close)
                 puts, said = self.minds[item.receiver].hear(note, heard)
-                for receiver, payload in puts:
-                    self.said[self.step] += len(payload)
-                    self._radio.hear(item.receiver, receiver, payload)
+                self.said[self.step] += sum(len(payload) for _, payload in puts)
                 if said is not None:
+                    receivers, frames = [receiver for receiver, _ in puts], [frame for _, frame in puts]
+                    said = replace(said, receivers=receivers, frames=frames)
                     yield from self._radio.said(item.receiver, said)
