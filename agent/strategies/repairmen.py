@@ -192,8 +192,8 @@ class Repairmen(TeamStrategy):
         reach = min(self.options.look, 1.0) * self.settings.range_cells
         around = fan(self.settings.range_cells, self.settings.beams)
         views = (
-            vantage_cells(situation.grid, goal, around, reach) if is_crumb else None
-            for goal, is_crumb in zip(goals.tolist(), are_crumbs, strict=True)
+            vantage_cells(situation.grid, (x, y), around, reach) if is_crumb else None
+            for (x, y), is_crumb in zip(goals.tolist(), are_crumbs, strict=True)
         )
         found = best_vantage(planner, situation.here, views, goals, self.settings.speed_cells)
         if found is None:
