@@ -43,8 +43,8 @@ from agent.outline.claims import (
     Layer,
     Tally,
     draw_anew,
-    layer,
 )
+from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
@@ -65,7 +65,6 @@ class TeamMap:
         self._near: Set[int] = frozenset()
         """Teammates whose claims count as those of robots near."""
         self._tally = NO_TALLY
-        self._scratch: Layer = np.zeros((0, 0), np.uint8)
         self._changed: Boxes = NO_BOXES
         """Where claims have changed since the last merge."""
         self._resolved: Grid | None = None
@@ -73,7 +72,7 @@ class TeamMap:
         self._plan: Grid | None = None
         """The same with slivers closed."""
 
-    def update(self, robot: int, approximation: Polygons, changed: Boxes | None = None) -> None:
+    def update(self, robot: int, approximation: Objects, changed: Boxes | None = None) -> None:
         """Take over the approximation that `robot` has last saved.
 
         It differs from the one before in the boxes `changed` at most (None: anywhere).
@@ -85,7 +84,7 @@ class TeamMap:
             changed = None
         boxes = whole(shape) if changed is None else changed
         tallied = self._tally, robot in self._near
-        drawn = draw_anew(self._layers[robot], approximation, self._drawing, self._scratch, boxes, *tallied)
+        drawn = draw_anew(self._layers[robot], approximation, self._drawing, boxes, *tallied)
         self._changed = united(self._changed, drawn)
 
     def merged(self, own: Grid, near: Collection[int] | None = None, changed: Boxes | None = None) -> Grid:
@@ -111,8 +110,8 @@ class TeamMap:
 
     def _lay_out(self, shape: tuple[int, ...]) -> None:
         """Begin with nothing claimed."""
-        if self._scratch.shape != shape:
-            self._tally, self._scratch = Tally(shape), np.zeros(shape, np.uint8)
+        if self._tally is NO_TALLY:
+            self._tally = Tally(shape)
 
     def _sort_out(self, near: Set[int]) -> None:
         """Note who is near."""
@@ -124,7 +123,7 @@ class TeamMap:
 def rendered(approximation: Polygons, drawing: Drawing = THESIS) -> Grid:
     """Return the grid that one approximation describes by itself."""
     team = TeamMap(drawing)
-    team.update(0, approximation)
+    team.update(0, Objects.of(approximation))
     return team.merged(np.zeros(approximation.shape, np.uint8))
 
 
@@ -150,28 +149,25 @@ class ErrorCount:
             raise ValueError(f"{drawing}: what receivers guess is no error of the approximation")
         self._drawing = drawing
         self._layer: Layer | None = None
-        self._scratch: Layer = np.zeros((0, 0), np.uint8)
         self._wrong: NDArray[np.bool_] = np.zeros((0, 0), np.bool_)
         self._count = 0
 
     def count(
         self,
         own: Grid,
-        approximation: Polygons,
+        approximation: Objects,
         own_changed: Boxes | None = None,
         changed: Boxes | None = None,
     ) -> int:
         """Return the error now; both differ from the last ones in the boxes at most (None: anywhere)."""
         if self._layer is None or changed is None or own_changed is None:
-            self._layer = layer(approximation, self._drawing)
-            self._wrong, self._scratch = np.zeros(own.shape, np.bool_), np.zeros(own.shape, np.uint8)
+            self._layer, self._wrong = np.zeros(own.shape, np.uint8), np.zeros(own.shape, np.bool_)
             self._count = 0
-            boxes = whole(own.shape)
-        else:
-            boxes = own_changed
-            if len(changed):
-                drawn = draw_anew(self._layer, approximation, self._drawing, self._scratch, changed)
-                boxes = united(boxes, drawn)
+            own_changed = changed = whole(own.shape)
+        boxes = own_changed
+        if len(changed):
+            drawn = draw_anew(self._layer, approximation, self._drawing, changed)
+            boxes = united(boxes, drawn)
         if len(boxes):
             self._count += int(_count_wrong(own, self._layer, boxes, self._wrong))
         return self._count
