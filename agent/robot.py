@@ -197,24 +197,20 @@ class Robot:
         about: int | None = peer
         """Whose the next target is; None: it is of no interest."""
         for packet in said:
-            if (
-                not isinstance(packet, packets.Target | packets.Pose | packets.Passed)
-                or packet.x >= width
-                or packet.y >= height
-            ):
-                reason = f"{packet} is no target or pose on a {width} x {height} grid"
-                self.faults.append(Fault(peer, reason))
-            elif isinstance(packet, packets.Target):
+            if isinstance(packet, packets.Target) and packet.x < width and packet.y < height:
                 target = packet.x, packet.y
                 if about == peer or (about is not None and target != self._targets.get(about)):
                     self._news[about] = target
-            elif isinstance(packet, packets.Passed):
+            elif isinstance(packet, packets.Passed) and packet.x < width and packet.y < height:
                 about = self._take_hearsay(peer, packet)
-            else:
+            elif isinstance(packet, packets.Pose) and packet.x < width and packet.y < height:
                 self._heard_pose[peer] = self._sense.step if self._sense is not None else 0
                 self._note_pose(peer, Pose(packet.x, packet.y, bool(packet.leads)))
                 if self._sense is not None:
                     self._exchange.plausible.place(peer, self._sense.step, packet.x, packet.y)
+            else:
+                reason = f"{packet} is no target or pose on a {width} x {height} grid"
+                self.faults.append(Fault(peer, reason))
 
     def _take_hearsay(self, peer: int, packet: packets.Passed) -> int | None:
         """Take what a teammate passes on of a robot; return which one, if it is news, and not heard from itself."""

@@ -1,10 +1,10 @@
 """Strategies whose robots assign targets together: a planner at the centre, without the centre.
 
 Each robot broadcasts its pose. A robot's sub-team is itself and those whose radio reaches it; where poses and targets
-are passed on (`agent.strategies.hearsay`), all that are connected. Where all members hear each other they have the same table of
-robots and goals and compute the same assignment at the same time; each takes its own share and says so. In a chain
-A - B - C, and where maps or words are late, they may differ: what a teammate says of its target counts, and of two
-that are headed for one cell the higher-numbered robot chooses again.
+are passed on (`agent.strategies.hearsay`), all that are connected. Where all members hear each other they have the
+same table of robots and goals and compute the same assignment at the same time; each takes its own share and says so.
+In a chain A - B - C, and where maps or words are late, they may differ: what a teammate says of its target counts, and
+of two that are headed for one cell the higher-numbered robot chooses again.
 """
 
 from __future__ import annotations
