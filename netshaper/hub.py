@@ -12,10 +12,11 @@ import zenoh
 
 from netshaper import access
 from protocol import keys as names
+from protocol.fields import MOST_FRAMES
 from protocol.keys import Keys
 from protocol.zenoh_bus import Certificate, Credential, ZenohBus, insert, plain_config, receive_apart, use_tls
 
-MOST_BYTES = 1 << 25
+MOST_BYTES = MOST_FRAMES + (1 << 20)
 """Of a message that anybody sends to the hub: whoever sends a longer one is cut off."""
 
 

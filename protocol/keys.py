@@ -58,12 +58,12 @@ class Keys:
         if not re.fullmatch("[A-Za-z0-9._-]+", self.run):
             raise ValueError(f"a run cannot be called {self.run!r}: use letters, digits, '-', '_' and '.'")
 
-    def radio_tx(self, sender: str, receiver: str) -> str:
-        """A robot's transmissions: packets from `sender` for `receiver` (or `ALL`), not yet on the air."""
-        return f"murmur/{self.run}/radio/tx/{sender}/{receiver}"
+    def radio_tx(self, sender: str) -> str:
+        """The radio plane from `sender` to the relay: packets that are not yet on the air."""
+        return f"murmur/{self.run}/radio/tx/{sender}"
 
     def radio_rx(self, receiver: str, sender: str) -> str:
-        """What `receiver` receives from `sender` by radio."""
+        """The radio plane: what `receiver` hears."""
         return f"murmur/{self.run}/radio/rx/{receiver}/{sender}"
 
     def body(self, receiver: str, sender: str) -> str:

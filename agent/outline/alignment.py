@@ -5,7 +5,7 @@ stay falls into runs, stretches of equal symbols in both cycles; a run stays as 
 for each vertex that goes costs more than the replacement that it makes room for saves. So the search goes
 over the runs, and there are few.
 
-A symbol is a vertex, x, y and side, and in its lowest bit the occupancy of its edge (`agent.outline.edits.symbols`).
+A symbol is a vertex, x, y and side, and in its lowest bit the occupancy of its edge (`agent.outline.objects.Objects`).
 """
 
 from __future__ import annotations

@@ -31,8 +31,7 @@ MODES = ("client", "peer", "router")
 BLOCK = zenoh.CongestionControl.BLOCK
 
 FORBIDDEN = [
-    KEYS.radio_tx("r0", "r2"),
-    KEYS.radio_tx("r0", names.ALL),
+    KEYS.radio_tx("r0"),
     KEYS.control_tx("r0"),
     KEYS.control_tx(WORLD),
     KEYS.control_tx(LAB),
@@ -51,7 +50,7 @@ FORBIDDEN = [
     KEYS.presence("r0"),
     KEYS.presence("tick"),
     KEYS.alive("r0"),
-    KEYS.radio_tx("r1", "r0") + "/more",
+    KEYS.radio_tx("r1") + "/more",
     f"murmur/{KEYS.run}/radio/tx/*/r0",
     f"murmur/{KEYS.run}/*/tx/r1/r0",
     f"murmur/{KEYS.run}/radio/tx/r1/**",
@@ -100,9 +99,9 @@ class Guarded:
         relay = self.ends[RELAY]
         while relay.receive(0) is None:
             assert time.monotonic() < deadline, "the rogue cannot even say what it may"
-            session.put(KEYS.radio_tx("r1", "r0"), b"knock", congestion_control=BLOCK)
+            session.put(KEYS.radio_tx("r1"), b"knock", congestion_control=BLOCK)
             time.sleep(0.01)
-        session.put(KEYS.radio_tx("r1", "r0"), b"I am in", congestion_control=BLOCK)
+        session.put(KEYS.radio_tx("r1"), b"I am in", congestion_control=BLOCK)
         while self.hear(RELAY).payload != b"I am in":
             pass
         return session
@@ -121,8 +120,7 @@ class Guarded:
             (WORLD, KEYS.body("r0", WORLD), "r0"),
             (RELAY, KEYS.control(WORLD, RELAY), WORLD),
             (RELAY, KEYS.control(LAB, RELAY), LAB),
-            ("r0", KEYS.radio_tx("r0", "r2"), RELAY),
-            ("r0", KEYS.radio_tx("r0", names.ALL), RELAY),
+            ("r0", KEYS.radio_tx("r0"), RELAY),
             ("r0", KEYS.control_tx("r0"), RELAY),
             ("r0", KEYS.body(WORLD, "r0"), WORLD),
             ("r0", KEYS.control(LAB, "r0"), LAB),
@@ -190,8 +188,7 @@ def test_a_robot_may_use_its_own_channels_whatever_it_speaks_them_with(guarded: 
     token = rogue.liveliness().declare_token(KEYS.alive("r1"))
     assert guarded.hear(RELAY) == Message(KEYS.presence("r1"), b"1")
     for key, receiver in [
-        (KEYS.radio_tx("r1", "r0"), RELAY),
-        (KEYS.radio_tx("r1", names.ALL), RELAY),
+        (KEYS.radio_tx("r1"), RELAY),
         (KEYS.control_tx("r1"), RELAY),
         (KEYS.body(WORLD, "r1"), WORLD),
         (KEYS.control(LAB, "r1"), LAB),
@@ -214,15 +211,15 @@ def test_what_a_rogue_puts_in_the_name_of_others_or_into_their_ears_is_heard_by_
         publisher = rogue.declare_publisher(key, congestion_control=BLOCK)
         publisher.put(b"forged")
     # Behind all this on the same wire: once it is here, nothing of the above is on its way.
-    rogue.put(KEYS.radio_tx("r1", "r0"), b"mine", congestion_control=BLOCK)
-    assert guarded.hear(RELAY) == Message(KEYS.radio_tx("r1", "r0"), b"mine")
+    rogue.put(KEYS.radio_tx("r1"), b"mine", congestion_control=BLOCK)
+    assert guarded.hear(RELAY) == Message(KEYS.radio_tx("r1"), b"mine")
     guarded.nothing_else_is_heard()
 
 
 @pytest.mark.parametrize("mode", MODES)
 def test_what_a_rogue_deletes_is_noticed_by_nobody(guarded: Guarded, mode: str) -> None:
     rogue = guarded.rogue(mode)
-    for key in [*FORBIDDEN, KEYS.radio_tx("r1", "r0"), KEYS.body(WORLD, "r1"), KEYS.control_tx("r1")]:
+    for key in [*FORBIDDEN, KEYS.radio_tx("r1"), KEYS.body(WORLD, "r1"), KEYS.control_tx("r1")]:
         rogue.delete(key, congestion_control=BLOCK)
     rogue.put(KEYS.control_tx("r1"), b"mine", congestion_control=BLOCK)
     assert guarded.hear(RELAY) == Message(KEYS.control_tx("r1"), b"mine")
@@ -359,7 +356,7 @@ def test_without_a_valid_credential_nobody_gets_in(
         stack.callback(close, rogue)
         ear = rogue.declare_subscriber("**", zenoh.handlers.FifoChannel(1000))
         token = rogue.liveliness().declare_token(KEYS.alive("r1"))
-        for key in [*FORBIDDEN, KEYS.radio_tx("r1", "r0")]:
+        for key in [*FORBIDDEN, KEYS.radio_tx("r1")]:
             rogue.put(key, b"forged", allowed_destination=zenoh.Locality.REMOTE)
         time.sleep(0.2)
         assert list(rogue.info.routers_zid()) == []

@@ -25,7 +25,7 @@ RELAY, WORLD, LAB = names.RELAY, names.WORLD, names.LAB
 SOON_S = 5.0
 BLOCK = zenoh.CongestionControl.BLOCK
 FORGED = [
-    KEYS.radio_tx("r0", "r1"),
+    KEYS.radio_tx("r0"),
     KEYS.control_tx("r0"),
     KEYS.control_tx(LAB),
     KEYS.radio_rx("r0", "r1"),
@@ -88,7 +88,7 @@ def test_all_who_have_a_certificate_say_and_hear_what_they_may(address: str) -> 
 
 def say_and_hear(certified: Certified) -> None:
     for sender, key, receiver in [
-        ("r0", KEYS.radio_tx("r0", "r1"), RELAY),
+        ("r0", KEYS.radio_tx("r0"), RELAY),
         ("r0", KEYS.body(WORLD, "r0"), WORLD),
         ("r0", KEYS.control(LAB, "r0"), LAB),
         (WORLD, KEYS.body("r0", WORLD), "r0"),
@@ -105,7 +105,7 @@ def test_a_rogue_with_a_robots_certificate_is_held_to_that_robots_rules(certifie
         token = rogue.liveliness().declare_token(KEYS.alive("r0") + "x")
         for key in FORGED:
             rogue.put(key, b"forged", congestion_control=BLOCK, allowed_destination=zenoh.Locality.REMOTE)
-        own = KEYS.radio_tx("r1", "r0")
+        own = KEYS.radio_tx("r1")
         publisher = rogue.declare_publisher(
             own, congestion_control=BLOCK, allowed_destination=zenoh.Locality.REMOTE
         )

@@ -104,7 +104,7 @@ def test_only_what_goes_to_the_viewer_may_be_dropped() -> None:
     assert may_be_dropped(keys.control(names.VIEW, "r0"))
     for key in (
         keys.control(names.LAB, "r0"), keys.control("r1", names.RELAY), keys.body("r1", names.WORLD),
-        keys.radio_rx("r1", "r0"), keys.radio_tx("r1", "r0"), keys.control_tx(names.VIEW),
+        keys.radio_rx("r1", "r0"), keys.radio_tx("r1"), keys.control_tx(names.VIEW),
     ):  # fmt: skip
         assert not may_be_dropped(key)
 
