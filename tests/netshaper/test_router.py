@@ -81,7 +81,7 @@ def test_a_rogue_with_a_router_s_certificate_speaks_for_its_robots_and_for_nobod
         tokens = [rogue.liveliness().declare_token(KEYS.alive(name)) for name in ("r2", ROUTER, "r1")]
         assert routed.hear(RELAY) == Message(KEYS.presence("r1"), b"1")
         for key in (
-            KEYS.radio_tx("r2", "r0"),
+            KEYS.radio_tx("r2"),
             KEYS.control_tx("r2"),
             KEYS.control_tx(WORLD),
             KEYS.radio_rx("r2", "r0"),
@@ -91,7 +91,7 @@ def test_a_rogue_with_a_router_s_certificate_speaks_for_its_robots_and_for_nobod
             f"murmur/{KEYS.run}/**",
         ):
             rogue.put(key, b"forged", congestion_control=BLOCK, allowed_destination=zenoh.Locality.REMOTE)
-        own = KEYS.radio_tx("r0", "r2")
+        own = KEYS.radio_tx("r0")
         rogue.put(own, b"its robot's", congestion_control=BLOCK)
         assert routed.hear(RELAY) == Message(own, b"its robot's")
         routed.relay.put(KEYS.radio_rx("r2", "r0"), b"secret")
