@@ -89,7 +89,7 @@ class Plugins(Generic[Base]):
         where = f"{self.what} {point.name!r} of package {package(point)}"
         try:
             kind = point.load()
-        except Exception:
+        except Exception:  # another's code may raise anything; its traceback tells
             raise ValueError(f"{where} cannot be imported:\n{_own_traceback()}") from None
         checked = self._checked(kind, where, point.value)
         own: Any = vars(checked)["name"]
@@ -112,7 +112,7 @@ class Plugins(Generic[Base]):
             raise ValueError(
                 f"{self.what} {name!r}: {error}; a module is looked for in this folder and on PYTHONPATH"
             ) from None
-        except Exception:
+        except Exception:  # as above
             raise ValueError(f"{self.what} {name!r} cannot be imported:\n{_own_traceback()}") from None
         if not hasattr(module, class_name):
             there = [each for each, kind in vars(module).items() if self._is_one(kind)]

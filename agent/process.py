@@ -18,11 +18,12 @@ from protocol.fields import clip
 from protocol.keys import Keys
 from protocol.messages import (
     Bye,
-    Close,
     Configure,
     End,
     Fault,
+    Heard,
     Maps,
+    MediumNote,
     MindReport,
     Open,
     Outcome,
@@ -54,10 +55,9 @@ class AgentNode:
         self._number = number
         self._name = names.robot(number)
         self.robot: Robot | None = None
-        self._speaks_at: dict[str, int] = {}
-        """Who speaks under each key of the radio that has been heard."""
         self._frames: list[tuple[int, bytes]] = []
-        self._early: Message | None = None
+        self._early: list[MediumNote] = []
+        """What the relay says of a step of which the world's message has not arrived yet."""
         self._viewer_feed: ViewerFeed | None = None
         self._step = 0
         self._work = 0.0
@@ -66,21 +66,19 @@ class AgentNode:
         """Take one message from the bus."""
         if self.killed:
             return
-        key, payload = message
-        sender = self._speaks_at.get(key)
-        if sender is None and names.parts(key)[0] == "radio":
-            sender = self._speaks_at[key] = names.number(names.parts(key)[3])
-        if sender is not None:
-            self._frames.append((sender, payload))
-            return
         try:
-            self._take(rights.read(key, payload), message)
+            self._take(rights.read(*message))
         except ProtocolError as error:
             self._fault(str(error))
 
-    def _take(self, said: object, message: Message) -> None:
+    def _take(self, said: object) -> None:
         """Take what relay or world says."""
-        if isinstance(said, Configure):
+        if self.robot is not None and isinstance(said, Heard):
+            self._frames += zip(said.senders, said.frames, strict=True)
+            self._heed(self.robot, said.notes)
+        elif self.robot is not None and isinstance(said, Sense):
+            self._sense(self.robot, said)
+        elif isinstance(said, Configure):
             self._begin(Settings.from_message(said.settings))
         elif isinstance(said, Strike):
             self.killed = self.done = True
@@ -91,8 +89,6 @@ class AgentNode:
             self._hand_in_maps()
         elif isinstance(said, Bye):
             self.done = True
-        elif self.robot is not None:
-            self._act(self.robot, said, message)
 
     def _begin(self, settings: Settings) -> None:
         """Begin a life; if there was one before, all of it but the journal is gone."""
@@ -100,58 +96,64 @@ class AgentNode:
             settings = self._identity.begin(settings)
         self.robot = Robot(settings)
         self._frames.clear()
-        self._early = None
+        self._early.clear()
         self._step = 0
 
-    def _act(self, robot: Robot, said: object, message: Message) -> None:
+    def _sense(self, robot: Robot, sense: Sense) -> None:
+        """Begin a step."""
         began = time.perf_counter()
-        if isinstance(said, Sense):
-            self._step = said.step
-            self._work = 0.0
-            if self._identity is not None:
-                self._identity.settle(said.x, said.y)
-            robot.perceive(said)
-        elif isinstance(said, Open) and said.step > self._step:
-            self._early = message  # the world's message has not arrived yet
-            return
-        elif isinstance(said, Open):
-            self._offer(robot, said)
-        elif isinstance(said, Turn):
-            self._take_turn(robot, said)
-        elif isinstance(said, Outcome):
-            robot.settle(said, self._take_frames(robot, len(said.heard)))
-        elif isinstance(said, Close):
-            self._decide(robot, began)
-        self._work += time.perf_counter() - began
-        if isinstance(said, Sense) and self._early is not None:
-            early, self._early = self._early, None
-            self.handle(early)
+        self._step = sense.step
+        if self._identity is not None:
+            self._identity.settle(sense.x, sense.y)
+        robot.perceive(sense)
+        self._work = time.perf_counter() - began
+        early, self._early = self._early, []
+        self._heed(robot, early)
+
+    def _heed(self, robot: Robot, notes: list[MediumNote]) -> None:
+        """Do what the relay's notes say."""
+        for note in notes:
+            began = time.perf_counter()
+            if note.step > self._step:
+                self._early.append(note)
+            elif isinstance(note, Open):
+                self._offer(robot, note)
+            elif isinstance(note, Turn):
+                self._take_turn(robot, note)
+            elif isinstance(note, Outcome):
+                robot.settle(note, self._take_frames(robot, len(note.heard)))
+            else:
+                self._decide(robot, began)
+            self._work += time.perf_counter() - began
 
     def _offer(self, robot: Robot, medium: Open) -> None:
         said = robot.announce(medium.peers) if medium.exchange == 0 else None
         room = None if medium.budget == UNLIMITED else medium.budget
         offers = robot.session.offers(medium.exchange, medium.peers, room)
-        frames = [(names.ALL if peer == EVERYONE else names.robot(peer), frame) for peer, _, frame in offers]
+        receivers, frames = [peer for peer, _, _ in offers], [frame for _, _, frame in offers]
         if said is not None and medium.peers:
-            frames.insert(0, (names.ALL, said))
-        self._say(frames, Said(medium.step, medium.exchange, "offers", [], robot.session.urgency))
+            receivers.insert(0, EVERYONE)
+            frames.insert(0, said)
+        urgency = robot.session.urgency
+        self._say(Said(medium.step, medium.exchange, "offers", [], urgency, receivers, frames))
 
     def _take_turn(self, robot: Robot, turn: Turn) -> None:
         """Answer the offers, or send data for the answers, that were delivered in this phase."""
-        frames = self._take_frames(robot, len(turn.connections))
+        heard = self._take_frames(robot, len(turn.connections))
         phase = "answers" if turn.phase == "offers" else "data"
         said: list[tuple[int, int, bytes]] = []
         try:
             if turn.phase == "offers":
-                offers = [(n, *frame) for n, frame in zip(turn.connections, frames, strict=True)]
+                offers = [(n, *frame) for n, frame in zip(turn.connections, heard, strict=True)]
                 said = robot.session.answers(offers)
             else:
-                named = zip(turn.connections, frames, turn.maps, strict=True)
+                named = zip(turn.connections, heard, turn.maps, strict=True)
                 said = robot.session.data([(n, peer, about, load) for n, (peer, load), about in named])
         except ProtocolError as error:
             self._fault(str(error))
-        puts = [(names.robot(peer), frame) for _, peer, frame in said]
-        self._say(puts, Said(turn.step, turn.exchange, phase, [number for number, _, _ in said]))
+        numbers, receivers = [number for number, _, _ in said], [peer for _, peer, _ in said]
+        frames = [frame for _, _, frame in said]
+        self._say(Said(turn.step, turn.exchange, phase, numbers, 0, receivers, frames))
 
     def _decide(self, robot: Robot, began: float) -> None:
         self._take_frames(robot, 0)
@@ -186,12 +188,8 @@ class AgentNode:
             maps = Maps(self._number, width, height, own, planning)
             self._bus.put(self._keys.control(names.LAB, self._name), pack(maps))
 
-    def _say(self, frames: list[tuple[str, bytes]], said: Said) -> None:
-        """Send all messages of a phase in one batch, so that the relay is woken rarely."""
-        puts = [(self._keys.radio_tx(self._name, receiver), frame) for receiver, frame in frames]
-        puts.append((self._keys.control_tx(self._name), pack(said)))
-        for key, payload in puts:
-            self._bus.put(key, payload)
+    def _say(self, said: Said) -> None:
+        self._bus.put(self._keys.radio_tx(self._name), pack(said))
 
     def _fault(self, what: str) -> None:
         self._report(Fault(self._name, clip(what)))

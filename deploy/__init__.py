@@ -3,9 +3,9 @@
 ``result = explore(Scenario(robots=5))`` runs a scenario to its end, ``for step in steps(robots=5): ...`` one step after
 the other.
 
-Rooms, each of which may import those before it: `scenario`, `record`, `dashboard`, `run`; `after`, `study` and `bench`,
-which are independent of each other; `commands`. Start with `run/exploration.py`, one run from its scenario to its
-directory.
+Rooms, each of which may import those before it: `scenario`, `record`, `dashboard`, `run`; `after`, `study`, `chaos`
+and `bench`, which are independent of each other; `commands`. Start with `run/exploration.py`, one run from its
+scenario to its directory.
 """
 
 from __future__ import annotations

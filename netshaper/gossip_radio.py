@@ -12,7 +12,7 @@ from __future__ import annotations
 from netshaper.frames import is_broadcast, wrong_in_news
 from netshaper.ledger import EVERYONE
 from netshaper.medium import NEWS
-from netshaper.radio import Outgoing, Radio, framed
+from netshaper.radio import Frame, Outgoing, Radio
 
 
 class GossipRadio(Radio):
@@ -20,26 +20,26 @@ class GossipRadio(Radio):
 
     def _end_offers(self) -> list[Outgoing]:
         """Put broadcasts and then news on the air, the most urgent first, and tell all what became of them."""
+        broadcasts: list[tuple[int, bytes]] = []
         told: list[tuple[int, bytes]] = []
-        for sender, spoken in sorted(self._spoken.items()):
-            news = [frame for frame in spoken.frames if not (frame[0] == EVERYONE and is_broadcast(frame[1]))]
-            spoken.frames = [frame for frame in spoken.frames if frame not in news]
-            for receiver, payload in news:
+        for sender, said in sorted(self._spoken.items()):
+            for receiver, payload in said.puts():
+                if receiver == EVERYONE and is_broadcast(payload):
+                    broadcasts.append((sender, payload))
+                    continue
                 problem = (
                     wrong_in_news(receiver, payload)
                     or self._too_long(payload)
                     or ("twice" if told and told[-1][0] == sender else "")
                 )
-                if spoken.said is None:
-                    self._refuse(sender, receiver, NEWS, payload, "lost", "")
-                elif sender in self._mute:
+                if sender in self._mute:
                     self._refuse(sender, receiver, NEWS, payload, "mute", "")
                 elif problem:
                     reason = f"news are one broadcast of units: {problem}"
                     self._refuse(sender, receiver, NEWS, payload, "protocol", reason)
                 else:
                     told.append((sender, payload))
-        out = self._put_broadcasts_on_air(self._fair_share())
+        out = self._put_broadcasts_on_air(broadcasts, self._fair_share())
         order = self._drawn("back-off", told)
         order.sort(key=lambda item: self._shares.rank(item[0], self._urgency(item[0])))
         hearers = {sender: self._hearers(sender) for sender, _ in order}
@@ -49,8 +49,9 @@ class GossipRadio(Radio):
             self._shares.book(sender, size)
         heard: dict[int, int] = {}
         for (sender, payload), size in zip(order, sizes, strict=True):
+            if size:
+                out.append(Frame(hearers[sender], sender, payload[:size]))
             for hearer in hearers[sender] if size else ():
-                out.append(framed((hearer, sender, payload[:size])))
                 heard[hearer] = heard.get(hearer, 0) + 1
         for robot in sorted({*carried, *heard, *self._broadcast_carried} - self._dead):
             own = [carried[robot]] if robot in carried else []

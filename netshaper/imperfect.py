@@ -109,9 +109,10 @@ class ImperfectRadio(Radio):
             self._shares.book(each.sender, size)
         out, heard = self._hand_over()
         for robot in sorted({*self._spoken, *heard} - self._dead):
+            puts = self._spoken[robot].puts() if robot in self._spoken else ()
             own = [
                 carried.get(robot, {}).get(number, 0)
-                for number, (receiver, payload) in enumerate(self._spoken[robot].frames)
+                for number, (receiver, payload) in enumerate(puts)
                 if not (receiver == EVERYONE and is_broadcast(payload))
             ]
             if own or heard.get(robot) or robot in self._broadcast_carried:
@@ -126,9 +127,9 @@ class ImperfectRadio(Radio):
         """Broadcasts of targets and poses, and all else that was said; what makes no sense is refused."""
         broadcasts: list[_Said] = []
         frames: list[_Said] = []
-        for sender, spoken in sorted(self._spoken.items()):
+        for sender, said in sorted(self._spoken.items()):
             told: set[int] = set()
-            for number, (receiver, payload) in enumerate(spoken.frames):
+            for number, (receiver, payload) in enumerate(said.puts()):
                 target = receiver == EVERYONE and is_broadcast(payload)
                 frame, about, problem = BROADCAST, -1, ""
                 if target and (self._exchange or sender in self._broadcast_carried):
@@ -137,9 +138,7 @@ class ImperfectRadio(Radio):
                     frame, about, problem = self._read(receiver, payload)
                     problem = problem or self._too_long(payload) or ("twice" if receiver in told else "")
                     told.add(receiver)
-                if spoken.said is None:
-                    self._refuse(sender, receiver, frame, payload, "lost", "")
-                elif receiver != EVERYONE and receiver not in self._reach.get(sender, ()):
+                if receiver != EVERYONE and receiver not in self._reach.get(sender, ()):
                     self._refuse(sender, receiver, frame, payload, "range", "")
                 elif problem:
                     self._refuse(sender, receiver, frame, payload, "protocol", problem)
@@ -238,7 +237,7 @@ class ImperfectRadio(Radio):
         heard: dict[int, int] = {}
         for each in sorted(now, key=lambda each: not each.broadcast):
             if each.receiver in self._reach and each.receiver not in self._dead | self._deaf:
-                out.append(Frame(each.receiver, each.sender, each.payload))
+                out.append(Frame((each.receiver,), each.sender, each.payload))
                 if not each.broadcast:
                     heard[each.receiver] = heard.get(each.receiver, 0) + 1
         return out, heard

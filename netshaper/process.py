@@ -6,15 +6,13 @@ without a robot that died. A viewer may join and leave; the run does not wait fo
 
 from __future__ import annotations
 
-from collections import Counter
-from operator import itemgetter
+from collections import Counter, defaultdict
 
 from msgspec.structs import replace
 
 from netshaper.imperfect import radio
-from netshaper.ledger import EVERYONE
 from netshaper.medium import UNLIMITED, Medium
-from netshaper.radio import Frame, Outgoing, RadioSettings
+from netshaper.radio import Frame, Note, Outgoing, RadioSettings
 from protocol import keys as names
 from protocol import rights
 from protocol.bus import Bus, Message
@@ -29,6 +27,7 @@ from protocol.messages import (
     Close,
     End,
     Fault,
+    Heard,
     Lost,
     Positions,
     RadioReport,
@@ -41,16 +40,11 @@ from protocol.messages import (
 )
 from protocol.rights import BABBLES, MOST_NONSENSE
 
-_RECEIVER = itemgetter(0)
-
 ENDED = "its process ended"
 """Why a robot is lost that has left the bus."""
 
 LEAST_FRAME, MOST_FRAME = 64, 1 << 24
 """Bytes of a frame that are taken from a robot besides the budget; and where there is none."""
-
-NOBODY = -99
-"""Receiver of a frame that is addressed to a name which belongs to no robot."""
 
 
 class RelayNode:
@@ -64,16 +58,9 @@ class RelayNode:
         self._keys = keys
         self._radio = radio(settings)
         robots = self._robots = [names.robot(number) for number in range(settings.robots)]
-        self._ends = {
-            keys.radio_tx(sender, receiver): (number, hearer)
-            for number, sender in enumerate(robots)
-            for hearer, receiver in [(EVERYONE, names.ALL), *enumerate(robots)]
-        }
-        """Sender and receiver of each radio key of the robots."""
-        self._hears_at = [[keys.radio_rx(hearer, sender) for sender in robots] for hearer in robots]
         self._most_bytes = MOST_FRAME if settings.budget == UNLIMITED else settings.budget + LEAST_FRAME
         """Of a frame: what is longer is not looked at."""
-        self._told_at = [keys.control(robot, names.RELAY) for robot in robots]
+        self._hears_at = [keys.radio_rx(robot, names.RELAY) for robot in robots]
         self._expected = {names.WORLD, names.LAB, *robots}
         self._present: set[str] = set()
         self._watched = False
@@ -98,32 +85,17 @@ class RelayNode:
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
         key, payload = message
-        ends = self._ends.get(key)
-        if ends is None:
-            self._take(message)
-        elif len(payload) <= self._most_bytes:
-            self._radio.hear(*ends, payload)
+        plane, _, sender, _ = names.parts(key)
+        if plane == "presence":
+            self._presence(sender, came=payload == b"1")
         else:
-            said = (
-                f"a frame of {len(payload)} bytes, where {self._most_bytes} are the most that can be carried"
-            )
-            self._fault(self._robots[ends[0]], said)
+            try:
+                self._take(sender, rights.read(key, payload), payload)
+            except ProtocolError as error:
+                self._fault(sender, str(error))
         if self._radio.faults:
             self._report_faults()
         self.done = self.going_home and not self._present
-
-    def _take(self, message: Message) -> None:
-        """Take what no robot says to another."""
-        key, payload = message
-        plane, _, first, _ = names.parts(key)
-        if plane == "radio" and len(payload) <= self._most_bytes:
-            self._radio.hear(names.number(first), NOBODY, payload)
-        elif plane == "radio":
-            self._fault(first, f"a frame of {len(payload)} bytes for nobody")
-        elif plane == "presence":
-            self._presence(first, came=payload == b"1")
-        else:
-            self._control(first, message)
 
     def give_up_on(self, robot: int, cause: str) -> None:
         """Continue without a robot."""
@@ -166,13 +138,15 @@ class RelayNode:
         self._report(Back(robot))
         self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Back(robot)))
 
-    def _control(self, sender: str, message: Message) -> None:
-        try:
-            said = rights.read(*message)
-        except ProtocolError as error:
-            self._fault(sender, str(error))
-            return
+    def _take(self, sender: str, said: object, payload: bytes) -> None:
+        """Take what somebody says; ProtocolError if it makes no sense."""
         if isinstance(said, Said):
+            longest = max(map(len, said.frames), default=0)
+            if longest > self._most_bytes:
+                reason = (
+                    f"a frame of {longest} bytes, where {self._most_bytes} are the most that can be carried"
+                )
+                raise ProtocolError("Said", 0, reason)
             self._send(self._radio.said(names.number(sender), said))
         elif isinstance(said, Positions):
             self._nonsense.clear()
@@ -187,7 +161,7 @@ class RelayNode:
         elif isinstance(said, Lost):
             self.give_up_on(said.robot, said.cause)
         elif isinstance(said, Stop | Strike):
-            self._bus.put(self._keys.control(names.WORLD, names.RELAY), message.payload)
+            self._bus.put(self._keys.control(names.WORLD, names.RELAY), payload)
         elif isinstance(said, Change):
             self._radio.change(said)
         elif isinstance(said, Bye):
@@ -211,23 +185,25 @@ class RelayNode:
         self.going_home = True
 
     def _send(self, outgoing: list[Outgoing]) -> None:
-        """Pass on what the radio gave, robot by robot and at one go: so each robot is woken once for all of it."""
-        if not outgoing:
-            return
-        passed_on = [item for item in outgoing if not isinstance(item, Medium)]
-        passed_on.sort(key=_RECEIVER)
-        puts = [
-            (self._hears_at[item[0]][item[1]], item[2])
-            if isinstance(item, Frame)
-            else (self._told_at[item[0]], pack(item[1]))
-            for item in passed_on
-        ]
-        for key, payload in puts:
-            self._bus.put(key, payload)
+        """Pass on what the radio gave, a message a robot: so each is woken once for all of it."""
+        for_robots: defaultdict[int, Heard] = defaultdict(lambda: Heard([], [], []))
+        media: list[Medium] = []
         for item in outgoing:
-            if isinstance(item, Medium):
-                self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Close(item.step)))
-                self._report(item.report())
+            if isinstance(item, Frame):
+                _, sender, payload = item
+                for robot in item.receivers:
+                    heard = for_robots[robot]
+                    heard.senders.append(sender)
+                    heard.frames.append(payload)
+            elif isinstance(item, Note):
+                for_robots[item.receiver].notes.append(item.message)
+            else:
+                media.append(item)
+        for robot in sorted(for_robots):
+            self._bus.put(self._hears_at[robot], pack(for_robots[robot]))
+        for medium in media:
+            self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Close(medium.step)))
+            self._report(medium.report())
 
     def _report_faults(self) -> None:
         for robot, reason in self._radio.faults:

@@ -29,10 +29,9 @@ from netshaper.ledger import EVERYONE
 from netshaper.medium import ANSWER, BROADCAST, DATA, OFFER, UNLIMITED, Connections, Medium
 from netshaper.radio_options import RadioOptions
 from protocol import packets, survey
-from protocol.fields import MOST_CONNECTIONS
 from protocol.grid import Grid
 from protocol.keyed_random import keyed_random
-from protocol.messages import Change, Close, Open, Outcome, Record, Said, Turn
+from protocol.messages import Change, Close, MediumNote, Open, Outcome, Said, Turn
 
 Item = TypeVar("Item")
 
@@ -96,9 +95,9 @@ class RadioSettings:
 
 
 class Frame(NamedTuple):
-    """A payload to hand to `receiver` as heard from `sender`."""
+    """A payload to hand to all `receivers` as heard from `sender`."""
 
-    receiver: int
+    receivers: Sequence[int]
     sender: int
     payload: bytes
 
@@ -108,26 +107,18 @@ framed = partial(tuple.__new__, Frame)
 
 
 class Note(NamedTuple):
-    """A control message for a robot."""
+    """What a robot is told."""
 
     receiver: int
-    message: Record
+    message: MediumNote
 
 
 Outgoing = Frame | Note | Medium
 """What is to be passed on, in this order: at the end of a step its medium, whose report the laboratory gets."""
 
 
-@dataclass(slots=True)
-class _Spoken:
-    """What one robot has said in the phase under way."""
-
-    frames: list[tuple[int, bytes]] = field(default_factory=list)
-    said: Said | None = None
-
-
 class Radio:
-    """The radio of one run; feed it positions, frames and `Said` notes, pass on what it returns."""
+    """The radio of one run; feed it positions and what robots say, pass on what it returns."""
 
     def __init__(self, settings: RadioSettings) -> None:
         self.settings = settings
@@ -147,7 +138,10 @@ class Radio:
         self._medium = self._new_medium(0, 0)
         self._shares = airtime.Shares(settings.budget)
         self._waiting: set[int] = set()
-        self._spoken: dict[int, _Spoken] = {}
+        self._asked: list[int] = []
+        """Whom the phase under way concerns."""
+        self._spoken: dict[int, Said] = {}
+        """What they have said in it."""
         self._connections = Connections()
         self._broadcast_carried: dict[int, bool] = {}
 
@@ -161,7 +155,7 @@ class Radio:
         """Open the medium for a step, with the true cell (x, y) of each living robot.
 
         Radios of `mute` robots cannot send in it, those of `deaf` robots cannot hear.
-        What was said while it was closed is booked here, and refused.
+        What was said while it was closed is booked here, and refused. For a robot alone it is closed at once.
         """
         self._step = step
         while self._changes and self._changes[0].step <= step:
@@ -175,7 +169,7 @@ class Radio:
         self._medium = self._new_medium(step, self.settings.budget)
         self._medium.sightings = between.sightings
         self._next_step()
-        return self._open()
+        return self._open() if self.settings.robots > 1 else self._close()
 
     def change(self, change: Change) -> None:
         """Have budget or range be others from a step on that has not begun."""
@@ -194,23 +188,16 @@ class Radio:
         self.settings = replace(self.settings, budget=budget)
         self._shares.budget = budget
 
-    def hear(self, sender: int, receiver: int, payload: bytes) -> None:
-        """Take a frame that a robot put; `receiver` is `EVERYONE` for a broadcast."""
-        if sender in self._waiting:
-            frames = self._spoken[sender].frames
-            if len(frames) < MOST_CONNECTIONS:
-                frames.append((receiver, payload))
-            else:
-                self.faults.append((sender, f"said more than {MOST_CONNECTIONS} frames in a phase"))
-        elif sender not in self._dead:
-            self._refuse(sender, receiver, DATA, payload, "protocol", "spoke out of turn")
-
-    def said(self, sender: int, note: Said) -> list[Outgoing]:
-        """A robot has said all that it has to say in this phase."""
-        if sender not in self._waiting or note.phase != self._phase:
-            self.faults.append((sender, f"ended phase {note.phase!r} of step {note.step} out of turn"))
+    def said(self, sender: int, said: Said) -> list[Outgoing]:
+        """Take all that a robot has to say in this phase."""
+        if sender in self._dead:
             return []
-        self._spoken[sender].said = note
+        if sender not in self._waiting or said.phase != self._phase:
+            self.faults.append((sender, f"spoke in phase {said.phase!r} of step {said.step} out of turn"))
+            for receiver, payload in said.puts():
+                self._refuse(sender, receiver, DATA, payload, "protocol", "spoke out of turn")
+            return []
+        self._spoken[sender] = said
         self._waiting.discard(sender)
         return self._advance()
 
@@ -281,8 +268,9 @@ class Radio:
 
     def _expect(self, phase: str, robots: Sequence[int]) -> None:
         self._phase = phase
-        self._waiting = {robot for robot in robots if robot not in self._dead}
-        self._spoken = {robot: _Spoken() for robot in robots}
+        self._asked = [robot for robot in robots if robot not in self._dead]
+        self._waiting = set(self._asked)
+        self._spoken = {}
 
     def _open(self) -> list[Outgoing]:
         self._connections = Connections(self._connections.first + len(self._connections))
@@ -315,12 +303,13 @@ class Radio:
         return [peer for peer in self._reach[sender] if peer not in self._dead and peer not in self._deaf]
 
     def _end_offers(self) -> list[Outgoing]:
-        out = self._put_broadcasts_on_air()
+        broadcasts: list[tuple[int, bytes]] = []
         offers: dict[tuple[int, int, int], bytes] = {}
-        for sender, spoken in sorted(self._spoken.items()):
+        for sender, said in sorted(self._spoken.items()):
             reach = set(self._reach.get(sender, ()))
-            for receiver, payload in spoken.frames:
+            for receiver, payload in said.puts():
                 if receiver == EVERYONE:
+                    broadcasts.append((sender, payload))
                     continue
                 if receiver not in reach or sender in self._mute:
                     cause = "range" if receiver not in reach else "mute"
@@ -333,22 +322,16 @@ class Radio:
                     self._refuse(sender, receiver, OFFER, payload, "protocol", problem)
                 else:
                     offers[sender, receiver, about] = payload
+        out = self._put_broadcasts_on_air(broadcasts)
         ends = self._drawn("contention", sorted(offers))
         self._connections.add(ends, [offers[each] for each in ends])
         return out + self._pass_on(OFFER, "answers")
 
     def _urgency(self, sender: int) -> int:
-        said = self._spoken[sender].said
-        return said.urgency if said is not None else 0
+        return self._spoken[sender].urgency
 
-    def _put_broadcasts_on_air(self, share: int = UNLIMITED) -> list[Outgoing]:
-        """Put targets and poses on the air; behind the first, in all no more bytes than `share`."""
-        said = [
-            (sender, payload)
-            for sender, spoken in sorted(self._spoken.items())
-            for receiver, payload in spoken.frames
-            if receiver == EVERYONE
-        ]
+    def _put_broadcasts_on_air(self, said: list[tuple[int, bytes]], share: int = UNLIMITED) -> list[Outgoing]:
+        """Put targets and poses, of (sender, payload), on the air; behind the first no more bytes than `share`."""
         out: list[Outgoing] = []
         for sender, payload in self._drawn("targets", said):
             if not is_broadcast(payload) or self._exchange or sender in self._broadcast_carried:
@@ -366,12 +349,12 @@ class Radio:
             carried = self._medium.broadcast(self._exchange, sender, payload, hearers)
             self._broadcast_carried[sender] = carried
             if carried:
-                out += [framed((hearer, sender, payload)) for hearer in hearers]
+                out.append(Frame(hearers, sender, payload))
         return out
 
     def _fair_share(self) -> int:
         """Bytes of targets and poses in a step where news travel by gossip, as if these were one robot more."""
-        return self._medium.left // (len(self._spoken) + 1)
+        return self._medium.left // (len(self._asked) + 1)
 
     def _waits(self, payload: bytes, share: int) -> bool:
         """Whether a broadcast is to leave the rest of the step to news."""
@@ -400,7 +383,7 @@ class Radio:
             if receiver in self._dead or receiver in self._deaf:
                 these.lost[at] = frame
                 continue
-            out.append(framed((receiver, sender, payload)))
+            out.append(framed(((receiver,), sender, payload)))
             if receiver not in heard:
                 heard[receiver] = [], []
             numbers, maps = heard[receiver]
@@ -428,7 +411,7 @@ class Radio:
             zip(these.senders, these.receivers, these.frames[DATA], data, strict=True)
         ):
             if payload is not None and size:
-                out.append(framed((receiver, sender, payload[:size])))
+                out.append(framed(((receiver,), sender, payload[:size])))
                 heard.setdefault(receiver, []).append(these.first + at)
         concerned: dict[int, list[int]] = {robot: [] for robot in self._broadcast_carried}
         for at, ends in enumerate(zip(these.senders, these.receivers, strict=True)):
@@ -471,22 +454,17 @@ class Radio:
         return out
 
     def _collect(self, frame: int, valid: Callable[[bytes], str]) -> None:
-        """Match the frames that were said to their connections; refuse those that do not belong.
-
-        What a robot said that died before it could name its connections is lost.
-        """
+        """Match the frames that were said to their connections; refuse those that do not belong."""
         these = self._connections
         senders, receivers = these.senders, these.receivers
         if frame == ANSWER:
             senders, receivers = receivers, senders
         asked, said = these.frames[frame - 1], these.frames[frame]
-        for sender, spoken in sorted(self._spoken.items()):
-            numbers = spoken.said.connections if spoken.said else []
-            for index, (receiver, payload) in enumerate(spoken.frames):
+        for sender, words in sorted(self._spoken.items()):
+            numbers = words.connections
+            for index, (receiver, payload) in enumerate(words.puts()):
                 at = numbers[index] - these.first if index < len(numbers) else -1
-                if spoken.said is None:
-                    self._refuse(sender, receiver, frame, payload, "lost", "")
-                elif (
+                if (
                     not 0 <= at < len(these)
                     or (senders[at], receivers[at]) != (sender, receiver)
                     or said[at] is not None

@@ -15,6 +15,8 @@ MOST_ON_THE_WAY = 1 << 16
 """Cells, or way points, of a move."""
 MOST_CONNECTIONS = 1 << 13
 """Of one robot in an exchange: 63 teammates offer it 64 maps each, and it offers them as many."""
+MOST_FRAME, MOST_FRAMES = 1 << 24, 1 << 28
+"""Bytes of what a robot says to another at one go, and of all such in a message."""
 MOST_WORD, MOST_TEXT = 16, 1000
 """Characters."""
 
@@ -46,6 +48,9 @@ Distances = Annotated[list[Count], Meta(max_length=MAX_ROBOTS)]
 Connections = Annotated[list[Connection], Meta(max_length=MOST_CONNECTIONS)]
 ConnectionMaps = Annotated[list[RobotNumber], Meta(max_length=MOST_CONNECTIONS)]
 ConnectionBytes = Annotated[list[Count], Meta(max_length=MOST_CONNECTIONS)]
+Ends = Annotated[list[RobotOrNone], Meta(max_length=MOST_CONNECTIONS)]
+"""Who speaks, or is spoken to, of each frame; -1: all."""
+Frames = Annotated[list[Annotated[bytes, Meta(max_length=MOST_FRAME)]], Meta(max_length=MOST_CONNECTIONS)]
 
 WayCells = Annotated[bytes, Meta(max_length=4 * MOST_ON_THE_WAY)]
 WayPoints = Annotated[bytes, Meta(max_length=8 * MOST_ON_THE_WAY)]

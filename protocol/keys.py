@@ -23,6 +23,14 @@ def robot(number: int) -> str:
     return f"r{number}"
 
 
+ROUTER = "router@"
+
+
+def router(host: str) -> str:
+    """Name of the router through which a host's robots join; it says nothing itself."""
+    return ROUTER + host
+
+
 @lru_cache(maxsize=1024)
 def number(name: str) -> int:
     """Return the number of the robot called `name`; ValueError for any other name."""
@@ -50,12 +58,12 @@ class Keys:
         if not re.fullmatch("[A-Za-z0-9._-]+", self.run):
             raise ValueError(f"a run cannot be called {self.run!r}: use letters, digits, '-', '_' and '.'")
 
-    def radio_tx(self, sender: str, receiver: str) -> str:
-        """A robot's transmissions: packets from `sender` for `receiver` (or `ALL`), not yet on the air."""
-        return f"murmur/{self.run}/radio/tx/{sender}/{receiver}"
+    def radio_tx(self, sender: str) -> str:
+        """The radio plane from `sender` to the relay: packets that are not yet on the air."""
+        return f"murmur/{self.run}/radio/tx/{sender}"
 
     def radio_rx(self, receiver: str, sender: str) -> str:
-        """What `receiver` receives from `sender` by radio."""
+        """The radio plane: what `receiver` hears."""
         return f"murmur/{self.run}/radio/rx/{receiver}/{sender}"
 
     def body(self, receiver: str, sender: str) -> str:

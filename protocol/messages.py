@@ -10,8 +10,9 @@ two bits a cell.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
+from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 import msgspec
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from protocol.errors import ProtocolError
 from protocol.fields import (
+    MOST_FRAMES,
     Books,
     Budget,
     CellCount,
@@ -36,7 +38,9 @@ from protocol.fields import (
     CountOrNone,
     Distances,
     Eighths,
+    Ends,
     Exchange,
+    Frames,
     Poses,
     Readings,
     RobotNumber,
@@ -57,6 +61,8 @@ from protocol.grid import Grid
 
 MOST_SETTINGS = 1 << 20
 """Bytes of a robot's settings, as a message."""
+MOST_NOTES = 4
+"""Notes of the relay that a robot is given at one go."""
 
 
 class Record(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
@@ -135,7 +141,7 @@ class Positions(Record, tag=4, frozen=True):
 
 
 class Open(Record, tag=5, frozen=True):
-    """Relay to robot: the medium is open for exchange `exchange`; these teammates are in range.
+    """In a `Heard`: the medium is open for exchange `exchange`; these teammates are in range.
 
     `budget` is what is left of this step's bytes, -1 for no limit. The robot says its target (in exchange
     0) and its offers.
@@ -148,7 +154,7 @@ class Open(Record, tag=5, frozen=True):
 
 
 class Turn(Record, tag=6, frozen=True):
-    """Relay to robot: all frames of a phase have been passed on.
+    """In a `Heard`: all frames of a phase have been passed on.
 
     `connections` and `maps` say what each is about, in the order in which they were passed on.
     After ``offers`` the robot answers; after ``answers`` it sends data.
@@ -166,11 +172,11 @@ class Turn(Record, tag=6, frozen=True):
 
 
 class Said(Record, tag=7, frozen=True):
-    """Robot to relay: it has put all its frames of a phase.
+    """Robot to relay: all that it says in a phase.
 
-    `connections` names them, in that order; it is empty for offers, which the relay has not numbered yet.
-    `urgency`: how soon the news that it broadcasts should be on the air, 0 to 255; the more, the shorter it would
-    wait for a free medium.
+    `receivers`, `frames`: who each frame is for, -1 for all, and its packets. `connections` names them, in that
+    order; it is empty for offers, which the relay has not numbered yet. `urgency`: how soon the news that it
+    broadcasts should be on the air, 0 to 255; the more, the shorter it would wait for a free medium.
     """
 
     step: Step
@@ -178,10 +184,20 @@ class Said(Record, tag=7, frozen=True):
     phase: Word
     connections: Connections
     urgency: Urgency = 0
+    receivers: Ends = []
+    frames: Frames = []
+
+    def __post_init__(self) -> None:
+        if len(self.receivers) != len(self.frames):
+            raise ValueError("receivers and frames are not as many")
+
+    def puts(self) -> Iterator[tuple[int, bytes]]:
+        """Each frame with its receiver, in their order."""
+        return zip(self.receivers, self.frames, strict=True)
 
 
 class Outcome(Record, tag=8, frozen=True):
-    """Relay to robot, after the data: what was put on the air; the rest did not happen.
+    """In a `Heard`, after the data: what was put on the air; the rest did not happen.
 
     `connections`, `offers`, `answers`, `data` are parallel: the bytes of each frame that were carried.
     `heard` names the connections whose data frames were passed on to this robot, in that order.
@@ -203,9 +219,28 @@ class Outcome(Record, tag=8, frozen=True):
 
 
 class Close(Record, tag=9, frozen=True):
-    """Relay to robots and world: the medium is closed for this step; merge, choose, plan, move."""
+    """In a `Heard`, and relay to world: the medium is closed for this step; merge, choose, plan, move."""
 
     step: Step
+
+
+MediumNote = Open | Turn | Outcome | Close
+"""What the relay tells a robot of the medium."""
+
+
+class Heard(Record, tag=25, frozen=True):
+    """Relay to robot: all that it hears and is told at one go; first the frames, of which the notes speak.
+
+    `senders`, `frames`: who said each frame, and its packets.
+    """
+
+    senders: Ends
+    frames: Frames
+    notes: Annotated[list[MediumNote], msgspec.Meta(max_length=MOST_NOTES)]
+
+    def __post_init__(self) -> None:
+        if len(self.senders) != len(self.frames):
+            raise ValueError("senders and frames are not as many")
 
 
 class Lost(Record, tag=10, frozen=True):
@@ -369,7 +404,7 @@ class Fault(Record, tag=18, frozen=True):
 
 _TYPES: tuple[type[Record], ...] = (
     Begin, Configure, Sense, Move, Positions, Open, Turn, Said, Outcome, Close, Lost, End, Stop, Bye,
-    WorldReport, MindReport, RadioReport, Maps, Fault, Watched, Snapshot, Outlines, Strike, Back, Change,
+    WorldReport, MindReport, RadioReport, Maps, Fault, Watched, Snapshot, Outlines, Strike, Back, Change, Heard,
 )  # fmt: skip
 _HEAD = {kind: 0x90 | len(kind.__struct_fields__) + 1 for kind in _TYPES}
 """The first byte of each message: a list of so many items."""
@@ -411,9 +446,7 @@ def unpacker(kinds: tuple[type[Record], ...], whose: str = "nobody") -> Callable
 
 def most_bytes(kind: type[Record]) -> int:
     """Bytes of the longest message of a kind: what its fields may be, each with the longest head of msgpack."""
-    record = inspect.type_info(kind)
-    assert isinstance(record, inspect.StructType)
-    return HEAD_BYTES + sum(_most_bytes(field.type) for field in record.fields)
+    return _most_bytes(inspect.type_info(kind))
 
 
 HEAD_BYTES = 9
@@ -426,10 +459,16 @@ def _most_bytes(kind: inspect.Type) -> int:
             return HEAD_BYTES + most
         case inspect.StrType(max_length=int(most)):
             return HEAD_BYTES + 4 * most
+        case inspect.ListType(item_type=inspect.BytesType(), max_length=int(most)):
+            return HEAD_BYTES + most * HEAD_BYTES + MOST_FRAMES
         case inspect.ListType(item_type=item, max_length=int(most)):
             return HEAD_BYTES + most * _most_bytes(item)
         case inspect.DictType():
             return MOST_SETTINGS
+        case inspect.UnionType(types=kinds):
+            return max(map(_most_bytes, kinds))
+        case inspect.StructType(fields=parts):
+            return HEAD_BYTES + sum(_most_bytes(part.type) for part in parts)
         case inspect.IntType() | inspect.BoolType():
             return HEAD_BYTES
     raise TypeError(f"{kind} has no longest value")
@@ -483,6 +522,8 @@ def _brief(value: Any) -> str:
 
 def _shown(annotation: Any) -> str:
     """A field's type in words."""
+    if isinstance(annotation, UnionType):
+        return " or ".join(map(_shown, get_args(annotation)))
     if get_origin(annotation) is not Annotated:
         return getattr(annotation, "__name__", str(annotation))
     kind, limits = get_args(annotation)

@@ -21,12 +21,11 @@ from protocol.messages import (
     Configure,
     End,
     Fault,
+    Heard,
     Lost,
     Maps,
     MindReport,
     Move,
-    Open,
-    Outcome,
     Outlines,
     Positions,
     RadioReport,
@@ -36,7 +35,6 @@ from protocol.messages import (
     Snapshot,
     Stop,
     Strike,
-    Turn,
     Watched,
     WorldReport,
     unpacker,
@@ -47,7 +45,7 @@ ROBOT = "robot"
 
 RIGHTS: dict[tuple[str, str], tuple[type[Record], ...]] = {
     (RELAY, WORLD): (Begin, Close, Lost, Back, Stop, Strike, Bye, Watched),
-    (RELAY, ROBOT): (Open, Turn, Outcome, Close, End, Bye, Watched),
+    (RELAY, ROBOT): (Heard, End, Bye, Watched),
     (RELAY, LAB): (Lost, Back, End, Bye, RadioReport, Fault, Change),
     (RELAY, VIEW): (Lost, Back, End, Bye, RadioReport, Fault, Change),
     (WORLD, RELAY): (Positions, Lost, End),
@@ -60,7 +58,10 @@ RIGHTS: dict[tuple[str, str], tuple[type[Record], ...]] = {
     (ROBOT, LAB): (MindReport, Maps, Fault),
     (ROBOT, VIEW): (MindReport, Fault, Snapshot, Outlines),
 }
-"""What who says (first) may say to whom (second). What robots say by radio are packets; a viewer says nothing."""
+"""What who says (first) may say to whom (second); a viewer says nothing."""
+
+RADIO = (Said, Heard)
+"""What goes on the radio plane: the packets of robots, and what the relay makes of them."""
 
 BODY = {(WORLD, ROBOT), (ROBOT, WORLD)}
 """Who speaks to whom on the body plane; all others do on the control plane."""
@@ -72,7 +73,7 @@ BABBLES = f"said more than {MOST_NONSENSE} things in a step that make no sense"
 
 
 def read(key: str, payload: bytes) -> Any:
-    """Read a message of the body or control plane that came under a key.
+    """Read a message that came under a key.
 
     Raises
     ------
@@ -86,13 +87,20 @@ def read(key: str, payload: bytes) -> Any:
 def _reader(key: str) -> Callable[[bytes], Any]:
     plane, direction, first, second = names.parts(key)
     sender, receiver = (first, RELAY) if direction == "tx" else (second, first)
-    ends = _role(sender), _role(receiver)
-    return _reader_of(ends if (ends in BODY) == (plane == "body") else ("", ""), sender)
+    return _reader_of(plane, (_role(sender), _role(receiver)), sender)
 
 
 @lru_cache(maxsize=1 << 10)
-def _reader_of(ends: tuple[str, str], sender: str) -> Callable[[bytes], Any]:
-    return unpacker(RIGHTS.get(ends, ()), sender or "nobody")
+def _reader_of(plane: str, ends: tuple[str, str], sender: str) -> Callable[[bytes], Any]:
+    kinds = tuple(kind for kind in RIGHTS.get(ends, ()) if plane == plane_of(kind, ends))
+    return unpacker(kinds, sender or "nobody")
+
+
+def plane_of(kind: type[Record], ends: tuple[str, str]) -> str:
+    """The plane on which a message goes from the first to the second of two roles."""
+    if kind in RADIO:
+        return "radio"
+    return "body" if ends in BODY else "control"
 
 
 def _role(name: str) -> str:
@@ -102,7 +110,7 @@ def _role(name: str) -> str:
 def may_put(keys: Keys, name: str) -> list[str]:
     """The keys that a participant may put messages and frames under; `*` stands for any name."""
     role = _role(name)
-    radio = [keys.radio_tx(name, "*")] if role == ROBOT else []
+    radio = [keys.radio_tx(name)] if role == ROBOT else []
     return radio + [_key(keys, name, role, receiver) for sender, receiver in RIGHTS if sender == role]
 
 

@@ -135,7 +135,7 @@ class PolygonExchange(Exchange):
         """Merge all approximations with the robot's own grid (Algorithm 9); draw those anew that have changed."""
         for about in sorted(self._news):
             receiver = self._receivers[about]
-            self._team.update(about, receiver.held.polygons, receiver.changed())
+            self._team.update(about, receiver.objects, receiver.changed())
         self._news.clear()
         near = [about for about in self._receivers if about % self.settings.robots in peers]
         return self._team.merged(own, near, self._unmerged.take(own))
@@ -146,7 +146,7 @@ class PolygonExchange(Exchange):
         Without what receivers guess.
         """
         changed = self._held.changed()
-        return self._error.count(own, self._held.held.polygons, self._uncounted.take(own), changed)
+        return self._error.count(own, self._held.objects, self._uncounted.take(own), changed)
 
     def exact_error(self, own: Grid) -> int | None:
         """What that would be if the approximation were exact: Algorithm 9 does not know all cells."""

@@ -42,7 +42,7 @@ class Draft:
         Height and width of the grid, in cells.
     objects : dict of number to `Outline`
     open : int, optional
-        The object that is being told; `vertices` has those told so far, as symbols (`agent.outline.edits.symbols`),
+        The object that is being told; `vertices` has those told so far, as symbols (`agent.outline.objects.Objects`),
         and `count` and `inside` are as announced.
     edited : bool
         Whether anything has come since the last save point.

@@ -1,19 +1,32 @@
 """Reading a piece of an edit stream in one go: packets in, the objects and where they have changed out.
 
-An approximation lies in flat arrays here, its objects by ascending number. What a vertex packet changes lies in
-the box of the vertex and its neighbours; so a receiver knows what to draw anew.
+What has been read is left as it is, so that a piece that turns out to make no sense changes nothing. What a vertex
+packet changes lies in the box of the vertex and its neighbours; so a receiver knows what to draw anew.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.outline.boxes import MOST, NO_BOXES, Boxes, add_box
+from agent.outline.objects import (
+    BOTTOM,
+    FIRST,
+    INSIDE,
+    LEFT,
+    LENGTH,
+    RIGHT,
+    TOP,
+    Objects,
+    Symbols,
+    Table,
+    enter,
+)
 from protocol.kernels import kernel
-from protocol.packets import MAX_OBJECTS, MAX_VERTICES
+from protocol.packets import MAX_VERTICES
 
 REFUSED = -1
 
@@ -21,26 +34,10 @@ SMALL = 3
 """Whether an object of so few vertices is drawn at all may hang on each of them: it changes as a whole."""
 
 
-class Objects(NamedTuple):
-    """Numbered objects in flat arrays.
-
-    Attributes
-    ----------
-    number : int32 array, shape (n,), ascending
-    start : int32 array, shape (n + 1,)
-        Object k has the vertices ``symbols[start[k]:start[k + 1]]``.
-    inside : bool array, shape (n,)
-    symbols : int32 array
-        See `agent.outline.edits.symbols`.
-    """
-
-    number: NDArray[np.int32]
-    start: NDArray[np.int32]
-    inside: NDArray[np.bool_]
-    symbols: NDArray[np.int32]
-
-
-NOTHING = Objects(np.empty(0, np.int32), np.zeros(1, np.int32), np.empty(0, np.bool_), np.empty(0, np.int32))
+_OPEN, _COUNT, _INSIDE, _EDITED, _TOLD, _GAP, _BOXES, _INSIDES, _USED, _HEARD = range(10)
+"""Where the numbers of a reading are: which object is open (-1: none), how many vertices it is to have and whether it
+is inside; whether anything has come since the last save point; how many vertices of the open object have been told,
+where the gap among them is, how many boxes, inside objects and symbols in the pool there are; and bytes read."""
 
 
 class Reading(NamedTuple):
@@ -54,21 +51,27 @@ class Reading(NamedTuple):
         Those of the open object so far, as symbols.
     boxes : int32 array, shape (n, 4)
         Where something has changed since the last save point.
-    open : int
-        Number of the open object, -1 if there is none.
-    announced, inside : int
-        How many vertices it is to have, and whether it is the inside object.
-    edited : int
-        Whether anything has come since the last save point.
+    numbers : int64 array, shape (10,)
+        See above.
     """
 
-    objects: Objects = NOTHING
-    vertices: NDArray[np.int32] = np.empty(0, np.int32)
-    boxes: Boxes = NO_BOXES
-    open: int = -1
-    announced: int = 0
-    inside: int = 0
-    edited: int = 0
+    objects: Objects
+    vertices: Symbols
+    boxes: Boxes
+    numbers: NDArray[np.int64]
+
+    @staticmethod
+    def nothing(shape: tuple[int, int]) -> Reading:
+        """Return the beginning of a stream that speaks of a grid of so many rows and columns."""
+        numbers = np.zeros(10, np.int64)
+        numbers[_OPEN] = -1
+        return Reading(Objects.nothing(shape), np.empty(0, np.int32), NO_BOXES, numbers)
+
+    @property
+    def header(self) -> tuple[int, int, bool, bool]:
+        """The open object (-1: none), how many vertices it is to have, and whether inside; whether all is saved."""
+        number, count, inside, edited = self.numbers[: _EDITED + 1].tolist()
+        return number, count, bool(inside), not edited
 
 
 class Saved(NamedTuple):
@@ -78,15 +81,13 @@ class Saved(NamedTuple):
     boxes: Boxes
 
 
-def read(shape: tuple[int, int], before: Reading, piece: bytes) -> tuple[int, Reading, Saved | None] | None:
+def read(before: Reading, piece: bytes) -> tuple[int, Reading, Saved | None] | None:
     """Read the whole packets at the beginning of a piece of a stream, up to one that is none of a map's.
 
     Parameters
     ----------
-    shape : (int, int)
-        Height and width of the grid; no vertex may lie beyond the rim of one cell around it.
     before : Reading
-        What came before; it is left as it is.
+        What came before; it is left as it is, and can no longer be read on from where it was.
 
     Returns
     -------
@@ -97,18 +98,16 @@ def read(shape: tuple[int, int], before: Reading, piece: bytes) -> tuple[int, Re
         If there was a save point.
         None instead of all if the piece makes no sense (`agent.outline.draft` says why).
     """
-    numbers = np.array([before.open, before.announced, before.inside, before.edited, 0, 0], np.int64)
+    (shape, table, pool), vertices, boxes, numbers = before
     data = np.frombuffer(piece, np.uint8)
-    arrays: tuple[Any, ...] = *before.objects, before.vertices, before.boxes
-    number, start, inside, symbols, vertices, boxes, *at_save = _read(data, *shape, numbers, *arrays)
-    saved: Any = at_save
-    opened, count, is_inside, edited, used, saves = numbers.tolist()
+    table, pool, vertices, boxes, numbers, saves, saved_table, saved_boxes = _read(
+        data, *shape, numbers, table, pool, vertices, boxes
+    )
+    used = int(numbers[_HEARD])
     if used == REFUSED:
         return None
-    after = Reading(
-        Objects(number, start, inside, symbols), vertices, boxes, opened, count, is_inside, edited
-    )
-    return used, after, Saved(Objects(*saved[:4]), saved[4]) if saves else None
+    saved = Saved(Objects(shape, saved_table, pool), saved_boxes) if saves else None
+    return used, Reading(Objects(shape, table, pool), vertices, boxes, numbers), saved
 
 
 @kernel("int64(uint8[::1], int64)")
@@ -135,42 +134,6 @@ def _add_box_of(boxes: Boxes, count: int, symbols: NDArray[np.int32]) -> int:
         y0, y1 = min(y0, y), max(y1, y)
     return add_box(boxes, count, x0 - 1, y0 - 1, x1 + 2, y1 + 2)
 
-
-@kernel(
-    "Tuple((int32[::1], int32[::1], boolean[::1], int32[::1]))"
-    "(int32[::1], int32[::1], boolean[::1], int32[::1], int64)"
-)
-def _packed(
-    first: NDArray[np.int32],
-    length: NDArray[np.int32],
-    inside: NDArray[np.bool_],
-    pool: NDArray[np.int32],
-    numbers: int,
-) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.bool_], NDArray[np.int32]]:
-    """Put the objects behind each other by their numbers, which are below `numbers`."""
-    objects, vertices = 0, 0
-    for n in range(numbers):
-        if first[n] >= 0:
-            objects += 1
-            vertices += length[n]
-    number, start = np.empty(objects, np.int32), np.zeros(objects + 1, np.int32)
-    is_inside, symbols = np.empty(objects, np.bool_), np.empty(vertices, np.int32)
-    k, end = 0, 0
-    for n in range(numbers):
-        if first[n] < 0:
-            continue
-        number[k], is_inside[k] = n, inside[n]
-        for i in range(length[n]):
-            symbols[end + i] = pool[first[n] + i]
-        end += length[n]
-        k += 1
-        start[k] = end
-    return number, start, is_inside, symbols
-
-
-_OPEN, _COUNT, _INSIDE, _EDITED, _TOLD, _GAP, _BOXES, _INSIDES, _LIMIT, _USED = range(10)
-"""Where the numbers of a reading are: first as in `Reading`; then how many vertices of the open object have been told,
-where the gap among them is, how many boxes, inside objects, numbers in use and symbols in the pool there are."""
 
 _ROOM = MAX_VERTICES + 1
 
@@ -201,9 +164,15 @@ def _header(data: NDArray[np.uint8], at: int) -> tuple[int, int, int]:
     return word >> 24 & 0xFFF, word >> 11 & 0x1FFF, word >> 10 & 1
 
 
+@kernel("int64(int32[:,::1], int64, int32[:,::1], int64)")
+def _add_box_around(boxes: Boxes, count: int, table: Table, number: int) -> int:
+    """Add the box of an object."""
+    row = table[number]
+    return add_box(boxes, count, row[LEFT], row[TOP], row[RIGHT], row[BOTTOM])
+
+
 @kernel(
-    "boolean(uint8[::1], int64, int64, int64, int64, int64[::1], int32[::1], int32[::1], boolean[::1], int32[::1],"
-    " int32[::1], int32[:,::1])"
+    "boolean(uint8[::1], int64, int64, int64, int64, int64[::1], int32[:,::1], int32[::1], int32[::1], int32[:,::1])"
 )
 def _apply(
     data: NDArray[np.uint8],
@@ -212,17 +181,14 @@ def _apply(
     height: int,
     width: int,
     n: NDArray[np.int64],
-    first: NDArray[np.int32],
-    length: NDArray[np.int32],
-    inside: NDArray[np.bool_],
-    pool: NDArray[np.int32],
-    vertices: NDArray[np.int32],
+    table: Table,
+    pool: Symbols,
+    vertices: Symbols,
     boxes: Boxes,
 ) -> bool:
     """Apply the packets from `begin` to `end`; whether all make sense.
 
-    Of each number, `first` says where its vertices are in the pool (-1: there is no such object), `length` how
-    many, `inside` whether it is an inside object. `vertices` are those of the open object, with a gap.
+    `vertices` are those of the open object, with a gap.
     """
     around = np.empty(4, np.int32)
     at = begin
@@ -265,7 +231,7 @@ def _apply(
                     around[3] = vertices[_place(n, index)]
                 vertices[_place(n, index)] = around[0]
                 at += 6
-            if first[n[_OPEN]] >= 0:
+            if table[n[_OPEN], FIRST] >= 0:
                 n[_BOXES] = _add_box_of(boxes, n[_BOXES], around)
             n[_EDITED] = 1
             continue
@@ -276,29 +242,26 @@ def _apply(
             if told != n[_COUNT]:
                 return False
             _move_gap(vertices, n, told)
-            known = first[number] >= 0
-            if not known or min(told, length[number]) <= SMALL or inside[number] != (n[_INSIDE] != 0):
-                n[_BOXES] = _add_box_of(boxes, n[_BOXES], vertices[:told])
-                if known:
-                    old = pool[first[number] : first[number] + length[number]]
-                    n[_BOXES] = _add_box_of(boxes, n[_BOXES], old)
+            known, was_inside = table[number, FIRST] >= 0, table[number, INSIDE]
+            as_a_whole = not known or min(told, table[number, LENGTH]) <= SMALL or was_inside != n[_INSIDE]
             if known:
-                n[_INSIDES] -= inside[number]
+                n[_INSIDES] -= was_inside
+                if as_a_whole:
+                    n[_BOXES] = _add_box_around(boxes, n[_BOXES], table, number)
+            pool[n[_USED] : n[_USED] + told] = vertices[:told]
+            enter(table, number, pool, n[_USED], told, n[_INSIDE] != 0)
             n[_INSIDES] += n[_INSIDE]
-            first[number], length[number], inside[number] = n[_USED], told, n[_INSIDE] != 0
-            for i in range(told):
-                pool[n[_USED] + i] = vertices[i]
             n[_USED] += told
-            n[_LIMIT] = max(n[_LIMIT], number + 1)
+            if as_a_whole:
+                n[_BOXES] = _add_box_around(boxes, n[_BOXES], table, number)
             n[_OPEN], n[_TOLD], n[_GAP] = -1, 0, 0
         if head >> 4 == 0xA:
             number = (np.int64(data[at]) << 8 | data[at + 1]) & 0xFFF
-            if first[number] < 0:
+            if number >= len(table) or table[number, FIRST] < 0:
                 return False
-            gone = pool[first[number] : first[number] + length[number]]
-            n[_BOXES] = _add_box_of(boxes, n[_BOXES], gone)
-            n[_INSIDES] -= inside[number]
-            first[number] = -1
+            n[_BOXES] = _add_box_around(boxes, n[_BOXES], table, number)
+            n[_INSIDES] -= table[number, INSIDE]
+            table[number, FIRST] = -1
             n[_EDITED] = 1
             at += 2
         elif head == 0xF0:
@@ -308,101 +271,107 @@ def _apply(
             at += 1
         else:
             number, count, is_inside = _header(data, at)
-            known = first[number] >= 0
+            known = table[number, FIRST] >= 0
             if data[at + 4] or data[at + 3] & 3 or known != (head >> 4 == 0xE):
                 return False
             if count < 2 or count > MAX_VERTICES:
                 return False
             n[_OPEN], n[_COUNT], n[_INSIDE] = number, count, is_inside
-            n[_TOLD] = n[_GAP] = length[number] if known else 0
+            n[_TOLD] = n[_GAP] = table[number, LENGTH] if known else 0
             for i in range(n[_TOLD]):
-                vertices[i] = pool[first[number] + i]
+                vertices[i] = pool[table[number, FIRST] + i]
             n[_EDITED] = 1
             at += 5
     return True
 
 
-@kernel("UniTuple(int64, 3)(uint8[::1])")
-def _survey(data: NDArray[np.uint8]) -> tuple[int, int, int]:
-    """Bytes of whole packets up to one that does not belong here, where the last save point ends (-1: nowhere), and
-    how many vertices the objects have in all that are told."""
-    whole, last_save, vertices = 0, -1, 0
+@kernel("UniTuple(int64, 4)(uint8[::1])")
+def _survey(data: NDArray[np.uint8]) -> tuple[int, int, int, int]:
+    """Bytes of whole packets up to one that does not belong here, where the last save point ends (-1: nowhere), how
+    many vertices the objects have in all that are told, and the highest of their numbers (-1: there are none)."""
+    whole, last_save, vertices, highest = 0, -1, 0, -1
     while whole < len(data):
         size = _size(data, whole)
         if size == 0 or whole + size > len(data):
             break
         if size == 5:
-            vertices += _header(data, whole)[1]
+            number, count, _ = _header(data, whole)
+            vertices += count
+            highest = max(highest, number)
         whole += size
         if size == 1:
             last_save = whole
-    return whole, last_save, vertices
+    return whole, last_save, vertices, highest
+
+
+@kernel("Tuple((int32[::1], int64))(int32[:,::1], int32[::1], int64)")
+def _with_room(table: Table, pool: Symbols, more: int) -> tuple[Symbols, int]:
+    """A pool of the objects of a table alone, which has room for more; and how much of it is used."""
+    used = 0
+    for row in table:
+        if row[FIRST] >= 0:
+            used += row[LENGTH]
+    fresh = np.empty(2 * (used + more), np.int32)
+    used = 0
+    for row in table:
+        if row[FIRST] >= 0:
+            fresh[used : used + row[LENGTH]] = pool[row[FIRST] : row[FIRST] + row[LENGTH]]
+            row[FIRST] = used
+            used += row[LENGTH]
+    return fresh, used
 
 
 @kernel(
-    "Tuple((int32[::1], int32[::1], boolean[::1], int32[::1], int32[::1], int32[:,::1],"
-    " int32[::1], int32[::1], boolean[::1], int32[::1], int32[:,::1]))"
-    "(Array(uint8, 1, 'C', readonly=True), int64, int64, int64[::1],"
-    " int32[::1], int32[::1], boolean[::1], int32[::1], int32[::1], int32[:,::1])"
+    "Tuple((int32[:,::1], int32[::1], int32[::1], int32[:,::1], int64[::1], boolean, int32[:,::1], int32[:,::1]))"
+    "(Array(uint8, 1, 'C', readonly=True), int64, int64, int64[::1], int32[:,::1], int32[::1], int32[::1],"
+    " int32[:,::1])"
 )
 def _read(
     piece: NDArray[np.uint8],
     height: int,
     width: int,
     numbers: NDArray[np.int64],
-    number: NDArray[np.int32],
-    start: NDArray[np.int32],
-    inside: NDArray[np.bool_],
-    symbols: NDArray[np.int32],
-    vertices: NDArray[np.int32],
+    old_table: Table,
+    pool: Symbols,
+    vertices: Symbols,
     unsaved: Boxes,
-) -> tuple[
-    NDArray[np.int32], NDArray[np.int32], NDArray[np.bool_], NDArray[np.int32], NDArray[np.int32], Boxes,
-    NDArray[np.int32], NDArray[np.int32], NDArray[np.bool_], NDArray[np.int32], Boxes,
-]:  # fmt: skip
-    """Read on; `numbers` has what `Reading` has, and takes the bytes used and whether there was a save point.
+) -> tuple[Table, Symbols, Symbols, Boxes, NDArray[np.int64], bool, Table, Boxes]:
+    """Read on: the parts of the reading, whether there was a save point, and what was saved.
 
-    Nothing else that is given is changed. The first arrays returned are the reading's, the last ones what was
-    saved.
+    Nothing that is given is changed but what the pool has beyond the symbols in use.
     """
     data = piece.copy()
-    whole, last_save, announced = _survey(data)
-    first = np.full(MAX_OBJECTS, -1, np.int32)
-    length = np.empty(MAX_OBJECTS, np.int32)
-    is_inside = np.empty(MAX_OBJECTS, np.bool_)
-    n = np.zeros(10, np.int64)
-    n[:4] = numbers[:4]
-    for k in range(len(number)):
-        first[number[k]], length[number[k]] = start[k], start[k + 1] - start[k]
-        is_inside[number[k]] = inside[k]
-        n[_INSIDES] += inside[k]
-        n[_LIMIT] = number[k] + 1
-    pool = np.empty(len(symbols) + announced + MAX_VERTICES, np.int32)
-    pool[: len(symbols)] = symbols
-    n[_USED] = len(symbols)
+    whole, last_save, announced, highest = _survey(data)
+    n = numbers.copy()
+    table = np.full((max(len(old_table), highest + 1), old_table.shape[1]), -1, np.int32)
+    table[: len(old_table)] = old_table
+    announced += n[_COUNT]
+    if n[_USED] + announced > len(pool):
+        pool, n[_USED] = _with_room(table, pool, announced)
     told = np.empty(_ROOM, np.int32)
     told[: len(vertices)] = vertices
-    n[_TOLD] = n[_GAP] = len(vertices)
+    n[_GAP] = n[_TOLD]
     boxes = np.empty((MOST, 4), np.int32)
     boxes[: len(unsaved)] = unsaved
-    n[_BOXES] = len(unsaved)
 
     saves = max(last_save, 0)
-    makes_sense = _apply(data, 0, saves, height, width, n, first, length, is_inside, pool, told, boxes)
-    s_number, s_start, s_inside, s_symbols = _packed(first, length, is_inside, pool, n[_LIMIT])
-    s_boxes = boxes[: n[_BOXES]].copy()
-    d_number, d_start, d_inside, d_symbols = s_number, s_start, s_inside, s_symbols
+    makes_sense = _apply(data, 0, saves, height, width, n, table, pool, told, boxes)
+    saved_table, saved_boxes = table, boxes[: n[_BOXES]].copy()
     if last_save >= 0:
         n[_BOXES] = 0
     if makes_sense and saves < whole:
-        makes_sense = _apply(
-            data, saves, whole, height, width, n, first, length, is_inside, pool, told, boxes
-        )
-        d_number, d_start, d_inside, d_symbols = _packed(first, length, is_inside, pool, n[_LIMIT])
+        saved_table = table.copy()
+        makes_sense = _apply(data, saves, whole, height, width, n, table, pool, told, boxes)
     _move_gap(told, n, n[_TOLD])
-    numbers[:4] = n[:4]
-    numbers[4], numbers[5] = whole if makes_sense else REFUSED, last_save >= 0
+    n[_HEARD] = whole if makes_sense else REFUSED
+    is_saved = last_save >= 0
     return (
-        d_number, d_start, d_inside, d_symbols, told[: n[_TOLD]].copy(), boxes[: n[_BOXES]].copy(),
-        s_number, s_start, s_inside, s_symbols, s_boxes,
-    )  # fmt: skip
+        table,
+        pool,
+        told[: n[_TOLD]].copy(),
+        boxes[: n[_BOXES]].copy(),
+        n,
+        is_saved,
+        saved_table,
+        saved_boxes,
+    )

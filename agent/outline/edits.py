@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.outline.alignment import align, find_twins, kinship
+from agent.outline.objects import Symbols, symbols
 from agent.outline.polygons import Polygons
 from protocol.kernels import kernel
 from protocol.packets import (
@@ -99,48 +100,6 @@ def script_size(held: Held, approximation: Polygons) -> int:
     return len(_write(held, approximation)[0])
 
 
-def symbols(polygons: Polygons) -> NDArray[np.int32]:
-    """Pack each vertex, x, y, side and occupancy, into one number."""
-    packed: NDArray[np.int32] = _pack(polygons.x, polygons.y, polygons.side, polygons.occupied)
-    return packed
-
-
-def unpacked(
-    shape: tuple[int, int], symbols: NDArray[np.int32], start: NDArray[np.int32], inside: NDArray[np.bool_]
-) -> Polygons:
-    """Return the polygons that symbols stand for."""
-    return Polygons(shape, *_unpack(symbols), start, inside)
-
-
-@kernel("Tuple((int16[::1], int16[::1], uint8[::1], uint8[::1]))(int32[::1])")
-def _unpack(
-    symbols: NDArray[np.int32],
-) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.uint8], NDArray[np.uint8]]:
-    n = len(symbols)
-    x, y = np.empty(n, np.int16), np.empty(n, np.int16)
-    side, occupied = np.empty(n, np.uint8), np.empty(n, np.uint8)
-    for i in range(n):
-        symbol = symbols[i]
-        x[i] = (symbol >> 3 & 0xFFF) - 1
-        y[i] = (symbol >> 15) - 1
-        side[i] = symbol >> 1 & 3
-        occupied[i] = symbol & 1
-    return x, y, side, occupied
-
-
-@kernel("int32[::1](int16[::1], int16[::1], uint8[::1], uint8[::1])")
-def _pack(
-    x: NDArray[np.int16], y: NDArray[np.int16], side: NDArray[np.uint8], occupied: NDArray[np.uint8]
-) -> NDArray[np.int32]:
-    symbols = np.empty(len(x), np.int32)
-    for i in range(len(x)):
-        symbols[i] = (np.int32(y[i]) + 1 << 12 | np.int32(x[i]) + 1) << 3 | side[i] << 1 | occupied[i]
-    return symbols
-
-
-_Symbols = NDArray[np.int32]
-
-
 def _write(
     held: Held, approximation: Polygons
 ) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
@@ -178,9 +137,9 @@ def _object_word(code: int, number: int, count: int, inside: int) -> int:
     "(int32[::1], int32[::1], int32[::1], int32[::1], int32[::1], int64, int64)"
 )
 def _align_pair(
-    old_symbols: _Symbols,
+    old_symbols: Symbols,
     old_start: NDArray[np.int32],
-    new_symbols: _Symbols,
+    new_symbols: Symbols,
     new_start: NDArray[np.int32],
     twins: NDArray[np.int32],
     old_object: int,
@@ -196,9 +155,9 @@ def _align_pair(
     "int32[::1](int32[::1], int32[::1], int32[::1], int32[::1], int32[::1], int32[:,::1])",
 )
 def _succeed(
-    old_symbols: _Symbols,
+    old_symbols: Symbols,
     old_start: NDArray[np.int32],
-    new_symbols: _Symbols,
+    new_symbols: Symbols,
     new_start: NDArray[np.int32],
     twins: NDArray[np.int32],
     kin: NDArray[np.int32],
@@ -235,11 +194,11 @@ def _succeed(
     "(int32[::1], int32[::1], int32[::1], boolean[::1], int32[::1], int32[::1], boolean[::1])"
 )
 def _script(
-    old_symbols: _Symbols,
+    old_symbols: Symbols,
     old_number: NDArray[np.int32],
     old_start: NDArray[np.int32],
     old_inside: NDArray[np.bool_],
-    new_symbols: _Symbols,
+    new_symbols: Symbols,
     new_start: NDArray[np.int32],
     new_inside: NDArray[np.bool_],
 ) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
@@ -289,7 +248,7 @@ def _script(
                 ends[packets] = size
                 packets += 1
         for i in range(len(after)):
-            symbol = after[(i + begin) % len(after)]
+            symbol = after[i + begin if i + begin < len(after) else i + begin - len(after)]
             if source[i] < 0 or before[source[i]] != symbol:
                 size = _put(out, size, _vertex_word(0b010 if source[i] < 0 else 0b011, i, symbol), _INSERT)
                 ends[packets] = size

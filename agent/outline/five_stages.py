@@ -12,7 +12,7 @@ from scipy.ndimage import binary_dilation
 
 from agent.outline.boxes import whole
 from agent.outline.claims import THESIS, Drawing
-from agent.outline.polygons import Polygons
+from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
 from agent.outline.raster import draw, fill
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 
@@ -96,13 +96,17 @@ class _Object:
 def _objects(polygons: Polygons, drawing: Drawing) -> list[_Object]:
     """Rasterise each object by itself."""
     objects = []
-    x, y, side, occupied = polygons.x, polygons.y, polygons.side, polygons.occupied
+    side, occupied = polygons.side, polygons.occupied
+    places = np.column_stack([4 * polygons.x + SIDE_X[side], 4 * polygons.y + SIDE_Y[side]])
     for inside, first, end in zip(polygons.inside, polygons.start[:-1], polygons.start[1:], strict=True):
         if not (inside or drawing.unknown_pairs or end - first > 2 or occupied[first:end].any()):
             continue
-        area, edges, scratch = (np.zeros(polygons.shape, np.uint8) for _ in range(3))
-        all_edges, everywhere = np.arange(first, end, dtype=np.int32), whole(polygons.shape)[0]
-        fill(area, x, y, side, first, end, all_edges, scratch, 1, 0, everywhere)
-        draw(edges, x, y, side, occupied, first, end, all_edges, 1, 2, 0, everywhere)
+        area, edges = np.zeros(polygons.shape, np.uint8), np.zeros(polygons.shape, np.uint8)
+        outline, everywhere = places[first:end], whole(polygons.shape)[0]
+        all_edges = np.column_stack([outline, np.roll(outline, -1, axis=0), occupied[first:end]]).astype(
+            np.int32
+        )
+        fill(area, all_edges, 1, 0, everywhere)
+        draw(edges, all_edges, 1, 2, 0, everywhere)
         objects.append(_Object(bool(inside), area == 1, edges & 1 > 0, edges & 2 > 0))
     return objects

@@ -15,45 +15,46 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.outline.polygons import SIDE_X, SIDE_Y
 from protocol.kernels import kernel
 
+Edges = NDArray[np.int32]
+"""Shape (n, 5): where an edge begins and ends, x and y, in quarters of a cell; and whether it is occupied."""
 
-@kernel(
-    "void(uint8[:,::1], int16[::1], int16[::1], uint8[::1], int64, int64, int32[::1], uint8[:,::1], uint8, uint8,"
-    " int32[::1])"
-)
+
+@kernel("UniTuple(int64, 4)(int32[::1])")
+def _four(numbers: NDArray[np.int32]) -> tuple[int, int, int, int]:
+    """The first four numbers, wide enough for products of them."""
+    return numbers[0], numbers[1], numbers[2], numbers[3]
+
+
+@kernel("void(uint8[:,::1], int32[:,::1], uint8, uint8, int32[::1])")
 def fill(
     layer: NDArray[np.uint8],
-    x: NDArray[np.int16],
-    y: NDArray[np.int16],
-    side: NDArray[np.uint8],
-    first: int,
-    end: int,
-    edges: NDArray[np.int32],
-    scratch: NDArray[np.uint8],
+    edges: Edges,
     set_bits: int,
     clear_bits: int,
     box: NDArray[np.int32],
 ) -> None:
-    """Set and clear bits of the cells in a box that the polygon of the vertices ``first:end`` encloses.
+    """Set and clear bits of the cells in a box that a polygon encloses.
 
-    `edges` has the vertices with which the edges begin that cross a column of the box, in it or above it, at least.
-    `scratch` has the shape of `layer`, and is zero before and after. The box, (x0, y0, x1, y1), is on the grid.
+    `edges` are those that cross a column of the box, in it or above it, at least. The box, (x0, y0, x1, y1), is on the
+    grid.
     """
-    x0, y0, x1, y1 = np.int64(box[0]), np.int64(box[1]), np.int64(box[2]), np.int64(box[3])
-    for i in edges:
-        j = i + 1 if i + 1 < end else first
-        a_x, a_y = 4 * x[i] + SIDE_X[side[i]], 4 * y[i] + SIDE_Y[side[i]]
-        b_x, b_y = 4 * x[j] + SIDE_X[side[j]], 4 * y[j] + SIDE_Y[side[j]]
+    x0, y0, x1, y1 = _four(box)
+    toggles = np.zeros((y1 - y0, x1 - x0), np.uint8)
+    if not toggles.size:
+        return
+    for e in range(len(edges)):
+        low_x, low_y, high_x, high_y = _four(edges[e])
+        if low_x > high_x:
+            low_x, low_y, high_x, high_y = high_x, high_y, low_x, low_y
         # The edge crosses the columns whose middle lies in [low, high); all cells below it there toggle.
-        low_x, low_y, high_x, high_y = (a_x, a_y, b_x, b_y) if a_x <= b_x else (b_x, b_y, a_x, a_y)
         column, last = max((low_x + 3) >> 2, x0), min((high_x + 3) >> 2, x1) - 1
         if column > last or min(low_y, high_y) > 4 * y1:
             continue
         if max(low_y, high_y) <= 4 * y0:
             for at in range(column, last + 1):
-                scratch[y0, at] ^= 255
+                toggles[0, at - x0] ^= 255
         else:
             run, rise = high_x - low_x, high_y - low_y
             denominator = 4 * run
@@ -61,58 +62,45 @@ def fill(
             for at in range(column, last + 1):
                 row = max(numerator // denominator, y0)
                 if row < y1:
-                    scratch[row, at] ^= 255
+                    toggles[row - y0, at - x0] ^= 255
                 numerator += 4 * rise
+    within = np.zeros(x1 - x0, np.uint8)
     for row in range(y0, y1):
-        within = scratch[row, x0:x1]
-        bits = layer[row, x0:x1]
-        if row > y0:
-            above = scratch[row - 1, x0:x1]
-            for at in range(len(within)):
-                within[at] ^= above[at]
-        for at in range(len(bits)):
+        toggled, bits = toggles[row - y0], layer[row, x0:x1]
+        for at in range(len(within)):
+            within[at] ^= toggled[at]
             bits[at] = bits[at] & ~(clear_bits & within[at]) | set_bits & within[at]
-    for row in range(y0, y1):
-        scratch[row, x0:x1] = 0
 
 
-@kernel(
-    "void(uint8[:,::1], int16[::1], int16[::1], uint8[::1], uint8[::1], int64, int64, int32[::1], uint8, uint8, uint8,"
-    " int32[::1])"
-)
+@kernel("void(uint8[:,::1], int32[:,::1], uint8, uint8, uint8, int32[::1])")
 def draw(
     layer: NDArray[np.uint8],
-    x: NDArray[np.int16],
-    y: NDArray[np.int16],
-    side: NDArray[np.uint8],
-    occupied: NDArray[np.uint8],
-    first: int,
-    end: int,
-    edges: NDArray[np.int32],
+    edges: Edges,
     occupied_bits: int,
     other_bits: int,
     clear_bits: int,
     box: NDArray[np.int32],
 ) -> None:
-    """Draw the edges of the polygon of the vertices ``first:end``, as far as they lie in a box on the grid.
+    """Draw edges of a polygon, as far as they lie in a box on the grid.
 
-    Clears `clear_bits` in all their cells; sets `occupied_bits` on occupied edges, `other_bits` on others. `edges`
-    has the vertices with which the edges begin that pass through the box, at least.
+    Clears `clear_bits` in all their cells; sets `occupied_bits` on occupied edges, `other_bits` on others.
     """
-    x0, y0, x1, y1 = np.int64(box[0]), np.int64(box[1]), np.int64(box[2]), np.int64(box[3])
-    for i in edges:
-        j = i + 1 if i + 1 < end else first
-        if (x[i] > x1 and x[j] > x1) or (x[i] < x0 - 1 and x[j] < x0 - 1):
+    x0, y0, x1, y1 = _four(box)
+    for e in range(len(edges)):
+        a_x, a_y, b_x, b_y = _four(edges[e])
+        x, y, end_x, end_y = a_x + 1 >> 2, a_y + 1 >> 2, b_x + 1 >> 2, b_y + 1 >> 2
+        if min(x, end_x) > x1 or max(x, end_x) < x0 - 1 or min(y, end_y) > y1 or max(y, end_y) < y0 - 1:
             continue
-        if (y[i] > y1 and y[j] > y1) or (y[i] < y0 - 1 and y[j] < y0 - 1):
-            continue
-        bits = occupied_bits if occupied[i] else other_bits
-        a_x, a_y = 4 * x[i] + SIDE_X[side[i]], 4 * y[i] + SIDE_Y[side[i]]
-        run, rise = 4 * x[j] + SIDE_X[side[j]] - a_x, 4 * y[j] + SIDE_Y[side[j]] - a_y
-        # Along the axis of the longer extent, `at` counts columns (or rows) from the first vertex' own.
+        bits = occupied_bits if edges[e, 4] else other_bits
+        run, rise = b_x - a_x, b_y - a_y
+        # Along the axis of the longer extent, `at` counts columns (or rows) from the first vertex' own; the box has
+        # those from number `skipped` up to `cells`.
         flat = abs(run) >= abs(rise)
-        at, last = (x[i], x[j]) if flat else (y[i], y[j])
+        at, last, low, high = (x, end_x, x0, x1) if flat else (y, end_y, y0, y1)
         step = 1 if last > at else -1
+        before, within = (low - at, high - at) if step > 0 else (at - high + 1, at - low + 1)
+        skipped, cells = max(before, 0), min(max(abs(last - at), 1), within)
+        at += skipped * step
         if flat:
             numerator, denominator, slope = a_y * run + rise * (4 * at - a_x), 4 * run, 4 * rise * step
         else:
@@ -122,12 +110,17 @@ def draw(
         elif denominator < 0:
             numerator, denominator, slope = -numerator, -denominator, -slope
         numerator += denominator // 2
-        while True:
-            across = numerator // denominator
+        across = numerator // denominator
+        rest = numerator - across * denominator
+        for _ in range(skipped, cells):
             column, row = (at, across) if flat else (across, at)
             if x0 <= column < x1 and y0 <= row < y1:
                 layer[row, column] = layer[row, column] & ~clear_bits | bits
             at += step
-            numerator += slope
-            if (last - at) * step <= 0:
-                break
+            rest += slope  # no slope is steeper than a cell a cell
+            if rest >= denominator:
+                rest -= denominator
+                across += 1
+            elif rest < 0:
+                rest += denominator
+                across -= 1

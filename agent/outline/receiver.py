@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-
 from agent.outline.boxes import NO_BOXES, Boxes, united
 from agent.outline.draft import Draft
-from agent.outline.edit_reader import NOTHING, Objects, Reading, read
-from agent.outline.edits import Held, unpacked
+from agent.outline.edit_reader import Reading, read
+from agent.outline.edits import Held
+from agent.outline.objects import FIRST, INSIDE, LENGTH, Objects
 
 
 class Receiver:
@@ -26,19 +25,18 @@ class Receiver:
     """
 
     def __init__(self, shape: tuple[int, int]) -> None:
-        self._shape = shape
-        self._reading = Reading()
+        self.objects = Objects.nothing(shape)
+        """The approximation as of the last save point."""
+        self._reading = Reading.nothing(shape)
         self._pending = b""
-        self._saved = NOTHING
-        self._held: Held | None = Held.nothing(shape)
+        self._held: Held | None = None
         self._changed: Boxes = NO_BOXES
 
     @property
     def held(self) -> Held:
-        """The approximation as of the last save point."""
+        """The same as polygons."""
         if self._held is None:
-            number, start, inside, symbols = self._saved
-            self._held = Held(number, unpacked(self._shape, symbols, start, inside))
+            self._held = Held(*self.objects.polygons())
         return self._held
 
     def changed(self) -> Boxes:
@@ -58,9 +56,9 @@ class Receiver:
             a part is in this piece.
         """
         piece = self._pending + data
-        found = read(self._shape, self._reading, piece)
+        found = read(self._reading, piece)
         if found is None or found[0] < len(piece):  # something is wrong, or a packet is not complete
-            _draft_of(self._shape, self._reading).read(self._pending, data)
+            _draft_of(self._reading).read(self._pending, data)
         if found is None:
             raise RuntimeError("a piece was refused in which each packet makes sense")
         if found[2] is not None:
@@ -68,24 +66,19 @@ class Receiver:
         used, self._reading, saved = found
         self._pending = piece[used:]
         if saved is not None:
-            self._saved, self._held = saved.objects, None
+            self.objects, self._held = saved.objects, None
             self._changed = united(self._changed, saved.boxes)
         return saved is not None
 
 
-def _draft_of(shape: tuple[int, int], reading: Reading) -> Draft:
+def _draft_of(reading: Reading) -> Draft:
     """What has been read, in plain form."""
-    return Draft(
-        shape,
-        _outlines(reading.objects),
-        None if reading.open < 0 else reading.open,
-        reading.vertices.tolist(),
-        reading.announced,
-        bool(reading.inside),
-        bool(reading.edited),
-    )
-
-
-def _outlines(objects: Objects) -> dict[int, tuple[np.ndarray[tuple[int], np.dtype[np.int32]], bool]]:
-    parts = np.split(objects.symbols, objects.start[1:-1])
-    return dict(zip(objects.number.tolist(), zip(parts, objects.inside.tolist(), strict=True), strict=False))
+    shape, table, pool = reading.objects
+    number, count, inside, is_saved = reading.header
+    objects = {
+        each: (pool[row[FIRST] : row[FIRST] + row[LENGTH]], bool(row[INSIDE]))
+        for each, row in enumerate(table)
+        if row[FIRST] >= 0
+    }
+    vertices = reading.vertices.tolist()
+    return Draft(shape, objects, None if number < 0 else number, vertices, count, inside, not is_saved)

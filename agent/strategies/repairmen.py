@@ -6,6 +6,9 @@ robots plan as k travelling repairmen (`agent.planning.team_tours`): together th
 which a goal costs by what it promises and by when it is reached, a crumb the more the later, and the last robot's
 end counts on top. Each drives to the first goal of its own tour and plans anew in every step.
 
+A crumb is not driven up to. The robot looks at it from a cell that is on its tour's way, or nearly, and from which
+what is unknown there is in sight (`agent.planning.vantage`).
+
 A robot that has no teammates in the scenario comes back itself for all that it leaves: it drives the shortest
 tour through all goals (`agent.planning.lone_tour`), whatever they promise. One that is only out of range of its
 teammates does not: they pass where it does not, and it plans as a team of one.
@@ -29,11 +32,13 @@ from agent.planning.giving_way import MEMORY
 from agent.planning.lone_tour import lone_tour
 from agent.planning.path_planner import PathPlanner
 from agent.planning.team_tours import team_tours
+from agent.planning.vantage import best_vantage, vantage_cells
 from agent.settings import Settings
 from agent.strategies.base import Cell, Situation
 from agent.strategies.options import option
 from agent.strategies.targets import Parts
 from agent.strategies.team import PATIENCE, Table, TeamStrategy
+from protocol.grid import fan
 
 PLENTY = 1 / 8
 """An edge that promises this share of the sensor's disc, or more, has the weight 1."""
@@ -55,6 +60,12 @@ NEAR = 3 / 10
 MOST = 48
 """Goals of a plan, more or less: ways between all pairs of them are searched in every step."""
 
+CRUMB_CELLS = 2
+"""An edge of so many cells is looked at from afar: of longer ones there is more to see from near."""
+
+AHEAD = 5
+"""Goals that come after the next one and have a say in where to look at it from."""
+
 RECALL = 50
 """Steps for which a teammate out of range is believed to be at the last target that it told of."""
 
@@ -74,6 +85,9 @@ class Options(Parts):
         0.2, "by how much an edge's weight grows with each sensor range of way until it is reached", least=0
     )
     last: float = option(2.0, "weight of the longest tour", least=0)
+    look: float = option(
+        0.9, "from how many sensor ranges off a crumb is looked at; 0: from where it is", least=0
+    )
     loyalty: float = option(0.2, "by how many sensor ranges a robot's last target seems nearer", least=0)
 
 
@@ -91,6 +105,9 @@ class Repairmen(TeamStrategy):
         self._known = 0
         self._lengths = np.empty(0, np.int64)
         self._between = np.empty((0, 0))
+        self._tour: list[int] = []
+        self._next = np.empty((0, 2), np.int32), np.empty(0, np.bool_)
+        self._seen_in_vain: set[Cell] = set()
 
     def is_due(self, situation: Situation) -> bool:
         """In each step that brings news of the map: a robot that hears nothing new does not turn to and fro.
@@ -153,13 +170,57 @@ class Repairmen(TeamStrategy):
         self._between = np.ascontiguousarray(ways[:, len(cells) :])
         return Table(tuple(team), cells, goals, np.ascontiguousarray(ways[:, : len(cells)].T))
 
+    def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
+        """Take the first goal of one's own tour; keep those that come first, and how long their edges are."""
+        self._tour = []
+        chosen = super().choose(situation, goals, planner)
+        numbers = self._tour[: 1 + AHEAD]
+        self._next = goals[numbers], self._lengths[numbers] <= CRUMB_CELLS
+        return chosen
+
+    def stand(self, situation: Situation, planner: PathPlanner) -> Cell | None:
+        """Look at a crumb from afar: from where the way there and through the tour's next goals is short.
+
+        Not if it has been looked at in vain: a teammate may have stood before it, or the map be drawn of outlines.
+        """
+        goals, are_crumbs = self._next
+        target = self.target
+        if target is None or not len(goals) or not are_crumbs[0] or not self._looks_afar():
+            return target
+        if target in self._seen_in_vain:
+            return target
+        reach = min(self.options.look, 1.0) * self.settings.range_cells
+        around = fan(self.settings.range_cells, self.settings.beams)
+        views = (
+            vantage_cells(situation.grid, (x, y), around, reach) if is_crumb else None
+            for (x, y), is_crumb in zip(goals.tolist(), are_crumbs, strict=True)
+        )
+        found = best_vantage(planner, situation.here, views, goals, self.settings.speed_cells)
+        if found is None:
+            self._seen_in_vain.add(target)
+        return found or target
+
+    def _looks_afar(self) -> bool:
+        """Whether one look from anywhere settles what is there."""
+        settings = self.settings
+        full_turn = settings.field_of_view >= 360.0 and settings.turn_steps == 1
+        return full_turn and self.options.replan != "at-goal" and self.options.look > 0
+
+    def _is_stranded(self, here: Cell) -> bool:
+        """Also where it has looked at a crumb without news of the map: it drives there."""
+        stranded = super()._is_stranded(here)
+        if stranded and self.target is not None:
+            self._seen_in_vain.add(self.target)
+        return stranded
+
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """With which goal the tour of each robot begins; of a robot without teammates the shortest tour."""
         del planner
         range_cells = self.settings.scale_cells
         ways, between = self._loyal(table, situation), np.minimum(self._between, self._between.T)
         if self.settings.robots == 1:
-            return np.array((lone_tour(ways[0], between, NEAR * range_cells) or [-1])[:1])
+            self._tour = lone_tour(ways[0], between, NEAR * range_cells)
+            return np.array((self._tour or [-1])[:1])
         promised = promise(situation.grid, table.goals, self._lengths, range_cells)
         worth = np.minimum(promised / PLENTY, 1.0)
         tours = team_tours(
@@ -169,6 +230,7 @@ class Repairmen(TeamStrategy):
             np.full(len(table.goals), self.options.lateness / (2 * range_cells)),
             self.options.last,
         )
+        self._tour = tours[table.robots.index(self.settings.robot)]
         return _follow(np.array([tour[0] if tour else -1 for tour in tours]), table.costs, worth)
 
     def _loyal(self, table: Table, situation: Situation) -> NDArray[np.float64]:

@@ -189,6 +189,11 @@ class TargetStrategy(Strategy):
         goals = self.goals(situation, planner)
         return (self.choose(situation, goals, planner) if len(goals) else None), len(goals) > 0
 
+    def stand(self, situation: Situation, planner: PathPlanner) -> Cell | None:
+        """Where to drive for the target: there itself."""
+        del situation, planner
+        return self.target
+
     def _count_turn(self, here: Cell) -> None:
         """Count the sectors that the scanner has seen from this cell."""
         self._turned = (self._turned if here == self._at else 0) + self._looked
@@ -197,7 +202,9 @@ class TargetStrategy(Strategy):
     def _renew(self, situation: Situation, planner: PathPlanner) -> bool:
         """Choose a target; whether there was any goal."""
         self.target, left = self.select(situation, planner)
-        goal = situation.home if self.target is None and self.options.mission == "return" else self.target
+        goal = self.stand(situation, planner)
+        if goal is None and self.options.mission == "return":
+            goal = situation.home
         if self.target is not None or not self._is_under_way(situation.here, goal, planner):
             self._drive(situation, planner, goal)
         return left

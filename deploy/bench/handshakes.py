@@ -49,40 +49,35 @@ class Handshakes:
         out, in_relay = timed(lambda: self._radio.begin(step, self._cells))
         in_sessions = 0.0
         while out:
-            said: list[tuple[int, Said, list[tuple[int, bytes]]]] = []
+            said: list[tuple[int, Said]] = []
             for item in out:
                 if isinstance(item, Frame):
-                    frames[item.receiver].append((item.sender, item.payload))
+                    for receiver in item.receivers:
+                        frames[receiver].append((item.sender, item.payload))
                 elif isinstance(item, Note):
                     heard, frames[item.receiver] = frames[item.receiver], []
                     session = self.sessions[item.receiver]
                     answer, spent = timed(partial(_speak, session, item.message, heard))
                     in_sessions += spent
                     if answer is not None:
-                        said.append((item.receiver, *answer))
+                        said.append((item.receiver, answer))
             out, spent = timed(partial(self._hear, said))
             in_relay += spent
         self.in_sessions.append(in_sessions)
         self.in_relay.append(in_relay)
 
-    def _hear(self, said: Sequence[tuple[int, Said, list[tuple[int, bytes]]]]) -> list[Outgoing]:
-        out: list[Outgoing] = []
-        for sender, note, frames in said:
-            for receiver, payload in frames:
-                self._radio.hear(sender, receiver, payload)
-            out += self._radio.said(sender, note)
-        return out
+    def _hear(self, said: Sequence[tuple[int, Said]]) -> list[Outgoing]:
+        return [item for sender, words in said for item in self._radio.said(sender, words)]
 
 
-def _speak(
-    session: Session, note: object, heard: list[tuple[int, bytes]]
-) -> tuple[Said, list[tuple[int, bytes]]] | None:
+def _speak(session: Session, note: object, heard: list[tuple[int, bytes]]) -> Said | None:
     """What a session sends in response to a notification of the relay and the frames before it."""
     match note:
         case Open():
             room = None if note.budget == UNLIMITED else note.budget
             offers = session.offers(note.exchange, note.peers, room)
-            return Said(note.step, note.exchange, "offers", []), [(peer, frame) for peer, _, frame in offers]
+            receivers, said = [peer for peer, _, _ in offers], [frame for _, _, frame in offers]
+            return Said(note.step, note.exchange, "offers", [], 0, receivers, said)
         case Turn(phase="offers"):
             offered = [(n, *frame) for n, frame in zip(note.connections, heard, strict=True)]
             frames, phase = session.answers(offered), "answers"
@@ -97,4 +92,5 @@ def _speak(
         case _:
             session.forget()
             return None
-    return Said(note.step, note.exchange, phase, [n for n, _, _ in frames]), [(p, f) for _, p, f in frames]
+    numbers, receivers = [number for number, _, _ in frames], [peer for _, peer, _ in frames]
+    return Said(note.step, note.exchange, phase, numbers, 0, receivers, [frame for _, _, frame in frames])

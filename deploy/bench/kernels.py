@@ -25,6 +25,7 @@ from agent.outline.contour import contours
 from agent.outline.edits import Held, edit_script
 from agent.outline.five_stages import five_stages
 from agent.outline.merge import TeamMap
+from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
 from agent.outline.simplify import mixed_first, refine
 from agent.planning.cost_field import costs
@@ -195,7 +196,7 @@ def _merging(walk: Sequence[Moment], telling: _Telling) -> Iterator[Figure]:
 
 def _merge(team: TeamMap, own: Grid, changed: Sequence[Polygons]) -> Grid:
     for robot, polygons in enumerate(changed, 1):
-        team.update(robot, polygons)
+        team.update(robot, Objects.of(polygons))
     return team.merged(own)
 
 

@@ -18,7 +18,7 @@ from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario
 from netshaper.process import RelayNode
 from protocol import keys as names
-from protocol import packets
+from protocol import packets, rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
 from protocol.keys import Keys
@@ -68,7 +68,8 @@ def relay() -> Iterator[Figure]:
     for case in CASES:
         plan = _plan(case)
         heard = _listen(plan)
-        frames = [message.payload for message in heard if names.parts(message.key)[0] == "radio"]
+        said = [rights.read(*message) for message in heard if names.parts(message.key)[0] == "radio"]
+        frames = [frame for words in said for frame in words.frames]
         ours, theirs = [], []
         for _ in range(REPEATS):
             ours.append(_relaying(plan, heard) / len(frames))

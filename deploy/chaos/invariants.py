@@ -107,11 +107,10 @@ class Watcher:
 
     def _check_books(self, records: Records) -> None:
         rows = records.ledger()
-        perfect = getattr(self._plan.scenario, "radio", None)
         for step, (said, carried, cut, heard) in balance(rows).items():
             unicast = (rows["step"] == step) & (rows["receiver"] >= 0) & (rows["carried"] == 1)
             to_one = int(rows["bytes"][unicast].sum())
-            if said != carried + cut or (heard != to_one and (perfect is None or perfect.perfect)):
+            if said != carried + cut or (heard != to_one and self._plan.radio.perfect):
                 raise Violation(
                     f"step {step}: {said} bytes were said, {carried} carried, {cut} cut; "
                     f"of {to_one} to one robot {heard} were heard"

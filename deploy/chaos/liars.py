@@ -13,12 +13,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from msgspec.structs import replace
 
 from protocol import keys as names
 from protocol import packets, survey
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
 from protocol.keyed_random import keyed_random
+from protocol.messages import pack, unpack
 from protocol.packets import Answer, Block, Decline, From, Gone, Held, Near, Offer, Pose, Remove, Save, Target
 
 LIES = 0.25
@@ -54,15 +56,8 @@ class LyingBus:
     def put(self, key: str, payload: bytes) -> None:
         """Send a payload, or what a liar makes of it."""
         if names.parts(key)[0] == "radio":
-            self._count += 1
-            draw = keyed_random(self._seed, "lie", self._robot, self._count)
-            true, said = payload, payload
-            if draw.random() < LIES:
-                said = self._lie(draw, payload)
-            if said != true and not true.startswith(said) and _tells_of_maps(said):
-                said = bytes(draw.bytes(20))
-            self._last = true
-            payload = said
+            said = unpack(payload)
+            payload = pack(replace(said, frames=[self._spoken(frame) for frame in said.frames]))
         self._bus.put(key, payload)
 
     def receive(self, timeout_s: float | None = None) -> Message | None:
@@ -72,6 +67,16 @@ class LyingBus:
     def close(self) -> None:
         """Leave the bus."""
         self._bus.close()
+
+    def _spoken(self, true: bytes) -> bytes:
+        """A frame, or what a liar makes of it."""
+        self._count += 1
+        draw = keyed_random(self._seed, "lie", self._robot, self._count)
+        said = self._lie(draw, true) if draw.random() < LIES else true
+        if said != true and not true.startswith(said) and _tells_of_maps(said):
+            said = bytes(draw.bytes(20))
+        self._last = true
+        return said
 
     def _lie(self, draw: np.random.Generator, payload: bytes) -> bytes:
         kind = int(draw.integers(6))

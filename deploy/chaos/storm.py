@@ -62,7 +62,8 @@ class Storm:
         faults = base["fault"]
         kept = [faults[:at] + faults[at + 1 :] for at in range(len(faults))]
         changes = [{"fault": fault} for fault in kept]
-        changes += [{key: {}} for key in ("radio",) if base.get(key) != _PLAIN.get(key)]
+        if base["radio"] != _PLAIN["radio"]:
+            changes.append({"radio": {}})
         less: list[Storm] = [replace(self, liars=()) for _ in range(1 if self.liars else 0)]
         for change in changes:
             try:
@@ -96,7 +97,7 @@ def storm(seed: int) -> Storm:
         "bus": "memory",
     }
     settings["fault"] = _faults(draw, robots)
-    if "radio" in Scenario.model_fields and draw.random() < 0.5:
+    if draw.random() < 0.5:
         settings["radio"] = _radio(draw, robots)
     liars = (int(draw.integers(robots)),) if robots > 2 and draw.random() < 0.3 else ()
     return Storm(seed, parse(settings), liars)

@@ -6,34 +6,32 @@ from deploy.scenario.plan import Plan
 from netshaper.medium import UNLIMITED
 
 TEXT = """\
-**{robots} robots explore an unknown building.** Their sensor range is {sensor:g} m. They share what they find \
-by radio: {medium}. The run ends when one has nothing left to explore.
+**{robots} robots explore an unknown building.** Sensor range: {sensor:g} m. Radio: {medium}.
 
-**Left: the true map.** Discs are robots, a line leads from each to its target. {circles}Green links carry data \
-in this step, grey ones could.{chosen}
+**Left: the true map.** A line leads to each target. {circles}Links: green ones carry data, grey ones could.{chosen}
 
-**Right: what each robot knows.** White is floor, black is wall, grey is unknown. {outlines}
+**Right: what each robot knows.** Floor is white, wall black, grey unknown. {outlines}
 
-**Below: the radio.** {budget}The thick line is what the team has seen, each robot's colour what is on its \
-map; the gap between them is news that has not arrived.
+**Below: the radio.** {budget}Bytes a step, and what for. Thick line: what the team has seen; in colours: what \
+each robot has on its map. The gap is news still under way.
 """
-OUTLINES = "Strong outlines are its own, faint ones were received."
+OUTLINES = "Faint outlines were received."
 
 
 def about(plan: Plan) -> str:
     """Explain the dashboard, in markdown, with the figures of this run."""
     budget = plan.radio.budget
     polygons = plan.scenario.exchange == "polygon"
-    medium = "unlimited bandwidth" if budget == UNLIMITED else f"at most {budget} bytes a step (one second)"
+    medium = "unlimited bandwidth" if budget == UNLIMITED else f"{budget} bytes a step (a second)"
     medium += f", range {plan.range_m:.0f} m"
     return TEXT.format(
         robots=plan.scenario.robots,
         sensor=plan.scenario.sensor_range,
         medium=medium,
-        chosen=" A tab for each robot dims the others." if plan.scenario.robots > 1 else "",
-        circles="Circles: the radio range. " if shows_range(plan) else "",
-        outlines=OUTLINES if polygons else "What it has not seen itself was received from others.",
-        budget="" if budget == UNLIMITED else "The red line is the limit. ",
+        chosen=" Tabs show one robot each." if plan.scenario.robots > 1 else "",
+        circles="Circles: radio range. " if shows_range(plan) else "",
+        outlines=OUTLINES if polygons else "The rest was received.",
+        budget="" if budget == UNLIMITED else "Red: the limit. ",
     )
 
 

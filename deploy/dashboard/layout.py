@@ -14,17 +14,17 @@ from deploy.scenario.plan import Plan
 
 MOST = 8
 """Robots that are shown at once; more of them go to tabs."""
-RADIO_SHARES = [26, 21, 17, 20, 18, 24]
+RADIO_SHARES = [30, 20, 19, 18, 16, 25]
 """Widths of the views below."""
 
 
 def layout(plan: Plan) -> rrb.Blueprint:
     """Lay the dashboard of a run out."""
     robots = range(plan.scenario.robots)
-    world = _map("/world", "The building as it is [m]", plan, ["/world/**", "/ways/**"], margin=0.1)
+    world = _map("/world", "The building as it is [m]", plan, ["/world/**", "/ways/**"], margin=0.12)
     chosen = [_chosen(robot, plan) for robot in robots] if len(robots) > 1 else []
     minds = [
-        _map(f"/minds/{robot}", f"Robot {robot} knows", plan, [f"/minds/{robot}/**", f"/ways/{robot}"], 0.16)
+        _map(f"/minds/{robot}", f"Robot {robot} knows", plan, [f"/minds/{robot}/**", f"/ways/{robot}"], 0.24)
         for robot in robots
     ]
     columns = len(minds) if len(minds) < 4 else -(-min(len(minds), MOST) // 2)
@@ -85,7 +85,7 @@ def _radio() -> list[rrb.View]:
         rrb.TimeSeriesView(
             origin="/air",
             contents=["/air/load", "/air/budget"],
-            name="On the air [bytes/step]",
+            name="On the air [B]",
             plot_legend=no_legend,
         ),
         rrb.Spatial2DView(
@@ -99,10 +99,10 @@ def _radio() -> list[rrb.View]:
             plot_legend=no_legend,
             axis_y=rrb.ScalarAxis(range=(0, 102)),
         ),
-        rrb.TimeSeriesView(origin="/backlog", name="Untold [packets]", plot_legend=no_legend),
+        rrb.TimeSeriesView(origin="/backlog", name="Untold", plot_legend=no_legend),
         rrb.TextLogView(
             origin="/events",
-            name="What happens, step by step",
+            name="What happens",
             columns=rrb.TextLogColumns(
                 timeline_columns=[rrb.encodings.TimelineColumn(TIMELINE, visible=False)],
                 text_log_columns=["Body"],

@@ -128,9 +128,9 @@ class RunEvents:
         }
         events = [Event(self.step, f"robot {robot} has broken down", 2) for robot in gone]
         return events + [
-            Event(self.step, f"robots {a} and {b} can hear each other")
+            Event(self.step, f"robots {a} and {b} are in touch")
             if (a, b) in self.in_range
-            else Event(self.step, f"robots {a} and {b} have lost each other", 1)
+            else Event(self.step, f"robots {a} and {b} are out of touch", 1)
             for a, b in sorted(before ^ self.in_range)
             if self.step > 1 and a in self.positions and b in self.positions
         ]
@@ -155,7 +155,7 @@ class RunEvents:
         if full != self._full and self.budget != UNLIMITED:
             self._full = full
             if full:
-                events.append(Event(report.step, f"the channel is full: {cut} bytes must wait", 1))
+                events.append(Event(report.step, f"channel full: {cut} bytes wait", 1))
         return events
 
     def _mind(self, robot: int, report: MindReport) -> list[Event]:
@@ -176,9 +176,7 @@ class RunEvents:
                 )
         idle = report.status.startswith("idle")
         if idle and robot not in self.idle:
-            events.append(
-                Event(report.step, f"robot {robot} is idle: nothing is left to explore on its map", 1)
-            )
+            events.append(Event(report.step, f"robot {robot} is idle: its map is done", 1))
         (self.idle.add if idle else self.idle.discard)(robot)
         return events
 
@@ -190,12 +188,12 @@ class RunEvents:
         if change.range_mm >= 0:
             self.range_m = change.range_mm / 1000
             words.append(f"range {self.range_m:.1f} m")
-        return [Event(change.step, f"the radio has changed: {', '.join(words)}", 2)]
+        return [Event(change.step, f"the radio now: {', '.join(words)}", 2)]
 
     def _ending(self, end: End) -> str:
         if end.first < 0:
             return f"the run is over: {end.reason}"
-        return f"explored in {end.step} steps; robot {end.first} finished first"
+        return f"explored; robot {end.first} finished first"
 
 
 def _talks(carried: NDArray[np.void]) -> dict[tuple[int, int], int]:

@@ -6,8 +6,10 @@ from dataclasses import asdict
 from typing import Any
 
 from agent.exchange.polygon_options import THESIS_OPTIONS, PolygonOptions
+from deploy.scenario.scenario import Scenario, ScenarioError
 
 OFFERS = "thesis"
+STRATEGY = Scenario.model_fields["strategy"].default
 
 NOT_IN_IT: dict[str, dict[str, Any]] = {"meier": {"herding": False}}
 """Options of strategies that take away what the thesis does not have: the rule against herding is ours."""
@@ -22,3 +24,20 @@ def thesis_settings(strategy: str) -> dict[str, Any]:
         | {f"polygon.{name}": value for name, value in plain.items()}
         | {f"options.{name}": value for name, value in NOT_IN_IT.get(strategy, {}).items()}
     )
+
+
+def with_thesis(data: dict[str, Any], where: str) -> dict[str, Any]:
+    """Settings of which ``thesis = true`` asks for the thesis' plain rules; what they say themselves stays.
+
+    Raises
+    ------
+    ScenarioError
+        `thesis` is neither true nor false; `where` names the settings.
+    """
+    asked, data = data.get("thesis", False), {key: value for key, value in data.items() if key != "thesis"}
+    if not isinstance(asked, bool):
+        raise ScenarioError(f"{where}: thesis = {asked!r}: must be true or false")
+    for key, value in thesis_settings(data.get("strategy", STRATEGY)).items() if asked else ():
+        table, dot, inner = key.partition(".")
+        data[table] = {inner: value, **data.get(table, {})} if dot else data.get(table, value)
+    return data

@@ -3,10 +3,11 @@
 It is TOML: ``[base]`` holds a scenario's keys, ``[grid]`` lists of values of which every combination is run,
 ``[follow]`` keys that take the value of a key of the grid, ``[[variant]]`` named sets of keys that are compared.
 A value of the grid that is a table with the key's own name in it sets all its keys; ``seeds = 20`` is short for the
-seeds 0 to 19. ``[table]`` says what to print (`deploy.study.tables`), ``[[plot]]`` what to draw (`deploy.study.plots`),
-``[claim]`` what a paper claims of it and by which rules that is tested (`deploy.study.claims`). ``[quick]``
-replaces values for a first look, and ``measure`` names something other than an exploration
-(`deploy.study.measures`).
+seeds 0 to 19. ``scenario = "burgard.toml"`` names a scenario whose settings lie under ``[base]``; ``thesis = true``,
+wherever a setting may stand, lays the thesis' plain rules under those of a run (`deploy.scenario.thesis`). ``[table]``
+says what to print (`deploy.study.tables`), ``[[plot]]`` what to draw (`deploy.study.plots`), ``[claim]`` what a paper
+claims of it and by which rules that is tested (`deploy.study.claims`). ``[quick]`` replaces values for a first look,
+and ``measure`` names something other than an exploration (`deploy.study.measures`).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from deploy.scenario.scenario import SHIPPED as SCENARIOS
 from deploy.scenario.scenario import ScenarioError, beside, read_toml
 from deploy.study.claims import Claim, read_claim
 from deploy.study.measures import EXPLORATION, FIGURES, MEASURES
@@ -27,7 +29,7 @@ SHIPPED = Path(__file__).with_name("experiments")
 """Experiments that are installed with the code; they can be given by name instead of a path."""
 
 TABLES = ("base", "grid", "follow", VARIANT, "table", "plot", "claim", "quick")
-WORDS = ("name", "seeds", "measure")
+WORDS = ("name", "scenario", "seeds", "measure")
 
 QUICK_SEEDS = 3
 
@@ -94,12 +96,12 @@ def read(path: Path) -> Experiment:
             raise ValueError(
                 f"{unknown[0]} is no table of an experiment; there are: {', '.join((*TABLES, *WORDS))}"
             )
-        if not (set(data) & {"base", "grid", VARIANT}):
-            raise ValueError("nothing to run; an experiment has [base], [grid] or [[variant]]")
+        if not (set(data) & {"base", "grid", "scenario", VARIANT}):
+            raise ValueError("nothing to run; an experiment has [base], [grid], [[variant]] or a scenario")
         for key in ("base", "grid", "follow", "table", "quick"):
             if not isinstance(data.get(key, {}), dict):
                 raise ValueError(f"{key} = {data[key]!r}: must be a table, [{key}]")
-        base, grid = data.get("base", {}), data.get("grid", {})
+        base, grid = _under(path, data.get("scenario"), data.get("base", {})), data.get("grid", {})
         if "seeds" in data:
             if "seed" in grid:
                 raise ValueError("seeds and grid.seed: say one of them")
@@ -128,6 +130,30 @@ def read(path: Path) -> Experiment:
         raise ScenarioError(f"{where}: {error}") from None
     name = str(data.get("name", path.stem))
     return Experiment(where, name, base, grid, follow, variants, table, plots, claim, quick, measure)
+
+
+def _under(path: Path, scenario: Any, base: dict[str, Any]) -> dict[str, Any]:
+    """The base over the settings of a scenario's file, if it names one."""
+    if scenario is None:
+        return base
+    if not isinstance(scenario, str):
+        raise ValueError(f"scenario = {scenario!r}: must be the name of a scenario's file")
+    beside_it = path.parent / scenario
+    named, data = read_toml(beside_it if beside_it.exists() else Path(scenario), "scenario", SCENARIOS)
+    if "map" in data:
+        data["map"] = beside(named, data["map"])
+    lay(data, base)
+    return data
+
+
+def lay(data: dict[str, Any], settings: dict[str, Any]) -> None:
+    """Lay settings over others; of tables only the keys that a dotted name names (``options.beta``)."""
+    for key, value in settings.items():
+        table, dot, inner = key.partition(".")
+        if dot:
+            data[table] = {**data.get(table, {}), inner: value}
+        else:
+            data[key] = value
 
 
 def seeds(count: Any) -> list[int]:

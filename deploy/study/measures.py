@@ -22,6 +22,7 @@ from deploy.record.summary import summarise
 from deploy.run import in_memory
 from deploy.scenario.plan import Plan
 from deploy.scenario.tables import UNLIMITED
+from deploy.study.recovery import recovery
 from netshaper.ledger import KIND_NUMBER
 from protocol.grid import FREE, UNKNOWN
 from protocol.keyed_random import keyed_random
@@ -114,7 +115,12 @@ def voronoi(plan: Plan) -> Figures:
     }
 
 
-MEASURES: dict[str, Measure] = {EXPLORATION: exploration, "assignment": assignment, "voronoi": voronoi}
+MEASURES: dict[str, Measure] = {
+    EXPLORATION: exploration,
+    "assignment": assignment,
+    "voronoi": voronoi,
+    "recovery": recovery,
+}
 
 FIGURES: dict[str, tuple[str, ...]] = {
     EXPLORATION: ("load.first_quarter", "load.last_quarter", "load.emerging", "load.meeting"),
@@ -122,6 +128,7 @@ FIGURES: dict[str, tuple[str, ...]] = {
         "assignment.greedy_ms", "assignment.optimal_ms", "assignment.greedy_value", "assignment.optimal_value",
     ),
     "voronoi": ("voronoi.ratio", "voronoi.ratio_smoothed", "voronoi.pixels", "voronoi.contour"),
+    "recovery": ("recovery.steps", "recovery.bytes", "recovery.alone", "recovery.again", "recovery.end"),
 }  # fmt: skip
 """Figures of each measure; `exploration` has those of a summary besides."""
 

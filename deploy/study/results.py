@@ -87,6 +87,20 @@ class Results:
             return False
         return code is None or self._known[key] == code
 
+    def rename(self, key_of: Callable[[Row], str]) -> None:
+        """Give each run that has not failed the key that `key_of` finds for its row."""
+        plain = [name for name, kind in self.frame.schema.items() if not isinstance(kind, pl.List)]
+        found = {
+            row[KEY]: row[KEY] if row[ERROR] is not None else key_of(row)
+            for row in self.frame.select(plain).iter_rows(named=True)
+        }
+        renamed = self.frame.with_columns(pl.col(KEY).replace(found)).unique(
+            KEY, keep="last", maintain_order=True
+        )
+        self._is_behind = self._is_behind or any(old != new for old, new in found.items())
+        self._frame = renamed
+        self._known = dict(renamed.select(KEY, CODE).iter_rows())
+
     def add(self, row: Row) -> None:
         """Add a run, in place of the one with the same key; the file is written now or soon."""
         self._added[row[KEY]] = row

@@ -11,7 +11,7 @@ import itertools
 import json
 import sys
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -25,7 +25,8 @@ from deploy.run.workers import Workers
 from deploy.scenario import plan as plans
 from deploy.scenario.finding_maps import FILES
 from deploy.scenario.scenario import Scenario, ScenarioError, parse
-from deploy.study.experiment import Experiment, settings_of
+from deploy.scenario.thesis import with_thesis
+from deploy.study.experiment import Experiment, lay, settings_of
 from deploy.study.measures import MEASURES
 from deploy.study.progress import Tell
 from deploy.study.results import CODE, ERROR, KEY, Results, Row
@@ -39,6 +40,9 @@ PLACE = "place"
 
 MOST_STEPS = "most_steps"
 """The setting `steps`, in rows of which ``steps`` is the exploration time."""
+
+SPOT_CHECKS = 3
+"""Runs of other code that are made again before any of them are taken."""
 
 MAKERS = (
     "agent", "netshaper", "protocol", "worldsim", "deploy/scenario", "deploy/record", "deploy/run",
@@ -96,6 +100,7 @@ def cases(experiment: Experiment) -> list[Case]:
             for layer in (experiment.base, settings, keys):
                 lay(data, layer)
             data |= {key: data[leader] for key, leader in experiment.follow.items() if leader in data}
+            data = with_thesis(data, where)
             if data["bus"] != MEMORY:
                 raise ScenarioError(
                     f"{where}: bus = {data['bus']!r}: sweeps run on the memory bus; leave it out"
@@ -125,16 +130,6 @@ def cases(experiment: Experiment) -> list[Case]:
     return result
 
 
-def lay(data: dict[str, Any], settings: dict[str, Any]) -> None:
-    """Lay settings over others; of tables only the keys that a dotted name names (``options.beta``)."""
-    for key, value in settings.items():
-        table, dot, inner = key.partition(".")
-        if dot:
-            data[table] = {**data.get(table, {}), inner: value}
-        else:
-            data[key] = value
-
-
 def make(
     todo: Sequence[Case],
     results: Results,
@@ -151,11 +146,20 @@ def make(
     tell : callable, optional
         Called with the number of runs that are there, and of all.
     any_code : bool
-        Whether runs that other versions of the code have made are taken for the same.
+        Whether runs that other versions of the code have made are taken for the same, if some that are made again
+        have the same digests. Settings that the table does not know were not there yet: they count as their defaults.
     retry : bool
         Whether failed runs are made again.
+
+    Raises
+    ------
+    ValueError
+        With `any_code`: a run comes out otherwise now.
     """
     distinct = {case.key: case for case in todo}
+    if any_code:
+        results.rename(key_by_settings)
+        _same_as_ever(distinct, results)
     missing = [
         case
         for key, case in distinct.items()
@@ -168,6 +172,32 @@ def make(
         results.add(row if isinstance(row, dict) else _failed(case, row))
         done += 1
         tell(done, len(distinct))
+
+
+def key_by_settings(row: Row) -> str:
+    """The key that a row's run would have today; its own if it has a map that is a file, or no such run is possible."""
+    data = {name: row[name] for name in Scenario.model_fields if row.get(name) is not None}
+    data["steps"] = row[MOST_STEPS]
+    tables = ("start", *(name for name, value in data.items() if str(value)[:1] in ("{", "[")))
+    data |= {name: json.loads(data[name]) for name in tables if name in data}
+    try:
+        return row[KEY] if is_file(row["map"]) else identity(parse(data), row["measure"], b"")
+    except ScenarioError:
+        return str(row[KEY])
+
+
+def _same_as_ever(distinct: Mapping[str, Case], results: Results) -> None:
+    """Make some of the runs of other code again; ValueError if one of them has another digest than it had."""
+    foreign = [case for key, case in sorted(distinct.items()) if results.knows(key, None)]
+    foreign = [case for case in foreign if not results.knows(case.key, case.code)]
+    rows = results.rows(case.key for case in foreign)
+    checked = [case for case in foreign if rows[case.key].get("digest") is not None][:SPOT_CHECKS]
+    for case in checked:
+        digest = run_case(case).get("digest")
+        if digest != rows[case.key]["digest"]:
+            raise ValueError(
+                f"--any-code: the run with {case.place} comes out otherwise now than in the table; leave --any-code out"
+            )
 
 
 def looked_up(todo: Sequence[Case], results: Results) -> list[Row]:

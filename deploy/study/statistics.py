@@ -92,16 +92,12 @@ def mean_within(values: Sequence[float] | Values, low: float, high: float) -> Ev
     Of figures that are only ever 0 or 1 exact binomial tests are made instead.
     """
     data = np.asarray(values, float)
-    effect = interval(data)
-    if set(np.unique(data)) <= {0.0, 1.0} and len(data):
-        ones, n = int(data.sum()), len(data)
-        above = [_binomial(ones, n, bound, "greater") for bound in (low, high)]
-        below = [_binomial(ones, n, bound, "less") for bound in (low, high)]
-        effect = share(ones, n)
-    else:
-        above = [_t(data - bound) if math.isfinite(bound) else float(bound > 0) for bound in (low, high)]
-        below = [_t(bound - data) if math.isfinite(bound) else float(bound < 0) for bound in (low, high)]
-    return Evidence(effect, _size(data, low, high), max(above[0], below[1]), min(below[0], above[1]))
+    if not (len(data) and set(np.unique(data)) <= {0.0, 1.0}):
+        return _t_test(data, low, high)
+    ones, n = int(data.sum()), len(data)
+    above = [_binomial(ones, n, bound, "greater") for bound in (low, high)]
+    below = [_binomial(ones, n, bound, "less") for bound in (low, high)]
+    return Evidence(share(ones, n), _size(data, low, high), max(above[0], below[1]), min(below[0], above[1]))
 
 
 def difference_within(first: Sequence[float], second: Sequence[float], low: float, high: float) -> Evidence:

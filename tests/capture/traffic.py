@@ -15,6 +15,7 @@ from netshaper import capture
 from netshaper.capture import FRAMES, Captured
 from netshaper.ledger import EVERYONE
 from netshaper.pcapng import Reader
+from protocol.messages import unpack
 from tests.capture.sniffer import Segment, Strangers, Stream, segments
 from tests.capture.zenoh_wire import Session
 
@@ -46,8 +47,15 @@ class Connection:
                 self.told[way].append((message.kind, key))
 
     def radio(self, way: int) -> list[tuple[str, bytes]]:
-        """What was put under a radio key: (the last name of the key, payload)."""
-        return [(key.split("/")[3], payload) for key, payload in self.puts[way] if key.startswith("radio/")]
+        """The frames of what was put under a radio key: (who is at their other end, payload)."""
+        found = []
+        for key, payload in self.puts[way]:
+            if key.startswith("radio/"):
+                said = unpack(payload)
+                ends = said.receivers if way == UP else said.senders
+                names = ["all" if end < 0 else f"r{end}" for end in ends]
+                found += zip(names, said.frames, strict=True)
+        return found
 
     @property
     def bytes(self) -> int:

@@ -1,4 +1,7 @@
-"""Every block of README and docs is run or read, by the rules of docs/contributing.md; notebooks are run."""
+"""Every block of README and docs is run, by the rules of docs/contributing.md; notebooks are run.
+
+What takes long is only read here, and run with ``-m long``: `test_every_block_of_a_page_runs`.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import gc
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -47,9 +51,32 @@ def blocks(page: Path) -> list[Block]:
 
 def lines(block: Block) -> list[str]:
     """The commands of a block, their comments taken off, prompts too; lines that go on are joined."""
-    text = block.text.replace("\\\n", " ")
+    text = re.sub(r"(^|\s+)# .*$", "", block.text.replace("\\\n", " "), flags=re.M)
     said = [line.strip().removeprefix("$ ").removeprefix(".venv/bin/") for line in text.splitlines()]
     return [part.strip() for line in said for part in re.split(r"\s[;&]\s|;\s", line) if part.strip()]
+
+
+def commands(block: Block) -> dict[str, list[str]]:
+    """The commands of a block of a terminal, each with what the page says that it prints."""
+    if block.language not in ("", "sh", "console") or block.rule.startswith(("output", "drawing", "file")):
+        return {}
+    prompted = re.findall(r"^ *\$ (.*)\n((?:(?! *\$ ).*\n)*)", block.text, re.M)
+    if not prompted:
+        return {line: [] for line in lines(block)}
+    return {lines(Block("", "", line))[0]: printed.splitlines() for line, printed in prompted}
+
+
+def table(heading: str) -> list[list[str]]:
+    """The rows of a table of docs/contributing.md, by the heading of its first column."""
+    text = (ROOT / "docs" / "contributing.md").read_text(encoding="utf-8")
+    rows = text.partition(f"| {heading} |")[2].partition("\n\n")[0].splitlines()[2:]
+    assert rows, f"docs/contributing.md has no table of {heading}"
+    return [[cell.strip().strip("`") for cell in row.strip("| ").split(" | ")] for row in rows]
+
+
+GIVEN = dict(row[:2] for row in table("file"))
+SMALLER = dict(row[:2] for row in table("what stands there"))
+NOT_RUN = dict(row[:2] for row in table("not run"))
 
 
 def calls(page: Path) -> list[str]:
@@ -113,9 +140,81 @@ def test_the_blocks_of_a_page_do_what_they_say(
         elif block.language == "python":
             exec(compile(block.text, str(page), "exec"), names)
         else:
-            assert rule in ("", "shell", "output"), f"{page.name}: there is no rule {block.rule!r}"
+            assert rule in ("", "output", "drawing"), f"{page.name}: there is no rule {block.rule!r}"
     names.clear()
     gc.collect()  # strategies that a page defines are not there for other tests
+
+
+def test_what_the_rules_name_stands_in_a_page() -> None:
+    pages = [page for page in PAGES if page.name != "contributing.md"]
+    text = "\n".join(page.read_text(encoding="utf-8") for page in pages)
+    said = {line for page in pages for block in blocks(page) for line in commands(block)}
+    said |= {block.text.splitlines()[0] for page in pages for block in blocks(page) if block.text}
+    assert [name for name in (*GIVEN, *SMALLER) if name not in text] == []
+    assert [line for line in NOT_RUN if line not in said] == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_block_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With processes and bus as it stands; printed lines that the page shows must be printed."""
+    tools, folder = tmp_path / "bin", tmp_path / "page"
+    for place in (tools, folder):
+        place.mkdir()
+    for name, module in (("murmur", " -m deploy.commands.main"), ("python", "")):
+        (tools / name).write_text(f'#!/bin/sh\nexec {sys.executable}{module} "$@"\n')
+        (tools / name).chmod(0o755)
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("PATH", f"{tools}{os.pathsep}{os.environ['PATH']}")
+    text = page.read_text(encoding="utf-8")
+    for name, command in GIVEN.items():
+        if name in text and page.name != "contributing.md":
+            do(command, [])
+    names: dict[str, object] = {}
+    printed = ""
+    for block in blocks(page):
+        rule, _, name = block.rule.partition(" ")
+        if rule == "file":
+            Path(name).write_text(block.text, encoding="utf-8")
+        elif rule == "output":
+            holds(printed, block.text.splitlines())
+        elif block.language == "python" and rule != "part":
+            if block.text.splitlines()[0] not in NOT_RUN:
+                exec(compile(smaller(block.text), str(page), "exec"), names)
+        else:
+            for line, expected in commands(block).items():
+                if line not in NOT_RUN:
+                    printed = do(line, expected)
+    names.clear()
+    gc.collect()
+
+
+def smaller(text: str) -> str:
+    for whole, part in SMALLER.items():
+        text = text.replace(whole, part)
+    return text
+
+
+def do(line: str, expected: list[str]) -> str:
+    """Run a line in the shell; exit code 1 is for explorations that end unfinished and claims that fail."""
+    tool = shlex.split(line)[0]
+    if shutil.which(tool) is None:
+        pytest.skip(f"{tool} is not installed")
+    done = subprocess.run(smaller(line), shell=True, capture_output=True, text=True, check=False)
+    allowed = (0, 1) if line.startswith(("murmur explore", "murmur reproduce")) else (0,)
+    assert done.returncode in allowed, f"{line}: {done.stdout}{done.stderr}"
+    holds(done.stdout, expected)
+    return done.stdout
+
+
+def holds(printed: str, expected: list[str]) -> None:
+    """What a page shows is printed, but for times, places that are left out, and widths of columns."""
+    there = {" ".join(line.split()) for line in printed.splitlines()}
+    for line in expected:
+        if line and "..." not in line and "steps a second" not in line:
+            assert " ".join(line.split()) in there, f"not printed: {line}\n{printed}"
 
 
 def run(line: str) -> None:

@@ -48,7 +48,7 @@ GOLDEN = Path(__file__).parents[1] / "protocol" / "golden"
 LETTERS = {
     "index": "i", "x": "x", "y": "y", "side": "s", "occupied": "o", "object": "n", "count": "c",
     "inside": "e", "map": "m", "block": "b", "leads": "l", "robot": "r",
-    "sum": "q",
+    "sum": "q", "age": "a",
 }  # fmt: skip
 
 ROOM = """
@@ -357,7 +357,7 @@ def test_keys_and_rights_are_what_participants_put_hear_and_say() -> None:
     keys = Keys("RUN")
     there_are = {row[0] for row in rows("protocol.md", "Keys")}
     assert there_are == {
-        keys.radio_tx("FROM", "TO"),
+        keys.radio_tx("FROM"),
         keys.radio_rx("TO", "FROM"),
         keys.body("TO", "FROM"),
         keys.control("TO", "FROM"),

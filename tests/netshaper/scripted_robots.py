@@ -7,10 +7,12 @@ read what different robots put; that order is drawn from `interleaving`.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from netshaper.imperfect import radio
@@ -154,13 +156,33 @@ class Mute(Robot):
         return []
 
 
+def together(said: list[Put | Said]) -> Iterator[Said]:
+    """Frames with the note behind them; those without one are said when it is nobody's turn."""
+    puts: list[Put] = []
+    for item in [*said, Said(0, 0, "late", [])]:
+        if not isinstance(item, Said):
+            puts.append(item)
+        elif puts or item.phase != "late":
+            receivers, frames = [receiver for receiver, _ in puts], [frame for _, frame in puts]
+            yield replace(item, receivers=receivers, frames=frames)
+            puts = []
+
+
+class Delivered(NamedTuple):
+    """A frame that reached a robot."""
+
+    receiver: int
+    sender: int
+    payload: bytes
+
+
 @dataclass
 class Step:
     """What became of one step."""
 
     rows: NDArray[np.void]
     carried: int
-    delivered: list[tuple[str, Frame]] = field(default_factory=list)
+    delivered: list[tuple[str, Delivered]] = field(default_factory=list)
     """Frames that reached a robot, with the phase in which they did."""
     said: list[tuple[int, int, bytes]] = field(default_factory=list)
     """Frames that robots put, as (sender, receiver, payload)."""
@@ -181,7 +203,7 @@ class Air:
         self.robots = dict(robots)
         self.dead: set[int] = set()
         self._rng = np.random.default_rng(interleaving)
-        self._to_do: dict[int, deque[Put | Said]] = {number: deque() for number in robots}
+        self._to_do: dict[int, deque[Said]] = {number: deque() for number in robots}
         self._inbox: dict[int, Heard] = {number: [] for number in robots}
 
     def step(
@@ -214,19 +236,16 @@ class Air:
         self._to_do[robot].clear()
         self._deliver(result, self.radio.lost(robot))
 
-    def _do(self, robot: int, what: Put | Said, result: Step) -> None:
-        if isinstance(what, Said):
-            self._deliver(result, self.radio.said(robot, what))
-        else:
-            receiver, payload = what
-            result.said.append((robot, receiver, payload))
-            self.radio.hear(robot, receiver, payload)
+    def _do(self, robot: int, said: Said, result: Step) -> None:
+        result.said += [(robot, receiver, payload) for receiver, payload in said.puts()]
+        self._deliver(result, self.radio.said(robot, said))
 
     def _deliver(self, result: Step, outgoing: list[Outgoing]) -> None:
         for item in outgoing:
             if isinstance(item, Frame):
-                assert item.receiver not in self.dead, "the dead hear nothing"
-                self._inbox[item.receiver].append((item.sender, item.payload))
+                assert not self.dead.intersection(item.receivers), "the dead hear nothing"
+                for receiver in item.receivers:
+                    self._inbox[receiver].append((item.sender, item.payload))
             elif isinstance(item, Note):
                 self._note(result, item)
             else:
@@ -244,18 +263,18 @@ class Air:
         todo = self._to_do[receiver]
         if isinstance(message, Open):
             result.opened.append((receiver, message))
-            todo += robot.opens(message)
+            todo += together(robot.opens(message))
         elif isinstance(message, Turn):
             heard = self._take(result, receiver, len(message.connections), message.phase)
             result.turns.append((receiver, message, heard))
-            todo += robot.takes_turn(message, heard)
+            todo += together(robot.takes_turn(message, heard))
         elif isinstance(message, Outcome):
             self._take(result, receiver, len(message.heard), "data")
             result.outcomes.append((receiver, message))
         elif isinstance(message, Close):
             self._take(result, receiver, 0, "")
             result.closed.append(receiver)
-            todo += robot.rests(message)
+            todo += together(robot.rests(message))
 
     def _take(self, result: Step, receiver: int, count: int, phase: str) -> Heard:
         """The last `count` frames in the inbox belong to the phase, those before them are targets."""
@@ -264,5 +283,5 @@ class Air:
         assert split >= 0, "fewer frames came than the relay says"
         for at, (sender, payload) in enumerate(inbox):
             kind = "targets" if at < split else phase
-            result.delivered.append((kind, Frame(receiver, sender, payload)))
+            result.delivered.append((kind, Delivered(receiver, sender, payload)))
         return inbox[split:]

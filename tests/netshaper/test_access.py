@@ -1,7 +1,7 @@
 """Access control, with a rogue that holds the valid credential of robot r1 and speaks plain Zenoh.
 
 Whatever it tries, nothing gets in or out but what r1 may say and hear. Each test shows as well that the same
-channel works for those who may use it.
+channel works for those who may use it. All is done twice: at the hub, and at a router through which robots join.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from typing import Any
 import pytest
 import zenoh
 
-from netshaper import access
+from netshaper import access, certificates
 from netshaper.hub import open_hub
+from netshaper.router import Router
 from protocol import keys as names
 from protocol.bus import Bus, Message
 from protocol.keys import Keys
@@ -24,13 +25,13 @@ from protocol.zenoh_bus import Credential, insert, join, plain_config
 
 KEYS = Keys("guarded")
 RELAY, WORLD, LAB = names.RELAY, names.WORLD, names.LAB
+ROUTER = names.router("rack")
 SOON_S = 5.0
 MODES = ("client", "peer", "router")
 BLOCK = zenoh.CongestionControl.BLOCK
 
 FORBIDDEN = [
-    KEYS.radio_tx("r0", "r2"),
-    KEYS.radio_tx("r0", names.ALL),
+    KEYS.radio_tx("r0"),
     KEYS.control_tx("r0"),
     KEYS.control_tx(WORLD),
     KEYS.control_tx(LAB),
@@ -49,7 +50,7 @@ FORBIDDEN = [
     KEYS.presence("r0"),
     KEYS.presence("tick"),
     KEYS.alive("r0"),
-    KEYS.radio_tx("r1", "r0") + "/more",
+    KEYS.radio_tx("r1") + "/more",
     f"murmur/{KEYS.run}/radio/tx/*/r0",
     f"murmur/{KEYS.run}/*/tx/r1/r0",
     f"murmur/{KEYS.run}/radio/tx/r1/**",
@@ -62,12 +63,15 @@ FORBIDDEN = [
 
 
 class Guarded:
-    """A run of three robots of which the second one is a rogue."""
+    """A run of three robots of which the second one is a rogue; with a router they all join through that."""
 
-    def __init__(self, stack: ExitStack) -> None:
+    def __init__(self, stack: ExitStack, *, routed: bool) -> None:
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self.credentials = access.issue(KEYS.run, self.endpoint, 3)
-        self.ends: dict[str, Bus] = {RELAY: open_hub(KEYS.run, self.endpoint, self.credentials)}
+        if routed:
+            self.ends = {RELAY: self._hub_behind_router(stack)}
+        else:
+            self.ends = {RELAY: open_hub(KEYS.run, self.endpoint, self.credentials)}
         stack.callback(self.ends[RELAY].close)
         for name in (WORLD, LAB, "r0", "r2"):
             self.ends[name] = join(self.credentials[name])
@@ -75,6 +79,17 @@ class Guarded:
         for _ in range(4):
             self.hear(RELAY)
         self._stack = stack
+
+    def _hub_behind_router(self, stack: ExitStack) -> Bus:
+        """A hub that asks for certificates, and a router at this run's endpoint."""
+        hub, routers = f"tls/127.0.0.1:{free_port()}", {ROUTER: ["r0", "r1", "r2"]}
+        made = certificates.make(3, ["127.0.0.1"], routers=routers)
+        issued = certificates.credentials(KEYS.run, hub, made)
+        relay = open_hub(KEYS.run, hub, issued, made[RELAY])
+        robots = {name: self.credentials[name] for name in routers[ROUTER]}
+        self.credentials |= issued
+        stack.callback(Router(issued[ROUTER], self.endpoint, robots).close)
+        return relay
 
     def rogue(self, mode: str) -> zenoh.Session:
         """Open a session with r1's credential; it is connected, for what it may say is heard."""
@@ -84,9 +99,9 @@ class Guarded:
         relay = self.ends[RELAY]
         while relay.receive(0) is None:
             assert time.monotonic() < deadline, "the rogue cannot even say what it may"
-            session.put(KEYS.radio_tx("r1", "r0"), b"knock", congestion_control=BLOCK)
+            session.put(KEYS.radio_tx("r1"), b"knock", congestion_control=BLOCK)
             time.sleep(0.01)
-        session.put(KEYS.radio_tx("r1", "r0"), b"I am in", congestion_control=BLOCK)
+        session.put(KEYS.radio_tx("r1"), b"I am in", congestion_control=BLOCK)
         while self.hear(RELAY).payload != b"I am in":
             pass
         return session
@@ -105,8 +120,7 @@ class Guarded:
             (WORLD, KEYS.body("r0", WORLD), "r0"),
             (RELAY, KEYS.control(WORLD, RELAY), WORLD),
             (RELAY, KEYS.control(LAB, RELAY), LAB),
-            ("r0", KEYS.radio_tx("r0", "r2"), RELAY),
-            ("r0", KEYS.radio_tx("r0", names.ALL), RELAY),
+            ("r0", KEYS.radio_tx("r0"), RELAY),
             ("r0", KEYS.control_tx("r0"), RELAY),
             ("r0", KEYS.body(WORLD, "r0"), WORLD),
             ("r0", KEYS.control(LAB, "r0"), LAB),
@@ -161,10 +175,10 @@ def drained(handler: Any) -> list[Any]:
     return found
 
 
-@pytest.fixture
-def guarded() -> Iterator[Guarded]:
+@pytest.fixture(params=[False, True], ids=["hub", "router"])
+def guarded(request: pytest.FixtureRequest) -> Iterator[Guarded]:
     with ExitStack() as stack:
-        yield Guarded(stack)
+        yield Guarded(stack, routed=request.param)
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -174,8 +188,7 @@ def test_a_robot_may_use_its_own_channels_whatever_it_speaks_them_with(guarded: 
     token = rogue.liveliness().declare_token(KEYS.alive("r1"))
     assert guarded.hear(RELAY) == Message(KEYS.presence("r1"), b"1")
     for key, receiver in [
-        (KEYS.radio_tx("r1", "r0"), RELAY),
-        (KEYS.radio_tx("r1", names.ALL), RELAY),
+        (KEYS.radio_tx("r1"), RELAY),
         (KEYS.control_tx("r1"), RELAY),
         (KEYS.body(WORLD, "r1"), WORLD),
         (KEYS.control(LAB, "r1"), LAB),
@@ -198,15 +211,15 @@ def test_what_a_rogue_puts_in_the_name_of_others_or_into_their_ears_is_heard_by_
         publisher = rogue.declare_publisher(key, congestion_control=BLOCK)
         publisher.put(b"forged")
     # Behind all this on the same wire: once it is here, nothing of the above is on its way.
-    rogue.put(KEYS.radio_tx("r1", "r0"), b"mine", congestion_control=BLOCK)
-    assert guarded.hear(RELAY) == Message(KEYS.radio_tx("r1", "r0"), b"mine")
+    rogue.put(KEYS.radio_tx("r1"), b"mine", congestion_control=BLOCK)
+    assert guarded.hear(RELAY) == Message(KEYS.radio_tx("r1"), b"mine")
     guarded.nothing_else_is_heard()
 
 
 @pytest.mark.parametrize("mode", MODES)
 def test_what_a_rogue_deletes_is_noticed_by_nobody(guarded: Guarded, mode: str) -> None:
     rogue = guarded.rogue(mode)
-    for key in [*FORBIDDEN, KEYS.radio_tx("r1", "r0"), KEYS.body(WORLD, "r1"), KEYS.control_tx("r1")]:
+    for key in [*FORBIDDEN, KEYS.radio_tx("r1"), KEYS.body(WORLD, "r1"), KEYS.control_tx("r1")]:
         rogue.delete(key, congestion_control=BLOCK)
     rogue.put(KEYS.control_tx("r1"), b"mine", congestion_control=BLOCK)
     assert guarded.hear(RELAY) == Message(KEYS.control_tx("r1"), b"mine")
@@ -343,7 +356,7 @@ def test_without_a_valid_credential_nobody_gets_in(
         stack.callback(close, rogue)
         ear = rogue.declare_subscriber("**", zenoh.handlers.FifoChannel(1000))
         token = rogue.liveliness().declare_token(KEYS.alive("r1"))
-        for key in [*FORBIDDEN, KEYS.radio_tx("r1", "r0")]:
+        for key in [*FORBIDDEN, KEYS.radio_tx("r1")]:
             rogue.put(key, b"forged", allowed_destination=zenoh.Locality.REMOTE)
         time.sleep(0.2)
         assert list(rogue.info.routers_zid()) == []
@@ -383,7 +396,7 @@ def test_a_credential_of_one_run_does_not_open_the_next(guarded: Guarded) -> Non
 
 
 def test_each_name_may_put_and_hear_only_under_its_own() -> None:
-    rules = access.rules(KEYS, 2)
+    rules = access.rules(KEYS, {name: [name] for name in access.participants(2)})
     assert rules["default_permission"] == "deny"
     assert {subject["id"] for subject in rules["subjects"]} == set(access.participants(2))
     for rule in rules["rules"]:

@@ -16,7 +16,7 @@ from netshaper.ledger import EVERYONE
 from netshaper.pcapng import CaptureError, Reader
 from netshaper.radio import RadioSettings
 from netshaper.sightings import Sighting, Sightings, hearers_of, in_words
-from protocol.messages import RadioReport
+from protocol.messages import RadioReport, Said
 from protocol.packets import Delete, Save, encode
 from tests.netshaper import plain_books
 from tests.netshaper.scripted_robots import Air, Liar, Robot
@@ -155,7 +155,7 @@ def test_what_is_said_between_steps_is_booked_to_the_next_one() -> None:
     air = Listening(RadioSettings(2, 0, 9.0), {n: Robot(n, 2, 0) for n in range(2)})
     air.step(1, {0: (0, 0), 1: (1, 1)})
     before = len(read(air.file))
-    air.radio.hear(0, 1, encode([Save(), Save(), Save()]))
+    air.radio.said(0, Said(1, 0, "offers", [], 0, [1], [encode([Save(), Save(), Save()])]))
     rows = air.step(2, {0: (0, 0), 1: (1, 1)}).rows
     first = read(air.file)[before]
     assert (first.step, first.seen.sender, first.verdict, first.size) == (2, 0, "protocol", 3)

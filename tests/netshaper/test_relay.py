@@ -11,14 +11,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netshaper.ledger import CAUSES, ROW
+from netshaper.ledger import CAUSES, EVERYONE, ROW
 from netshaper.medium import UNLIMITED
 from netshaper.process import RelayNode
 from netshaper.radio import RadioSettings
 from protocol import keys as names
 from protocol.bus import Bus
 from protocol.fields import MOST_CONNECTIONS
-from protocol.keys import Keys
+from protocol.grid import MAX_ROBOTS
+from protocol.keys import RELAY, Keys
 from protocol.memory_bus import MemoryHub
 from protocol.messages import (
     Begin,
@@ -26,6 +27,7 @@ from protocol.messages import (
     Close,
     End,
     Fault,
+    Heard,
     Lost,
     Move,
     Open,
@@ -70,12 +72,15 @@ class Run:
             self.relay.handle(message)
 
     def say(self, name: str, message: object) -> None:
-        payload = message if isinstance(message, bytes) else pack(message)
-        self.ends[name].put(KEYS.control_tx(name), payload)
-        self.work()
+        if isinstance(message, Said):
+            self.radio(name, pack(message))
+        else:
+            payload = message if isinstance(message, bytes) else pack(message)
+            self.ends[name].put(KEYS.control_tx(name), payload)
+            self.work()
 
-    def radio(self, sender: str, receiver: str, payload: bytes) -> None:
-        self.ends[sender].put(KEYS.radio_tx(sender, receiver), payload)
+    def radio(self, sender: str, payload: bytes) -> None:
+        self.ends[sender].put(KEYS.radio_tx(sender), payload)
         self.work()
 
     def listen_to_the_relay(self, note: Callable[[str], object]) -> None:
@@ -89,13 +94,12 @@ class Run:
         self._relay_bus.put = put_and_note
 
     def heard(self, name: str) -> list[Any]:
-        """What has come by control since last time."""
-        found = []
+        """What the relay has told since last time; of what is heard by radio the notes."""
+        found: list[Any] = []
         while (message := self.ends[name].receive()) is not None:
-            plane, _, _, sender = names.parts(message.key)
-            if plane == "control":
-                assert sender == names.RELAY
-                found.append(unpack(message.payload))
+            assert names.parts(message.key)[3] == names.RELAY
+            said = unpack(message.payload)
+            found += said.notes if isinstance(said, Heard) else [said]
         return found
 
     def begin_step(self, step: int = 1) -> None:
@@ -150,12 +154,10 @@ def test_what_a_robot_is_told_goes_out_at_one_go_and_the_books_once_all_are_told
     told: list[str] = []
     run.listen_to_the_relay(lambda key: told.append(names.parts(key)[2]))
     for sender, number in zip(run.robots, range(3), strict=True):
-        run.radio(sender, names.ALL, encode([Target(number, 1)]))
-        for receiver in run.robots:
-            if receiver != sender:
-                run.radio(sender, receiver, encode([Offer(number, 0)]))
-        run.say(sender, Said(1, 0, "offers", []))
-    assert told == 5 * ["r0"] + 5 * ["r1"] + 5 * ["r2"], "two targets, two offers and the turn, each"
+        frames = [encode([Target(number, 1)]), *2 * [encode([Offer(number, 0)])]]
+        others = [receiver for receiver in range(3) if receiver != number]
+        run.say(sender, Said(1, 0, "offers", [], 0, [EVERYONE, *others], frames))
+    assert told == ["r0", "r1", "r2"], "two targets, two offers and the turn, each"
     told.clear()
     for phase in ("answers", "data"):
         for robot in run.robots:
@@ -274,8 +276,9 @@ def test_noise_on_a_robots_wire_stops_no_run(noise: bytes) -> None:
     run = Run()
     run.begin_step()
     run.say("r1", noise)
-    run.radio("r1", "r0", noise)
-    run.radio("r1", names.ALL, noise)
+    run.radio("r1", noise)
+    run.say("r1", Said(1, 0, "data", [], 0, [0, EVERYONE], [noise, noise]))
+    run.say("r1", Said(1, 0, "offers", [], 0, [0, EVERYONE], [noise, noise]))
     assert len(run.finish_step()) == 1
 
 
@@ -290,31 +293,36 @@ def test_noise_on_a_robots_wire_stops_no_run(noise: bytes) -> None:
 def test_strange_numbers_at_the_end_of_a_phase_stop_no_run(said: Said) -> None:
     run = Run()
     run.begin_step()
-    run.radio("r1", "r0", encode([Offer(1, 0)]))
-    run.say("r1", said)
+    run.say("r1", msgspec.structs.replace(said, receivers=[0], frames=[encode([Offer(1, 0)])]))
     assert run.relay.waiting_for() == [0]
 
 
 @pytest.mark.parametrize(
-    "items", [[1, 0, "offers", [2**63], 0], [-5, 99, "offers", [], 0], [1, 0, "offers", [], 256]], ids=repr
+    "items",
+    [
+        [1, 0, "offers", [2**63], 0, [], []],
+        [-5, 99, "offers", [], 0, [], []],
+        [1, 0, "offers", [], 256, [], []],
+        [1, 0, "offers", [], 0, [-2], [b""]],
+        [1, 0, "offers", [], 0, [0], ["text"]],
+    ],
+    ids=repr,
 )
 def test_numbers_that_cannot_be_end_no_phase(items: list[Any]) -> None:
     run = Run()
     run.begin_step()
-    run.say("r1", msgspec.msgpack.encode([7, *items]))
+    run.radio("r1", msgspec.msgpack.encode([7, *items]))
     (fault,) = run.heard(LAB)
     assert fault.who == "r1"
     assert "must be" in fault.what
     assert run.relay.waiting_for() == [0, 1]
 
 
-@pytest.mark.parametrize(
-    "receiver", ["r9", "r64", "r99999", "r999999999999", "world", "lab", "relay", "*", "r", "r-1", "r٣", "R0"]
-)
-def test_a_frame_for_a_name_that_no_robot_has_is_booked_as_out_of_range(receiver: str) -> None:
+@pytest.mark.parametrize("receiver", [1, 2, 9, 64, MAX_ROBOTS - 1])
+def test_a_frame_for_a_number_that_no_teammate_has_is_booked_as_out_of_range(receiver: int) -> None:
     run = Run()
     run.begin_step()
-    run.radio("r1", receiver, encode([Offer(1, 0)]))
+    run.say("r1", Said(1, 0, "offers", [], 0, [receiver], [encode([Offer(1, 0)])]))
     (report,) = run.finish_step()
     rows = np.frombuffer(report.rows, ROW)
     assert [(row["sender"], row["bytes"], CAUSES[row["cause"]]) for row in rows] == [(1, 2, "range")]
@@ -323,40 +331,39 @@ def test_a_frame_for_a_name_that_no_robot_has_is_booked_as_out_of_range(receiver
 def test_a_frame_longer_than_could_be_carried_is_reported_and_not_looked_at() -> None:
     run = Run(budget=1000)
     run.begin_step()
-    for receiver in ("r0", names.ALL, "r9"):
-        run.radio("r1", receiver, bytes(20 << 20))
+    for size in (1065, 1 << 24, 20 << 20):
+        run.say("r1", Said(1, 0, "offers", [], 0, [0, 0], [b"", bytes(size)]))
     faults = run.heard(LAB)
     assert [fault.who for fault in faults] == 3 * ["r1"]
-    assert "a frame of 20971520 bytes" in faults[0].what
+    assert "a frame of 1065 bytes, where 1064 are the most" in faults[0].what
+    assert run.relay.waiting_for() == [0, 1]
     (report,) = run.finish_step()
     assert report.rows == b""
 
 
-def test_more_frames_in_a_phase_than_there_can_be_connections_are_reported_and_the_robot_is_given_up() -> (
-    None
-):
+def test_who_says_more_frames_in_a_phase_than_there_can_be_connections_again_and_again_is_given_up() -> None:
     run = Run()
     run.begin_step()
-    frame = encode([Offer(1, 0)])
-    for _ in range(MOST_CONNECTIONS):
-        run.radio("r1", "r0", frame)
-    assert run.heard(LAB) == []
+    frames = (MOST_CONNECTIONS + 1) * [encode([Offer(1, 0)])]
+    said = pack(Said(1, 0, "offers", [], 0, len(frames) * [0], frames))
     for _ in range(MOST_NONSENSE + 1):
-        run.radio("r1", "r0", frame)
+        run.radio("r1", said)
     assert [type(message) for message in run.heard(LAB)] == [*MOST_NONSENSE * [Fault], Lost]
     assert run.relay.waiting_for() == [0]
 
 
-def test_a_target_is_passed_on_with_its_sender_in_the_key() -> None:
+def test_a_target_is_passed_on_with_its_sender() -> None:
     run = Run()
     run.begin_step()
     run.heard("r0")
-    run.radio("r1", names.ALL, encode([Target(3, 4)]))
-    run.say("r1", Said(1, 0, "offers", []))
+    run.say("r1", Said(1, 0, "offers", [], 0, [EVERYONE], [encode([Target(3, 4)])]))
     run.say("r0", Said(1, 0, "offers", []))
     message = run.ends["r0"].receive()
     assert message is not None
-    assert (message.key, message.payload) == (KEYS.radio_rx("r0", "r1"), encode([Target(3, 4)]))
+    assert message.key == KEYS.radio_rx("r0", RELAY)
+    heard = unpack(message.payload)
+    assert isinstance(heard, Heard)
+    assert (heard.senders, heard.frames) == ([1], [encode([Target(3, 4)])])
 
 
 @pytest.mark.parametrize("moment", ["before positions", "in the offers", "between steps"])

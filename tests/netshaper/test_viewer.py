@@ -104,13 +104,13 @@ def test_only_what_goes_to_the_viewer_may_be_dropped() -> None:
     assert may_be_dropped(keys.control(names.VIEW, "r0"))
     for key in (
         keys.control(names.LAB, "r0"), keys.control("r1", names.RELAY), keys.body("r1", names.WORLD),
-        keys.radio_rx("r1", "r0"), keys.radio_tx("r1", "r0"), keys.control_tx(names.VIEW),
+        keys.radio_rx("r1", "r0"), keys.radio_tx("r1"), keys.control_tx(names.VIEW),
     ):  # fmt: skip
         assert not may_be_dropped(key)
 
 
 def test_a_viewer_may_say_nothing_by_the_hubs_own_rules() -> None:
-    rules = access.rules(Keys("run"), robots=2)
+    rules = access.rules(Keys("run"), {name: [name] for name in access.participants(2)})
     (policy,) = (policy for policy in rules["policies"] if policy["subjects"] == [names.VIEW])
     allowed = [rule for rule in rules["rules"] if rule["id"] in policy["rules"]]
     assert {(rule["messages"][0], rule["flows"][0]) for rule in allowed} == {

@@ -98,8 +98,7 @@ def free_port() -> int:
 
 
 ROUTES = [
-    (R0, KEYS.radio_tx(R0, R1), RELAY),
-    (R0, KEYS.radio_tx(R0, names.ALL), RELAY),
+    (R0, KEYS.radio_tx(R0), RELAY),
     (R0, KEYS.control_tx(R0), RELAY),
     (R0, KEYS.body(WORLD, R0), WORLD),
     (R0, KEYS.control(LAB, R0), LAB),
@@ -129,7 +128,7 @@ def test_a_message_reaches_the_addressed_inbox_and_no_other(
 @pytest.mark.parametrize("size", [0, 1, 724, 1 << 20])
 def test_a_payload_arrives_whole_whatever_its_size(meeting: Meeting, size: int) -> None:
     payload = (b"murmur" * (size // 6 + 1))[:size]
-    meeting[R0].put(KEYS.radio_tx(R0, R1), payload)
+    meeting[R0].put(KEYS.radio_tx(R0), payload)
     meeting[RELAY].put(KEYS.radio_rx(R1, R0), payload)
     assert meeting.hear(RELAY).payload == payload
     assert meeting.hear(R1).payload == payload
@@ -139,7 +138,7 @@ def test_a_payload_arrives_whole_whatever_its_size(meeting: Meeting, size: int) 
     ("sender", "receiver", "routes"),
     [
         (RELAY, R0, [KEYS.radio_rx(R0, R1), KEYS.control(R0, RELAY)]),
-        (R0, RELAY, [KEYS.radio_tx(R0, R1), KEYS.control_tx(R0), KEYS.radio_tx(R0, names.ALL)]),
+        (R0, RELAY, [KEYS.radio_tx(R0), KEYS.control_tx(R0)]),
         (R0, WORLD, [KEYS.body(WORLD, R0)]),
         (WORLD, R0, [KEYS.body(R0, WORLD)]),
         (R0, LAB, [KEYS.control(LAB, R0)]),
@@ -179,16 +178,16 @@ def test_the_first_words_of_who_has_just_come_are_heard(meeting: Meeting) -> Non
         meeting[R1].close()
         assert meeting.hear(RELAY) == Message(KEYS.presence(R1), b"0")
         meeting.ends[R1] = meeting.open(R1)
-        meeting[R1].put(KEYS.radio_tx(R1, R0), b"I am here")
+        meeting[R1].put(KEYS.radio_tx(R1), b"I am here")
         heard = {meeting.hear(RELAY), meeting.hear(RELAY)}
-        assert heard == {Message(KEYS.presence(R1), b"1"), Message(KEYS.radio_tx(R1, R0), b"I am here")}
+        assert heard == {Message(KEYS.presence(R1), b"1"), Message(KEYS.radio_tx(R1), b"I am here")}
         meeting[RELAY].put(KEYS.control(R1, RELAY), b"welcome")
         assert meeting.hear(R1).payload == b"welcome"
 
 
 def test_the_relay_is_told_that_somebody_left_after_all_that_he_had_said(meeting: Meeting) -> None:
     for n in range(2000):
-        meeting[R0].put(KEYS.radio_tx(R0, R1), b"%d" % n)
+        meeting[R0].put(KEYS.radio_tx(R0), b"%d" % n)
     meeting[R0].close()
     heard = [meeting.hear(RELAY) for _ in range(2001)]
     assert [message.payload for message in heard[:-1]] == [b"%d" % n for n in range(2000)]
@@ -223,7 +222,7 @@ def test_a_word_for_someone_who_is_not_there_is_gone(meeting: Meeting) -> None:
 
 
 def test_an_end_that_was_closed_neither_hears_nor_says_anything(meeting: Meeting) -> None:
-    for name, key in ((R0, KEYS.radio_tx(R0, R1)), (WORLD, KEYS.control_tx(WORLD))):
+    for name, key in ((R0, KEYS.radio_tx(R0)), (WORLD, KEYS.control_tx(WORLD))):
         meeting[name].put(key, b"before")
         meeting[name].close()
         meeting[name].close()

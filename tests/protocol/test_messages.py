@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import msgpack
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import example, given
@@ -59,18 +60,20 @@ def values(kind: inspect.Type) -> st.SearchStrategy[Any]:
         case inspect.BytesType():
             return st.binary(max_size=5)
         case inspect.ListType():
-            return st.lists(values(kind.item_type), max_size=5)
+            return st.lists(values(kind.item_type), max_size=min(kind.max_length or 0, 5))
+        case inspect.UnionType():
+            return st.one_of(a_message(of.cls) for of in kind.types if isinstance(of, inspect.StructType))
     return st.dictionaries(st.text(), trees, max_size=4)
 
 
 @st.composite
-def a_message(draw: st.DrawFn) -> messages.Record:
-    """Any message; of arrays that belong together, as many of each, in whole rows."""
-    kind = draw(st.sampled_from(KINDS))
+def a_message(draw: st.DrawFn, *kinds: type[messages.Record]) -> messages.Record:
+    """Any message, or one of these kinds; of arrays that belong together, as many of each, in whole rows."""
+    kind = draw(st.sampled_from(kinds or KINDS))
     drawn = {name: draw(values(of)) for name, of in fields_of(kind).items()}
     lists = TOGETHER.get(kind, ())
     for name in lists:
-        drawn[name] = (drawn[name] + [0, 1, 2, 3, 4])[: len(drawn[lists[0]])]
+        drawn[name] = (drawn[name] + [b"" if name == "frames" else 0] * 5)[: len(drawn[lists[0]])]
     for name, row in ROWS.get(kind, {}).items():
         drawn[name] = row * drawn[name]
     if kind is messages.Maps:
@@ -81,6 +84,8 @@ def a_message(draw: st.DrawFn) -> messages.Record:
 TOGETHER: dict[type[messages.Record], tuple[str, ...]] = {
     messages.Positions: ("robots", "x", "y"),
     messages.Turn: ("connections", "maps"),
+    messages.Said: ("receivers", "frames"),
+    messages.Heard: ("senders", "frames"),
     messages.Outcome: ("connections", "offers", "answers", "data"),
 }
 ROWS: dict[type[messages.Record], dict[str, int]] = {
@@ -93,8 +98,8 @@ said = a_message()
 
 
 def test_every_message_is_known() -> None:
-    assert len(KINDS) == 25
-    assert [kind.__struct_config__.tag for kind in KINDS_IN_ORDER] == list(range(25))
+    assert len(KINDS) == 26
+    assert [kind.__struct_config__.tag for kind in KINDS_IN_ORDER] == list(range(26))
 
 
 @given(said)
@@ -105,7 +110,11 @@ def test_what_is_written_is_read(message: Any) -> None:
 @given(said)
 def test_a_message_is_a_msgpack_list_of_its_number_and_its_fields(message: Any) -> None:
     kind = type(message)
-    items = [KINDS_IN_ORDER.index(kind), *(getattr(message, name) for name in kind.__annotations__)]
+    fields = (getattr(message, name) for name in kind.__annotations__)
+    items = [
+        KINDS_IN_ORDER.index(kind),
+        *(msgspec.to_builtins(each, builtin_types=[bytes]) for each in fields),
+    ]
     assert pack(message) == msgpack.packb(items)
     assert unpack(msgpack.packb(items)) == message
 
@@ -161,6 +170,8 @@ def test_arrays_that_belong_together_are_refused_where_they_are_not_as_many() ->
         [4, 1, [0, 1], [2], [2], [], []],
         [6, 1, 0, "offers", [1], []],
         [8, 1, 0, [1], [1], [], [1], [], True],
+        [7, 1, 0, "data", [0], 0, [1], []],
+        [25, [1], [], []],
     ):
         with pytest.raises(ProtocolError, match="not as many"):
             unpack(msgpack.packb(items))
@@ -171,6 +182,8 @@ def test_arrays_that_belong_together_are_refused_where_they_are_not_as_many() ->
     ):
         with pytest.raises(ProtocolError, match="bytes"):
             unpack(msgpack.packb(items))
+    with pytest.raises(ProtocolError, match="notes must be list of Open or Turn or Outcome or Close"):
+        unpack(msgpack.packb([25, [], [], [[6, 1, 0, "offers", [1], []]]]))
     with pytest.raises(ProtocolError, match="not 3 x 2 cells"):
         unpack(msgpack.packb([17, 0, 3, 2, bytes(6), bytes(5)]))
 

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from agent.robot import Robot
@@ -165,7 +166,8 @@ class Team:
         """Hand out what the relay says; yield what it says to what the robots say then."""
         for item in out:
             if isinstance(item, Frame):
-                inbox[item.receiver].append((item.sender, item.payload))
+                for receiver in item.receivers:
+                    inbox[receiver].append((item.sender, item.payload))
             elif not isinstance(item, Note):
                 self._rows.append(item.report().rows)
             else:
@@ -173,8 +175,8 @@ class Team:
                 note = item.message
                 assert isinstance(note, Open | Turn | Outcome | Close)
                 puts, said = self.minds[item.receiver].hear(note, heard)
-                for receiver, payload in puts:
-                    self.said[self.step] += len(payload)
-                    self._radio.hear(item.receiver, receiver, payload)
+                self.said[self.step] += sum(len(payload) for _, payload in puts)
                 if said is not None:
+                    receivers, frames = [receiver for receiver, _ in puts], [frame for _, frame in puts]
+                    said = replace(said, receivers=receivers, frames=frames)
                     yield from self._radio.said(item.receiver, said)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from agent.exchange.gossip import EVERYONE
 from agent.exchange.polygon import PolygonExchange
@@ -17,7 +18,7 @@ from agent.settings import Settings
 from deploy.run import in_memory
 from deploy.scenario.plan import Plan
 from protocol import keys as names
-from protocol import packets, survey
+from protocol import messages, packets, survey
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, UNKNOWN, fan
@@ -28,6 +29,7 @@ from protocol.messages import (
     End,
     Fault,
     Maps,
+    MediumNote,
     Move,
     Open,
     Outcome,
@@ -122,8 +124,11 @@ class _Forger:
         self.close = inner.close
 
     def put(self, key: str, payload: bytes) -> None:
-        if names.parts(key)[0] == "radio" and packets.name(payload) in ("em", "chg", "rm"):
-            payload = encode(LIES["two save points in a row"])
+        said = unpack(payload)
+        if isinstance(said, Said):
+            lie, edits = encode(LIES["two save points in a row"]), ("em", "chg", "rm")
+            frames = [lie if packets.name(frame) in edits else frame for frame in said.frames]
+            payload = pack(replace(said, frames=frames))
         self._inner.put(key, payload)
 
 
@@ -398,8 +403,8 @@ class Antenna:
         self.said: list[object] = []
 
     def put(self, key: str, payload: bytes) -> None:
-        if "/radio/" not in key:
-            self.said.append(unpack(payload))
+        del key
+        self.said.append(unpack(payload))
 
     def receive(self, timeout_s: float | None = None) -> Message | None:
         del timeout_s
@@ -414,18 +419,20 @@ def test_no_frame_stops_a_robots_process(steps: list[tuple[list[bytes], ...]]) -
     antenna, keys = Antenna(), Keys("lies")
     node = AgentNode(antenna, keys, 0)
 
-    def tell(message: object, frames: list[bytes]) -> None:
-        for payload in frames:
-            node.handle(Message(keys.radio_rx("r0", names.robot(LIAR)), payload))
-        of_world = isinstance(message, Configure | Sense)
-        key = keys.body("r0", names.WORLD) if of_world else keys.control("r0", names.RELAY)
-        node.handle(Message(key, pack(message)))
+    def tell(message: messages.Record, frames: list[bytes]) -> None:
+        if isinstance(message, MediumNote):
+            said = messages.Heard(len(frames) * [LIAR], frames, [message])
+            node.handle(Message(keys.radio_rx("r0", names.RELAY), pack(said)))
+        else:
+            of_world = isinstance(message, Configure | Sense)
+            key = keys.body("r0", names.WORLD) if of_world else keys.control("r0", names.RELAY)
+            node.handle(Message(key, pack(message)))
 
     tell(Configure(a_small_plan().minds[0]), [])
     for step, (broadcasts, offers, answers, more) in enumerate(steps, 1):
         antenna.said.clear()
-        tell(sensed(step), broadcasts)
-        tell(Open(step, 0, [LIAR, 2], 1000), [])
+        tell(sensed(step), [])
+        tell(Open(step, 0, [LIAR, 2], 1000), broadcasts)
         numbers = list(range(len(offers)))
         tell(Turn(step, 0, "offers", numbers, [LIAR] * len(offers)), offers)
         tell(Turn(step, 0, "data", list(range(90, 90 + len(answers))), [0] * len(answers)), answers)

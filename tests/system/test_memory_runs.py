@@ -283,7 +283,8 @@ class Pair:
     def _deliver(self, outgoing: list[Outgoing]) -> None:
         for item in outgoing:
             if isinstance(item, Frame):
-                self._frames[item.receiver].append((item.sender, item.payload))
+                for receiver in item.receivers:
+                    self._frames[receiver].append((item.sender, item.payload))
             elif isinstance(item, Note):
                 self._hear(item.receiver, item.message)
             else:
@@ -313,10 +314,9 @@ class Pair:
     def _say(
         self, robot: int, step: int, exchange: int, phase: str, said: list[tuple[int, int, bytes]]
     ) -> None:
-        for _, peer, frame in said:
-            self.radio.hear(robot, peer, frame)
         numbers = [] if phase == "offers" else [number for number, _, _ in said]
-        self._deliver(self.radio.said(robot, Said(step, exchange, phase, numbers)))
+        receivers, frames = [peer for _, peer, _ in said], [frame for _, _, frame in said]
+        self._deliver(self.radio.said(robot, Said(step, exchange, phase, numbers, 0, receivers, frames)))
 
 
 @pytest.mark.parametrize("budget", [UNLIMITED, 40])
@@ -348,8 +348,7 @@ def test_a_robot_that_says_something_to_one_out_of_range_is_not_heard() -> None:
     pair = Pair(10.0, UNLIMITED)
     opened: list[Any] = pair.radio.begin(1, {0: (0, 0), 1: (11, 0)})
     assert [note.message.peers for note in opened] == [[], []]
-    pair.radio.hear(0, 1, packets.encode([packets.Offer(0, 0)]))
-    pair._say(0, 1, 0, "offers", [])
+    pair._say(0, 1, 0, "offers", [(0, 1, packets.encode([packets.Offer(0, 0)]))])
     pair._say(1, 1, 0, "offers", [])
     for _ in range(3):
         for robot in pair.radio.waiting_for():

@@ -32,6 +32,7 @@ EXAMPLES: tuple[messages.Record, ...] = (
     messages.Said(3, 0, "offers", []),
     messages.Outcome(3, 0, [0], [2], [2], [2], [0], broadcast=True),
     messages.Close(3),
+    messages.Heard([0], [b"word"], [messages.Close(3)]),
     messages.Lost(0, "I saw it die"),
     messages.End(3, "explored", 1),
     messages.Stop("enough"),
@@ -71,14 +72,13 @@ def forbidden(keys: Keys, name: str) -> list[Message]:
     """All that a participant can put but may not say: every kind to everyone, and what is no message."""
     found = []
     for key in rights.may_put(keys, name) or everywhere(keys, name):
-        if "/radio/" in key:
-            continue
         for receiver in ("r0", "r2") if "*" in key else ("",):
             place = key.replace("*", receiver)
-            _, direction, first, second = names.parts(place)
+            plane, direction, first, second = names.parts(place)
             ends = (first, names.RELAY) if direction == "tx" else (second, first)
             roles = tuple(rights.ROBOT if end[1:].isdigit() else end for end in ends)
-            may = rights.RIGHTS.get((roles[0], roles[1]), ())
+            pair = roles[0], roles[1]
+            may = [kind for kind in rights.RIGHTS.get(pair, ()) if rights.plane_of(kind, pair) == plane]
             found += [Message(place, pack(each)) for each in EXAMPLES if type(each) not in may]
             found += [Message(place, junk) for junk in JUNK]
     return found
@@ -100,9 +100,8 @@ class Rogue:
         if not self._lies:
             lies = self._words(Keys(message.key.split("/")[1]))
             self._lies = [lie for lie in lies if len(lie.payload) <= self._most_bytes]
-        plane = names.parts(message.key)[0]
-        told = plane in ("body", "control")
-        kind = type(messages.unpack(message.payload)).__name__ if told else plane
+        told = names.parts(message.key)[0] != "presence"
+        kind = type(messages.unpack(message.payload)).__name__ if told else "presence"
         self._heard[kind] += 1
         for lie in self._lies if self._heard[kind] <= OFTEN else ():
             self._inner.put(*lie)
@@ -201,10 +200,12 @@ class Babbler(Rogue):
     """The end of the bus of a robot whose radio says noise, whenever it has heard something: in every phase."""
 
     def _words(self, keys: Keys) -> list[Message]:
-        places = [
-            keys.radio_tx(self._name, receiver) for receiver in (names.ALL, "r0", "r1", "r2", "r9", "x")
+        spoken = [
+            pack(messages.Said(1, 0, phase, list(range(-1, 5)), 0, [-1, 0, 1, 2, 9, 9], 6 * [noise]))
+            for phase in ("offers", "answers", "data")
+            for noise in NOISE
         ]
-        return [Message(place, noise) for place in places for noise in NOISE]
+        return [Message(keys.radio_tx(self._name), noise) for noise in (*NOISE, *spoken)]
 
 
 @pytest.mark.parametrize("exchange", ["polygon", "laser", "sight"])
@@ -231,7 +232,7 @@ class Silent:
         self.receive, self.close = inner.receive, inner.close
 
     def put(self, key: str, payload: bytes) -> None:
-        if "/radio/" not in key and isinstance(messages.unpack(payload), self._kind):
+        if isinstance(messages.unpack(payload), self._kind):
             self._left -= 1
             if self._left < 0:
                 return

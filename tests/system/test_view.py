@@ -27,8 +27,8 @@ from tests.system.headless import settled_picture, viewer
 pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'murmur-robots[view]'")
 
 VIEWS = [
-    "The building as it is [m]", "What you see", "On the air [bytes/step]", "What for", "Explored [%]",
-    "Untold [packets]", "What happens, step by step",
+    "The building as it is [m]", "What you see", "On the air [B]", "What for", "Explored [%]",
+    "Untold", "What happens",
 ]  # fmt: skip
 
 

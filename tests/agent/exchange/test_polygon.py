@@ -18,6 +18,7 @@ from agent.outline.approximation import repair
 from agent.outline.claims import Drawing
 from agent.outline.contour import contours
 from agent.outline.merge import TeamMap, approximation_error
+from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
 from agent.outline.simplify import refine
 from agent.settings import Settings
@@ -197,7 +198,7 @@ def test_the_plan_is_all_approximations_merged_with_ones_own_grid() -> None:
         teller = maker(shape, robot)
         for units in told(teller, steps):
             listener.take(robot, units)
-        team.update(robot, teller.polygons[robot])
+        team.update(robot, Objects.of(teller.polygons[robot]))
         assert (listener.merge(own, (0, 1)) == team.merged(own)).all()
     assert (listener.merge(own) == FREE).sum() > (own == FREE).sum()
     assert (listener.merge(own)[own != UNKNOWN] == own[own != UNKNOWN]).all()
@@ -220,7 +221,7 @@ NONSENSE = {
     "a vertex of no object": [encode([Delete(0)])],
     "a second save point": [encode([Save()])],
     "a raw scan": [encode([Fragment(b"scan")])],
-    "no packet": [b"\xff\xff"],
+    "no packet": [6 * b"\xff"],
 }
 
 

@@ -16,6 +16,7 @@ from agent.outline.contour import contours
 from agent.outline.edits import Held, edit_script
 from agent.outline.five_stages import UNDEFINED, five_stages
 from agent.outline.merge import ErrorCount, TeamMap, approximation_error, rendered
+from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
@@ -36,7 +37,7 @@ def approximated(grid: Grid, robot: Cell, splits: int | None = None) -> Polygons
 def merged(own: Grid, approximations: list[Polygons], drawing: Drawing = THESIS) -> Grid:
     team = TeamMap(drawing)
     for robot, polygons in enumerate(approximations):
-        team.update(robot, polygons)
+        team.update(robot, Objects.of(polygons))
     return team.merged(own)
 
 
@@ -133,7 +134,7 @@ def test_a_teammates_new_approximation_takes_the_place_of_its_old_one(
     own, approximations = case
     team = TeamMap()
     for polygons in approximations:
-        team.update(1, polygons)
+        team.update(1, Objects.of(polygons))
         assert (team.merged(own) == merged(own, [polygons])).all()
 
 
@@ -166,13 +167,13 @@ def test_a_plan_merged_where_something_has_changed_is_the_plan_merged_anew(
             refined = refine(exact, repair(held[robot].polygons, exact), splits)
             packets, held[robot] = edit_script(held[robot], approximation(exact, refined))
             receivers[robot].feed(encode(packets))
-            team.update(robot, receivers[robot].held.polygons, receivers[robot].changed())
+            team.update(robot, receivers[robot].objects, receivers[robot].changed())
         near = data.draw(st.sets(st.integers(0, 3)))
         plan = team.merged(own, near, where_they_differ(before, own))
         anew = TeamMap(drawing)
         for robot, receiver in enumerate(receivers):
             if receiver.held.polygons.objects:
-                anew.update(robot, receiver.held.polygons)
+                anew.update(robot, Objects.of(receiver.held.polygons))
         assert plan.tolist() == anew.merged(own, near).tolist()
         before = own
 
@@ -183,7 +184,7 @@ def test_an_error_counted_where_something_has_changed_is_the_error_counted_anew(
     receiver, held, before = Receiver(shape), Held.nothing(shape), np.full(shape, UNKNOWN, np.uint8)
     drawing = Drawing(free_inside_edges=False, unknown_pairs=False)
     error = ErrorCount(drawing)
-    error.count(before, receiver.held.polygons)
+    error.count(before, receiver.objects)
     for step, (grid, cell) in enumerate(exploration(real_map("fr079"), np.random.default_rng(8), 20, 40.0)):
         if step % 3:
             exact = contours(grid, cell)
@@ -191,7 +192,7 @@ def test_an_error_counted_where_something_has_changed_is_the_error_counted_anew(
             packets, held = edit_script(held, approximation(exact, refined))
             receiver.feed(encode(packets))
         polygons = receiver.held.polygons
-        counted = error.count(grid, polygons, where_they_differ(before, grid), receiver.changed())
+        counted = error.count(grid, receiver.objects, where_they_differ(before, grid), receiver.changed())
         assert counted == approximation_error(grid, polygons, drawing)
         before = grid
 

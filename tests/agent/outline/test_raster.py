@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from agent.outline.boxes import whole
 from agent.outline.polygons import SIDE_X, SIDE_Y
-from agent.outline.raster import draw, fill
+from agent.outline.raster import Edges, draw, fill
 
 quick = settings(deadline=None)
 
@@ -23,37 +23,23 @@ vertices = st.tuples(st.integers(-1, SHAPE[1]), st.integers(-1, SHAPE[0]), st.in
 polygons = st.lists(vertices, min_size=2, max_size=8, unique=True)
 
 
-def columns(polygon: list[Vertex]) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.uint8]]:
-    x, y, side = zip(*polygon, strict=True)
-    return np.array(x, np.int16), np.array(y, np.int16), np.array(side, np.uint8)
-
-
-def every(polygon: list[Vertex]) -> NDArray[np.int32]:
-    """All edges."""
-    return np.arange(len(polygon), dtype=np.int32)
+def edges(polygon: list[Vertex], occupied: list[int] | None = None) -> Edges:
+    """The edges of a polygon, all of them occupied unless told otherwise."""
+    corners = [(4 * x + int(SIDE_X[side]), 4 * y + int(SIDE_Y[side])) for x, y, side in polygon]
+    walls = occupied or [1] * len(polygon)
+    both = zip(corners, corners[1:] + corners[:1], walls, strict=True)
+    return np.array([(*one, *other, wall) for one, other, wall in both], np.int32)
 
 
 def filled(polygon: list[Vertex], shape: tuple[int, int] = SHAPE) -> NDArray[np.bool_]:
-    layer, scratch = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
-    fill(layer, *columns(polygon), 0, len(polygon), every(polygon), scratch, 1, 0, whole(shape)[0])
-    assert not scratch.any()
+    layer = np.zeros(shape, np.uint8)
+    fill(layer, edges(polygon), 1, 0, whole(shape)[0])
     return layer.astype(np.bool_)
 
 
 def drawn(polygon: list[Vertex], shape: tuple[int, int] = SHAPE) -> NDArray[np.bool_]:
     layer = np.zeros(shape, np.uint8)
-    draw(
-        layer,
-        *columns(polygon),
-        np.ones(len(polygon), np.uint8),
-        0,
-        len(polygon),
-        every(polygon),
-        1,
-        0,
-        0,
-        whole(shape)[0],
-    )
+    draw(layer, edges(polygon), 1, 0, 0, whole(shape)[0])
     return layer.astype(np.bool_)
 
 
@@ -103,18 +89,7 @@ def test_an_edge_is_drawn_in_the_cell_nearest_to_it_in_each_column_or_row(one: V
                 expected.add((int((ax + (bx - ax) * (y - ay) / (by - ay) + Fraction(1, 2)) // 1), y))
     layer = np.zeros(SHAPE, np.uint8)
     # Only the first of the two edges is occupied.
-    draw(
-        layer,
-        *columns([one, other]),
-        np.array([1, 0], np.uint8),
-        0,
-        2,
-        every([one, other]),
-        1,
-        0,
-        0,
-        whole(SHAPE)[0],
-    )
+    draw(layer, edges([one, other], [1, 0]), 1, 0, 0, whole(SHAPE)[0])
     cells = {(int(x), int(y)) for y, x in np.argwhere(layer)}
     assert cells == {(x, y) for x, y in expected if 0 <= x < SHAPE[1] and 0 <= y < SHAPE[0]}
 
@@ -133,18 +108,7 @@ def test_an_exact_edge_is_drawn_in_the_cells_of_its_points_but_the_last(
     one: Vertex, other: Vertex, cells: list[tuple[int, int]]
 ) -> None:
     layer = np.zeros(SHAPE, np.uint8)
-    draw(
-        layer,
-        *columns([one, other]),
-        np.array([1, 0], np.uint8),
-        0,
-        2,
-        every([one, other]),
-        1,
-        0,
-        0,
-        whole(SHAPE)[0],
-    )
+    draw(layer, edges([one, other], [1, 0]), 1, 0, 0, whole(SHAPE)[0])
     assert sorted((int(x), int(y)) for y, x in np.argwhere(layer)) == cells
 
 
@@ -161,21 +125,10 @@ def test_vertices_far_outside_the_grid_are_clipped(polygon: list[Vertex]) -> Non
 
 def test_bits_are_set_and_cleared_where_they_should_be() -> None:
     square = [(1, 1, 3), (1, 5, 0), (5, 5, 1), (5, 1, 2)]
-    layer, scratch = np.full(SHAPE, 0b101, np.uint8), np.zeros(SHAPE, np.uint8)
-    fill(layer, *columns(square), 0, 4, every(square), scratch, 0b010, 0b100, whole(layer.shape)[0])
+    layer = np.full(SHAPE, 0b101, np.uint8)
+    fill(layer, edges(square), 0b010, 0b100, whole(layer.shape)[0])
     assert (layer == np.where(filled(square), 0b011, 0b101)).all()
-    draw(
-        layer,
-        *columns(square),
-        np.array([1, 0, 1, 0], np.uint8),
-        0,
-        4,
-        every(square),
-        0b1000,
-        0b10000,
-        0b1,
-        whole(layer.shape)[0],
-    )
+    draw(layer, edges(square, [1, 0, 1, 0]), 0b1000, 0b10000, 0b1, whole(layer.shape)[0])
     assert layer[3, 1] == 0b1010, "an occupied edge"
     assert layer[5, 3] == 0b10010, "another edge"
     assert layer[3, 3] == 0b011
@@ -188,12 +141,10 @@ def test_in_a_box_just_what_lies_in_it_is_drawn(
 ) -> None:
     (x0, x1), (y0, y1) = (sorted(pair) for pair in zip(*corners, strict=True))
     box = np.array((x0, y0, x1, y1), np.int32)
-    area, edges, scratch = (np.zeros(SHAPE, np.uint8) for _ in range(3))
-    fill(area, *columns(polygon), 0, len(polygon), every(polygon), scratch, 1, 0, box)
-    walls = np.ones(len(polygon), np.uint8)
-    draw(edges, *columns(polygon), walls, 0, len(polygon), every(polygon), 1, 0, 0, box)
+    area, outline = np.zeros(SHAPE, np.uint8), np.zeros(SHAPE, np.uint8)
+    fill(area, edges(polygon), 1, 0, box)
+    draw(outline, edges(polygon), 1, 0, 0, box)
     within = np.zeros(SHAPE, np.bool_)
     within[y0:y1, x0:x1] = True
     assert area.tolist() == (filled(polygon) & within).tolist()
-    assert edges.tolist() == (drawn(polygon) & within).tolist()
-    assert not scratch.any()
+    assert outline.tolist() == (drawn(polygon) & within).tolist()

@@ -16,8 +16,9 @@ from agent.outline.approximation import approximation, repair
 from agent.outline.claims import THESIS, Drawing, draw_anew, layer
 from agent.outline.contour import contours
 from agent.outline.draft import Draft, Outline
-from agent.outline.edits import Held, edit_script, symbols
+from agent.outline.edits import Held, edit_script
 from agent.outline.merge import rendered
+from agent.outline.objects import symbols
 from agent.outline.polygons import Polygons
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
@@ -285,7 +286,7 @@ def test_what_has_not_changed_is_drawn_as_before(
         with suppress(ProtocolError):
             receiver.feed(piece)
         now = layer(receiver.held.polygons, drawing)
-        draw_anew(drawn, receiver.held.polygons, drawing, np.zeros_like(drawn), receiver.changed())
+        draw_anew(drawn, receiver.objects, drawing, receiver.changed())
         assert drawn.tolist() == now.tolist()
 
 
@@ -298,7 +299,7 @@ def test_of_what_a_robot_tells_all_that_looks_different_has_changed(
     drawn = layer(receiver.held.polygons, drawing)
     for data, approximated in told(splits, steps):
         receiver.feed(data)
-        draw_anew(drawn, approximated, drawing, np.zeros_like(drawn), receiver.changed())
+        draw_anew(drawn, receiver.objects, drawing, receiver.changed())
         assert drawn.tolist() == layer(approximated, drawing).tolist()
 
 
@@ -309,7 +310,7 @@ def test_of_a_real_story_little_is_drawn_anew_and_it_comes_to_the_same() -> None
     for data, approximated in real_story():
         receiver.feed(data)
         boxes = receiver.changed()
-        draw_anew(drawn, approximated, THESIS, np.zeros_like(drawn), boxes)
+        draw_anew(drawn, receiver.objects, THESIS, boxes)
         assert (drawn == layer(approximated)).all()
         areas.append(int(((boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1])).sum()))
     assert np.median(areas) < drawn.size / 10

@@ -127,3 +127,33 @@ def test_a_robot_does_not_turn_for_little_and_never_without_news_of_the_map() ->
         robot = mind(options={"loyalty": loyalty}, grid=grid)
         assert robot.decide(robot_at(22, 1, grid)).target == (31, 1)
         assert robot.decide(replace(robot_at(20, 1, later), step=2)).target == expected
+
+
+def ends(robot: Repairmen, situation: Situation) -> tuple[int, int]:
+    x, y = robot.decide(situation).path[-1].tolist()
+    return x, y
+
+
+def test_a_crumb_is_looked_at_from_afar_a_long_edge_and_one_looked_at_in_vain_from_near() -> None:
+    # A hall with a nook in its upper wall; nobody knows how deep it is.
+    grid = np.full((12, 30), OCCUPIED, np.uint8)
+    grid[6:-1, 1:-1] = FREE
+    grid[2:6, 20] = FREE
+    grid[1, 20] = UNKNOWN
+    alone = settings_for(grid, 0, 1, ranges_cells=[12.0], speed_cells=40.0)
+    here = robot_at(10, 9, grid)
+    robot = Repairmen({}, alone)
+    decided = robot.decide(here)
+    x, y = decided.path[-1].tolist()
+    assert decided.target == (20, 2)
+    assert (x, y) in {(19, 9), (20, 9)}
+    assert ends(Repairmen({"look": 0.0}, alone), here) == (20, 2)
+    assert ends(Repairmen({}, replace(alone, field_of_view=90.0)), here) == (20, 2)
+    # A teammate stood before it: no news of the map, and the robot drives in, whatever it learns on the way.
+    assert ends(robot, replace(robot_at(x, y, grid), step=2)) == (20, 2)
+    grid[9, 1] = OCCUPIED
+    assert ends(robot, replace(robot_at(x - 2, y, grid), step=3)) == (20, 2)
+    grid[7:10, 20:23] = OCCUPIED
+    grid[1, 20:23] = UNKNOWN
+    grid[2:7, 20:23] = FREE
+    assert ends(Repairmen({}, alone), here) == (21, 2)

@@ -17,8 +17,10 @@ from deploy.chaos.storm import CALM, Storm, storm
 from deploy.commands.main import app
 from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
+from netshaper.ledger import EVERYONE
 from protocol.grid import UNKNOWN
 from protocol.memory_bus import MemoryHub
+from protocol.messages import Said, pack, unpack
 
 SMALL = [6, 11, 15]
 """Seeds of small and short storms."""
@@ -99,14 +101,16 @@ def test_liars_lie_on_the_radio_alone_and_by_their_seed() -> None:
         relay, bus = hub.join("relay"), Lies(seed, (1,))("r1", hub.join("r1"))
         relay.receive()
         for number in range(99):
-            bus.put(hub.keys.radio_tx("r1", "all"), bytes([0xF0, number]))
+            said = Said(1, 0, "offers", [], 0, [EVERYONE], [bytes([0xF0, number])])
+            bus.put(hub.keys.radio_tx("r1"), pack(said))
             bus.put(hub.keys.control_tx("r1"), bytes([number]))
         return [message.payload for message in iter(relay.receive, None)]
 
     said = heard(1)
     assert said == heard(1) != heard(2)
     assert said[1::2] == [bytes([number]) for number in range(99)]
-    lies = sum(payload != bytes([0xF0, number]) for number, payload in enumerate(said[::2]))
+    frames = [unpack(payload).frames for payload in said[::2]]
+    lies = sum(frame != bytes([0xF0, number]) for number, (frame,) in enumerate(frames))
     assert 10 < lies < 40
 
 

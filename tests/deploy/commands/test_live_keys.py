@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pty
 import sys
+import termios
 import time
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from deploy.commands.live_keys import HELP, Keys
 from deploy.run.control import Control
 from deploy.scenario.plan import make
 from deploy.scenario.scenario import load, parse
+from tests.deploy.commands.office_floor import murmur
 
 
 @pytest.fixture
@@ -63,12 +66,16 @@ def test_values_are_typed_corrected_and_checked(control: Control) -> None:
     assert control._wishes.qsize() == 3
 
 
-def test_a_run_at_a_terminal_obeys_keys_and_leaves_the_terminal_as_it_was(tmp_path: Path) -> None:
+@pytest.mark.parametrize("bus", ["memory", "zenoh"])
+def test_a_run_at_a_terminal_obeys_keys_repeats_and_leaves_the_terminal_as_it_was(
+    bus: str, tmp_path: Path
+) -> None:
     out = tmp_path / "run"
-    words = ["explore", "--map", "em", "--robots", "2", "--bus", "memory", "--steps", "40", "--out", str(out)]
+    words = ["explore", "--map", "em", "--robots", "2", "--bus", bus, "--steps", "40", "--out", str(out)]
     child, terminal = pty.fork()
     if child == 0:
         os.execv(sys.executable, [sys.executable, "-m", "deploy.commands.main", *words, "--pace", "20"])
+    before = termios.tcgetattr(terminal)
     shown, presses = b"", [(b"space pause", b"k1\n"), (b"robot 1 is killed", b"b50\n")]
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline:
@@ -80,7 +87,11 @@ def test_a_run_at_a_terminal_obeys_keys_and_leaves_the_terminal_as_it_was(tmp_pa
             os.write(terminal, presses.pop(0)[1])
     _, status = os.waitpid(child, 0)
     assert os.waitstatus_to_exitcode(status) in (0, 1), shown.decode()
+    assert termios.tcgetattr(terminal) == before
     assert b"robot 1 is killed" in shown
     scenario = load(out / "scenario.toml", {})
     assert [fault.robot for fault in scenario.fault] == [1]
     assert [change.bandwidth for change in scenario.change] == [50]
+    repeated = murmur("replay", str(out))
+    assert repeated.exit_code == 0, repeated.stderr
+    assert json.loads((out / "summary.json").read_text())["digest"][:16] in repeated.stdout

@@ -46,8 +46,8 @@ def test_robots_come_into_range_and_are_lost_from_it(events: RunEvents) -> None:
     assert texts(events, "world", where(1, (10, 10), (20, 10), (200, 200))) == []
     assert events.in_range == {(0, 1)}
     assert texts(events, "world", where(2, (10, 10), (200, 210), (200, 200))) == [
-        "robots 0 and 1 have lost each other",
-        "robots 1 and 2 can hear each other",
+        "robots 0 and 1 are out of touch",
+        "robots 1 and 2 are in touch",
     ]
     assert events.seen == 0.5
     assert events.positions[0] == to_world(small_plan().map, 10, 10)
@@ -66,9 +66,7 @@ def test_a_target_is_told_when_it_is_another_frontier_not_the_same_one_moved_on(
 
 def test_idleness_is_told_once(events: RunEvents) -> None:
     idle = "idle: no reachable frontier is left on its planning grid"
-    assert texts(events, "r2", mind(5, -1, -1, idle)) == [
-        "robot 2 is idle: nothing is left to explore on its map"
-    ]
+    assert texts(events, "r2", mind(5, -1, -1, idle)) == ["robot 2 is idle: its map is done"]
     assert texts(events, "r2", mind(6, -1, -1, idle)) == []
     texts(events, "r2", mind(7, 10, 10))
     assert len(texts(events, "r2", mind(8, -1, -1, idle))) == 1
@@ -101,7 +99,7 @@ def test_loads_are_summed_by_what_they_are_for_and_who_talks(events: RunEvents) 
     assert events.traffic.cut == 600
     assert events.traffic.talks == {(0, 2): 77}
     assert events.bytes == {"ins": 60, "conn": 2, "em": 15, "targ": 3}
-    assert said == ["robot 2 reports 2 new objects", "the channel is full: 600 bytes must wait"]
+    assert said == ["robot 2 reports 2 new objects", "channel full: 600 bytes wait"]
     assert texts(events, "relay", air(4)) == []
 
 
@@ -116,7 +114,7 @@ def test_losses_faults_and_the_end_are_told(events: RunEvents) -> None:
     assert texts(events, "relay", Fault("r0", "spoke out of turn")) == [
         "r0 sent a malformed message: spoke out of turn"
     ]
-    assert texts(events, "relay", End(9, "explored", 0)) == ["explored in 9 steps; robot 0 finished first"]
+    assert texts(events, "relay", End(9, "explored", 0)) == ["explored; robot 0 finished first"]
     assert texts(events, "relay", End(9, "out of steps", -1)) == ["the run is over: out of steps"]
 
 
@@ -139,10 +137,11 @@ def test_a_viewer_that_comes_late_can_make_sense_of_any_first_word() -> None:
 def test_the_words_that_explain_speak_of_this_run() -> None:
     words = about(small_plan())
     assert "3 robots" in words
-    assert "at most 1000 bytes a step" in words
-    assert "Strong outlines" in words
+    assert "1000 bytes a step" in words
+    assert "Faint outlines" in words
+    assert "Red:" in words
     words = about(small_plan(exchange="laser", bandwidth="unlimited", range="100%"))
     assert "unlimited bandwidth" in words
     assert "outlines" not in words
-    assert "red line" not in words
+    assert "Red:" not in words
     assert "Circles" not in words

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from agent.strategies.registry import strategies
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.scenario import ScenarioError, load
+from deploy.scenario.thesis import thesis_settings
 from deploy.study import experiment as experiments
 from deploy.study import runs
 from tests.deploy.study.small_experiment import EXPERIMENT, write
@@ -53,6 +54,39 @@ def test_maps_are_looked_for_beside_the_experiment_and_those_of_flags_where_one_
     for text in ('base.map = "a.yaml"\n', '[[variant]]\nname = "it"\nmap = "a.yaml"\n'):
         (case,) = runs.cases(experiments.read(write(folder, text)))
         assert case.scenario.map == str(folder / "a.yaml")
+
+
+def test_an_experiment_can_rest_on_a_scenario(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text("map = 'em'\nrobots = 2\n[options]\nbeta = 3.0\nreplan = 'at-goal'\n")
+    text = "scenario = 'mine.toml'\n[base]\nstrategy = 'burgard'\nrobots = 4\n'options.beta' = 2.0\n"
+    (case,) = runs.cases(experiments.read(write(tmp_path, text)))
+    assert (case.scenario.map, case.scenario.robots) == ("em", 4)
+    assert case.scenario.options == {"beta": 2.0, "replan": "at-goal"}
+    (shipped,) = runs.cases(experiments.read(write(tmp_path, "scenario = 'burgard.toml'\n")))
+    assert shipped.scenario.strategy == "burgard" and shipped.scenario.interference == 1.0
+    with pytest.raises(ScenarioError, match=r"nowhere\.toml: no such file"):
+        experiments.read(write(tmp_path, "scenario = 'nowhere.toml'\n"))
+    with pytest.raises(ScenarioError, match="scenario = 3: must be the name"):
+        experiments.read(write(tmp_path, "scenario = 3\n"))
+
+
+def test_an_experiment_can_ask_for_the_thesis_plain_rules_and_still_say_otherwise(tmp_path: Path) -> None:
+    text = """[base]
+thesis = true
+polygon = { lazy = true, exact_error = true }
+[[variant]]
+name = "thesis"
+[[variant]]
+name = "ours"
+thesis = false
+"""
+    plain, ours = (case.scenario for case in runs.cases(experiments.read(write(tmp_path, text))))
+    assert plain.offers == "thesis" and plain.options == {"herding": False}
+    wanted = load(None, {**thesis_settings("meier"), "polygon.lazy": True, "polygon.exact_error": True})
+    assert plain.polygon == wanted.polygon
+    assert (ours.offers, ours.options, ours.polygon.mixed_first) == ("backoff", {}, True)
+    with pytest.raises(ScenarioError, match="thesis = 1: must be true or false"):
+        runs.cases(experiments.read(write(tmp_path, "[base]\nthesis = 1\n")))
 
 
 @pytest.mark.parametrize("path", sorted(experiments.SHIPPED.glob("*.toml")), ids=lambda path: path.stem)

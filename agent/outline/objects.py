@@ -1,0 +1,140 @@
+"""Objects by the numbers that packets give them, in a form of which a new version costs what has changed.
+
+Vertices lie in a pool, to which they are only ever added; a table says for each number where they are. A version is a
+table: what an older one speaks of stays where it is.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.outline.polygons import Polygons
+from protocol.kernels import kernel
+
+FIRST, LENGTH, INSIDE, LEFT, TOP, RIGHT, BOTTOM = range(7)
+"""Columns of a table: where the vertices begin in the pool (-1: there is no such object), how many they are, whether
+they are those of the inside object, and a box around them with a cell to spare."""
+
+_COLUMNS = 7
+
+Table = NDArray[np.int32]
+Symbols = NDArray[np.int32]
+
+
+class Objects(NamedTuple):
+    """Numbered objects.
+
+    Attributes
+    ----------
+    shape : (int, int)
+        Height and width of the grid that they speak of, in cells.
+    table : int32 array, shape (n, 7)
+        A row for each number.
+    pool : int32 array
+        Vertices as symbols: x, y, side, and in the lowest bit the occupancy of the edge.
+    """
+
+    shape: tuple[int, int]
+    table: Table
+    pool: Symbols
+
+    @staticmethod
+    def nothing(shape: tuple[int, int]) -> Objects:
+        """Return what there is before anything has been said."""
+        return Objects(shape, np.empty((0, _COLUMNS), np.int32), np.empty(0, np.int32))
+
+    @staticmethod
+    def of(polygons: Polygons) -> Objects:
+        """Number some polygons from 0."""
+        table, pool = np.empty((polygons.objects, _COLUMNS), np.int32), symbols(polygons)
+        for number, inside in enumerate(polygons.inside.tolist()):
+            first, end = polygons.start[number : number + 2].tolist()
+            enter(table, number, pool, first, end - first, inside)
+        return Objects(polygons.shape, table, pool)
+
+    def polygons(self) -> tuple[NDArray[np.int32], Polygons]:
+        """Return the numbers in use, ascending, and the objects in this order."""
+        number, x, y, side, occupied, start, inside = _unpack(self.table, self.pool)
+        return number, Polygons(self.shape, x, y, side, occupied, start, inside)
+
+
+def symbols(polygons: Polygons) -> Symbols:
+    """Pack each vertex, x, y, side and occupancy, into one number."""
+    packed: Symbols = _pack(polygons.x, polygons.y, polygons.side, polygons.occupied)
+    return packed
+
+
+@kernel("int32[::1](int16[::1], int16[::1], uint8[::1], uint8[::1])")
+def _pack(
+    x: NDArray[np.int16], y: NDArray[np.int16], side: NDArray[np.uint8], occupied: NDArray[np.uint8]
+) -> Symbols:
+    packed = np.empty(len(x), np.int32)
+    for i in range(len(x)):
+        packed[i] = (np.int32(y[i]) + 1 << 12 | np.int32(x[i]) + 1) << 3 | side[i] << 1 | occupied[i]
+    return packed
+
+
+@kernel("Tuple((int16[::1], int16[::1], uint8[::1], uint8[::1]))(int32[::1])")
+def unpack(
+    vertices: Symbols,
+) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.uint8], NDArray[np.uint8]]:
+    """Cells x and y, sides and occupancy of vertices. For other kernels."""
+    n = len(vertices)
+    x, y = np.empty(n, np.int16), np.empty(n, np.int16)
+    side, occupied = np.empty(n, np.uint8), np.empty(n, np.uint8)
+    for i in range(n):
+        symbol = vertices[i]
+        x[i] = (symbol >> 3 & 0xFFF) - 1
+        y[i] = (symbol >> 15) - 1
+        side[i] = symbol >> 1 & 3
+        occupied[i] = symbol & 1
+    return x, y, side, occupied
+
+
+@kernel(
+    "Tuple((int32[::1], int16[::1], int16[::1], uint8[::1], uint8[::1], int32[::1], boolean[::1]))"
+    "(int32[:,::1], int32[::1])"
+)
+def _unpack(
+    table: Table, pool: Symbols
+) -> tuple[
+    NDArray[np.int32], NDArray[np.int16], NDArray[np.int16], NDArray[np.uint8], NDArray[np.uint8],
+    NDArray[np.int32], NDArray[np.bool_],
+]:  # fmt: skip
+    """Numbers, and the columns of the polygons."""
+    count = 0
+    for row in table:
+        count += row[FIRST] >= 0
+    number, start, inside = (
+        np.empty(count, np.int32),
+        np.zeros(count + 1, np.int32),
+        np.empty(count, np.bool_),
+    )
+    count = 0
+    for k in range(len(table)):
+        if table[k, FIRST] >= 0:
+            number[count], inside[count] = k, table[k, INSIDE] != 0
+            start[count + 1] = start[count] + table[k, LENGTH]
+            count += 1
+    vertices = np.empty(start[-1], np.int32)
+    for k in range(count):
+        first = table[number[k], FIRST]
+        vertices[start[k] : start[k + 1]] = pool[first : first + start[k + 1] - start[k]]
+    return number, *unpack(vertices), start, inside
+
+
+@kernel("void(int32[:,::1], int64, int32[::1], int64, int64, boolean)")
+def enter(table: Table, number: int, pool: Symbols, first: int, length: int, inside: bool) -> None:
+    """Enter an object whose vertices are in the pool; it has one at least. For other kernels."""
+    x0 = y0 = 1 << 20
+    x1 = y1 = -1
+    for i in range(first, first + length):
+        x, y = (pool[i] >> 3 & 0xFFF) - 1, (pool[i] >> 15) - 1
+        x0, x1 = min(x0, x), max(x1, x)
+        y0, y1 = min(y0, y), max(y1, y)
+    row = table[number]
+    row[FIRST], row[LENGTH], row[INSIDE] = first, length, inside
+    row[LEFT], row[TOP], row[RIGHT], row[BOTTOM] = x0 - 1, y0 - 1, x1 + 2, y1 + 2
