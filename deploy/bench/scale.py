@@ -44,6 +44,8 @@ RADIOS = {
     LOOKS: {"exchange": "sight", "offers": "gossip"},
 }
 WORK, MEMORY = "processor time a robot and step", "memory a robot, proportional"
+CORE = "speed on a core of its own"
+"""Which is the speed in memory where nothing else runs."""
 AIR, BUS = "on the air a step", "moved by the bus a step"
 
 
@@ -59,6 +61,7 @@ def scale(robots: Sequence[int] = ROBOTS) -> Iterator[Figure]:
             work = run.work_ms / size
             smallest = first.setdefault(POLYGONS if radio == TARGETS else radio, work)
             yield Figure(f"{what}: speed", "steps/s", run.speed)
+            yield Figure(f"{what}: {CORE}", "steps/s", 1000 / run.work_ms)
             yard = f"that of {robots[0]}"
             yield Figure(f"{what}: {WORK}", "ms", work, yard, work / smallest)
             if run.megabytes:
@@ -91,7 +94,9 @@ def draw(figures: Sequence[dict[str, Any]], file: Path) -> None:
         parts = re.fullmatch(r"(\d+) robots, (.*), (memory|Zenoh): (.*)", figure["name"])
         if parts is not None:
             size, radio, bus, what = parts.groups()
-            panel = series.setdefault(AIR if what == BUS else what, {})
+            if (bus, what) == ("memory", "speed"):
+                continue  # how busy the machine was
+            panel = series.setdefault({BUS: AIR, CORE: "speed"}.get(what, what), {})
             panel.setdefault(_line(radio, bus, what), []).append((int(size), figure["value"]))
     panels = {
         "speed": "steps a second",
@@ -106,6 +111,7 @@ def draw(figures: Sequence[dict[str, Any]], file: Path) -> None:
         axes.set(xscale="log", yscale="linear" if what == MEMORY else "log", xlabel="robots", ylabel=label)
         axes.set_xticks(ROBOTS, [str(size) for size in ROBOTS])
         axes.minorticks_off()
+        axes.yaxis.set_major_formatter("{x:g}")
         axes.set_ylim(bottom=0 if what == MEMORY else None)
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(visible=True, color="#e6e6e6")
