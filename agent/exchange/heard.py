@@ -56,5 +56,7 @@ def lay_over(below: Grid, above: Grid, boxes: Boxes, both: Grid) -> None:
     """Write what is above where that is known, else what is below, in some boxes."""
     for box in boxes:
         for y in range(box[1], box[3]):
-            for x in range(box[0], box[2]):
-                both[y, x] = below[y, x] if above[y, x] == UNKNOWN else above[y, x]
+            low, high = below[y, box[0] : box[2]], above[y, box[0] : box[2]]
+            out = both[y, box[0] : box[2]]
+            for x in range(len(out)):
+                out[x] = low[x] if high[x] == UNKNOWN else high[x]

@@ -192,10 +192,12 @@ def _count_wrong(own: Grid, claims: Layer, boxes: Boxes, wrong: NDArray[np.bool_
     for number in range(len(boxes)):
         clip(boxes[number], 0, own.shape, box)
         for y in range(box[1], box[3]):
-            for x in range(box[0], box[2]):
-                is_wrong = own[y, x] != _strongest(UNKNOWN, claims[y, x], 0)
-                more += int(is_wrong) - int(wrong[y, x])
-                wrong[y, x] = is_wrong
+            known, claimed = own[y, box[0] : box[2]], claims[y, box[0] : box[2]]
+            here = wrong[y, box[0] : box[2]]
+            for x in range(len(here)):
+                is_wrong = known[x] != _strongest(UNKNOWN, claimed[x], 0)
+                more += int(is_wrong) - int(here[x])
+                here[x] = is_wrong
     return more
 
 
