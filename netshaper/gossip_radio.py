@@ -12,7 +12,7 @@ from __future__ import annotations
 from netshaper.frames import is_broadcast, wrong_in_news
 from netshaper.ledger import EVERYONE
 from netshaper.medium import NEWS
-from netshaper.radio import Outgoing, Radio, framed
+from netshaper.radio import Frame, Outgoing, Radio
 
 
 class GossipRadio(Radio):
@@ -49,8 +49,9 @@ class GossipRadio(Radio):
             self._shares.book(sender, size)
         heard: dict[int, int] = {}
         for (sender, payload), size in zip(order, sizes, strict=True):
+            if size:
+                out.append(Frame(hearers[sender], sender, payload[:size]))
             for hearer in hearers[sender] if size else ():
-                out.append(framed((hearer, sender, payload[:size])))
                 heard[hearer] = heard.get(hearer, 0) + 1
         for robot in sorted({*carried, *heard, *self._broadcast_carried} - self._dead):
             own = [carried[robot]] if robot in carried else []

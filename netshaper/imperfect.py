@@ -237,7 +237,7 @@ class ImperfectRadio(Radio):
         heard: dict[int, int] = {}
         for each in sorted(now, key=lambda each: not each.broadcast):
             if each.receiver in self._reach and each.receiver not in self._dead | self._deaf:
-                out.append(Frame(each.receiver, each.sender, each.payload))
+                out.append(Frame((each.receiver,), each.sender, each.payload))
                 if not each.broadcast:
                     heard[each.receiver] = heard.get(each.receiver, 0) + 1
         return out, heard

@@ -163,6 +163,8 @@ class Medium:
 
     def report(self) -> RadioReport:
         """Write down what was said: the ledger's rows, and the frames for the capture."""
+        if not len(self.sightings):
+            return RadioReport(self.step, b"", self.carried, b"")
         seen = self.sightings.columns()
         return RadioReport(self.step, book(self.step, seen), self.carried, capture.encode(self.step, seen))
 

@@ -6,13 +6,13 @@ without a robot that died. A viewer may join and leave; the run does not wait fo
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 
 from msgspec.structs import replace
 
 from netshaper.imperfect import radio
 from netshaper.medium import UNLIMITED, Medium
-from netshaper.radio import Note, Outgoing, RadioSettings
+from netshaper.radio import Frame, Note, Outgoing, RadioSettings
 from protocol import keys as names
 from protocol import rights
 from protocol.bus import Bus, Message
@@ -186,20 +186,19 @@ class RelayNode:
 
     def _send(self, outgoing: list[Outgoing]) -> None:
         """Pass on what the radio gave, a message a robot: so each is woken once for all of it."""
-        for_robots: dict[int, Heard] = {}
+        for_robots: defaultdict[int, Heard] = defaultdict(lambda: Heard([], [], []))
         media: list[Medium] = []
         for item in outgoing:
-            if isinstance(item, Medium):
-                media.append(item)
-                continue
-            heard = for_robots.get(item[0])
-            if heard is None:
-                heard = for_robots[item[0]] = Heard([], [], [])
-            if isinstance(item, Note):
-                heard.notes.append(item.message)
+            if isinstance(item, Frame):
+                _, sender, payload = item
+                for robot in item.receivers:
+                    heard = for_robots[robot]
+                    heard.senders.append(sender)
+                    heard.frames.append(payload)
+            elif isinstance(item, Note):
+                for_robots[item.receiver].notes.append(item.message)
             else:
-                heard.senders.append(item.sender)
-                heard.frames.append(item.payload)
+                media.append(item)
         for robot in sorted(for_robots):
             self._bus.put(self._hears_at[robot], pack(for_robots[robot]))
         for medium in media:

@@ -95,9 +95,9 @@ class RadioSettings:
 
 
 class Frame(NamedTuple):
-    """A payload to hand to `receiver` as heard from `sender`."""
+    """A payload to hand to all `receivers` as heard from `sender`."""
 
-    receiver: int
+    receivers: Sequence[int]
     sender: int
     payload: bytes
 
@@ -155,7 +155,7 @@ class Radio:
         """Open the medium for a step, with the true cell (x, y) of each living robot.
 
         Radios of `mute` robots cannot send in it, those of `deaf` robots cannot hear.
-        What was said while it was closed is booked here, and refused.
+        What was said while it was closed is booked here, and refused. For a robot alone it is closed at once.
         """
         self._step = step
         while self._changes and self._changes[0].step <= step:
@@ -169,7 +169,7 @@ class Radio:
         self._medium = self._new_medium(step, self.settings.budget)
         self._medium.sightings = between.sightings
         self._next_step()
-        return self._open()
+        return self._open() if self.settings.robots > 1 else self._close()
 
     def change(self, change: Change) -> None:
         """Have budget or range be others from a step on that has not begun."""
@@ -349,7 +349,7 @@ class Radio:
             carried = self._medium.broadcast(self._exchange, sender, payload, hearers)
             self._broadcast_carried[sender] = carried
             if carried:
-                out += [framed((hearer, sender, payload)) for hearer in hearers]
+                out.append(Frame(hearers, sender, payload))
         return out
 
     def _fair_share(self) -> int:
@@ -383,7 +383,7 @@ class Radio:
             if receiver in self._dead or receiver in self._deaf:
                 these.lost[at] = frame
                 continue
-            out.append(framed((receiver, sender, payload)))
+            out.append(framed(((receiver,), sender, payload)))
             if receiver not in heard:
                 heard[receiver] = [], []
             numbers, maps = heard[receiver]
@@ -411,7 +411,7 @@ class Radio:
             zip(these.senders, these.receivers, these.frames[DATA], data, strict=True)
         ):
             if payload is not None and size:
-                out.append(framed((receiver, sender, payload[:size])))
+                out.append(framed(((receiver,), sender, payload[:size])))
                 heard.setdefault(receiver, []).append(these.first + at)
         concerned: dict[int, list[int]] = {robot: [] for robot in self._broadcast_carried}
         for at, ends in enumerate(zip(these.senders, these.receivers, strict=True)):

@@ -123,6 +123,7 @@ class World:
         """By kind of fault, the robots that have it, and the step in which they are well again."""
         self._fell = dict(self.cells)
         """Where robots that are gone were last."""
+        self._widest = max((body.radius_cells for body in settings.bodies), default=0.0)
         self._fans = [fan(body.range_cells, settings.beams) for body in settings.bodies]
         self._carry = [0.0] * len(settings.starts)
         self._scanner_angle = [0.0] * len(settings.starts)
@@ -246,18 +247,21 @@ class World:
         """Mark the cells that a robot's centre may not enter, for the sake of those that it could meet on its way."""
         own = self.settings.bodies[robot].radius_cells
         x, y = self.cells[robot]
+        far = way + own + self._widest + 4
+        left, right, top, bottom = x - far, x + far, y - far, y + far
+        others = [
+            (other, cell)
+            for other, cell in self.cells.items()
+            if left <= cell[0] <= right and top <= cell[1] <= bottom and other != robot
+        ]
         marked = []
-        for other, (other_x, other_y) in self.cells.items() if self.settings.solid else ():
-            reach = own + self.settings.bodies[other].radius_cells
-            far = way + reach + 4
-            if other == robot or abs(other_x - x) > far or abs(other_y - y) > far:
-                continue
-            near = too_near(reach)
+        for other, (other_x, other_y) in others if self.settings.solid else ():
+            near = too_near(own + self.settings.bodies[other].radius_cells)
             side = len(near) // 2
-            left, top = max(0, side - other_x), max(0, side - other_y)
+            cut_x, cut_y = max(0, side - other_x), max(0, side - other_y)
             rows = slice(max(0, other_y - side), other_y + side + 1)
             here = self._taken[rows, max(0, other_x - side) : other_x + side + 1]
-            here |= near[top : top + here.shape[0], left : left + here.shape[1]]
+            here |= near[cut_y : cut_y + here.shape[0], cut_x : cut_x + here.shape[1]]
             marked.append(here)
         yield self._taken
         for here in marked:

@@ -52,7 +52,8 @@ class Handshakes:
             said: list[tuple[int, Said]] = []
             for item in out:
                 if isinstance(item, Frame):
-                    frames[item.receiver].append((item.sender, item.payload))
+                    for receiver in item.receivers:
+                        frames[receiver].append((item.sender, item.payload))
                 elif isinstance(item, Note):
                     heard, frames[item.receiver] = frames[item.receiver], []
                     session = self.sessions[item.receiver]

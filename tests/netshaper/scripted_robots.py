@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
@@ -167,13 +168,21 @@ def together(said: list[Put | Said]) -> Iterator[Said]:
             puts = []
 
 
+class Delivered(NamedTuple):
+    """A frame that reached a robot."""
+
+    receiver: int
+    sender: int
+    payload: bytes
+
+
 @dataclass
 class Step:
     """What became of one step."""
 
     rows: NDArray[np.void]
     carried: int
-    delivered: list[tuple[str, Frame]] = field(default_factory=list)
+    delivered: list[tuple[str, Delivered]] = field(default_factory=list)
     """Frames that reached a robot, with the phase in which they did."""
     said: list[tuple[int, int, bytes]] = field(default_factory=list)
     """Frames that robots put, as (sender, receiver, payload)."""
@@ -234,8 +243,9 @@ class Air:
     def _deliver(self, result: Step, outgoing: list[Outgoing]) -> None:
         for item in outgoing:
             if isinstance(item, Frame):
-                assert item.receiver not in self.dead, "the dead hear nothing"
-                self._inbox[item.receiver].append((item.sender, item.payload))
+                assert not self.dead.intersection(item.receivers), "the dead hear nothing"
+                for receiver in item.receivers:
+                    self._inbox[receiver].append((item.sender, item.payload))
             elif isinstance(item, Note):
                 self._note(result, item)
             else:
@@ -273,5 +283,5 @@ class Air:
         assert split >= 0, "fewer frames came than the relay says"
         for at, (sender, payload) in enumerate(inbox):
             kind = "targets" if at < split else phase
-            result.delivered.append((kind, Frame(receiver, sender, payload)))
+            result.delivered.append((kind, Delivered(receiver, sender, payload)))
         return inbox[split:]

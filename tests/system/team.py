@@ -166,7 +166,8 @@ class Team:
         """Hand out what the relay says; yield what it says to what the robots say then."""
         for item in out:
             if isinstance(item, Frame):
-                inbox[item.receiver].append((item.sender, item.payload))
+                for receiver in item.receivers:
+                    inbox[receiver].append((item.sender, item.payload))
             elif not isinstance(item, Note):
                 self._rows.append(item.report().rows)
             else:

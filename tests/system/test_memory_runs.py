@@ -283,7 +283,8 @@ class Pair:
     def _deliver(self, outgoing: list[Outgoing]) -> None:
         for item in outgoing:
             if isinstance(item, Frame):
-                self._frames[item.receiver].append((item.sender, item.payload))
+                for receiver in item.receivers:
+                    self._frames[receiver].append((item.sender, item.payload))
             elif isinstance(item, Note):
                 self._hear(item.receiver, item.message)
             else:
