@@ -19,6 +19,7 @@ from agent.exchange.catalogue import EXCHANGES, distribution, exchange
 from agent.outline.polygons import Polygons
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Pose, Situation
+from agent.strategies.hearsay import Hearsay
 from agent.strategies.registry import strategy
 from protocol import packets, survey
 from protocol.errors import ProtocolError
@@ -107,6 +108,9 @@ class Robot:
         self._news: dict[int, Cell] = {}
         self._poses: dict[int, Pose] = {}
         self._travelled: dict[int, float] = {}
+        self._hearsay = Hearsay(settings)
+        self._pose_is_said = True
+        """Whether its pose is in this step's broadcast, as it is in all where nothing is passed on."""
         self._idle_steps = 0
         self._sure_after = sure_after(settings)
 
@@ -159,7 +163,7 @@ class Robot:
         A pose that all have heard is repeated only after some steps. None if there is nothing to send.
         """
         assert self._sense is not None
-        self._peers = tuple(peers)
+        heard, self._peers = self._peers, tuple(peers)
         said: list[packets.Packet] = []
         if self._pose_news is not None:
             last, audience, step = self._told
@@ -170,6 +174,9 @@ class Robot:
                 said.append(self._pose_news)
         if self._target_news is not None:
             said.append(packets.Target(*self._target_news))
+        if self._strategy.passes_on:
+            self._pose_is_said = any(isinstance(packet, packets.Pose) for packet in said)
+            said += self._hearsay.passed_on(self._sense.step, heard, peers, self._poses, self._targets)
         return packets.encode(said) if said else None
 
     def _looks_tell(self, pose: packets.Pose, peers: list[int]) -> bool:
@@ -187,9 +194,15 @@ class Robot:
             self.faults.append(Fault(peer, str(error)))
             return
         height, width = self.own.shape
+        about: int | None = peer
+        """Whose the next target is; None: it is of no interest."""
         for packet in said:
             if isinstance(packet, packets.Target) and packet.x < width and packet.y < height:
-                self._news[peer] = packet.x, packet.y
+                target = packet.x, packet.y
+                if about == peer or (about is not None and target != self._targets.get(about)):
+                    self._news[about] = target
+            elif isinstance(packet, packets.Passed) and packet.x < width and packet.y < height:
+                about = self._take_hearsay(peer, packet)
             elif isinstance(packet, packets.Pose) and packet.x < width and packet.y < height:
                 self._heard_pose[peer] = self._sense.step if self._sense is not None else 0
                 self._note_pose(peer, Pose(packet.x, packet.y, bool(packet.leads)))
@@ -198,6 +211,17 @@ class Robot:
             else:
                 reason = f"{packet} is no target or pose on a {width} x {height} grid"
                 self.faults.append(Fault(peer, reason))
+
+    def _take_hearsay(self, peer: int, packet: packets.Passed) -> int | None:
+        """Take what a teammate passes on of a robot; return which one, if it is news, and not heard from itself."""
+        if packet.robot >= self.settings.robots:
+            self.faults.append(Fault(peer, f"{packet} is no robot of {self.settings.robots}"))
+            return None
+        step = self._sense.step if self._sense is not None else 0
+        if packet.robot in self._peers or not self._hearsay.take(packet, step):
+            return None
+        self._note_pose(packet.robot, Pose(packet.x, packet.y, leads=False))
+        return packet.robot
 
     def _note_pose(self, peer: int, pose: Pose) -> None:
         """A teammate is somewhere."""
@@ -243,7 +267,7 @@ class Robot:
                 self._note_look(about)
         if outcome.broadcast:
             self._told_target, self._target_news = self._target_news or self._told_target, None
-            if not self._by_looks:
+            if self._pose_is_said and not self._by_looks:
                 self._told = self._pose_news, self._peers, outcome.step
 
     def decide(self) -> Move:
@@ -299,6 +323,7 @@ class Robot:
             homes=_ascending(self._homes),
             home=self._homes[self.settings.robot],
             peers=self._peers,
+            connected=self._hearsay.connected(sense.step, self._peers),
             poses=_ascending(self._poses),
             travelled=_ascending(self._travelled),
             targets=_ascending(self._targets),

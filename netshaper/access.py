@@ -3,11 +3,15 @@
 Credentials are new for each run. A robot may put under its own name only and receive only what is addressed to it;
 it sees no subscriptions except those of relay, world, laboratory and viewer, so that it cannot even find another
 robot to reach without the relay. Who may say anything to whom stands in `protocol.rights`.
+
+Robots may join through a router (`netshaper.router`). It holds each of them to the same rules; and the hub lets it
+say and hear what these robots may, and nothing more.
 """
 
 from __future__ import annotations
 
 import secrets
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from protocol import keys as names
@@ -26,40 +30,76 @@ def participants(robots: int) -> list[str]:
 
 def issue(run: str, hub: str, robots: int) -> dict[str, Credential]:
     """Make new credentials for all clients of a run, by name."""
-    return {name: Credential(run, name, hub, secrets.token_urlsafe(18)) for name in participants(robots)}
+    return passwords(run, hub, participants(robots))
 
 
-def rules(keys: Keys, robots: int, by: str = PASSWORDS) -> dict[str, Any]:
-    """Access control of the hub, in zenoh's form: deny by default, at most five rules a participant."""
-    everyone = participants(robots)
+def passwords(run: str, hub: str, clients: Iterable[str]) -> dict[str, Credential]:
+    """Make new credentials for those who join at one place, by name."""
+    return {name: Credential(run, name, hub, secrets.token_urlsafe(18)) for name in clients}
+
+
+def speaking(credentials: Mapping[str, Credential]) -> dict[str, Sequence[str]]:
+    """For whom each client of the hub speaks: a router for its robots, anybody else for itself."""
+    return {name: credential.robots or (name,) for name, credential in credentials.items()}
+
+
+def rules(keys: Keys, speaking: Mapping[str, Sequence[str]], by: str = PASSWORDS) -> dict[str, Any]:
+    """Access control of the hub, in zenoh's form: deny by default, at most five rules a participant.
+
+    `speaking` has the participants for whom each client speaks, `by` what the clients are known.
+    """
+    everyone = list(dict.fromkeys([*participants(0), *(name for whom in speaking.values() for name in whom)]))
     config: dict[str, Any] = {"enabled": True, "default_permission": "deny"}
     config["rules"], config["subjects"], config["policies"] = [], [], []
-    for name in everyone:
-        inbox = keys.inbox(name)
-        allowed = {
-            "put": ("put", "ingress", rights.may_put(keys, name)),
-            "hear": ("put", "egress", [inbox]),
-            "listen": ("declare_subscriber", "ingress", [inbox]),
-            "live": ("liveliness_token", "ingress", [keys.alive(name)]),
-            # Without it that a subscription is declared to a participant, its client sends nothing.
-            "see": (
-                "declare_subscriber",
-                "egress",
-                [keys.inbox(other) for other in rights.hearers(name, everyone)],
-            ),
-        }
-        rules = [
-            {
-                "id": f"{name}-{what}",
-                "permission": "allow",
-                "messages": [message],
-                "flows": [flow],
-                "key_exprs": expressions,
-            }
-            for what, (message, flow, expressions) in allowed.items()
-            if expressions
-        ]
-        config["rules"] += rules
-        config["subjects"].append({"id": name, by: [name]})
-        config["policies"].append({"rules": [rule["id"] for rule in rules], "subjects": [name]})
+    for client, whom in speaking.items():
+        allowed = [rule for name in whom for rule in _rules_of(keys, name, everyone)]
+        _allow(config, {"id": client, by: [client]}, allowed)
     return config
+
+
+def router_rules(keys: Keys, robots: Sequence[str]) -> dict[str, Any]:
+    """Access control of a router: that of the hub for its robots; on the way to the hub it is the other way round."""
+    config = rules(keys, {robot: [robot] for robot in robots})
+    _allow(
+        config, {"id": names.RELAY, CERTIFICATES: [names.RELAY]}, [_turned(rule) for rule in config["rules"]]
+    )
+    return config
+
+
+def _rules_of(keys: Keys, name: str, everyone: list[str]) -> list[dict[str, Any]]:
+    inbox = keys.inbox(name)
+    allowed = {
+        "put": ("put", "ingress", rights.may_put(keys, name)),
+        "hear": ("put", "egress", [inbox]),
+        "listen": ("declare_subscriber", "ingress", [inbox]),
+        "live": ("liveliness_token", "ingress", [keys.alive(name)]),
+        # Without it that a subscription is declared to a participant, its client sends nothing.
+        "see": (
+            "declare_subscriber",
+            "egress",
+            [keys.inbox(other) for other in rights.hearers(name, everyone)],
+        ),
+    }
+    return [
+        {
+            "id": f"{name}-{what}",
+            "permission": "allow",
+            "messages": [message],
+            "flows": [flow],
+            "key_exprs": expressions,
+        }
+        for what, (message, flow, expressions) in allowed.items()
+        if expressions
+    ]
+
+
+def _turned(rule: dict[str, Any]) -> dict[str, Any]:
+    """A rule as it is seen from the other end of a connection."""
+    (flow,) = rule["flows"]
+    return rule | {"id": f"{rule['id']}-on", "flows": ["egress" if flow == "ingress" else "ingress"]}
+
+
+def _allow(config: dict[str, Any], subject: dict[str, Any], allowed: list[dict[str, Any]]) -> None:
+    config["rules"] += allowed
+    config["subjects"].append(subject)
+    config["policies"].append({"rules": [rule["id"] for rule in allowed], "subjects": [subject["id"]]})

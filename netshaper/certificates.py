@@ -2,7 +2,8 @@
 
 The authority's private key is thrown away once it has signed: nobody can be added later, not even by who made the
 run. The relay's certificate may only be shown by a server, all others only by clients, so that no robot can pass
-itself off as the hub. Common names are the participants' names, which the hub's access control goes by.
+itself off as the hub. Common names are the participants' names, which the hub's access control goes by. A router's
+certificate names, as alternative names, the robots for which it speaks; these have none of their own.
 """
 
 from __future__ import annotations
@@ -29,7 +30,12 @@ CLOCKS_DIFFER = datetime.timedelta(days=1)
 """A certificate holds from so long before it was made, for hosts whose clocks are behind."""
 
 
-def make(robots: int, addresses: Sequence[str], days: int = DAYS) -> dict[str, Certificate]:
+def make(
+    robots: int,
+    addresses: Sequence[str],
+    days: int = DAYS,
+    routers: Mapping[str, Sequence[str]] | None = None,
+) -> dict[str, Certificate]:
     """Make certificates for the relay and all clients of a run, by name.
 
     Parameters
@@ -40,6 +46,8 @@ def make(robots: int, addresses: Sequence[str], days: int = DAYS) -> dict[str, C
         Names or IP addresses by which participants reach the hub; they refuse one that shows no such certificate.
     days : int
         For how long the certificates hold.
+    routers : mapping of str to sequence of str, optional
+        The names of the robots that join through each router, by its name.
 
     Raises
     ------
@@ -64,7 +72,10 @@ def make(robots: int, addresses: Sequence[str], days: int = DAYS) -> dict[str, C
 
     authority = _pem(build("murmur", signer.public_key(), 0).sign(signer, hashes.SHA256()))
     made = {}
-    for name in (names.RELAY, *access.participants(robots)):
+    routers = routers or {}
+    behind = {robot for speaks_for in routers.values() for robot in speaks_for}
+    at_hub = [name for name in access.participants(robots) if name not in behind]
+    for name in (names.RELAY, *at_hub, *routers):
         is_hub = name == names.RELAY
         key = ec.generate_private_key(ec.SECP256R1())
         usage = ExtendedKeyUsageOID.SERVER_AUTH if is_hub else ExtendedKeyUsageOID.CLIENT_AUTH
@@ -72,6 +83,9 @@ def make(robots: int, addresses: Sequence[str], days: int = DAYS) -> dict[str, C
         builder = builder.add_extension(x509.ExtendedKeyUsage([usage]), critical=True)
         if is_hub:
             builder = builder.add_extension(known_as, critical=False)
+        if name in routers:
+            speaks_for = x509.SubjectAlternativeName(map(x509.DNSName, routers[name]))
+            builder = builder.add_extension(speaks_for, critical=False)
         made[name] = Certificate(authority, _pem(builder.sign(signer, hashes.SHA256())), _private(key))
     return made
 
@@ -79,10 +93,19 @@ def make(robots: int, addresses: Sequence[str], days: int = DAYS) -> dict[str, C
 def credentials(run: str, hub: str, certificates: Mapping[str, Certificate]) -> dict[str, Credential]:
     """Credentials of all clients who have a certificate, by name."""
     return {
-        name: Credential(run, name, hub, certificate=certificate)
+        name: Credential(run, name, hub, certificate=certificate, robots=_speaks_for(name, certificate))
         for name, certificate in certificates.items()
         if name != names.RELAY
     }
+
+
+def _speaks_for(name: str, certificate: Certificate) -> tuple[str, ...]:
+    """The robots for which a router speaks; nobody else speaks for another."""
+    if not name.startswith(names.ROUTER):
+        return ()
+    read = x509.load_pem_x509_certificate(certificate.certificate.encode())
+    alternative = read.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    return tuple(alternative.get_values_for_type(x509.DNSName))
 
 
 def write(certificates: Mapping[str, Certificate], folder: Path) -> list[Path]:
@@ -106,7 +129,7 @@ def write(certificates: Mapping[str, Certificate], folder: Path) -> list[Path]:
 
 
 def read(folder: Path, robots: int) -> dict[str, Certificate]:
-    """Read what `write` wrote, of relay and all clients.
+    """Read what `write` wrote, of relay and all clients; robots that join through a router have nothing there.
 
     Raises
     ------
@@ -126,11 +149,14 @@ def read(folder: Path, robots: int) -> dict[str, Certificate]:
             raise ValueError(f"keys {path}: is not PEM")
         return found
 
+    def of(name: str) -> Certificate:
+        return Certificate(authority, text(f"{name}.pem"), text(f"{name}.key"))
+
     authority = text(AUTHORITY)
-    return {
-        name: Certificate(authority, text(f"{name}.pem"), text(f"{name}.key"))
-        for name in (names.RELAY, *access.participants(robots))
-    }
+    routers = {path.stem: of(path.stem) for path in sorted(folder.glob(f"{names.ROUTER}*.pem"))}
+    behind = {robot for name, certificate in routers.items() for robot in _speaks_for(name, certificate)}
+    at_hub = [name for name in access.participants(robots) if name not in behind]
+    return {name: of(name) for name in (names.RELAY, *at_hub)} | routers
 
 
 def _known_as(address: str) -> x509.GeneralName:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import pairwise
 
 from netshaper.ledger import EVERYONE, KIND_NUMBER
 from netshaper.medium import ANSWER, DATA, OFFER
@@ -15,13 +17,19 @@ Begins = Offer | From | FromEarly
 """What says which map is spoken of from here on."""
 
 
+_LETTERS = {packets.Pose: "p", packets.Target: "t", packets.Passed: "P"}
+_BROADCAST = re.compile(r"(?=.)p?t?(Pt?)*")
+
+
 def is_broadcast(payload: bytes) -> bool:
-    """Whether a frame says a target, a pose, or a pose and a target."""
+    """Whether a frame says a pose and a target, or one of them, and then the same of others, each once, ascending."""
     try:
-        kinds = [type(packet) for packet in packets.broadcast(payload)]
+        said = packets.broadcast(payload)
     except ProtocolError:
         return False
-    return kinds in ([packets.Target], [packets.Pose], [packets.Pose, packets.Target])
+    kinds = "".join(_LETTERS.get(type(packet), "?") for packet in said)
+    passed = [packet.robot for packet in said if isinstance(packet, packets.Passed)]
+    return _BROADCAST.fullmatch(kinds) is not None and all(one < other for one, other in pairwise(passed))
 
 
 def wrong_in_news(receiver: int, payload: bytes) -> str:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import zenoh
@@ -13,7 +14,7 @@ from netshaper import access
 from protocol import keys as names
 from protocol.fields import MOST_FRAMES
 from protocol.keys import Keys
-from protocol.zenoh_bus import Certificate, Credential, ZenohBus, insert, mutual_tls, plain_config
+from protocol.zenoh_bus import Certificate, Credential, ZenohBus, insert, plain_config, receive_apart, use_tls
 
 MOST_BYTES = MOST_FRAMES + (1 << 20)
 """Of a message that anybody sends to the hub: whoever sends a longer one is cut off."""
@@ -22,7 +23,7 @@ MOST_BYTES = MOST_FRAMES + (1 << 20)
 def open_hub(
     run: str, endpoint: str, credentials: Mapping[str, Credential], certificate: Certificate | None = None
 ) -> ZenohBus:
-    """Listen at `endpoint` for the holders of `credentials`.
+    """Listen at `endpoint` for the holders of `credentials`: all clients of the run, routers among them.
 
     Passwords are asked for at ``tcp/HOST:PORT``. At ``tls/HOST:PORT`` the hub shows its own `certificate`, and asks for
     one of the same authority whose common name is that of a participant.
@@ -33,25 +34,38 @@ def open_hub(
         The address cannot be listened at.
     """
     keys = Keys(run)
-    robots = len(credentials) - len(access.participants(0))
-    config = plain_config("router")
-    insert(config, "listen/endpoints", [endpoint])
+    config = listening(endpoint)
     by = access.PASSWORDS if certificate is None else access.CERTIFICATES
-    insert(config, "access_control", access.rules(keys, robots, by))
-    insert(config, "transport/link/rx/max_message_size", MOST_BYTES)
-    with tempfile.TemporaryDirectory() as folder:
-        if certificate is not None:
-            insert(config, "transport/link/tls", mutual_tls(certificate, "listen"))
-        else:
-            dictionary = Path(folder) / "passwords"
-            dictionary.touch(mode=0o600)
-            dictionary.write_text("".join(f"{c.name}:{c.password}\n" for c in credentials.values()))
-            insert(config, "transport/auth/usrpwd/dictionary_file", str(dictionary))
+    insert(config, "access_control", access.rules(keys, access.speaking(credentials), by))
+    if certificate is not None:
+        receive_apart()
+        use_tls(config, certificate, "listen")
+    with asking(config, {} if certificate is not None else credentials):
         try:
             session = zenoh.open(config)
         except zenoh.ZError as error:
             raise ConnectionError(f"the hub cannot listen at {endpoint}: {_reason(error)}") from None
     return ZenohBus(session, keys, names.RELAY)
+
+
+def listening(endpoint: str) -> zenoh.Config:
+    """A configuration of hub or router: it routes, and listens at one endpoint."""
+    config = plain_config("router")
+    insert(config, "listen/endpoints", [endpoint])
+    insert(config, "transport/link/rx/max_message_size", MOST_BYTES)
+    return config
+
+
+@contextlib.contextmanager
+def asking(config: zenoh.Config, credentials: Mapping[str, Credential]) -> Iterator[None]:
+    """Have a session that is opened meanwhile ask for the passwords of `credentials`; none: for no passwords."""
+    with tempfile.TemporaryDirectory() as folder:
+        if credentials:
+            dictionary = Path(folder) / "passwords"
+            dictionary.touch(mode=0o600)
+            dictionary.write_text("".join(f"{c.name}:{c.password}\n" for c in credentials.values()))
+            insert(config, "transport/auth/usrpwd/dictionary_file", str(dictionary))
+        yield
 
 
 def _reason(error: zenoh.ZError) -> str:

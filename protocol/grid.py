@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +57,11 @@ class Fan:
         return _flat(self, width)
 
     @property
+    def shared(self) -> NDArray[np.int32]:
+        """How many cells each beam has in common with the one before it, from the robot on; shape (beams,)."""
+        return _shared(self)
+
+    @property
     def beams(self) -> int:
         """Number of beams in a full turn."""
         return len(self.start) - 1
@@ -65,6 +71,17 @@ class Fan:
 def _flat(beams: Fan, width: int) -> NDArray[np.int64]:
     steps: NDArray[np.int64] = beams.cells[:, 1].astype(np.int64) * width + beams.cells[:, 0]
     return steps
+
+
+@lru_cache(maxsize=16)
+def _shared(beams: Fan) -> NDArray[np.int32]:
+    walks = np.split(beams.cells, beams.start[1:-1])
+    common = [0]
+    for before, walk in pairwise(walks):
+        both = min(len(before), len(walk))
+        parted = np.flatnonzero((before[:both] != walk[:both]).any(axis=1))
+        common.append(int(parted[0]) if len(parted) else both)
+    return np.array(common, np.int32)
 
 
 @lru_cache(maxsize=16)

@@ -23,6 +23,14 @@ def robot(number: int) -> str:
     return f"r{number}"
 
 
+ROUTER = "router@"
+
+
+def router(host: str) -> str:
+    """Name of the router through which a host's robots join; it says nothing itself."""
+    return ROUTER + host
+
+
 @lru_cache(maxsize=1024)
 def number(name: str) -> int:
     """Return the number of the robot called `name`; ValueError for any other name."""

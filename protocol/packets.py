@@ -235,6 +235,20 @@ class Pose(Packet):
 
 
 @dataclass(frozen=True, slots=True)
+class Passed(Packet):
+    """Broadcast: `robot` was in cell (x, y) `age` steps ago; a `Target` behind it is that robot's.
+
+    Its own words, passed on to those who do not hear it (`agent.strategies.hearsay`).
+    """
+
+    name, size, code, code_bits, bits = "pose", 6, 0xFF0, 12, (8, 6, 11, 11)
+    robot: int
+    age: int
+    x: int
+    y: int
+
+
+@dataclass(frozen=True, slots=True)
 class Save(Packet):
     """A step's edits are complete: what was said up to here may be drawn."""
 
@@ -280,11 +294,11 @@ _LOOK, _LAST_LOOK = 0xF4, 0xF5
 Edit = Insert | Replace | Delete | Emerge | Change | Remove | Save
 Handshake = Offer | Answer | Block | Decline
 Gossip = From | FromEarly | Held | HeldEarly | Near | Gone
-AnyPacket = Edit | Handshake | Gossip | Check | Target | Pose | Fragment | Look
+AnyPacket = Edit | Handshake | Gossip | Check | Target | Pose | Passed | Fragment | Look
 
 _TYPES: tuple[type[Packet], ...] = (
     Insert, Replace, Delete, Emerge, Change, Remove, Offer, Answer, Block, Decline, Target, Save, Pose,
-    From, FromEarly, Held, HeldEarly, Near, Gone, Check,
+    From, FromEarly, Held, HeldEarly, Near, Gone, Check, Passed,
 )  # fmt: skip
 
 HANDSHAKE_SIZE = 3 * Answer.size
@@ -329,7 +343,7 @@ def _layout(kind: type[Packet]) -> tuple[tuple[str, int, int, int], ...]:
     layout = []
     for field, width in zip(fields(kind), kind.bits, strict=True):
         end -= width
-        rim = _RIM if field.name in "xy" and kind not in (Target, Pose) else 0
+        rim = _RIM if field.name in "xy" and kind not in (Target, Pose, Passed) else 0
         layout.append((field.name, end, (1 << width) - 1, rim))
     return tuple(layout)
 
@@ -469,7 +483,7 @@ def handshake(frame: bytes) -> tuple[AnyPacket, ...]:
 
 
 BROADCAST_SIZE = Pose.size + Target.size
-"""Bytes of the longest broadcast."""
+"""Bytes of the longest broadcast in which nothing is passed on."""
 
 
 def broadcast(frame: bytes) -> tuple[AnyPacket, ...]:

@@ -136,16 +136,19 @@ def draw(grid: Grid, fan: Fan, x: int, y: int, readings: Readings) -> Change:
     does a scan that was taken there.
     """
     out = np.empty(5, np.int32)
-    _draw(grid, fan.cells, fan.flat(grid.shape[1]), fan.start, x, y, readings, out)
+    _draw(grid, fan.cells, fan.flat(grid.shape[1]), fan.start, fan.shared, x, y, readings, out)
     return Change(*out.tolist())
 
 
-@kernel("void(uint8[:,::1], int32[:,::1], int64[::1], int32[::1], int64, int64, uint16[::1], int32[::1])")
+@kernel(
+    "void(uint8[:,::1], int32[:,::1], int64[::1], int32[::1], int32[::1], int64, int64, uint16[::1], int32[::1])"
+)
 def _draw(
     grid: Grid,
     cells: NDArray[np.int32],
     flat: NDArray[np.int64],
     start: NDArray[np.int32],
+    shared: NDArray[np.int32],
     x: int,
     y: int,
     readings: Readings,
@@ -161,9 +164,11 @@ def _draw(
     if on_grid and grid[y, x] == UNKNOWN:
         grid[y, x] = FREE
         changed, x0, y0, x1, y1 = 1, x, y, x + 1, y + 1
+    touched = np.uint64(0)
     for beam in range(len(readings)):
         reading = readings[beam]
         if reading == NONE or not on_grid:
+            touched = np.uint64(0)
             continue
         first = np.uint64(start[beam])
         hit = first + np.uint64(reading & NONE)
@@ -174,7 +179,10 @@ def _draw(
             if np.uint64(x + cells[last, 0]) < width and np.uint64(y + cells[last, 1]) < height:
                 break
             end = last
-        for at in range(first, end):
+        # What this beam has in common with the one before it, and that one has touched, is known by now.
+        before, touched = touched, end - first
+        known = min(np.uint64(shared[beam]), before, touched)
+        for at in range(first + known, end):
             cell = np.uint64(here + flat[at])
             if lying[cell] == UNKNOWN:
                 lying[cell] = FREE if at < hit else OCCUPIED

@@ -29,6 +29,8 @@ import zenoh
 TICK_S = 0.25
 QUEUE = 1 << 16
 CONNECT_S = 10.0
+LOOK_S = 0.002
+LEASE_MS, SILENT_MS = 10_000, 100
 
 
 @dataclass(frozen=True)
@@ -42,13 +44,20 @@ class Certificate:
 
 @dataclass(frozen=True)
 class Credential:
-    """What a process needs to join a run: the hub's address, its own name, and its password or certificate."""
+    """What a process needs to join a run: the hub's address, its own name, and its password or certificate.
+
+    Attributes
+    ----------
+    robots : tuple of str
+        Of a router (`netshaper.router`): the names of the robots that join through it.
+    """
 
     run: str
     name: str
     hub: str
     password: str = ""
     certificate: Certificate | None = None
+    robots: tuple[str, ...] = ()
 
     def write(self, path: Path) -> None:
         """Write a JSON file that only its owner can read."""
@@ -90,7 +99,10 @@ class Credential:
             raise ValueError(f"{where}: hub = {data['hub']!r}: must be as tcp/127.0.0.1:7447")
         found = Certificate(**{key: certificate[key] for key in parts}) if certificate is not None else None
         password = data["password"] if found is None else ""
-        return cls(data["run"], data["name"], data["hub"], password, found)
+        robots = data.get("robots", [])
+        if not isinstance(robots, list) or not all(map(names.is_robot, robots)):
+            raise ValueError(f"{where}: robots = {robots!r}: must be names of robots, as r0")
+        return cls(data["run"], data["name"], data["hub"], password, found, tuple(robots))
 
 
 class ZenohBus:
@@ -186,8 +198,35 @@ def join(credential: Credential) -> ZenohBus:
     ConnectionError
         The hub does not answer, or refuses the credential.
     """
-    config = plain_config("client")
-    insert(config, "connect/endpoints", [credential.hub])
+    session, keys = open_connected(plain_config("client"), credential), Keys(credential.run)
+    if names.is_robot(credential.name) and not _hears(session, keys.control_tx(credential.name)):
+        session.close()  # type: ignore[no-untyped-call]
+        raise ConnectionError(f"{credential.name}: nobody listens at {credential.hub} within {CONNECT_S:g} s")
+    return ZenohBus(session, keys, credential.name)
+
+
+def _hears(session: zenoh.Session, key: str) -> bool:
+    """Wait until it is known here that the relay listens to `key`.
+
+    A router and the hub find their ways to each other one after the other, and each drops what it has no way for.
+    That the relay listens is told on the way here, and that a robot is there on the way back: if the latter is said
+    after the former, both are found once it is heard.
+    """
+    deadline = time.monotonic() + CONNECT_S
+    publisher: Any = session.declare_publisher(key)
+    while not (matches := bool(publisher.matching_status.matching)) and time.monotonic() < deadline:
+        time.sleep(LOOK_S)
+    publisher.undeclare()
+    return matches
+
+
+def open_connected(config: zenoh.Config, credential: Credential) -> zenoh.Session:
+    """Open a session that shows `credential` to the hub; ConnectionError if that is not there, or refuses it."""
+    hub = credential.hub
+    if credential.certificate is not None:
+        # Over TLS, zenoh takes all before the port for the server's name, and no name has brackets.
+        hub = hub.replace("[", "").replace("]", "")
+    insert(config, "connect/endpoints", [hub])
     insert(config, "connect/timeout_ms", int(1000 * CONNECT_S))
     insert(config, "connect/exit_on_failure", True)
     insert(
@@ -196,19 +235,18 @@ def join(credential: Credential) -> ZenohBus:
         {"period_init_ms": 20, "period_max_ms": 200, "period_increase_factor": 1.5},
     )
     if credential.certificate is not None:
-        insert(config, "transport/link/tls", mutual_tls(credential.certificate, "connect"))
+        use_tls(config, credential.certificate, "connect")
     else:
         insert(config, "transport/auth/usrpwd/user", credential.name)
         insert(config, "transport/auth/usrpwd/password", credential.password)
     try:
-        session = zenoh.open(config)
+        return zenoh.open(config)
     except zenoh.ZError:
         shown = "password" if credential.certificate is None else "certificate"
         raise ConnectionError(
             f"{credential.name}: no hub let us in at {credential.hub} within {CONNECT_S:g} s: it is not there, "
             f"or the {shown} is not of its run ({credential.run})"
         ) from None
-    return ZenohBus(session, Keys(credential.run), credential.name)
 
 
 def plain_config(mode: str) -> zenoh.Config:
@@ -224,6 +262,26 @@ def plain_config(mode: str) -> zenoh.Config:
         insert(config, key, False)
     insert(config, "scouting/delay", 0)
     return config
+
+
+def use_tls(config: zenoh.Config, certificate: Certificate, side: str) -> None:
+    """Have a session show a certificate, and ask for one, on the side that is to ``listen`` or to ``connect``.
+
+    What TLS could not hand to a full socket it keeps until something else is sent. So a link that is silent says that
+    it is there ten times a second: else the end of a long message waits for seconds.
+    """
+    insert(config, "transport/link/tls", mutual_tls(certificate, side))
+    insert(config, "transport/link/tx/lease", LEASE_MS)
+    insert(config, "transport/link/tx/keep_alive", LEASE_MS // SILENT_MS)
+
+
+def receive_apart() -> None:
+    """Give what comes in an executor of its own, in a process that is to route over links between hosts.
+
+    Whoever routes to a slow link waits for it, and must not hold up the executor that tells it when it may go on. To be
+    called before zenoh first opens.
+    """
+    os.environ["ZENOH_RUNTIME"] = "(acc: (handover: app), net: (handover: app))"
 
 
 def mutual_tls(certificate: Certificate, side: str) -> dict[str, object]:

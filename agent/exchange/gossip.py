@@ -18,9 +18,12 @@ Events and what follows from them; the tables move with the relay's word of what
     a teammate in range lacks units of one's own log  from, and these
     one is chosen to pass on what a teammate lacks    from, and these
 
-Who lacks least is served first, and of the maps that it lacks the one of which it lacks least. So those who keep up
+Who holds most is served first, and of the maps that it lacks the one of which it lacks least. So those who keep up
 hear what is new before others hear what is old, and where much is lacking a few know all soon, and not all a part.
 Nothing is said that nobody in range can use, for it lacks what comes before.
+
+Who speaks first: where all have always heard each other, who has begun a unit, and then who has most to say; else who
+serves one that holds most. Both become more urgent the longer they wait.
 
 A log of one's own goes on where its last broadcast ended, and nothing says where that was, unless somebody is in range
 who has not been there since: then `From` goes before it. The first `EARLY` units of a log have a shorter one.
@@ -69,6 +72,12 @@ LONG = 64
 
 AGING = 2
 """What a step of waiting adds to the urgency."""
+
+HOLDS = 4
+"""Units that who is served holds, for each of which as many one is more urgent, where robots have been out of range."""
+
+HOLDS_MOST = 200
+"""The most that this adds."""
 
 
 @dataclass
@@ -296,12 +305,12 @@ class Gossip:
             due |= mine
         return due
 
-    def _serve(self, said: _Said, room: int | None) -> int:
-        """Say what those in range lack, as far as it is for oneself; return how much who is served first lacks."""
-        lacks = self._lacks.sum(axis=1)
+    def _serve(self, said: _Said, room: int | None) -> int | None:
+        """Say what those in range lack, as far as it is for oneself; return who is served first, if anybody."""
+        holds = self.known.sum(axis=1)
         end = [len(log) for log in self.logs]
-        served = 0
-        for peer in sorted(self._sure, key=lambda each: (lacks[each], each)):
+        served = None
+        for peer in sorted(self._sure, key=lambda each: (-holds[each], each)):
             wanted = np.flatnonzero(self._lacks[peer]).tolist()
             for about in sorted(wanted, key=lambda each: (each != self.own, self._lacks[peer, each], each)):
                 first = int(self.known[peer, about])
@@ -311,7 +320,7 @@ class Gossip:
                     and self._stretch(said, about, first, end[about], room)
                 ):
                     end[about] = first
-                    served = served or int(lacks[peer])
+                    served = peer if served is None else served
         return served
 
     def _is_chosen(self, peer: int, about: int) -> bool:
@@ -353,17 +362,20 @@ class Gossip:
         said.stretches.append(_Stretch(about, first, begin, ends))
         return True
 
-    def _set_urgency(self, said: _Said, lacks: int) -> None:
-        """Whose hearers lack least, and who has most to say, and has waited longest, speaks first.
-
-        Who has begun a unit ends it before.
-        """
+    def _set_urgency(self, said: _Said, served: int | None) -> None:
+        """Note how soon this should be on the air; `served` is who is served first."""
         if not said.payload:
             self._waits = self._step
         waited = self._step - self._waits
         begun = self._begun < self._aired < len(self.logs[self.own])
-        urgency = max(0, KEEPING_UP - lacks) + min(LONG, len(said.payload)) + AGING * waited
-        self.urgency = MOST_URGENT if begun else min(MOST_URGENT - 1, urgency)
+        if self._parted:
+            begun = False
+            holds = 0 if served is None else int(self.known[served].sum())
+            urgency = min(HOLDS_MOST, holds // HOLDS)
+        else:
+            lacks = 0 if served is None else int(self._lacks[served].sum())
+            urgency = max(0, KEEPING_UP - lacks) + min(LONG, len(said.payload))
+        self.urgency = MOST_URGENT if begun else min(MOST_URGENT - 1, urgency + AGING * waited)
 
     # --- what was heard
 

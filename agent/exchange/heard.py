@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from agent.exchange.changed_cells import ChangedCells
-from agent.outline.boxes import NO_BOXES, Boxes, united, whole
+from agent.outline.boxes import Boxes, whole
 from protocol.grid import UNKNOWN, Grid
 from protocol.kernels import kernel
 from protocol.scans import Change
@@ -27,7 +27,7 @@ class Heard:
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.grid: Grid = np.zeros(shape, np.uint8)
-        self._boxes = NO_BOXES
+        self._boxes: list[Boxes] = []
         self._own_news = ChangedCells()
         self._planning: Grid | None = None
 
@@ -37,17 +37,15 @@ class Heard:
 
     def told(self, boxes: Boxes) -> None:
         """Something has been written on `grid`."""
-        self._boxes = united(self._boxes, boxes)
+        self._boxes.append(boxes)
 
     def under(self, own: Grid) -> Grid:
         """Return the planning grid; it is written over by the next call."""
         changed = self._own_news.take(own)
         if self._planning is None or changed is None:
             self._planning, changed = np.empty_like(own), whole(own.shape)
-        for boxes in (changed, self._boxes):
-            if len(boxes):
-                lay_over(self.grid, own, boxes, self._planning)
-        self._boxes = NO_BOXES
+        lay_over(self.grid, own, np.concatenate([changed, *self._boxes]), self._planning)
+        self._boxes = []
         return self._planning
 
 
@@ -56,5 +54,7 @@ def lay_over(below: Grid, above: Grid, boxes: Boxes, both: Grid) -> None:
     """Write what is above where that is known, else what is below, in some boxes."""
     for box in boxes:
         for y in range(box[1], box[3]):
-            for x in range(box[0], box[2]):
-                both[y, x] = below[y, x] if above[y, x] == UNKNOWN else above[y, x]
+            low, high = below[y, box[0] : box[2]], above[y, box[0] : box[2]]
+            out = both[y, box[0] : box[2]]
+            for x in range(len(out)):
+                out[x] = low[x] if high[x] == UNKNOWN else high[x]

@@ -14,7 +14,7 @@ from agent.exchange.base import Exchange
 from agent.exchange.changed_cells import ChangedCells
 from agent.exchange.polygon_options import PolygonOptions
 from agent.outline.approximation import Marks, approximation, repair
-from agent.outline.boxes import Boxes
+from agent.outline.boxes import Boxes, around
 from agent.outline.claims import Drawing
 from agent.outline.contour import Tracer
 from agent.outline.edits import edit_units, script_size
@@ -125,8 +125,7 @@ class PolygonExchange(Exchange):
 
         def check(boxes: Boxes) -> None:
             if len(boxes):
-                (x0, y0), (x1, y1) = boxes[:, :2].min(axis=0).tolist(), boxes[:, 2:].max(axis=0).tolist()
-                self.plausible.claim(about, (x0, y0, x1, y1), saves)
+                self.plausible.claim(about, around(boxes), saves)
 
         if self._receivers[about].feed(b"".join(units), check):
             self._news.add(about)
@@ -137,7 +136,8 @@ class PolygonExchange(Exchange):
             receiver = self._receivers[about]
             self._team.update(about, receiver.objects, receiver.changed())
         self._news.clear()
-        near = [about for about in self._receivers if about % self.settings.robots in peers]
+        robots = self.settings.robots
+        near = [about for about in self._receivers if about % robots in peers]
         return self._team.merged(own, near, self._unmerged.take(own))
 
     def error(self, own: Grid) -> int:

@@ -81,7 +81,7 @@ def kinship(
         turn = twin - other_first
         same = True
         for i in range(length):
-            if old[other_first + (i + turn) % length] != new[first + i]:
+            if old[other_first + (i + turn if i + turn < length else i + turn - length)] != new[first + i]:
                 same = False
                 break
         if same:
@@ -132,7 +132,7 @@ def align(
         if place[i] < 0:
             continue
         matches += 1
-        if i > 0 and place[i - 1] >= 0 and place[i] == (place[i - 1] + 1) % n:
+        if i > 0 and place[i - 1] >= 0 and place[i] == (place[i - 1] + 1 if place[i - 1] + 1 < n else 0):
             length[runs - 1] += 1
         else:
             at[runs], to[runs], length[runs] = i, place[i], 1

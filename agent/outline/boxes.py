@@ -44,6 +44,12 @@ def united(one: Boxes, other: Boxes) -> Boxes:
     return covered
 
 
+def around(boxes: Boxes) -> tuple[int, int, int, int]:
+    """The box (x0, y0, x1, y1) around one or more."""
+    x0, y0, x1, y1 = zip(*boxes.tolist(), strict=True)
+    return min(x0), min(y0), max(x1), max(y1)
+
+
 @kernel("void(int32[::1], int64, UniTuple(int64, 2), int32[::1])")
 def clip(box: NDArray[np.int32], spread: int, shape: tuple[int, int], out: NDArray[np.int32]) -> None:
     """Write what of a box, made larger by `spread` cells on all sides, lies on the grid. For other kernels."""

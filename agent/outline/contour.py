@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.outline.boxes import Boxes, clip, whole
+from agent.outline.objects import Symbols, unpack
 from agent.outline.polygons import LEFT, RIGHT, SIDE_X, SIDE_Y, Polygons
 from protocol.grid import FREE, OCCUPIED, Grid
 from protocol.kernels import kernel
@@ -83,7 +84,7 @@ class Tracer:
         boxes = whole(self._shape) if changed is None else changed
         _lay_out(grid, boxes, self._cells, self._ends, self._counts)
         point_x, point_y, side, occupied, start = _trace(
-            self._cells, width + 2, self._ends, self._counts, x, y, _workspace(len(self._cells))
+            self._cells, width + 2, self._ends, self._counts, x, y, *_workspace(len(self._cells))
         )
         inside = np.zeros(len(start) - 1, np.bool_)
         inside[0] = True
@@ -91,9 +92,12 @@ class Tracer:
 
 
 @lru_cache(maxsize=1)
-def _workspace(cells: int) -> NDArray[np.int32]:
-    """Memory in which all traces of grids of one size note where they have been; each leaves it all 0."""
-    return np.zeros(cells, np.int32)
+def _workspace(cells: int) -> tuple[NDArray[np.int32], Symbols]:
+    """Memory in which all traces of grids of one size note where they have been, each leaves it all 0; and points.
+
+    There is no more than one contour point between two neighbours.
+    """
+    return np.zeros(cells, np.int32), np.empty(2 * cells, np.int32)
 
 
 @kernel("void(uint8[:,::1], int32[:,::1], uint8[::1], int16[:,::1], int64[::1])")
@@ -142,6 +146,10 @@ def _lay_out(
                 ends[y, kept + i] = row_ends[i]
 
 
+_STEP = (SIDE_Y << 15) + (SIDE_X << 3)
+"""What a step to the cell on each side adds to a symbol."""
+
+
 @kernel("int64(int64[::1], int64)")
 def _root(root: NDArray[np.int64], k: int) -> int:
     """Find the representative of `k`, shortening the way for the next time."""
@@ -151,32 +159,9 @@ def _root(root: NDArray[np.int64], k: int) -> int:
     return k
 
 
-@kernel("int64(int16[:,::1], int64[::1])")
-def _count_points(ends: NDArray[np.int16], counts: NDArray[np.int64]) -> int:
-    """How many contour points there are, those of other free areas included.
-
-    Between two cells of a row there is one where a run begins or ends; between two rows, in the columns where just one
-    of them is free.
-    """
-    points = int(counts.sum())
-    for y in range(len(counts) + 1):
-        above = counts[y - 1] if y > 0 else 0
-        below = counts[y] if y < len(counts) else 0
-        a, b, since, differ = 0, 0, 0, False
-        while a < above or b < below:
-            is_above = b == below or (a < above and ends[y - 1, a] < ends[y, b])
-            at = int(ends[y - 1, a] if is_above else ends[y, b])
-            a, b = a + is_above, b + (not is_above)
-            if differ:
-                points += at - since
-            differ = not differ
-            since = at
-    return points
-
-
 @kernel(
     "Tuple((int16[::1], int16[::1], uint8[::1], uint8[::1], int32[::1]))"
-    "(uint8[::1], int64, int16[:,::1], int64[::1], int64, int64, int32[::1])"
+    "(uint8[::1], int64, int16[:,::1], int64[::1], int64, int64, int32[::1], int32[::1])"
 )
 def _trace(
     cells: NDArray[np.uint8],
@@ -186,11 +171,13 @@ def _trace(
     robot_x: int,
     robot_y: int,
     contour_at: NDArray[np.int32],
+    points: Symbols,
 ) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.uint8], NDArray[np.uint8], NDArray[np.int32]]:
     """Trace all contours, keep those of the robot's free area.
 
     `cells` has the grid with its rim, `row` cells a row; `ends` and `counts` are as `_lay_out` leaves them.
-    `contour_at` has, between cells i and i + 1, the number of the contour, from 1; it is 0 before and after.
+    `contour_at` has, between cells i and i + 1, the number of the contour, from 1; it is 0 before and after. `points`
+    has room for all contour points.
     """
     robot = (robot_y + 1) * row + robot_x + 1
     run_ends = np.empty(counts.sum(), np.int32)
@@ -200,11 +187,6 @@ def _trace(
             run_ends[gathered] = (y + 1) * row + 1 + ends[y, i]
             gathered += 1
     offset = np.array([row, 1, -row, -1], np.int64)
-    points = _count_points(ends, counts)
-    point_x = np.empty(points, np.int16)
-    point_y = np.empty(points, np.int16)
-    side = np.empty(points, np.uint8)
-    occupied = np.empty(points, np.uint8)
     start = np.empty(len(run_ends) // 2 + 1, np.int32)
 
     traced = 0
@@ -216,8 +198,7 @@ def _trace(
         count += 1
         s = LEFT if cells[end] == FREE else RIGHT
         at = end + 1 if s == LEFT else end
-        y = at // row - 1
-        x = at - (y + 1) * row - 1
+        cell = at // row << 15 | at % row << 3
         while True:
             if s == RIGHT:
                 if contour_at[at]:
@@ -227,23 +208,18 @@ def _trace(
                 if contour_at[at - 1]:
                     break
                 contour_at[at - 1] = count
-            point_x[traced] = x
-            point_y[traced] = y
-            side[traced] = s
-            occupied[traced] = cells[at] == OCCUPIED
+            points[traced] = cell | s << 1 | (cells[at] == OCCUPIED)
             traced += 1
             left = (s + 1) & 3
             ahead = at + offset[left]
             diagonal = ahead + offset[s]
             if cells[diagonal] != FREE:
                 at = diagonal
-                x += SIDE_X[left] + SIDE_X[s]
-                y += SIDE_Y[left] + SIDE_Y[s]
+                cell += _STEP[left] + _STEP[s]
                 s = (s + 3) & 3
             elif cells[ahead] != FREE:
                 at = ahead
-                x += SIDE_X[left]
-                y += SIDE_Y[left]
+                cell += _STEP[left]
             else:
                 s = left
     start[count] = traced
@@ -264,17 +240,11 @@ def _trace(
     kept = 0
     write = 0
     for k in range(count):
-        if _root(root, k) != here:
-            continue
-        first, length = start[k], start[k + 1] - start[k]
-        if write < first:
-            for i in range(length):
-                point_x[write + i] = point_x[first + i]
-                point_y[write + i] = point_y[first + i]
-                side[write + i] = side[first + i]
-                occupied[write + i] = occupied[first + i]
-        start[kept] = write
-        kept += 1
-        write += length
+        if _root(root, k) == here:
+            first, length = start[k], start[k + 1] - start[k]
+            points[write : write + length] = points[first : first + length]
+            start[kept] = write
+            kept += 1
+            write += length
     start[kept] = write
-    return point_x[:write], point_y[:write], side[:write], occupied[:write], start[: kept + 1]
+    return *unpack(points[:write]), start[: kept + 1]

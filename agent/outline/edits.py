@@ -248,7 +248,7 @@ def _script(
                 ends[packets] = size
                 packets += 1
         for i in range(len(after)):
-            symbol = after[(i + begin) % len(after)]
+            symbol = after[i + begin if i + begin < len(after) else i + begin - len(after)]
             if source[i] < 0 or before[source[i]] != symbol:
                 size = _put(out, size, _vertex_word(0b010 if source[i] < 0 else 0b011, i, symbol), _INSERT)
                 ends[packets] = size

@@ -65,7 +65,7 @@ class TeamMap:
         self._near: Set[int] = frozenset()
         """Teammates whose claims count as those of robots near."""
         self._tally = NO_TALLY
-        self._changed: Boxes = NO_BOXES
+        self._changed: list[Boxes] = []
         """Where claims have changed since the last merge."""
         self._resolved: Grid | None = None
         """What the robot and its teammates say of each cell."""
@@ -85,7 +85,7 @@ class TeamMap:
         boxes = whole(shape) if changed is None else changed
         tallied = self._tally, robot in self._near
         drawn = draw_anew(self._layers[robot], approximation, self._drawing, boxes, *tallied)
-        self._changed = united(self._changed, drawn)
+        self._changed.append(drawn)
 
     def merged(self, own: Grid, near: Collection[int] | None = None, changed: Boxes | None = None) -> Grid:
         """Return the planning grid of a robot whose self-explored grid is `own`.
@@ -101,11 +101,12 @@ class TeamMap:
         if self._resolved is None or self._plan is None or changed is None:
             self._resolved = np.zeros_like(own)
             self._plan = np.zeros_like(own) if self._drawing.close_slivers else self._resolved
-            self._changed, changed = whole(own.shape), NO_BOXES
-        if len(self._changed) or len(changed):
+            self._changed, changed = [whole(own.shape)], NO_BOXES
+        if self._changed or len(changed):
+            claims_changed = np.concatenate([NO_BOXES, *self._changed])
             guesses = self._drawing.wide_walls, self._drawing.close_slivers
-            _merge(own, self._tally.claims, *guesses, self._changed, changed, self._resolved, self._plan)
-            self._changed = NO_BOXES
+            _merge(own, self._tally.claims, *guesses, claims_changed, changed, self._resolved, self._plan)
+            self._changed = []
         return self._plan
 
     def _lay_out(self, shape: tuple[int, ...]) -> None:
@@ -116,7 +117,7 @@ class TeamMap:
     def _sort_out(self, near: Set[int]) -> None:
         """Note who is near."""
         for robot in sorted(near ^ self._near):
-            self._changed = united(self._changed, self._tally.turn(self._layers[robot], robot in near))
+            self._changed.append(self._tally.turn(self._layers[robot], robot in near))
         self._near = near
 
 
@@ -192,10 +193,12 @@ def _count_wrong(own: Grid, claims: Layer, boxes: Boxes, wrong: NDArray[np.bool_
     for number in range(len(boxes)):
         clip(boxes[number], 0, own.shape, box)
         for y in range(box[1], box[3]):
-            for x in range(box[0], box[2]):
-                is_wrong = own[y, x] != _strongest(UNKNOWN, claims[y, x], 0)
-                more += int(is_wrong) - int(wrong[y, x])
-                wrong[y, x] = is_wrong
+            known, claimed = own[y, box[0] : box[2]], claims[y, box[0] : box[2]]
+            here = wrong[y, box[0] : box[2]]
+            for x in range(len(here)):
+                is_wrong = known[x] != _strongest(UNKNOWN, claimed[x], 0)
+                more += int(is_wrong) - int(here[x])
+                here[x] = is_wrong
     return more
 
 

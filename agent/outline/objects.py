@@ -77,6 +77,23 @@ def _pack(
     return packed
 
 
+@kernel("Tuple((int16[::1], int16[::1], uint8[::1], uint8[::1]))(int32[::1])")
+def unpack(
+    vertices: Symbols,
+) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.uint8], NDArray[np.uint8]]:
+    """Cells x and y, sides and occupancy of vertices. For other kernels."""
+    n = len(vertices)
+    x, y = np.empty(n, np.int16), np.empty(n, np.int16)
+    side, occupied = np.empty(n, np.uint8), np.empty(n, np.uint8)
+    for i in range(n):
+        symbol = vertices[i]
+        x[i] = (symbol >> 3 & 0xFFF) - 1
+        y[i] = (symbol >> 15) - 1
+        side[i] = symbol >> 1 & 3
+        occupied[i] = symbol & 1
+    return x, y, side, occupied
+
+
 @kernel(
     "Tuple((int32[::1], int16[::1], int16[::1], uint8[::1], uint8[::1], int32[::1], boolean[::1]))"
     "(int32[:,::1], int32[::1])"
@@ -102,17 +119,11 @@ def _unpack(
             number[count], inside[count] = k, table[k, INSIDE] != 0
             start[count + 1] = start[count] + table[k, LENGTH]
             count += 1
-    x, y = np.empty(start[-1], np.int16), np.empty(start[-1], np.int16)
-    side, occupied = np.empty(start[-1], np.uint8), np.empty(start[-1], np.uint8)
-    for k in range(len(number)):
-        first = table[number[k], FIRST] - start[k]
-        for i in range(start[k], start[k + 1]):
-            symbol = pool[first + i]
-            x[i] = (symbol >> 3 & 0xFFF) - 1
-            y[i] = (symbol >> 15) - 1
-            side[i] = symbol >> 1 & 3
-            occupied[i] = symbol & 1
-    return number, x, y, side, occupied, start, inside
+    vertices = np.empty(start[-1], np.int32)
+    for k in range(count):
+        first = table[number[k], FIRST]
+        vertices[start[k] : start[k + 1]] = pool[first : first + start[k + 1] - start[k]]
+    return number, *unpack(vertices), start, inside
 
 
 @kernel("void(int32[:,::1], int64, int32[::1], int64, int64, boolean)")

@@ -118,8 +118,9 @@ def _split_of(
         i += 1
         if i == end:
             i = first
-    split = farthest if largest > 0 else change
-    return np.sqrt(largest / square) / 4, split, change >= 0
+    if farthest < 0:
+        return 0.0, change, change >= 0
+    return np.sqrt(largest / square) / 4, farthest, change >= 0
 
 
 @kernel(

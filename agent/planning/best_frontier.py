@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning.cost_field import SHIFT, UNIT, Floor, begin, offsets, settle, tidy, way_back, workspace
-from agent.planning.frontier import frontier_at
+from agent.planning.frontier import frontier_at, is_enclosed
 from agent.planning.utility import sees
 from protocol.grid import Grid
 from protocol.kernels import kernel
@@ -109,9 +109,9 @@ def _search(
             buckets = settle(free, length, came, touched, buckets, fill, offset, level, start)
             for at in range(fill[level & 3]):
                 cell = buckets[level & 3, at]
-                if length[cell] >> SHIFT == level and frontier_at(
-                    grid, cell % stride - 1, cell // stride - 1
-                ):
+                if length[cell] >> SHIFT != level or is_enclosed(free, cell, stride):
+                    continue
+                if frontier_at(grid, cell % stride - 1, cell // stride - 1):
                     cost = beta * (length[cell] * UNIT / scale)
                     heappush(queue, (cost - 1.0, cell, 0, 1.0))
             fill[level & 3] = 0

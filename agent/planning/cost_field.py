@@ -18,7 +18,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from agent.planning.frontier import frontier_at
+from agent.planning.frontier import frontier_at, is_enclosed
 from protocol.grid import FREE, Grid
 from protocol.kernels import kernel
 
@@ -355,8 +355,10 @@ def _spread_to_frontier(
         nearest = -1
         for at in range(fill[level & 3]):
             cell = buckets[level & 3, at]
+            if length[cell] >> SHIFT != level or is_enclosed(free, cell, stride):
+                continue
             cx, cy = cell % stride - 1, cell // stride - 1
-            if length[cell] >> SHIFT != level or not frontier_at(grid, cx, cy):
+            if not frontier_at(grid, cx, cy):
                 continue
             if nearest < 0 or (length[cell], cell) < (length[nearest], nearest):
                 nearest = cell

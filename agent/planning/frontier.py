@@ -45,6 +45,12 @@ def frontier_at(grid: Grid, x: int, y: int) -> bool:
     )
 
 
+@kernel("boolean(boolean[::1], int64, int64)")
+def is_enclosed(free: NDArray[np.bool_], cell: int, stride: int) -> bool:
+    """Whether all 4-neighbours of a cell are free on a flat floor: then it is no frontier cell. For other kernels."""
+    return bool(free[cell - 1] and free[cell + 1] and free[cell - stride] and free[cell + stride])
+
+
 @kernel("int64(uint8[:,::1], boolean[:,:], int32[:,::1])")
 def _collect(grid: Grid, reached: NDArray[np.bool_], out: NDArray[np.int32]) -> int:
     height, width = grid.shape

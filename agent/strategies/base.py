@@ -56,6 +56,8 @@ class Situation:
         Its own depot.
     peers : tuple of int
         Teammates in radio range, ascending.
+    connected : tuple of int
+        Teammates out of radio range that are connected through others, ascending; only where poses are passed on.
     poses : dict of robot to Pose
         The last pose heard of each teammate that tells it, by ascending number.
     travelled : dict of robot to float
@@ -78,6 +80,7 @@ class Situation:
     homes: Mapping[int, Cell] = field(default_factory=dict)
     home: Cell = (0, 0)
     peers: tuple[int, ...] = ()
+    connected: tuple[int, ...] = ()
     poses: Mapping[int, Pose] = field(default_factory=dict)
     travelled: Mapping[int, float] = field(default_factory=dict)
     targets: Mapping[int, Cell] = field(default_factory=dict)
@@ -173,6 +176,8 @@ class Strategy(ABC):
     """Whether its robots tell each other their targets."""
     tells_pose: ClassVar[bool] = False
     """Whether its robots tell each other where they are."""
+    passes_on: bool = False
+    """Whether its robots pass on what teammates have told of poses and targets."""
     withholds: bool = False
     """Whether news waits until a decision publishes it."""
     leads: bool = False

@@ -28,6 +28,10 @@ from agent.strategies.options import option
 from agent.strategies.targets import Parts, TargetStrategy
 from agent.strategies.team import Table, TeamStrategy
 
+SUB_TEAMS = ("in-range", "connected")
+"""Who decides together. ``in-range``: those who hear each other. ``connected``: also those between whom others pass
+on what they have heard, which is the paper's; every link of a chain costs a step."""
+
 
 @dataclass(frozen=True)
 class Coordinated(Parts):
@@ -41,6 +45,7 @@ class Coordinated(Parts):
     after_metres: float = option(
         0.0, "and when a member has driven so far since they were last assigned; 0: never", least=0
     )
+    sub_team: str = option("in-range", "who decides together", SUB_TEAMS)
     occ_max: float = option(
         1.0, "cells of more occupancy on the smoothed map are barred; from 0.9 on none are", least=0
     )
@@ -70,6 +75,7 @@ class Burgard(TeamStrategy):
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)
+        self.passes_on = self.options.sub_team == "connected"
         self._assigned = 0
         self._travelled: dict[int, float] = {}
 

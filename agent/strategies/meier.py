@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from agent.planning.best_frontier import Appeal
 from agent.planning.candidates import SEARCHED
 from agent.planning.path_planner import PathPlanner
-from agent.planning.utility import in_sight, utilities
+from agent.planning.utility import utilities
 from agent.strategies.base import Cell, Situation
 from agent.strategies.options import option
 from agent.strategies.targets import Parts, TargetStrategy
@@ -55,7 +55,7 @@ class Meier(TargetStrategy):
 
     def is_due(self, situation: Situation) -> bool:
         """As the parts say, and once for each target heard that the rule against herding speaks of."""
-        return super().is_due(situation) or self._herds(situation)
+        return super().is_due(situation) or (self.options.herding and self.herds(situation))
 
     def select(self, situation: Situation, planner: PathPlanner) -> tuple[Cell | None, bool]:
         """Take the largest trade-off; where all cells of the frontier are goals, those too far are not looked at."""
@@ -88,19 +88,3 @@ class Meier(TargetStrategy):
         halved = [0.5 ** (age / half_life) if half_life else 1.0 for age in ages]
         left = [max(0.0, 1 - age / forget) if forget else 1.0 for age in ages]
         return [float(one * other) for one, other in zip(halved, left, strict=True)]
-
-    def _herds(self, situation: Situation) -> bool:
-        """The rule against herding: robots that choose at once from the same map choose alike.
-
-        A target of a lower-numbered teammate within that one's sensor range and in sight of one's own makes one
-        choose again, once for each that is heard.
-        """
-        if not self.options.herding or self.target is None:
-            return False
-        own_x, own_y = self.target
-        return any(
-            other < self.settings.robot
-            and (x - own_x) ** 2 + (y - own_y) ** 2 < self.settings.ranges_cells[other] ** 2
-            and in_sight(situation.grid, x, y, own_x, own_y)
-            for other, (x, y) in situation.news.items()
-        )

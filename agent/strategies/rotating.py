@@ -27,6 +27,8 @@ from agent.strategies.meier import BREADTH_FIRST_IS_ONE
 from agent.strategies.options import option
 from agent.strategies.targets import REPLANNING, SCANNING, SHARING, Parts, TargetStrategy
 
+HERDING = "choose again when a lower-numbered robot is headed for the same place"
+
 
 @dataclass(frozen=True)
 class Turning(Parts):
@@ -35,6 +37,7 @@ class Turning(Parts):
     candidates: str = option("breadth-first", "which cells are worth going to", CANDIDATES)
     replan: str = option("after-turn", "when a new target is chosen", REPLANNING)
     share: str = option("at-target", "when teammates get what was seen", SHARING)
+    herding: bool = option(False, HERDING)
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,15 @@ class Continuous(Turning):
     replan: str = option("at-once", "when a new target is chosen", REPLANNING)
 
 
-class StopScanReplan(TargetStrategy):
+class Rotating(TargetStrategy):
+    """What all of them do."""
+
+    def is_due(self, situation: Situation) -> bool:
+        """As the parts say; and, if asked to, as if robots chose one after another."""
+        return super().is_due(situation) or (self.options.herding and self.herds(situation))
+
+
+class StopScanReplan(Rotating):
     """Stop, scan, replan, go."""
 
     name = "stop-scan-replan"
@@ -101,6 +112,7 @@ class Bids(Parts):
     nearness: float = option(
         0.05, "w3: weight of nearness, minus the distance to the nearest teammate", least=0
     )
+    herding: bool = option(False, HERDING)
 
 
 @dataclass(frozen=True)
@@ -112,7 +124,7 @@ class ClassicalBids(Bids):
     share: str = option("at-target", "when teammates get what was seen", SHARING)
 
 
-class ShengBid(TargetStrategy):
+class ShengBid(Rotating):
     """The best bid."""
 
     name = "sheng-bid"

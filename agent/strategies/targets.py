@@ -27,6 +27,7 @@ from agent.planning.frontier import is_frontier
 from agent.planning.giving_way import GivingWay
 from agent.planning.path_planner import COSTS, PathPlanner
 from agent.planning.route import Route
+from agent.planning.utility import in_sight
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Situation, Strategy
 from agent.strategies.options import option
@@ -127,6 +128,22 @@ class TargetStrategy(Strategy):
             is_left = is_wide_frontier if self.options.candidates == "hops" else is_frontier
             return not is_left(situation.grid, *target)
         return target == at
+
+    def herds(self, situation: Situation) -> bool:
+        """The rule against herding: robots that choose at once from the same map choose alike.
+
+        A target of a lower-numbered teammate within that one's sensor range and in sight of one's own makes one
+        choose again, once for each that is heard.
+        """
+        if self.target is None:
+            return False
+        own_x, own_y = self.target
+        return any(
+            other < self.settings.robot
+            and (x - own_x) ** 2 + (y - own_y) ** 2 < self.settings.ranges_cells[other] ** 2
+            and in_sight(situation.grid, x, y, own_x, own_y)
+            for other, (x, y) in situation.news.items()
+        )
 
     def team_size(self, situation: Situation) -> int:
         """How many robots choose together."""

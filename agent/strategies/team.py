@@ -1,10 +1,10 @@
 """Strategies whose robots assign targets together: a planner at the centre, without the centre.
 
-Each robot broadcasts its pose. A robot's sub-team is itself and those whose radio reaches it; poses and targets
-are not passed on. Where all members hear each other they have the same table of robots and goals and compute the
-same assignment at the same time; each takes its own share and says so. In a chain A - B - C, and where maps or
-words are late, they may differ: what a teammate says of its target counts, and of two that are headed for one cell
-the higher-numbered robot chooses again.
+Each robot broadcasts its pose. A robot's sub-team is itself and those whose radio reaches it; where poses and targets
+are passed on (`agent.strategies.hearsay`), all that are connected. Where all members hear each other they have the
+same table of robots and goals and compute the same assignment at the same time; each takes its own share and says so.
+In a chain A - B - C, and where maps or words are late, they may differ: what a teammate says of its target counts, and
+of two that are headed for one cell the higher-numbered robot chooses again.
 """
 
 from __future__ import annotations
@@ -77,8 +77,9 @@ class TeamStrategy(TargetStrategy):
         """Give goals to robots: for each row of the table the number of its goal, -1 for none."""
 
     def team(self, situation: Situation) -> dict[int, Cell]:
-        """The sub-team: the robot and all in its own range whose pose it has heard, with their cells."""
-        members = {peer: situation.poses[peer][:2] for peer in situation.peers if peer in situation.poses}
+        """The sub-team: the robot and all whose pose it has heard, or had passed on, with their cells."""
+        there = (*situation.peers, *situation.connected)
+        members = {peer: situation.poses[peer][:2] for peer in there if peer in situation.poses}
         if self._waited >= PATIENCE:
             members = {}
         members[self.settings.robot] = situation.here

@@ -29,14 +29,20 @@ from protocol import keys as names
 from worldsim import generators
 
 ROBOTS = 4
-LINK_STEPS, HUB_STEPS = 120, 60
+LINK_STEPS, HUB_STEPS = 60, 40
 SIDE_M = 30.0
 REPEATS = 3
-ROUND_TRIPS_MS = (0, 5, 20)
+ROUND_TRIPS_MS = (0, 5, 20, 50)
 TEAMS = (4, 8, 16, 32)
+ROUTED = 8
+"""Robots that share a router, where there are routers."""
+PLANNED, HOSTS = 1000, 50
+"""The team that is planned, and the hosts that it is spread over."""
 CHUNK = 1 << 16
 FIRST_THREAD = "of it its first thread"
 """The relay's Python; its other threads are Zenoh's."""
+ROBOT, ROUTER, MOVED = "a robot", "a router", "moved at the hub"
+CERTIFICATES, ROUTERS = "certificates", f"routers of {ROUTED}"
 
 
 @dataclass
@@ -150,7 +156,8 @@ class _Watch:
 
     def look(self, records: Records) -> None:
         if records.step:
-            self._looks.append((time.perf_counter(), records.step, self._read()))
+            grown = self._read() | {MOVED: float(records.wire_bytes or 0)}
+            self._looks.append((time.perf_counter(), records.step, grown))
 
     def steps_per_s(self) -> float:
         (began, first, _), (ended, last, _) = self._ends()
@@ -191,18 +198,66 @@ def link() -> Iterator[Figure]:
 
 
 def hub() -> Iterator[Figure]:
-    """Processor time a step of relay, world and laboratory, which one host has to bear, by the team's size."""
+    """What one host has to bear, by the team's size and by how robots join; then, of a team that is planned.
+
+    Processor time a step of relay, world, laboratory, a robot and a router, and bytes of the hub's connections.
+    What grows with the team is carried on along a straight line through the sizes that were measured.
+    """
+    measured: dict[str, dict[str, list[float]]] = {}
     for robots in TEAMS:
         plan = _plan(robots, HUB_STEPS, "polygon", 1000)
-        for meeting in (on_loopback(robots), by_certificates(LOOPBACK, None, robots)):
-            by = "passwords" if meeting.certificate is None else "certificates"
+        for by, meeting in _meetings(robots).items():
             watch = _Watch(plan, processor_ms)
             _run(plan, meeting, watch)
-            spent = watch.a_step()
-            fleet = [spent[name] for name in map(names.robot, range(robots)) if name in spent]
-            for name in (names.RELAY, FIRST_THREAD, names.WORLD, names.LAB):
-                yield Figure(f"{robots} robots, {by}: {name}, a step", "ms", spent[name])
-            yield Figure(f"{robots} robots, {by}: a robot, a step", "ms", float(np.mean(fleet)))
+            for what, spent in _by_kind(watch.a_step(), robots).items():
+                measured.setdefault(by, {}).setdefault(what, []).append(spent)
+                yield Figure(f"{robots} robots, {by}: {what}, a step", _unit(what), spent)
+    for by in (CERTIFICATES, ROUTERS):
+        yield from _planned(measured[by], f"{PLANNED} robots on {HOSTS} hosts, {by}")
+
+
+def _planned(measured: dict[str, list[float]], what: str) -> Iterator[Figure]:
+    """What a step needs with the team that is planned, and how many a second that allows."""
+    there = PLANNED // HOSTS
+    for who, spent in measured.items():
+        if who == ROUTER:
+            needs, of = there * spent[-1] / ROUTED, f"a host's router, of {there} robots"
+        elif who == ROBOT:
+            needs, of = there * spent[-1], f"a host's {there} robots, on one core"
+        else:
+            slope, start = np.polyfit(TEAMS, spent, 1)
+            needs, of = start + slope * PLANNED, who
+        yield Figure(f"{what}: {of}, a step", _unit(who), needs)
+        if who != MOVED:
+            yield Figure(f"{what}: {of}, alone", "steps/s", 1000 / needs)
+
+
+def _meetings(robots: int) -> dict[str, Meeting]:
+    """How robots may join: by passwords on the loopback, by certificates, or so through routers."""
+    names_of = [
+        list(map(names.robot, range(first, min(first + ROUTED, robots))))
+        for first in range(0, robots, ROUTED)
+    ]
+    routers = {names.router(f"h{number}"): there for number, there in enumerate(names_of)}
+    return {
+        "passwords": on_loopback(robots),
+        CERTIFICATES: by_certificates(LOOPBACK, None, robots),
+        ROUTERS: by_certificates(LOOPBACK, None, robots, routers),
+    }
+
+
+def _by_kind(spent: dict[str, float], robots: int) -> dict[str, float]:
+    """What each kind of process spent; of robots and routers the mean."""
+    kinds = {name: spent[name] for name in (names.RELAY, FIRST_THREAD, names.WORLD, names.LAB)}
+    kinds[ROBOT] = float(np.mean([spent[name] for name in map(names.robot, range(robots)) if name in spent]))
+    routers = [ms for name, ms in spent.items() if name.startswith(names.ROUTER)]
+    if routers:
+        kinds[ROUTER] = float(np.mean(routers))
+    return kinds | {MOVED: spent[MOVED]}
+
+
+def _unit(what: str) -> str:
+    return "bytes" if what == MOVED else "ms"
 
 
 def _delayed(plan: Plan, round_trip_ms: float) -> tuple[float, dict[str, float]]:

@@ -83,6 +83,25 @@ def run_agents() -> None:
         serve()
 
 
+@run_app.command("router")
+def run_router(
+    credential: Annotated[
+        Path, typer.Option(metavar="FILE", help="router@NAME.json of the netshaper's credentials")
+    ],
+    listen: Annotated[
+        str, typer.Option(metavar="HOST:PORT", help="where its robots find it")
+    ] = "127.0.0.1:7448",
+    credentials: Annotated[
+        Path, typer.Option(metavar="DIR", help="new directory for its robots' credential files")
+    ] = Path("routed"),
+) -> None:
+    """Start a router: its robots join it, and share its connection to the hub (docs/hosts.md)."""
+    from deploy.run.by_hand import serve_routing  # noqa: PLC0415
+
+    with speaking_clearly():
+        serve_routing(credential, listen, credentials, screen.print)
+
+
 @run_app.command("view")
 def run_view(
     credential: Annotated[

@@ -50,7 +50,7 @@ def bench(
         ),
     ] = None,
     picture: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="draw the league table as well")
+        Path | None, typer.Option(metavar="FILE.png", help="draw the league table, or what scale measures")
     ] = None,
     jobs: Annotated[
         int | None, typer.Option(min=1, help="processes for strategies (default: one a core)")
@@ -69,7 +69,15 @@ def bench(
             return
         from deploy.bench.ratios import run_benches  # noqa: PLC0415
 
+        if picture is not None and names and "scale" not in names:
+            raise ValueError(
+                f"picture = {str(picture)!r}: it shows what scale or strategies measures; name one of them"
+            )
         figures = run_benches(names or [], (lambda _: None) if as_json else screen.print, robots or [])
+        if picture is not None:
+            from deploy.bench.scale import draw  # noqa: PLC0415
+
+            draw(figures, picture)
         if as_json:
             print(json.dumps(figures, indent=2))
 

@@ -11,7 +11,7 @@ import socket
 import struct
 from collections.abc import Iterator
 
-LOOPBACK = "127.0.0.1"
+LOOPBACKS = ("127.0.0.1", "[::1]")
 
 _NETLINK_SOCK_DIAG, _SOCK_DIAG_BY_FAMILY = 4, 20
 _REQUEST_DUMP = 0x301
@@ -45,7 +45,7 @@ class Meter:
 
     def __init__(self, endpoint: str, *, here: bool = False) -> None:
         host, _, port = endpoint.partition("/")[2].rpartition(":")
-        is_here = (here or host == LOOPBACK) and hasattr(socket, "AF_NETLINK")
+        is_here = (here or host in LOOPBACKS) and hasattr(socket, "AF_NETLINK")
         self._port = int(port) if is_here else 0
         self._seen: dict[bytes, int] = {}
 
@@ -54,16 +54,17 @@ class Meter:
         if not self._port:
             return None
         try:
-            self._seen.update(_connections(self._port))
+            for family in (socket.AF_INET, socket.AF_INET6):
+                self._seen.update(_connections(self._port, family))
         except OSError:
             self._port = 0  # not supported by this kernel
             return None
         return sum(self._seen.values()) if self._seen else None
 
 
-def _connections(port: int) -> Iterator[tuple[bytes, int]]:
-    """All TCP sockets of this host with such a local port: their identity, and the bytes that they moved."""
-    wanted = struct.pack("<BBBxI", socket.AF_INET, socket.IPPROTO_TCP, 1 << (_INFO - 1), _STATES)
+def _connections(port: int, family: int) -> Iterator[tuple[bytes, int]]:
+    """All TCP sockets of a family with such a local port: their identity, and the bytes that they moved."""
+    wanted = struct.pack("<BBBxI", family, socket.IPPROTO_TCP, 1 << (_INFO - 1), _STATES)
     wanted += _ID.pack(port, 0, bytes(16), bytes(16), bytes(4), b"\xff" * 8)
     with socket.socket(socket.AF_NETLINK, socket.SOCK_DGRAM, _NETLINK_SOCK_DIAG) as kernel:
         kernel.settimeout(_PATIENCE_S)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 import secrets
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from ipaddress import ip_address
 from pathlib import Path
@@ -26,6 +27,7 @@ from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario, ScenarioError, load
 from netshaper import access
 from netshaper.hub import open_hub
+from netshaper.router import Router
 from protocol import keys as names
 from protocol.bus import BusClosed
 from protocol.keys import Keys
@@ -46,8 +48,7 @@ def serve_netshaper(
     """
     plan = plans.make(scenario)
     endpoint = _endpoint(listen)
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise ScenarioError(f"credentials = {folder}: it exists already; name a new directory")
+    _check_new(folder)
     run = secrets.token_hex(4)
     credentials = access.issue(run, endpoint, scenario.robots)
     certificate = None
@@ -58,24 +59,53 @@ def serve_netshaper(
         made = certificates.read(keys, scenario.robots)
         credentials, certificate = certificates.credentials(run, endpoint, made), made[names.RELAY]
     with closing(open_hub(run, endpoint, credentials, certificate)) as bus:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, credential in credentials.items():
-            credential.write(folder / f"{name}.json")
+        _hand_out(credentials, folder)
         (folder / SCENARIO).write_text(scenario.to_toml(), encoding="utf-8")
         tell(f"run {run} at {endpoint}; credentials in {folder}: {', '.join(credentials)}")
         relay(bus, run, plan.radio, scenario.patience, tell=tell)
 
 
+def serve_routing(credential: Path, listen: str, folder: Path, tell: Callable[[str], object]) -> None:
+    """Write credentials for a router's robots into `folder`, then be the router, until the hub is gone."""
+    read = Credential.read(credential)
+    if not read.robots:
+        raise ScenarioError(
+            f"credential {credential} is that of {read.name}; a router's is needed here, "
+            "as murmur run netshaper writes it for keys that were made with --router"
+        )
+    endpoint = _endpoint(listen)
+    _check_new(folder)
+    credentials = access.passwords(read.run, endpoint, read.robots)
+    with closing(Router(read, endpoint, credentials)) as router:
+        _hand_out(credentials, folder)
+        tell(
+            f"{read.name} of run {read.run} at {endpoint}; credentials in {folder}: {', '.join(credentials)}"
+        )
+        router.serve()
+
+
+def _check_new(folder: Path) -> None:
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise ScenarioError(f"credentials = {folder}: it exists already; name a new directory")
+
+
+def _hand_out(credentials: Mapping[str, Credential], folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, credential in credentials.items():
+        credential.write(folder / f"{name}.json")
+
+
 def _endpoint(listen: str) -> str:
     """The hub's address in zenoh's form; it is part of every credential."""
-    host, _, port = listen.rpartition(":")
-    if not host or not (port.isascii() and port.isdecimal()) or not 1 <= int(port) <= MOST_PORT:
+    parts = re.fullmatch(r"(\[[0-9A-Fa-f:.]+\]|[^\s\[\]:]+):([0-9]{1,5})", listen)
+    if parts is None or not 1 <= int(parts[2]) <= MOST_PORT:
         raise ScenarioError(
-            f"listen = {listen!r}: must be HOST:PORT, as 127.0.0.1:7447, with a port from 1 to {MOST_PORT}"
+            f"listen = {listen!r}: must be HOST:PORT, as 127.0.0.1:7447 or [::1]:7447, "
+            f"with a port from 1 to {MOST_PORT}"
         )
-    if _is_everywhere(host):
+    if _is_everywhere(parts[1]):
         raise ScenarioError(
-            f"listen = {listen!r}: stands in every credential, and nobody can be reached at {host}; "
+            f"listen = {listen!r}: stands in every credential, and nobody can be reached at {parts[1]}; "
             "give the address by which others know this host"
         )
     return f"tcp/{listen}"

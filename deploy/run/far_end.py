@@ -4,8 +4,8 @@ It says which code it is, is given credentials, starts one child a robot, and pa
 end. It ends when they have all ended, or when its standard input is closed: when the launcher goes, so do they.
 
 Both ways go lines of JSON. Here to the launcher: ``{"murmur", "code", "versions"}`` once, then ``{"robot", "log"}`` and
-``{"robot", "exit", "words"}``. From the launcher: ``{"credentials": [...]}`` once,
-then ``{"end": NAME}``.
+``{"robot", "exit", "words"}``. From the launcher: ``{"credentials": [...]}`` once, then ``{"end": NAME}``. Where a
+credential is a router's, the robots that it names join through that; of the router is spoken as if it were a robot.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import signal
 import sys
 import tempfile
 import threading
+from collections.abc import Callable
 from functools import cache
 from io import RawIOBase
 from pathlib import Path
@@ -33,8 +34,14 @@ from protocol.zenoh_bus import Credential
 
 POLL_S = 0.2
 ROOMS = ("agent", "protocol")
-"""Rooms whose code decides what a robot does and says."""
-STARTERS = ("deploy.run.far_end", "deploy.run.processes", "deploy.run.process_table")
+"""Rooms whose code decides what a robot does and says; and what starts it and lets it in."""
+STARTERS = (
+    "deploy.run.far_end",
+    "deploy.run.processes",
+    "deploy.run.process_table",
+    "netshaper.access",
+    "netshaper.router",
+)
 
 
 def code_digest() -> str:
@@ -99,12 +106,24 @@ def serve() -> None:
 
 
 def _run(credentials: list[Credential], orders: RawIOBase, channel: _Channel) -> None:
-    from deploy.run.process_table import ProcessTable  # noqa: PLC0415  hello comes first
+    from deploy.run.meeting import behind  # noqa: PLC0415  hello comes first
+    from deploy.run.process_table import ProcessTable  # noqa: PLC0415
+    from deploy.run.processes import serve_agent, serve_router  # noqa: PLC0415
+
+    table: dict[str, tuple[Callable[..., None], *tuple[object, ...]]] = {}
+    for credential in credentials:
+        if credential.robots:
+            there = behind(credential)
+            table[credential.name] = serve_router, credential, there.endpoint, there.credentials
+            table |= {name: (serve_agent, shown) for name, shown in there.credentials.items()}
+        else:
+            table[credential.name] = serve_agent, credential
+    routers = {credential.name for credential in credentials if credential.robots}
 
     with tempfile.TemporaryDirectory(prefix="murmur-far-") as folder:
         logs = Path(folder) / "logs"
-        read = {credential.name: 0 for credential in credentials}
-        running = set(read)
+        read = dict.fromkeys(table, 0)
+        running = list(table)
 
         def pass_on(name: str) -> None:
             log = logs / f"{name}.log"
@@ -114,30 +133,28 @@ def _run(credentials: list[Credential], orders: RawIOBase, channel: _Channel) ->
                 channel.say(robot=name, log=text.decode(errors="replace"))
 
         with ProcessTable(logs) as processes:
-            for credential in credentials:
-                processes.start(credential.name, serve_tied, credential)
-            while running:
+            for name, row in table.items():
+                processes.start(name, serve_tied, *row)
+            while set(running) - routers:
                 is_over = False
                 if select.select([0], [], [], POLL_S)[0]:
                     order = orders.readline()
                     is_over = not order
                     processes.give_up(_to_end(order))
                 ended, deaths = processes.ended(), processes.look()
-                for name in sorted(running):
+                for name in running:
                     pass_on(name)
                     if name in ended:
                         channel.say(robot=name, exit=ended[name], words=deaths.get(name, ""))
-                running -= ended.keys()
+                running = [name for name in running if name not in ended]
                 if is_over:
                     break
 
 
-def serve_tied(credential: Credential) -> None:
-    """Be one robot, and die with the far end, even if that is killed."""
-    from deploy.run.processes import serve_agent  # noqa: PLC0415  hello comes first
-
+def serve_tied(serve: Callable[..., None], *args: object) -> None:
+    """Be one robot or router, and die with the far end, even if that is killed."""
     threading.Thread(target=_die_with_parent, name="far end", daemon=True).start()
-    serve_agent(credential)
+    serve(*args)
 
 
 def _die_with_parent() -> None:
@@ -157,7 +174,8 @@ def _credentials(order: bytes) -> list[Credential]:
         ) from None
     found = [Credential.parse(json.dumps(each)) for each in listed]
     for credential in found:
-        names.number(credential.name)
+        if not credential.robots:
+            names.number(credential.name)
     return found
 
 

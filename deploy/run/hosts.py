@@ -14,6 +14,7 @@ from protocol.grid import MAX_ROBOTS
 MOST_PORT = 65535
 
 Whole = Annotated[int, Field(strict=True)]
+Truth = Annotated[bool, Field(strict=True)]
 Port = Annotated[int, Field(strict=True, ge=1, le=MOST_PORT)]
 
 
@@ -32,6 +33,7 @@ class Host(_Table):
     options: tuple[str, ...] = Field((), description="options of ssh, as ssh_config(5) has them")
     command: str = Field("murmur", description="how Murmur is called there, as its shell has it")
     robots: Whole | tuple[Whole, ...] = Field(description="how many robots run there, or which")
+    router: Truth = Field(False, description="whether they share one connection, through a router there")
 
     @field_validator("name")
     @classmethod

@@ -21,9 +21,18 @@ from deploy.dashboard.watch import announced
 from deploy.record.records import LabNode, Records
 from deploy.record.wire_bytes import Meter
 from deploy.run.gate import Gate
-from deploy.run.meeting import Meeting, on_loopback
+from deploy.run.meeting import Meeting, behind, on_loopback
 from deploy.run.process_table import FORK_SERVER, ProcessTable
-from deploy.run.processes import WorldTask, Wrap, serve_agent, serve_relay, serve_view, serve_world, silence_s
+from deploy.run.processes import (
+    WorldTask,
+    Wrap,
+    serve_agent,
+    serve_relay,
+    serve_router,
+    serve_view,
+    serve_world,
+    silence_s,
+)
 from deploy.run.ssh import Fleet
 from deploy.scenario.plan import Plan
 from netshaper.process import ENDED
@@ -145,10 +154,16 @@ def run(
             names.WORLD: (serve_world, meeting.credentials[names.WORLD], world, wrap),
         }
         journals = journals or logs.parent / "journals"
+        credentials = dict(meeting.credentials)
+        for router in [each for each in meeting.credentials.values() if each.robots]:
+            if elsewhere.isdisjoint(router.robots):
+                there = behind(router)
+                table[router.name] = (serve_router, router, there.endpoint, there.credentials)
+                credentials |= there.credentials
         for number, name in enumerate(map(names.robot, range(robots))):
             if name not in elsewhere:
                 journal = journals / journal_name(number) if plan.lives > 1 else None
-                table[name] = (serve_agent, meeting.credentials[name], journal, wrap)
+                table[name] = (serve_agent, credentials[name], journal, wrap)
 
         def obey(strike: Strike) -> None:
             name = names.robot(strike.robot)
@@ -249,6 +264,8 @@ def _attend(
     look_after_all()
     if names.RELAY in deaths:
         processes.forget_who_left()
+        if fleet is not None:
+            fleet.forget_who_left(deaths)
     return Outcome(lab.records, deaths)
 
 

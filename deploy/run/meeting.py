@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 import socket
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from ipaddress import ip_address
 
@@ -38,8 +38,18 @@ def on_loopback(robots: int) -> Meeting:
     return Meeting(run, endpoint, access.issue(run, endpoint, robots))
 
 
-def by_certificates(address: str, port: int | None, robots: int) -> Meeting:
+def behind(router: Credential) -> Meeting:
+    """Where the robots of a router meet: at a free port of the loopback, by passwords that nobody else knows."""
+    endpoint = f"tcp/{LOOPBACK}:{_free_port(LOOPBACK)}"
+    return Meeting(router.run, endpoint, access.passwords(router.run, endpoint, router.robots))
+
+
+def by_certificates(
+    address: str, port: int | None, robots: int, routers: Mapping[str, Sequence[str]] | None = None
+) -> Meeting:
     """A meeting at an address of this host that others can reach, by certificates made for this run alone.
+
+    `routers` has the names of the robots that join through each router, by its name.
 
     Raises
     ------
@@ -57,7 +67,7 @@ def by_certificates(address: str, port: int | None, robots: int) -> Meeting:
             "it must be the address by which the other hosts know this one, and a port that is free"
         ) from None
     run, endpoint = secrets.token_hex(4), f"tls/{_bracketed(address)}:{port}"
-    made = certificates.make(robots, [address])
+    made = certificates.make(robots, [address], routers=routers)
     return Meeting(run, endpoint, certificates.credentials(run, endpoint, made), made[names.RELAY])
 
 

@@ -26,6 +26,7 @@ from deploy.run.patience import PATIENCE_S, Patience
 from netshaper.hub import open_hub
 from netshaper.process import RelayNode
 from netshaper.radio import RadioSettings
+from netshaper.router import Router
 from protocol import keys as names
 from protocol.bus import Bus, BusClosed
 from protocol.keys import Keys
@@ -142,6 +143,12 @@ def serve_world(credential: Credential, task: WorldTask, wrap: Wrap | None = Non
         bus, keys, task.world, task.minds, task.steps, task.cell_mm, wait=task.wait, revive=task.revive
     )
     _serve(bus, node, Patience(node, task.patience_s))
+
+
+def serve_router(credential: Credential, endpoint: str, credentials: Mapping[str, Credential]) -> None:
+    """Serve as the router of a host's robots, who show it `credentials`, until the hub is gone."""
+    with closing(Router(credential, endpoint, credentials)) as router:
+        router.serve()
 
 
 def serve_agent(credential: Credential, journal: Path | None = None, wrap: Wrap | None = None) -> None:

@@ -22,6 +22,7 @@ from typing import Any, Self
 from deploy.run.far_end import hello
 from deploy.run.hosts import Host, Hosts
 from deploy.run.meeting import by_certificates
+from deploy.run.processes import BROKEN_OFF
 from deploy.scenario.scenario import ScenarioError
 from protocol import keys as names
 from protocol.zenoh_bus import Credential
@@ -69,9 +70,10 @@ class Fleet:
     """
 
     def __init__(self, hosts: Hosts, robots: int, tell: Callable[[str], object] = lambda _: None) -> None:
-        placing = hosts.placing(robots)
-        self.meeting = by_certificates(hosts.address, hosts.port, robots)
-        self._links = [_Link(host, list(map(names.robot, placing[host.name]))) for host in hosts.host]
+        placing = {name: list(map(names.robot, there)) for name, there in hosts.placing(robots).items()}
+        routers = {names.router(host.name): placing[host.name] for host in hosts.host if host.router}
+        self.meeting = by_certificates(hosts.address, hosts.port, robots, routers)
+        self._links = [_Link(host, placing[host.name]) for host in hosts.host]
         self._tell = tell
 
     @property
@@ -107,7 +109,7 @@ class Fleet:
         What they print goes to ``NAME.log`` in `logs`, what ssh says to ``HOST.log``.
         """
         for link in self._links:
-            link.start([credentials[name] for name in link.robots], logs)
+            link.start([credentials[name] for name in link.clients], logs)
         try:
             yield
         finally:
@@ -126,6 +128,12 @@ class Fleet:
         for link in self._links:
             for name, words in link.deaths().items():
                 deaths.setdefault(name, words)
+
+    def forget_who_left(self, deaths: dict[str, str]) -> None:
+        """Take those from `deaths` who ended because the hub had gone."""
+        for link in self._links:
+            for name in link.broken_off:
+                deaths.pop(name, None)
 
     def give_up(self, name: str) -> None:
         """Have a robot ended, which is not missed."""
@@ -151,16 +159,27 @@ class Fleet:
 
 
 class _Link:
-    """One ssh, and the robots at its far end."""
+    """One ssh, and the robots at its far end; perhaps a router between them and the hub.
+
+    Attributes
+    ----------
+    clients : list of str
+        Who of them joins at the hub: the router, or the robots themselves.
+    broken_off : set of str
+        Who ended because it had lost the hub.
+    """
 
     def __init__(self, host: Host, robots: list[str]) -> None:
         self.robots = robots
+        self.clients = [names.router(host.name)] if host.router else robots
+        self.broken_off: set[str] = set()
         self._host = host
         self._ssh: subprocess.Popen[bytes] | None = None
         self._said = tempfile.TemporaryFile()  # noqa: SIM115  closed by `close`
         self._hello: queue.Queue[dict[str, Any] | None] = queue.Queue()
         self._noise: list[str] = []
         self._ended: dict[str, str] = {}
+        self._lost_router = ""
         self._logs: Path | None = None
         self._ear = threading.Thread(target=self._listen, name=f"ssh {host.name}", daemon=True)
 
@@ -212,6 +231,8 @@ class _Link:
         """Robots that ended before their time; the host itself if it is gone and they with it."""
         ended = self._ended.copy()
         found = {name: f"on {self._host.name}: {words}" for name, words in ended.items() if words}
+        if self._lost_router:
+            found[names.router(self._host.name)] = self._lost_router
         missing = [name for name in self.robots if name not in ended]
         if missing and self._ssh is not None and self._ssh.poll() is not None and not self._ear.is_alive():
             found[self._host.name] = f"{self._why_gone()}; with it {', '.join(missing)}"
@@ -263,7 +284,7 @@ class _Link:
             if not greeted and "murmur" in said:
                 greeted = True
                 self._hello.put(said)
-            elif greeted and said.get("robot") in self.robots:
+            elif greeted and said.get("robot") in {*self.robots, *self.clients}:
                 self._take(said)
             else:
                 self._noise = [*self._noise[-9:], line.decode(errors="replace").strip()]
@@ -276,7 +297,14 @@ class _Link:
                 file.write(str(said["log"]))
         elif "exit" in said and name not in self._ended:
             code = said["exit"]
-            self._ended[name] = str(said.get("words") or f"exit code {code}") if code else ""
+            words = str(said.get("words") or f"exit code {code}") if code else ""
+            if code == BROKEN_OFF:
+                self.broken_off.add(name)
+            missing = [robot for robot in self.robots if robot not in self._ended]
+            if name in self.robots:
+                self._ended[name] = "" if self._lost_router else words
+            elif words and missing:
+                self._lost_router = f"{words}; with it {', '.join(missing)}"
 
     def _why_silent(self) -> str:
         """Why there was no hello."""

@@ -28,7 +28,7 @@ from tests.netshaper import plain_books
 
 GOLDEN = Path(__file__).parents[1] / "protocol" / "golden" / "packets.txt"
 VALUES = ("index", "x", "y", "side", "occupied", "object", "count", "inside", "block", "leads", "data",
-          "robot", "sum", "number")  # fmt: skip
+          "robot", "age", "sum", "number")  # fmt: skip
 DATA, BUDGET = 2, 1
 
 

@@ -48,7 +48,7 @@ GOLDEN = Path(__file__).parents[1] / "protocol" / "golden"
 LETTERS = {
     "index": "i", "x": "x", "y": "y", "side": "s", "occupied": "o", "object": "n", "count": "c",
     "inside": "e", "map": "m", "block": "b", "leads": "l", "robot": "r",
-    "sum": "q",
+    "sum": "q", "age": "a",
 }  # fmt: skip
 
 ROOM = """

@@ -1,7 +1,7 @@
 """Access control, with a rogue that holds the valid credential of robot r1 and speaks plain Zenoh.
 
 Whatever it tries, nothing gets in or out but what r1 may say and hear. Each test shows as well that the same
-channel works for those who may use it.
+channel works for those who may use it. All is done twice: at the hub, and at a router through which robots join.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from typing import Any
 import pytest
 import zenoh
 
-from netshaper import access
+from netshaper import access, certificates
 from netshaper.hub import open_hub
+from netshaper.router import Router
 from protocol import keys as names
 from protocol.bus import Bus, Message
 from protocol.keys import Keys
@@ -24,6 +25,7 @@ from protocol.zenoh_bus import Credential, insert, join, plain_config
 
 KEYS = Keys("guarded")
 RELAY, WORLD, LAB = names.RELAY, names.WORLD, names.LAB
+ROUTER = names.router("rack")
 SOON_S = 5.0
 MODES = ("client", "peer", "router")
 BLOCK = zenoh.CongestionControl.BLOCK
@@ -61,12 +63,15 @@ FORBIDDEN = [
 
 
 class Guarded:
-    """A run of three robots of which the second one is a rogue."""
+    """A run of three robots of which the second one is a rogue; with a router they all join through that."""
 
-    def __init__(self, stack: ExitStack) -> None:
+    def __init__(self, stack: ExitStack, *, routed: bool) -> None:
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self.credentials = access.issue(KEYS.run, self.endpoint, 3)
-        self.ends: dict[str, Bus] = {RELAY: open_hub(KEYS.run, self.endpoint, self.credentials)}
+        if routed:
+            self.ends = {RELAY: self._hub_behind_router(stack)}
+        else:
+            self.ends = {RELAY: open_hub(KEYS.run, self.endpoint, self.credentials)}
         stack.callback(self.ends[RELAY].close)
         for name in (WORLD, LAB, "r0", "r2"):
             self.ends[name] = join(self.credentials[name])
@@ -74,6 +79,17 @@ class Guarded:
         for _ in range(4):
             self.hear(RELAY)
         self._stack = stack
+
+    def _hub_behind_router(self, stack: ExitStack) -> Bus:
+        """A hub that asks for certificates, and a router at this run's endpoint."""
+        hub, routers = f"tls/127.0.0.1:{free_port()}", {ROUTER: ["r0", "r1", "r2"]}
+        made = certificates.make(3, ["127.0.0.1"], routers=routers)
+        issued = certificates.credentials(KEYS.run, hub, made)
+        relay = open_hub(KEYS.run, hub, issued, made[RELAY])
+        robots = {name: self.credentials[name] for name in routers[ROUTER]}
+        self.credentials |= issued
+        stack.callback(Router(issued[ROUTER], self.endpoint, robots).close)
+        return relay
 
     def rogue(self, mode: str) -> zenoh.Session:
         """Open a session with r1's credential; it is connected, for what it may say is heard."""
@@ -159,10 +175,10 @@ def drained(handler: Any) -> list[Any]:
     return found
 
 
-@pytest.fixture
-def guarded() -> Iterator[Guarded]:
+@pytest.fixture(params=[False, True], ids=["hub", "router"])
+def guarded(request: pytest.FixtureRequest) -> Iterator[Guarded]:
     with ExitStack() as stack:
-        yield Guarded(stack)
+        yield Guarded(stack, routed=request.param)
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -380,7 +396,7 @@ def test_a_credential_of_one_run_does_not_open_the_next(guarded: Guarded) -> Non
 
 
 def test_each_name_may_put_and_hear_only_under_its_own() -> None:
-    rules = access.rules(KEYS, 2)
+    rules = access.rules(KEYS, {name: [name] for name in access.participants(2)})
     assert rules["default_permission"] == "deny"
     assert {subject["id"] for subject in rules["subjects"]} == set(access.participants(2))
     for rule in rules["rules"]:

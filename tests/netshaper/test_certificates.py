@@ -42,11 +42,11 @@ FORGED = [
 class Certified:
     """A run of two robots over mutual TLS."""
 
-    def __init__(self, stack: ExitStack) -> None:
-        with closing(socket.socket()) as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.endpoint = f"tls/127.0.0.1:{probe.getsockname()[1]}"
-        self.certificates = certificates.make(2, ["127.0.0.1"])
+    def __init__(self, stack: ExitStack, address: str) -> None:
+        with closing(socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET)) as probe:
+            probe.bind((address.strip("[]"), 0))
+            self.endpoint = f"tls/{address}:{probe.getsockname()[1]}"
+        self.certificates = certificates.make(2, [address])
         self.credentials = certificates.credentials(KEYS.run, self.endpoint, self.certificates)
         hub = open_hub(KEYS.run, self.endpoint, self.credentials, self.certificates[RELAY])
         self.ends: dict[str, Bus] = {RELAY: hub}
@@ -77,10 +77,16 @@ class Certified:
 @pytest.fixture
 def certified() -> Iterator[Certified]:
     with ExitStack() as stack:
-        yield Certified(stack)
+        yield Certified(stack, "127.0.0.1")
 
 
-def test_all_who_have_a_certificate_say_and_hear_what_they_may(certified: Certified) -> None:
+@pytest.mark.parametrize("address", ["127.0.0.1", "[::1]"])
+def test_all_who_have_a_certificate_say_and_hear_what_they_may(address: str) -> None:
+    with ExitStack() as stack:
+        say_and_hear(Certified(stack, address))
+
+
+def say_and_hear(certified: Certified) -> None:
     for sender, key, receiver in [
         ("r0", KEYS.radio_tx("r0"), RELAY),
         ("r0", KEYS.body(WORLD, "r0"), WORLD),
@@ -136,16 +142,24 @@ def test_who_is_not_let_in_is_told_what_may_be_wrong(
         join(Credential(KEYS.run, "r1", certified.endpoint, certificate=stranger))
 
 
-@pytest.mark.parametrize(("impostor", "address"), [("r0", "127.0.0.1"), (RELAY, "192.0.2.1")])
+@pytest.mark.parametrize(
+    ("impostor", "address", "at"),
+    [
+        ("r0", "127.0.0.1", "127.0.0.1"),
+        (RELAY, "192.0.2.1", "127.0.0.1"),
+        (RELAY, "::2", "[::1]"),
+        ("router@a", "127.0.0.1", "127.0.0.1"),
+    ],
+)
 def test_a_robot_does_not_take_another_for_the_hub(
-    impostor: str, address: str, monkeypatch: pytest.MonkeyPatch
+    impostor: str, address: str, at: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Neither a robot's certificate does for a hub, nor that of a hub which is to be elsewhere."""
+    """Neither a robot's or router's certificate does for a hub, nor that of a hub which is to be elsewhere."""
     monkeypatch.setattr("protocol.zenoh_bus.CONNECT_S", 0.4)
-    made = certificates.make(2, [address])
-    with closing(socket.socket()) as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"tls/127.0.0.1:{probe.getsockname()[1]}"
+    made = certificates.make(2, [address], routers={"router@a": ["r0"]} if impostor == "router@a" else None)
+    with closing(socket.socket(socket.AF_INET6 if ":" in at else socket.AF_INET)) as probe:
+        probe.bind((at.strip("[]"), 0))
+        endpoint = f"tls/{at}:{probe.getsockname()[1]}"
     credentials = certificates.credentials(KEYS.run, endpoint, made)
     with (
         closing(open_hub(KEYS.run, endpoint, credentials, made[impostor])),

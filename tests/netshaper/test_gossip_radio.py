@@ -68,7 +68,7 @@ def test_the_most_urgent_news_go_first_and_a_shorter_packet_may_use_the_rest() -
     [
         (encode([Offer(1, 0)]), EVERYONE, "no conn of this kind"),
         (encode([Target(1, 2), Save()]), EVERYONE, "no targ of this kind"),
-        (b"\xff", EVERYONE, "no packet begins with 0xff"),
+        (6 * b"\xff", EVERYONE, "no packet begins with 0xffff"),
         (b"", EVERYONE, "nothing in it"),
         (encode([Save()]), 1, "said to one robot"),
     ],

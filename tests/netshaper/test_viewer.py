@@ -110,7 +110,7 @@ def test_only_what_goes_to_the_viewer_may_be_dropped() -> None:
 
 
 def test_a_viewer_may_say_nothing_by_the_hubs_own_rules() -> None:
-    rules = access.rules(Keys("run"), robots=2)
+    rules = access.rules(Keys("run"), {name: [name] for name in access.participants(2)})
     (policy,) = (policy for policy in rules["policies"] if policy["subjects"] == [names.VIEW])
     allowed = [rule for rule in rules["rules"] if rule["id"] in policy["rules"]]
     assert {(rule["messages"][0], rule["flows"][0]) for rule in allowed} == {

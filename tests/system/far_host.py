@@ -27,6 +27,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 SSHD = "/usr/sbin/sshd"
 NEAR, FAR = "10.213.77.1", "10.213.77.2"
+NEAR_6, FAR_6 = "fd00:213:77::1", "fd00:213:77::2"
 PORT = 2222
 TOOLS = ("ip", "ssh", "ssh-keygen", SSHD)
 
@@ -66,8 +67,8 @@ class FarHost:
         """A command line that runs in the near namespace."""
         return ["ip", "netns", "exec", self.near, *words]
 
-    def hosts(self, **changes: str) -> str:
-        """A hosts file; `changes` are TOML values of the host's settings."""
+    def hosts(self, address: str = NEAR, **changes: str) -> str:
+        """A hosts file with an address of this host; `changes` are TOML values of the other host's settings."""
         python = f"{sys.executable} -m deploy.commands.main"
         known = self.folder / "known_hosts"
         settings = {
@@ -79,7 +80,7 @@ class FarHost:
             "robots": "1",
         } | changes
         lines = [f"{key} = {value}" for key, value in settings.items()]
-        return "\n".join([f'address = "{NEAR}"', "[[host]]", *lines]) + "\n"
+        return "\n".join([f'address = "{address}"', "[[host]]", *lines]) + "\n"
 
     def processes(self) -> list[int]:
         """What runs in the far namespace, other than the SSH server."""
@@ -94,7 +95,7 @@ def far_host(folder: Path, round_trip_ms: float = 0.0, loss: float = 0.0) -> Ite
     with contextlib.ExitStack() as stack:
         host = FarHost(f"murmur-near-{os.getpid()}", f"murmur-far-{os.getpid()}", folder)
         ends = []
-        for number, (name, address) in enumerate(((host.near, NEAR), (host.far, FAR))):
+        for number, (name, address, six) in enumerate(((host.near, NEAR, NEAR_6), (host.far, FAR, FAR_6))):
             _ip("netns", "add", name)
             stack.callback(_ip, "netns", "del", name)
             device = f"mm{number}t{os.getpid() % 1000000}"
@@ -104,6 +105,7 @@ def far_host(folder: Path, round_trip_ms: float = 0.0, loss: float = 0.0) -> Ite
             for words in (
                 ("link", "set", "lo", "up"),
                 ("addr", "add", f"{address}/24", "dev", device),
+                ("addr", "add", f"{six}/64", "dev", device, "nodad"),
                 ("link", "set", device, "mtu", str(_MTU), "up"),
             ):
                 _ip("-n", name, *words)

@@ -17,7 +17,7 @@ import pytest
 
 from deploy.run.exploration import explore
 from deploy.scenario.scenario import load
-from tests.system.far_host import ROOT, FarHost, far_host, why_not
+from tests.system.far_host import NEAR, NEAR_6, ROOT, FarHost, far_host, why_not
 
 PATIENCE_S = 120
 ROUND_TRIP_MS, LOSS = 20.0, 0.01
@@ -33,9 +33,9 @@ def far(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FarHost]:
         yield host
 
 
-def write_inputs(folder: Path, far: FarHost, scenario: str, **changes: str) -> None:
+def write_inputs(folder: Path, far: FarHost, scenario: str, address: str = NEAR, **changes: str) -> None:
     (folder / "team.toml").write_text(f'map = "em"\nrobots = 3\n{scenario}')
-    (folder / "hosts.toml").write_text(far.hosts(**changes))
+    (folder / "hosts.toml").write_text(far.hosts(address, **changes))
 
 
 @contextlib.contextmanager
@@ -77,10 +77,13 @@ def title(pid: int) -> str:
     return ""
 
 
+@pytest.mark.parametrize(
+    ("address", "router"), [(NEAR, "false"), (NEAR_6, "true")], ids=["IPv4", "IPv6 through a router"]
+)
 def test_delay_and_loss_change_no_result_and_no_secret_is_on_a_command_line(
-    far: FarHost, tmp_path: Path
+    far: FarHost, tmp_path: Path, address: str, router: str
 ) -> None:
-    write_inputs(tmp_path, far, f"steps = {STEPS}\n", robots="2")
+    write_inputs(tmp_path, far, f"steps = {STEPS}\n", address, robots="2", router=router)
     seen: set[str] = set()
     with launched(tmp_path, far) as run:
         wait_until(lambda: has_begun(tmp_path), run)
@@ -91,10 +94,11 @@ def test_delay_and_loss_change_no_result_and_no_secret_is_on_a_command_line(
     assert run.returncode == 1, faults
     assert not faults
     assert {"murmur robots", "murmur r0", "murmur r1"} <= there
+    assert ("murmur router@far" in there) == (router == "true")
     assert "murmur r2" not in there
     assert "murmur r2" in seen
     assert any(line.startswith("ssh ") for line in seen)
-    assert live["hub"].startswith("tls/10.213.77.1:")
+    assert live["hub"].startswith("tls/10.213.77.1:" if address == NEAR else f"tls/[{address}]:")
     assert not any("PRIVATE KEY" in line or live["certificate"]["key"].split()[4] in line for line in seen)
     here = explore(load(tmp_path / "team.toml", {"bus": "memory"}), keep=False)
     summary = json.loads(said)

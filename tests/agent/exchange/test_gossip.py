@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.exchange.gossip import EVERYONE, GREETING, MOST_URGENT, PATIENCE, SELDOM, Gossip
+from agent.exchange.gossip import EVERYONE, GREETING, HOLDS, MOST_URGENT, PATIENCE, SELDOM, Gossip
 from protocol import packets, survey
 from protocol.errors import ProtocolError
 from protocol.messages import Outcome
@@ -284,6 +284,20 @@ def test_who_has_begun_a_unit_is_the_most_urgent_and_who_waits_becomes_more_so()
     assert 0 < urgent[0] < urgent[1] < urgent[2] < MOST_URGENT
     mind.offers(0, [1], 100)
     assert mind.urgency == MOST_URGENT
+
+
+def test_where_robots_have_been_apart_who_serves_one_that_holds_most_speaks_first() -> None:
+    known, urgency = 400, []
+    for held in (known, 0):
+        mind = Gossip(0, 3)
+        mind.offers(0, [1], 100)  # robot 2 is away
+        mind.accept(1, 1, words(1, 0, known))
+        mind.known[2, 1] = held
+        mind.record(words(0, 0, 1))
+        for _ in range(GREETING + 2):
+            mind.offers(0, [2], 100)
+        urgency.append(mind.urgency)
+    assert urgency[0] == urgency[1] + known // HOLDS < MOST_URGENT
 
 
 def test_numbers_of_units_are_told_modulo_the_window_and_meant_as_they_are_nearest() -> None:

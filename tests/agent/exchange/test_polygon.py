@@ -221,7 +221,7 @@ NONSENSE = {
     "a vertex of no object": [encode([Delete(0)])],
     "a second save point": [encode([Save()])],
     "a raw scan": [encode([Fragment(b"scan")])],
-    "no packet": [b"\xff\xff"],
+    "no packet": [6 * b"\xff"],
 }
 
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from agent.outline.boxes import MOST, NO_BOXES, Boxes, box_of, united, whole
+from agent.outline.boxes import MOST, NO_BOXES, Boxes, around, box_of, united, whole
 from protocol.scans import Change
 
 SIDE = 60
@@ -35,6 +35,10 @@ def test_boxes_far_apart_stay_apart() -> None:
     one, other = np.array([(0, 0, 3, 3)], np.int32), np.array([(50, 50, 53, 53)], np.int32)
     assert united(one, other).tolist() == [[0, 0, 3, 3], [50, 50, 53, 53]]
     assert united(one, one + 2).tolist() == [[0, 0, 5, 5]]
+
+
+def test_one_box_goes_around_all_others() -> None:
+    assert around(np.array([(3, 0, 5, 2), (-1, 4, 4, 9)], np.int32)) == (-1, 0, 5, 9)
 
 
 def test_a_change_of_no_cell_has_no_box() -> None:

@@ -64,9 +64,13 @@ def test_a_target_heard_long_ago_counts_less_where_targets_age() -> None:
     assert decide("meier", old, {"beta": 0.5, "forget": 1000}).target == (14, 1)
 
 
-def test_of_two_that_herd_the_higher_numbered_chooses_again_once() -> None:
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("meier", {"beta": 0.1}), ("scan-replan", {"herding": True}), ("continuous-replan", {"herding": True})],
+)
+def test_of_two_that_herd_the_higher_numbered_chooses_again_once(name: str, options: dict[str, Any]) -> None:
     for robot, other, expected in ((1, 0, (14, 1)), (0, 1, (0, 1))):
-        swarm = mind("meier", {"beta": 0.1}, robot=robot)
+        swarm = mind(name, options, robot=robot)
         assert swarm.decide(robot_at(4)).target == (0, 1)
         heard = {other: (0, 1)}
         news = robot_at(4, targets=heard, heard={other: 2}, news=heard)

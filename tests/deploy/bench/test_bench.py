@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -147,19 +148,28 @@ def test_the_relay_s_work_is_measured_a_frame(monkeypatch: pytest.MonkeyPatch) -
     assert all(figure.value > 0 and (figure.ratio or 0) > 0 for figure in figures)
 
 
-def test_teams_of_the_sizes_asked_for_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_teams_of_the_sizes_asked_for_are_measured_and_drawn(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setattr(scale, "STEPS", 6)
     monkeypatch.setattr(scale, "SIDE_M", 15.0)
     monkeypatch.setattr(scale, "PROCESSES", 0)
     said: list[str] = []
     figures = run_benches(["scale"], said.append, [2, 66])
     names = [figure["name"] for figure in figures]
-    for size in (2, 66):
+    for who in (
+        "2 robots, polygons",
+        "2 robots, looks by gossip",
+        "66 robots, targets",
+        "66 robots, looks by gossip",
+    ):
         for what in ("speed", "processor time a robot and step", "on the air a step"):
-            assert f"{size} robots, memory: {what}" in names
+            assert f"{who}, memory: {what}" in names
     work = {figure["name"]: figure for figure in figures if figure["unit"] == "ms"}
-    assert work["2 robots, memory: processor time a robot and step"]["ratio"] == 1.0
+    assert work["2 robots, polygons, memory: processor time a robot and step"]["ratio"] == 1.0
     assert all(figure["value"] > 0 for figure in figures if figure["unit"] != "MB")
+    scale.draw(figures, tmp_path / "scale.png")
+    assert (tmp_path / "scale.png").read_bytes().startswith(b"\x89PNG")
 
 
 # --- yardsticks ----------------------------------------------------------------------------------------

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import socket
 import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from deploy.commands.main import app
-from deploy.run.by_hand import serve_netshaper
-from deploy.scenario.scenario import parse
+from deploy.run.by_hand import serve_netshaper, serve_routing
+from deploy.scenario.scenario import ScenarioError, parse
 from protocol import keys as names
+from protocol.bus import Bus
 from protocol.keys import Keys
 from protocol.messages import Bye, pack
 from protocol.zenoh_bus import Credential, join
@@ -37,26 +39,66 @@ def test_an_address_with_a_port_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "keys").exists()
 
 
-def test_a_hub_by_hand_asks_for_the_keys_that_were_made(tmp_path: Path) -> None:
+@pytest.fixture
+def started(tmp_path: Path) -> Iterator[Callable[..., str]]:
+    """Starts a hub or a router by hand, and returns where it listens once it does; all end with the hub."""
+    threads: list[threading.Thread] = []
+
+    def start(serve: Callable[..., None], first: object, folder: Path, *more: object) -> str:
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            listen = f"127.0.0.1:{probe.getsockname()[1]}"
+        is_there = threading.Event()
+        threads.append(
+            threading.Thread(
+                target=serve, args=(first, listen, folder, lambda _: is_there.set(), *more), daemon=True
+            )
+        )
+        threads[-1].start()
+        assert is_there.wait(30)
+        return listen
+
+    yield start
+    for thread in threads:
+        thread.join(30)
+        assert not thread.is_alive()
+
+
+def end_run(lab: Bus, run: str) -> None:
+    lab.put(Keys(run).control_tx(names.LAB), pack(Bye()))
+    lab.close()
+
+
+def test_a_hub_by_hand_asks_for_the_keys_that_were_made(tmp_path: Path, started: Callable[..., str]) -> None:
     murmur("keys", str(tmp_path / "keys"), "--robots", "1")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        listen = f"127.0.0.1:{probe.getsockname()[1]}"
     folder = tmp_path / "credentials"
-    is_there = threading.Event()
-    hub = threading.Thread(
-        target=serve_netshaper,
-        args=(parse({"map": "em", "robots": 1}), listen, folder, lambda _: is_there.set(), tmp_path / "keys"),
-    )
-    hub.start()
-    assert is_there.wait(30)
+    listen = started(serve_netshaper, parse({"map": "em", "robots": 1}), folder, tmp_path / "keys")
     credential = Credential.read(folder / "lab.json")
     assert credential.hub == f"tls/{listen}"
-    lab = join(credential)
-    lab.put(Keys(credential.run).control_tx(names.LAB), pack(Bye()))
-    lab.close()
-    hub.join(30)
-    assert not hub.is_alive()
+    end_run(join(credential), credential.run)
+
+
+def test_robots_join_through_a_router_that_was_started_by_hand(
+    tmp_path: Path, started: Callable[..., str]
+) -> None:
+    murmur("keys", str(tmp_path / "keys"), "--robots", "2", "--router", "rack=0")
+    hub, routed = tmp_path / "credentials", tmp_path / "routed"
+    started(serve_netshaper, parse({"map": "em", "robots": 2}), hub, tmp_path / "keys")
+    assert not (hub / "r0.json").exists()
+    listen = started(serve_routing, hub / "router@rack.json", routed)
+    assert [path.name for path in routed.iterdir()] == ["r0.json"]
+    credential = Credential.read(routed / "r0.json")
+    assert credential.hub == f"tcp/{listen}"
+    robot, lab = join(credential), join(Credential.read(hub / "lab.json"))
+    heard = None
+    while heard is None:  # until it is known at the router that the laboratory has come
+        robot.put(Keys(credential.run).control(names.LAB, "r0"), b"through")
+        heard = lab.receive(0.25)
+    assert heard.payload == b"through"
+    robot.close()
+    end_run(lab, credential.run)
+    with pytest.raises(ScenarioError, match=r"world\.json is that of world; a router's is needed here"):
+        serve_routing(hub / "world.json", listen, tmp_path / "other", lambda _: None)
 
 
 @pytest.mark.parametrize(

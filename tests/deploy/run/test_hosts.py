@@ -60,6 +60,7 @@ def test_a_file_is_read(tmp_path: Path) -> None:
         ),
         ({"host": [{"name": "a/b", "robots": 1}]}, r"host\.0\.name = 'a/b': must be letters"),
         ({"host": [{"name": "r1", "robots": 1}]}, r"host\.0\.name = 'r1': is the name of a process"),
+        ({"host": [{"name": "a", "robots": 1, "router": 1}]}, r"host\.0\.router = 1: .*valid boolean"),
         ({"host": [{"name": "a", "robots": 0}]}, r"host\.0\.robots = 0: must be how many"),
         ({"host": [{"name": "a", "robots": [1, 1]}]}, r"must be how many, 1 or more, or a list of different"),
         (
@@ -122,7 +123,7 @@ def test_the_document_s_hosts_files_are_right() -> None:
 
 def test_every_setting_stands_in_the_document_with_its_default() -> None:
     told_of = dict(re.findall(r"^\| `([a-z.]+)` \| (.*?) \| .* \|$", DOCUMENT, re.M))
-    plain: dict[object, str] = {None: "-", "": '`""`', (): "`()`"}
+    plain: dict[object, str] = {None: "-", "": '`""`', (): "`()`", False: "`false`"}
     wanted = {}
     for prefix, kind in (("", Hosts), ("host.", Host)):
         for name, info in kind.model_fields.items():

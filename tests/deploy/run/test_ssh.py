@@ -22,7 +22,7 @@ from deploy.scenario import scenario as scenarios
 from deploy.scenario.scenario import ScenarioError
 from netshaper.hub import open_hub
 from protocol import keys as names
-from protocol.bus import Message
+from protocol.bus import Bus, Message
 from protocol.keys import Keys
 
 ROOT = Path(__file__).parents[3]
@@ -141,6 +141,55 @@ def test_far_robots_die_with_a_far_end_that_is_killed(tmp_path: Path) -> None:
     assert deaths["h0"].endswith("; with it r0")
 
 
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are found by /proc")
+def test_a_router_that_dies_is_named_with_the_robots_that_went_with_it(tmp_path: Path) -> None:
+    host = {"name": "h0", "robots": 2, "command": MURMUR, "router": True}
+    routed = parse({"address": "127.0.0.1", "host": [host]})
+    with Fleet(routed, 3) as fleet:
+        meeting = fleet.meeting
+        assert not {"r0", "r1"} & meeting.credentials.keys(), "they cannot pass the router by"
+        presences = {Keys(meeting.run).presence(name) for name in ("r0", "r1")}
+        with (
+            closing(open_hub(meeting.run, meeting.endpoint, meeting.credentials, meeting.certificate)) as hub,
+            fleet.running(meeting.credentials, tmp_path),
+        ):
+            assert heard(hub, 2) == {(presence, b"1") for presence in presences}
+            (victim,) = (pid for pid in all_pids() if title(pid) == "murmur router@h0" and is_ours(pid))
+            os.kill(victim, signal.SIGKILL)
+            assert heard(hub, 2) == {(presence, b"0") for presence in presences}
+            deaths: dict[str, str] = {}
+            wait_until(lambda: fleet.look(deaths) or deaths)
+            wait_until(
+                lambda: (
+                    not any(title(pid) in ("murmur r0", "murmur r1") for pid in all_pids() if is_ours(pid))
+                )
+            )
+            fleet.look(deaths)
+    assert deaths == {"router@h0": "killed by SIGKILL, without a word; with it r0, r1"}
+
+
+def heard(hub: Bus, count: int) -> set[tuple[str, bytes]]:
+    """The next messages that the hub hears."""
+    messages = [hub.receive(PATIENCE_S) for _ in range(count)]
+    return {(message.key, message.payload) for message in messages if message is not None}
+
+
+def all_pids() -> list[int]:
+    return [int(path.name) for path in Path("/proc").glob("[0-9]*")]
+
+
+def is_ours(pid: int) -> bool:
+    """Whether a process descends from this one."""
+    while pid > 1:
+        if pid == os.getpid():
+            return True
+        try:
+            pid = int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
+        except OSError:
+            return False
+    return False
+
+
 def children() -> list[int]:
     return [
         int(stat.parent.name)
@@ -150,7 +199,10 @@ def children() -> list[int]:
 
 
 def title(pid: int) -> str:
-    return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode().strip()
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode().strip()
+    except OSError:
+        return "gone"
 
 
 @pytest.mark.parametrize("order", ["", "nonsense\n", '{"credentials": [{}]}\n'])
