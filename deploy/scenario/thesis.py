@@ -8,7 +8,7 @@ from typing import Any
 from agent.exchange.polygon_options import THESIS_OPTIONS, PolygonOptions
 from deploy.scenario.scenario import Scenario, ScenarioError
 
-OFFERS = "thesis"
+EXCHANGE, OFFERS = "polygon", "thesis"
 STRATEGY = Scenario.model_fields["strategy"].default
 
 NOT_IN_IT: dict[str, dict[str, Any]] = {"meier": {"herding": False}}
@@ -20,7 +20,7 @@ def thesis_settings(strategy: str) -> dict[str, Any]:
     ours = asdict(PolygonOptions())
     plain = {name: value for name, value in asdict(THESIS_OPTIONS).items() if value != ours[name]}
     return (
-        {"offers": OFFERS}
+        {"exchange": EXCHANGE, "offers": OFFERS}
         | {f"polygon.{name}": value for name, value in plain.items()}
         | {f"options.{name}": value for name, value in NOT_IN_IT.get(strategy, {}).items()}
     )
