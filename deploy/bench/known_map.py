@@ -80,6 +80,7 @@ class KnownMap:
         radius_cells: float = 0.0,
     ) -> None:
         stands = reachable_from(enlarge(truth, radius_cells), start)
+        self._asked = _with_neighbours(stands)
         self.floor: Grid = np.where(stands, FREE, OCCUPIED).astype(np.uint8)
         self.range_cells = range_cells
         self.speed = speed
@@ -95,12 +96,15 @@ class KnownMap:
         self.viewpoints = self._lattice()
         """Cells from which together everything is seen that can be seen."""
         self.visible = np.zeros(truth.size, np.bool_)
-        """Cells that can be seen at all, the map laid flat."""
+        """What has to be seen, the map laid flat."""
         for cell in self.viewpoints:
             self.visible[self.seen(cell)] = True
 
     def seen(self, cell: Cell) -> Indices:
-        """The free cells that are seen from a cell, as places in the map laid flat, ascending."""
+        """What has to be seen and is seen from a cell, as places in the map laid flat, ascending.
+
+        A team is done when no cell where a robot may stand has an unknown neighbour: walls have to be seen as well.
+        """
         known = self._seen.get(cell)
         if known is None:
             known = self._seen[cell] = self._look(cell)
@@ -109,8 +113,9 @@ class KnownMap:
     def _look(self, cell: Cell) -> Indices:
         x, y = cell
         change = draw(self._paper, self._fan, x, y, cast(self._truth, self._nobody, self._fan, x, y))
-        box = self._paper[change.y0 : change.y1, change.x0 : change.x1]
-        ys, xs = np.nonzero(box == FREE)
+        inside = np.s_[change.y0 : change.y1, change.x0 : change.x1]
+        box = self._paper[inside]
+        ys, xs = np.nonzero((box != UNKNOWN) & self._asked[inside])
         box[:] = UNKNOWN
         seen: Indices = (ys + change.y0) * self._paper.shape[1] + xs + change.x0
         return seen
@@ -177,11 +182,29 @@ class KnownMap:
         seen = np.zeros(stands.size, np.bool_)
         for cell in cells:
             seen[self.seen(cell)] = True
-        for y, x in zip(*np.nonzero(stands), strict=True):
-            if not seen[y * stands.shape[1] + x]:
-                cells.append((int(x), int(y)))
+        width = stands.shape[1]
+        for y, x in zip(*np.nonzero(self._asked), strict=True):
+            if not seen[y * width + x]:
+                cells.append(self._next_to(int(x), int(y)))
                 seen[self.seen(cells[-1])] = True
         return cells
+
+    def _next_to(self, x: int, y: int) -> Cell:
+        """The cell itself, or else a neighbour of it, where a robot may stand."""
+        height, width = self.floor.shape
+        near = ((x, y), (x + 1, y), (x, y + 1), (x - 1, y), (x, y - 1))
+        inside = (each for each in near if 0 <= each[0] < width and 0 <= each[1] < height)
+        return next(each for each in inside if self.floor[each[1], each[0]] == FREE)
+
+
+def _with_neighbours(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Cells and their 4-neighbours, as masks of shape (h, w)."""
+    found = cells.copy()
+    found[1:] |= cells[:-1]
+    found[:-1] |= cells[1:]
+    found[:, 1:] |= cells[:, :-1]
+    found[:, :-1] |= cells[:, 1:]
+    return found
 
 
 def _neighbours(floor: Grid) -> csr_matrix:

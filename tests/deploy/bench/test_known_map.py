@@ -54,6 +54,15 @@ def test_the_plan_of_one_robot_sees_everything_in_the_world_in_as_many_steps_as_
     assert world.step == building.steps([tour])
     if radius == 0:
         assert world.seen_cells == world.reachable_cells
+    looks = [start, *(cell for one, other in pairwise(tour) for cell in building.looks(one, other))]
+    seen = np.zeros(truth.size, np.bool_)
+    for cell in looks:
+        seen[building.seen(cell)] = True
+    reached = building.floor == FREE
+    assert seen.reshape(truth.shape)[reached].all()
+    for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        beside = np.roll(reached, (dy, dx), (0, 1))
+        assert seen.reshape(truth.shape)[beside].all()
 
 
 def test_robots_share_the_work() -> None:
@@ -65,12 +74,13 @@ def test_robots_share_the_work() -> None:
 
 
 def test_in_a_corridor_bound_and_plan_are_known() -> None:
-    # The robot has to come within 12 cells of cell 101: 88 cells at 2.5 a step, and a look before it drives.
+    # The robot has to come within 12 cells of cell 101: 88 cells at 2.5 a step, and a look before it drives. Of the
+    # walls beside the last cells its beams, a degree apart, see all only from somewhat nearer.
     building = _building(_corridor(101), (1, 1))
     steps = 1 + int(np.ceil((101 - 1 - RANGE) / SPEED))
     assert fewest_steps(building, [(1, 1)]) <= steps
     assert fewest_steps(building, [(1, 1)]) >= steps - 5
-    assert steps <= offline_steps(building, [(1, 1)]) <= steps + 1
+    assert steps <= offline_steps(building, [(1, 1)]) <= steps + 4
 
 
 def test_what_is_seen_from_the_start_needs_one_step() -> None:
