@@ -60,7 +60,9 @@ class Part:
         """What was run, as TOML; maps by their files' names, wherever they were found."""
         grid = self.experiment.grid
         if "map" in grid:
-            grid = grid | {"map": [Path(each).name if isinstance(each, str) else each for each in grid["map"]]}
+            grid = grid | {
+                "map": [Path(each).name if isinstance(each, str) else each for each in grid["map"]]
+            }
         told = {"base": self.experiment.base, "grid": grid, "follow": self.experiment.follow}
         variants = [{"name": name, **keys} for name, keys in self.experiment.variants.items()]
         if len(variants) > 1 or len(variants[0]) > 1:
