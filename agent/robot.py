@@ -252,9 +252,9 @@ class Robot:
                 continue
             told_by = self._told_by.setdefault(about, set())
             try:
-                units = survey.split(frame)
+                ends = survey.ends(frame)
                 self._exchange.plausible.listen(outcome.step, peer)
-                self._exchange.take(about, units)
+                self._exchange.take(about, frame)
             except ProtocolError as error:
                 self.faults.append(Fault(peer, str(error)))
                 self.session.refused.add((peer, about))
@@ -262,7 +262,7 @@ class Robot:
                     self.distrusted.add(peer)
                     self.session.refused.update((peer, each) for each in range(self.settings.maps))
             else:
-                self.session.accept(peer, about, units)
+                self.session.accept(peer, about, frame, ends)
                 told_by.add(peer)
                 self._note_look(about)
         if outcome.broadcast:

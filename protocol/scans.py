@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,8 +95,7 @@ def fragments(data: bytes, most: int = Fragment.size) -> list[bytes]:
     return [encode([Fragment(piece)]) for piece in pieces]
 
 
-@dataclass(frozen=True)
-class Change:
+class Change(NamedTuple):
     """Changes made by drawing: the number of cells, all within columns x0 to x1 - 1 and rows y0 to y1 - 1."""
 
     cells: int
@@ -104,7 +104,7 @@ class Change:
     x1: int
     y1: int
 
-    def __add__(self, other: Change) -> Change:
+    def __add__(self, other: Change) -> Change:  # type: ignore[override]
         """Both changes, one after the other."""
         return Change(
             self.cells + other.cells,

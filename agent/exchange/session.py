@@ -28,12 +28,11 @@ it counts as level.
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
+from bisect import bisect_left
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property, lru_cache
-from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,15 +118,12 @@ class Connection:
     state : State
     index : int
         As offerer: how far the peer is, as it said.
-    sent : list of bytes
-        As offerer: the units that it says in answer.
     """
 
     peer: int
     map: int
     state: State = State.IDLE
     index: int = 0
-    sent: list[bytes] = field(default_factory=list)
 
     def on(self, event: Event) -> State:
         """Move on by the table."""
@@ -266,8 +262,7 @@ class Session:
                 raise ProtocolError("conn", 0, f"robot {peer} answers an offer that was not made")
             self._offered[number] = connection
             if connection.on(self._read_answer(connection, payload)) is State.SENDING:
-                connection.sent = self.logs[about].since(connection.index, room)
-                frame = b"".join(connection.sent)
+                frame = self.logs[about].since(connection.index, room)
                 if frame:
                     frames.append((number, peer, frame))
                 if room is not None:
@@ -295,9 +290,9 @@ class Session:
                 news.append((peer, connection.map, payload))
         return news
 
-    def accept(self, peer: int, about: int, units: list[bytes]) -> None:
-        """Append units of a map that a peer sent; the peer holds them too."""
-        self.logs[about].append(units)
+    def accept(self, peer: int, about: int, frame: bytes, ends: list[int]) -> None:
+        """Append units of a map that a peer sent, given where in the frame they end; the peer holds them too."""
+        self.logs[about].extend(frame, ends)
         self.known[peer, about] = max(self.known[peer, about], len(self.logs[about]))
 
     def delivered(self) -> bool:
@@ -384,7 +379,7 @@ class Session:
             self._due[peer, about], self._wait[peer, about] = self._now + wait, min(2 * wait, MAX_WAIT)
         elif connection.state is State.SENDING:
             self._wait[peer, about] = 1
-            reached += bisect_right(list(accumulate(map(len, connection.sent))), sent)
+            reached = self.logs[about].reached(reached, sent)
         self.known[peer, about] = max(self.known[peer, about], reached)
 
 

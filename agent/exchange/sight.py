@@ -21,6 +21,7 @@ from agent.exchange.sight_options import SightOptions
 from agent.settings import Settings
 from agent.sight.looks import MAX_LOOKS, STATE, TOLD
 from agent.sight.stream import Box, History, Stream, Told, around
+from protocol import survey
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, fan
 from protocol.kernels import kernel
@@ -157,13 +158,13 @@ class SightExchange(Exchange):
         self._last = None
         super().retract()
 
-    def take(self, about: int, units: list[bytes]) -> None:
+    def take(self, about: int, frame: bytes) -> None:
         """Put pieces together, and read the units that can be read by now, of all maps."""
         coming = self._coming[about]
         if coming.broken:
             raise ProtocolError(Look.name, 0, coming.broken)
         rest, whole, number = coming.pieces, [], coming.units
-        for unit in units:
+        for unit in survey.split(frame):
             said, data = look(unit)
             rest += data
             if said is not None:
@@ -229,7 +230,7 @@ class SightExchange(Exchange):
         """Put cells of which a unit tells, or told before it was taken back, together anew."""
         _update(self._grids, told.places, self._heard.grid)
         if len(told.places):
-            self._heard.told(np.array([told.box], np.int32))
+            self._heard.told(told.box)
 
 
 def pieces(message: bytes, number: int, most: int) -> list[bytes]:

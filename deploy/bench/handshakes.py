@@ -87,7 +87,7 @@ def _speak(session: Session, note: object, heard: list[tuple[int, bytes]]) -> Sa
             frames, phase = session.data(answers), "data"
         case Outcome():
             for peer, about, frame in session.outcome(note, heard):
-                session.accept(peer, about, survey.split(frame))
+                session.accept(peer, about, frame, survey.ends(frame))
             return None
         case _:
             session.forget()

@@ -93,7 +93,7 @@ def test_step_by_step_it_is_what_one_without_memory_has(kind: str, bandwidth: fl
             for teller, units in zip(team, told, strict=True):
                 if teller is not listener and units:
                     for mind in (listener.exchange, listener.forgetful):
-                        mind.take(teller.robot, units)
+                        mind.take(teller.robot, b"".join(units))
             peers = tuple(other for other in range(ROBOTS) if rng.random() < 0.7)
             listener.check(tuple(peer for peer in peers if peer != listener.robot))
 
