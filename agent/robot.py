@@ -26,7 +26,7 @@ from protocol.errors import ProtocolError
 from protocol.fields import MOST_ON_THE_WAY
 from protocol.grid import UNKNOWN, Grid, fan
 from protocol.messages import Move, Outcome, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
-from protocol.scans import Scan, check_readings, draw, mark_free
+from protocol.scans import Scan, check_readings, draw
 
 _Value = TypeVar("_Value")
 
@@ -137,8 +137,8 @@ class Robot:
         """
         readings = np.frombuffer(sense.readings, np.uint16).copy()
         check_readings(readings, self._fan)
-        change = mark_free(self.own, cells_from_bytes(sense.driven))
-        change += draw(self.own, self._fan, sense.x, sense.y, readings)
+        driven = cells_from_bytes(sense.driven)
+        change = draw(self.own, self._fan, sense.x, sense.y, readings, driven)
         self.known_cells += change.cells
         if self._sense is None:
             self._homes[self.settings.robot] = self.settings.home or (sense.x, sense.y)

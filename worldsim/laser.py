@@ -53,13 +53,13 @@ def cast(
 
 
 @kernel(
-    "void(uint8[:,::1], uint8[:,::1], int32[:,::1], int64[::1], int32[::1], int32[::1], int64, int64, uint16[::1])"
+    "void(uint8[:,::1], uint8[:,::1], int32[:,::1], int32[::1], int32[::1], int32[::1], int64, int64, uint16[::1])"
 )
 def _cast(
     truth: Grid,
     teammates: NDArray[np.uint8],
     cells: NDArray[np.int32],
-    flat: NDArray[np.int64],
+    flat: NDArray[np.int32],
     start: NDArray[np.int32],
     shared: NDArray[np.int32],
     x: int,

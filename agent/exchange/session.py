@@ -205,11 +205,11 @@ class Session:
         self._peers = peers
         for of_last_exchange in (self._said, self._offered, self._taken, self._being_taken):
             of_last_exchange.clear()
-        held = np.array([len(log) for log in self.logs], np.int64)
-        if not peers or not held.any():
+        held = [len(log) for log in self.logs] if peers else []
+        if not any(held):
             return []
         frames = []
-        for peer, about in self._worth_offering(exchange, held):
+        for peer, about in self._worth_offering(exchange, np.array(held, np.int64)):
             connection = self._said[peer, about] = Connection(peer, about)
             connection.on(Event.NEWS)
             frames.append((peer, about, _offer(about, int(self.known[peer, about]) // INDEX_WINDOW % BLOCKS)))
@@ -279,10 +279,11 @@ class Session:
             connection = self._offered.get(number)
             if connection is not None and answered:
                 self._settle(connection, sent)
-        for number, offered in zip(outcome.connections, outcome.offers, strict=True):
-            connection = self._taken.get(number)
-            if connection is not None and offered:
-                self._recognise(connection.peer, connection.map)
+        if self._lives > 1:
+            for number, offered in zip(outcome.connections, outcome.offers, strict=True):
+                connection = self._taken.get(number)
+                if connection is not None and offered:
+                    self._recognise(connection.peer, connection.map)
         news = []
         for number, (peer, payload) in zip(outcome.heard, heard, strict=True):
             connection = self._taken.get(number)
@@ -303,7 +304,7 @@ class Session:
         held = len(self.logs[self.own])
         if not self._peers or not held:
             return bool(self._peers)
-        known, wait = self.known[:, self.own], self._wait[:, self.own]
+        known, wait = self.known[:, self.own].tolist(), self._wait[:, self.own].tolist()
         return all(known[peer] == held or wait[peer] > PATIENCE for peer in self._peers)
 
     def undelivered(self) -> int:
@@ -311,7 +312,8 @@ class Session:
         held = len(self.logs[self.own])
         if not held:
             return 0
-        return held * (self._robots - 1) - int(self.known[:, self.own].sum())
+        reached: list[int] = self.known[:, self.own].tolist()
+        return held * (self._robots - 1) - sum(reached)
 
     def forget(self) -> None:
         """Drop what all teammates hold; where they may come back, and hold nothing then, that is nothing."""

@@ -55,6 +55,7 @@ class Handshakes:
                     for receiver in item.receivers:
                         frames[receiver].append((item.sender, item.payload))
                 elif isinstance(item, Note):
+                    frames[item.receiver] += zip(item.senders, item.frames, strict=True)
                     heard, frames[item.receiver] = frames[item.receiver], []
                     session = self.sessions[item.receiver]
                     answer, spent = timed(partial(_speak, session, item.message, heard))

@@ -288,6 +288,7 @@ class Pair:
                 for receiver in item.receivers:
                     self._frames[receiver].append((item.sender, item.payload))
             elif isinstance(item, Note):
+                self._frames[item.receiver] += zip(item.senders, item.frames, strict=True)
                 self._hear(item.receiver, item.message)
             else:
                 self._rows = np.frombuffer(item.report().rows, ROW)

@@ -52,7 +52,9 @@ class Explorer:
         for _ in range(noise):
             at_x, at_y = int(self.rng.integers(WIDTH)), int(self.rng.integers(HEIGHT))
             self.own[at_y, at_x] = self.rng.choice((FREE, OCCUPIED))
-            change += Change(1, at_x, at_y, at_x + 1, at_y + 1)
+            cells, x0, y0, x1, y1 = change
+            far = max(x1, at_x + 1), max(y1, at_y + 1)
+            change = Change(cells + 1, min(x0, at_x), min(y0, at_y), *far)
         units = self.exchange.record(self.own, Scan(x, y, readings), change, delivered=delivered)
         self.log += units
         return units
