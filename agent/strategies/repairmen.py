@@ -144,12 +144,10 @@ class Repairmen(TeamStrategy):
         if not len(frontier):
             return frontier
         range_cells = self.settings.scale_cells
-        found, sizes = [], []
-        for edge in components(frontier):
-            count = min(len(edge), count_representatives(len(edge), range_cells))
-            found.append(medoids(edge, count) if len(edge) > 1 else edge)
-            sizes += [len(edge)] * len(found[-1])
-        cells, lengths = np.concatenate(found), np.array(sizes)
+        edges, sizes = components(frontier)
+        counts = np.minimum(sizes, count_representatives(sizes, range_cells))
+        cells, edge = medoids(edges, sizes, counts)
+        lengths = sizes[edge]
         gap = GAP * range_cells
         stays = thin_out(situation.grid, cells, lengths, gap)
         while len(stays) > MOST and gap < range_cells:
@@ -166,9 +164,8 @@ class Repairmen(TeamStrategy):
             self._between = planner.of_radius(min(radii)).costs_between(goals, goals)
             return super().table(situation, goals, planner)
         cells = np.array(list(team.values()), np.int32)
-        ways = planner.costs_between(goals, np.concatenate([cells, goals]))
-        self._between = np.ascontiguousarray(ways[:, len(cells) :])
-        return Table(tuple(team), cells, goals, np.ascontiguousarray(ways[:, : len(cells)].T))
+        ways, self._between = planner.costs_among(cells, goals)
+        return Table(tuple(team), cells, goals, ways)
 
     def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
         """Take the first goal of one's own tour; keep those that come first, and how long their edges are."""
