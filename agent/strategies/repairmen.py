@@ -88,8 +88,8 @@ class Options(Parts):
     lateness: float = option(
         0.2, "by how much an edge's weight grows with each sensor range of way until it is reached", least=0
     )
-    last: float = option(8.0, "weight of the longest tour", least=0)
-    total: float = option(8.0, "weight of the lengths of all tours", least=0)
+    last: float = option(16.0, "weight of the longest tour", least=0)
+    total: float = option(16.0, "weight of the lengths of all tours", least=0)
     look: float = option(
         0.9, "from how many sensor ranges off a crumb is looked at; 0: from where it is", least=0
     )
