@@ -63,14 +63,14 @@ class Kernel:
     def strip(self) -> None:
         """Keep nothing but the code that runs: a fourth of the memory."""
         for compiled in self.loaded.overloads.values():
-            compiled.library._shared_module = None  # noqa: SLF001  what others that call it are linked with
+            compiled.library._shared_module = None
         self._is_stripped = True
 
     def _restore(self) -> None:
         """Read from the cache what others that call it are linked with."""
-        again = self.loaded._cache.load_overload(self.signature, self.loaded.targetctx)  # noqa: SLF001
+        again = self.loaded._cache.load_overload(self.signature, self.loaded.targetctx)
         for compiled in self.loaded.overloads.values():
-            compiled.library._shared_module = again.library._shared_module  # noqa: SLF001
+            compiled.library._shared_module = again.library._shared_module
         self._is_stripped = False
 
     def _prepare(self) -> None:
