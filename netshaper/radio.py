@@ -365,7 +365,7 @@ class Radio:
         if len(items) < 2:
             return items
         draw = keyed_random(self.settings.seed, purpose, self._step, self._exchange)
-        return [items[index] for index in draw.permutation(len(items))]
+        return [items[index] for index in draw.permutation(len(items)).tolist()]
 
     def _pass_on(self, frame: int, phase: str) -> list[Outgoing]:
         """Hand all frames of one kind to their receivers, in the seeded order, and give these the turn."""

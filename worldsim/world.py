@@ -206,7 +206,7 @@ class World:
         """Move one robot; return the cells found free on its path, and what blocked it."""
         start = self.cells[robot]
         path = [(x, y) for x, y in cells_from_bytes(move.path).tolist()]
-        points = [(x, y) for x, y in points_from_bytes(move.points).tolist()]
+        points = [(x, y) for x, y in points_from_bytes(move.points).tolist()] if move.points else []
         self.headings[robot] = move.heading % HEADINGS
         if (path or points) and self._hindered(robot, before):
             return [], INTERFERENCE

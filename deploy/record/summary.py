@@ -166,16 +166,17 @@ def _first_step(records: Records, share: float) -> int | None:
 
 def _per_kind(ledger: NDArray[np.void]) -> tuple[dict[str, int], dict[str, int]]:
     """Bytes and packets carried, of each kind that was on the air, and in total."""
-    carried = ledger[ledger["carried"] == 1]
+    carried = ledger["carried"] == 1
+    kinds, size, packets = (ledger[name][carried] for name in ("kind", "bytes", "packets"))
     sizes: dict[str, int] = {}
     counts: dict[str, int] = {}
     for number, kind in enumerate(ALL_KINDS):
-        rows = carried[carried["kind"] == number]
-        if len(rows):
-            sizes[kind] = int(rows["bytes"].sum())
-            counts[kind] = int(rows["packets"].sum())
-    sizes["total"] = int(carried["bytes"].sum())
-    counts["total"] = int(carried["packets"].sum())
+        these = kinds == number
+        if these.any():
+            sizes[kind] = int(size[these].sum())
+            counts[kind] = int(packets[these].sum())
+    sizes["total"] = int(size.sum())
+    counts["total"] = int(packets.sum())
     return sizes, counts
 
 

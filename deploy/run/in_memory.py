@@ -138,10 +138,11 @@ class MemoryRun:
             heed(self._lab)
             for name in self._hub.in_turn():
                 spoke |= self._take_turn(name)
-                self._end_the_lost()
-                if name == names.LAB and self._last_step() > over:
-                    over = self._last_step()
-                    yield over
+                if name == names.LAB:
+                    self._end_the_lost()
+                    if self._last_step() > over:
+                        over = self._last_step()
+                        yield over
             while self._due:
                 self._come_back(self._due.pop())
             if not spoke and not self._is_done():
