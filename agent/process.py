@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 from agent.exchange.gossip import EVERYONE
 from agent.identity import Identity
@@ -42,14 +43,23 @@ UNLIMITED = -1
 class AgentNode:
     """One robot's process; `done` once it has been told to shut down, or has been `killed`.
 
-    A robot that may begin more than once needs a journal (`agent.identity`).
+    A robot that may begin more than once needs a journal (`agent.identity`). Robots that run in one process are given
+    the same `common` memory (`Robot.share`).
     """
 
-    def __init__(self, bus: Bus, keys: Keys, number: int, journal: Journal | None = None) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        keys: Keys,
+        number: int,
+        journal: Journal | None = None,
+        common: dict[str, Any] | None = None,
+    ) -> None:
         self.done = False
         self.killed = False
         """Whether it is to end at once, without another word."""
         self._identity = Identity(journal) if journal is not None else None
+        self._common = common
         self._bus = bus
         self._keys = keys
         self._number = number
@@ -95,6 +105,8 @@ class AgentNode:
         if self._identity is not None:
             settings = self._identity.begin(settings)
         self.robot = Robot(settings)
+        if self._common is not None:
+            self.robot.share(self._common)
         self._frames.clear()
         self._early.clear()
         self._step = 0

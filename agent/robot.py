@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -113,6 +113,10 @@ class Robot:
         """Whether its pose is in this step's broadcast, as it is in all where nothing is passed on."""
         self._idle_steps = 0
         self._sure_after = sure_after(settings)
+
+    def share(self, common: dict[str, Any]) -> None:
+        """Share memory with the other robots of this process (`agent.exchange.base.Exchange.share`)."""
+        self._exchange.share(common)
 
     @property
     def polygons(self) -> Mapping[int, Polygons]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from agent.exchange.plausible import Plausible
 from agent.outline.polygons import Polygons
@@ -44,6 +44,13 @@ class Exchange(ABC):
     def polygons(self) -> Mapping[int, Polygons]:
         """What is held of each robot's approximation, one's own too; a new object whenever it changes."""
         return {}
+
+    def share(self, common: dict[str, Any]) -> None:
+        """Hold what follows from what was heard, and from nothing else, together with the other robots of this process.
+
+        `common` is theirs; called before the first step, if at all. Nothing that is told or held is any different.
+        """
+        del common
 
     @abstractmethod
     def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:

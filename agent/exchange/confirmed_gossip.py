@@ -92,8 +92,7 @@ class ConfirmedGossip(Gossip):
 
     def _worth_reporting(self) -> Mask:
         due = super()._worth_reporting()
-        held = np.array([len(log) for log in self.logs], np.int32)
-        news = held > self._said_held
+        news = self._held > self._said_held
         news[sorted(self._again)] = True
         due |= news & (self._step >= self._asked + self._every)
         for about in self._gaps:

@@ -45,6 +45,7 @@ from agent.exchange.log import Log
 from agent.exchange.reports import from_packet, held_packet, number, report
 from protocol import packets, survey
 from protocol.errors import ProtocolError
+from protocol.kernels import kernel
 from protocol.messages import Outcome
 from protocol.packets import From, FromEarly, Gone, Held, HeldEarly, Near
 
@@ -189,11 +190,15 @@ class Gossip:
         """Where the last broadcast of each teammate's own log ended, if that was heard."""
         self._lacks: Table = np.zeros((robots, maps), np.int32)
         """How many units that one holds a peer in range lacks of each map."""
+        self._held: NDArray[np.int32] = np.zeros(maps, np.int32)
+        """How many units of each map one held when the exchange was opened."""
         self._since: Table = np.zeros((robots, maps), np.int32)
         """Since which step it lacks some."""
         self._waits = 0
         """Since which step there is something to say that has not been on the air."""
         self._said = _Said()
+        self._forgotten: NDArray[np.int32] = np.zeros(maps, np.int32)
+        """How many units of each map all teammates hold."""
 
     @property
     def certain(self) -> Table:
@@ -275,8 +280,10 @@ class Gossip:
         others = self.certain.copy()
         np.fill_diagonal(others, np.iinfo(np.int32).max)
         others[self._robot] = np.iinfo(np.int32).max
-        for log, reached in zip(self.logs, others.min(axis=0).tolist(), strict=True):
-            log.forget(reached)
+        reached = others.min(axis=0)
+        for about in np.flatnonzero(reached > self._forgotten).tolist():
+            self.logs[about].forget(int(reached[about]))
+        self._forgotten = reached
 
     # --- what is said
 
@@ -288,21 +295,20 @@ class Gossip:
         self._met = (self._met | come) & set(peers)
         self._unsure |= dict.fromkeys(come, self._step + GREETING)
         self._synced &= set(peers)
-        for peer in range(self._robots):
-            if peer not in peers:
-                self._cursors[peer] = None
+        for peer in set(range(self._robots)) - set(peers):
+            self._cursors[peer] = None
         self._peers = peers
         self._parted = self._parted or len(peers) < self._robots - 1
 
     def _look_who_lacks(self) -> None:
         """Note who in range lacks what, and since when, as far as one can know."""
         self._sure = [peer for peer in self._peers if self._unsure.get(peer, 0) < self._step]
-        lacks = np.zeros_like(self._lacks)
-        held = np.array([len(log) for log in self.logs], np.int32)
-        lacks[self._sure] = np.maximum(held - self.known[self._sure], 0)
-        lacks[self._sure, [self._own_maps[peer] for peer in self._sure]] = 0
-        self._since[(self._lacks == 0) & (lacks > 0)] = self._step
-        self._lacks = lacks
+        sure = np.zeros(self._robots, np.bool_)
+        sure[self._sure] = True
+        self._held = np.array([len(log) for log in self.logs], np.int32)
+        _note_lacks(
+            self.known, self._held, sure, np.array(self._own_maps), self._step, self._lacks, self._since
+        )
 
     def _report(self, said: _Said, room: int | None) -> None:
         """Say who is in range, where that has changed, and what one holds, where somebody should know."""
@@ -327,7 +333,7 @@ class Gossip:
 
     def _worth_reporting(self) -> Mask:
         """Maps of which somebody should know how much of them one holds."""
-        held = np.array([len(log) for log in self.logs], np.int32)
+        held = self._held
         due: Mask = np.logical_or.reduce(self._told[sorted(self._met)] < held)
         for about in self._gaps:
             due[about] |= self._step >= self._asked[about] + PATIENCE
@@ -339,15 +345,16 @@ class Gossip:
 
     def _serve(self, said: _Said, room: int | None) -> int | None:
         """Say what those in range lack, as far as it is for oneself; return who is served first, if anybody."""
-        holds = self.known.sum(axis=1)
+        wanting = np.flatnonzero(self._lacks.any(axis=1)).tolist()
+        holds = dict(zip(wanting, self.known[wanting].sum(axis=1).tolist(), strict=True))
         served = None
-        for peer in sorted(self._sure, key=lambda each: (-holds[each], each)):
+        for peer in sorted(wanting, key=lambda each: (-holds[each], each)):
             wanted = np.flatnonzero(self._lacks[peer]).tolist()
             plan = _Plan(peer, self.known[peer].copy())
             plan.held[self._own_maps[peer]] = np.iinfo(np.int32).max
             before = len(said.stretches)
             for about in sorted(wanted, key=lambda each: (each != self.own, self._lacks[peer, each], each)):
-                self._bring(said, plan, about, len(self.logs[about]), room)
+                self._bring(said, plan, about, int(self._held[about]), room)
             if served is None and len(said.stretches) > before:
                 served = peer
         return served
@@ -559,3 +566,25 @@ class Gossip:
 
     def _number(self, said: From | FromEarly | Held | HeldEarly) -> int:
         return number(said, len(self.logs[said.map]))
+
+
+@kernel("void(int32[:,::1], int32[::1], boolean[::1], int64[::1], int64, int32[:,::1], int32[:,::1])")
+def _note_lacks(
+    known: Table,
+    held: NDArray[np.int32],
+    sure: Mask,
+    own_maps: NDArray[np.int64],
+    step: int,
+    lacks: Table,
+    since: Table,
+) -> None:
+    """Note how much each peer that one is `sure` of lacks of each map that is not its own, and since when."""
+    robots, maps = known.shape
+    for peer in range(robots):
+        for about in range(maps):
+            lack = 0
+            if sure[peer] and about != own_maps[peer]:
+                lack = max(held[about] - known[peer, about], 0)
+            if lack and not lacks[peer, about]:
+                since[peer, about] = step
+            lacks[peer, about] = lack

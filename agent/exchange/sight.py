@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,8 @@ from agent.exchange.base import Basis, Exchange
 from agent.exchange.heard import Heard
 from agent.exchange.sight_options import SightOptions
 from agent.settings import Settings
-from agent.sight.looks import STATE, TOLD
+from agent.sight.looks import TOLD
+from agent.sight.shelf import Follower, Shelf
 from agent.sight.stream import Box, History, Stream, Told, around
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, fan
@@ -72,22 +74,18 @@ class SightExchange(Exchange):
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
         shape = settings.height, settings.width
-        options = SightOptions(**settings.sight)
-        self._grids = np.zeros((settings.maps, *shape), np.uint8)
+        self._options = SightOptions(**settings.sight)
         self._histories = [History() for _ in range(settings.maps)]
-        scratch = np.empty((2 * settings.height * settings.width, 2), np.int32)
-        self._streams = [
-            Stream(
-                maker,
-                self._grids[maker],
-                fan(settings.ranges_cells[maker % settings.robots], settings.beams),
-                self._histories,
-                scratch,
-                team=options.base == "team",
-                makers=settings.robots,
-            )
-            for maker in range(settings.maps)
-        ]
+        self._scratch = np.empty((2 * settings.height * settings.width, 2), np.int32)
+        self._own = self._stream(settings.own_map, self._histories)
+        self._streams: dict[int, Stream | Follower] = {settings.own_map: self._own}
+        """Those of which something has come."""
+        self._shelves: dict[int, Shelf] | None = None
+        """Where streams are read, if others in this process follow them as well."""
+        self._needed = np.zeros((settings.maps, settings.maps), np.int64)
+        """From which unit of each stream on a stream may still ask for what it says."""
+        self._told_so: NDArray[np.uint16] = np.zeros((2, *shape), np.uint16)
+        """How many makers tell of each cell that it is free, and that it is a wall."""
         self._heard = Heard(shape)
         room = (
             LAST_LOOK_DATA
@@ -112,6 +110,35 @@ class SightExchange(Exchange):
         self._coming = [_Coming() for _ in range(settings.maps)]
         """Of one's own map what has been written."""
         self._bases: list[list[Basis]] = [[] for _ in range(settings.maps)]
+        self._unread: set[int] = set()
+        """Makers of which whole units have come that have not been read."""
+
+    def share(self, common: dict[str, Any]) -> None:
+        """Read streams together with the other robots of this process."""
+        self._shelves = common.setdefault(self.name, {})
+
+    def _stream(self, maker: int, histories: Sequence[History]) -> Stream:
+        """A stream of which nothing is known yet."""
+        settings = self.settings
+        return Stream(
+            maker,
+            np.zeros((settings.height, settings.width), np.uint8),
+            fan(settings.ranges_cells[maker % settings.robots], settings.beams),
+            histories,
+            self._scratch,
+            team=self._options.base == "team",
+            makers=settings.robots,
+        )
+
+    def _follow(self, maker: int) -> Stream | Follower:
+        """A maker's stream."""
+        if maker not in self._streams:
+            if self._shelves is None:
+                self._streams[maker] = self._stream(maker, self._histories)
+            else:
+                shelf = self._shelves.setdefault(maker, Shelf(maker, self._stream))
+                self._streams[maker] = Follower(shelf, maker, self._histories)
+        return self._streams[maker]
 
     def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
         """Write a unit, if the one before has been said and there is enough to tell."""
@@ -126,8 +153,7 @@ class SightExchange(Exchange):
         self.revisable = 0
         if not delivered:
             return []
-        mine = self._grids[self.settings.own_map]
-        news = int(_news(self._heard.grid, mine, own, *around(waiting.boxes)))
+        news = int(_news(self._heard.grid, self._own.grid, own, *around(waiting.boxes)))
         if 0 < news < ENOUGH_CELLS and waiting.steps < self._patience:
             return []
         if not news:
@@ -138,7 +164,7 @@ class SightExchange(Exchange):
     def _tell(self, own: Grid) -> list[bytes]:
         """Write units as far as a step has room for them; what is left is told in the next ones."""
         maker = self.settings.own_map
-        stream, history = self._streams[maker], self._histories[maker]
+        stream, history = self._own, self._histories[maker]
         packets: list[bytes] = []
         size = units = 0
         while self._waiting.poses and size < self._enough:
@@ -155,7 +181,7 @@ class SightExchange(Exchange):
             self._lay(self._last)
             packets += pieces(message, number, self._most)
             self._coming[maker].ends.append(self._logged + len(packets))
-            self._note_basis(maker)
+            self._note_basis(maker, self._last)
             units += 1
             size += len(message)
         self._logged += len(packets)
@@ -164,16 +190,16 @@ class SightExchange(Exchange):
 
     def retract(self) -> None:
         """Take the last unit back: nobody has heard of it."""
-        maker = self.settings.own_map
         assert self._last is not None
-        self._streams[maker].undo()
+        maker = self.settings.own_map
+        self._own.undo()
         self._histories[maker].pop()
         self._logged -= self.revisable
         ends, bases = self._coming[maker].ends, self._bases[maker]
         end = ends.pop()
         if bases and bases[-1].end == end:
             bases.pop()
-        self._lay(self._last)
+        self._lay(replace(self._last, states=self._last.before, before=self._last.states))
         said, waiting = self._said, self._waiting
         self._waiting = _Waiting(
             said.poses + waiting.poses, said.boxes + waiting.boxes, said.steps + waiting.steps
@@ -211,15 +237,19 @@ class SightExchange(Exchange):
                 whole = whole[1:]
         coming.pieces, coming.packets = rest, coming.packets + len(units)
         coming.whole += whole
-        self._read_on()
+        if coming.whole:
+            self._unread.add(about)
+        if self._unread:
+            self._read_on()
 
     def _read_on(self) -> None:
         """Read all units for which what they are built on is there; one that makes no sense ends its stream."""
         progress = True
         while progress:
             progress = False
-            for maker, coming in enumerate(self._coming):
-                while coming.whole and not coming.broken:
+            for maker in sorted(self._unread):
+                coming = self._coming[maker]
+                while coming.whole:
                     try:
                         told = self._decode(maker, coming.whole[0])
                     except ProtocolError as error:
@@ -231,27 +261,31 @@ class SightExchange(Exchange):
                     self._lay(told)
                     del coming.whole[0]
                     progress = True
+                if not coming.whole:
+                    self._unread.discard(maker)
 
     def _decode(self, maker: int, unit: bytes) -> Told | None:
         """Read a unit that tells of no more than its maker can have seen."""
-        told = self._streams[maker].decode(unit)
-        if told is not None:
-            try:
-                self.plausible.claim(maker, told.box)
-            except ProtocolError:
-                self._streams[maker].undo()
-                self._histories[maker].pop()
-                raise
-            self._note_basis(maker)
+        stream = self._follow(maker)
+        told = stream.decode(unit)
+        if told is None:
+            return None
+        try:
+            self.plausible.claim(maker, told.box)
+        except ProtocolError:
+            stream.undo()
+            self._histories[maker].pop()
+            raise
+        self._note_basis(maker, told)
+        stream.settle()
+        if isinstance(stream, Stream):
+            self._needed[maker] = stream.builds_from()
         return told
 
-    def _note_basis(self, maker: int) -> None:
-        """Note what the last unit of a stream that was read is built on."""
+    def _note_basis(self, maker: int, told: Told) -> None:
+        """Note what the last unit of a stream is built on."""
         ends, number = self._coming[maker].ends, len(self._histories[maker]) - 1
-        on = tuple(
-            (robot, self._coming[robot].ends[units - 1])
-            for robot, units in self._streams[maker].newly_built()
-        )
+        on = tuple((base.robot, self._coming[base.robot].ends[base.end - 1]) for base in told.bases)
         if on:
             self._bases[maker].append(Basis(ends[number - 1] if number else 0, ends[number], on))
 
@@ -262,17 +296,22 @@ class SightExchange(Exchange):
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
         """Lay the robot's own grid over what all have told."""
         del peers
-        for robot, history in enumerate(self._histories):
-            history.forget(min((s.builds_from(robot) for s in self._streams if s.maker != robot), default=0))
+        if self._shelves is None and len(self._histories) > 1:
+            self._needed[self.settings.own_map] = self._own.builds_from()
+            np.fill_diagonal(self._needed, np.iinfo(np.int64).max)
+            for history, needed in zip(self._histories, self._needed.min(axis=0).tolist(), strict=True):
+                history.forget(needed)
         return self._heard.under(own)
 
     def pose(self, about: int) -> tuple[int, int] | None:
         """From where the last look of a map's units was taken."""
-        return self._streams[about].pose
+        return self._streams[about].pose if about in self._streams else None
 
     def _lay(self, told: Told) -> None:
-        """Put cells of which a unit tells, or told before it was taken back, together anew."""
-        _update(self._grids, told.places, self._heard.grid)
+        """Write what a unit tells: a wall if anybody tells so, else free if anybody does."""
+        _count(
+            self._told_so.reshape(2, -1), told.places, told.before, told.states, self._heard.grid.reshape(-1)
+        )
         if len(told.places):
             self._heard.told(np.array([told.box], np.int32))
 
@@ -300,18 +339,19 @@ def _news(heard: Grid, told: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int
     return count
 
 
-@kernel("void(uint8[:,:,::1], int32[::1], uint8[:,::1])")
-def _update(grids: NDArray[np.uint8], places: NDArray[np.int32], heard: Grid) -> None:
-    """Put cells of all makers' grids together anew: a wall if one has told so, else free if one has."""
-    makers, _, width = grids.shape
-    for place in places:
-        x, y = place % width, place // width
-        state = UNKNOWN
-        for maker in range(makers):
-            cell = grids[maker, y, x]
-            if cell & TOLD:
-                state = max(state, cell & STATE)
-        heard[y, x] = state
+@kernel("void(uint16[:,::1], int32[::1], uint8[::1], uint8[::1], uint8[::1])")
+def _count(
+    told_so: NDArray[np.uint16], places: NDArray[np.int32], before: Grid, states: Grid, heard: Grid
+) -> None:
+    """A maker tells other states of cells than `before`: count who tells what of them, and put `heard` together."""
+    for index in range(len(places)):
+        place = places[index]
+        if before[index] != UNKNOWN:
+            told_so[before[index] - FREE, place] -= 1
+        if states[index] != UNKNOWN:
+            told_so[states[index] - FREE, place] += 1
+        free, wall = told_so[0, place], told_so[1, place]
+        heard[place] = OCCUPIED if wall else FREE if free else UNKNOWN
 
 
-assert UNKNOWN < FREE < OCCUPIED
+assert FREE + 1 == OCCUPIED

@@ -10,7 +10,6 @@ hops           the same to the letter: steps of eight directions count one each,
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -26,6 +25,9 @@ CANDIDATES = ("cells", "rfe", "anr", "breadth-first", "hops")
 
 SEARCHED = ("breadth-first", "hops")
 """Those that a search from the robot's own cell finds, one each."""
+
+Edges = tuple[NDArray[np.int32], NDArray[np.int64]]
+"""Cells, edge after edge, and how many each edge has."""
 
 LEAST_CELLS = 3
 """A free edge of fewer cells has no representative while there is one of as many (n_f = 2 in the paper)."""
@@ -86,27 +88,36 @@ def searched_candidate(
     return np.array([found] if found is not None else [], np.int32).reshape(-1, 2)
 
 
-def free_edges(cells: NDArray[np.int32]) -> list[NDArray[np.int32]]:
+def free_edges(cells: NDArray[np.int32]) -> Edges:
     """Part frontier cells as `components`.
 
     Edges of fewer than `LEAST_CELLS` cells are left out, unless all are that small: they are taken up last,
     so that nothing which can be reached stays unexplored.
     """
-    edges = components(cells)
-    return [edge for edge in edges if len(edge) >= LEAST_CELLS] or edges
+    cells, sizes = components(cells)
+    large = sizes >= LEAST_CELLS
+    return (cells[np.repeat(large, sizes)], sizes[large]) if large.any() else (cells, sizes)
 
 
-def components(cells: NDArray[np.int32]) -> list[NDArray[np.int32]]:
-    """Part frontier cells, at least one, into 8-connected components, in the order of their first cells."""
+def components(cells: NDArray[np.int32]) -> Edges:
+    """Part frontier cells, at least one, into 8-connected components, in the order of their first cells.
+
+    Returns
+    -------
+    cells : int32 array, shape (n, 2)
+        The same, those of a component on end, in their order.
+    sizes : int64 array, shape (k,)
+        How many each has.
+    """
     owner = np.full(len(cells), -1)
     _part(cells, owner)
-    order = np.argsort(owner, kind="stable")
-    return np.split(cells[order], np.flatnonzero(np.diff(owner[order])) + 1)
+    return cells[np.argsort(owner, kind="stable")], np.bincount(owner)
 
 
-def count_representatives(cells: int, range_cells: float) -> int:
+def count_representatives(cells: ArrayLike, range_cells: float) -> NDArray[np.int64]:
     """Eq. (1): n_r = 1 + floor(|F| / (1.8 rho) + 0.5)."""
-    return 1 + math.floor(cells / (1.8 * range_cells) + 0.5)
+    share = np.asarray(cells) / (1.8 * range_cells)
+    return 1 + np.floor(share + 0.5).astype(np.int64)
 
 
 def representatives(cells: NDArray[np.int32], range_cells: float, at_least: int = 0) -> NDArray[np.int32]:
@@ -127,16 +138,14 @@ def representatives(cells: NDArray[np.int32], range_cells: float, at_least: int 
     int32 array, shape (m, 2)
         Cells of the frontier, no two alike.
     """
-    edges = free_edges(cells)
-    counts = [min(len(edge), count_representatives(len(edge), range_cells)) for edge in edges]
-    while sum(counts) < min(at_least, len(cells)):
-        shares = [
-            len(edge) / count if count < len(edge) else 0.0 for edge, count in zip(edges, counts, strict=True)
-        ]
-        if not any(shares):
+    edges, sizes = free_edges(cells)
+    counts = np.minimum(sizes, count_representatives(sizes, range_cells))
+    while counts.sum() < min(at_least, len(cells)):
+        shares = np.where(counts < sizes, sizes / counts, 0.0)
+        if not shares.any():
             break
-        counts[int(np.argmax(shares))] += 1
-    return np.concatenate([medoids(edge, count) for edge, count in zip(edges, counts, strict=True)])
+        counts[np.argmax(shares)] += 1
+    return medoids(edges, sizes, counts)[0]
 
 
 def thin_out(

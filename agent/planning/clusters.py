@@ -36,25 +36,33 @@ def k_means(points: Points, seeds: Points) -> tuple[Points, NDArray[np.int64]]:
     return means, owner
 
 
-def medoids(points: NDArray[np.int32], count: int) -> NDArray[np.int32]:
-    """Cluster points and return of each cluster the point nearest to its mean.
+def medoids(
+    points: NDArray[np.int32], sizes: NDArray[np.int64], counts: NDArray[np.int64]
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Cluster the points of each of some groups and return of each cluster the point nearest to its mean.
 
     The means begin apart: at the first point, then always at the one farthest from all before.
 
     Parameters
     ----------
     points : int32 array, shape (n, 2)
-        No two alike; of equally near ones the first counts.
-    count : int
-        How many clusters, at most n.
+        Group after group, no two of a group alike; of equally near ones the first counts.
+    sizes : int64 array, shape (k,)
+        How many points each group has, at least one.
+    counts : int64 array, shape (k,)
+        How many clusters of each, at least one and at most its points.
 
     Returns
     -------
-    int32 array, shape (k, 2)
-        k is `count`, less the clusters that ran empty.
+    found : int32 array, shape (m, 2)
+        m is the sum of `counts`, less the clusters that ran empty.
+    groups : int64 array, shape (m,)
+        Of which group each is.
     """
-    out = np.empty((count, 2), np.int32)
-    return out[: _medoids(points.astype(np.float64), count, out)]
+    found = np.empty((counts.sum(), 2), np.int32)
+    groups = np.empty(len(found), np.int64)
+    total = _medoids_of_each(points, sizes, counts, found, groups)
+    return found[:total], groups[:total]
 
 
 @kernel("void(float64[:,::1], float64[:,::1], int64[::1])")
@@ -121,3 +129,26 @@ def _medoids(points: Points, count: int, out: NDArray[np.int32]) -> int:
             out[found, 1] = int(points[nearest[number], 1])
             found += 1
     return found
+
+
+@kernel("int64(int32[:,::1], int64[::1], int64[::1], int32[:,::1], int64[::1])")
+def _medoids_of_each(
+    points: NDArray[np.int32],
+    sizes: NDArray[np.int64],
+    counts: NDArray[np.int64],
+    found: NDArray[np.int32],
+    groups: NDArray[np.int64],
+) -> int:
+    first, total = 0, 0
+    for group in range(len(sizes)):
+        size = sizes[group]
+        if size == 1:
+            found[total] = points[first]
+            more = 1
+        else:
+            part = points[first : first + size].astype(np.float64)
+            more = _medoids(part, counts[group], found[total:])
+        groups[total : total + more] = group
+        first += size
+        total += more
+    return total

@@ -43,6 +43,50 @@ def costs_between(floor: Floor, starts: NDArray[np.int32], goals: NDArray[np.int
     float64 array, shape (m, n)
         In cells; infinite where no way leads.
     """
+    return _found(floor, starts, goals, np.zeros(len(starts), np.int64))
+
+
+def costs_among(
+    floor: Floor, starts: NDArray[np.int32], goals: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Length of the shortest way from each start to each goal, and between each two goals.
+
+    A way is as long there as back, so each pair of goals is searched for once: from the outermost goals first, for
+    then what is left to be found lies ever closer together.
+
+    Parameters
+    ----------
+    floor : Floor
+        Where the robot may drive.
+    starts : int32 array, shape (m, 2)
+        Cells (x, y).
+    goals : int32 array, shape (n, 2)
+        Free cells (x, y).
+
+    Returns
+    -------
+    ways : float64 array, shape (m, n)
+        In cells; infinite where no way leads.
+    between : float64 array, shape (n, n)
+        The same, symmetric.
+    """
+    if not len(goals):
+        return np.empty((len(starts), 0)), np.empty((0, 0))
+    off = ((goals - goals.mean(axis=0)) ** 2).sum(axis=1)
+    order = np.argsort(-off, kind="stable")
+    ordered = goals[order]
+    row = np.arange(len(starts) + len(goals))
+    costs = _found(floor, np.concatenate([starts, ordered]), ordered, np.maximum(row - len(starts), 0))
+    back = np.argsort(order)
+    ways, between = costs[: len(starts), back], costs[len(starts) :]
+    between = np.where(np.tri(len(goals), k=-1), between.T, between)
+    return np.ascontiguousarray(ways), np.ascontiguousarray(between[np.ix_(back, back)])
+
+
+def _found(
+    floor: Floor, starts: NDArray[np.int32], goals: NDArray[np.int32], first: _Numbers
+) -> NDArray[np.float64]:
+    """Length of the shortest way from each start to each goal from its `first` on."""
     start, goal = (
         (cells[:, 1].astype(np.int64) + 1) * floor.stride + cells[:, 0] + 1 for cells in (starts, goals)
     )
@@ -50,7 +94,7 @@ def costs_between(floor: Floor, starts: NDArray[np.int32], goals: NDArray[np.int
     is_goal[goal] = True
     costs = np.empty((len(starts), len(goals)))
     jumps, length, came = _workspace(floor.height + 2, floor.stride)
-    _search(floor.free, is_goal, jumps, start, goal, length, came, costs)
+    _search(floor.free, is_goal, jumps, start, goal, first, length, came, costs)
     return costs
 
 
@@ -147,7 +191,7 @@ def _queue_up(
 
 
 @kernel(
-    "void(boolean[::1], boolean[::1], int16[:,:,::1], int64[::1], int64[::1],"
+    "void(boolean[::1], boolean[::1], int16[:,:,::1], int64[::1], int64[::1], int64[::1],"
     " int64[::1], uint8[::1], float64[:,::1])"
 )
 def _search(
@@ -156,11 +200,14 @@ def _search(
     laid_out: _Jumps,
     starts: _Numbers,
     goals: _Numbers,
+    first: _Numbers,
     length: _Numbers,
     came: NDArray[np.uint8],
     costs: NDArray[np.float64],
 ) -> None:
     """Settle jump points in buckets of one cell's length, until the level of the farthest goal is over.
+
+    Of each start's goals those before its `first` are left out.
 
     The queue has (cell, step by which it was reached, next entry of the same bucket).
     """
@@ -177,7 +224,7 @@ def _search(
         length[starts[row]], came[starts[row]] = 0, 255
         queue[0, 0], queue[0, 1], queue[0, 2] = starts[row], _BEGIN, -1
         buckets[0] = 0
-        used, done, level, reached = 1, 0, 0, 0
+        used, done, level, reached = 1, 0, 0, first[row]
         while done < used and reached < len(goals):
             entry = buckets[level % len(buckets)]
             buckets[level % len(buckets)] = -1
@@ -216,5 +263,5 @@ def _search(
             while reached < len(goals) and came[goals[reached]] and length[goals[reached]] >> SHIFT <= level:
                 reached += 1
             level += 1
-        for number in range(len(goals)):
+        for number in range(first[row], len(goals)):
             costs[row, number] = length[goals[number]] * UNIT if came[goals[number]] else np.inf

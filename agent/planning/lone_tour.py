@@ -1,9 +1,8 @@
 """The tour of a robot that has nobody to share with: the travelling salesman's open path through many goals.
 
-Nobody else passes what it leaves behind, so only the way counts, not when which goal is reached. A goal is seen
-from some way off: each is a neighbourhood, and what lies within one another's needs no way of its own, or hardly.
-The tour begins as the nearest neighbour's; then parts of it are turned around (2-opt), and up to three goals on
-end moved elsewhere, either way round (Or-opt), for as long as that makes it shorter.
+Nobody else passes what it leaves behind, so only the way counts, not when which goal is reached. The tour begins
+as the nearest neighbour's; then parts of it are turned around (2-opt), and up to three goals on end moved
+elsewhere, either way round (Or-opt), for as long as that makes it shorter.
 """
 
 from __future__ import annotations
@@ -19,9 +18,6 @@ ROUNDS = 100
 MOST_MOVED = 3
 """Goals on end that are moved together."""
 
-REMAINS = 1 / 20
-"""Of ways within a neighbourhood this much counts: of two goals in one the nearer comes first."""
-
 Numbers = NDArray[np.float64]
 Tour = NDArray[np.int64]
 
@@ -29,7 +25,7 @@ _LEAST = 1e-7
 """What a change must gain: less is rounding."""
 
 
-def lone_tour(starts: Numbers, between: Numbers, near: float) -> list[int]:
+def lone_tour(starts: Numbers, between: Numbers) -> list[int]:
     """Order goals by a short path from a start through all of them.
 
     Parameters
@@ -38,8 +34,6 @@ def lone_tour(starts: Numbers, between: Numbers, near: float) -> list[int]:
         Way from the robot to each goal; infinite where none leads.
     between : float64 array, shape (n, n)
         Way from goal to goal, symmetric.
-    near : float
-        From how far off a goal is served.
 
     Returns
     -------
@@ -52,7 +46,7 @@ def lone_tour(starts: Numbers, between: Numbers, near: float) -> list[int]:
     ways[0, 1:] = ways[1:, 0] = starts[goals]
     ways[1:, 1:] = between[np.ix_(goals, goals)]
     tour = np.arange(count + 1)
-    _shorten(tour, np.maximum(ways - near, REMAINS * ways))
+    _shorten(tour, ways)
     order: list[int] = goals[tour[1:] - 1].tolist()
     return order
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from agent.planning.best_frontier import Appeal, best_frontier
 from agent.planning.breadth_first import first_by_hops
 from agent.planning.cost_field import Field, Floor, costs_on, nearest_first, way, way_between, weighted_way
-from agent.planning.jump_point_search import costs_between
+from agent.planning.jump_point_search import costs_among, costs_between
 from agent.planning.occupancy import Terrain, barred, weighted_costs
 from agent.planning.reachability import reachable_frontier
 from protocol.grid import OCCUPIED, Grid, enlarge
@@ -96,6 +96,14 @@ class PathPlanner:
         if self._terrain is None:
             return costs_between(self._laid_out, starts, goals)
         return np.array([self.costs(x, y)[goals[:, 1], goals[:, 0]] for x, y in starts.tolist()])
+
+    def costs_among(
+        self, starts: NDArray[np.int32], goals: NDArray[np.int32]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """As `costs_between`, from each of `starts` to each of `goals`; and the same between each two of these."""
+        if self._terrain is None:
+            return costs_among(self._laid_out, starts, goals)
+        return self.costs_between(starts, goals), self.costs_between(goals, goals)
 
     def path(self, start: tuple[int, int], end: tuple[int, int]) -> NDArray[np.int32] | None:
         """Cells of a best way, without its start; None if there is none."""

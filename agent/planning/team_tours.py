@@ -1,10 +1,12 @@
 """Tours of a whole team through all goals: who serves which, and in which order.
 
-The problem is the k-travelling repairmen's: not the length of the tours counts, but how late each goal is
-reached. A goal costs its weight times its arrival and its lateness times the square of that, so that small
-goals may wait for a while but not for long; and on top counts when the last robot is done. Goals are inserted
-one by one where they cost least; then a goal moves elsewhere, or two robots swap the ends of their tours, for
-as long as that helps. What a move costs is known from sums over the rest of a tour, without driving along it.
+The problem is the k-travelling repairmen's: it counts how late each goal is reached. A goal costs its weight times
+its arrival and its lateness times the square of that, so that small goals may wait for a while but not for long.
+On top counts when the last robot is done, and how far all of them drive, as for travelling salesmen: what is left
+for later has to be shared out again, so the run ends the sooner the less there is to drive in all. Goals are
+inserted one by one where they cost least; then a goal moves elsewhere, two robots swap the ends of their tours,
+or a part of a tour is turned around, for as long as that helps. What a goal's move or a swap costs is known from
+sums over the rest of a tour, without driving along it.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ _LEAST = 1e-7
 
 
 def team_tours(
-    starts: Numbers, between: Numbers, weights: Numbers, lateness: Numbers, last: float
+    starts: Numbers, between: Numbers, weights: Numbers, lateness: Numbers, last: float, way: float
 ) -> list[list[int]]:
     """Plan one tour a robot, so that goals of weight are reached soon and none very late.
 
@@ -40,6 +42,8 @@ def team_tours(
         The same of the arrival's square.
     last : float
         Cost of the longest tour, a unit of way.
+    way : float
+        Cost of every tour, a unit of way.
 
     Returns
     -------
@@ -50,7 +54,7 @@ def team_tours(
     tours = np.full((robots, goals), -1)
     counts = np.zeros(robots, np.int64)
     order = np.lexsort((starts.min(axis=0), -weights)) if goals else np.empty(0, np.int64)
-    _plan(starts, between, weights, lateness, last, order, tours, counts)
+    _plan(starts, between, weights, lateness, last, way, order, tours, counts)
     return [tour[:count].tolist() for tour, count in zip(tours, counts, strict=True)]
 
 
@@ -61,6 +65,7 @@ def tours_cost(
     weights: Numbers,
     lateness: Numbers,
     last: float,
+    way: float,
 ) -> float:
     """What `team_tours` makes small."""
     total, longest = 0.0, 0.0
@@ -70,6 +75,7 @@ def tours_cost(
             arrival += starts[robot, goal] if place == 0 else between[tour[place - 1], goal]
             total += float(weights[goal] * arrival + lateness[goal] * arrival**2)
         longest = max(longest, float(arrival))
+        total += way * float(arrival)
     return total + last * longest
 
 
@@ -128,7 +134,7 @@ def _longest(books: Numbers, counts: NDArray[np.int64], one: int, other: int) ->
     return longest
 
 
-_ALL = "float64[:,::1], float64[:,::1], float64[::1], float64[::1], float64"
+_ALL = "float64[:,::1], float64[:,::1], float64[::1], float64[::1], float64, float64"
 _STATE = "int64[:,::1], int64[::1], float64[:,:,::1]"
 
 
@@ -140,6 +146,7 @@ def _best_place(
     weights: Numbers,
     lateness: Numbers,
     last: float,
+    way: float,
     tours: NDArray[np.int64],
     counts: NDArray[np.int64],
     books: Numbers,
@@ -162,7 +169,7 @@ def _best_place(
                 later = arrival + between[goal, tours[robot, place]] - books[robot, place, 0]
                 cost += _delay(books[robot], place, later)
                 new_end = end + later
-            cost += last * (max(others, new_end) - max(others, end))
+            cost += last * (max(others, new_end) - max(others, end)) + way * (new_end - end)
             if cost < least:
                 least, best_robot, best_place = cost, robot, place
     return least, best_robot, best_place
@@ -176,6 +183,7 @@ def _move(
     weights: Numbers,
     lateness: Numbers,
     last: float,
+    way: float,
     tours: NDArray[np.int64],
     counts: NDArray[np.int64],
     books: Numbers,
@@ -188,14 +196,16 @@ def _move(
                 robot, place = each, at
     if robot >= 0:
         others = _longest(books, counts, robot, robot)
-        gain = last * max(others, _end(books, counts, robot))
+        end = _end(books, counts, robot)
+        gain = last * max(others, end) + way * end
         gain += _drive(tours[robot], counts[robot], starts[robot], between, weights, lateness, books[robot])
         tours[robot, place : counts[robot] - 1] = tours[robot, place + 1 : counts[robot]].copy()
         counts[robot] -= 1
         gain -= _drive(tours[robot], counts[robot], starts[robot], between, weights, lateness, books[robot])
-        gain -= last * max(others, _end(books, counts, robot))
+        end = _end(books, counts, robot)
+        gain -= last * max(others, end) + way * end
     cost, to_robot, to_place = _best_place(
-        goal, starts, between, weights, lateness, last, tours, counts, books
+        goal, starts, between, weights, lateness, last, way, tours, counts, books
     )
     moved = to_robot >= 0 and cost < gain - _LEAST
     if not moved:
@@ -221,6 +231,7 @@ def _swap_ends(
     weights: Numbers,
     lateness: Numbers,
     last: float,
+    way: float,
     tours: NDArray[np.int64],
     counts: NDArray[np.int64],
     books: Numbers,
@@ -248,6 +259,7 @@ def _swap_ends(
                 cost += _delay(books[one], place, later)
                 new_other = end_one + later
             cost += last * (max(others, new_one, new_other) - now)
+            cost += way * (new_one + new_other - end_one - end_other)
             if cost < best:
                 best, best_one, best_other = cost, place, at
     if best_one < 0:
@@ -262,6 +274,51 @@ def _swap_ends(
     return True
 
 
+@kernel(f"boolean(int64, {_ALL}, {_STATE})")
+def _turn_around(
+    robot: int,
+    starts: Numbers,
+    between: Numbers,
+    weights: Numbers,
+    lateness: Numbers,
+    last: float,
+    way: float,
+    tours: NDArray[np.int64],
+    counts: NDArray[np.int64],
+    books: Numbers,
+) -> bool:
+    """Turn around the part of a tour where that gains most; whether it gains anything."""
+    tour, count, book = tours[robot], counts[robot], books[robot]
+    others, end = _longest(books, counts, robot, robot), _end(books, counts, robot)
+    best, best_first, best_last = -_LEAST, -1, -1
+    for first in range(count - 1):
+        for final in range(first + 1, count):
+            cost, arrival = 0.0, 0.0
+            for at in range(final, first - 1, -1):
+                goal = tour[at]
+                if at < final:
+                    arrival += between[tour[at + 1], goal]
+                elif first:
+                    arrival = book[first - 1, 0] + between[tour[first - 1], goal]
+                else:
+                    arrival = starts[robot, goal]
+                before = book[at, 0]
+                cost += (arrival - before) * (weights[goal] + lateness[goal] * (arrival + before))
+            new_end = arrival
+            if final + 1 < count:
+                later = arrival + between[tour[first], tour[final + 1]] - book[final + 1, 0]
+                cost += _delay(book, final + 1, later)
+                new_end = end + later
+            cost += last * (max(others, new_end) - max(others, end)) + way * (new_end - end)
+            if cost < best:
+                best, best_first, best_last = cost, first, final
+    if best_first < 0:
+        return False
+    tour[best_first : best_last + 1] = tour[best_first : best_last + 1][::-1].copy()
+    _drive(tour, count, starts[robot], between, weights, lateness, book)
+    return True
+
+
 @kernel(f"void({_ALL}, int64[::1], int64[:,::1], int64[::1])")
 def _plan(
     starts: Numbers,
@@ -269,6 +326,7 @@ def _plan(
     weights: Numbers,
     lateness: Numbers,
     last: float,
+    way: float,
     order: NDArray[np.int64],
     tours: NDArray[np.int64],
     counts: NDArray[np.int64],
@@ -277,15 +335,19 @@ def _plan(
     robots, goals = starts.shape
     books = np.zeros((robots, goals + 1, 4))
     for goal in order:
-        _move(goal, starts, between, weights, lateness, last, tours, counts, books)
+        _move(goal, starts, between, weights, lateness, last, way, tours, counts, books)
     for _ in range(ROUNDS):
         improved = False
         for goal in order:
-            improved |= _move(goal, starts, between, weights, lateness, last, tours, counts, books)
+            improved |= _move(goal, starts, between, weights, lateness, last, way, tours, counts, books)
         for one in range(robots):
             for other in range(one):
                 improved |= _swap_ends(
-                    one, other, starts, between, weights, lateness, last, tours, counts, books
+                    one, other, starts, between, weights, lateness, last, way, tours, counts, books
                 )
+        for robot in range(robots):
+            improved |= _turn_around(
+                robot, starts, between, weights, lateness, last, way, tours, counts, books
+            )
         if not improved:
             break

@@ -4,13 +4,17 @@ A stream belongs to a maker. Who follows it holds the grid that the next unit is
 told by then, and with base `team` what others have told in those of their units that the maker says it builds on. A
 unit says first how many more units of each teammate that are, and can be read by who has read those; then come looks
 and exceptions (`agent.sight.looks`). What the maker has told itself counts more in its stream than what others told.
+
+Each unit has a key, which follows from all that had to be read before it: two who have read units of the same key hold
+the same stream, and hardly anything else can have led there. So they may share what they hold (`agent.sight.shelf`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from hashlib import blake2b
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +34,7 @@ from agent.sight.coder import (
     writer,
     written,
 )
+from agent.sight.contexts import BUILT_ON, REST_MOST
 from agent.sight.looks import (
     MAX_LOOKS,
     PLACES,
@@ -60,12 +65,49 @@ NO_BOX: Box = (1 << 30, 1 << 30, 0, 0)
 
 
 @dataclass(frozen=True)
+class Base:
+    """Up to which unit of a robot's stream a unit is built on, `end` - 1, where that is more than before; its key."""
+
+    robot: int
+    end: int
+    key: bytes
+
+
+@dataclass(frozen=True)
 class Told:
-    """What a unit says: cells, as places in the flat grid (int32), their states (uint8), and the box around them."""
+    """What a unit says.
+
+    Attributes
+    ----------
+    places : int32 array
+        Cells, as places in the flat grid, each once.
+    states, before : uint8 array
+        What its maker tells of them, and what it had told of them before: unknown where nothing.
+    box : Box
+        Around them.
+    message : bytes
+        The unit itself.
+    bases : tuple of Base
+        What it is built on that the units before it are not, by ascending robot.
+    pose : (x, y), optional
+        From where its maker looked last, if it has said so by now.
+    key : bytes
+        What it follows from (`key_of`).
+    """
 
     places: NDArray[np.int32]
     states: NDArray[np.uint8]
+    before: NDArray[np.uint8]
     box: Box
+    message: bytes = b""
+    bases: tuple[Base, ...] = ()
+    pose: tuple[int, int] | None = None
+    key: bytes = b""
+
+
+def key_of(before: bytes, message: bytes, bases: Sequence[Base]) -> bytes:
+    """Key of a unit that follows another one of its stream, of key `before`; empty: it is the first."""
+    return blake2b(b"".join([before, *(base.key for base in bases), message]), digest_size=16).digest()
 
 
 class History:
@@ -74,13 +116,22 @@ class History:
     def __init__(self) -> None:
         self._units: list[Told] = []
         self._forgotten = 0
+        self._boxes = np.empty((16, 4), np.int32)
 
     def __len__(self) -> int:
         """All units ever read."""
         return self._forgotten + len(self._units)
 
+    @property
+    def last(self) -> Told | None:
+        """The last unit, if it has not been forgotten."""
+        return self._units[-1] if self._units else None
+
     def append(self, unit: Told) -> None:
         """Add a unit at the end."""
+        if len(self._units) == len(self._boxes):
+            self._boxes = np.concatenate([self._boxes, np.empty_like(self._boxes)])
+        self._boxes[len(self._units)] = unit.box
         self._units.append(unit)
 
     def pop(self) -> None:
@@ -91,10 +142,17 @@ class History:
         """Units `first` to `end` - 1."""
         return self._units[first - self._forgotten : end - self._forgotten]
 
+    def last_near(self, first: int, end: int, near: Box) -> int:
+        """The last of units `first` to `end` - 1 with a box that meets another one; -1 if there is none."""
+        found = _last_meeting(self._boxes, first - self._forgotten, end - self._forgotten, *near)
+        return int(found) + self._forgotten if found >= 0 else -1
+
     def forget(self, before: int) -> None:
         """Drop the units before number `before`."""
         if before > self._forgotten:
-            del self._units[: before - self._forgotten]
+            drop = before - self._forgotten
+            del self._units[:drop]
+            self._boxes[: len(self._units)] = self._boxes[drop : drop + len(self._units)].copy()
             self._forgotten = before
 
 
@@ -104,9 +162,10 @@ class _Moment:
 
     counts: Counts
     way: Way
-    built: list[int]
-    grew: list[bool]
+    built: NDArray[np.int64]
+    grew: NDArray[np.bool_]
     owed: Box
+    key: bytes
 
 
 class Stream:
@@ -147,14 +206,16 @@ class Stream:
     ) -> None:
         self.maker = maker
         self.grid = grid
-        self.built = [0] * len(histories)
+        self.histories = histories
+        self.built = np.zeros(len(histories), np.int64)
         """How many units of each robot's stream the last unit is built on."""
+        self.key = b""
+        """The last unit's key."""
         self._fan = fan
-        self._histories = histories
         self._scratch = scratch
         bases = range(len(histories) if makers is None else makers) if team else ()
-        self._others = [robot for robot in bases if robot != maker]
-        self._grew = [False] * len(histories)
+        self._others = np.array([robot for robot in bases if robot != maker], np.int64)
+        self._grew = np.zeros(len(histories), np.bool_)
         self._counts = contexts.start() if counts is None else counts
         self._way: Way = np.zeros(PLACES + 1, np.int64)
         self._owed = NO_BOX
@@ -208,8 +269,7 @@ class Stream:
                 self.undo()
                 return None
             message = written(state, data)
-            self._histories[self.maker].append(told)
-            return message, told, looks
+            return message, self._add(told, message), looks
 
     def decode(self, message: bytes) -> Told | None:
         """Read a unit; None if it is built on units that have not been read yet, and nothing has changed.
@@ -229,24 +289,22 @@ class Stream:
         if told is None:
             self.undo()
             return None
-        self._histories[self.maker].append(told)
-        return told
+        return self._add(told, message)
 
-    def builds_from(self, robot: int) -> int:
-        """The first unit of a robot's stream that this one may still ask for; also after `undo`."""
-        return self.built[robot] if self._before is None else self._before.built[robot]
+    def settle(self) -> None:
+        """The last unit stands: it is not going to be undone."""
+        self._before, self._overwritten = None, []
 
-    def newly_built(self) -> list[tuple[int, int]]:
-        """On how many units of whose streams the last unit is built, where these are more than before it."""
-        before = [0] * len(self.built) if self._before is None else self._before.built
-        return [(robot, units) for robot, units in enumerate(self.built) if units > before[robot]]
+    def builds_from(self) -> NDArray[np.int64]:
+        """The first unit of each robot's stream that this one may still ask for; also after `undo`."""
+        return self.built if self._before is None else self._before.built
 
     def undo(self) -> None:
         """Go back to where the stream was before the last unit; what is in its history is left to the caller."""
         before = self._before
         assert before is not None
         self._counts, self._way, self._owed = before.counts, before.way, before.owed
-        self.built, self._grew = before.built, before.grew
+        self.built, self._grew, self.key = before.built, before.grew, before.key
         for places, states in reversed(self._overwritten):
             _restore(self.grid.reshape(-1), places, states)
         self._overwritten = []
@@ -254,10 +312,22 @@ class Stream:
 
     def _begin(self) -> None:
         """Begin a unit: keep what there is, and go on with copies."""
-        self._before = _Moment(self._counts, self._way, self.built, self._grew, self._owed)
+        self._before = _Moment(self._counts, self._way, self.built, self._grew, self._owed, self.key)
         self._counts, self._way = self._counts.copy(), self._way.copy()
         self.built, self._grew = self.built.copy(), self._grew.copy()
         self._overwritten = []
+
+    def _add(self, told: Told, message: bytes) -> Told:
+        """Add a unit to its maker's history, with all that is to be known of it."""
+        assert self._before is not None
+        bases = []
+        for robot in np.flatnonzero(self.built > self._before.built).tolist():
+            end = int(self.built[robot])
+            bases.append(Base(robot, end, self.histories[robot].between(end - 1, end)[0].key))
+        self.key = key_of(self.key, message, bases)
+        told = replace(told, message=message, bases=tuple(bases), pose=self.pose, key=self.key)
+        self.histories[self.maker].append(told)
+        return told
 
     def _write(
         self, state: State, data: Data, own: Grid, poses: Sequence[tuple[int, int]], box: Box, most: float
@@ -276,46 +346,48 @@ class Stream:
                 break
             done += 1
             if alone:
-                code_bit(state, data, counts, contexts.MORE + min(looks, 3), 1, contexts.REST_MOST)
+                code_bit(state, data, counts, contexts.MORE + min(looks, 3), 1, REST_MOST)
                 code_pose(state, data, counts, way, x, y)
                 changed = code_look(state, data, counts, grid, own, cells, start, x, y, scratch, changed)
                 looks += 1
         if looks < MAX_LOOKS:
-            code_bit(state, data, counts, contexts.MORE + min(looks, 3), 0, contexts.REST_MOST)
+            code_bit(state, data, counts, contexts.MORE + min(looks, 3), 0, REST_MOST)
         self._owed = NO_BOX if done == len(poses) else owed
         places = _places(grid, own, box) if done == len(poses) else np.empty(0, np.int32)
+        looked = changed
         changed = code_exceptions(state, data, counts, grid, own, places, len(places), way, scratch, changed)
-        return self._keep(changed if changed >= 0 else -1 - changed) if changed else None, done
+        return self._keep(changed if changed >= 0 else -1 - changed, looked) if changed else None, done
 
     def _read(self, state: State, data: Data) -> Told | None:
         """Read a unit into the grid; None if what it is built on is not there yet."""
         counts, way, grid, scratch = self._counts, self._way, self.grid, self._scratch
         height, width = grid.shape
         first = self.built.copy()
-        for robot in self._others:
-            self._code_more(state, data, robot, 0)
-        if any(len(self._histories[robot]) < self.built[robot] for robot in self._others):
+        self._code_bases(state, data, np.zeros(len(self.built), np.int64))
+        more = np.flatnonzero(self.built > first).tolist()
+        if any(len(self.histories[robot]) < self.built[robot] for robot in more):
             return None
-        for robot in self._others:
-            for unit in self._histories[robot].between(first[robot], self.built[robot]):
+        for robot in more:
+            for unit in self.histories[robot].between(int(first[robot]), int(self.built[robot])):
                 self._lay(unit)
         changed = looks = 0
         while looks < MAX_LOOKS and not state[BROKEN]:
-            if not code_bit(state, data, counts, contexts.MORE + min(looks, 3), 0, contexts.REST_MOST):
+            if not code_bit(state, data, counts, contexts.MORE + min(looks, 3), 0, REST_MOST):
                 break
             code_pose(state, data, counts, way, 0, 0)
             x, y = int(way[X]), int(way[Y])
             if not (0 <= x < width and 0 <= y < height):
-                self._keep(changed)
+                self._keep(changed, changed)
                 raise ProtocolError(Look.name, 0, f"cell ({x}, {y}) is outside the {width} x {height} grid")
             changed = code_look(
                 state, data, counts, grid, grid, self._fan.cells, self._fan.start, x, y, scratch, changed
             )
             looks += 1
+        looked = changed
         changed = code_exceptions(
             state, data, counts, grid, grid, np.empty(0, np.int32), 0, way, scratch, changed
         )
-        told = self._keep(changed if changed >= 0 else -1 - changed)
+        told = self._keep(changed if changed >= 0 else -1 - changed, looked)
         if changed < 0:
             raise ProtocolError(Look.name, 0, f"an exception is outside the {width} x {height} grid")
         check_end(state, Look.name)
@@ -331,26 +403,25 @@ class Stream:
         reach = int(np.abs(self._fan.cells).max()) + 1
         near = around([box, *((x - reach, y - reach, x + reach + 1, y + reach + 1) for x, y in poses)])
         contradicted = []
-        for robot in self._others:
-            history = self._histories[robot]
-            units = history.between(self.built[robot], len(history))
-            more = 0
-            for number, unit in enumerate(units, 1):
-                if _meet(unit.box, near) and _spares(self.grid, own, unit.places, *near):
-                    more = number
-            self._code_more(state, data, robot, more)
-            for unit in units[:more]:
+        more = np.zeros(len(self.built), np.int64)
+        for robot in self._others.tolist():
+            history, first = self.histories[robot], int(self.built[robot])
+            end = len(history)
+            while (number := history.last_near(first, end, near)) >= 0:
+                if _spares(self.grid, own, history.between(number, number + 1)[0].places, *near):
+                    more[robot] = number + 1 - first
+                    break
+                end = number
+            for unit in history.between(first, first + int(more[robot])):
                 self._lay(unit)
                 if _contradicts(own.reshape(-1), unit.places, unit.states):
                     contradicted.append(unit.box)
+        self._code_bases(state, data, more)
         return contradicted
 
-    def _code_more(self, state: State, data: Data, robot: int, more: int) -> None:
-        """Tell, or read, how many more units of a teammate's stream the unit is built on."""
-        row = contexts.BUILT_ON + NUMBER * self._grew[robot]
-        more = code_number(state, data, self._counts, row, more, contexts.REST_MOST)
-        self._grew[robot] = more > 0
-        self.built[robot] += more
+    def _code_bases(self, state: State, data: Data, more: NDArray[np.int64]) -> None:
+        """Tell, or read, how many more units of each teammate's stream the unit is built on."""
+        _code_bases(state, data, self._counts, self._others, more, self._grew, self.built)
 
     def _lay(self, unit: Told) -> None:
         """Write what another stream's unit says wherever the maker itself has not told anything."""
@@ -358,23 +429,26 @@ class Stream:
         _lay(self.grid.reshape(-1), unit.places, unit.states, before)
         self._overwritten.append((unit.places, before))
 
-    def _keep(self, changed: int) -> Told:
-        """Note which cells have been written, and return what they say now."""
+    def _keep(self, changed: int, looked: int) -> Told:
+        """Note which cells have been written, and return what they say now.
+
+        `looked` of them by looks, each once; exceptions may have changed some of those again.
+        """
         places, before = self._scratch[:changed, 0].copy(), self._scratch[:changed, 1].astype(np.uint8)
         self._overwritten.append((places, before))
+        if 0 < looked < changed:
+            first = np.sort(np.unique(places, return_index=True)[1])
+            places, before = places[first], before[first]
         y, x = np.divmod(places, self.grid.shape[1])
         box = (int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1) if changed else NO_BOX
-        return Told(places, self.grid.reshape(-1)[places] & np.uint8(STATE), box)
+        told = np.where(before & TOLD, before & STATE, UNKNOWN).astype(np.uint8)
+        return Told(places, self.grid.reshape(-1)[places] & np.uint8(STATE), told, box)
 
 
 def around(boxes: Sequence[Box]) -> Box:
     """Return the smallest box around boxes."""
     x0, y0, x1, y1 = zip(NO_BOX, *boxes, strict=True)
     return min(x0), min(y0), max(x1), max(y1)
-
-
-def _meet(one: Box, other: Box) -> bool:
-    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
 
 
 def _places(grid: Grid, own: Grid, box: Box) -> NDArray[np.int32]:
@@ -385,6 +459,34 @@ def _places(grid: Grid, own: Grid, box: Box) -> NDArray[np.int32]:
         found = np.empty(count, np.int32)
         differing(grid, own, *box, found)
     return found[:count]
+
+
+@kernel("int64(int32[:,::1], int64, int64, int64, int64, int64, int64)")
+def _last_meeting(boxes: NDArray[np.int32], first: int, end: int, x0: int, y0: int, x1: int, y1: int) -> int:
+    """The last of boxes `first` to `end` - 1 that meets another one; -1 if there is none."""
+    for number in range(end - 1, first - 1, -1):
+        box = boxes[number]
+        if box[0] < x1 and x0 < box[2] and box[1] < y1 and y0 < box[3]:
+            return number
+    return -1
+
+
+@kernel("void(int64[::1], uint8[::1], uint16[:,::1], int64[::1], int64[::1], boolean[::1], int64[::1])")
+def _code_bases(
+    state: State,
+    data: Data,
+    counts: Counts,
+    robots: NDArray[np.int64],
+    more: NDArray[np.int64],
+    grew: NDArray[np.bool_],
+    built: NDArray[np.int64],
+) -> None:
+    """Code how many `more` units of each robot's stream a unit is built on; add them to those of before."""
+    for robot in robots:
+        row = BUILT_ON + NUMBER * int(grew[robot])
+        number = code_number(state, data, counts, row, more[robot], REST_MOST)
+        grew[robot] = number > 0
+        built[robot] += number
 
 
 @kernel("boolean(uint8[:,::1], uint8[:,::1], int32[::1], int64, int64, int64, int64)")

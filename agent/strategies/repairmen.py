@@ -3,8 +3,9 @@
 Every free edge is a goal, however small. What it promises is predicted from the unknown area in sight of it; a
 crumb promises next to nothing, but it must be fetched some time, and what is left behind is a long way back. So
 robots plan as k travelling repairmen (`agent.planning.team_tours`): together they order all goals into tours, in
-which a goal costs by what it promises and by when it is reached, a crumb the more the later, and the last robot's
-end counts on top. Each drives to the first goal of its own tour and plans anew in every step.
+which a goal costs by what it promises and by when it is reached, a crumb the more the later, and how far all drive
+and when the last robot is done count on top. A goal is seen from some way off: each is a neighbourhood. Each robot
+drives to the first goal of its own tour and plans anew in every step.
 
 A crumb is not driven up to. The robot looks at it from a cell that is on its tour's way, or nearly, and from which
 what is unknown there is in sight (`agent.planning.vantage`).
@@ -55,7 +56,10 @@ GAP = 1 / 10
 apart where there are more than `MOST`."""
 
 NEAR = 3 / 10
-"""A robot alone has seen what there is to see at a goal when it is so many sensor ranges away."""
+"""A robot has seen what there is to see at a goal when it is so many sensor ranges away."""
+
+REMAINS = 1 / 20
+"""Of ways within that distance this much counts: of two goals in one neighbourhood the nearer comes first."""
 
 MOST = 48
 """Goals of a plan, more or less: ways between all pairs of them are searched in every step."""
@@ -66,7 +70,7 @@ CRUMB_CELLS = 2
 AHEAD = 5
 """Goals that come after the next one and have a say in where to look at it from."""
 
-RECALL = 50
+RECALL = 200
 """Steps for which a teammate out of range is believed to be at the last target that it told of."""
 
 EACH_STEP = "each-step"
@@ -84,7 +88,8 @@ class Options(Parts):
     lateness: float = option(
         0.2, "by how much an edge's weight grows with each sensor range of way until it is reached", least=0
     )
-    last: float = option(2.0, "weight of the longest tour", least=0)
+    last: float = option(16.0, "weight of the longest tour", least=0)
+    total: float = option(16.0, "weight of the lengths of all tours", least=0)
     look: float = option(
         0.9, "from how many sensor ranges off a crumb is looked at; 0: from where it is", least=0
     )
@@ -144,12 +149,10 @@ class Repairmen(TeamStrategy):
         if not len(frontier):
             return frontier
         range_cells = self.settings.scale_cells
-        found, sizes = [], []
-        for edge in components(frontier):
-            count = min(len(edge), count_representatives(len(edge), range_cells))
-            found.append(medoids(edge, count) if len(edge) > 1 else edge)
-            sizes += [len(edge)] * len(found[-1])
-        cells, lengths = np.concatenate(found), np.array(sizes)
+        edges, sizes = components(frontier)
+        counts = np.minimum(sizes, count_representatives(sizes, range_cells))
+        cells, edge = medoids(edges, sizes, counts)
+        lengths = sizes[edge]
         gap = GAP * range_cells
         stays = thin_out(situation.grid, cells, lengths, gap)
         while len(stays) > MOST and gap < range_cells:
@@ -163,12 +166,11 @@ class Repairmen(TeamStrategy):
         team = self.team(situation)
         radii = {self.settings.radius_of(robot) for robot in team}
         if len(radii) > 1:
-            self._between = planner.of_radius(min(radii)).costs_between(goals, goals)
+            _, self._between = planner.of_radius(min(radii)).costs_among(goals[:0], goals)
             return super().table(situation, goals, planner)
         cells = np.array(list(team.values()), np.int32)
-        ways = planner.costs_between(goals, np.concatenate([cells, goals]))
-        self._between = np.ascontiguousarray(ways[:, len(cells) :])
-        return Table(tuple(team), cells, goals, np.ascontiguousarray(ways[:, : len(cells)].T))
+        ways, self._between = planner.costs_among(cells, goals)
+        return Table(tuple(team), cells, goals, ways)
 
     def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
         """Take the first goal of one's own tour; keep those that come first, and how long their edges are."""
@@ -217,9 +219,13 @@ class Repairmen(TeamStrategy):
         """With which goal the tour of each robot begins; of a robot without teammates the shortest tour."""
         del planner
         range_cells = self.settings.scale_cells
-        ways, between = self._loyal(table, situation), np.minimum(self._between, self._between.T)
+        near = NEAR * range_cells
+        ways, between = (
+            np.maximum(costs - near, REMAINS * costs)
+            for costs in (self._loyal(table, situation), self._between)
+        )
         if self.settings.robots == 1:
-            self._tour = lone_tour(ways[0], between, NEAR * range_cells)
+            self._tour = lone_tour(ways[0], between)
             return np.array((self._tour or [-1])[:1])
         promised = promise(situation.grid, table.goals, self._lengths, range_cells)
         worth = np.minimum(promised / PLENTY, 1.0)
@@ -229,6 +235,7 @@ class Repairmen(TeamStrategy):
             worth + self.options.crumb,
             np.full(len(table.goals), self.options.lateness / (2 * range_cells)),
             self.options.last,
+            self.options.total,
         )
         self._tour = tours[table.robots.index(self.settings.robot)]
         return _follow(np.array([tour[0] if tour else -1 for tour in tours]), table.costs, worth)

@@ -31,7 +31,7 @@ from worldsim import generators
 ROBOTS = 8
 SIDE_M = 40.0
 SPEED = 1.0
-STEPS = 200
+STEPS = 120
 YARDSTICKS = 5
 """Planning grids of each run on which the yardstick is measured."""
 

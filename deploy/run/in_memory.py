@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import Any, BinaryIO, Protocol
 
 from agent.journal import Journal, journal_name
 from agent.process import AgentNode
@@ -80,6 +80,8 @@ class MemoryRun:
         self._fell = fell
         self._journals = journals
         self._kept: dict[int, BytesIO] = {}
+        self._common: dict[str, Any] = {}
+        """What robots hold together (`agent.robot.Robot.share`)."""
         self._due: list[int] = []
         """Robots that come back."""
         self._hub = MemoryHub("memory", [names.RELAY, names.WORLD, names.LAB, *self._minds, *watching])
@@ -186,7 +188,7 @@ class MemoryRun:
 
     def _agent(self, number: int) -> AgentNode:
         bus = self._buses[self._minds[number]]
-        return AgentNode(bus, self._hub.keys, number, self._journal(number))
+        return AgentNode(bus, self._hub.keys, number, self._journal(number), self._common)
 
     def _journal(self, number: int) -> Journal | None:
         """The journal of a robot, in a folder or in memory; None where no robot can come back."""

@@ -1,9 +1,14 @@
 """What the fork server has in memory before robots are forked from it: the processes' code, and all kernels loaded.
 
+Processes share it as long as none of them writes on it. So it is little: of kernels the code alone. And what there is
+by then is kept from the garbage collector, which would write on every object that it looks at.
+
 `python -m deploy.run.preload` compiles the kernels of a fresh installation (`make setup` does).
 """
 
 from __future__ import annotations
+
+import gc
 
 import scipy.ndimage
 import scipy.optimize
@@ -13,4 +18,6 @@ from protocol import kernels
 
 __all__ = ["processes", "scipy"]
 
-kernels.load_all()
+kernels.load_code()
+gc.collect()
+gc.freeze()

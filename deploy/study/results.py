@@ -28,7 +28,8 @@ IDENTITY = (KEY, CODE, ERROR)
 """Columns of every table: the run's key, the code that made it, and why it failed (null: it did not)."""
 
 ORDER = ("map", "strategy", "exchange", "offers", "bandwidth", "range", "robots", "map_seed", "seed")
-"""Settings by which rows are sorted, before their key."""
+"""Settings by which rows are sorted, before their key, and the first columns after `IDENTITY`; the others are sorted
+by name, so that a table does not tell which run was over first."""
 
 PATIENCE = 20
 """A table is written when its last writing took less than this part of the time since."""
@@ -119,9 +120,9 @@ class Results:
             fresh = pl.DataFrame(list(self._added.values()), infer_schema_length=None)
             old = self._frame.filter(~pl.col(KEY).is_in(list(self._added)))
             whole = pl.concat([old, fresh], how="diagonal_relaxed")
-            self._frame = whole.sort(
-                [name for name in ORDER if name in whole.columns] + [KEY], nulls_last=True
-            )
+            first = [name for name in ORDER if name in whole.columns]
+            others = sorted(set(whole.columns) - {*IDENTITY, *first})
+            self._frame = whole.select(*IDENTITY, *first, *others).sort([*first, KEY], nulls_last=True)
             self._added.clear()
         return self._frame
 

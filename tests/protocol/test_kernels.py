@@ -28,11 +28,19 @@ def unused(number):
 CALL = "import sums; assert not sums.compiled(); print(sums.four_times(3), sums.loaded(), sums.compiled())"
 
 
-def call(folder: Path) -> subprocess.CompletedProcess[str]:
+CODE_ONLY = """
+import sums
+from protocol.kernels import load_code
+load_code()
+print(sums.four_times(3), sums.loaded(), sums.compiled())
+"""
+
+
+def call(folder: Path, command: str = CALL) -> subprocess.CompletedProcess[str]:
     here = Path(__file__).parents[2]
     more = {"PYTHONPATH": f"{folder}:{here}", "NUMBA_CACHE_DIR": str(folder / "cache")}
     return subprocess.run(
-        [sys.executable, "-c", CALL], capture_output=True, text=True, check=True, env=os.environ | more
+        [sys.executable, "-c", command], capture_output=True, text=True, check=True, env=os.environ | more
     )
 
 
@@ -45,3 +53,12 @@ def test_the_first_call_compiles_all_and_says_so_the_next_reads_the_cache(tmp_pa
     cached = call(tmp_path)
     assert cached.stdout == "12 1 0\n", "only what is called is loaded"
     assert cached.stderr == ""
+
+
+def test_a_kernel_can_be_compiled_after_those_that_it_calls_were_loaded_as_code_alone(tmp_path: Path) -> None:
+    (tmp_path / "sums.py").write_text(MODULE)
+    assert call(tmp_path, CODE_ONLY).stdout == "12 0 3\n"
+    assert call(tmp_path, CODE_ONLY).stdout == "12 3 0\n"
+    for file in (tmp_path / "cache").rglob("*four_times*"):
+        file.unlink()
+    assert call(tmp_path, CODE_ONLY).stdout == "12 2 1\n"

@@ -36,9 +36,11 @@ def settings_of(robot: int, **more: Any) -> Settings:
 class Explorer:
     """A robot that looks around from anywhere, and its exchange."""
 
-    def __init__(self, robot: int, seed: int, **more: Any) -> None:
+    def __init__(self, robot: int, seed: int, common: dict[str, Any] | None = None, **more: Any) -> None:
         self.robot = robot
         self.exchange = SightExchange(settings_of(robot, **more))
+        if common is not None:
+            self.exchange.share(common)
         self.own: Grid = np.zeros((HEIGHT, WIDTH), np.uint8)
         self.rng = np.random.default_rng([seed, robot])
         self.log: list[bytes] = []
@@ -98,7 +100,7 @@ def test_all_that_a_team_has_seen_is_what_each_of_them_knows(seed: int, base: st
     seen = [each.own for each in team]
     assert ((told[0] != UNKNOWN) == np.any([own != UNKNOWN for own in seen], axis=0)).all()
     assert np.any([(told[0] == own) for own in seen], axis=0).all()
-    if not noise:
+    if not noise or base == "own":
         assert (told[0] == np.max(seen, axis=0)).all()
     for each in team:
         planning = each.exchange.merge(each.own)
@@ -215,6 +217,52 @@ def test_few_new_cells_wait_for_a_few_steps_where_bytes_are_scarce(
         for _ in range(ENOUGH_STEPS)
     ]
     assert [bool(units) for units in said].index(True) == steps
+
+
+@given(seeds, st.sampled_from(("team", "own")), st.booleans())
+def test_robots_that_read_together_know_what_each_would_know_alone(seed: int, base: str, lies: bool) -> None:
+    """At their own pace, with units that were taken back; a liar tells each of them something else."""
+    truth, rng = world(seed), np.random.default_rng(seed)
+    teams = [
+        [Explorer(robot, seed, common, sight={"base": base}) for robot in range(3)] for common in (None, {})
+    ]
+    told = [[0] * 3 for _ in range(3)]
+    for _ in range(12):
+        speaker = int(rng.integers(3))
+        lost, noise, wrong = rng.random() < 0.3, int(rng.integers(4)), rng.random() < 0.5
+        for team in teams:
+            maker = team[speaker]
+            if (
+                lost
+                and maker.exchange.revisable
+                and all(told[to][speaker] < len(maker.log) for to in range(3))
+            ):
+                del maker.log[len(maker.log) - maker.exchange.revisable :]
+                maker.exchange.retract()
+            maker.look(truth, noise=noise)
+        assert teams[0][speaker].log == teams[1][speaker].log
+        hearer, about = int(rng.integers(3)), int(rng.integers(3))
+        heard = teams[0][about].log[told[hearer][about] :][: int(rng.integers(4))]
+        if hearer == about or not heard:
+            continue
+        told[hearer][about] += len(heard)
+        if lies and about == 2 and wrong:
+            number, data = look(heard[0])
+            heard[0] = encode([Look(number, bytes(byte ^ hearer + 1 for byte in data))])
+        said = []
+        for team in teams:
+            try:
+                team[hearer].exchange.take(about, heard)
+            except ProtocolError as error:
+                said.append(str(error))
+            else:
+                said.append("")
+        assert said[0] == said[1]
+        for alone, together in zip(*teams, strict=True):
+            assert (alone.exchange.merge(unknown()) == together.exchange.merge(unknown())).all()
+            assert [alone.exchange.pose(robot) for robot in range(3)] == [
+                together.exchange.pose(robot) for robot in range(3)
+            ]
 
 
 def units_of(seed: int) -> list[bytes]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from agent.planning.cost_field import Floor, costs, costs_on
-from agent.planning.jump_point_search import costs_between
+from agent.planning.jump_point_search import costs_among, costs_between
 from agent.planning.path_planner import PathPlanner
 from agent.planning.reachability import reachable
 from protocol.grid import FREE, OCCUPIED, Grid
@@ -39,6 +39,19 @@ def test_costs_between_cells_are_those_of_a_plain_search_to_the_last_bit(
     assert found.shape == (starts, goals)
     for cell, row in zip(from_cells.tolist(), found, strict=True):
         assert row.tobytes() == whole_lengths(grid, *cell)[to_cells[:, 1], to_cells[:, 0]].tobytes()
+
+
+@given(floors(), counts, counts, seeds)
+def test_ways_among_goals_are_those_that_a_search_from_each_finds(
+    case: tuple[Grid, int, int], starts: int, goals: int, seed: int
+) -> None:
+    grid, *_ = case
+    rng = np.random.default_rng(seed)
+    free = np.argwhere(grid == FREE)[:, ::-1].astype(np.int32)
+    from_cells, to_cells = some_cells(grid, rng, starts), free[rng.integers(0, len(free), goals)]
+    ways, between = costs_among(Floor(grid), from_cells, to_cells)
+    assert ways.tobytes() == costs_between(Floor(grid), from_cells, to_cells).tobytes()
+    assert between.tobytes() == costs_between(Floor(grid), to_cells, to_cells).tobytes()
 
 
 @given(floors())

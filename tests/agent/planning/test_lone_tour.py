@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from agent.planning.lone_tour import REMAINS, Numbers, lone_tour
+from agent.planning.lone_tour import Numbers, lone_tour
 
 
 def on_a_line(goals: list[float]) -> tuple[Numbers, Numbers]:
@@ -20,19 +20,12 @@ def on_a_line(goals: list[float]) -> tuple[Numbers, Numbers]:
 
 def test_the_nearer_end_comes_first_though_the_nearest_goal_is_at_the_other() -> None:
     # 4 there and 14 on, instead of 3, 13 back past all to 10, and 14 to the last.
-    assert lone_tour(*on_a_line([10, 3, -4]), 0.0) == [2, 1, 0]
-
-
-def test_ways_count_only_up_to_where_goals_are_seen_from() -> None:
-    # In order 2 + 2 + 9. Seen from 3 off, the nearer is seen on the way to the farther: 1 + 0.1 + 4, not 0.1 + 0.1 + 6.
-    starts, between = on_a_line([2, 4, -5])
-    assert lone_tour(starts, between, 0.0) == [0, 1, 2]
-    assert lone_tour(starts, between, 3.0) == [1, 0, 2]
+    assert lone_tour(*on_a_line([10, 3, -4])) == [2, 1, 0]
 
 
 @pytest.mark.parametrize(("starts", "tour"), [([], []), ([np.inf], []), ([2.0], [0]), ([np.inf, 2.0], [1])])
 def test_what_cannot_be_reached_is_left_out(starts: list[float], tour: list[int]) -> None:
-    assert lone_tour(np.array(starts), np.zeros((len(starts), len(starts))), 1.0) == tour
+    assert lone_tour(np.array(starts), np.zeros((len(starts), len(starts)))) == tour
 
 
 def length(tour: tuple[int, ...] | list[int], starts: Numbers, between: Numbers) -> float:
@@ -40,23 +33,22 @@ def length(tour: tuple[int, ...] | list[int], starts: Numbers, between: Numbers)
 
 
 @st.composite
-def tasks(draw: st.DrawFn) -> tuple[Numbers, Numbers, float]:
+def tasks(draw: st.DrawFn) -> tuple[Numbers, Numbers]:
     random = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     places: NDArray[np.float64] = random.uniform(0, 100, (draw(st.integers(2, 8)), 2))
     ways = np.hypot(*(places[:, None] - places).T)
-    return ways[0, 1:], ways[1:, 1:], draw(st.sampled_from([0.0, 10.0]))
+    return ways[0, 1:], ways[1:, 1:]
 
 
 @given(tasks())
-def test_tours_are_hardly_longer_than_the_shortest(task: tuple[Numbers, Numbers, float]) -> None:
-    starts, between, near = task
-    tour = lone_tour(starts, between, near)
+def test_tours_are_hardly_longer_than_the_shortest(task: tuple[Numbers, Numbers]) -> None:
+    starts, between = task
+    tour = lone_tour(starts, between)
     assert sorted(tour) == list(range(len(starts)))
-    seen = [np.maximum(ways - near, REMAINS * ways) for ways in (starts, between)]
-    shortest = min(length(order, *seen) for order in permutations(range(len(starts)))) if len(tour) < 7 else 0
+    shortest = min(length(order, *task) for order in permutations(range(len(starts)))) if len(tour) < 7 else 0
     nearest: list[int] = []
     while len(nearest) < len(tour):
-        ways = seen[1][nearest[-1]] if nearest else seen[0]
+        ways = between[nearest[-1]] if nearest else starts
         nearest.append(min(set(tour) - set(nearest), key=lambda goal: ways[goal]))
-    assert length(tour, *seen) <= length(nearest, *seen) + 1e-6
-    assert shortest == 0 or length(tour, *seen) <= 1.25 * shortest
+    assert length(tour, *task) <= length(nearest, *task) + 1e-6
+    assert shortest == 0 or length(tour, *task) <= 1.25 * shortest

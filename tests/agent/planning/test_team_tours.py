@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from agent.planning.team_tours import ROUNDS, Numbers, team_tours, tours_cost
 
-Task = tuple[Numbers, Numbers, Numbers, Numbers, float]
+Task = tuple[Numbers, Numbers, Numbers, Numbers, float, float]
 
 
 def on_a_line(
-    robots: list[float], goals: list[float], weights: list[float], lateness: float = 0.0, last: float = 0.0
+    robots: list[float], goals: list[float], weights: list[float], lateness: float = 0.0, way: float = 0.0
 ) -> Task:
     at = np.array(goals, np.float64)
     return (
@@ -22,7 +22,8 @@ def on_a_line(
         np.abs(at[:, None] - at),
         np.array(weights),
         np.full(len(goals), lateness),
-        last,
+        0.0,
+        way,
     )
 
 
@@ -37,20 +38,26 @@ def test_a_crumb_behind_is_fetched_first_where_lateness_counts(lateness: float, 
     assert team_tours(*on_a_line([0], [10, -3], [1.0, 0.1], lateness)) == [tour]
 
 
+@pytest.mark.parametrize(("way", "tour"), [(0.0, [0, 1]), (0.56, [0, 1]), (0.58, [1, 0])])
+def test_a_crumb_behind_is_fetched_first_where_the_way_counts(way: float, tour: list[int]) -> None:
+    # There and on: 0.1 x 3 + 16 + 16 w. On and back: 10 + 0.1 x 23 + 23 w. Alike at w = 4 / 7.
+    assert team_tours(*on_a_line([0], [10, -3], [1.0, 0.1], way=way)) == [tour]
+
+
 @pytest.mark.parametrize(("last", "tours"), [(0.0, [[0, 1], []]), (2.0, [[0], [1]])])
 def test_a_far_robot_helps_where_the_end_of_the_last_counts(last: float, tours: list[list[int]]) -> None:
     # Alone robot 0 is at the second goal at 22, robot 1 would be there at 23, but done with both only then; the
     # arrival costs one more, the end 22 instead of 21 the other way round.
     starts = np.array([[20.0, 22.0], [30.0, 21.0]]) if last else np.array([[20.0, 22.0], [30.0, 23.0]])
     between = np.array([[0.0, 2.0], [2.0, 0.0]])
-    assert team_tours(starts, between, np.full(2, 0.1), np.zeros(2), last) == tours
+    assert team_tours(starts, between, np.full(2, 0.1), np.zeros(2), last, 0.0) == tours
 
 
 def test_what_nobody_can_reach_is_in_no_tour_and_who_can_reach_nothing_has_none() -> None:
     starts = np.array([[3.0, np.inf, 1.0], [np.inf, np.inf, np.inf]])
     between = np.array([[0.0, np.inf, 2.0], [np.inf, 0.0, np.inf], [2.0, np.inf, 0.0]])
-    assert team_tours(starts, between, np.ones(3), np.ones(3), 1.0) == [[2, 0], []]
-    assert team_tours(np.empty((2, 0)), np.empty((0, 0)), np.empty(0), np.empty(0), 1.0) == [[], []]
+    assert team_tours(starts, between, np.ones(3), np.ones(3), 1.0, 1.0) == [[2, 0], []]
+    assert team_tours(np.empty((2, 0)), np.empty((0, 0)), np.empty(0), np.empty(0), 1.0, 1.0) == [[], []]
 
 
 @st.composite
@@ -65,6 +72,7 @@ def tasks(draw: st.DrawFn) -> Task:
         random.uniform(0.1, 1.1, goals),
         np.full(goals, draw(st.sampled_from([0.0, 0.001, 0.02]))),
         draw(st.sampled_from([0.0, 2.0])),
+        draw(st.sampled_from([0.0, 4.0])),
     )
 
 
@@ -76,8 +84,8 @@ def test_the_search_is_the_slow_one_that_drives_along_all_tours(task: Task) -> N
 
 
 def slow(task: Task) -> list[list[int]]:
-    """Insertion, then moves of a goal and swaps of two ends, by the cost of all tours."""
-    starts, _, weights, _, _ = task
+    """Insertion, then moves of a goal, swaps of two ends and turns of a part, by the cost of all tours."""
+    starts, _, weights, *_ = task
     tours: list[list[int]] = [[] for _ in starts]
     order: NDArray[np.int64] = np.lexsort((starts.min(axis=0), -weights))
     for goal in order.tolist():
@@ -90,6 +98,8 @@ def slow(task: Task) -> list[list[int]]:
         for one in range(len(tours)):
             for other in range(one):
                 tours = min([tours, *swapped(tours, one, other)], key=lambda each: tours_cost(each, *task))
+        for robot in range(len(tours)):
+            tours = min([tours, *turned(tours, robot)], key=lambda each: tours_cost(each, *task))
         if tours_cost(tours, *task) > before - 1e-7:
             break
     return tours
@@ -112,3 +122,12 @@ def swapped(tours: list[list[int]], one: int, other: int) -> list[list[list[int]
             new[other] = tours[other][:at] + tours[one][place:]
             found.append(new)
     return found
+
+
+def turned(tours: list[list[int]], robot: int) -> list[list[list[int]]]:
+    tour = tours[robot]
+    return [
+        [*tours[:robot], [*tour[:first], *tour[first : end + 1][::-1], *tour[end + 1 :]], *tours[robot + 1 :]]
+        for first in range(len(tour) - 1)
+        for end in range(first + 1, len(tour))
+    ]

@@ -44,14 +44,15 @@ def test_what_promises_much_comes_first_and_a_crumb_where_it_is_near() -> None:
 
 @pytest.mark.parametrize(("crumb", "first"), [(0.0, END), (1.0, GAP)])
 def test_the_weight_of_crumbs_says_how_near(crumb: float, first: tuple[int, int]) -> None:
-    assert target(15, {"crumb": crumb, "lateness": 0.0, "last": 0.0}) == first
+    assert target(15, {"crumb": crumb, "lateness": 0.0, "last": 0.0, "total": 0.0}) == first
 
 
-def test_a_crumb_is_not_left_behind_where_lateness_or_the_last_robots_end_counts() -> None:
-    alone = {"crumb": 0.01, "lateness": 0.0, "last": 0.0}
+def test_a_crumb_is_not_left_behind_where_lateness_the_last_robots_end_or_the_way_counts() -> None:
+    alone = {"crumb": 0.01, "lateness": 0.0, "last": 0.0, "total": 0.0}
     assert target(12, alone) == END
     assert target(12, alone | {"lateness": 1.0}) == GAP
     assert target(12, alone | {"last": 5.0}) == GAP
+    assert target(12, alone | {"total": 5.0}) == GAP
 
 
 @pytest.mark.parametrize(("x", "first"), [(23, GAP), (27, END)])
@@ -60,7 +61,7 @@ def test_a_robot_without_teammates_drives_the_shortest_tour_whatever_goals_promi
 ) -> None:
     robot = Repairmen({"crumb": 0.0}, settings_for(HALL, 0, 1, ranges_cells=[10.0]))
     assert robot.decide(robot_at(x, 4)).target == first
-    assert target(23, {"crumb": 0.0}) == END
+    assert target(23, {"crumb": 0.0, "last": 0.0, "total": 0.0}) == END
 
 
 def both(situations: list[Situation]) -> list[Decision]:
