@@ -65,8 +65,8 @@ class Exchange(ABC):
         self.revisable = 0
 
     @abstractmethod
-    def take(self, about: int, units: list[bytes]) -> None:
-        """Take the next units of robot `about`'s log, in their order.
+    def take(self, about: int, frame: bytes) -> None:
+        """Take the next units of robot `about`'s log, in their order, one behind the other.
 
         Raises
         ------

@@ -120,12 +120,12 @@ class _Plan:
 
 @dataclass
 class _Stretch:
-    """Units of a map's log in a broadcast, from number `first` on; where they begin, in bytes, and where each ends."""
+    """Units of a map's log in a broadcast, from number `first` on, and where they begin and end, in bytes."""
 
     map: int
     first: int
     begin: int
-    ends: list[int]
+    end: int
 
 
 class Gossip:
@@ -259,10 +259,10 @@ class Gossip:
         for peer, pieces in frames:
             yield from self._hear_units(peer, pieces)
 
-    def accept(self, peer: int, about: int, units: list[bytes]) -> None:
-        """Append units of a map that a peer said."""
+    def accept(self, peer: int, about: int, frame: bytes, ends: list[int]) -> None:
+        """Append units of a map that a peer said, given where in the frame they end."""
         del peer
-        self.logs[about].append(units)
+        self.logs[about].extend(frame, ends)
 
     def delivered(self) -> bool:
         """Whether teammates are in range, and all that one has logged has been on the air."""
@@ -408,24 +408,24 @@ class Gossip:
 
         Return up to which one there is.
         """
-        first = max(first, self.logs[about].oldest)
+        log = self.logs[about]
+        first, end = max(first, log.oldest), min(end, len(log))
         begins = about == self.own and first == self._cursor and not said.stretches
         head = b""
         if not (begins and set(self._peers) <= self._synced):
             head = packets.encode([from_packet(about, first)])
         left = None if room is None else room - len(said.payload) - len(head)
-        units = self.logs[about].since(first, left)[: end - first]
-        if units:
-            said.payload += head
-            begin = len(said.payload)
-            ends: list[int] = []
-            for unit in units:
-                ends.append((ends[-1] if ends else begin) + len(unit))
-            said.payload += b"".join(units)
-            said.stretches.append(_Stretch(about, first, begin, ends))
-            low, high = said.spoken.get(about, (first, first))
-            said.spoken[about] = min(low, first), max(high, first + len(units))
-        return first + len(units)
+        units = log.since(first, left, end) if first < end else b""
+        if not units:
+            return first
+        said.payload += head
+        begin = len(said.payload)
+        said.payload += units
+        said.stretches.append(_Stretch(about, first, begin, len(said.payload)))
+        end = log.reached(first, len(units))
+        low, high = said.spoken.get(about, (first, end))
+        said.spoken[about] = min(low, first), max(high, end)
+        return end
 
     def _set_urgency(self, said: _Said, served: int | None) -> None:
         """Note how soon this should be on the air; `served` is who is served first."""
@@ -458,10 +458,9 @@ class Gossip:
         if all(end <= sent for end, _ in said.held):
             self._met -= said.met
         for stretch in said.stretches:
-            carried = sum(end <= sent for end in stretch.ends)
-            if not carried:
+            end = self.logs[stretch.map].reached(stretch.first, min(sent, stretch.end) - stretch.begin)
+            if end <= stretch.first:
                 break
-            end = stretch.first + carried
             self._believe(self._peers, stretch.map, end)
             self._reach(self._peers, stretch.map, stretch.first, end)
             if stretch.map == self.own:

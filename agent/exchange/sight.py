@@ -23,6 +23,7 @@ from agent.settings import Settings
 from agent.sight.looks import TOLD
 from agent.sight.shelf import Follower, Shelf
 from agent.sight.stream import Box, History, Stream, Told, around
+from protocol import survey
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, fan
 from protocol.kernels import kernel
@@ -207,11 +208,12 @@ class SightExchange(Exchange):
         self._last = None
         super().retract()
 
-    def take(self, about: int, units: list[bytes]) -> None:
+    def take(self, about: int, frame: bytes) -> None:
         """Put pieces together, and read the units that can be read by now, of all maps."""
         coming = self._coming[about]
         if coming.broken:
             raise ProtocolError(Look.name, 0, coming.broken)
+        units = survey.split(frame)
         rest, whole = coming.pieces, []
         ends: list[int] = []
         for count, unit in enumerate(units, coming.packets + 1):
@@ -313,7 +315,7 @@ class SightExchange(Exchange):
             self._told_so.reshape(2, -1), told.places, told.before, told.states, self._heard.grid.reshape(-1)
         )
         if len(told.places):
-            self._heard.told(np.array([told.box], np.int32))
+            self._heard.told(told.box)
 
 
 def pieces(message: bytes, number: int, most: int) -> list[bytes]:

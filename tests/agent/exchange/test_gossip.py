@@ -83,7 +83,7 @@ class Air:
             zeros = [0] * len(own)
             note = Outcome(1, exchange, [-1] * len(own), zeros, zeros, own, [-1] * count, False)
             for peer, about, data in self.minds[robot].outcome(note, heard[robot]):
-                self.minds[robot].accept(peer, about, survey.split(data))
+                self.minds[robot].accept(peer, about, data, survey.ends(data))
         for robot in reach:
             self.check(robot)
             self.minds[robot].forget()
@@ -92,7 +92,7 @@ class Air:
     def check(self, robot: int) -> None:
         """What a robot holds of each map is what its maker logged, from the first unit on, whole and in order."""
         for about, log in enumerate(self.minds[robot].logs):
-            assert log.since(log.oldest, None) == words(about, log.oldest, len(log))
+            assert log.since(log.oldest, None) == b"".join(words(about, log.oldest, len(log)))
             assert len(log) <= self.logged[about]
 
     def agree(self, robots: Sequence[int]) -> bool:
@@ -317,7 +317,7 @@ def test_where_robots_have_been_apart_who_serves_one_that_holds_most_speaks_firs
     for held in (known, 0):
         mind = Gossip(0, 3)
         mind.offers(0, [1], 100)  # robot 2 is away
-        mind.accept(1, 1, words(1, 0, known))
+        mind.logs[1].append(words(1, 0, known))
         mind.known[2, 1] = held
         mind.record(words(0, 0, 1))
         for _ in range(GREETING + 2):
