@@ -70,7 +70,7 @@ CRUMB_CELLS = 2
 AHEAD = 5
 """Goals that come after the next one and have a say in where to look at it from."""
 
-RECALL = 50
+RECALL = 200
 """Steps for which a teammate out of range is believed to be at the last target that it told of."""
 
 EACH_STEP = "each-step"
