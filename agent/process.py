@@ -61,9 +61,12 @@ class AgentNode:
         self._identity = Identity(journal) if journal is not None else None
         self._common = common
         self._bus = bus
-        self._keys = keys
         self._number = number
         self._name = names.robot(number)
+        self._to_air = keys.radio_tx(self._name)
+        self._to_world = keys.body(names.WORLD, self._name)
+        self._to_lab = keys.control(names.LAB, self._name)
+        self._to_viewer = keys.control(names.VIEW, self._name)
         self.robot: Robot | None = None
         self._frames: list[tuple[int, bytes]] = []
         self._early: list[MediumNote] = []
@@ -180,7 +183,7 @@ class AgentNode:
         errors = robot.error(), -1 if exact is None else exact
         report = MindReport(self._step, x, y, robot.known_cells, *errors, backlog, robot.status, work)
         self._report(report)
-        self._bus.put(self._keys.body(names.WORLD, self._name), pack(move))
+        self._bus.put(self._to_world, pack(move))
         if self._step % SHOWN_EVERY == 0:
             self._show(self._step)
 
@@ -198,10 +201,10 @@ class AgentNode:
             height, width = self.robot.own.shape
             own, planning = self.robot.own.tobytes(), self.robot.planning.tobytes()
             maps = Maps(self._number, width, height, own, planning)
-            self._bus.put(self._keys.control(names.LAB, self._name), pack(maps))
+            self._bus.put(self._to_lab, pack(maps))
 
     def _say(self, said: Said) -> None:
-        self._bus.put(self._keys.radio_tx(self._name), pack(said))
+        self._bus.put(self._to_air, pack(said))
 
     def _fault(self, what: str) -> None:
         self._report(Fault(self._name, clip(what)))
@@ -209,12 +212,12 @@ class AgentNode:
     def _report(self, message: Record) -> None:
         """Tell the laboratory, and the viewer if there is one."""
         payload = pack(message)
-        self._bus.put(self._keys.control(names.LAB, self._name), payload)
+        self._bus.put(self._to_lab, payload)
         if self._viewer_feed is not None:
-            self._bus.put(self._keys.control(names.VIEW, self._name), payload)
+            self._bus.put(self._to_viewer, payload)
 
     def _show(self, step: int) -> None:
         """Send the viewer, if there is one, the changes of the robot's maps."""
         if self._viewer_feed is not None and self.robot is not None:
             for news in self._viewer_feed.news(step, self.robot):
-                self._bus.put(self._keys.control(names.VIEW, self._name), pack(news))
+                self._bus.put(self._to_viewer, pack(news))

@@ -26,7 +26,7 @@ from protocol.errors import ProtocolError
 from protocol.fields import MOST_ON_THE_WAY
 from protocol.grid import UNKNOWN, Grid, fan
 from protocol.messages import Move, Outcome, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
-from protocol.scans import Scan, check_readings, draw, mark_free
+from protocol.scans import Scan, check_readings, draw
 
 _Value = TypeVar("_Value")
 
@@ -73,7 +73,8 @@ class Robot:
         """The self-explored grid."""
         self.planning: Grid = self.own.copy()
         """The planning grid: the own one merged with what teammates sent."""
-        self.session = distribution(settings)
+        self._exchange = exchange(settings)
+        self.session = distribution(settings, self._exchange)
         self.target: Cell | None = None
         self.status = ""
         """Its current activity, as text."""
@@ -85,7 +86,6 @@ class Robot:
         self.known_cells = 0
         """Cells of the self-explored grid that are known."""
         self._fan = fan(settings.range_cells, settings.beams)
-        self._exchange = exchange(settings)
         self._strategy = strategy(settings.strategy)(settings.options, settings)
         self._sense: Sense | None = None
         self._homes: dict[int, Cell] = {}
@@ -141,8 +141,8 @@ class Robot:
         """
         readings = np.frombuffer(sense.readings, np.uint16).copy()
         check_readings(readings, self._fan)
-        change = mark_free(self.own, cells_from_bytes(sense.driven))
-        change += draw(self.own, self._fan, sense.x, sense.y, readings)
+        driven = cells_from_bytes(sense.driven)
+        change = draw(self.own, self._fan, sense.x, sense.y, readings, driven)
         self.known_cells += change.cells
         if self._sense is None:
             self._homes[self.settings.robot] = self.settings.home or (sense.x, sense.y)
@@ -256,9 +256,9 @@ class Robot:
                 continue
             told_by = self._told_by.setdefault(about, set())
             try:
-                units = survey.split(frame)
+                ends = survey.ends(frame)
                 self._exchange.plausible.listen(outcome.step, peer)
-                self._exchange.take(about, units)
+                self._exchange.take(about, frame)
             except ProtocolError as error:
                 self.faults.append(Fault(peer, str(error)))
                 self.session.refused.add((peer, about))
@@ -266,7 +266,7 @@ class Robot:
                     self.distrusted.add(peer)
                     self.session.refused.update((peer, each) for each in range(self.settings.maps))
             else:
-                self.session.accept(peer, about, units)
+                self.session.accept(peer, about, frame, ends)
                 told_by.add(peer)
                 self._note_look(about)
         if outcome.broadcast:

@@ -161,12 +161,13 @@ class Medium:
             exchange, -1, frame, sender, receiver, -1, CAUSES.index(cause), payload, (), reason
         )
 
-    def report(self) -> RadioReport:
-        """Write down what was said: the ledger's rows, and the frames for the capture."""
+    def report(self, *, captures: bool = True) -> RadioReport:
+        """Write down what was said: the ledger's rows, and the frames for a capture unless there is none."""
         if not len(self.sightings):
             return RadioReport(self.step, b"", self.carried, b"")
         seen = self.sightings.columns()
-        return RadioReport(self.step, book(self.step, seen), self.carried, capture.encode(self.step, seen))
+        frames = capture.encode(self.step, seen) if captures else b""
+        return RadioReport(self.step, book(self.step, seen), self.carried, frames)
 
 
 @kernel(

@@ -48,15 +48,19 @@ LEAST_FRAME, MOST_FRAME = 64, 1 << 24
 
 
 class RelayNode:
-    """One run's relay; `done` once all participants have been told to shut down and have left."""
+    """One run's relay; `done` once all participants have been told to shut down and have left.
 
-    def __init__(self, bus: Bus, keys: Keys, settings: RadioSettings) -> None:
+    With `captures` it reports the frames themselves as well, for who writes them down.
+    """
+
+    def __init__(self, bus: Bus, keys: Keys, settings: RadioSettings, *, captures: bool = True) -> None:
         self.done = False
         self.going_home = False
         """Whether all have been told that the run is over; participants that stay anyway are not waited for."""
         self._bus = bus
         self._keys = keys
         self._radio = radio(settings)
+        self._captures = captures
         robots = self._robots = [names.robot(number) for number in range(settings.robots)]
         self._most_bytes = MOST_FRAME if settings.budget == UNLIMITED else settings.budget + LEAST_FRAME
         """Of a frame: what is longer is not looked at."""
@@ -196,14 +200,17 @@ class RelayNode:
                     heard.senders.append(sender)
                     heard.frames.append(payload)
             elif isinstance(item, Note):
-                for_robots[item.receiver].notes.append(item.message)
+                heard = for_robots[item.receiver]
+                heard.senders.extend(item.senders)
+                heard.frames.extend(item.frames)
+                heard.notes.append(item.message)
             else:
                 media.append(item)
         for robot in sorted(for_robots):
             self._bus.put(self._hears_at[robot], pack(for_robots[robot]))
         for medium in media:
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Close(medium.step)))
-            self._report(medium.report())
+            self._report(medium.report(captures=self._captures))
 
     def _report_faults(self) -> None:
         for robot, reason in self._radio.faults:

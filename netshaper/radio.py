@@ -15,13 +15,14 @@ believed: a frame that is malformed, out of range or out of turn is booked as su
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from operator import attrgetter
 from typing import NamedTuple, TypeVar
 
 import msgspec
+import numpy as np
 
 from netshaper import airtime, connectivity
 from netshaper.frames import is_broadcast, read_offer, wrong_in_answer, wrong_in_data
@@ -102,15 +103,13 @@ class Frame(NamedTuple):
     payload: bytes
 
 
-framed = partial(tuple.__new__, Frame)
-"""A frame of its three parts: a named tuple's own way takes twice as long."""
-
-
 class Note(NamedTuple):
-    """What a robot is told."""
+    """What a robot is told, and before it the frames that it hears, each as from its sender."""
 
     receiver: int
     message: MediumNote
+    senders: Sequence[int] = ()
+    frames: Sequence[bytes] = ()
 
 
 Outgoing = Frame | Note | Medium
@@ -370,28 +369,32 @@ class Radio:
 
     def _pass_on(self, frame: int, phase: str) -> list[Outgoing]:
         """Hand all frames of one kind to their receivers, in the seeded order, and give these the turn."""
-        out: list[Outgoing] = []
-        heard: dict[int, tuple[list[int], list[int]]] = {}
+        heard: defaultdict[int, tuple[list[int], list[bytes], list[int], list[int]]]
+        heard = defaultdict(lambda: ([], [], [], []))
         these = self._connections
         senders, receivers = these.senders, these.receivers
         if frame == ANSWER:
             senders, receivers = receivers, senders
+        away = self._dead | self._deaf
         said = zip(senders, receivers, these.maps, these.frames[frame], strict=True)
-        for at, (sender, receiver, about, payload) in enumerate(said):
+        for number, (sender, receiver, about, payload) in enumerate(said, these.first):
             if payload is None:
                 continue
-            if receiver in self._dead or receiver in self._deaf:
-                these.lost[at] = frame
+            if receiver in away:
+                these.lost[number - these.first] = frame
                 continue
-            out.append(framed(((receiver,), sender, payload)))
-            if receiver not in heard:
-                heard[receiver] = [], []
-            numbers, maps = heard[receiver]
-            numbers.append(these.first + at)
+            whose, frames, numbers, maps = heard[receiver]
+            whose.append(sender)
+            frames.append(payload)
+            numbers.append(number)
             maps.append(about)
-        for receiver, (numbers, maps) in sorted(heard.items()):
-            out.append(Note(receiver, Turn(self._step, self._exchange, PHASES[frame], numbers, maps)))
-        self._expect(phase, sorted(heard))
+        robots = sorted(heard)
+        self._expect(phase, robots)
+        out: list[Outgoing] = []
+        for robot in robots:
+            whose, frames, numbers, maps = heard[robot]
+            turn = Turn(self._step, self._exchange, PHASES[frame], numbers, maps)
+            out.append(Note(robot, turn, whose, frames))
         return out
 
     def _end_answers(self) -> list[Outgoing]:
@@ -404,33 +407,38 @@ class Radio:
         for at, (receiver, payload) in enumerate(zip(these.receivers, these.frames[DATA], strict=True)):
             if payload is not None and receiver in self._dead:
                 these.lost[at] = DATA
-        offers, answers, data = self._medium.play(self._exchange, these).T.tolist()
-        out: list[Outgoing] = []
-        heard: dict[int, list[int]] = {}
-        for at, (sender, receiver, payload, size) in enumerate(
-            zip(these.senders, these.receivers, these.frames[DATA], data, strict=True)
-        ):
+        carried = self._medium.play(self._exchange, these)
+        heard: defaultdict[int, tuple[list[int], list[bytes], list[int]]]
+        heard = defaultdict(lambda: ([], [], []))
+        concerned: defaultdict[int, list[int]] = defaultdict(list)
+        concerned.update({robot: [] for robot in self._broadcast_carried})
+        played = zip(
+            these.senders, these.receivers, these.frames[DATA], carried[:, DATA].tolist(), strict=True
+        )
+        for at, (sender, receiver, payload, size) in enumerate(played):
+            concerned[sender].append(at)
+            concerned[receiver].append(at)
             if payload is not None and size:
-                out.append(framed(((receiver,), sender, payload[:size])))
-                heard.setdefault(receiver, []).append(these.first + at)
-        concerned: dict[int, list[int]] = {robot: [] for robot in self._broadcast_carried}
-        for at, ends in enumerate(zip(these.senders, these.receivers, strict=True)):
-            for robot in ends:
-                concerned.setdefault(robot, []).append(at)
-        for robot, mine in sorted(concerned.items()):
-            if robot in self._dead:
-                continue
+                whose, frames, numbers = heard[receiver]
+                whose.append(sender)
+                frames.append(payload[:size])
+                numbers.append(these.first + at)
+        out: list[Outgoing] = []
+        for robot in sorted(concerned.keys() - self._dead):
+            mine = np.array(concerned[robot], np.int64)
+            whose, frames, numbers = heard[robot]
+            offers, answers, data = carried[mine].T.tolist()
             outcome = Outcome(
                 self._step,
                 self._exchange,
-                [these.first + at for at in mine],
-                [offers[at] for at in mine],
-                [answers[at] for at in mine],
-                [data[at] for at in mine],
-                heard.get(robot, []),
+                (these.first + mine).tolist(),
+                offers,
+                answers,
+                data,
+                numbers,
                 self._broadcast_carried.get(robot, False),
             )
-            out.append(Note(robot, outcome))
+            out.append(Note(robot, outcome, whose, frames))
         self._exchange += 1
         if self._exchange < self.settings.exchanges and self._medium.left:
             return out + self._open()
@@ -460,12 +468,13 @@ class Radio:
         if frame == ANSWER:
             senders, receivers = receivers, senders
         asked, said = these.frames[frame - 1], these.frames[frame]
+        count = len(these)
         for sender, words in sorted(self._spoken.items()):
             numbers = words.connections
             for index, (receiver, payload) in enumerate(words.puts()):
                 at = numbers[index] - these.first if index < len(numbers) else -1
                 if (
-                    not 0 <= at < len(these)
+                    not 0 <= at < count
                     or (senders[at], receivers[at]) != (sender, receiver)
                     or said[at] is not None
                     or asked[at] is None

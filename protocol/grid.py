@@ -52,7 +52,7 @@ class Fan:
     cells: NDArray[np.int32]
     start: NDArray[np.int32]
 
-    def flat(self, width: int) -> NDArray[np.int64]:
+    def flat(self, width: int) -> NDArray[np.int32]:
         """The same cells as steps in a grid of so many columns that lies flat, row after row."""
         return _flat(self, width)
 
@@ -68,8 +68,8 @@ class Fan:
 
 
 @lru_cache(maxsize=16)
-def _flat(beams: Fan, width: int) -> NDArray[np.int64]:
-    steps: NDArray[np.int64] = beams.cells[:, 1].astype(np.int64) * width + beams.cells[:, 0]
+def _flat(beams: Fan, width: int) -> NDArray[np.int32]:
+    steps: NDArray[np.int32] = beams.cells[:, 1] * np.int32(width) + beams.cells[:, 0]
     return steps
 
 

@@ -3,12 +3,26 @@
 from __future__ import annotations
 
 import hashlib
+from typing import Any
 
 import numpy as np
+from numpy.random.bit_generator import ISeedSequence
+from numpy.typing import NDArray
 
 
 def keyed_random(seed: int, purpose: str, *numbers: int) -> np.random.Generator:
     """Return the generator for one purpose, e.g. ``keyed_random(seed, "contention", step, exchange)``."""
     text = ":".join([purpose, str(seed), *map(str, numbers)])
     key = np.frombuffer(hashlib.sha256(text.encode()).digest()[:16], "<u8")
-    return np.random.Generator(np.random.Philox(key=key))
+    return np.random.Generator(np.random.Philox(_Key(key)))  # type: ignore[arg-type]
+
+
+class _Key(ISeedSequence):
+    """A key as it is: given as ``Philox(key=...)``, the system is asked for entropy that nobody uses."""
+
+    def __init__(self, key: NDArray[np.uint64]) -> None:
+        self._key = key
+
+    def generate_state(self, n_words: int, dtype: Any = np.uint32) -> NDArray[np.uint64]:  # noqa: ARG002
+        """The words of the key, which are as many as a Philox generator wants."""
+        return self._key

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,8 +95,7 @@ def fragments(data: bytes, most: int = Fragment.size) -> list[bytes]:
     return [encode([Fragment(piece)]) for piece in pieces]
 
 
-@dataclass(frozen=True)
-class Change:
+class Change(NamedTuple):
     """Changes made by drawing: the number of cells, all within columns x0 to x1 - 1 and rows y0 to y1 - 1."""
 
     cells: int
@@ -104,54 +104,40 @@ class Change:
     x1: int
     y1: int
 
-    def __add__(self, other: Change) -> Change:
-        """Both changes, one after the other."""
-        return Change(
-            self.cells + other.cells,
-            min(self.x0, other.x0),
-            min(self.y0, other.y0),
-            max(self.x1, other.x1),
-            max(self.y1, other.y1),
-        )
+
+_NO_CELLS = np.empty((0, 2), np.int32)
 
 
-def mark_free(grid: Grid, cells: NDArray[np.int32]) -> Change:
-    """Mark cells (x, y), shape (n, 2), that a robot has driven over as free; as `draw`, only unknown ones change."""
-    x0, y0, x1, y1 = grid.shape[1], grid.shape[0], 0, 0
-    changed = 0
-    for x, y in cells.tolist():
-        if grid[y, x] == UNKNOWN:
-            grid[y, x] = FREE
-            changed += 1
-            x0, x1 = min(x0, x), max(x1, x + 1)
-            y0, y1 = min(y0, y), max(y1, y + 1)
-    return Change(changed, x0, y0, x1, y1)
-
-
-def draw(grid: Grid, fan: Fan, x: int, y: int, readings: Readings) -> Change:
+def draw(
+    grid: Grid, fan: Fan, x: int, y: int, readings: Readings, driven: NDArray[np.int32] = _NO_CELLS
+) -> Change:
     """Draw a scan taken in cell (x, y) of a grid: cells crossed are free, the next one is occupied if it was hit.
+
+    So are cells (x, y) that the robot has `driven` over, int32 of shape (n, 2).
 
     The readings must be such as the beams can give (`check_readings`). Only unknown cells change: lasers of
     one world do not contradict each other. The robot's own cell is free; what lies beyond the rim falls away, and so
     does a scan that was taken there.
     """
     out = np.empty(5, np.int32)
-    _draw(grid, fan.cells, fan.flat(grid.shape[1]), fan.start, fan.shared, x, y, readings, out)
+    _draw(grid, fan.cells, fan.flat(grid.shape[1]), fan.start, fan.shared, x, y, readings, driven, out)
     return Change(*out.tolist())
 
 
 @kernel(
-    "void(uint8[:,::1], int32[:,::1], int64[::1], int32[::1], int32[::1], int64, int64, uint16[::1], int32[::1])"
+    "void(uint8[:,::1], int32[:,::1], int32[::1], int32[::1], int32[::1], int64, int64, uint16[::1], int32[:,::1],"
+    " int32[::1])"
 )
 def _draw(
     grid: Grid,
     cells: NDArray[np.int32],
-    flat: NDArray[np.int64],
+    flat: NDArray[np.int32],
     start: NDArray[np.int32],
     shared: NDArray[np.int32],
     x: int,
     y: int,
     readings: Readings,
+    driven: NDArray[np.int32],
     out: NDArray[np.int32],
 ) -> None:
     # Unsigned, a cell beyond the left or upper border is a very large number, and indexing is twice as fast.
@@ -164,6 +150,13 @@ def _draw(
     if on_grid and grid[y, x] == UNKNOWN:
         grid[y, x] = FREE
         changed, x0, y0, x1, y1 = 1, x, y, x + 1, y + 1
+    for at in range(len(driven)):
+        column, row = driven[at, 0], driven[at, 1]
+        if np.uint64(column) < width and np.uint64(row) < height and grid[row, column] == UNKNOWN:
+            grid[row, column] = FREE
+            changed += 1
+            x0, x1 = min(x0, column), max(x1, column + 1)
+            y0, y1 = min(y0, row), max(y1, row + 1)
     touched = np.uint64(0)
     for beam in range(len(readings)):
         reading = readings[beam]

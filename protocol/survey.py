@@ -8,8 +8,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.errors import ProtocolError
 from protocol.kernels import kernel
-from protocol.packets import ALL_KINDS, FRAGMENT_DATA, LAYOUT_BY_BYTE, Look, decode
+from protocol.packets import (
+    ALL_KINDS,
+    FRAGMENT_DATA,
+    LAYOUT_BY_BYTE,
+    SHORT_HEAD,
+    Fragment,
+    Look,
+    content,
+    decode,
+)
 
 Bytes = NDArray[np.uint8]
 Table = NDArray[np.int64]
@@ -20,7 +30,7 @@ which of its bits are the same in all packets, and what they are."""
 
 KINDS = len(ALL_KINDS)
 
-_LOOK = ALL_KINDS.index(Look.name)
+_LOOK, _FRAGMENT = ALL_KINDS.index(Look.name), ALL_KINDS.index(Fragment.name)
 
 FRAME = "Array(uint8, 1, 'C', readonly=True)"
 """Bytes as kernels take them: what is read from `bytes` cannot be written to."""
@@ -50,24 +60,57 @@ def longest(frame: bytes) -> int:
     return max(map(len, split(frame)), default=0)
 
 
-def split(frame: bytes) -> list[bytes]:
-    """Cut a frame into one piece a packet.
+def ends(frame: bytes) -> list[int]:
+    """Return where each packet of a frame ends.
 
     Raises
     ------
     ProtocolError
         As `protocol.packets.decode`.
     """
-    ends = np.empty(len(frame), np.int64)
-    count = int(_ends(np.frombuffer(frame, np.uint8), TABLE, ends))
+    found = np.empty(len(frame), np.int64)
+    count = int(_ends(np.frombuffer(frame, np.uint8), TABLE, found))
     if count < 0:
         decode(frame)
-    pieces = []
+    these: list[int] = found[:count].tolist()
+    return these
+
+
+def split(frame: bytes) -> list[bytes]:
+    """Cut a frame into one piece a packet; ProtocolError as `ends`."""
     begin = 0
-    for end in ends[:count].tolist():
+    pieces = []
+    for end in ends(frame):
         pieces.append(frame[begin:end])
         begin = end
     return pieces
+
+
+def contents(frame: bytes, size: int = 0, held: int = 0) -> bytes:
+    """Return what the fragments of a frame carry, one behind the other.
+
+    Parameters
+    ----------
+    frame : bytes
+        Whole packets.
+    size : int
+        Bytes of what is sent in fragments, each time; 0: any number.
+    held : int
+        Bytes of it that have come before.
+
+    Raises
+    ------
+    ProtocolError
+        There is another packet, or a fragment runs beyond the end of what it is a part of.
+    """
+    carried = np.empty(len(frame), np.uint8)
+    count = int(_contents(np.frombuffer(frame, np.uint8), TABLE, size, held, carried))
+    if count == _NO_FRAGMENT:
+        for piece in split(frame):
+            content(piece)
+    if count == _TOO_LONG:
+        raise ProtocolError(Fragment.name, 0, f"a fragment runs beyond the {size} bytes that it is a part of")
+    return carried[:count].tobytes()
 
 
 @kernel(f"int64({FRAME}, int64, int64, int64[:,::1])")
@@ -120,6 +163,32 @@ def _ends(data: Bytes, table: Table, ends: Table) -> int:
             return -1
         ends[count] = at
         count += 1
+    return count
+
+
+_NO_FRAGMENT, _TOO_LONG = -1, -2
+
+
+@kernel(f"int64({FRAME}, int64[:,::1], int64, int64, uint8[::1])")
+def _contents(data: Bytes, table: Table, size: int, held: int, carried: Bytes) -> int:
+    """Write what fragments carry, and return how much that is; or what is wrong."""
+    at = count = 0
+    while at < len(data):
+        if table[data[at], 0] != _FRAGMENT:
+            return _NO_FRAGMENT
+        head = 1 if table[data[at], 1] else SHORT_HEAD
+        end = packet_end(data, at, len(data), table)
+        if end < 0:
+            return _NO_FRAGMENT
+        for byte in range(at + head, end):
+            carried[count] = data[byte]
+            count += 1
+        held += end - at - head
+        if 0 < size < held:
+            return _TOO_LONG
+        if held == size:
+            held = 0
+        at = end
     return count
 
 

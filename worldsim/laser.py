@@ -44,7 +44,7 @@ def cast(
     """
     readings = np.empty(fan.beams, np.uint16)
     flat = fan.flat(truth.shape[1])
-    _cast(truth, teammates.view(np.uint8), fan.cells, flat, fan.start, x, y, readings)
+    _cast(truth, teammates.view(np.uint8), fan.cells, flat, fan.start, fan.shared, x, y, readings)
     if field_of_view < FULL_TURN:
         angles = np.arange(fan.beams) * (FULL_TURN / fan.beams)
         off = np.abs((angles - heading * FULL_TURN / HEADINGS + FULL_TURN / 2) % FULL_TURN - FULL_TURN / 2)
@@ -52,13 +52,16 @@ def cast(
     return readings
 
 
-@kernel("void(uint8[:,::1], uint8[:,::1], int32[:,::1], int64[::1], int32[::1], int64, int64, uint16[::1])")
+@kernel(
+    "void(uint8[:,::1], uint8[:,::1], int32[:,::1], int32[::1], int32[::1], int32[::1], int64, int64, uint16[::1])"
+)
 def _cast(
     truth: Grid,
     teammates: NDArray[np.uint8],
     cells: NDArray[np.int32],
-    flat: NDArray[np.int64],
+    flat: NDArray[np.int32],
     start: NDArray[np.int32],
+    shared: NDArray[np.int32],
     x: int,
     y: int,
     readings: Readings,
@@ -67,6 +70,7 @@ def _cast(
     height, width = np.uint64(truth.shape[0]), np.uint64(truth.shape[1])
     lying, others = truth.reshape(truth.size), teammates.reshape(truth.size)
     here = y * truth.shape[1] + x
+    clear = np.uint64(0)
     for beam in range(len(start) - 1):
         first, end = np.uint64(start[beam]), np.uint64(start[beam + 1])
         # A walk never turns back: it stays on the grid if it ends there. Where it leaves the grid, there is a wall.
@@ -77,12 +81,17 @@ def _cast(
                 break
             on_grid = last
         reading = end - first if on_grid == end else on_grid - first | np.uint64(HIT)
-        for at in range(first, on_grid):
+        # What this beam has in common with the one before it, and that one has crossed, is clear.
+        known = min(np.uint64(shared[beam]), clear, on_grid - first)
+        clear = on_grid - first
+        for at in range(first + known, on_grid):
             cell = np.uint64(here + flat[at])
             if lying[cell] != FREE:
-                reading = at - first | np.uint64(HIT)
+                clear = at - first
+                reading = clear | np.uint64(HIT)
                 break
             if others[cell]:
-                reading = at - first + np.uint64(1)
+                clear = at - first
+                reading = clear + np.uint64(1)
                 break
         readings[beam] = reading

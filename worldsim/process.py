@@ -74,6 +74,7 @@ class WorldNode:
         self._keys = keys
         self._world = world
         self._minds = minds
+        self._to = {robot: keys.body(names.robot(robot), names.WORLD) for robot in minds}
         self._steps = steps
         self._cell_mm = cell_mm
         self._wait = wait
@@ -324,4 +325,4 @@ class WorldNode:
         self._bus.put(self._keys.control_tx(names.WORLD), end)
 
     def _tell(self, robot: int, message: Record) -> None:
-        self._bus.put(self._keys.body(names.robot(robot), names.WORLD), pack(message))
+        self._bus.put(self._to[robot], pack(message))

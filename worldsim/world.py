@@ -15,7 +15,7 @@ from protocol.grid import FREE, Grid, areas, disc, enlarge, fan
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes, points_from_bytes
-from protocol.scans import NONE, draw, mark_free
+from protocol.scans import NONE, draw
 from worldsim.cell_motion import DIAGONAL, INTERFERENCE, NOT_BLOCKED, drive, heading_of, swept
 from worldsim.continuous_motion import FINE, cell_of, glide
 from worldsim.faults import Fault
@@ -305,10 +305,9 @@ class World:
             readings[beams_outside(len(readings), angle, body.scanner_turn)] = NONE
             self._scanner_angle[robot] = (angle + body.scanner_turn) % FULL_TURN
         driven_over = np.array(entered, np.int32).reshape(-1, 2)
-        news = mark_free(self.seen, driven_over) + draw(self.seen, self._fans[robot], x, y, readings)
+        news = draw(self.seen, self._fans[robot], x, y, readings, driven_over)
         if news.cells:
-            box = news.x0, news.y0, news.x1, news.y1
-            self.seen_cells += int(_count_seen(self.seen, self.reachable, *box, self._counted))
+            self.seen_cells += int(_count_seen(self.seen, self.reachable, *news[1:], self._counted))
         driven = cells_to_bytes(driven_over)
         offset_x, offset_y = self.offsets[robot]
         return Sense(self.step, x, y, heading, driven, readings.tobytes(), blocked, offset_x, offset_y)

@@ -47,13 +47,13 @@ Pair = tuple[int, int]
 
 @dataclass
 class _Frame:
-    """What is said to one peer, and where in it each report, offer and unit ends, in bytes."""
+    """What is said to one peer, and where in it each report and offer ends, in bytes."""
 
     payload: bytes = b""
     reports: list[tuple[int, Pair]] = field(default_factory=list)
     offers: list[tuple[int, Pair]] = field(default_factory=list)
-    units: list[tuple[int, Pair, int]] = field(default_factory=list)
-    """With each how many units of the log the peer then has been sent."""
+    units: list[tuple[int, int, Pair, int]] = field(default_factory=list)
+    """Where units of a log begin and end, and from which number on they are."""
 
 
 class ConfirmedSession(Session):
@@ -165,14 +165,11 @@ class ConfirmedSession(Session):
         head = packets.encode([from_packet(about, first)])
         left = None if room is None else room - len(frame.payload) - len(head)
         units = self.logs[about].since(first, left)
-        if not units:
-            return
-        frame.payload += head
-        end = len(frame.payload)
-        for count, unit in enumerate(units, first + 1):
-            end += len(unit)
-            frame.units.append((end, pair, count))
-        frame.payload += b"".join(units)
+        if units:
+            frame.payload += head
+            begin = len(frame.payload)
+            frame.payload += units
+            frame.units.append((begin, len(frame.payload), pair, first))
 
     # --- what becomes of it
 
@@ -182,12 +179,13 @@ class ConfirmedSession(Session):
             if end <= sent:
                 self._owed.discard(pair)
         spoken = {pair for end, pair in frame.offers if end <= sent}
-        for end, pair, count in frame.units:
-            if end <= sent:
+        for begin, end, pair, first in frame.units:
+            reached = self.logs[pair[1]].reached(first, min(sent, end) - begin)
+            if reached > first:
                 spoken.add(pair)
                 self._word.pop(pair, None)
                 if pair[1] == self.own:
-                    self._aired = max(self._aired, count)
+                    self._aired = max(self._aired, reached)
         for pair in spoken:
             tries = self._tries[pair] = self._tries.get(pair, 0) + 1
             if tries > 1:

@@ -17,7 +17,7 @@ from agent.exchange.base import Exchange
 from agent.exchange.heard import Heard
 from agent.outline.boxes import NO_BOXES, box_of, united
 from agent.settings import Settings
-from protocol import packets
+from protocol import packets, survey
 from protocol.errors import ProtocolError
 from protocol.grid import OCCUPIED, Grid
 from protocol.scans import Change, Scan, fragments
@@ -85,9 +85,9 @@ class GridExchange(Exchange):
         before[:] = now
         return fragments(pack(x0, y0, patch), self._most) if patch.any() else []
 
-    def take(self, about: int, units: list[bytes]) -> None:
+    def take(self, about: int, frame: bytes) -> None:
         """Put fragments together, and write the patches that are complete."""
-        data = self._partial.get(about, b"") + b"".join(map(packets.content, units))
+        data = self._partial.get(about, b"") + survey.contents(frame)
         patches = []
         while (read := unpack(data, self._heard.grid.shape)) is not None:
             x0, y0, patch, data = read
@@ -99,7 +99,7 @@ class GridExchange(Exchange):
             height, width = patch.shape
             there = self._heard.grid[y0 : y0 + height, x0 : x0 + width]
             there[patch != SAME] = patch[patch != SAME] - 1
-            self._heard.told(np.array([(x0, y0, x0 + width, y0 + height)], np.int32))
+            self._heard.told((x0, y0, x0 + width, y0 + height))
 
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
         """Lay the robot's own grid over what it heard, where either has changed."""

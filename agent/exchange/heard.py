@@ -27,7 +27,7 @@ class Heard:
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.grid: Grid = np.zeros(shape, np.uint8)
-        self._boxes: list[Boxes] = []
+        self._boxes: list[tuple[int, int, int, int]] = []
         self._own_news = ChangedCells()
         self._planning: Grid | None = None
 
@@ -35,17 +35,18 @@ class Heard:
         """Something has been drawn on the robot's own grid."""
         self._own_news.add(own, change)
 
-    def told(self, boxes: Boxes) -> None:
-        """Something has been written on `grid`."""
-        self._boxes.append(boxes)
+    def told(self, box: tuple[int, int, int, int]) -> None:
+        """Something has been written on `grid` in a box (x0, y0, x1, y1)."""
+        self._boxes.append(box)
 
     def under(self, own: Grid) -> Grid:
         """Return the planning grid; it is written over by the next call."""
         changed = self._own_news.take(own)
         if self._planning is None or changed is None:
             self._planning, changed = np.empty_like(own), whole(own.shape)
-        lay_over(self.grid, own, np.concatenate([changed, *self._boxes]), self._planning)
-        self._boxes = []
+        boxes = np.array([*changed.tolist(), *self._boxes], np.int32).reshape(-1, 4)
+        lay_over(self.grid, own, boxes, self._planning)
+        self._boxes.clear()
         return self._planning
 
 

@@ -10,9 +10,8 @@ from collections.abc import Collection
 
 from agent.exchange.base import Exchange
 from agent.exchange.heard import Heard
-from agent.outline.boxes import box_of
 from agent.settings import Settings
-from protocol import packets
+from protocol import packets, survey
 from protocol.errors import ProtocolError
 from protocol.grid import Fan, Grid, fan
 from protocol.scans import NONE, Change, Scan, decode_scan, draw, encode_scan, fragments, scan_size
@@ -42,25 +41,20 @@ class LaserExchange(Exchange):
         self._last = data
         return fragments(data, self._most)
 
-    def take(self, about: int, units: list[bytes]) -> None:
+    def take(self, about: int, frame: bytes) -> None:
         """Put fragments together and draw the scans that are complete."""
-        buffer = self._partial.get(about, b"")
-        scans: list[Scan] = []
-        for unit in units:
-            buffer += packets.content(unit)
-            if len(buffer) > self._size:
-                reason = f"a fragment runs beyond its scan's {self._size} bytes"
-                raise ProtocolError(packets.Fragment.name, self._size, reason)
-            if len(buffer) == self._size:
-                scans.append(self._read(about, buffer))
-                buffer = b""
+        held, size = self._partial.get(about, b""), self._size
+        data = held + survey.contents(frame, size, len(held))
+        end = len(data) - len(data) % size
+        scans = [self._read(about, data[at : at + size]) for at in range(0, end, size)]
         if scans:
             x, y = [scan.x for scan in scans], [scan.y for scan in scans]
             self.plausible.claim(about, (min(x), min(y), max(x) + 1, max(y) + 1), len(scans))
-        self._partial[about] = buffer
+        self._partial[about] = data[end:]
         for scan in scans:
             change = draw(self._heard.grid, self._fan_of(about), scan.x, scan.y, scan.readings)
-            self._heard.told(box_of(change))
+            if change.cells:
+                self._heard.told(change[1:])
 
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
         """Lay the robot's own grid over what it heard, where either has changed."""

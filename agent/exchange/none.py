@@ -27,9 +27,9 @@ class NoExchange(Exchange):
         self._heard.seen(own, change)
         return []
 
-    def take(self, about: int, units: list[bytes]) -> None:
+    def take(self, about: int, frame: bytes) -> None:
         """Refuse what nobody should have sent."""
-        raise ProtocolError("data", 0, f"{len(units)} units of robot {about}'s map where none are exchanged")
+        raise ProtocolError("data", 0, f"{len(frame)} bytes of robot {about}'s map where none are exchanged")
 
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
         """Plan on the robot's own grid, of which nothing is known otherwise."""

@@ -25,11 +25,8 @@ from agent.outline.receiver import Receiver
 from agent.outline.simplify import by_distance, mixed_first, refine
 from agent.outline.splitting import SplitAllowance, Splitting
 from agent.settings import Settings
-from protocol import packets
 from protocol.grid import Grid
 from protocol.scans import Change, Scan
-
-SAVE = packets.encode([packets.Save()])
 
 
 class PolygonExchange(Exchange):
@@ -119,15 +116,14 @@ class PolygonExchange(Exchange):
         """
         return approximation(exact, marks, unknown_pairs=self._options.unknown_pairs)
 
-    def take(self, about: int, units: list[bytes]) -> None:
+    def take(self, about: int, frame: bytes) -> None:
         """Rebuild a teammate's approximation."""
-        saves = units.count(SAVE)
 
-        def check(boxes: Boxes) -> None:
+        def check(boxes: Boxes, saves: int) -> None:
             if len(boxes):
                 self.plausible.claim(about, around(boxes), saves)
 
-        if self._receivers[about].feed(b"".join(units), check):
+        if self._receivers[about].feed(frame, check):
             self._news.add(about)
 
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:

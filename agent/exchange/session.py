@@ -28,12 +28,11 @@ it counts as level.
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
+from bisect import bisect_left
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property, lru_cache
-from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,15 +118,12 @@ class Connection:
     state : State
     index : int
         As offerer: how far the peer is, as it said.
-    sent : list of bytes
-        As offerer: the units that it says in answer.
     """
 
     peer: int
     map: int
     state: State = State.IDLE
     index: int = 0
-    sent: list[bytes] = field(default_factory=list)
 
     def on(self, event: Event) -> State:
         """Move on by the table."""
@@ -209,11 +205,11 @@ class Session:
         self._peers = peers
         for of_last_exchange in (self._said, self._offered, self._taken, self._being_taken):
             of_last_exchange.clear()
-        held = np.array([len(log) for log in self.logs], np.int64)
-        if not peers or not held.any():
+        held = [len(log) for log in self.logs] if peers else []
+        if not any(held):
             return []
         frames = []
-        for peer, about in self._worth_offering(exchange, held):
+        for peer, about in self._worth_offering(exchange, np.array(held, np.int64)):
             connection = self._said[peer, about] = Connection(peer, about)
             connection.on(Event.NEWS)
             frames.append((peer, about, _offer(about, int(self.known[peer, about]) // INDEX_WINDOW % BLOCKS)))
@@ -266,8 +262,7 @@ class Session:
                 raise ProtocolError("conn", 0, f"robot {peer} answers an offer that was not made")
             self._offered[number] = connection
             if connection.on(self._read_answer(connection, payload)) is State.SENDING:
-                connection.sent = self.logs[about].since(connection.index, room)
-                frame = b"".join(connection.sent)
+                frame = self.logs[about].since(connection.index, room)
                 if frame:
                     frames.append((number, peer, frame))
                 if room is not None:
@@ -284,10 +279,11 @@ class Session:
             connection = self._offered.get(number)
             if connection is not None and answered:
                 self._settle(connection, sent)
-        for number, offered in zip(outcome.connections, outcome.offers, strict=True):
-            connection = self._taken.get(number)
-            if connection is not None and offered:
-                self._recognise(connection.peer, connection.map)
+        if self._lives > 1:
+            for number, offered in zip(outcome.connections, outcome.offers, strict=True):
+                connection = self._taken.get(number)
+                if connection is not None and offered:
+                    self._recognise(connection.peer, connection.map)
         news = []
         for number, (peer, payload) in zip(outcome.heard, heard, strict=True):
             connection = self._taken.get(number)
@@ -295,9 +291,9 @@ class Session:
                 news.append((peer, connection.map, payload))
         return news
 
-    def accept(self, peer: int, about: int, units: list[bytes]) -> None:
-        """Append units of a map that a peer sent; the peer holds them too."""
-        self.logs[about].append(units)
+    def accept(self, peer: int, about: int, frame: bytes, ends: list[int]) -> None:
+        """Append units of a map that a peer sent, given where in the frame they end; the peer holds them too."""
+        self.logs[about].extend(frame, ends)
         self.known[peer, about] = max(self.known[peer, about], len(self.logs[about]))
 
     def delivered(self) -> bool:
@@ -308,7 +304,7 @@ class Session:
         held = len(self.logs[self.own])
         if not self._peers or not held:
             return bool(self._peers)
-        known, wait = self.known[:, self.own], self._wait[:, self.own]
+        known, wait = self.known[:, self.own].tolist(), self._wait[:, self.own].tolist()
         return all(known[peer] == held or wait[peer] > PATIENCE for peer in self._peers)
 
     def undelivered(self) -> int:
@@ -316,7 +312,8 @@ class Session:
         held = len(self.logs[self.own])
         if not held:
             return 0
-        return held * (self._robots - 1) - int(self.known[:, self.own].sum())
+        reached: list[int] = self.known[:, self.own].tolist()
+        return held * (self._robots - 1) - sum(reached)
 
     def forget(self) -> None:
         """Drop what all teammates hold; where they may come back, and hold nothing then, that is nothing."""
@@ -384,7 +381,7 @@ class Session:
             self._due[peer, about], self._wait[peer, about] = self._now + wait, min(2 * wait, MAX_WAIT)
         elif connection.state is State.SENDING:
             self._wait[peer, about] = 1
-            reached += bisect_right(list(accumulate(map(len, connection.sent))), sent)
+            reached = self.logs[about].reached(reached, sent)
         self.known[peer, about] = max(self.known[peer, about], reached)
 
 

@@ -79,6 +79,8 @@ class Saved(NamedTuple):
 
     objects: Objects
     boxes: Boxes
+    saves: int
+    """How many save points are in the piece."""
 
 
 def read(before: Reading, piece: bytes) -> tuple[int, Reading, Saved | None] | None:
@@ -106,7 +108,7 @@ def read(before: Reading, piece: bytes) -> tuple[int, Reading, Saved | None] | N
     used = int(numbers[_HEARD])
     if used == REFUSED:
         return None
-    saved = Saved(Objects(shape, saved_table, pool), saved_boxes) if saves else None
+    saved = Saved(Objects(shape, saved_table, pool), saved_boxes, saves) if saves else None
     return used, Reading(Objects(shape, table, pool), vertices, boxes, numbers), saved
 
 
@@ -285,11 +287,12 @@ def _apply(
     return True
 
 
-@kernel("UniTuple(int64, 4)(uint8[::1])")
-def _survey(data: NDArray[np.uint8]) -> tuple[int, int, int, int]:
-    """Bytes of whole packets up to one that does not belong here, where the last save point ends (-1: nowhere), how
-    many vertices the objects have in all that are told, and the highest of their numbers (-1: there are none)."""
-    whole, last_save, vertices, highest = 0, -1, 0, -1
+@kernel("UniTuple(int64, 5)(uint8[::1])")
+def _survey(data: NDArray[np.uint8]) -> tuple[int, int, int, int, int]:
+    """Bytes of whole packets up to one that does not belong here, how many save points there are and where the last one
+    ends (-1: nowhere), how many vertices the objects have in all that are told, and the highest of their numbers (-1:
+    there are none)."""
+    whole, saves, last_save, vertices, highest = 0, 0, -1, 0, -1
     while whole < len(data):
         size = _size(data, whole)
         if size == 0 or whole + size > len(data):
@@ -300,8 +303,9 @@ def _survey(data: NDArray[np.uint8]) -> tuple[int, int, int, int]:
             highest = max(highest, number)
         whole += size
         if size == 1:
+            saves += 1
             last_save = whole
-    return whole, last_save, vertices, highest
+    return whole, saves, last_save, vertices, highest
 
 
 @kernel("Tuple((int32[::1], int64))(int32[:,::1], int32[::1], int64)")
@@ -322,7 +326,7 @@ def _with_room(table: Table, pool: Symbols, more: int) -> tuple[Symbols, int]:
 
 
 @kernel(
-    "Tuple((int32[:,::1], int32[::1], int32[::1], int32[:,::1], int64[::1], boolean, int32[:,::1], int32[:,::1]))"
+    "Tuple((int32[:,::1], int32[::1], int32[::1], int32[:,::1], int64[::1], int64, int32[:,::1], int32[:,::1]))"
     "(Array(uint8, 1, 'C', readonly=True), int64, int64, int64[::1], int32[:,::1], int32[::1], int32[::1],"
     " int32[:,::1])"
 )
@@ -335,13 +339,13 @@ def _read(
     pool: Symbols,
     vertices: Symbols,
     unsaved: Boxes,
-) -> tuple[Table, Symbols, Symbols, Boxes, NDArray[np.int64], bool, Table, Boxes]:
-    """Read on: the parts of the reading, whether there was a save point, and what was saved.
+) -> tuple[Table, Symbols, Symbols, Boxes, NDArray[np.int64], int, Table, Boxes]:
+    """Read on: the parts of the reading, how many save points there were, and what was saved.
 
     Nothing that is given is changed but what the pool has beyond the symbols in use.
     """
     data = piece.copy()
-    whole, last_save, announced, highest = _survey(data)
+    whole, saves, last_save, announced, highest = _survey(data)
     n = numbers.copy()
     table = np.full((max(len(old_table), highest + 1), old_table.shape[1]), -1, np.int32)
     table[: len(old_table)] = old_table
@@ -354,24 +358,23 @@ def _read(
     boxes = np.empty((MOST, 4), np.int32)
     boxes[: len(unsaved)] = unsaved
 
-    saves = max(last_save, 0)
-    makes_sense = _apply(data, 0, saves, height, width, n, table, pool, told, boxes)
+    saved = max(last_save, 0)
+    makes_sense = _apply(data, 0, saved, height, width, n, table, pool, told, boxes)
     saved_table, saved_boxes = table, boxes[: n[_BOXES]].copy()
     if last_save >= 0:
         n[_BOXES] = 0
-    if makes_sense and saves < whole:
+    if makes_sense and saved < whole:
         saved_table = table.copy()
-        makes_sense = _apply(data, saves, whole, height, width, n, table, pool, told, boxes)
+        makes_sense = _apply(data, saved, whole, height, width, n, table, pool, told, boxes)
     _move_gap(told, n, n[_TOLD])
     n[_HEARD] = whole if makes_sense else REFUSED
-    is_saved = last_save >= 0
     return (
         table,
         pool,
         told[: n[_TOLD]].copy(),
         boxes[: n[_BOXES]].copy(),
         n,
-        is_saved,
+        saves,
         saved_table,
         saved_boxes,
     )

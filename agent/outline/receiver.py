@@ -44,10 +44,11 @@ class Receiver:
         boxes, self._changed = self._changed, NO_BOXES
         return boxes
 
-    def feed(self, data: bytes, check: Callable[[Boxes], object] = lambda _: None) -> bool:
+    def feed(self, data: bytes, check: Callable[[Boxes, int], object] = lambda _, __: None) -> bool:
         """Take the next piece of the stream, cut anywhere; say whether a save point was in it.
 
-        `check` is called with where the approximation changes by it, and may refuse that.
+        `check` is called with where the approximation changes by it, and how many save points there are; it may refuse
+        that.
 
         Raises
         ------
@@ -62,7 +63,7 @@ class Receiver:
         if found is None:
             raise RuntimeError("a piece was refused in which each packet makes sense")
         if found[2] is not None:
-            check(found[2].boxes)
+            check(found[2].boxes, found[2].saves)
         used, self._reading, saved = found
         self._pending = piece[used:]
         if saved is not None:

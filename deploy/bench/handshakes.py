@@ -55,6 +55,7 @@ class Handshakes:
                     for receiver in item.receivers:
                         frames[receiver].append((item.sender, item.payload))
                 elif isinstance(item, Note):
+                    frames[item.receiver] += zip(item.senders, item.frames, strict=True)
                     heard, frames[item.receiver] = frames[item.receiver], []
                     session = self.sessions[item.receiver]
                     answer, spent = timed(partial(_speak, session, item.message, heard))
@@ -87,7 +88,7 @@ def _speak(session: Session, note: object, heard: list[tuple[int, bytes]]) -> Sa
             frames, phase = session.data(answers), "data"
         case Outcome():
             for peer, about, frame in session.outcome(note, heard):
-                session.accept(peer, about, survey.split(frame))
+                session.accept(peer, about, frame, survey.ends(frame))
             return None
         case _:
             session.forget()

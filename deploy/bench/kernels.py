@@ -234,7 +234,7 @@ def _looks(plan: Plan, walk: Sequence[Moment]) -> Iterator[Figure]:
         scan = moment.scan
         scans.append(timed(partial(draw, drawn, fan, scan.x, scan.y, scan.readings))[1])
         written.append(spent)
-        read.append(timed(partial(hearer.take, 0, units))[1])
+        read.append(timed(partial(hearer.take, 0, b"".join(units)))[1])
         cells += moment.change.cells
         size += sum(map(len, units))
     _check_same(hearer.merge(np.zeros_like(drawn)), walk[-1].grid, "looks")

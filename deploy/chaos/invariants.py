@@ -126,7 +126,7 @@ class Watcher:
                     continue
                 written = maker.session.logs[about]
                 first = max(log.oldest, written.oldest)
-                held = log.since(first, None) if first < len(log) else []
+                held = log.since(first, None) if first < len(log) else b""
                 if held != written.since(first, None)[: len(held)]:
                     raise Violation(
                         f"robot {number} in life {life} holds units of map {about} that nobody wrote"

@@ -226,17 +226,27 @@ def budgets(budget: int, changes: Iterable[Change], steps: int) -> NDArray[np.fl
 def _undelivered(ledger: NDArray[np.void]) -> dict[str, int]:
     """Frames that were not delivered whole, by cause."""
     cut = ledger[ledger["cause"] > 0]
-    whose = cut[["step", "exchange", "connection", "frame", "sender", "receiver", "map", "cause"]]
+    fields = ("step", "exchange", "connection", "frame", "sender", "receiver", "map", "cause")
+    whose = np.array([cut[name] for name in fields], np.int64)
     belongs = cut["connection"] >= 0
     # Of frames of no connection the order of the rows tells where one ends: within it kinds ascend.
-    starts = np.ones(len(cut), np.bool_)
-    starts[1:] = (whose[1:] != whose[:-1]) | (cut["kind"][1:] <= cut["kind"][:-1])
-    causes = np.concatenate([np.unique(whose[belongs])["cause"], cut["cause"][starts & ~belongs]])
+    starts = _differs(whose)
+    starts[1:] |= cut["kind"][1:] <= cut["kind"][:-1]
+    theirs = whose[:, belongs]
+    theirs = theirs[:, np.lexsort(theirs)]
+    causes = np.concatenate([theirs[-1, _differs(theirs)], cut["cause"][starts & ~belongs]])
     return {
         cause: int((causes == number).sum())
         for number, cause in enumerate(CAUSES)
         if cause and (causes == number).any()
     }
+
+
+def _differs(columns: NDArray[np.int64]) -> Mask:
+    """Which columns are not as the one before."""
+    differs = np.ones(columns.shape[1], np.bool_)
+    differs[1:] = (columns[:, 1:] != columns[:, :-1]).any(axis=0)
+    return differs
 
 
 def _median_work(records: Records) -> float | None:

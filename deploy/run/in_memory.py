@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
@@ -28,6 +30,9 @@ class Node(Protocol):
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
 
+
+OBJECTS = 20_000
+"""More objects after which the interpreter looks for garbage during a run."""
 
 Fell = Callable[[str, Exception], object]
 """Called with a robot's name, and with what its code raised."""
@@ -101,7 +106,7 @@ class MemoryRun:
             1000 * plan.map.resolution,
             wait=wait,
         )
-        self._relay = RelayNode(self._buses[names.RELAY], keys, plan.radio)
+        self._relay = RelayNode(self._buses[names.RELAY], keys, plan.radio, captures=capture is not None)
         self._nodes: dict[str, Node] = {
             names.RELAY: self._relay,
             names.WORLD: self._world,
@@ -164,7 +169,7 @@ class MemoryRun:
         node, bus = self._nodes[name], self._buses[name]
         spoke = False
         try:
-            for message in _waiting(bus):
+            while (message := _next(bus)) is not None:
                 spoke = True
                 node.handle(message)
         except Exception as error:
@@ -226,21 +231,31 @@ def run(
     """
     under_way = MemoryRun(plan, capture, wrap=wrap, view=view, wait=wait, fell=fell, journals=journals)
     opened = 0
-    for _ in under_way.steps(heed):
-        if watch is not None and under_way.records.step > opened:
-            opened = under_way.records.step
-            watch(under_way.records)
+    with _seldom_collecting():
+        for _ in under_way.steps(heed):
+            if watch is not None and under_way.records.step > opened:
+                opened = under_way.records.step
+                watch(under_way.records)
     leave([agent.robot for agent in under_way.agents if agent.robot is not None])
     return under_way.records
 
 
-def _waiting(bus: Bus) -> Iterator[Message]:
-    """What waits at an end of the bus, what comes meanwhile included."""
-    while True:
-        try:
-            message = bus.receive(0)
-        except BusClosed:
-            return
-        if message is None:
-            return
-        yield message
+def _next(bus: Bus) -> Message | None:
+    """What waits at an end of the bus, if anything does."""
+    try:
+        return bus.receive(0)
+    except BusClosed:
+        return None
+
+
+@contextmanager
+def _seldom_collecting() -> Iterator[None]:
+    """Hardly look for garbage in cycles: a run makes next to none, and what was there before has been looked at."""
+    often, *seldom = gc.get_threshold()
+    gc.set_threshold(max(often, OBJECTS), *seldom)
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        gc.set_threshold(often, *seldom)

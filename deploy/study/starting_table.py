@@ -29,7 +29,7 @@ from protocol import keys as names
 from protocol.bus import Bus, Message
 from protocol.grid import UNKNOWN, fan
 from protocol.messages import Sense, cells_from_bytes, unpack
-from protocol.scans import draw, mark_free
+from protocol.scans import draw
 
 MAPS = ("office", "mixed", "burgard-office", "autolab-like", "jh-like", "unstructured", "office-plain")
 TEAMS = (3, 6)
@@ -87,9 +87,9 @@ def counted(plan: Plan, senses: list[list[Sense]]) -> Iterator[NDArray[np.uint16
     for step in range(max(map(len, senses))):
         for robot in range(robots):
             sense = senses[robot][step]
-            change = mark_free(own[robot], cells_from_bytes(sense.driven))
             readings = np.frombuffer(sense.readings, np.uint16).copy()
-            change += draw(own[robot], fans[robot], sense.x, sense.y, readings)
+            driven = cells_from_bytes(sense.driven)
+            change = draw(own[robot], fans[robot], sense.x, sense.y, readings, driven)
             if change.cells:
                 poses[robot].append((sense.x, sense.y))
                 boxes[robot].append((change.x0, change.y0, change.x1, change.y1))

@@ -181,7 +181,7 @@ def looks_example() -> str:
         gossip.record(units)
         ((_, _, frame),) = gossip.offers(0, peers, None)
         assert not list(gossip.outcome(Outcome(1, 0, [-1], [0], [0], [len(frame)], [], False), []))
-        hearer.take(0, units)
+        hearer.take(0, b"".join(units))
         assert (hearer.merge(np.zeros_like(own)) == own).all()
         known = int((own != UNKNOWN).sum())
         lines += [

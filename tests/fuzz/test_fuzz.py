@@ -87,7 +87,7 @@ def take_units(data: bytes) -> None:
     for name in EXCHANGES:
         mind = exchange(Settings(**(SETTINGS.to_message() | {"exchange": name})))
         try:
-            mind.take(0, survey.split(data))
+            mind.take(0, data)
         except ProtocolError:
             continue
 

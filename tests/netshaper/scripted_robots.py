@@ -247,6 +247,7 @@ class Air:
                 for receiver in item.receivers:
                     self._inbox[receiver].append((item.sender, item.payload))
             elif isinstance(item, Note):
+                self._inbox[item.receiver] += zip(item.senders, item.frames, strict=True)
                 self._note(result, item)
             else:
                 self._book(result, item.report())

@@ -24,7 +24,6 @@ from protocol.scans import (
     draw,
     encode_scan,
     fragments,
-    mark_free,
     scan_size,
 )
 
@@ -212,9 +211,9 @@ def test_a_scan_drawn_by_a_longer_laser_of_the_same_beams_says_the_same(seed: in
 
 def test_cells_driven_over_become_free_and_nothing_that_is_known_changes() -> None:
     grid = np.array([[0, 0, 0, 0], [0, 1, 2, 0], [0, 0, 0, 0]], np.uint8)
-    change = mark_free(grid, np.array([[1, 1], [2, 1], [3, 2], [3, 2], [1, 0]], np.int32))
+    blind = np.full(40, NONE, np.uint16)
+    driven = np.array([[1, 1], [2, 1], [3, 2], [3, 2], [1, 0], [4, 1], [1, -1]], np.int32)
+    change = draw(grid, FAN, 1, 1, blind, driven)
     assert grid.tolist() == [[0, 1, 0, 0], [0, 1, 2, 0], [0, 0, 0, 1]]
     assert change == Change(2, 1, 0, 4, 3)
-    nothing = mark_free(grid, np.empty((0, 2), np.int32))
-    assert nothing.cells == 0
-    assert change + nothing == nothing + change == change
+    assert draw(grid, FAN, 1, 1, blind, driven).cells == 0

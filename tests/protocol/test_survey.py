@@ -9,8 +9,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from protocol.errors import ProtocolError
-from protocol.packets import ALL_KINDS, AnyPacket, decode, encode
-from protocol.survey import fitting, kinds, split
+from protocol.packets import ALL_KINDS, AnyPacket, Fragment, decode, encode
+from protocol.survey import contents, fitting, kinds, split
 from tests.protocol.test_packets import EXAMPLES, streams
 
 noisy = st.binary(max_size=100) | st.builds(
@@ -39,6 +39,32 @@ def test_a_survey_accepts_what_reading_accepts_and_gives_its_reasons(noise: byte
         assert {kind for bit, kind in enumerate(ALL_KINDS) if kinds(noise) >> bit & 1} == {
             packet.name for packet in heard
         }
+
+
+sizes = st.lists(st.integers(1, 63), max_size=6)
+
+
+@given(sizes, st.integers(1, 70), st.integers(0, 70), streams)
+def test_fragments_carry_what_was_cut_and_end_where_it_ends(
+    parts: list[int], size: int, held: int, others: list[AnyPacket]
+) -> None:
+    held %= size
+    pieces = [bytes([number]) * part for number, part in enumerate(parts)]
+    frame = encode(map(Fragment, pieces))
+    assert contents(frame) == b"".join(pieces)
+    at, fits = held, True
+    for part in parts:
+        at += part
+        fits = fits and at <= size
+        at %= size
+    if fits:
+        assert contents(frame, size, held) == b"".join(pieces)
+    else:
+        with pytest.raises(ProtocolError, match=f"the {size} bytes"):
+            contents(frame, size, held)
+    if not all(isinstance(other, Fragment) for other in others):
+        with pytest.raises(ProtocolError, match="only fragments"):
+            contents(frame + encode(others))
 
 
 @pytest.mark.parametrize("packet", EXAMPLES, ids=repr)

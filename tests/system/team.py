@@ -171,6 +171,7 @@ class Team:
             elif not isinstance(item, Note):
                 self._rows.append(item.report().rows)
             else:
+                inbox[item.receiver] += zip(item.senders, item.frames, strict=True)
                 heard, inbox[item.receiver] = inbox[item.receiver], []
                 note = item.message
                 assert isinstance(note, Open | Turn | Outcome | Close)

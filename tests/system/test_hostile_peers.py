@@ -278,10 +278,10 @@ def test_who_passes_on_one_of_two_stories_of_a_liar_is_not_distrusted() -> None:
     hear(deceived, LIAR, LIAR, outline(2))
     hear(honest, LIAR, LIAR, outline(6) + encode([Change(0, 5, 1), Delete(5), Save()]))
     passed_on = honest.session.logs[LIAR].since(len(deceived.session.logs[LIAR]), None)
-    hear(deceived, 0, LIAR, b"".join(passed_on))
+    hear(deceived, 0, LIAR, passed_on)
     assert [fault.peer for fault in deceived.faults] == [0]
     assert deceived.distrusted == set()
-    hear(deceived, 0, LIAR, b"".join(passed_on))
+    hear(deceived, 0, LIAR, passed_on)
     assert len(deceived.faults) == 1, "this map is not taken from there again"
     hear(deceived, 0, 0, honest_words()[0][0])
     assert deceived.polygons[0].canonical() == honest_words()[0][1]

@@ -277,7 +277,9 @@ class Pair:
     def holds(self, robot: int, about: int) -> int:
         """How much of a log a robot holds; what it holds is right."""
         log = self.sessions[robot].logs[about]
-        assert log.since(log.oldest, None) == [self.word(about, n) for n in range(log.oldest, len(log))]
+        assert log.since(log.oldest, None) == b"".join(
+            self.word(about, n) for n in range(log.oldest, len(log))
+        )
         return len(log)
 
     def _deliver(self, outgoing: list[Outgoing]) -> None:
@@ -286,6 +288,7 @@ class Pair:
                 for receiver in item.receivers:
                     self._frames[receiver].append((item.sender, item.payload))
             elif isinstance(item, Note):
+                self._frames[item.receiver] += zip(item.senders, item.frames, strict=True)
                 self._hear(item.receiver, item.message)
             else:
                 self._rows = np.frombuffer(item.report().rows, ROW)
@@ -309,7 +312,7 @@ class Pair:
             self._say(robot, message.step, message.exchange, "data", session.data(answers))
         elif isinstance(message, Outcome):
             for peer, about, frame in session.outcome(message, heard):
-                session.accept(peer, about, survey.split(frame))
+                session.accept(peer, about, frame, survey.ends(frame))
 
     def _say(
         self, robot: int, step: int, exchange: int, phase: str, said: list[tuple[int, int, bytes]]

@@ -86,4 +86,4 @@ class LossyLink:
                 units, held = survey.split(frame), len(mind.logs[about])
                 assert about != robot
                 assert units == self.recorded(about)[held : held + len(units)], "units out of place"
-                mind.accept(peer, about, units)
+                mind.accept(peer, about, frame, survey.ends(frame))

@@ -33,7 +33,7 @@ def words(about: int, begin: int, end: int) -> list[bytes]:
 def held(session: Session, about: int) -> list[bytes]:
     """What a session still holds of a log, the part that was forgotten made up."""
     log = session.logs[about]
-    return words(about, 0, log.oldest) + log.since(log.oldest, None)
+    return words(about, 0, log.oldest) + survey.split(log.since(log.oldest, None))
 
 
 def everyone(robots: int) -> Reach:
@@ -157,7 +157,7 @@ class Link:
                 continue
             units = survey.split(frame)
             if self.understands(robot, about, units):
-                session.accept(peer, about, units)
+                session.accept(peer, about, frame, survey.ends(frame))
             else:
                 self.distrusted[robot].add(peer)
 

@@ -14,7 +14,7 @@ from agent.exchange.catalogue import exchange
 from agent.exchange.changed_cells import ChangedCells
 from agent.settings import Settings
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, fan
-from protocol.scans import Change, Scan, draw, mark_free
+from protocol.scans import Change, Scan, draw
 from tests.agent.explorations import Cell
 from worldsim.laser import cast
 
@@ -68,8 +68,7 @@ class Looker:
         between = [(x, y) for x in range(xs[0], xs[1] + 1) for y in range(ys[0], ys[1] + 1)]
         laser = fan(RANGE, BEAMS)
         readings = cast(world, np.zeros(world.shape, np.bool_), laser, *self.cell)
-        change = mark_free(self.own, np.array(between, np.int32))
-        change += draw(self.own, laser, *self.cell, readings)
+        change = draw(self.own, laser, *self.cell, readings, np.array(between, np.int32))
         scan = Scan(*self.cell, readings)
         delivered = bool(rng.random() < 0.6)
         units = self.exchange.record(self.own, scan, change, delivered=delivered)
@@ -93,7 +92,7 @@ def test_step_by_step_it_is_what_one_without_memory_has(kind: str, bandwidth: fl
             for teller, units in zip(team, told, strict=True):
                 if teller is not listener and units:
                     for mind in (listener.exchange, listener.forgetful):
-                        mind.take(teller.robot, units)
+                        mind.take(teller.robot, b"".join(units))
             peers = tuple(other for other in range(ROBOTS) if rng.random() < 0.7)
             listener.check(tuple(peer for peer in peers if peer != listener.robot))
 

@@ -51,8 +51,8 @@ def test_what_one_tells_is_what_the_others_know_whenever_all_has_been_delivered(
         delivered = bool(rng.random() < 0.6)
         units = maker.record(own, NO_SCAN, changed(rng, own), delivered=delivered)
         cut = int(rng.integers(0, len(units) + 1))
-        hearer.take(0, units[:cut])
-        hearer.take(0, units[cut:])
+        hearer.take(0, b"".join(units[:cut]))
+        hearer.take(0, b"".join(units[cut:]))
         if delivered:
             assert (hearer.merge(nothing) == own).all()
         else:
@@ -67,7 +67,7 @@ def test_what_has_not_changed_is_not_told_and_ones_own_word_counts_more() -> Non
     units = maker.record(own, NO_SCAN, change, delivered=True)
     assert units
     assert maker.record(own, NO_SCAN, change, delivered=True) == []
-    hearer.take(0, units)
+    hearer.take(0, b"".join(units))
     mine = np.zeros_like(own)
     mine[3, 4] = FREE
     assert hearer.merge(mine)[3, 3:7].tolist() == [UNKNOWN, FREE, OCCUPIED, OCCUPIED]
@@ -120,11 +120,11 @@ def test_what_is_no_patch_is_refused_and_changes_nothing(lie: str) -> None:
     hearer, nothing = GridExchange(settings_of(1)), np.zeros((HEIGHT, WIDTH), np.uint8)
     patch = pack(0, 0, np.full((2, 2), OCCUPIED + 1, np.uint8))
     with pytest.raises(ProtocolError):
-        hearer.take(0, [encode([Fragment(patch + LIES[lie])])])
+        hearer.take(0, b"".join([encode([Fragment(patch + LIES[lie])])]))
     assert not hearer.merge(nothing).any()
     with pytest.raises(ProtocolError):
-        hearer.take(0, [encode([Save()])])
-    hearer.take(0, [encode([Fragment(patch)])])
+        hearer.take(0, encode([Save()]))
+    hearer.take(0, encode([Fragment(patch)]))
     assert hearer.merge(nothing)[:2, :2].all()
 
 

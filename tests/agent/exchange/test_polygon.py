@@ -93,7 +93,7 @@ def test_what_one_tells_is_what_the_other_holds_step_by_step(
     one, other = maker(shape, 0, bandwidth=bandwidth), maker(shape, 1, bandwidth=bandwidth)
     for grid, cell in steps:
         units = record(one, grid, cell)
-        other.take(0, units)
+        other.take(0, b"".join(units))
         assert other.polygons[0].canonical() == one.polygons[0].canonical()
 
 
@@ -111,9 +111,9 @@ def test_units_taken_in_pieces_count_from_the_save_point_on() -> None:
     for units in told(one, walk(6)):
         before = other.polygons.get(0)
         for unit in units[:-1]:
-            other.take(0, [unit])
+            other.take(0, unit)
             assert other.polygons.get(0) is before
-        other.take(0, units[-1:])
+        other.take(0, b"".join(units[-1:]))
     assert other.polygons[0].canonical() == one.polygons[0].canonical()
 
 
@@ -197,7 +197,7 @@ def test_the_plan_is_all_approximations_merged_with_ones_own_grid() -> None:
         steps = list(exploration(house(), np.random.default_rng(robot), 15, 20.0))
         teller = maker(shape, robot)
         for units in told(teller, steps):
-            listener.take(robot, units)
+            listener.take(robot, b"".join(units))
         team.update(robot, Objects.of(teller.polygons[robot]))
         assert (listener.merge(own, (0, 1)) == team.merged(own)).all()
     assert (listener.merge(own) == FREE).sum() > (own == FREE).sum()
@@ -230,13 +230,13 @@ def test_nonsense_is_refused_and_changes_nothing(units: list[bytes]) -> None:
     one, other = maker((60, 80), 0), maker((60, 80), 1)
     *before, last = told(one, walk(5))
     for said in before:
-        other.take(0, said)
+        other.take(0, b"".join(said))
     held, plan = other.polygons[0], other.merge(house())
     with pytest.raises(ProtocolError):
-        other.take(0, units)
+        other.take(0, b"".join(units))
     assert other.polygons[0] is held
     assert (other.merge(house()) == plan).all()
-    other.take(0, last)
+    other.take(0, b"".join(last))
     assert other.polygons[0].canonical() == one.polygons[0].canonical()
 
 
@@ -268,7 +268,7 @@ def test_edges_that_stand_for_walls_and_for_nothing_known_come_first_if_wished()
         options = with_options(mixed_first=wished)
         one, other = maker((60, 80), 0, bandwidth=200.0, **options), maker((60, 80), 1, **options)
         for _ in range(6):
-            other.take(0, record(one, grid, cell))
+            other.take(0, b"".join(record(one, grid, cell)))
         walls[wished] = ((other.merge(np.zeros_like(grid)) == OCCUPIED) & (grid == OCCUPIED)).sum()
     assert walls[True] > walls[False]
 
@@ -279,7 +279,7 @@ def test_free_inside_edges_are_drawn_if_wished() -> None:
     for wished in (True, False):
         options = with_options(free_inside_edges=wished)
         one, other = maker((60, 80), 0, bandwidth=100.0, **options), maker((60, 80), 1, **options)
-        other.take(0, record(one, grid, cell))
+        other.take(0, b"".join(record(one, grid, cell)))
         claims[wished] = other.merge(np.zeros_like(grid)) == FREE
     assert claims[True].sum() > claims[False].sum()
 
@@ -293,7 +293,7 @@ def test_unknown_pairs_are_told_and_drawn_if_wished() -> None:
         options = with_options(unknown_pairs=wished, bytes_per_split=10.0, close_slivers=False)
         six_splits = options | {"bandwidth": 3 * 2 * 10.0 * 6}
         one, other = maker((30, 30), 0, **six_splits), maker((30, 30), 1, **six_splits)
-        other.take(0, record(one, grid, (1, 1)))
+        other.take(0, b"".join(record(one, grid, (1, 1))))
         objects[wished] = other.polygons[0].objects
         free[wished] = other.merge(np.zeros_like(grid))[10, 10]
     assert objects == {True: 4, False: 2}
@@ -307,7 +307,7 @@ def test_walls_are_wide_if_wished_while_their_robot_is_in_range() -> None:
     for wished in (True, False):
         options = with_options(wide_walls=wished)
         one, other = maker((60, 80), 0, **options), maker((60, 80), 1, **options)
-        other.take(0, record(one, grid, cell))
+        other.take(0, b"".join(record(one, grid, cell)))
         near, far = (int((other.merge(nothing, peers) == OCCUPIED).sum()) for peers in ((0,), (2,)))
         walls[wished] = near, far
     assert walls[True][0] > walls[True][1] == walls[False][0] == walls[False][1]
@@ -321,7 +321,7 @@ def test_slivers_are_closed_if_wished() -> None:
     for wished in (True, False):
         options = with_options(close_slivers=wished, wide_walls=False)
         one, other = maker((20, 20), 0, **options), maker((20, 20), 1, **options)
-        other.take(0, record(one, left, (2, 2)))
+        other.take(0, b"".join(record(one, left, (2, 2))))
         free[wished] = other.merge(right)[1:10, 8].tolist()
     assert free == {True: [FREE] * 9, False: [UNKNOWN] * 9}
 
@@ -335,7 +335,7 @@ def test_the_thesis_plain_rules_are_a_set_of_options() -> None:
     shape = (60, 80)
     one, other = (maker(shape, robot, polygon=asdict(THESIS_OPTIONS)) for robot in (0, 1))
     for grid, cell in walk():
-        other.take(0, record(one, grid, cell, delivered=False))
+        other.take(0, b"".join(record(one, grid, cell, delivered=False)))
         assert other.polygons[0].canonical() == one.polygons[0].canonical()
 
 

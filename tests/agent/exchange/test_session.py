@@ -388,20 +388,37 @@ def test_a_robot_alone_forgets_what_it_logged() -> None:
 @given(st.lists(st.integers(1, 30), max_size=12), st.data())
 def test_a_log_gives_what_fits_from_where_it_is_asked(sizes: list[int], data: st.DataObject) -> None:
     log = Log()
-    units = [bytes(size) for size in sizes]
+    units = [bytes([number]) * size for number, size in enumerate(sizes)]
     log.append(units)
     log.forget(data.draw(st.integers(0, len(units) + 3)))
     begin = data.draw(st.integers(log.oldest, len(units)))
     room = data.draw(st.none() | st.integers(0, 200))
     got = log.since(begin, room)
+    end = log.reached(begin, len(got))
     assert len(log) == len(units)
-    assert got == units[begin : begin + len(got)]
+    assert got == b"".join(units[begin:end])
     if room is None:
-        assert begin + len(got) == len(units)
+        assert end == len(units)
     else:
-        assert sum(map(len, got)) <= room
-        if begin + len(got) < len(units):
-            assert sum(map(len, got)) + len(units[begin + len(got)]) > room
+        assert len(got) <= room
+        assert end == len(units) or len(got) + sizes[end] > room
+    until = data.draw(st.integers(begin, len(units)))
+    assert log.since(begin, room, until) == b"".join(units[begin : min(until, end)])
+
+
+@given(st.lists(st.integers(1, 9), min_size=1, max_size=12), st.data())
+def test_units_are_taken_back_unless_they_have_been_heard(sizes: list[int], data: st.DataObject) -> None:
+    log = Log()
+    units = [bytes([number]) * size for number, size in enumerate(sizes)]
+    log.append(units)
+    log.forget(data.draw(st.integers(0, len(units) - 1)))
+    count = data.draw(st.integers(0, len(units) - log.oldest))
+    heard = data.draw(st.integers(log.oldest, len(units)))
+    left = len(units) - count if len(units) - count >= heard else len(units)
+    assert log.retract(count, heard) == (len(units) - count >= heard)
+    log.append(units)
+    assert log.since(log.oldest, None) == b"".join(units[log.oldest : left] + units)
+    assert len(log) == left + len(units)
 
 
 # The tables, against the rules read line by line.

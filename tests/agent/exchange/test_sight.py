@@ -54,7 +54,9 @@ class Explorer:
         for _ in range(noise):
             at_x, at_y = int(self.rng.integers(WIDTH)), int(self.rng.integers(HEIGHT))
             self.own[at_y, at_x] = self.rng.choice((FREE, OCCUPIED))
-            change += Change(1, at_x, at_y, at_x + 1, at_y + 1)
+            cells, x0, y0, x1, y1 = change
+            far = max(x1, at_x + 1), max(y1, at_y + 1)
+            change = Change(cells + 1, min(x0, at_x), min(y0, at_y), *far)
         units = self.exchange.record(self.own, Scan(x, y, readings), change, delivered=delivered)
         self.log += units
         return units
@@ -89,12 +91,12 @@ def test_all_that_a_team_has_seen_is_what_each_of_them_knows(seed: int, base: st
         for each in team:
             for robot, units in said:
                 if robot != each.robot:
-                    each.exchange.take(robot, units)
+                    each.exchange.take(robot, b"".join(units))
     last = [(each.robot, flush(each)) for each in team]
     for each in team:
         for robot, units in last:
             if robot != each.robot:
-                each.exchange.take(robot, units)
+                each.exchange.take(robot, b"".join(units))
     told = [each.exchange.merge(unknown()) for each in team]
     assert all((grid == told[0]).all() for grid in told)
     seen = [each.own for each in team]
@@ -113,15 +115,15 @@ def test_units_in_pieces_and_in_any_order_of_maps_say_the_same(seed: int, order:
     makers = [Explorer(robot, seed) for robot in (0, 1)]
     for _ in range(6):
         for maker, other in (makers, makers[::-1]):
-            other.exchange.take(maker.robot, maker.look(truth))
+            other.exchange.take(maker.robot, b"".join(maker.look(truth)))
     for maker, other in (makers, makers[::-1]):
-        other.exchange.take(maker.robot, flush(maker))
+        other.exchange.take(maker.robot, b"".join(flush(maker)))
     hearer, rng = SightExchange(settings_of(2)), np.random.default_rng(order)
     logs = [list(maker.log) for maker in makers]
     while any(logs):
         robot = int(rng.integers(2))
         count = int(rng.integers(1, 4))
-        hearer.take(robot, logs[robot][:count])
+        hearer.take(robot, b"".join(logs[robot][:count]))
         del logs[robot][:count]
     assert (hearer.merge(unknown()) == np.max([maker.own for maker in makers], axis=0)).all()
 
@@ -134,8 +136,47 @@ def test_what_waited_for_the_medium_is_told_in_one_unit_later(seed: int) -> None
         assert maker.look(truth, delivered=False) == []
     units = maker.look(truth)
     assert sum(look(unit)[0] is not None for unit in units) == 1
-    hearer.take(0, units)
+    hearer.take(0, b"".join(units))
     assert (hearer.merge(unknown()) == maker.own).all()
+
+
+@given(seeds)
+def test_on_a_narrow_medium_it_is_told_in_several_units_one_a_step(seed: int) -> None:
+    truth = world(seed)
+    maker, hearer = Explorer(0, seed, bandwidth=6), SightExchange(settings_of(1))
+    for _ in range(5):
+        assert maker.look(truth, delivered=False) == []
+    units = 0
+    while said := flush(maker):
+        hearer.take(0, b"".join(said))
+        units += sum(look(unit)[0] is not None for unit in said)
+    assert (hearer.merge(unknown()) == maker.own).all()
+    assert units > 1 or np.count_nonzero(maker.own) < 100
+
+
+@given(seeds, st.booleans())
+def test_what_a_unit_is_built_on_is_known_to_its_maker_and_to_all_who_have_read_it(
+    seed: int, taken_back: bool
+) -> None:
+    truth = world(seed)
+    first, second, hearer = Explorer(0, seed), Explorer(1, seed), SightExchange(settings_of(2))
+    for _ in range(6):
+        second.exchange.take(0, b"".join(first.look(truth)))
+        units = second.look(truth)
+        if taken_back and second.exchange.revisable:
+            second.exchange.retract()
+            del second.log[len(second.log) - len(units) :]
+        else:
+            first.exchange.take(1, b"".join(units))
+    bases = second.exchange.bases(1)
+    assert list(first.exchange.bases(1)) == list(bases)
+    read = [0, 0]
+    for first_unit, end, on in bases:  # with what they say, and no more, each unit can be read
+        assert read[1] <= first_unit < end <= len(second.log)
+        for about, log, units in (*((0, first.log, units) for _, units in on), (1, second.log, end)):
+            hearer.take(about, b"".join(log[read[about] : units]))
+            read[about] = max(read[about], units)
+        assert hearer.bases(1)[-1].end == end
 
 
 @given(seeds)
@@ -147,7 +188,7 @@ def test_a_unit_that_nobody_has_heard_is_taken_back_and_what_it_said_is_in_the_n
     assert maker.exchange.revisable == len(units)
     maker.exchange.retract()
     assert not maker.exchange.merge(unknown()).any()
-    hearer.take(0, maker.look(truth))
+    hearer.take(0, b"".join(maker.look(truth)))
     assert (hearer.merge(unknown()) == maker.own).all()
 
 
@@ -155,8 +196,8 @@ def test_a_look_that_shows_nothing_new_to_all_is_not_told() -> None:
     truth = np.full((HEIGHT, WIDTH), FREE, np.uint8)
     first, second = Explorer(2, 1), Explorer(0, 1)
     for _ in range(40):
-        second.exchange.take(2, first.look(truth))
-    second.exchange.take(2, flush(first))
+        second.exchange.take(2, b"".join(first.look(truth)))
+    second.exchange.take(2, b"".join(flush(first)))
     assert (second.exchange.merge(unknown()) == FREE).all()
     assert [second.look(truth) for _ in range(5)] == 5 * [[]]
     assert second.own.any()
@@ -213,7 +254,7 @@ def test_robots_that_read_together_know_what_each_would_know_alone(seed: int, ba
         said = []
         for team in teams:
             try:
-                team[hearer].exchange.take(about, heard)
+                team[hearer].exchange.take(about, b"".join(heard))
             except ProtocolError as error:
                 said.append(str(error))
             else:
@@ -248,12 +289,15 @@ def test_nonsense_is_refused_and_changes_nothing(wrong: str, behind: bool) -> No
     hearer = SightExchange(settings_of(1))
     units = units_of(5)
     head = units[:1] if behind and look(units[0])[0] is None else []
-    hearer.take(0, head)
+    hearer.take(0, b"".join(head))
     before = hearer.merge(unknown())
     with pytest.raises(ProtocolError):
-        hearer.take(0, [*head, *WRONG[wrong]] if wrong == "bytes that are no unit" and head else WRONG[wrong])
+        hearer.take(
+            0,
+            b"".join([*head, *WRONG[wrong]] if wrong == "bytes that are no unit" and head else WRONG[wrong]),
+        )
     assert (hearer.merge(unknown()) == before).all()
-    hearer.take(0, units[len(head) :])
+    hearer.take(0, b"".join(units[len(head) :]))
     assert hearer.merge(unknown()).any()
 
 
@@ -265,9 +309,9 @@ def test_a_liar_changes_no_other_map_whatever_it_says(lies: list[tuple[int, byte
     for number, (_, data) in enumerate(lies):
         units = maker.look(truth)
         with contextlib.suppress(ProtocolError):
-            hearer.take(2, [encode([Look(number % 4, data)])])
-        hearer.take(0, units)
-        plain.take(0, units)
+            hearer.take(2, encode([Look(number % 4, data)]))
+        hearer.take(0, b"".join(units))
+        plain.take(0, b"".join(units))
     known = plain.merge(unknown())
     assert (hearer.merge(unknown())[known == OCCUPIED] == OCCUPIED).all()
     assert (hearer.merge(unknown())[known == FREE] != UNKNOWN).all()
