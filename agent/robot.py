@@ -73,7 +73,8 @@ class Robot:
         """The self-explored grid."""
         self.planning: Grid = self.own.copy()
         """The planning grid: the own one merged with what teammates sent."""
-        self.session = distribution(settings)
+        self._exchange = exchange(settings)
+        self.session = distribution(settings, self._exchange)
         self.target: Cell | None = None
         self.status = ""
         """Its current activity, as text."""
@@ -85,7 +86,6 @@ class Robot:
         self.known_cells = 0
         """Cells of the self-explored grid that are known."""
         self._fan = fan(settings.range_cells, settings.beams)
-        self._exchange = exchange(settings)
         self._strategy = strategy(settings.strategy)(settings.options, settings)
         self._sense: Sense | None = None
         self._homes: dict[int, Cell] = {}

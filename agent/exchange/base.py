@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping
-from typing import Any, ClassVar
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple
 
 from agent.exchange.plausible import Plausible
 from agent.outline.polygons import Polygons
 from agent.settings import Settings
 from protocol.grid import Grid
 from protocol.scans import Change, Scan
+
+
+class Basis(NamedTuple):
+    """A word of a map, units `first` to `end` - 1 of its log, that can only be read behind others' words."""
+
+    first: int
+    end: int
+    on: tuple[tuple[int, int], ...]
+    """Maps, and how many units of each must have been read."""
 
 
 class Exchange(ABC):
@@ -78,6 +87,11 @@ class Exchange(ABC):
         """From which cell (x, y) the maker of a map looked last, if what it tells of the map says so."""
         del about
         return None
+
+    def bases(self, about: int) -> Sequence[Basis]:
+        """Of the words of a map that one has read, in their order, those that are built on others' words."""
+        del about
+        return ()
 
     def error(self, own: Grid) -> int:
         """Cells in which `own` and what one has told of it differ (d(t) of Eq. 6.1); none where scans travel."""

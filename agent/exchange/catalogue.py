@@ -25,11 +25,13 @@ OFFERS = (*session.POLICIES, gossip.POLICY)
 """When, and to whom, maps are told."""
 
 
-def distribution(settings: Settings) -> Session | Gossip:
+def distribution(settings: Settings, exchange: Exchange) -> Session | Gossip:
     """Return the robot's end of what distributes logs; ValueError lists the policies there are."""
     if settings.offers == gossip.POLICY:
         way = ConfirmedGossip if settings.confirms else Gossip
-        return way(settings.robot, settings.robots, lives=settings.lives, life=settings.life)
+        return way(
+            settings.robot, settings.robots, lives=settings.lives, life=settings.life, bases=exchange.bases
+        )
     kind = ConfirmedSession if settings.confirms else Session
     session = kind(settings.robot, settings.robots, settings.offers, lives=settings.lives, life=settings.life)
     session.passes_on = settings.pass_on

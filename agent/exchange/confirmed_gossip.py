@@ -23,7 +23,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from agent.exchange.gossip import PATIENCE, Gossip, Mask, Table
+from agent.exchange.gossip import PATIENCE, Bases, Gossip, Mask, Table, nothing
 from protocol.packets import Held
 
 NAG = 2
@@ -41,8 +41,16 @@ LONGEST_TRIP = 64
 class ConfirmedGossip(Gossip):
     """One robot's end of gossip, where only what the others say confirms."""
 
-    def __init__(self, robot: int, robots: int, *, lives: int = 1, life: int = 0) -> None:
-        super().__init__(robot, robots, lives=lives, life=life)
+    def __init__(
+        self,
+        robot: int,
+        robots: int,
+        *,
+        lives: int = 1,
+        life: int = 0,
+        bases: Bases = nothing,
+    ) -> None:
+        super().__init__(robot, robots, lives=lives, life=life, bases=bases)
         self._certain: Table = np.zeros_like(self.known)
         self._hoping: Table = np.full_like(self.known, -1)
         """Since which step one hopes that a peer holds more of a map than is certain; -1: one does not."""

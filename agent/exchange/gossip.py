@@ -18,7 +18,8 @@ Events and what follows from them; the tables move with the relay's word of what
     a teammate in range lacks units of one's own log  from, and these
     one is chosen to pass on what a teammate lacks    from, and these
 
-Who holds most is served first, and of the maps that it lacks the one of which it lacks least. So those who keep up
+Who holds most is served first, and of the maps that it lacks the one of which it lacks least. A word that is built on
+others' words goes behind those of them that the teammate lacks (`agent.exchange.base.Basis`). So those who keep up
 hear what is new before others hear what is old, and where much is lacking a few know all soon, and not all a part.
 Nothing is said that nobody in range can use, for it lacks what comes before.
 
@@ -31,12 +32,15 @@ who has not been there since: then `From` goes before it. The first `EARLY` unit
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.exchange.base import Basis
 from agent.exchange.log import Log
 from agent.exchange.reports import from_packet, held_packet, number, report
 from protocol import packets, survey
@@ -48,6 +52,9 @@ from protocol.packets import From, FromEarly, Gone, Held, HeldEarly, Near
 Table = NDArray[np.int32]
 Mask = NDArray[np.bool_]
 Robots = list[int] | NDArray[np.intp]
+
+Bases = Callable[[int], Sequence[Basis]]
+"""Of a map, in their order, the words that can only be read behind others' (`Exchange.bases`)."""
 
 POLICY = "gossip"
 
@@ -81,6 +88,12 @@ HOLDS_MOST = 200
 """The most that this adds."""
 
 
+def nothing(about: int) -> Sequence[Basis]:
+    """Words that stand each for itself."""
+    del about
+    return ()
+
+
 @dataclass
 class _Said:
     """What a broadcast says: reports first, then stretches of logs."""
@@ -93,6 +106,16 @@ class _Said:
     met: set[int] = field(default_factory=set)
     """Whom they are for that have come into range."""
     stretches: list[_Stretch] = field(default_factory=list)
+    spoken: dict[int, tuple[int, int]] = field(default_factory=dict)
+    """Of each map from which unit on, and up to which."""
+
+
+@dataclass
+class _Plan:
+    """What a peer will hold of each map by what is said, and by what others say."""
+
+    peer: int
+    held: Table
 
 
 @dataclass
@@ -108,8 +131,17 @@ class _Stretch:
 class Gossip:
     """One robot's end of it; it stands where `agent.exchange.session.Session` does."""
 
-    def __init__(self, robot: int, robots: int, *, lives: int = 1, life: int = 0) -> None:
+    def __init__(
+        self,
+        robot: int,
+        robots: int,
+        *,
+        lives: int = 1,
+        life: int = 0,
+        bases: Bases = nothing,
+    ) -> None:
         maps = robots * lives
+        self.bases = bases
         self.logs = [Log() for _ in range(maps)]
         """What is held of every robot's map, of each of its lives (`agent.identity`)."""
         self.own = robot + robots * life
@@ -315,20 +347,45 @@ class Gossip:
         """Say what those in range lack, as far as it is for oneself; return who is served first, if anybody."""
         wanting = np.flatnonzero(self._lacks.any(axis=1)).tolist()
         holds = dict(zip(wanting, self.known[wanting].sum(axis=1).tolist(), strict=True))
-        end = self._held.tolist()
         served = None
         for peer in sorted(wanting, key=lambda each: (-holds[each], each)):
             wanted = np.flatnonzero(self._lacks[peer]).tolist()
+            plan = _Plan(peer, self.known[peer].copy())
+            plan.held[self._own_maps[peer]] = np.iinfo(np.int32).max
+            before = len(said.stretches)
             for about in sorted(wanted, key=lambda each: (each != self.own, self._lacks[peer, each], each)):
-                first = int(self.known[peer, about])
-                if (
-                    first < end[about]
-                    and (about == self.own or self._is_chosen(peer, about))
-                    and self._stretch(said, about, first, end[about], room)
-                ):
-                    end[about] = first
-                    served = peer if served is None else served
+                self._bring(said, plan, about, int(self._held[about]), room)
+            if served is None and len(said.stretches) > before:
+                served = peer
         return served
+
+    def _bring(self, said: _Said, plan: _Plan, about: int, end: int, room: int | None) -> None:
+        """Say of a map what a peer lacks before unit `end`, and before each word what that one is built on."""
+        bases = self.bases(about)
+        for basis in bases[bisect_right(bases, plan.held[about], key=attrgetter("end")) :]:
+            if basis.first >= end:
+                break
+            if any(plan.held[other] < units for other, units in basis.on):
+                self._say(said, plan, about, basis.first, room)
+                for other, units in basis.on:
+                    self._bring(said, plan, other, units, room)
+                if any(plan.held[other] < units for other, units in basis.on):
+                    return
+        self._say(said, plan, about, end, room)
+
+    def _say(self, said: _Said, plan: _Plan, about: int, end: int, room: int | None) -> None:
+        """Say of a map what a peer lacks before unit `end`, as far as it is for oneself and has not been said."""
+        first = int(plan.held[about])
+        if first >= end:
+            return
+        low, high = said.spoken.get(about, (end, end))
+        if low <= first:
+            first = max(first, high)
+        else:
+            end = min(end, low)
+        if first < end and (about == self.own or self._is_chosen(plan.peer, about)):
+            end = self._stretch(said, about, first, end, room)
+        plan.held[about] = max(first, end)
 
     def _is_chosen(self, peer: int, about: int) -> bool:
         """Whether it is for oneself to pass on what a peer lacks of a map.
@@ -346,25 +403,29 @@ class Gossip:
         able.sort(key=lambda each: (self._own_maps[each] != about, (each - about) % self._robots))
         return able.index(self._robot) <= (self._step - int(self._since[peer, about])) // PATIENCE
 
-    def _stretch(self, said: _Said, about: int, first: int, end: int, room: int | None) -> bool:
+    def _stretch(self, said: _Said, about: int, first: int, end: int, room: int | None) -> int:
         """Say units `first` to `end` - 1 of a log as far as there is room, behind a `From` where it is needed.
 
-        Return whether there is room for any.
+        Return up to which one there is.
         """
-        first = max(first, self.logs[about].oldest)
+        log = self.logs[about]
+        first, end = max(first, log.oldest), min(end, len(log))
         begins = about == self.own and first == self._cursor and not said.stretches
         head = b""
         if not (begins and set(self._peers) <= self._synced):
             head = packets.encode([from_packet(about, first)])
         left = None if room is None else room - len(said.payload) - len(head)
-        units = self.logs[about].since(first, left, end)
+        units = log.since(first, left, end) if first < end else b""
         if not units:
-            return False
+            return first
         said.payload += head
         begin = len(said.payload)
         said.payload += units
         said.stretches.append(_Stretch(about, first, begin, len(said.payload)))
-        return True
+        end = log.reached(first, len(units))
+        low, high = said.spoken.get(about, (first, end))
+        said.spoken[about] = min(low, first), max(high, end)
+        return end
 
     def _set_urgency(self, said: _Said, served: int | None) -> None:
         """Note how soon this should be on the air; `served` is who is served first."""

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.exchange.base import Exchange
+from agent.exchange.base import Basis, Exchange
 from agent.exchange.heard import Heard
 from agent.exchange.sight_options import SightOptions
 from agent.settings import Settings
-from agent.sight.looks import MAX_LOOKS, TOLD
+from agent.sight.looks import TOLD
 from agent.sight.shelf import Follower, Shelf
 from agent.sight.stream import Box, History, Stream, Told, around
 from protocol import survey
@@ -60,8 +60,9 @@ class _Coming:
 
     pieces: bytes = b""
     whole: list[bytes] = field(default_factory=list)
-    units: int = 0
-    """Units that have come whole."""
+    ends: list[int] = field(default_factory=list)
+    """Packets up to the end of each unit that has come whole."""
+    packets: int = 0
     broken: str = ""
     """Why one of them could not be read; then none behind it can."""
 
@@ -99,11 +100,17 @@ class SightExchange(Exchange):
         if settings.bandwidth is not None:
             scarce = FAIR_SHARE * settings.robots / max(settings.bandwidth, 1)
             self._patience = min(max(math.ceil(scarce), 1), ENOUGH_STEPS)
+        self._enough = math.inf if settings.bandwidth is None else max(int(settings.bandwidth), 1)
+        """Bytes behind which no more is told in a step: what nobody has room for can still be told otherwise."""
         self._waiting = _Waiting()
         self._said = _Waiting()
         """What the last unit told of."""
         self._last: Told | None = None
+        self._logged = 0
+        """Packets of one's own log."""
         self._coming = [_Coming() for _ in range(settings.maps)]
+        """Of one's own map what has been written."""
+        self._bases: list[list[Basis]] = [[] for _ in range(settings.maps)]
         self._unread: set[int] = set()
         """Makers of which whole units have come that have not been read."""
 
@@ -150,30 +157,49 @@ class SightExchange(Exchange):
         news = int(_news(self._heard.grid, self._own.grid, own, *around(waiting.boxes)))
         if 0 < news < ENOUGH_CELLS and waiting.steps < self._patience:
             return []
-        self._said, self._waiting = waiting, _Waiting()
-        return self._tell(own, waiting) if news else []
+        if not news:
+            self._waiting = _Waiting()
+            return []
+        return self._tell(own)
 
-    def _tell(self, own: Grid, waiting: _Waiting) -> list[bytes]:
-        stream, history = self._own, self._histories[self.settings.own_map]
+    def _tell(self, own: Grid) -> list[bytes]:
+        """Write units as far as a step has room for them; what is left is told in the next ones."""
+        maker = self.settings.own_map
+        stream, history = self._own, self._histories[maker]
         packets: list[bytes] = []
-        box = around(waiting.boxes)
-        for first in range(0, len(waiting.poses), MAX_LOOKS):
-            last = first + MAX_LOOKS >= len(waiting.poses)
-            number = len(history)
-            unit = stream.encode(own, waiting.poses[first : first + MAX_LOOKS], box, last=last)
-            if unit is not None:
-                message, told = unit
-                self._lay(told)
-                packets += pieces(message, number, self._most)
-                self._last = told
-                self.revisable = len(packets) if len(waiting.poses) <= MAX_LOOKS else 0
+        size = units = 0
+        while self._waiting.poses and size < self._enough:
+            waiting, number = self._waiting, len(history)
+            box = around(waiting.boxes)
+            unit = stream.encode(own, waiting.poses, box, most=self._enough - size)
+            self._waiting = _Waiting()
+            if unit is None:
+                break
+            message, self._last, looks = unit
+            self._said = _Waiting(waiting.poses[:looks], [box], waiting.steps)
+            if looks < len(waiting.poses):
+                self._waiting = _Waiting(waiting.poses[looks:], [box], waiting.steps)
+            self._lay(self._last)
+            packets += pieces(message, number, self._most)
+            self._coming[maker].ends.append(self._logged + len(packets))
+            self._note_basis(maker, self._last)
+            units += 1
+            size += len(message)
+        self._logged += len(packets)
+        self.revisable = len(packets) if units == 1 else 0
         return packets
 
     def retract(self) -> None:
         """Take the last unit back: nobody has heard of it."""
         assert self._last is not None
+        maker = self.settings.own_map
         self._own.undo()
-        self._histories[self.settings.own_map].pop()
+        self._histories[maker].pop()
+        self._logged -= self.revisable
+        ends, bases = self._coming[maker].ends, self._bases[maker]
+        end = ends.pop()
+        if bases and bases[-1].end == end:
+            bases.pop()
         self._lay(replace(self._last, states=self._last.before, before=self._last.states))
         said, waiting = self._said, self._waiting
         self._waiting = _Waiting(
@@ -187,24 +213,31 @@ class SightExchange(Exchange):
         coming = self._coming[about]
         if coming.broken:
             raise ProtocolError(Look.name, 0, coming.broken)
-        rest, whole, number = coming.pieces, [], coming.units
-        for unit in survey.split(frame):
+        units = survey.split(frame)
+        rest, whole = coming.pieces, []
+        ends: list[int] = []
+        for count, unit in enumerate(units, coming.packets + 1):
             said, data = look(unit)
             rest += data
             if said is not None:
-                if said != number % LOOK_NUMBERS:
-                    raise ProtocolError(
-                        Look.name, 0, f"unit {said} where {number % LOOK_NUMBERS} is the next"
-                    )
+                number = (len(coming.ends) + len(ends)) % LOOK_NUMBERS
+                if said != number:
+                    raise ProtocolError(Look.name, 0, f"unit {said} where {number} is the next")
                 whole.append(rest)
-                number += 1
+                ends.append(count)
                 rest = b""
+        before = len(coming.ends)
+        coming.ends += ends
         if whole and not coming.whole:
-            first = self._decode(about, whole[0])
+            try:
+                first = self._decode(about, whole[0])
+            except ProtocolError:
+                del coming.ends[before:]
+                raise
             if first is not None:
                 self._lay(first)
                 whole = whole[1:]
-        coming.pieces, coming.units = rest, number
+        coming.pieces, coming.packets = rest, coming.packets + len(units)
         coming.whole += whole
         if coming.whole:
             self._unread.add(about)
@@ -245,10 +278,22 @@ class SightExchange(Exchange):
             stream.undo()
             self._histories[maker].pop()
             raise
+        self._note_basis(maker, told)
         stream.settle()
         if isinstance(stream, Stream):
             self._needed[maker] = stream.builds_from()
         return told
+
+    def _note_basis(self, maker: int, told: Told) -> None:
+        """Note what the last unit of a stream is built on."""
+        ends, number = self._coming[maker].ends, len(self._histories[maker]) - 1
+        on = tuple((base.robot, self._coming[base.robot].ends[base.end - 1]) for base in told.bases)
+        if on:
+            self._bases[maker].append(Basis(ends[number - 1] if number else 0, ends[number], on))
+
+    def bases(self, about: int) -> Sequence[Basis]:
+        """Of the units of a map that one has read those that are built on more of others than the ones before."""
+        return self._bases[about]
 
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
         """Lay the robot's own grid over what all have told."""

@@ -11,6 +11,7 @@ the same stream, and hardly anything else can have led there. So they may share 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from hashlib import blake2b
@@ -22,6 +23,7 @@ from agent.sight import contexts
 from agent.sight.coder import (
     BROKEN,
     NUMBER,
+    PLACE,
     Counts,
     Data,
     State,
@@ -162,6 +164,7 @@ class _Moment:
     way: Way
     built: NDArray[np.int64]
     grew: NDArray[np.bool_]
+    owed: Box
     key: bytes
 
 
@@ -215,6 +218,8 @@ class Stream:
         self._grew = np.zeros(len(histories), np.bool_)
         self._counts = contexts.start() if counts is None else counts
         self._way: Way = np.zeros(PLACES + 1, np.int64)
+        self._owed = NO_BOX
+        """Where the maker's own grid may differ from what follows from its units, and none has told so yet."""
         self._before: _Moment | None = None
         self._overwritten: list[tuple[NDArray[np.int32], NDArray[np.uint8]]] = []
         """Cells that the last unit has written, and what they were before, in that order."""
@@ -230,31 +235,32 @@ class Stream:
         return (int(self._way[X]), int(self._way[Y])) if self._way[PLACES] else None
 
     def encode(
-        self, own: Grid, poses: Sequence[tuple[int, int]], box: Box, *, last: bool = True
-    ) -> tuple[bytes, Told] | None:
-        """Write the unit that tells of what has changed in a self-explored grid.
+        self, own: Grid, poses: Sequence[tuple[int, int]], box: Box, *, most: float = math.inf
+    ) -> tuple[bytes, Told, int] | None:
+        """Write the unit that tells of what has changed in a self-explored grid, or of as much as it has room for.
 
         Parameters
         ----------
         own : uint8 array, shape (h, w)
             The maker's self-explored grid.
         poses : sequence of (x, y)
-            From where it looked since the last unit, `MAX_LOOKS` at most.
+            From where it looked since the last unit.
         box : Box
             Where the grid has changed since the last unit.
-        last : bool
-            Whether this is all: then `own` follows from the stream in every cell once the unit is read. Else only
-            what the looks show is told.
+        most : float, optional
+            Bytes behind which no more looks are told, but one at least, and `MAX_LOOKS` at most.
 
         Returns
         -------
-        (message, told), or None if there is nothing to tell, and the stream is as it was.
+        (message, told, looks), or None if there is nothing to tell, and the stream is as it was. If `looks`, which
+        is how many of `poses` have been told of, is all, then `own` follows from the stream in every cell once the
+        unit is read; else only what these show.
         """
         room = _ROOM
         while True:
             state, data = writer(room)
             self._begin()
-            told = self._write(state, data, own, poses, box, last=last)
+            told, looks = self._write(state, data, own, poses, box, most)
             if state[BROKEN]:
                 self.undo()
                 room *= 2
@@ -263,7 +269,7 @@ class Stream:
                 self.undo()
                 return None
             message = written(state, data)
-            return message, self._add(told, message)
+            return message, self._add(told, message), looks
 
     def decode(self, message: bytes) -> Told | None:
         """Read a unit; None if it is built on units that have not been read yet, and nothing has changed.
@@ -297,8 +303,8 @@ class Stream:
         """Go back to where the stream was before the last unit; what is in its history is left to the caller."""
         before = self._before
         assert before is not None
-        self._counts, self._way, self.built, self._grew = before.counts, before.way, before.built, before.grew
-        self.key = before.key
+        self._counts, self._way, self._owed = before.counts, before.way, before.owed
+        self.built, self._grew, self.key = before.built, before.grew, before.key
         for places, states in reversed(self._overwritten):
             _restore(self.grid.reshape(-1), places, states)
         self._overwritten = []
@@ -306,7 +312,7 @@ class Stream:
 
     def _begin(self) -> None:
         """Begin a unit: keep what there is, and go on with copies."""
-        self._before = _Moment(self._counts, self._way, self.built, self._grew, self.key)
+        self._before = _Moment(self._counts, self._way, self.built, self._grew, self._owed, self.key)
         self._counts, self._way = self._counts.copy(), self._way.copy()
         self.built, self._grew = self.built.copy(), self._grew.copy()
         self._overwritten = []
@@ -324,18 +330,21 @@ class Stream:
         return told
 
     def _write(
-        self, state: State, data: Data, own: Grid, poses: Sequence[tuple[int, int]], box: Box, *, last: bool
-    ) -> Told | None:
-        """Write a unit, and what it says into the grid; None if that is nothing."""
+        self, state: State, data: Data, own: Grid, poses: Sequence[tuple[int, int]], box: Box, most: float
+    ) -> tuple[Told | None, int]:
+        """Write a unit, and what it says into the grid; None if that is nothing. Return how many poses it tells of."""
         counts, way, grid, scratch = self._counts, self._way, self.grid, self._scratch
         cells, start = self._fan.cells, self._fan.start
-        box = around(
-            [box, *self._build(state, data, own, poses, box), *((x, y, x + 1, y + 1) for x, y in poses)]
-        )
-        changed = looks = 0
+        contradicted = self._build(state, data, own, poses, box)
+        owed = around([self._owed, *contradicted, *((x, y, x + 1, y + 1) for x, y in poses)])
+        box = around([box, owed])
+        changed = looks = done = 0
         claimed = np.zeros(grid.shape, np.bool_)
         needed = [claims(grid, own, claimed, cells, start, x, y) for x, y in reversed(poses)]
         for (x, y), alone in zip(poses, reversed(needed), strict=True):
+            if alone and (looks == MAX_LOOKS or (looks and state[PLACE] >= most)):
+                break
+            done += 1
             if alone:
                 code_bit(state, data, counts, contexts.MORE + min(looks, 3), 1, REST_MOST)
                 code_pose(state, data, counts, way, x, y)
@@ -343,10 +352,11 @@ class Stream:
                 looks += 1
         if looks < MAX_LOOKS:
             code_bit(state, data, counts, contexts.MORE + min(looks, 3), 0, REST_MOST)
-        places = _places(grid, own, box) if last else np.empty(0, np.int32)
+        self._owed = NO_BOX if done == len(poses) else owed
+        places = _places(grid, own, box) if done == len(poses) else np.empty(0, np.int32)
         looked = changed
         changed = code_exceptions(state, data, counts, grid, own, places, len(places), way, scratch, changed)
-        return self._keep(changed if changed >= 0 else -1 - changed, looked) if changed else None
+        return self._keep(changed if changed >= 0 else -1 - changed, looked) if changed else None, done
 
     def _read(self, state: State, data: Data) -> Told | None:
         """Read a unit into the grid; None if what it is built on is not there yet."""

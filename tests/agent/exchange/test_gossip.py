@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from agent.exchange.base import Basis
 from agent.exchange.gossip import EVERYONE, GREETING, HOLDS, MOST_URGENT, PATIENCE, SELDOM, Gossip
 from protocol import packets, survey
 from protocol.errors import ProtocolError
@@ -121,6 +122,31 @@ def test_where_all_hear_each_other_each_unit_is_said_once_and_nothing_else(robot
             len(mind.logs[robot]) == air.logged[robot] for mind in air.minds for robot in range(robots)
         )
     assert air.carried == size
+
+
+@given(seeds)
+def test_a_word_comes_behind_the_words_that_it_is_built_on(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    air, sizes = Air(3, seed), (12, 9, 0)
+    for robot, count in enumerate(sizes):
+        air.log(robot, count)
+    air.step({0: [1], 1: [0], 2: []})
+    bases: dict[int, list[Basis]] = {0: [], 1: []}
+    held, words_of = [0, 0], [[*range(0, size, 3)] for size in sizes[:2]]
+    order = rng.permutation([0] * len(words_of[0]) + [1] * len(words_of[1])).tolist()
+    for about in order:  # in this order the words were written, each on all others by then
+        first, other = held[about], 1 - about
+        bases[about].append(Basis(first, first + 3, ((other, held[other]),)))
+        held[about] += 3
+    teller, hearer = air.minds[0], air.minds[2]
+    teller.bases = lambda about: bases.get(about, [])
+    for _ in range(40):
+        air.step({0: [2], 1: [], 2: [0]}, 40)
+        for about in (0, 1):
+            for basis in bases[about]:
+                if basis.first < len(hearer.logs[about]):
+                    assert all(len(hearer.logs[other]) >= units for other, units in basis.on)
+    assert [len(log) for log in hearer.logs] == list(sizes)
 
 
 @given(st.integers(2, 5), seeds, st.integers(15, 60))

@@ -141,6 +141,45 @@ def test_what_waited_for_the_medium_is_told_in_one_unit_later(seed: int) -> None
 
 
 @given(seeds)
+def test_on_a_narrow_medium_it_is_told_in_several_units_one_a_step(seed: int) -> None:
+    truth = world(seed)
+    maker, hearer = Explorer(0, seed, bandwidth=6), SightExchange(settings_of(1))
+    for _ in range(5):
+        assert maker.look(truth, delivered=False) == []
+    units = 0
+    while said := flush(maker):
+        hearer.take(0, b"".join(said))
+        units += sum(look(unit)[0] is not None for unit in said)
+    assert (hearer.merge(unknown()) == maker.own).all()
+    assert units > 1 or np.count_nonzero(maker.own) < 100
+
+
+@given(seeds, st.booleans())
+def test_what_a_unit_is_built_on_is_known_to_its_maker_and_to_all_who_have_read_it(
+    seed: int, taken_back: bool
+) -> None:
+    truth = world(seed)
+    first, second, hearer = Explorer(0, seed), Explorer(1, seed), SightExchange(settings_of(2))
+    for _ in range(6):
+        second.exchange.take(0, b"".join(first.look(truth)))
+        units = second.look(truth)
+        if taken_back and second.exchange.revisable:
+            second.exchange.retract()
+            del second.log[len(second.log) - len(units) :]
+        else:
+            first.exchange.take(1, b"".join(units))
+    bases = second.exchange.bases(1)
+    assert list(first.exchange.bases(1)) == list(bases)
+    read = [0, 0]
+    for first_unit, end, on in bases:  # with what they say, and no more, each unit can be read
+        assert read[1] <= first_unit < end <= len(second.log)
+        for about, log, units in (*((0, first.log, units) for _, units in on), (1, second.log, end)):
+            hearer.take(about, b"".join(log[read[about] : units]))
+            read[about] = max(read[about], units)
+        assert hearer.bases(1)[-1].end == end
+
+
+@given(seeds)
 def test_a_unit_that_nobody_has_heard_is_taken_back_and_what_it_said_is_in_the_next(seed: int) -> None:
     truth = world(seed)
     maker, hearer = Explorer(0, seed), SightExchange(settings_of(1))
@@ -215,7 +254,7 @@ def test_robots_that_read_together_know_what_each_would_know_alone(seed: int, ba
         said = []
         for team in teams:
             try:
-                team[hearer].exchange.take(about, heard)
+                team[hearer].exchange.take(about, b"".join(heard))
             except ProtocolError as error:
                 said.append(str(error))
             else:

@@ -83,7 +83,8 @@ class Scene:
 
     def tell(self, group: Group, robot: int) -> tuple[bytes, Told] | None:
         height, width = self.shape
-        return group.streams[robot].encode(self.own[robot], self.change(robot), (0, 0, width, height))
+        unit = group.streams[robot].encode(self.own[robot], self.change(robot), (0, 0, width, height))
+        return None if unit is None else unit[:2]
 
 
 @given(seeds, st.booleans())
@@ -284,13 +285,35 @@ def test_a_unit_has_so_many_looks_at_most_and_what_is_left_can_be_told_in_the_ne
     own = np.zeros(shape, np.uint8)
     own[1] = FREE
     poses = [(x, 1) for x in range(0, 400, 3)]
-    whole = 0, 0, 400, 3
-    for first in range(0, len(poses), MAX_LOOKS):
-        last = first + MAX_LOOKS >= len(poses)
-        unit = maker.streams[0].encode(own, poses[first : first + MAX_LOOKS], whole, last=last)
+    while poses:
+        unit = maker.streams[0].encode(own, poses, (0, 0, 400, 3))
         assert unit is not None
-        assert hearer.streams[0].decode(unit[0]) is not None
+        message, _, looks = unit
+        assert looks == min(MAX_LOOKS, len(poses))
+        assert hearer.streams[0].decode(message) is not None
+        poses = poses[looks:]
     assert (hearer.grids[0] & STATE).tolist() == own.tolist()
+
+
+@given(seeds, st.integers(1, 40))
+def test_what_a_short_unit_has_no_room_for_is_told_in_the_next_ones(seed: int, most: int) -> None:
+    scene = Scene.drawn(seed)
+    maker, hearer = Group(scene.shape), Group(scene.shape)
+    height, width = scene.shape
+    for _ in range(4):
+        robot = int(scene.rng.integers(len(RANGES)))
+        poses = scene.change(robot)
+        looks = -1
+        while looks < len(poses):
+            poses = poses[max(looks, 0) :]
+            unit = maker.streams[robot].encode(scene.own[robot], poses, (0, 0, width, height), most=most)
+            if unit is None:
+                break
+            message, _, looks = unit
+            assert hearer.streams[robot].decode(message) is not None
+        else:
+            assert hearer.follows(robot, scene.own[robot])
+        assert (hearer.grids == maker.grids).all()
 
 
 def test_the_shipped_table_speaks_of_contexts_that_there_are() -> None:
