@@ -103,10 +103,10 @@ def hear_in_session(data: bytes) -> None:
 def hear_gossip(data: bytes) -> None:
     gossip = Gossip(1, 3, lives=2)
     gossip.offers(0, [0, 2], None)
-    for peer, about, units in gossip.outcome(
+    for peer, about, frame in gossip.outcome(
         Outcome(1, 0, [], [], [], [], [-1], broadcast=False), [(0, data)]
     ):
-        gossip.accept(peer, about, survey.split(units))
+        gossip.accept(peer, about, frame, survey.ends(frame))
 
 
 def read_journal(data: bytes) -> None:
