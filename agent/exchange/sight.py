@@ -20,9 +20,10 @@ from agent.exchange.base import Basis, Exchange
 from agent.exchange.heard import Heard
 from agent.exchange.sight_options import SightOptions
 from agent.settings import Settings
+from agent.sight.history import Box, History, Told, around
 from agent.sight.looks import TOLD
 from agent.sight.shelf import Follower, Shelf
-from agent.sight.stream import Box, History, Stream, Told, around
+from agent.sight.stream import Stream
 from protocol import survey
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, fan

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from agent.sight.stream import History, Stream, Told
+from agent.sight.history import History, Told
+from agent.sight.stream import Stream
 
 MOST = 4
 """Readings of a stream that are kept at most; one that is needed again begins anew."""

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from agent.exchange.sight import ENOUGH_STEPS
 from agent.sight import contexts
-from agent.sight.stream import Box, History, Stream, around
+from agent.sight.history import Box, History, around
+from agent.sight.stream import Stream
 from deploy.run import in_memory
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan

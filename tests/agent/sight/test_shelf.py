@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from agent.sight.history import History
 from agent.sight.shelf import MOST, Follower, Shelf
-from agent.sight.stream import History, Stream
+from agent.sight.stream import Stream
 from protocol.grid import FREE, fan
 
 SIDE = 9

@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.sight import contexts
+from agent.sight.history import History, Told
 from agent.sight.looks import MAX_LOOKS, STATE, TOLD
-from agent.sight.stream import History, Stream, Told
+from agent.sight.stream import Stream
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, fan
 from protocol.scans import draw
