@@ -79,8 +79,12 @@ def wrong_in_answer(payload: bytes) -> str:
     return "an answer frame is an answer behind at most two blocks, or a decline"
 
 
+@lru_cache(maxsize=16)
 def wrong_in_data(payload: bytes) -> str:
-    """Say what is wrong with a data frame; nothing if it is whole packets that may be data."""
+    """Say what is wrong with a data frame; nothing if it is whole packets that may be data.
+
+    What a robot sends to several teammates is looked at once.
+    """
     try:
         kinds = survey.kinds(payload)
     except ProtocolError as error:

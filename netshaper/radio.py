@@ -22,7 +22,6 @@ from operator import attrgetter
 from typing import NamedTuple, TypeVar
 
 import msgspec
-import numpy as np
 
 from netshaper import airtime, connectivity
 from netshaper.frames import is_broadcast, read_offer, wrong_in_answer, wrong_in_data
@@ -407,14 +406,12 @@ class Radio:
         for at, (receiver, payload) in enumerate(zip(these.receivers, these.frames[DATA], strict=True)):
             if payload is not None and receiver in self._dead:
                 these.lost[at] = DATA
-        carried = self._medium.play(self._exchange, these)
+        offers, answers, data = self._medium.play(self._exchange, these).T.tolist()
         heard: defaultdict[int, tuple[list[int], list[bytes], list[int]]]
         heard = defaultdict(lambda: ([], [], []))
         concerned: defaultdict[int, list[int]] = defaultdict(list)
         concerned.update({robot: [] for robot in self._broadcast_carried})
-        played = zip(
-            these.senders, these.receivers, these.frames[DATA], carried[:, DATA].tolist(), strict=True
-        )
+        played = zip(these.senders, these.receivers, these.frames[DATA], data, strict=True)
         for at, (sender, receiver, payload, size) in enumerate(played):
             concerned[sender].append(at)
             concerned[receiver].append(at)
@@ -425,16 +422,15 @@ class Radio:
                 numbers.append(these.first + at)
         out: list[Outgoing] = []
         for robot in sorted(concerned.keys() - self._dead):
-            mine = np.array(concerned[robot], np.int64)
+            mine = concerned[robot]
             whose, frames, numbers = heard[robot]
-            offers, answers, data = carried[mine].T.tolist()
             outcome = Outcome(
                 self._step,
                 self._exchange,
-                (these.first + mine).tolist(),
-                offers,
-                answers,
-                data,
+                [these.first + at for at in mine],
+                [offers[at] for at in mine],
+                [answers[at] for at in mine],
+                [data[at] for at in mine],
                 numbers,
                 self._broadcast_carried.get(robot, False),
             )

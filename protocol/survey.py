@@ -5,6 +5,8 @@ What a survey accepts is what `protocol.packets.decode` reads. Where it stumbles
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -60,8 +62,9 @@ def longest(frame: bytes) -> int:
     return max(map(len, split(frame)), default=0)
 
 
+@lru_cache(maxsize=64)
 def ends(frame: bytes) -> list[int]:
-    """Return where each packet of a frame ends.
+    """Return where each packet of a frame ends; a list that is not to be written on, for several may hear the frame.
 
     Raises
     ------

@@ -15,9 +15,9 @@ from agent.exchange.base import Exchange
 from agent.exchange.changed_cells import ChangedCells
 from agent.exchange.polygon_options import PolygonOptions
 from agent.outline.approximation import Marks, approximation, repair
-from agent.outline.boxes import Boxes, around
 from agent.outline.claims import Drawing
 from agent.outline.contour import Tracer
+from agent.outline.edit_reader import Saved
 from agent.outline.edits import edit_units, script_size
 from agent.outline.exact_error import ExactError
 from agent.outline.merge import ErrorCount, TeamMap
@@ -130,9 +130,9 @@ class PolygonExchange(Exchange):
     def take(self, about: int, frame: bytes) -> None:
         """Rebuild a teammate's approximation."""
 
-        def check(boxes: Boxes, saves: int) -> None:
-            if len(boxes):
-                self.plausible.claim(about, around(boxes), saves)
+        def check(saved: Saved) -> None:
+            if saved.box is not None:
+                self.plausible.claim(about, saved.box, saved.saves)
 
         if self._receivers[about].feed(frame, check):
             self._news.add(about)

@@ -35,20 +35,6 @@ NEAR_WALL, FREE_AREA, OUTSIDE_OCCUPIED, INSIDE_FREE, INSIDE_OCCUPIED = 1, 2, 4, 
 says that."""
 
 _WALL = OUTSIDE_OCCUPIED | INSIDE_OCCUPIED
-_COUNT = 12
-"""Bits in which a claim is counted."""
-
-COUNTED = np.array(
-    [
-        [
-            sum((bits >> k & 1) << _COUNT * k for k in range(5)) + (near and bits & _WALL > 0)
-            for bits in range(32)
-        ]
-        for near in (False, True)
-    ],
-    np.int64,
-)
-"""What is counted of a cell's claims in a layer that is not near, and in one that is."""
 
 Layer = NDArray[np.uint8]
 
@@ -56,26 +42,27 @@ Layer = NDArray[np.uint8]
 class Tally:
     """What several layers claim together: by what one of them claims otherwise it changes, however many they are.
 
+    These are 255 at most. Each claim is counted by itself: the one that changes most costs no look at the others.
+
     Attributes
     ----------
-    counts : int64 array, shape (h, w)
-        How many make each claim of a cell.
     claims : uint8 array, shape (h, w)
         Which claims any of them makes, as bits.
     """
 
     def __init__(self, shape: tuple[int, ...]) -> None:
-        self.counts: NDArray[np.int64] = np.zeros(shape, np.int64)
         self.claims: Layer = np.zeros(shape, np.uint8)
+        self._cells = self.claims.reshape(-1)
+        self._counts = np.zeros((5, self.claims.size), np.uint8)
 
     def count(self, news: Difference, near: bool) -> None:
         """Count what a layer, which is near or not, claims now instead of what it did."""
-        _count(news.cells, news.before, news.after, near, self.counts.ravel(), self.claims.ravel())
+        _count(news.cells, news.before, news.after, near, self._counts, self._cells)
 
     def turn(self, layer: Layer, near: bool) -> Boxes:
         """Count a layer that was not near as one that is, or the other way round; return boxes around its claims."""
         box = np.empty((1, 4), np.int32)
-        return box if _turn(layer, near, self.counts, self.claims, box[0]) else NO_BOXES
+        return box if _turn(layer, near, self._counts, self._cells, box[0]) else NO_BOXES
 
 
 NO_TALLY = Tally((0, 0))
@@ -218,28 +205,31 @@ def _edges_near(vertices: Symbols, chunks: Boxes, box: NDArray[np.int32], edges:
     return count
 
 
-@kernel("uint8(int64)")
-def _claimed(count: int) -> int:
-    """Which claims have been counted."""
-    claims = 0
+@kernel("void(uint8[:,::1], uint8[::1], int64, int64, int64)")
+def _change(counts: Layer, claims: NDArray[np.uint8], cell: int, before: int, after: int) -> None:
+    """Count of a cell that a layer claims something else of it than before."""
+    changed = before ^ after
     for k in range(5):
-        claims |= (count >> _COUNT * k & (1 << _COUNT) - 1 != 0) << k
-    return claims
+        if changed >> k & 1:
+            counts[k, cell] += 1 if after >> k & 1 else -1
+            claims[cell] = claims[cell] & ~(1 << k) | (counts[k, cell] > 0) << k
 
 
-@kernel("void(int32[::1], uint8[::1], uint8[::1], boolean, int64[::1], uint8[::1])")
+@kernel("void(int32[::1], uint8[::1], uint8[::1], boolean, uint8[:,::1], uint8[::1])")
 def _count(
     cells: NDArray[np.int32],
     before: NDArray[np.uint8],
     after: NDArray[np.uint8],
     near: bool,
-    counts: NDArray[np.int64],
+    counts: Layer,
     claims: NDArray[np.uint8],
 ) -> None:
     for each in range(len(cells)):
-        cell = cells[each]
-        counts[cell] += COUNTED[int(near), after[each]] - COUNTED[int(near), before[each]]
-        claims[cell] = _claimed(counts[cell])
+        was, now = before[each], after[each]
+        if near:
+            was |= (was & _WALL > 0) * NEAR_WALL
+            now |= (now & _WALL > 0) * NEAR_WALL
+        _change(counts, claims, cells[each], was, now)
 
 
 @kernel(
@@ -272,8 +262,8 @@ def _note_change(
     return count
 
 
-@kernel("boolean(uint8[:,::1], boolean, int64[:,::1], uint8[:,::1], int32[::1])")
-def _turn(layer: Layer, near: bool, counts: NDArray[np.int64], claims: Layer, box: NDArray[np.int32]) -> bool:
+@kernel("boolean(uint8[:,::1], boolean, uint8[:,::1], uint8[::1], int32[::1])")
+def _turn(layer: Layer, near: bool, counts: Layer, claims: NDArray[np.uint8], box: NDArray[np.int32]) -> bool:
     """Count the walls of a layer as near, or no longer, and write the box around them; whether there are any."""
     height, width = layer.shape
     top, bottom, left, right = height, -1, width, -1
@@ -282,8 +272,7 @@ def _turn(layer: Layer, near: bool, counts: NDArray[np.int64], claims: Layer, bo
             if layer[y, x] & _WALL:
                 top, bottom = min(top, y), y
                 left, right = min(left, x), max(right, x)
-                counts[y, x] += 1 if near else -1
-                claims[y, x] = _claimed(counts[y, x])
+                _change(counts, claims, y * width + x, 0 if near else NEAR_WALL, NEAR_WALL if near else 0)
     box[0], box[1], box[2], box[3] = left, top, right + 1, bottom + 1
     return bottom >= 0
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.outline.boxes import MOST, NO_BOXES, Boxes, add_box
+from agent.outline.boxes import MOST, NO_BOXES, Boxes, add_box, around
 from agent.outline.objects import (
     BOTTOM,
     FIRST,
@@ -80,6 +80,8 @@ class Saved(NamedTuple):
 
     objects: Objects
     boxes: Boxes
+    box: tuple[int, int, int, int] | None
+    """The box (x0, y0, x1, y1) around them, if there are any."""
     saves: int
     """How many save points are in the piece."""
     end: int
@@ -111,7 +113,10 @@ def read(before: Reading, piece: bytes) -> tuple[int, Reading, Saved | None] | N
     used = int(numbers[_HEARD])
     if used == REFUSED:
         return None
-    saved = Saved(Objects(shape, saved_table, pool), saved_boxes, saves, end) if saves else None
+    saved = None
+    if saves:
+        box = around(saved_boxes) if len(saved_boxes) else None
+        saved = Saved(Objects(shape, saved_table, pool), saved_boxes, box, saves, end)
     return used, Reading(Objects(shape, table, pool), vertices, boxes, numbers), saved
 
 

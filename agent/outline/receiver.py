@@ -11,7 +11,7 @@ from hashlib import blake2b
 
 from agent.outline.boxes import NO_BOXES, Boxes, united
 from agent.outline.draft import Draft
-from agent.outline.edit_reader import Reading, read
+from agent.outline.edit_reader import Reading, Saved, read
 from agent.outline.edits import Held
 from agent.outline.objects import FIRST, INSIDE, LENGTH, Objects
 from agent.outline.once import ALONE, Once
@@ -51,11 +51,10 @@ class Receiver:
         boxes, self._changed = self._changed, NO_BOXES
         return boxes
 
-    def feed(self, data: bytes, check: Callable[[Boxes, int], object] = lambda _, __: None) -> bool:
+    def feed(self, data: bytes, check: Callable[[Saved], object] = lambda _: None) -> bool:
         """Take the next piece of the stream, cut anywhere; say whether a save point was in it.
 
-        `check` is called with where the approximation changes by it, and how many save points there are; it may refuse
-        that.
+        `check` is called with what it saves, if anything; it may refuse that.
 
         Raises
         ------
@@ -71,7 +70,7 @@ class Receiver:
         if found is None:
             raise RuntimeError("a piece was refused in which each packet makes sense")
         if found[2] is not None:
-            check(found[2].boxes, found[2].saves)
+            check(found[2])
         used, self._reading, saved = found
         self._pending = piece[used:]
         behind = saved.end - (len(piece) - len(data)) if saved is not None else 0
