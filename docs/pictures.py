@@ -25,7 +25,7 @@ SHADES = ListedColormap(np.array(CELLS) / 255)
 def main(folder: Path) -> None:
     """Draw all pictures into a folder."""
     folder.mkdir(exist_ok=True)
-    run = steps(map="office", robots=3, range=12, bandwidth=250)
+    run = steps(map="office", exchange="polygon", strategy="meier", robots=3, range=12, bandwidth=250)
     taken = [next(run) for _ in range(AFTER)]
     _save(outline(taken[-1]), folder / "outline.png")
     _save(knowledge(taken[-1]), folder / "knowledge.png")

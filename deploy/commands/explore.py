@@ -146,7 +146,7 @@ def explore(
             overrides["options"] = named_values(option, "option", "beta=0.5")
         chosen = load(scenario, overrides)
         if thesis:
-            chosen = load(scenario, _with_thesis(overrides, chosen.strategy))
+            chosen = load(scenario, _with_thesis(overrides, chosen))
         show = view_as or ("auto" if view else None)
         code = _explore(
             chosen, out, show, hosts, pictures=pictures, pace=pace, restart=restart, as_json=as_json
@@ -172,11 +172,12 @@ def watch(
             window.close()
 
 
-def _with_thesis(overrides: dict[str, Any], strategy: str) -> dict[str, Any]:
-    """Flags, and what --thesis takes away where no flag says otherwise."""
+def _with_thesis(overrides: dict[str, Any], chosen: Scenario) -> dict[str, Any]:
+    """Flags, and what --thesis takes away where no flag says otherwise; a strategy that anybody asked for stays."""
+    asked = {"strategy": chosen.strategy} if "strategy" in chosen.model_fields_set else {}
     given = {name for name, value in overrides.items() if value is not None}
     given |= {f"options.{name}" for name in overrides.get("options") or {}}
-    plain = {name: value for name, value in thesis_settings(strategy).items() if name not in given}
+    plain = {name: value for name, value in thesis_settings(**asked).items() if name not in given}
     return {name: value for name, value in overrides.items() if value is not None} | plain
 
 

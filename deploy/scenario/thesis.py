@@ -6,21 +6,23 @@ from dataclasses import asdict
 from typing import Any
 
 from agent.exchange.polygon_options import THESIS_OPTIONS, PolygonOptions
-from deploy.scenario.scenario import Scenario, ScenarioError
+from deploy.scenario.scenario import ScenarioError
 
-EXCHANGE, OFFERS = "polygon", "thesis"
-STRATEGY = Scenario.model_fields["strategy"].default
+EXCHANGE, OFFERS, STRATEGY = "polygon", "thesis", "meier"
 
 NOT_IN_IT: dict[str, dict[str, Any]] = {"meier": {"herding": False}}
 """Options of strategies that take away what the thesis does not have: the rule against herding is ours."""
 
 
-def thesis_settings(strategy: str) -> dict[str, Any]:
-    """Settings with which a scenario goes by the thesis' plain rules, as `deploy.scenario.scenario.load` takes them."""
+def thesis_settings(strategy: str = STRATEGY) -> dict[str, Any]:
+    """Settings with which a scenario goes by the thesis' plain rules, as `deploy.scenario.scenario.load` takes them.
+
+    `strategy` is the one that is asked for; the thesis' own if none is.
+    """
     ours = asdict(PolygonOptions())
     plain = {name: value for name, value in asdict(THESIS_OPTIONS).items() if value != ours[name]}
     return (
-        {"exchange": EXCHANGE, "offers": OFFERS}
+        {"exchange": EXCHANGE, "offers": OFFERS, "strategy": strategy}
         | {f"polygon.{name}": value for name, value in plain.items()}
         | {f"options.{name}": value for name, value in NOT_IN_IT.get(strategy, {}).items()}
     )
