@@ -22,7 +22,7 @@ from deploy.commands.flags import (
     setting,
 )
 from deploy.scenario.scenario import Scenario, load
-from deploy.scenario.thesis import thesis_settings
+from deploy.scenario.thesis import load_by_thesis
 from netshaper.presets import PRESETS
 
 app = family()
@@ -144,9 +144,7 @@ def explore(
             overrides["start"] = pair(start)
         if option:
             overrides["options"] = named_values(option, "option", "beta=0.5")
-        chosen = load(scenario, overrides)
-        if thesis:
-            chosen = load(scenario, _with_thesis(overrides, chosen))
+        chosen = (load_by_thesis if thesis else load)(scenario, overrides)
         show = view_as or ("auto" if view else None)
         code = _explore(
             chosen, out, show, hosts, pictures=pictures, pace=pace, restart=restart, as_json=as_json
@@ -170,15 +168,6 @@ def watch(
             watching.watch(directory, window)
         finally:
             window.close()
-
-
-def _with_thesis(overrides: dict[str, Any], chosen: Scenario) -> dict[str, Any]:
-    """Flags, and what --thesis takes away where no flag says otherwise; a strategy that anybody asked for stays."""
-    asked = {"strategy": chosen.strategy} if "strategy" in chosen.model_fields_set else {}
-    given = {name for name, value in overrides.items() if value is not None}
-    given |= {f"options.{name}" for name in overrides.get("options") or {}}
-    plain = {name: value for name, value in thesis_settings(**asked).items() if name not in given}
-    return {name: value for name, value in overrides.items() if value is not None} | plain
 
 
 def _other_settings(texts: list[str], flags: dict[str, Any]) -> dict[str, Any]:

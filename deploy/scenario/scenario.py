@@ -61,7 +61,8 @@ class Scenario(Table):
         try:
             super().__init__(**settings)
         except ValidationError as error:
-            raise ScenarioError("\n".join(dict.fromkeys(_explain(item) for item in error.errors()))) from None
+            said = [_explain(item) for item in error.errors() if item["type"] != "default_factory_not_called"]
+            raise ScenarioError("\n".join(dict.fromkeys(said))) from None
 
     map: str = Field("office", description="a map's YAML file, or the name of a generator (murmur map list)")
     map_seed: Whole = Field(0, ge=0, le=MOST_INTEGER, description="seed of the generator")
@@ -107,7 +108,7 @@ class Scenario(Table):
     exchanges: Whole = Field(2, ge=1, le=16, description="exchanges per step (R)")
     offers: Literal["backoff", "thesis", "gossip"] = Field(
         default_factory=lambda said: "gossip" if said.get("exchange") == "sight" else "backoff",
-        description="when maps are offered: backoff, thesis, gossip (default gossip with sight, else backoff)",
+        description="when maps are offered, by default gossip with sight, else backoff: backoff, thesis, gossip",
     )
     pass_on: bool = Field(True, description="whether robots offer maps of others too", strict=True)
     interference: NotNegative = Field(0.0, description="metres; nearer robots hinder each other")

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from agent.exchange.polygon_options import THESIS_OPTIONS, PolygonOptions
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load, read_toml
 
 EXCHANGE, OFFERS, STRATEGY = "polygon", "thesis", "meier"
 
@@ -26,6 +27,18 @@ def thesis_settings(strategy: str = STRATEGY) -> dict[str, Any]:
         | {f"polygon.{name}": value for name, value in plain.items()}
         | {f"options.{name}": value for name, value in NOT_IN_IT.get(strategy, {}).items()}
     )
+
+
+def load_by_thesis(path: Path | None, overrides: dict[str, Any]) -> Scenario:
+    """As `deploy.scenario.scenario.load`, by the thesis' plain rules where no override says otherwise.
+
+    A strategy that the file asks for stays.
+    """
+    said = {} if path is None else read_toml(path, "scenario", SHIPPED)[1]
+    given = {name: value for name, value in overrides.items() if value is not None}
+    own = {*given, *(f"options.{name}" for name in given.get("options", {}))}
+    plain = thesis_settings(str(given.get("strategy", said.get("strategy", STRATEGY))))
+    return load(path, given | {name: value for name, value in plain.items() if name not in own})
 
 
 def with_thesis(data: dict[str, Any], where: str) -> dict[str, Any]:
