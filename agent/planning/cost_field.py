@@ -108,16 +108,32 @@ def costs(grid: Grid, x: int, y: int) -> Field:
     return costs_on(Floor(grid), x, y)
 
 
-def costs_on(floor: Floor, x: int, y: int, end: tuple[int, int] | None = None) -> Field:
-    """As `costs`, on a floor laid out before.
-
-    With an `end`, the search is over when that cell is reached: what is no farther is as in the full field,
-    what is farther is infinite or too large.
-    """
+def costs_on(floor: Floor, x: int, y: int) -> Field:
+    """As `costs`, on a floor laid out before."""
     field = np.empty((floor.height, floor.width))
-    last = -1 if end is None else floor.at(*end)
-    _spread(floor.free, x, y, last, *workspace(len(floor.free)), field)
+    _spread(floor.free, x, y, *workspace(len(floor.free)), field)
     return field
+
+
+def costs_to(floor: Floor, x: int, y: int, cells: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Length of the shortest way from cell (x, y) to each of some cells, by a search that ends with the last.
+
+    For cells that are near each other, as many as there may be: those that are spread all over the floor are found
+    sooner by `agent.planning.jump_point_search`.
+
+    Parameters
+    ----------
+    cells : int32 array, shape (n, 2)
+        Cells (x, y).
+
+    Returns
+    -------
+    float64 array, shape (n,)
+        As `costs` has it there.
+    """
+    found = np.empty(len(cells))
+    _spread_to(floor.free, floor.stride, floor.at(x, y), cells, *workspace(len(floor.free)), found)
+    return found
 
 
 def nearest_first(
@@ -301,12 +317,11 @@ def _unpad(length: _Lengths, field: Field) -> None:
             field[row, column] = source[column] * UNIT if source[column] != FAR else np.inf
 
 
-@kernel("void(boolean[::1], int64, int64, int64, int64[::1], uint8[::1], int32[::1], float64[:,::1])")
+@kernel("void(boolean[::1], int64, int64, int64[::1], uint8[::1], int32[::1], float64[:,::1])")
 def _spread(
     free: NDArray[np.bool_],
     x: int,
     y: int,
-    end: int,
     length: _Lengths,
     came: NDArray[np.uint8],
     touched: NDArray[np.int32],
@@ -318,11 +333,36 @@ def _spread(
     buckets = begin(length, came, touched, fill, start)
     offset = offsets(stride)
     level = 0
-    while fill[:4].any() and (end < 0 or came[end] != 8):
+    while fill[:4].any():
         buckets = settle(free, length, came, touched, buckets, fill, offset, level, start)
         fill[level & 3] = 0
         level += 1
     _unpad(length, field)
+    tidy(length, came, touched, fill)
+
+
+@kernel("void(boolean[::1], int64, int64, int32[:,::1], int64[::1], uint8[::1], int32[::1], float64[::1])")
+def _spread_to(
+    free: NDArray[np.bool_],
+    stride: int,
+    start: int,
+    cells: NDArray[np.int32],
+    length: _Lengths,
+    came: NDArray[np.uint8],
+    touched: NDArray[np.int32],
+    found: NDArray[np.float64],
+) -> None:
+    fill = np.empty(5, np.int64)
+    buckets = begin(length, came, touched, fill, start)
+    offset = offsets(stride)
+    level = 0
+    for index in range(len(cells)):
+        cell = (cells[index, 1] + 1) * stride + cells[index, 0] + 1
+        while came[cell] != 8 and fill[:4].any():
+            buckets = settle(free, length, came, touched, buckets, fill, offset, level, start)
+            fill[level & 3] = 0
+            level += 1
+        found[index] = length[cell] * UNIT if length[cell] != FAR else np.inf
     tidy(length, came, touched, fill)
 
 

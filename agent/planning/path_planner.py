@@ -9,7 +9,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from agent.planning.best_frontier import Appeal, best_frontier
 from agent.planning.breadth_first import first_by_hops
-from agent.planning.cost_field import Field, Floor, costs_on, nearest_first, way, way_between, weighted_way
+from agent.planning.cost_field import (
+    Field,
+    Floor,
+    costs_on,
+    costs_to,
+    nearest_first,
+    way,
+    way_between,
+    weighted_way,
+)
 from agent.planning.jump_point_search import costs_among, costs_between
 from agent.planning.occupancy import Terrain, barred, weighted_costs
 from agent.planning.reachability import reachable_frontier
@@ -78,6 +87,12 @@ class PathPlanner:
             else:
                 self._fields[x, y] = weighted_costs(self._terrain, x, y)
         return self._fields[x, y]
+
+    def costs_to(self, x: int, y: int, cells: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Cost of the best way from cell (x, y) to each of some cells near each other, shape (n,)."""
+        if self._terrain is None and (x, y) not in self._fields:
+            return costs_to(self._laid_out, x, y, cells)
+        return self.costs(x, y)[cells[:, 1], cells[:, 0]]
 
     def costs_between(self, starts: NDArray[np.int32], goals: NDArray[np.int32]) -> NDArray[np.float64]:
         """Cost of the best way from each of `starts` to each of `goals`.

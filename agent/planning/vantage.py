@@ -81,8 +81,7 @@ def best_vantage(
     more = iter(views)
     cells = next(more)
     assert cells is not None
-    x, y = cells.T
-    ways = planner.costs(*here)[y, x]
+    ways = planner.costs_to(*here, cells)
     if not ways.all():
         return None
     cost = np.ceil((ways - _BEGUN) / step) * step
@@ -91,13 +90,12 @@ def best_vantage(
     for goal, seen_from in zip(goals[1:], more, strict=False):
         missed = np.ones(len(cost), np.bool_) if seen_from is None else ~_are_among(cells, seen_from)
         if missed.any():
-            there = planner.costs(int(goal[0]), int(goal[1]))[places[:, 1], places[:, 0]]
-            cost[missed] += there[missed]
+            cost[missed] += planner.costs_to(int(goal[0]), int(goal[1]), places[missed])
             places[missed] = goal
         if (places == goal).all():
             break
     best = int(np.lexsort((ways, np.round(cost, _DIGITS)))[0])
-    return (int(x[best]), int(y[best])) if np.isfinite(cost[best]) else None
+    return (int(cells[best, 0]), int(cells[best, 1])) if np.isfinite(cost[best]) else None
 
 
 def _are_among(cells: Cells, others: Cells) -> NDArray[np.bool_]:

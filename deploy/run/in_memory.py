@@ -91,7 +91,7 @@ class MemoryRun:
         for name in (names.RELAY, *watching, names.LAB, names.WORLD, *self._minds):
             self._buses[name] = wrap(name, self._hub.join(name))
         self._lab = LabNode(
-            self._buses[names.LAB], keys, robots, plan.map.cells.shape, capture, obey=self._obey
+            self._buses[names.LAB], keys, robots, plan.map.cells.shape, capture, obey=_noting(self._due)
         )
         self._world = WorldNode(
             self._buses[names.WORLD],
@@ -178,10 +178,6 @@ class MemoryRun:
             bus.close()
         return spoke
 
-    def _obey(self, strike: Strike) -> None:
-        if strike.kind == "restart":
-            self._due.append(strike.robot)
-
     def _come_back(self, number: int) -> None:
         """Let a robot join anew, with what is in its journal."""
         name = self._minds[number]
@@ -235,6 +231,11 @@ def run(
                 watch(under_way.records)
     leave([agent.robot for agent in under_way.agents if agent.robot is not None])
     return under_way.records
+
+
+def _noting(due: list[int]) -> Callable[[Strike], object]:
+    """Note who is to come back. It knows no more of the run, which is gone when its last user is."""
+    return lambda strike: due.append(strike.robot) if strike.kind == "restart" else None
 
 
 def _next(bus: Bus) -> Message | None:
