@@ -73,7 +73,9 @@ def knowledge(step: Step) -> plt.Figure:
 
 def sent(runs: dict[str, list[Step]]) -> plt.Figure:
     """Bytes of each step by purpose, and the budget; a panel for each run."""
-    figure, panels = plt.subplots(len(runs), figsize=(10.5, 2.6 * len(runs)), sharex=True, layout="constrained")
+    figure, panels = plt.subplots(
+        len(runs), figsize=(10.5, 2.6 * len(runs)), sharex=True, layout="constrained"
+    )
     for axes, (title, taken) in zip(panels, runs.items(), strict=True):
         numbers = [step.number for step in taken]
         below = np.zeros(len(taken))
