@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import replace
+from typing import Any
 
 from agent.exchange.base import Exchange
 from agent.exchange.changed_cells import ChangedCells
@@ -20,6 +21,7 @@ from agent.outline.contour import Tracer
 from agent.outline.edits import edit_units, script_size
 from agent.outline.exact_error import ExactError
 from agent.outline.merge import ErrorCount, TeamMap
+from agent.outline.once import ALONE, Once
 from agent.outline.polygons import Polygons
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import by_distance, mixed_first, refine
@@ -43,7 +45,6 @@ class PolygonExchange(Exchange):
         self._drawing = Drawing(
             options.free_inside_edges, options.unknown_pairs, options.wide_walls, options.close_slivers
         )
-        told = replace(self._drawing, wide_walls=False, close_slivers=False)
         self._allowance = SplitAllowance(
             Splitting(
                 settings.robots,
@@ -56,19 +57,29 @@ class PolygonExchange(Exchange):
                 options.splits_per_step or None,
             )
         )
-        self._held = Receiver(shape)
-        """One's own words, heard as teammates hear them."""
         self._outdated = True
-        self._receivers = {
-            about: Receiver(shape) for about in range(settings.maps) if about != settings.own_map
-        }
-        self._team = TeamMap(self._drawing)
         self._news: set[int] = set()
         """Teammates of whom a save point has come since the last merge."""
-        self._error = ErrorCount(told)
-        self._exact = ExactError(told) if options.exact_error else None
+        self._told = replace(self._drawing, wide_walls=False, close_slivers=False)
+        self._exact = ExactError(self._told) if options.exact_error else None
         self._tracer = Tracer(shape)
         self._untraced, self._unmerged, self._uncounted = ChangedCells(), ChangedCells(), ChangedCells()
+        self._listen(ALONE)
+
+    def _listen(self, once: Once) -> None:
+        """Begin to hear words, one's own as teammates hear them, and to draw what they say."""
+        settings, shape = self.settings, (self.settings.height, self.settings.width)
+        self._held = Receiver(shape, once)
+        self._receivers = {
+            about: Receiver(shape, once) for about in range(settings.maps) if about != settings.own_map
+        }
+        self._team = TeamMap(self._drawing, once)
+        self._error = ErrorCount(self._told, once)
+
+    def share(self, common: dict[str, Any]) -> None:
+        """Read and draw what is told together with the other robots of this process."""
+        if self.settings.robots > 1:
+            self._listen(common.setdefault(self.name, Once()))
 
     @classmethod
     def guesses(cls, settings: Settings) -> bool:

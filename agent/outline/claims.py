@@ -7,6 +7,7 @@ counts where several meet, `agent.outline.merge` says.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from agent.outline.objects import (
     Symbols,
     Table,
 )
+from agent.outline.once import ALONE, Once
 from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
 from agent.outline.raster import Edges, draw, fill
 from protocol.kernels import kernel
@@ -66,6 +68,10 @@ class Tally:
         self.counts: NDArray[np.int64] = np.zeros(shape, np.int64)
         self.claims: Layer = np.zeros(shape, np.uint8)
 
+    def count(self, news: Difference, near: bool) -> None:
+        """Count what a layer, which is near or not, claims now instead of what it did."""
+        _count(news.cells, news.before, news.after, near, self.counts.ravel(), self.claims.ravel())
+
     def turn(self, layer: Layer, near: bool) -> Boxes:
         """Count a layer that was not near as one that is, or the other way round; return boxes around its claims."""
         box = np.empty((1, 4), np.int32)
@@ -73,6 +79,19 @@ class Tally:
 
 
 NO_TALLY = Tally((0, 0))
+
+
+class Difference(NamedTuple):
+    """What claims of a layer are others than before.
+
+    `cells`: int32 array, shape (n,), where, counted row by row. `before`, `after`: uint8 arrays, shape (n,), the claims
+    there. `boxes`: boxes around these cells.
+    """
+
+    cells: NDArray[np.int32]
+    before: NDArray[np.uint8]
+    after: NDArray[np.uint8]
+    boxes: Boxes
 
 
 @dataclass(frozen=True)
@@ -109,23 +128,41 @@ def layer(polygons: Polygons, drawing: Drawing = THESIS) -> Layer:
     return out
 
 
-def draw_anew(
-    out: Layer,
-    objects: Objects,
-    drawing: Drawing,
-    boxes: Boxes,
-    tally: Tally = NO_TALLY,
-    near: bool = False,
-) -> Boxes:
-    """Render the claims of an approximation in some boxes, in place of what was claimed there.
-
-    In a `tally` that has counted the layer, as one that is `near` or not, what is claimed now is counted instead.
-    Returns boxes around the claims that are others than before.
-    """
-    _, table, pool = objects
+def draw_anew(out: Layer, objects: Objects, drawing: Drawing, boxes: Boxes) -> Difference:
+    """Render the claims of an approximation in some boxes, in place of what was claimed there."""
     wished = drawing.free_inside_edges, drawing.unknown_pairs
-    changed: Boxes = _render(out, table, pool, *wished, boxes, near, tally.counts, tally.claims)
-    return changed
+    return Difference(*_render(out, objects.table, objects.pool, *wished, boxes))
+
+
+class Drawn:
+    """The layer of an approximation that changes little by little.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Rows and columns.
+    drawing : Drawing
+        What is drawn.
+    once : Once
+        Where it is worked out what changes.
+    """
+
+    def __init__(self, shape: tuple[int, int], drawing: Drawing, once: Once = ALONE) -> None:
+        self.layer: Layer = np.zeros(shape, np.uint8)
+        self._cells = self.layer.reshape(-1)
+        self._drawing = drawing
+        self._once = once
+        self._objects: Objects | None = None
+
+    def follow(self, objects: Objects, changed: Boxes | None = None) -> Difference:
+        """Draw what has taken the place of what was drawn last; it differs in the boxes at most (None: anywhere)."""
+        drawing = self._drawing
+        boxes = whole(objects.shape) if changed is None or self._objects is None else changed
+        change = self._objects, objects, drawing.free_inside_edges, drawing.unknown_pairs
+        news = self._once.get(change, lambda: draw_anew(self.layer, objects, drawing, boxes))
+        self._cells[news.cells] = news.after
+        self._objects = objects
+        return news
 
 
 _CHUNK = 16
@@ -190,17 +227,35 @@ def _claimed(count: int) -> int:
     return claims
 
 
-@kernel("boolean(uint8[:,::1], uint8[:,::1], boolean, int64[:,::1], uint8[:,::1], int32[::1], int32[::1])")
+@kernel("void(int32[::1], uint8[::1], uint8[::1], boolean, int64[::1], uint8[::1])")
+def _count(
+    cells: NDArray[np.int32],
+    before: NDArray[np.uint8],
+    after: NDArray[np.uint8],
+    near: bool,
+    counts: NDArray[np.int64],
+    claims: NDArray[np.uint8],
+) -> None:
+    for each in range(len(cells)):
+        cell = cells[each]
+        counts[cell] += COUNTED[int(near), after[each]] - COUNTED[int(near), before[each]]
+        claims[cell] = _claimed(counts[cell])
+
+
+@kernel(
+    "int64(uint8[:,::1], uint8[:,::1], int32[::1], int32[::1], uint8[::1], uint8[::1], int64, int32[::1])"
+)
 def _note_change(
     before: Layer,
     layer: Layer,
-    near: bool,
-    counts: NDArray[np.int64],
-    claims: Layer,
     box: NDArray[np.int32],
+    cells: NDArray[np.int32],
+    was: NDArray[np.uint8],
+    now: NDArray[np.uint8],
+    count: int,
     changed: NDArray[np.int32],
-) -> bool:
-    """Count what has changed in a box, and write the box around it; whether anything has."""
+) -> int:
+    """Note which cells have changed in a box, behind the first `count`, and a box around them; how many there are."""
     x0, y0 = box[0], box[1]
     height, width = before.shape
     top, bottom, left, right = height, -1, width, -1
@@ -211,11 +266,10 @@ def _note_change(
                 continue
             top, bottom = min(top, y), y
             left, right = min(left, x), max(right, x)
-            if counts.size:
-                counts[y0 + y, x0 + x] += COUNTED[int(near), new] - COUNTED[int(near), old]
-                claims[y0 + y, x0 + x] = _claimed(counts[y0 + y, x0 + x])
+            cells[count], was[count], now[count] = (y0 + y) * layer.shape[1] + x0 + x, old, new
+            count += 1
     changed[0], changed[1], changed[2], changed[3] = x0 + left, y0 + top, x0 + right + 1, y0 + bottom + 1
-    return bottom >= 0
+    return count
 
 
 @kernel("boolean(uint8[:,::1], boolean, int64[:,::1], uint8[:,::1], int32[::1])")
@@ -235,8 +289,8 @@ def _turn(layer: Layer, near: bool, counts: NDArray[np.int64], claims: Layer, bo
 
 
 @kernel(
-    "int32[:,::1](uint8[:,::1], int32[:,::1], int32[::1], boolean, boolean, int32[:,::1], boolean, int64[:,::1],"
-    " uint8[:,::1])"
+    "Tuple((int32[::1], uint8[::1], uint8[::1], int32[:,::1]))"
+    "(uint8[:,::1], int32[:,::1], int32[::1], boolean, boolean, int32[:,::1])"
 )
 def _render(
     out: Layer,
@@ -245,10 +299,7 @@ def _render(
     free_inside_edges: bool,
     unknown_pairs: bool,
     boxes: Boxes,
-    near: bool,
-    counts: NDArray[np.int64],
-    claims: Layer,
-) -> Boxes:
+) -> tuple[NDArray[np.int32], NDArray[np.uint8], NDArray[np.uint8], Boxes]:
     longest, all_chunks = 0, 0
     for row in table:
         if row[FIRST] >= 0:
@@ -261,8 +312,13 @@ def _render(
     touched = np.empty(len(table), np.int32)
     other = INSIDE_FREE if free_inside_edges else 0
     box, part = np.empty(4, np.int32), np.empty(4, np.int32)
+    room = 0
+    for number in range(len(boxes)):
+        clip(boxes[number], 0, out.shape, box)
+        room += (box[2] - box[0]) * (box[3] - box[1])
+    cells, was, now = np.empty(room, np.int32), np.empty(room, np.uint8), np.empty(room, np.uint8)
     changed = np.empty((len(boxes), 4), np.int32)
-    count = 0
+    found, count = 0, 0
     for number in range(len(boxes)):
         clip(boxes[number], 0, out.shape, box)
         before = out[box[1] : box[3], box[0] : box[2]].copy()
@@ -287,13 +343,14 @@ def _render(
                     continue
                 _overlap(table[k], box, part)
                 vertices = pool[table[k, FIRST] : table[k, FIRST] + table[k, LENGTH]]
-                found = edges[: _edges_near(vertices, chunks[chunk_of[k] :], part, edges)]
+                near = edges[: _edges_near(vertices, chunks[chunk_of[k] :], part, edges)]
                 if outside:
-                    fill(out, found, 0, FREE_AREA, part)
-                    draw(out, found, OUTSIDE_OCCUPIED, 0, FREE_AREA, part)
+                    fill(out, near, 0, FREE_AREA, part)
+                    draw(out, near, OUTSIDE_OCCUPIED, 0, FREE_AREA, part)
                 else:
-                    fill(out, found, FREE_AREA, 0, part)
-                    draw(out, found, INSIDE_OCCUPIED, other, 0, part)
-        if _note_change(before, out, near, counts, claims, box, changed[count]):
-            count += 1
-    return changed[:count].copy()
+                    fill(out, near, FREE_AREA, 0, part)
+                    draw(out, near, INSIDE_OCCUPIED, other, 0, part)
+        more = _note_change(before, out, box, cells, was, now, found, changed[count])
+        if more > found:
+            found, count = more, count + 1
+    return cells[:found].copy(), was[:found].copy(), now[:found].copy(), changed[:count].copy()

@@ -1,7 +1,8 @@
 """Reading a piece of an edit stream in one go: packets in, the objects and where they have changed out.
 
-What has been read is left as it is, so that a piece that turns out to make no sense changes nothing. What a vertex
-packet changes lies in the box of the vertex and its neighbours; so a receiver knows what to draw anew.
+What has been read is left as it is, so that a piece that turns out to make no sense changes nothing, and several may
+read on from the same place. What a vertex packet changes lies in the box of the vertex and its neighbours; so a
+receiver knows what to draw anew.
 """
 
 from __future__ import annotations
@@ -81,6 +82,8 @@ class Saved(NamedTuple):
     boxes: Boxes
     saves: int
     """How many save points are in the piece."""
+    end: int
+    """Where in the piece the last of them ends."""
 
 
 def read(before: Reading, piece: bytes) -> tuple[int, Reading, Saved | None] | None:
@@ -89,7 +92,7 @@ def read(before: Reading, piece: bytes) -> tuple[int, Reading, Saved | None] | N
     Parameters
     ----------
     before : Reading
-        What came before; it is left as it is, and can no longer be read on from where it was.
+        What came before; it is left as it is.
 
     Returns
     -------
@@ -100,15 +103,15 @@ def read(before: Reading, piece: bytes) -> tuple[int, Reading, Saved | None] | N
         If there was a save point.
         None instead of all if the piece makes no sense (`agent.outline.draft` says why).
     """
-    (shape, table, pool), vertices, boxes, numbers = before
-    data = np.frombuffer(piece, np.uint8)
-    table, pool, vertices, boxes, numbers, saves, saved_table, saved_boxes = _read(
-        data, *shape, numbers, table, pool, vertices, boxes
+    objects, vertices, boxes, numbers = before
+    shape, data = objects.shape, np.frombuffer(piece, np.uint8)
+    table, pool, vertices, boxes, numbers, saves, end, saved_table, saved_boxes = _read(
+        data, *shape, numbers, objects.table, objects.pool, vertices, boxes
     )
     used = int(numbers[_HEARD])
     if used == REFUSED:
         return None
-    saved = Saved(Objects(shape, saved_table, pool), saved_boxes, saves) if saves else None
+    saved = Saved(Objects(shape, saved_table, pool), saved_boxes, saves, end) if saves else None
     return used, Reading(Objects(shape, table, pool), vertices, boxes, numbers), saved
 
 
@@ -315,7 +318,7 @@ def _with_room(table: Table, pool: Symbols, more: int) -> tuple[Symbols, int]:
     for row in table:
         if row[FIRST] >= 0:
             used += row[LENGTH]
-    fresh = np.empty(2 * (used + more), np.int32)
+    fresh = np.empty(2 * (used + more) + 1, np.int32)
     used = 0
     for row in table:
         if row[FIRST] >= 0:
@@ -326,7 +329,7 @@ def _with_room(table: Table, pool: Symbols, more: int) -> tuple[Symbols, int]:
 
 
 @kernel(
-    "Tuple((int32[:,::1], int32[::1], int32[::1], int32[:,::1], int64[::1], int64, int32[:,::1], int32[:,::1]))"
+    "Tuple((int32[:,::1], int32[::1], int32[::1], int32[:,::1], int64[::1], int64, int64, int32[:,::1], int32[:,::1]))"
     "(Array(uint8, 1, 'C', readonly=True), int64, int64, int64[::1], int32[:,::1], int32[::1], int32[::1],"
     " int32[:,::1])"
 )
@@ -339,10 +342,11 @@ def _read(
     pool: Symbols,
     vertices: Symbols,
     unsaved: Boxes,
-) -> tuple[Table, Symbols, Symbols, Boxes, NDArray[np.int64], int, Table, Boxes]:
-    """Read on: the parts of the reading, how many save points there were, and what was saved.
+) -> tuple[Table, Symbols, Symbols, Boxes, NDArray[np.int64], int, int, Table, Boxes]:
+    """Read on: the parts of the reading, how many save points there were, where the last one ends, and what was saved.
 
-    Nothing that is given is changed but what the pool has beyond the symbols in use.
+    Nothing that is given is changed but what the pool has beyond the symbols in use, and its last number: how many
+    symbols whoever has read on farthest has written to it.
     """
     data = piece.copy()
     whole, saves, last_save, announced, highest = _survey(data)
@@ -350,7 +354,8 @@ def _read(
     table = np.full((max(len(old_table), highest + 1), old_table.shape[1]), -1, np.int32)
     table[: len(old_table)] = old_table
     announced += n[_COUNT]
-    if n[_USED] + announced > len(pool):
+    # Who else has read on from here has written to the pool.
+    if n[_USED] + announced >= len(pool) or pool[-1] != n[_USED]:
         pool, n[_USED] = _with_room(table, pool, announced)
     told = np.empty(_ROOM, np.int32)
     told[: len(vertices)] = vertices
@@ -367,6 +372,8 @@ def _read(
         saved_table = table.copy()
         makes_sense = _apply(data, saved, whole, height, width, n, table, pool, told, boxes)
     _move_gap(told, n, n[_TOLD])
+    if makes_sense:
+        pool[-1] = n[_USED]
     n[_HEARD] = whole if makes_sense else REFUSED
     return (
         table,
@@ -375,6 +382,7 @@ def _read(
         boxes[: n[_BOXES]].copy(),
         n,
         saves,
+        last_save,
         saved_table,
         saved_boxes,
     )

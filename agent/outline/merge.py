@@ -40,11 +40,12 @@ from agent.outline.claims import (
     OUTSIDE_OCCUPIED,
     THESIS,
     Drawing,
+    Drawn,
     Layer,
     Tally,
-    draw_anew,
 )
 from agent.outline.objects import Objects
+from agent.outline.once import ALONE, Once
 from agent.outline.polygons import Polygons
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
@@ -57,11 +58,14 @@ class TeamMap:
     ----------
     drawing : Drawing
         What of the teammates' approximations is drawn.
+    once : Once
+        Where it is worked out what changes in their drawings.
     """
 
-    def __init__(self, drawing: Drawing = THESIS) -> None:
+    def __init__(self, drawing: Drawing = THESIS, once: Once = ALONE) -> None:
         self._drawing = drawing
-        self._layers: dict[int, Layer] = {}
+        self._once = once
+        self._drawn: dict[int, Drawn] = {}
         self._near: Set[int] = frozenset()
         """Teammates whose claims count as those of robots near."""
         self._tally = NO_TALLY
@@ -79,13 +83,11 @@ class TeamMap:
         """
         shape = approximation.shape
         self._lay_out(shape)
-        if robot not in self._layers:
-            self._layers[robot] = np.zeros(shape, np.uint8)
-            changed = None
-        boxes = whole(shape) if changed is None else changed
-        tallied = self._tally, robot in self._near
-        drawn = draw_anew(self._layers[robot], approximation, self._drawing, boxes, *tallied)
-        self._changed.append(drawn)
+        if robot not in self._drawn:
+            self._drawn[robot] = Drawn(shape, self._drawing, self._once)
+        news = self._drawn[robot].follow(approximation, changed)
+        self._tally.count(news, robot in self._near)
+        self._changed.append(news.boxes)
 
     def merged(self, own: Grid, near: Collection[int] | None = None, changed: Boxes | None = None) -> Grid:
         """Return the planning grid of a robot whose self-explored grid is `own`.
@@ -97,7 +99,7 @@ class TeamMap:
         """
         self._lay_out(own.shape)
         if self._drawing.wide_walls:
-            self._sort_out(self._layers.keys() & (self._layers if near is None else near))
+            self._sort_out(self._drawn.keys() & (self._drawn if near is None else near))
         if self._resolved is None or self._plan is None or changed is None:
             self._resolved = np.zeros_like(own)
             self._plan = np.zeros_like(own) if self._drawing.close_slivers else self._resolved
@@ -117,7 +119,7 @@ class TeamMap:
     def _sort_out(self, near: Set[int]) -> None:
         """Note who is near."""
         for robot in sorted(near ^ self._near):
-            self._changed.append(self._tally.turn(self._layers[robot], robot in near))
+            self._changed.append(self._tally.turn(self._drawn[robot].layer, robot in near))
         self._near = near
 
 
@@ -143,13 +145,16 @@ class ErrorCount:
     ----------
     drawing : Drawing
         What is drawn; without guesses.
+    once : Once
+        Where it is worked out what changes in the drawing.
     """
 
-    def __init__(self, drawing: Drawing = THESIS) -> None:
+    def __init__(self, drawing: Drawing = THESIS, once: Once = ALONE) -> None:
         if drawing.wide_walls or drawing.close_slivers:
             raise ValueError(f"{drawing}: what receivers guess is no error of the approximation")
         self._drawing = drawing
-        self._layer: Layer | None = None
+        self._once = once
+        self._drawn: Drawn | None = None
         self._wrong: NDArray[np.bool_] = np.zeros((0, 0), np.bool_)
         self._count = 0
 
@@ -161,16 +166,16 @@ class ErrorCount:
         changed: Boxes | None = None,
     ) -> int:
         """Return the error now; both differ from the last ones in the boxes at most (None: anywhere)."""
-        if self._layer is None or changed is None or own_changed is None:
-            self._layer, self._wrong = np.zeros(own.shape, np.uint8), np.zeros(own.shape, np.bool_)
+        if self._drawn is None or changed is None or own_changed is None:
+            self._drawn = Drawn(approximation.shape, self._drawing, self._once)
+            self._wrong = np.zeros(own.shape, np.bool_)
             self._count = 0
-            own_changed = changed = whole(own.shape)
+            own_changed = changed = whole(approximation.shape)
         boxes = own_changed
         if len(changed):
-            drawn = draw_anew(self._layer, approximation, self._drawing, changed)
-            boxes = united(boxes, drawn)
+            boxes = united(boxes, self._drawn.follow(approximation, changed).boxes)
         if len(boxes):
-            self._count += int(_count_wrong(own, self._layer, boxes, self._wrong))
+            self._count += int(_count_wrong(own, self._drawn.layer, boxes, self._wrong))
         return self._count
 
 

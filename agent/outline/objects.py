@@ -6,7 +6,7 @@ table: what an older one speaks of stays where it is.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,9 @@ Table = NDArray[np.int32]
 Symbols = NDArray[np.int32]
 
 
-class Objects(NamedTuple):
-    """Numbered objects.
+@dataclass(frozen=True, eq=False)
+class Objects:
+    """Numbered objects; a version is equal to itself alone.
 
     Attributes
     ----------

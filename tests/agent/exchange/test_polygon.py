@@ -204,6 +204,22 @@ def test_the_plan_is_all_approximations_merged_with_ones_own_grid() -> None:
     assert (listener.merge(own)[own != UNKNOWN] == own[own != UNKNOWN]).all()
 
 
+def test_robots_of_one_process_plan_as_if_each_were_alone() -> None:
+    common: dict[str, Any] = {}
+    alone, together = ([maker((60, 80), robot) for robot in range(3)] for _ in range(2))
+    for each in together:
+        each.share(common)
+    for grid, cell in walk(12):
+        for team in (alone, together):
+            units = record(team[0], grid, cell)
+            team[1].take(0, b"".join(units))
+            for unit in units:
+                team[2].take(0, unit)
+        for one, other in zip(alone, together, strict=True):
+            assert one.merge(grid).tolist() == other.merge(grid).tolist()
+            assert one.error(grid) == other.error(grid)
+
+
 def test_the_error_counts_what_has_not_been_told_yet() -> None:
     one = maker((60, 80))
     (first, cell), *_, (last, _) = walk()

@@ -13,12 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.outline.approximation import approximation, repair
-from agent.outline.claims import THESIS, Drawing, draw_anew, layer
+from agent.outline.claims import THESIS, Drawing, Drawn, draw_anew, layer
 from agent.outline.contour import contours
 from agent.outline.draft import Draft, Outline
 from agent.outline.edits import Held, edit_script
 from agent.outline.merge import rendered
 from agent.outline.objects import symbols
+from agent.outline.once import Once
 from agent.outline.polygons import Polygons
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
@@ -288,6 +289,40 @@ def test_what_has_not_changed_is_drawn_as_before(
         now = layer(receiver.held.polygons, drawing)
         draw_anew(drawn, receiver.objects, drawing, receiver.changed())
         assert drawn.tolist() == now.tolist()
+
+
+def growth(rng: np.random.Generator, vertices: int, steps: int) -> list[Packet]:
+    """Steps of which each inserts some vertices into the first object, which has so many before."""
+    said: list[Packet] = []
+    for _ in range(steps):
+        more = int(rng.integers(1, 4))
+        said.append(Change(0, vertices + more, 1))
+        for _ in range(more):
+            x, y, side = rng.integers((8, 6, 4)).tolist()
+            said.append(Insert(int(rng.integers(vertices + 1)), x, y, side, int(rng.integers(2))))
+            vertices += 1
+        said.append(Save())
+    return said
+
+
+def test_those_who_read_together_hold_and_draw_what_each_would_alone() -> None:
+    rng, once = np.random.default_rng(1), Once()
+    common = growth(rng, 4, 1)
+    vertices = 4 + sum(isinstance(packet, Insert) for packet in common)
+    stories = []
+    for _ in range(20):
+        alone, together = Receiver(SHAPE), Receiver(SHAPE, once)
+        drawn = Drawn(SHAPE, THESIS, once)
+        said = pieces(encode(growth(rng, vertices, 3)), rng.integers(2**20, size=3).tolist())
+        for piece in [encode(SQUARE), encode(common), *said]:
+            for receiver in (alone, together):
+                receiver.feed(piece)
+            assert held_plainly(together) == held_plainly(alone)
+            drawn.follow(together.objects, together.changed())
+            assert drawn.layer.tolist() == layer(alone.held.polygons).tolist()
+            stories.append((together.objects, alone.held))
+    for objects, held in stories:
+        assert objects.polygons()[1].canonical() == held.polygons.canonical(), "nobody has written on it"
 
 
 @quick

@@ -1,0 +1,23 @@
+"""What is worked out once for several robots."""
+
+from __future__ import annotations
+
+from agent.outline.once import ALONE, Once
+
+
+def test_who_shares_works_a_thing_out_once() -> None:
+    once, done = Once(), []
+    for _ in range(2):
+        assert once.get("nothing", lambda: done.append(1)) is None
+    assert done == [1]
+
+
+def test_when_too_much_is_kept_it_is_worked_out_again() -> None:
+    once = Once(2)
+    assert [once.get(key, lambda key=key: key) for key in (1, 2, 3)] == [1, 2, 3]
+    assert once.get(1, lambda: "again") == "again"
+    assert once.get(3, lambda: "again") == 3
+
+
+def test_who_is_alone_keeps_nothing() -> None:
+    assert [ALONE.get("same", lambda each=each: each) for each in range(2)] == [0, 1]
