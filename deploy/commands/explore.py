@@ -73,7 +73,7 @@ def explore(
         bool,
         typer.Option(
             "--thesis",
-            help="the thesis' plain rules of offering, refining, drawing and choosing",
+            help="the thesis' plain rules: its outlines, and its ways to offer, refine, draw and choose",
             rich_help_panel=RADIO,
         ),
     ] = False,
