@@ -1,4 +1,4 @@
-# make demo   sets up what it needs and explores an office with five robots
+# make demo   sets up what it needs and explores an office with five robots over a radio of 50 bytes a step
 # make test   sets up what it needs and runs format, lint, types, import rules and tests
 # make bench  prints ratios against named yardsticks
 # make fuzz  gives every reader of bytes ten minutes of nonsense
@@ -28,7 +28,7 @@ $(VENV)/dev.stamp: $(VENV)/main.stamp
 	touch $@
 
 demo: setup
-	$(BIN)/murmur explore --map office --robots 5 --bandwidth 10000
+	$(BIN)/murmur explore --map office --robots 5 --bandwidth 50
 
 test: $(VENV)/dev.stamp check
 	$(BIN)/python -m pytest -n 2 --dist loadfile

@@ -173,17 +173,17 @@ class AgentNode:
     def _decide(self, robot: Robot, began: float) -> None:
         self._take_frames(robot, 0)
         move = robot.decide()
+        work = round(1e6 * (self._work + time.perf_counter() - began))
+        self._bus.put(self._to_world, pack(move))
         for fault in robot.faults:
             self._fault(f"heard nonsense from {names.robot(fault.peer)}: {fault.reason}")
         robot.faults.clear()
-        work = round(1e6 * (self._work + time.perf_counter() - began))
         x, y = robot.target or (-1, -1)
         backlog = robot.session.undelivered()
         exact = robot.exact_error()
         errors = robot.error(), -1 if exact is None else exact
         report = MindReport(self._step, x, y, robot.known_cells, *errors, backlog, robot.status, work)
         self._report(report)
-        self._bus.put(self._to_world, pack(move))
         if self._step % SHOWN_EVERY == 0:
             self._show(self._step)
 

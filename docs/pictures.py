@@ -19,17 +19,23 @@ from deploy.record.colors import ALARM, CELLS, GROUPS, Color, robot_color
 
 AFTER = 80
 """The step that is shown."""
+BUDGET = 250
+"""Bytes a step."""
 SHADES = ListedColormap(np.array(CELLS) / 255)
 
 
 def main(folder: Path) -> None:
     """Draw all pictures into a folder."""
     folder.mkdir(exist_ok=True)
-    run = steps(map="office", robots=3, range=12, bandwidth=250)
-    taken = [next(run) for _ in range(AFTER)]
-    _save(outline(taken[-1]), folder / "outline.png")
-    _save(knowledge(taken[-1]), folder / "knowledge.png")
-    _save(sent(taken, 250), folder / "bytes.png")
+    taken = {name: _taken(name) for name in ("polygon", "sight")}
+    _save(outline(taken["polygon"][-1]), folder / "outline.png")
+    _save(knowledge(taken["polygon"][-1]), folder / "knowledge.png")
+    _save(sent({"outlines": taken["polygon"], "looks": taken["sight"]}), folder / "bytes.png")
+
+
+def _taken(exchange: str) -> list[Step]:
+    run = steps(map="office", exchange=exchange, strategy="meier", robots=3, range=12, bandwidth=BUDGET)
+    return [next(run) for _ in range(AFTER)]
 
 
 def outline(step: Step) -> plt.Figure:
@@ -65,20 +71,25 @@ def knowledge(step: Step) -> plt.Figure:
     return figure
 
 
-def sent(taken: list[Step], budget: int) -> plt.Figure:
-    """Bytes of each step by purpose, and the budget."""
-    figure, axes = plt.subplots(figsize=(10.5, 3), layout="constrained")
-    numbers = [step.number for step in taken]
-    below = np.zeros(len(taken))
-    for group in GROUPS.values():
-        size = np.array([_bytes(step, group.kinds) for step in taken])
-        if size.any():
-            axes.bar(numbers, size, bottom=below, label=group.words, color=_rgb(group.color), width=1.0)
-            below += size
-    axes.axhline(budget, color=_rgb(ALARM), linewidth=1)
-    axes.set(xlabel="step", ylabel="bytes on the air", xlim=(0.5, len(taken) + 0.5), ylim=(0, 1.35 * budget))
-    axes.legend(frameon=False, loc="upper right", ncols=5)
-    axes.spines[["top", "right"]].set_visible(False)
+def sent(runs: dict[str, list[Step]]) -> plt.Figure:
+    """Bytes of each step by purpose, and the budget; a panel for each run."""
+    figure, panels = plt.subplots(
+        len(runs), figsize=(10.5, 2.6 * len(runs)), sharex=True, layout="constrained"
+    )
+    for axes, (title, taken) in zip(panels, runs.items(), strict=True):
+        numbers = [step.number for step in taken]
+        below = np.zeros(len(taken))
+        for group in GROUPS.values():
+            size = np.array([_bytes(step, group.kinds) for step in taken])
+            if size.any():
+                axes.bar(numbers, size, bottom=below, label=group.words, color=_rgb(group.color), width=1.0)
+                below += size
+        axes.axhline(BUDGET, color=_rgb(ALARM), linewidth=1)
+        axes.set(xlim=(0.5, len(taken) + 0.5), ylim=(0, 1.35 * BUDGET), ylabel="bytes on the air")
+        axes.set_title(f"{title}: {below.mean():.0f} bytes a step", loc="left")
+        axes.legend(frameon=False, loc="upper right", ncols=5)
+        axes.spines[["top", "right"]].set_visible(False)
+    panels[-1].set_xlabel("step")
     return figure
 
 

@@ -152,6 +152,8 @@ class ZenohBus:
         """Wait for the next message, about `timeout_s` seconds at most; see `protocol.bus.Bus`."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         while True:
+            if self._closing.is_set():
+                raise BusClosed(f"{self._name}: this end of the bus is closed")
             try:
                 sample = self._inbox.recv() if timeout_s != 0 else self._inbox.try_recv()
             except zenoh.ZError as error:

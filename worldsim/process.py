@@ -269,21 +269,21 @@ class WorldNode:
             self._advance()
 
     def _advance(self) -> None:
-        """Open the next step."""
+        """Open the next step: tell the relay first, then each robot what it sees as soon as that is known."""
         world = self._world
         for robot in sorted(self._back):
             world.revive(robot)
             self._tell(robot, Configure(dict(self._minds[robot])))
         self._back.clear()
         moves, self._held = self._held, {}
-        senses = world.advance(moves)
-        for robot, sense in senses.items():
-            self._tell(robot, sense)
+        senses = world.drive(moves)
         robots = world.awake()
         x, y = ([world.cells[robot][axis] for robot in robots] for axis in range(2))
         ill = [sorted(world.afflicted[kind]) for kind in ("mute", "deaf")]
         positions = Positions(world.step, robots, x, y, *ill)
         self._bus.put(self._keys.control_tx(names.WORLD), pack(positions))
+        for robot, sense in senses:
+            self._tell(robot, sense)
         self._report(self._truth())
 
     def _fault(self, who: str, what: str) -> None:

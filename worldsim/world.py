@@ -183,6 +183,10 @@ class World:
 
     def advance(self, moves: Mapping[int, Move]) -> dict[int, Sense]:
         """Begin the next step: move the robots, by ascending number, then cast everyone's scan."""
+        return dict(self.drive(moves))
+
+    def drive(self, moves: Mapping[int, Move]) -> Iterator[tuple[int, Sense]]:
+        """Begin the next step: move the robots; return what casts their scans, each when it is asked for."""
         self.step += 1
         entered: dict[int, list[tuple[int, int]]] = {}
         blocked: dict[int, str] = {}
@@ -192,13 +196,12 @@ class World:
             move = moves.get(robot)
             if move is not None:
                 entered[robot], blocked[robot] = self._move(robot, move, before)
-        senses = {}
         occupied = self._standing()
-        for robot in self.awake():
-            x, y = self.cells[robot]
-            look = robot not in moves or moves[robot].look
-            senses[robot] = self._sense(robot, x, y, occupied, entered[robot], blocked[robot], look)
-        return senses
+        looking = {robot: robot not in moves or moves[robot].look for robot in entered}
+        return (
+            (robot, self._sense(robot, *self.cells[robot], occupied, entered[robot], blocked[robot], look))
+            for robot, look in looking.items()
+        )
 
     def _move(
         self, robot: int, move: Move, before: Mapping[int, tuple[int, int]]

@@ -23,7 +23,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from agent.exchange.gossip import PATIENCE, Bases, Gossip, Mask, Table, nothing
+from agent.exchange.gossip import PATIENCE, Bases, Gossip, Table, nothing
+from agent.exchange.neighbours import Mask
 from protocol.packets import Held
 
 NAG = 2

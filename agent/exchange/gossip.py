@@ -34,14 +34,16 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.exchange.base import Basis
+from agent.exchange.broadcast import Broadcast
 from agent.exchange.log import Log
+from agent.exchange.neighbours import Mask, Neighbours
 from agent.exchange.reports import from_packet, held_packet, number, report
 from protocol import packets, survey
 from protocol.errors import ProtocolError
@@ -50,7 +52,6 @@ from protocol.messages import Outcome
 from protocol.packets import From, FromEarly, Gone, Held, HeldEarly, Near
 
 Table = NDArray[np.int32]
-Mask = NDArray[np.bool_]
 Robots = list[int] | NDArray[np.intp]
 
 Bases = Callable[[int], Sequence[Basis]]
@@ -95,37 +96,11 @@ def nothing(about: int) -> Sequence[Basis]:
 
 
 @dataclass
-class _Said:
-    """What a broadcast says: reports first, then stretches of logs."""
-
-    payload: bytes = b""
-    near: list[tuple[int, int, bool]] = field(default_factory=list)
-    """Each report of who has come, or left: where it ends, in bytes, who, and whether it is here."""
-    held: list[tuple[int, int]] = field(default_factory=list)
-    """Each report of what one holds: where it ends, and of which map."""
-    met: set[int] = field(default_factory=set)
-    """Whom they are for that have come into range."""
-    stretches: list[_Stretch] = field(default_factory=list)
-    spoken: dict[int, tuple[int, int]] = field(default_factory=dict)
-    """Of each map from which unit on, and up to which."""
-
-
-@dataclass
 class _Plan:
     """What a peer will hold of each map by what is said, and by what others say."""
 
     peer: int
     held: Table
-
-
-@dataclass
-class _Stretch:
-    """Units of a map's log in a broadcast, from number `first` on, and where they begin and end, in bytes."""
-
-    map: int
-    first: int
-    begin: int
-    end: int
 
 
 class Gossip:
@@ -162,10 +137,7 @@ class Gossip:
         self._peers: list[int] = []
         self._sure: list[int] = []
         """Those in range who have said what they hold, or had the time to."""
-        self._near: Mask = ~np.eye(robots, dtype=np.bool_)
-        """Who is in whose range, as they said; all, until they say otherwise."""
-        self._told_near: Mask = np.arange(robots) != np.full((robots, 1), robot)
-        """Who is in one's own range, as each teammate has been told."""
+        self._neighbours = Neighbours(robot, robots)
         self._parted = False
         """Whether anybody has ever been out of one's range."""
         self._told: Table = np.zeros((robots, maps), np.int32)
@@ -196,7 +168,7 @@ class Gossip:
         """Since which step it lacks some."""
         self._waits = 0
         """Since which step there is something to say that has not been on the air."""
-        self._said = _Said()
+        self._said = Broadcast()
         self._forgotten: NDArray[np.int32] = np.zeros(maps, np.int32)
         """How many units of each map all teammates hold."""
 
@@ -223,11 +195,11 @@ class Gossip:
         if exchange == 0:
             self._begin_step(peers)
         self._look_who_lacks()
-        said = self._said = _Said()
+        said = self._said = Broadcast(room)
         if not peers:
             return []
-        self._report(said, room)
-        self._set_urgency(said, self._serve(said, room))
+        self._report(said)
+        self._set_urgency(said, self._serve(said))
         return [(EVERYONE, self._robot, said.payload)] if said.payload else []
 
     def answers(self, heard: list[tuple[int, int, bytes]]) -> list[tuple[int, int, bytes]]:
@@ -310,26 +282,17 @@ class Gossip:
             self.known, self._held, sure, np.array(self._own_maps), self._step, self._lacks, self._since
         )
 
-    def _report(self, said: _Said, room: int | None) -> None:
+    def _report(self, said: Broadcast) -> None:
         """Say who is in range, where that has changed, and what one holds, where somebody should know."""
-        left = (1 << 30) if room is None else room
-        here = np.zeros(self._robots, np.bool_)
-        here[self._peers] = True
-        news = self._told_near[self._peers] ^ here
-        news[range(len(self._peers)), self._peers] = False
-        for peer in np.flatnonzero(news.any(axis=0)).tolist():
-            near = packets.encode([Near(peer) if here[peer] else Gone(peer)])
-            if len(said.payload) + len(near) <= left:
-                said.payload += near
-                said.near.append((len(said.payload), peer, bool(here[peer])))
+        for peer, here in self._neighbours.news(self._peers):
+            if end := said.report(Near(peer) if here else Gone(peer)):
+                said.near.append((end, peer, here))
         said.met = set(self._met)
         due = self._worth_reporting()
         due[self.own] = False
         for about in np.flatnonzero(due).tolist():
-            packet = packets.encode([held_packet(about, len(self.logs[about]))])
-            if len(said.payload) + len(packet) <= left:
-                said.payload += packet
-                said.held.append((len(said.payload), about))
+            if end := said.report(held_packet(about, len(self.logs[about]))):
+                said.held.append((end, about))
 
     def _worth_reporting(self) -> Mask:
         """Maps of which somebody should know how much of them one holds."""
@@ -343,7 +306,7 @@ class Gossip:
             due |= mine
         return due
 
-    def _serve(self, said: _Said, room: int | None) -> int | None:
+    def _serve(self, said: Broadcast) -> int | None:
         """Say what those in range lack, as far as it is for oneself; return who is served first, if anybody."""
         wanting = np.flatnonzero(self._lacks.any(axis=1)).tolist()
         holds = dict(zip(wanting, self.known[wanting].sum(axis=1).tolist(), strict=True))
@@ -354,26 +317,26 @@ class Gossip:
             plan.held[self._own_maps[peer]] = np.iinfo(np.int32).max
             before = len(said.stretches)
             for about in sorted(wanted, key=lambda each: (each != self.own, self._lacks[peer, each], each)):
-                self._bring(said, plan, about, int(self._held[about]), room)
+                self._bring(said, plan, about, int(self._held[about]))
             if served is None and len(said.stretches) > before:
                 served = peer
         return served
 
-    def _bring(self, said: _Said, plan: _Plan, about: int, end: int, room: int | None) -> None:
+    def _bring(self, said: Broadcast, plan: _Plan, about: int, end: int) -> None:
         """Say of a map what a peer lacks before unit `end`, and before each word what that one is built on."""
         bases = self.bases(about)
         for basis in bases[bisect_right(bases, plan.held[about], key=attrgetter("end")) :]:
             if basis.first >= end:
                 break
             if any(plan.held[other] < units for other, units in basis.on):
-                self._say(said, plan, about, basis.first, room)
+                self._say(said, plan, about, basis.first)
                 for other, units in basis.on:
-                    self._bring(said, plan, other, units, room)
+                    self._bring(said, plan, other, units)
                 if any(plan.held[other] < units for other, units in basis.on):
                     return
-        self._say(said, plan, about, end, room)
+        self._say(said, plan, about, end)
 
-    def _say(self, said: _Said, plan: _Plan, about: int, end: int, room: int | None) -> None:
+    def _say(self, said: Broadcast, plan: _Plan, about: int, end: int) -> None:
         """Say of a map what a peer lacks before unit `end`, as far as it is for oneself and has not been said."""
         first = int(plan.held[about])
         if first >= end:
@@ -384,7 +347,7 @@ class Gossip:
         else:
             end = min(end, low)
         if first < end and (about == self.own or self._is_chosen(plan.peer, about)):
-            end = self._stretch(said, about, first, end, room)
+            end = self._stretch(said, about, first, end)
         plan.held[about] = max(first, end)
 
     def _is_chosen(self, peer: int, about: int) -> bool:
@@ -396,38 +359,27 @@ class Gossip:
         able = [
             each
             for each in self._peers
-            if self._near[each, peer]
+            if self._neighbours.are_near(each, peer)
             and (self._own_maps[each] == about or self.known[each, about] > self.known[peer, about])
         ]
         able.append(self._robot)
         able.sort(key=lambda each: (self._own_maps[each] != about, (each - about) % self._robots))
         return able.index(self._robot) <= (self._step - int(self._since[peer, about])) // PATIENCE
 
-    def _stretch(self, said: _Said, about: int, first: int, end: int, room: int | None) -> int:
+    def _stretch(self, said: Broadcast, about: int, first: int, end: int) -> int:
         """Say units `first` to `end` - 1 of a log as far as there is room, behind a `From` where it is needed.
 
         Return up to which one there is.
         """
         log = self.logs[about]
         first, end = max(first, log.oldest), min(end, len(log))
-        begins = about == self.own and first == self._cursor and not said.stretches
-        head = b""
-        if not (begins and set(self._peers) <= self._synced):
-            head = packets.encode([from_packet(about, first)])
-        left = None if room is None else room - len(said.payload) - len(head)
-        units = log.since(first, left, end) if first < end else b""
-        if not units:
-            return first
-        said.payload += head
-        begin = len(said.payload)
-        said.payload += units
-        said.stretches.append(_Stretch(about, first, begin, len(said.payload)))
-        end = log.reached(first, len(units))
-        low, high = said.spoken.get(about, (first, end))
-        said.spoken[about] = min(low, first), max(high, end)
-        return end
+        goes_on = about == self.own and first == self._cursor and not said.stretches
+        knows = goes_on and set(self._peers) <= self._synced
+        return said.stretch(
+            about, log, first, end, b"" if knows else packets.encode([from_packet(about, first)])
+        )
 
-    def _set_urgency(self, said: _Said, served: int | None) -> None:
+    def _set_urgency(self, said: Broadcast, served: int | None) -> None:
         """Note how soon this should be on the air; `served` is who is served first."""
         if not said.payload:
             self._waits = self._step
@@ -449,7 +401,7 @@ class Gossip:
         said, peers = self._said, set(self._peers)
         for end, peer, here in said.near:
             if end <= sent:
-                self._told_near[self._peers, peer] = here
+                self._neighbours.told(self._peers, peer, here)
         for end, about in said.held:
             if end <= sent:
                 self._asked[about] = self._step
@@ -484,8 +436,7 @@ class Gossip:
                 self._cursors[peer] = None
                 self.known[peer] = 0
                 self._told[peer] = 0
-                self._near[peer] = np.arange(self._robots) != peer
-                self._told_near[peer] = np.arange(self._robots) != self._robot
+                self._neighbours.begins_anew(peer)
                 self._met.add(peer)
                 self._synced.discard(peer)
 
@@ -494,15 +445,15 @@ class Gossip:
         for piece in pieces:
             match report(piece):
                 case Near(robot) if robot < self._robots:
-                    self._near[peer, robot] = True
+                    self._neighbours.says(peer, robot, True)
                 case Gone(robot) if robot < self._robots:
-                    self._near[peer, robot] = False
+                    self._neighbours.says(peer, robot, False)
                 case (Held(about, _) | HeldEarly(about, _)) as held if about < len(self.logs) and (
                     about != peer or self._lives > 1
                 ):
                     self._hear_held(peer, about, self._number(held))
                     self._unsure.pop(peer, None)
-                    self._near[peer, self._robot] = True
+                    self._neighbours.says(peer, self._robot, True)
                 case From(about, _) | FromEarly(about, _) if about < len(self.logs):
                     pass
                 case None:
@@ -547,8 +498,7 @@ class Gossip:
         mine = about % self._robots == self._robot and about >= self.own
         if index <= held < end and not mine and (peer, about) not in self.refused:
             yield peer, about, b"".join(units[held - index :])
-        hearers = self._near[peer].copy()
-        hearers[self._robot] = False
+        hearers = self._neighbours.hearers(peer)
         self._reach(np.flatnonzero(hearers), about, index, end)
         if len(self.logs[about]) >= end:
             hearers[[peer, self._robot]] = True

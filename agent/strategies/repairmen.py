@@ -113,6 +113,8 @@ class Repairmen(TeamStrategy):
         self._tour: list[int] = []
         self._next = np.empty((0, 2), np.int32), np.empty(0, np.bool_)
         self._seen_in_vain: set[Cell] = set()
+        self._given_up: Mapping[int, int] = {}
+        """When each teammate had been heard when the robot ceased to rely on those out of range."""
 
     def is_due(self, situation: Situation) -> bool:
         """In each step that brings news of the map: a robot that hears nothing new does not turn to and fro.
@@ -135,12 +137,17 @@ class Repairmen(TeamStrategy):
         return super()._pass_by(situation, planner)
 
     def team(self, situation: Situation) -> dict[int, Cell]:
-        """The sub-team, and who left it not long ago: they are taken to be where they were headed."""
+        """The sub-team, and who left it not long ago: they are taken to be where they were headed.
+
+        Once the robot has waited in vain for what they were to do, not any more, until they are heard again.
+        """
         members = super().team(situation)
-        if self._waited < PATIENCE:
-            for peer, target in situation.targets.items():
-                if situation.step - situation.heard.get(peer, 0) <= RECALL:
-                    members.setdefault(peer, target)
+        if self._waited >= PATIENCE:
+            self._given_up = dict(situation.heard)
+        for peer, target in situation.targets.items():
+            heard = situation.heard.get(peer, 0)
+            if situation.step - heard <= RECALL and heard > self._given_up.get(peer, -1):
+                members.setdefault(peer, target)
         return dict(sorted(members.items()))
 
     def goals(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:

@@ -1,6 +1,6 @@
 """Figures of a finished run, modelled on those of the thesis: maps over time, and the radio traffic.
 
-maps over time     planning maps and the approximation that each robot sends (Figure A.2)
+maps over time     planning maps, and the outlines that each robot sends (Figure A.2)
 approximation      how one robot's approximation follows what it has seen itself (Figure 4.8)
 channel load       what is explored over time, and over the same steps bytes on the air, bytes that did not
                    fit, packets not sent yet (Figures 6.17, 6.18)
@@ -56,7 +56,7 @@ def write_figures(archive: Archive, folder: Path, snapshots: Snapshots | None) -
 
 
 def maps_over_time(archive: Archive, snapshots: Snapshots) -> Figure:
-    """Planning maps, one column per robot, one row per point in time; in red what each sends of its own map."""
+    """Planning maps, one column per robot, one row per point in time; in red the outlines that each sends."""
     robots = range(min(MOST_ROBOTS, archive.plan.scenario.robots))
     moments = _moments(archive.last_step)
     shape = archive.plan.map.height / archive.plan.map.width
@@ -77,7 +77,8 @@ def maps_over_time(archive: Archive, snapshots: Snapshots) -> Figure:
         axes[row, 0].set_ylabel(f"step {step}")
     for robot in robots:
         axes[0, robot].set_title(f"robot {robot}", color=robot_color(robot))
-    figure.suptitle("Each robot's planning map, and (red) the approximation that it sends")
+    told = ", and (red) the approximation that it sends" if snapshots.has_outlines else ""
+    figure.suptitle(f"Each robot's planning map{told}")
     return figure
 
 

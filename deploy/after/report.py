@@ -64,7 +64,7 @@ assert ("", *UNDELIVERED) == CAUSES
 CAPTIONS = {
     CHANNEL_LOAD: "What is explored over time, and over the same steps bytes on the air, bytes that did not fit, "
     "and packets not sent yet.",
-    MAPS_OVER_TIME: "Each robot's planning map over time, and in red the approximation that it sends of its own map.",
+    MAPS_OVER_TIME: "Each robot's planning map over time, and in red the outlines that it sends, if any.",
     APPROXIMATION: "What robot 0 has seen itself, and in red its approximation of it: white outside the line "
     "and grey within are its errors.",
     run_directory.PICTURE: "The world with the robots' ways, and what is wrong on the team's map and on each robot's "

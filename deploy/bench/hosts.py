@@ -281,7 +281,13 @@ def _run(plan: Plan, meeting: Meeting, watch: _Watch) -> None:
 
 def _plan(robots: int, steps: int, exchange: str, bandwidth: int | str) -> Plan:
     scenario = Scenario.model_validate(
-        {"robots": robots, "steps": steps, "exchange": exchange, "bandwidth": bandwidth}
+        {
+            "robots": robots,
+            "steps": steps,
+            "strategy": "meier",
+            "exchange": exchange,
+            "bandwidth": bandwidth,
+        }
     )
     return plans.make(scenario, generators.make("office", width_m=SIDE_M, height_m=SIDE_M))
 

@@ -59,7 +59,9 @@ def kernels() -> Iterator[Figure]:
     """Every part of a robot's step, in the order of execution."""
     cv2, graph = yardstick("cv2", "opencv-python-headless"), yardstick("skimage.graph", "scikit-image")
     cv2.setNumThreads(1)
-    plan = plans.make(Scenario(robots=ROBOTS, bandwidth=BUDGET, bus="memory"), _map())
+    plan = plans.make(
+        Scenario(robots=ROBOTS, exchange="polygon", strategy="meier", bandwidth=BUDGET, bus="memory"), _map()
+    )
     walks = explore(plan)
     yield _scanning(plan, walks[0])
     yield _contours(walks, cv2)

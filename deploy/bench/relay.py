@@ -80,7 +80,12 @@ def relay() -> Iterator[Figure]:
 
 def _plan(case: Case) -> Plan:
     scenario = Scenario(
-        robots=case.robots, steps=STEPS, exchange=case.exchange, bandwidth=case.bandwidth, bus="memory"
+        robots=case.robots,
+        steps=STEPS,
+        exchange=case.exchange,
+        strategy="meier",
+        bandwidth=case.bandwidth,
+        bus="memory",
     )
     return plans.make(scenario, generators.make("office", width_m=SIDE_M, height_m=SIDE_M))
 

@@ -132,7 +132,7 @@ def _line(radio: str, bus: str, what: str) -> tuple[str, str]:
 def _plan(size: int, radio: str, bus: Literal["memory", "zenoh"]) -> Plan:
     settings = RADIOS[radio]
     scenario = Scenario.model_validate(
-        {"robots": size, "steps": STEPS, "bandwidth": BUDGET, "bus": bus} | settings
+        {"robots": size, "steps": STEPS, "strategy": "meier", "bandwidth": BUDGET, "bus": bus} | settings
     )
     return plans.make(scenario, generators.make("office", width_m=SIDE_M, height_m=SIDE_M))
 

@@ -111,7 +111,12 @@ class _Watched:
 
 def _plan(case: Case) -> Plan:
     scenario = Scenario(
-        robots=ROBOTS, steps=STEPS, exchange=case.exchange, bandwidth=case.bandwidth, offers=case.offers
+        robots=ROBOTS,
+        steps=STEPS,
+        strategy="meier",
+        exchange=case.exchange,
+        bandwidth=case.bandwidth,
+        offers=case.offers,
     )
     return plans.make(scenario, generators.make("office", width_m=SIDE_M, height_m=SIDE_M))
 

@@ -22,7 +22,7 @@ from deploy.commands.flags import (
     setting,
 )
 from deploy.scenario.scenario import Scenario, load
-from deploy.scenario.thesis import thesis_settings
+from deploy.scenario.thesis import load_by_thesis
 from netshaper.presets import PRESETS
 
 app = family()
@@ -73,7 +73,7 @@ def explore(
         bool,
         typer.Option(
             "--thesis",
-            help="the thesis' plain rules of offering, refining, drawing and choosing",
+            help="the thesis' plain rules: its outlines, and its ways to offer, refine, draw and choose",
             rich_help_panel=RADIO,
         ),
     ] = False,
@@ -144,9 +144,7 @@ def explore(
             overrides["start"] = pair(start)
         if option:
             overrides["options"] = named_values(option, "option", "beta=0.5")
-        chosen = load(scenario, overrides)
-        if thesis:
-            chosen = load(scenario, _with_thesis(overrides, chosen.strategy))
+        chosen = (load_by_thesis if thesis else load)(scenario, overrides)
         show = view_as or ("auto" if view else None)
         code = _explore(
             chosen, out, show, hosts, pictures=pictures, pace=pace, restart=restart, as_json=as_json
@@ -170,14 +168,6 @@ def watch(
             watching.watch(directory, window)
         finally:
             window.close()
-
-
-def _with_thesis(overrides: dict[str, Any], strategy: str) -> dict[str, Any]:
-    """Flags, and what --thesis takes away where no flag says otherwise."""
-    given = {name for name, value in overrides.items() if value is not None}
-    given |= {f"options.{name}" for name in overrides.get("options") or {}}
-    plain = {name: value for name, value in thesis_settings(strategy).items() if name not in given}
-    return {name: value for name, value in overrides.items() if value is not None} | plain
 
 
 def _other_settings(texts: list[str], flags: dict[str, Any]) -> dict[str, Any]:

@@ -20,7 +20,8 @@ def default(name: str) -> str:
     from deploy.scenario.scenario import Scenario  # noqa: PLC0415  not all commands have settings
 
     info = Scenario.model_fields[name]
-    return f"{info.description}" + ("" if info.default is None else f" (default {info.default})")
+    has_one = info.default is not None and info.default_factory is None
+    return f"{info.description}" + (f" (default {info.default})" if has_one else "")
 
 
 def preformatted(text: str) -> str:

@@ -81,7 +81,7 @@ app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="""Robot swarms that map a building together over a radio of a kilobyte a second.
+    help="""Robot swarms that map a building together over a radio of fifty bytes a second.
 
     \b
     Start with:  murmur explore --robots 5        (five robots explore and map an office)

@@ -30,7 +30,7 @@ def about(plan: Plan) -> str:
         medium=medium,
         chosen=" Tabs show one robot each." if plan.scenario.robots > 1 else "",
         circles="Circles: radio range. " if shows_range(plan) else "",
-        outlines=OUTLINES if polygons else "The rest was received.",
+        outlines=OUTLINES if polygons else "What it has not seen itself it was told.",
         budget="" if budget == UNLIMITED else "Red: the limit. ",
     )
 

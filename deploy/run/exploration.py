@@ -322,7 +322,7 @@ def scenario_of(scenario: Scenario | None, settings: Mapping[str, Any]) -> Scena
         )
     if scenario is not None and not settings:
         return scenario
-    return parse((scenario.model_dump() if scenario is not None else {}) | dict(settings))
+    return parse((scenario.model_dump(exclude_unset=True) if scenario is not None else {}) | dict(settings))
 
 
 class _Fallen:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
@@ -13,6 +11,7 @@ from agent.journal import Journal, journal_name
 from agent.process import AgentNode
 from agent.robot import Robot
 from deploy.record.records import LabNode, Records
+from deploy.run.garbage import seldom_looking
 from deploy.scenario.plan import Plan
 from netshaper.process import RelayNode
 from protocol import keys as names
@@ -30,9 +29,6 @@ class Node(Protocol):
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
 
-
-OBJECTS = 20_000
-"""More objects after which the interpreter looks for garbage during a run."""
 
 Fell = Callable[[str, Exception], object]
 """Called with a robot's name, and with what its code raised."""
@@ -228,7 +224,7 @@ def run(
     """
     under_way = MemoryRun(plan, capture, wrap=wrap, view=view, wait=wait, fell=fell, journals=journals)
     opened = 0
-    with _seldom_collecting():
+    with seldom_looking():
         for _ in under_way.steps(heed):
             if watch is not None and under_way.records.step > opened:
                 opened = under_way.records.step
@@ -248,16 +244,3 @@ def _next(bus: Bus) -> Message | None:
         return bus.receive(0)
     except BusClosed:
         return None
-
-
-@contextmanager
-def _seldom_collecting() -> Iterator[None]:
-    """Hardly look for garbage in cycles: a run makes next to none, and what was there before has been looked at."""
-    often, *seldom = gc.get_threshold()
-    gc.set_threshold(max(often, OBJECTS), *seldom)
-    gc.freeze()
-    try:
-        yield
-    finally:
-        gc.unfreeze()
-        gc.set_threshold(often, *seldom)

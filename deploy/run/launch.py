@@ -150,6 +150,7 @@ def run(
                 meeting.certificate,
                 patience,
                 world.pause_s,
+                capture is not None,
             ),
             names.WORLD: (serve_world, meeting.credentials[names.WORLD], world, wrap),
         }

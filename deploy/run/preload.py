@@ -14,10 +14,11 @@ import scipy.ndimage
 import scipy.optimize
 
 from deploy.run import processes
+from deploy.run.garbage import look_seldom
 from protocol import kernels
 
 __all__ = ["processes", "scipy"]
 
 kernels.load_code()
 gc.collect()
-gc.freeze()
+look_seldom()

@@ -89,10 +89,11 @@ def serve_relay(
     certificate: Certificate | None = None,
     patience_s: float = PATIENCE_S,
     pause_s: float = 0.0,
+    captures: bool = True,
 ) -> None:
     """Serve as the hub and relay of a run until all participants have left; all are to be here soon."""
     with closing(open_hub(run, endpoint, credentials, certificate)) as bus:
-        relay(bus, run, settings, patience_s, pause_s, waits=False)
+        relay(bus, run, settings, patience_s, pause_s, waits=False, captures=captures)
 
 
 def relay(
@@ -104,13 +105,14 @@ def relay(
     tell: Callable[[str], object] = lambda _: None,
     *,
     waits: bool = True,
+    captures: bool = True,
 ) -> None:
     """Serve as the relay at an open hub until all participants have left; `tell` is called with those missing.
 
     Who has not joined yet is waited for as long as it takes if it `waits`; else the run is broken off once nobody has
     joined for as long as a robot may take for anything. `pause_s` is the world's pause between steps at most.
     """
-    node = RelayNode(bus, Keys(run), settings)
+    node = RelayNode(bus, Keys(run), settings, captures=captures)
     patience = Patience(node, patience_s)
     told: list[str] = []
     while not node.done:

@@ -61,7 +61,8 @@ class Scenario(Table):
         try:
             super().__init__(**settings)
         except ValidationError as error:
-            raise ScenarioError("\n".join(dict.fromkeys(_explain(item) for item in error.errors()))) from None
+            said = [_explain(item) for item in error.errors() if item["type"] != "default_factory_not_called"]
+            raise ScenarioError("\n".join(dict.fromkeys(said))) from None
 
     map: str = Field("office", description="a map's YAML file, or the name of a generator (murmur map list)")
     map_seed: Whole = Field(0, ge=0, le=MOST_INTEGER, description="seed of the generator")
@@ -71,8 +72,8 @@ class Scenario(Table):
     robots: Whole = Field(3, ge=1, le=MAX_ROBOTS, description="how many robots explore")
     range: Range = Field("100%", description="communication range: metres, or % of the map's diagonal")
     bandwidth: Bandwidth = Field(1000, description="bytes per step for the whole team")
-    exchange: str = Field("polygon", description="how maps are shared: polygon, laser, grid, sight, none")
-    strategy: str = Field("meier", description="how targets are chosen (murmur strategies lists all)")
+    exchange: str = Field("sight", description="how maps are shared: polygon, laser, grid, sight, none")
+    strategy: str = Field("repairmen", description="how targets are chosen (murmur strategies lists all)")
     sensor_range: Positive = Field(5.0, description="range of the lasers, metres")
     field_of_view: Degrees = Field(360.0, gt=0, description="degrees")
     scanner_turn: Degrees = Field(
@@ -106,7 +107,8 @@ class Scenario(Table):
     apart: Positive = Field(0.3, description="metres between start poses")
     exchanges: Whole = Field(2, ge=1, le=16, description="exchanges per step (R)")
     offers: Literal["backoff", "thesis", "gossip"] = Field(
-        "backoff", description="when maps are offered: backoff, thesis, gossip"
+        default_factory=lambda said: "gossip" if said.get("exchange") == "sight" else "backoff",
+        description="when maps are offered, by default gossip with sight, else backoff: backoff, thesis, gossip",
     )
     pass_on: bool = Field(True, description="whether robots offer maps of others too", strict=True)
     interference: NotNegative = Field(0.0, description="metres; nearer robots hinder each other")

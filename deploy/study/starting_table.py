@@ -107,7 +107,7 @@ def learn() -> NDArray[np.uint16]:
     for number, (name, robots, speed) in enumerate(product(MAPS, TEAMS, SPEEDS)):
         settings = {
             "map": name, "map_seed": number, "seed": number, "robots": robots, "speed": speed, "steps": STEPS,
-            "exchange": "laser", "bandwidth": "unlimited", "bus": "memory",
+            "strategy": "meier", "exchange": "laser", "bandwidth": "unlimited", "bus": "memory",
         }  # fmt: skip
         plan = plans.make(parse(settings))
         for counts in counted(plan, explored(plan)):

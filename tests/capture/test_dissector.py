@@ -209,9 +209,8 @@ def test_bytes_that_were_not_kept_are_no_error(tshark: Tshark, tmp_path: Path) -
 
 @pytest.mark.parametrize("exchange", [name for name in EXCHANGES if name != "none"])
 def test_its_sums_are_those_of_the_ledger(tshark: Tshark, tmp_path: Path, exchange: str) -> None:
-    plan = plans.make(
-        parse({"robots": 4, "exchange": exchange, "bandwidth": 700, "range": "40%", "steps": 60})
-    )
+    settings = {"robots": 4, "exchange": exchange, "offers": "backoff", "strategy": "meier"}
+    plan = plans.make(parse(settings | {"bandwidth": 700, "range": "40%", "steps": 60}))
     with run_directory.open_capture(tmp_path, plan) as file:
         ledger = in_memory.run(plan, None, file).ledger()
     rows = tshark.fields(

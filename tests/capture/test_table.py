@@ -19,7 +19,14 @@ from protocol.packets import ALL_KINDS
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Result:
-    settings = {"robots": 3, "bandwidth": 900, "range": "40%", "steps": 30, "exchange": "laser"}
+    settings = {
+        "robots": 3,
+        "bandwidth": 900,
+        "range": "40%",
+        "steps": 30,
+        "exchange": "laser",
+        "strategy": "meier",
+    }
     scenario = parse({**settings, "bus": "memory"})
     return explore(scenario, out=tmp_path_factory.mktemp("runs") / "one")
 

@@ -16,7 +16,10 @@ from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import parse
 
-SETTINGS = {"map": "office", "robots": 3, "range": "30%", "steps": 40, "bus": "memory"}
+SETTINGS = {
+    "map": "office", "robots": 3, "exchange": "polygon", "strategy": "meier", "range": "30%", "steps": 40,
+    "bus": "memory",
+}  # fmt: skip
 
 
 @cache

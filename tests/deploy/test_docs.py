@@ -203,6 +203,7 @@ def plain(value: object) -> str:
 def defaults(kind: Any, prefix: str = "") -> dict[str, tuple[str, str]]:
     """Default and description of each setting of a table."""
     found: dict[str, tuple[str, str]] = {}
+    said: dict[str, Any] = {}
     for name, info in kind.model_fields.items():
         if name in ("robot", "death", "fault", "change") and not prefix:
             continue
@@ -216,7 +217,11 @@ def defaults(kind: Any, prefix: str = "") -> dict[str, tuple[str, str]]:
             options = {**asdict(RadioOptions()), "partition": []}
             found |= {f"radio.{n}": (plain(value), "") for n, value in options.items()}
             continue
-        default = "required" if info.is_required() else plain(info.get_default(call_default_factory=True))
+        value = (
+            None if info.is_required() else info.get_default(call_default_factory=True, validated_data=said)
+        )
+        said[name] = value
+        default = "required" if info.is_required() else plain(value)
         found[prefix + name] = default, info.description
     return found
 

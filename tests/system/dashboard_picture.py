@@ -22,7 +22,11 @@ BAR = 37
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         run = Path(folder, "run")
-        explore(parse({"bus": "memory", "robots": 8, "range": "30%"}), out=run, window=Window("file"))
+        explore(
+            parse({"bus": "memory", "robots": 8, "range": "30%", "bandwidth": 50}),
+            out=run,
+            window=Window("file"),
+        )
         with viewer(run / RECORDING) as client:
             picture = Image.open(io.BytesIO(settled_picture(client, 90))).convert("RGB")
     picture = picture.crop((0, BAR, picture.width, picture.height))

@@ -42,7 +42,9 @@ def small_plan(name: str = "office", side_m: float = 12.0, map_seed: int = 0, **
 
 
 def plan_on(world_map: Map, **settings: Any) -> Plan:
-    return plans.make(parse({"bus": "memory", "sensor_range": 3.0} | settings), world_map)
+    """Of the thesis, as far as it is not said: polygons, and targets by Meier."""
+    thesis = {"exchange": "polygon", "strategy": "meier"}
+    return plans.make(parse({"bus": "memory", "sensor_range": 3.0} | thesis | settings), world_map)
 
 
 def corridor(length: int, height: int = 5) -> Map:

@@ -14,7 +14,12 @@ from deploy.study.recovery import recovery
 
 def line(exchange: str, *, pass_on: bool) -> dict[str, Any]:
     return recovery(
-        make(load(Path("line.toml"), {"exchange": exchange, "pass_on": pass_on, "bus": "memory"}))
+        make(
+            load(
+                Path("line.toml"),
+                {"exchange": exchange, "offers": "backoff", "pass_on": pass_on, "bus": "memory"},
+            )
+        )
     )
 
 

@@ -16,10 +16,10 @@ def test_a_run_tells_people_how_it_went_and_where_everything_is(floor: str) -> N
     lines = result.stdout.splitlines()
     assert lines[0].startswith("Explored in ")
     assert "100.00 % of what can be reached" in lines[1]
-    directory = Path("runs/floor-polygon-2robots-seed0")
+    directory = Path("runs/floor-sight-2robots-seed0")
     assert f"Everything is in {directory}; look at {directory / 'maps.png'}." in lines[-1]
     assert (directory / "summary.json").exists()
-    assert "runs/floor-polygon-2robots-seed0-2" in explore(floor, "--steps", "3").stdout
+    assert "runs/floor-sight-2robots-seed0-2" in explore(floor, "--steps", "3").stdout
 
 
 def test_machines_get_one_json_object_and_nothing_else(floor: str) -> None:
@@ -37,10 +37,10 @@ def test_a_run_that_does_not_finish_ends_with_1(floor: str) -> None:
 
 def test_flags_override_the_scenario(floor: str) -> None:
     Path("s.toml").write_text(f'map = "{floor}"\nrobots = 2\nsteps = 3\nbus = "memory"\nseed = 5\n')
-    result = murmur("explore", "s.toml", "--seed", "6", "--option", "beta=2", "--json", "--out", "run")
+    result = murmur("explore", "s.toml", "--seed", "6", "--option", "crumb=2", "--json", "--out", "run")
     assert json.loads(result.stdout)["seed"] == 6
     written = Path("run/scenario.toml").read_text()
-    assert "beta = 2" in written
+    assert "crumb = 2" in written
     assert "robots = 2" in written
 
 

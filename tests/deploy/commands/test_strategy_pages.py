@@ -25,7 +25,7 @@ def test_the_list_has_each_strategy_with_what_it_does_and_where_its_paper_says_s
         at = lines.index(f"  {known.name}  {known.section}")
         assert lines[at + 1].strip() == known.summary
     assert {known.paper for known in catalogue()} <= set(lines)
-    assert any("The default is meier." in line for line in lines)
+    assert any("The default is repairmen." in line for line in lines)
     assert max(map(len, lines)) <= WIDTH
 
 

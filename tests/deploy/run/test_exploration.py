@@ -188,7 +188,7 @@ def test_runs_that_begin_at_once_take_directories_of_their_own(
     with ThreadPoolExecutor(8) as pool:
         made = list(pool.map(lambda _: run_directory.create(None, plan), range(16)))
     assert len(set(made)) == 16
-    assert min(made, key=lambda path: len(path.name)) == Path("runs/office-polygon-3robots-seed0")
+    assert min(made, key=lambda path: len(path.name)) == Path("runs/office-sight-3robots-seed0")
     assert {path.parent for path in made} == {Path("runs")}
 
 

@@ -52,7 +52,7 @@ def scenarios(draw: st.DrawFn) -> dict[str, Any]:
         "exchanges": st.integers(1, 16),
         "offers": st.sampled_from(("backoff", "thesis")),
         "interference": st.floats(0, 1e6),
-        "options": st.fixed_dictionaries({}, optional={"beta": st.floats(0, 100)}),
+        "options": st.fixed_dictionaries({}, optional={"crumb": st.floats(0, 100)}),
         "robot": st.lists(override, max_size=3, unique_by=lambda entry: entry["robot"]),
         "death": st.lists(death, max_size=3, unique_by=lambda entry: entry["robot"]),
     }
@@ -84,7 +84,7 @@ WRONG = [
     ({"robots": 0}, "robots = 0: .*greater than or equal to 1"),
     ({"robots": 257}, "robots = 257: .*less than or equal to 256"),
     (
-        {"robots": 65},
+        {"robots": 65, "exchange": "polygon"},
         "robots = 65: packets can name the maps of 64 robots; more need offers = 'gossip', or exchange = 'none'",
     ),
     ({"robots": True}, "robots = True: must be a whole number"),
@@ -137,8 +137,8 @@ WRONG = [
     ({"offers": "never"}, "offers = 'never': .*'backoff', 'thesis' or 'gossip'"),
     ({"bus": "tram"}, "bus = 'tram': .*'zenoh' or 'memory'"),
     ({"map": 3}, "map = 3: must be text"),
-    ({"options": {"gamma": 1.0}}, "meier has no option 'gamma'; there are: .*beta"),
-    ({"options": {"beta": "big"}}, "option beta of meier must be float, not 'big'"),
+    ({"options": {"gamma": 1.0}}, "repairmen has no option 'gamma'; there are: .*crumb"),
+    ({"options": {"crumb": "big"}}, "option crumb of repairmen must be float, not 'big'"),
     ({"options": {"beta": math.nan}}, "options = .*beta must lie between"),
     ({"options": 3}, "options = 3: "),
     ({"colour": "red"}, "colour is no setting; there are: map, .*death"),

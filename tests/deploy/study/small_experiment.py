@@ -8,6 +8,8 @@ EXPERIMENT = """
 name = "small"
 [base]
 map = "em"
+exchange = "polygon"
+strategy = "meier"
 steps = 6
 [grid]
 robots = [1, 2]

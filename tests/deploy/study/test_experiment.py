@@ -84,7 +84,7 @@ thesis = false
     assert plain.offers == "thesis" and plain.options == {"herding": False}
     wanted = load(None, {**thesis_settings("meier"), "polygon.lazy": True, "polygon.exact_error": True})
     assert plain.polygon == wanted.polygon
-    assert (ours.offers, ours.options, ours.polygon.mixed_first) == ("backoff", {}, True)
+    assert (ours.offers, ours.options, ours.polygon.mixed_first) == ("gossip", {}, True)
     with pytest.raises(ScenarioError, match="thesis = 1: must be true or false"):
         runs.cases(experiments.read(write(tmp_path, "[base]\nthesis = 1\n")))
 
