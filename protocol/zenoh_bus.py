@@ -22,8 +22,9 @@ from protocol.bus import BusClosed, Message
 from protocol.keys import Keys
 
 # One executor for most of zenoh's tasks is faster. Sending keeps its own: on a single executor, a hub that routes
-# to a client which has just been killed deadlocks. Read when zenoh first opens.
-os.environ.setdefault("ZENOH_RUNTIME", "(rx: (handover: app), acc: (handover: app), net: (handover: app))")
+# to a client which has just been killed deadlocks (`send_along` is for those who route nothing). Read when zenoh first
+# opens.
+os.environ["ZENOH_RUNTIME"] = "(rx: (handover: app), acc: (handover: app), net: (handover: app))"
 import zenoh
 
 TICK_S = 0.25
@@ -284,6 +285,16 @@ def receive_apart() -> None:
     called before zenoh first opens.
     """
     os.environ["ZENOH_RUNTIME"] = "(acc: (handover: app), net: (handover: app))"
+
+
+def send_along() -> None:
+    """Let what is sent share the executor of what comes in, in a process that is a client on this host and no more.
+
+    It routes nothing, so that nobody there waits for a link but who puts. To be called before zenoh first opens.
+    """
+    os.environ["ZENOH_RUNTIME"] = (
+        "(rx: (handover: app), acc: (handover: app), tx: (handover: app), net: (handover: app))"
+    )
 
 
 def mutual_tls(certificate: Certificate, side: str) -> dict[str, object]:

@@ -18,7 +18,7 @@ from netshaper.hub import open_hub
 from protocol import keys as names
 from protocol.bus import Bus, Message
 from protocol.keys import Keys
-from protocol.zenoh_bus import Credential, join
+from protocol.zenoh_bus import Credential, join, send_along
 
 
 @dataclass
@@ -89,6 +89,7 @@ def play_hub(
 
 def play(credential: Credential, script: Script) -> None:
     """Play the script of any other participant."""
+    send_along()
     bus = join(credential)
     try:
         _play(bus, Keys(credential.run), script)

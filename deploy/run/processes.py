@@ -30,7 +30,7 @@ from netshaper.router import Router
 from protocol import keys as names
 from protocol.bus import Bus, BusClosed
 from protocol.keys import Keys
-from protocol.zenoh_bus import Certificate, Credential, join
+from protocol.zenoh_bus import Certificate, Credential, join, send_along
 from worldsim.pace import Pace
 from worldsim.process import WorldNode
 from worldsim.world import World
@@ -172,6 +172,8 @@ def serve_view(credential: Credential, task: ViewTask, ready: Connection) -> Non
 
 
 def _joined(credential: Credential, wrap: Wrap | None) -> Bus:
+    if credential.certificate is None:
+        send_along()
     bus = join(credential)
     return bus if wrap is None else wrap(credential.name, bus)
 
