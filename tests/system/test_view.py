@@ -52,7 +52,7 @@ def assert_shows_robots(png: bytes, robots: int) -> None:
         assert near.sum() > 200, f"robot {robot} is hardly to be seen"
 
 
-def assert_is_to_be_read(png: bytes, *, light: bool) -> None:
+def assert_is_to_be_read(png: bytes, *, light: bool, kinds: int = 4) -> None:
     """The theme is what was asked for, the team's curves stand out from it, and captions are beside their bars."""
     picture = np.array(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)
     lower = picture[int(0.67 * len(picture)) : int(0.95 * len(picture))]
@@ -74,15 +74,25 @@ def assert_is_to_be_read(png: bytes, *, light: bool) -> None:
             caption = off[max(0, rows[0] - 3) : rows[-1] + 4, half:] <= 60
             assert caption.sum() > 20, f"the caption of {group.words} is not beside its bar"
             assert not caption[:, -3:].any(), "a caption is cut off"
-    assert bars >= 4
+    assert bars >= kinds
 
 
-@pytest.mark.parametrize(("name", "robots"), [("office", 16), ("intel", 5)])
+OUTLINES = {"exchange": "polygon", "strategy": "meier"}
+
+
+@pytest.mark.parametrize(
+    ("name", "robots", "more", "kinds"), [("office", 16, OUTLINES, 4), ("intel", 5, {}, 3)]
+)
 def test_all_robots_are_shown_in_the_dark_and_no_view_reports_an_error(
-    name: str, robots: int, tmp_path: Path, request: pytest.FixtureRequest
+    name: str,
+    robots: int,
+    more: dict[str, str],
+    kinds: int,
+    tmp_path: Path,
+    request: pytest.FixtureRequest,
 ) -> None:
     where = name if name == "office" else str(request.getfixturevalue("real_maps") / "intel.yaml")
-    recording = recorded(tmp_path, map=where, robots=robots, range="30%", steps=130)
+    recording = recorded(tmp_path, map=where, robots=robots, range="30%", steps=130, **more)
     with viewer(recording) as client:
         png = settled_picture(client, 125)
         state = client.get_state()
@@ -96,12 +106,12 @@ def test_all_robots_are_shown_in_the_dark_and_no_view_reports_an_error(
     assert [entry.message for entry in logs if entry.level == "ERROR"] == []
     assert Image.open(io.BytesIO(png)).size == (1920, 1080)
     assert_shows_robots(png, robots)
-    assert_is_to_be_read(png, light=False)
+    assert_is_to_be_read(png, light=False, kinds=kinds)
 
 
 @pytest.mark.parametrize("robots", [5, pytest.param(16, marks=pytest.mark.long)])
 def test_a_light_page_shows_the_dashboard_in_a_real_browser(robots: int, tmp_path: Path) -> None:
-    recording = recorded(tmp_path, robots=robots, range="30%", steps=25)
+    recording = recorded(tmp_path, robots=robots, range="30%", steps=25, **OUTLINES)
     told: list[str] = []
     window = Window("web", told.append)
     with Browser(1440, 900) as browser:
