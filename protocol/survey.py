@@ -5,6 +5,7 @@ What a survey accepts is what `protocol.packets.decode` reads. Where it stumbles
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -63,8 +64,8 @@ def longest(frame: bytes) -> int:
 
 
 @lru_cache(maxsize=64)
-def ends(frame: bytes) -> list[int]:
-    """Return where each packet of a frame ends; a list that is not to be written on, for several may hear the frame.
+def ends(frame: bytes) -> Sequence[int]:
+    """Return where each packet of a frame ends; several may hear the same frame, and get the same answer.
 
     Raises
     ------

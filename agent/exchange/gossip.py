@@ -231,7 +231,7 @@ class Gossip:
         for peer, pieces in frames:
             yield from self._hear_units(peer, pieces)
 
-    def accept(self, peer: int, about: int, frame: bytes, ends: list[int]) -> None:
+    def accept(self, peer: int, about: int, frame: bytes, ends: Sequence[int]) -> None:
         """Append units of a map that a peer said, given where in the frame they end."""
         del peer
         self.logs[about].extend(frame, ends)

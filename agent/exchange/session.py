@@ -291,7 +291,7 @@ class Session:
                 news.append((peer, connection.map, payload))
         return news
 
-    def accept(self, peer: int, about: int, frame: bytes, ends: list[int]) -> None:
+    def accept(self, peer: int, about: int, frame: bytes, ends: Sequence[int]) -> None:
         """Append units of a map that a peer sent, given where in the frame they end; the peer holds them too."""
         self.logs[about].extend(frame, ends)
         self.known[peer, about] = max(self.known[peer, about], len(self.logs[about]))
