@@ -59,7 +59,8 @@ class Settings:
     pass_on : bool
         Whether it offers maps of others as well as its own.
     confirms : bool
-        Whether only what a teammate says tells that something has reached it, for the medium may lose it.
+        Whether only what a teammate says tells that something has reached it, for the medium may lose it, or the
+        teammate go deaf to what is broadcast.
     frame_bytes : int or None
         Bytes that a packet may have; None: those of the longest.
     lives : int

@@ -71,6 +71,11 @@ def check(faults: Iterable[Fault], robots: int) -> None:
             gone.pop(fault.robot, None)
 
 
+def deafen(faults: Iterable[Fault]) -> bool:
+    """Whether a robot may go deaf: those who broadcast cannot notice."""
+    return any(fault.kind == "deaf" for fault in faults)
+
+
 def lives(faults: Iterable[Fault]) -> int:
     """How often a robot begins, at most: once, and once more with each restart."""
     counts: dict[int, int] = {}

@@ -451,7 +451,7 @@ class Gossip:
                 case (Held(about, _) | HeldEarly(about, _)) as held if about < len(self.logs) and (
                     about != peer or self._lives > 1
                 ):
-                    self._hear_held(peer, about, self._number(held))
+                    self._hear_held(peer, about, self._heard_most(about, self._number(held)))
                     self._unsure.pop(peer, None)
                     self._neighbours.says(peer, self._robot, True)
                 case From(about, _) | FromEarly(about, _) if about < len(self.logs):
@@ -467,16 +467,18 @@ class Gossip:
 
     def _hear_units(self, peer: int, pieces: list[bytes]) -> Iterator[tuple[int, int, bytes]]:
         """Take what a peer said of logs; yield what is news."""
-        about, index = self._own_maps[peer], self._cursors[peer]
-        units: list[bytes] = []
+        stretches: list[tuple[int, int | None, list[bytes]]]
+        stretches = [(self._own_maps[peer], self._cursors[peer], [])]
         for piece in pieces:
             said = report(piece)
             if said is None:
-                units.append(piece)
+                stretches[-1][2].append(piece)
             elif isinstance(said, From | FromEarly) and said.map < len(self.logs):
-                yield from self._take(peer, about, index, units)
-                about, index, units = said.map, self._number(said), []
-        yield from self._take(peer, about, index, units)
+                stretches.append((said.map, self._number(said), []))
+        for about, index, units in stretches:
+            if index is not None:
+                del units[max(0, self._heard_most(about, index + len(units)) - index) :]
+            yield from self._take(peer, about, index, units)
 
     def _take(
         self, peer: int, about: int, index: int | None, units: list[bytes]
@@ -512,6 +514,10 @@ class Gossip:
     def _believe(self, peers: Robots, about: int, held: int) -> None:
         """Peers have heard that one holds so many units of a map."""
         self._told[peers, about] = np.maximum(self._told[peers, about], held)
+
+    def _heard_most(self, about: int, units: int) -> int:
+        """Of so many units of a map that a peer speaks of: of one's own nobody holds what has not been on the air."""
+        return min(units, self._aired) if about == self.own else units
 
     def _number(self, said: From | FromEarly | Held | HeldEarly) -> int:
         return number(said, len(self.logs[said.map]))

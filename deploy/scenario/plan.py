@@ -141,7 +141,7 @@ def make(scenario: Scenario, world_map: Map | None = None, *, lives: int = 1) ->
             field_of_view=bodies[number].field_of_view,
             scanner_turn=bodies[number].scanner_turn,
             pass_on=scenario.pass_on,
-            confirms=not radio.perfect,
+            confirms=not radio.perfect or (radio.gossip and faults.deafen(scenario.faults)),
             fastest_cells=max(body.speed for body in bodies),
             frame_bytes=radio.packet_bytes,
             lives=lives,

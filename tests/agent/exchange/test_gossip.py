@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.exchange.base import Basis
+from agent.exchange.confirmed_gossip import ConfirmedGossip
 from agent.exchange.gossip import EVERYONE, GREETING, HOLDS, MOST_URGENT, PATIENCE, SELDOM, Gossip
 from protocol import packets, survey
 from protocol.errors import ProtocolError
@@ -414,3 +415,17 @@ def test_a_liar_may_say_anything_and_the_honest_go_on_with_each_other(lies: list
         air.step(reach)
     for about in (0, 1):
         assert [len(air.minds[robot].logs[about]) for robot in (0, 1)] == 2 * [air.logged[about]]
+
+
+@pytest.mark.parametrize("kind", [Gossip, ConfirmedGossip])
+def test_a_liar_who_speaks_of_more_of_a_map_than_there_is_silences_nobody(kind: type[Gossip]) -> None:
+    air = Air(3)
+    air.minds = [kind(robot, 3) for robot in range(3)]
+    lie = encode([HeldEarly(0, 255), FromEarly(0, 0)]) + b"".join(words(0, 0, 200)) + encode([Held(0, 9999)])
+    for number in range(1, 9):
+        air.log(0, 1)
+        mind = air.minds[0]
+        assert list(mind.outcome(Outcome(number, 0, [], [], [], [], [-1], False), [(2, lie)])) == []
+        assert mind.undelivered() >= 0
+        air.step({0: [1, 2], 1: [0, 2]})
+        assert len(air.minds[1].logs[0]) == number

@@ -121,6 +121,16 @@ def test_a_mute_robot_s_words_are_booked_as_mute_and_a_deaf_one_hears_nothing(fl
     assert others.filter(others["sender"] == 1)["carried"].any()
 
 
+@pytest.mark.parametrize("offers", ["backoff", "gossip"])
+def test_who_was_deaf_for_a_while_hears_then_what_the_others_said(floor: str, offers: str) -> None:
+    records = run(
+        floor, (5, 2, "deaf", 20), exchange="sight", offers=offers, bandwidth=20000, steps=40
+    ).records
+    others = (records.own[0] == FREE) | (records.own[1] == FREE)
+    assert (records.planning[2] == FREE)[others].mean() > 0.97
+    assert (records.own[2] == FREE)[others].mean() < 0.9
+
+
 def test_all_are_killed_and_one_comes_back_and_finishes(floor: str) -> None:
     result = run(floor, (10, 0, "kill"), (10, 1, "kill"), (10, 2, "kill"), (15, 2, "restart"), steps=600)
     assert result.exit_code == EXPLORED
