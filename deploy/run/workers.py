@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import re
 import signal
 import threading
 from collections import deque
@@ -112,6 +113,8 @@ class Cluster:
             raise ValueError(
                 "scheduler: dask.distributed is not installed; pip install 'murmur-robots[cluster]'"
             ) from None
+        if not re.fullmatch(r"\w+://.+|\S+:[0-9]+", address):
+            raise ValueError(f"scheduler = {address!r}: must be its address, as tcp://10.0.0.1:8786")
         try:
             self._client: Any = Client(address, timeout=self.PATIENCE_S, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
