@@ -117,6 +117,7 @@ class Robot:
     def share(self, common: dict[str, Any]) -> None:
         """Share memory with the other robots of this process (`agent.exchange.base.Exchange.share`)."""
         self._exchange.share(common)
+        self._strategy.share(common)
 
     @property
     def polygons(self) -> Mapping[int, Polygons]:

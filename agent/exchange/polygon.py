@@ -14,6 +14,7 @@ from typing import Any
 from agent.exchange.base import Exchange
 from agent.exchange.changed_cells import ChangedCells
 from agent.exchange.polygon_options import PolygonOptions
+from agent.once import ALONE, Once
 from agent.outline.approximation import Marks, approximation, repair
 from agent.outline.claims import Drawing
 from agent.outline.contour import Tracer
@@ -21,7 +22,6 @@ from agent.outline.edit_reader import Saved
 from agent.outline.edits import edit_units, script_size
 from agent.outline.exact_error import ExactError
 from agent.outline.merge import ErrorCount, TeamMap
-from agent.outline.once import ALONE, Once
 from agent.outline.polygons import Polygons
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import by_distance, mixed_first, refine

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.once import ALONE, Once
 from agent.outline.boxes import NO_BOXES, Boxes, clip, whole
 from agent.outline.objects import (
     BOTTOM,
@@ -25,7 +26,6 @@ from agent.outline.objects import (
     Symbols,
     Table,
 )
-from agent.outline.once import ALONE, Once
 from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
 from agent.outline.raster import Edges, draw, fill
 from protocol.kernels import kernel

@@ -30,6 +30,7 @@ from collections.abc import Collection, Set
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.once import ALONE, Once
 from agent.outline.boxes import NO_BOXES, Boxes, clip, united, whole
 from agent.outline.claims import (
     FREE_AREA,
@@ -45,7 +46,6 @@ from agent.outline.claims import (
     Tally,
 )
 from agent.outline.objects import Objects
-from agent.outline.once import ALONE, Once
 from agent.outline.polygons import Polygons
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel

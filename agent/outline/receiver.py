@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from hashlib import blake2b
 
+from agent.once import ALONE, Once
 from agent.outline.boxes import NO_BOXES, Boxes, united
 from agent.outline.draft import Draft
 from agent.outline.edit_reader import Reading, Saved, read
 from agent.outline.edits import Held
 from agent.outline.objects import FIRST, INSIDE, LENGTH, Objects
-from agent.outline.once import ALONE, Once
 
 
 class Receiver:

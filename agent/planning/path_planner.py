@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from agent.once import ALONE, Once, Result
 from agent.planning.best_frontier import Appeal, best_frontier
 from agent.planning.breadth_first import first_by_hops
 from agent.planning.cost_field import (
@@ -44,6 +46,8 @@ class PathPlanner:
         The grid with obstacles enlarged, if that has been done.
     occ_max : float
         Cells whose occupancy on a smoothed map is more are barred (`agent.planning.occupancy.barred`).
+    once : Once
+        Shared with other robots, which may have the same floor.
 
     Attributes
     ----------
@@ -60,12 +64,14 @@ class PathPlanner:
         radius_cells: float = 0.0,
         floor: Grid | None = None,
         occ_max: float = 1.0,
+        once: Once = ALONE,
     ) -> None:
         self.grid = grid
         self.floor = barred(grid, enlarge(grid, radius_cells), occ_max) if floor is None else floor
         self._kind = kind
         self._radius = radius_cells
         self._occ_max = occ_max
+        self._once = once
         self._others: dict[float, PathPlanner] = {}
         self._fields: dict[tuple[int, int], Field] = {}
         self._near: dict[tuple[int, int], Field] = {}
@@ -74,6 +80,10 @@ class PathPlanner:
     @cached_property
     def _laid_out(self) -> Floor:
         return Floor(self.floor)
+
+    @cached_property
+    def _all_of_the_floor(self) -> tuple[tuple[int, ...], bytes]:
+        return self.floor.shape, self.floor.tobytes()
 
     @cached_property
     def _terrain(self) -> Terrain | None:
@@ -109,7 +119,7 @@ class PathPlanner:
         float64 array, shape (m, n)
         """
         if self._terrain is None:
-            return costs_between(self._laid_out, starts, goals)
+            return self._searched(costs_between, starts, goals)
         return np.array([self.costs(x, y)[goals[:, 1], goals[:, 0]] for x, y in starts.tolist()])
 
     def costs_among(
@@ -117,8 +127,20 @@ class PathPlanner:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """As `costs_between`, from each of `starts` to each of `goals`; and the same between each two of these."""
         if self._terrain is None:
-            return costs_among(self._laid_out, starts, goals)
+            return self._searched(costs_among, starts, goals)
         return self.costs_between(starts, goals), self.costs_between(goals, goals)
+
+    def _searched(
+        self,
+        search: Callable[[Floor, NDArray[np.int32], NDArray[np.int32]], Result],
+        starts: NDArray[np.int32],
+        goals: NDArray[np.int32],
+    ) -> Result:
+        """What a search finds on the floor; it is not to be written on, for another robot may have it as well."""
+        if self._once is ALONE:
+            return search(self._laid_out, starts, goals)
+        key = search, self._all_of_the_floor, starts.tobytes(), goals.tobytes()
+        return self._once.get(key, lambda: search(self._laid_out, starts, goals))
 
     def path(self, start: tuple[int, int], end: tuple[int, int]) -> NDArray[np.int32] | None:
         """Cells of a best way, without its start; None if there is none."""
@@ -179,7 +201,7 @@ class PathPlanner:
             return self
         if radius_cells not in self._others:
             self._others[radius_cells] = PathPlanner(
-                self.grid, self._kind, radius_cells, occ_max=self._occ_max
+                self.grid, self._kind, radius_cells, occ_max=self._occ_max, once=self._once
             )
         return self._others[radius_cells]
 

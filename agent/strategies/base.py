@@ -187,6 +187,13 @@ class Strategy(ABC):
         self.options: Any = self.check(options)
         self.settings = settings
 
+    def share(self, common: dict[str, Any]) -> None:
+        """Hold what follows from the planning grid together with the other robots of this process.
+
+        As `agent.exchange.base.Exchange.share` has it.
+        """
+        del common
+
     @classmethod
     def check(cls, options: Mapping[str, Any]) -> Any:
         """Read the options; ValueError says which is unknown, wrong, or does not go with another, and why."""

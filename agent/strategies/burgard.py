@@ -92,7 +92,11 @@ class Burgard(TeamStrategy):
     def planner(self, situation: Situation) -> PathPlanner:
         """As all, without cells that are too likely to be occupied."""
         return PathPlanner(
-            situation.grid, self.options.costs, self.settings.radius_cells, occ_max=self.options.occ_max
+            situation.grid,
+            self.options.costs,
+            self.settings.radius_cells,
+            occ_max=self.options.occ_max,
+            once=self._once,
         )
 
     def select(self, situation: Situation, planner: PathPlanner) -> tuple[Cell | None, bool]:

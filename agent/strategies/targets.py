@@ -21,6 +21,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.once import ALONE, Once
 from agent.planning.breadth_first import is_wide_frontier
 from agent.planning.candidates import CANDIDATES, SEARCHED, goal_candidates, searched_candidate
 from agent.planning.frontier import is_frontier
@@ -55,6 +56,9 @@ TURNED_AWAY = 10
 """Times that teammates stop a robot near its depot, after which it is home where it is; and steps on end in
 which its map shows no way there."""
 
+MOST_WAYS = 64
+"""Searches whose results robots of one process keep for each other."""
+
 
 @dataclass(frozen=True)
 class Parts:
@@ -85,6 +89,12 @@ class TargetStrategy(Strategy):
         self._turned = 0
         self._at: Cell | None = None
         self._looked = True
+        self._once = ALONE
+
+    def share(self, common: dict[str, Any]) -> None:
+        """Search for ways once for all robots of this process that have the same planning grid."""
+        if self.settings.robots > 1:
+            self._once = common.setdefault("ways", Once(MOST_WAYS))
 
     @classmethod
     def check(cls, options: Mapping[str, Any]) -> Any:
@@ -186,7 +196,7 @@ class TargetStrategy(Strategy):
 
     def planner(self, situation: Situation) -> PathPlanner:
         """The ways that the robot may take."""
-        return PathPlanner(situation.grid, self.options.costs, self.settings.radius_cells)
+        return PathPlanner(situation.grid, self.options.costs, self.settings.radius_cells, once=self._once)
 
     def goals(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:
         """The cells that are worth going to, shape (n, 2)."""

@@ -133,8 +133,8 @@ def lines(path: Path, wanted: Filter, *, every_packet: bool) -> Iterator[str]:
         for frame in frames:
             yield _row(frame)
             if every_packet:
-                for packet in _decoded(frame.seen.payload):
-                    yield f"{'':42}{packet.name:<5}{_said(packet)}"
+                for piece, packet in _decoded(frame.seen.payload):
+                    yield f"{'':42}{packet.name:<5}{_said(piece, packet)}"
         yield from _total_lines(totals)
         if reader.torn:
             yield f"The last {reader.torn} bytes are an incomplete packet: the run was killed."
@@ -228,7 +228,7 @@ def _to_json(frame: Captured) -> dict[str, Any]:
     seen = frame.seen
     said = [
         {"kind": packet.name, "packet": type(packet).__name__} | _fields(packet)
-        for packet in _decoded(seen.payload)
+        for _, packet in _decoded(seen.payload)
     ]
     return {
         "step": frame.step,
@@ -260,11 +260,12 @@ def _pieces(payload: bytes) -> Iterator[bytes]:
             offset = end
 
 
-def _decoded(payload: bytes) -> Iterator[AnyPacket]:
-    """Decode the packets of a frame, up to the first malformed one."""
+def _decoded(payload: bytes) -> Iterator[tuple[bytes, AnyPacket]]:
+    """Decode the packets of a frame, each with its bytes, up to the first malformed one."""
     with suppress(ProtocolError):
         for piece in _pieces(payload):
-            yield from packets.decode(piece)
+            for packet in packets.decode(piece):
+                yield piece, packet
 
 
 def _fields(packet: AnyPacket) -> dict[str, Any]:
@@ -272,9 +273,9 @@ def _fields(packet: AnyPacket) -> dict[str, Any]:
     return values | {"data": packet.data.hex()} if isinstance(packet, Fragment | Look) else values
 
 
-def _said(packet: AnyPacket) -> str:
-    words = "  ".join(f"{name} {value}" for name, value in _fields(packet).items())
-    return f"{type(packet).__name__:<9} {words}".rstrip()
+def _said(piece: bytes, packet: AnyPacket) -> str:
+    words = "  ".join(f"{name} {value}" for name, value in _fields(packet).items() if name != "data")
+    return f"{type(packet).__name__:<9} {piece.hex(' '):<17}  {words}".rstrip()
 
 
 def _name(robot: int) -> str:

@@ -155,12 +155,16 @@ def show_capture(
         Path | None, typer.Argument(metavar="DIR", help="a run directory, or its radio.pcapng")
     ] = None,
     robot: Annotated[
-        int | None, typer.Option(min=0, help="only frames that this robot sent or received")
+        int | None, typer.Option(min=0, metavar="N", help="only frames that this robot sent or received")
     ] = None,
-    kind: Annotated[str | None, typer.Option(help="only frames with packets of this kind, as em")] = None,
+    kind: Annotated[
+        str | None, typer.Option(metavar="KIND", help="only frames with packets of this kind, as look")
+    ] = None,
     step: Annotated[str | None, typer.Option(metavar="S|S-T", help="only these steps")] = None,
     refused: Annotated[bool, typer.Option("--refused", help="only frames that were not carried")] = False,
-    packets: Annotated[bool, typer.Option("--packets", help="list every packet with its fields")] = False,
+    packets: Annotated[
+        bool, typer.Option("--packets", help="list every packet with its bytes and fields")
+    ] = False,
     install_dissector: Annotated[
         bool,
         typer.Option(

@@ -8,11 +8,12 @@ from typing import Annotated
 import typer
 
 from deploy.commands.console import errors, progress, report_result, screen, speaking_clearly
-from deploy.commands.flags import JsonFlag, OutOption, ViewAs, family
+from deploy.commands.flags import JsonFlag, OutOption, Subcommands, ViewAs, family
 from deploy.scenario.scenario import load
 
 app = family()
 run_app = typer.Typer(
+    cls=Subcommands,
     no_args_is_help=True,
     rich_markup_mode=None,
     help="Start one process of a run by hand (see docs/several-terminals.md).",

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
 
 def family() -> typer.Typer:
@@ -48,6 +49,16 @@ def setting(name: str, kind: Any, metavar: str, group: str) -> Any:
     return Annotated[
         kind | None, typer.Option(flag, help=default(name), metavar=metavar, rich_help_panel=group)
     ]
+
+
+class Subcommands(TyperGroup):
+    """A command of commands, whose help says the first sentence of each to its end."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the list for help; what is longer than a line goes on in the next."""
+        with formatter.section("Commands"):
+            whole = [(name, self.commands[name]) for name in self.list_commands(ctx)]
+            formatter.write_dl([(name, each.get_short_help_str(sys.maxsize)) for name, each in whole])
 
 
 class GroupedCommand(TyperCommand):

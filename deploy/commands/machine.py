@@ -34,15 +34,19 @@ def bench(
     ] = None,
     robots: Annotated[
         list[int] | None,
-        typer.Option(min=1, max=256, help="a team size for scale and strategies; repeatable"),
+        typer.Option(min=1, max=256, metavar="N", help="a team size for scale and strategies; repeatable"),
     ] = None,
     maps: Annotated[
-        list[str] | None, typer.Option("--map", help="a map for strategies (default office); repeatable")
+        list[str] | None,
+        typer.Option("--map", metavar="FILE|NAME", help="a map for strategies (default office); repeatable"),
     ] = None,
     strategies: Annotated[
-        list[str] | None, typer.Option("--strategy", help="who competes (default: all); repeatable")
+        list[str] | None,
+        typer.Option("--strategy", metavar="NAME", help="who competes (default: all); repeatable"),
     ] = None,
-    seeds: Annotated[int, typer.Option(min=1, help="seeds of each map and team for strategies")] = 3,
+    seeds: Annotated[
+        int, typer.Option(min=1, metavar="N", help="seeds of each map and team for strategies")
+    ] = 3,
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -53,7 +57,7 @@ def bench(
         Path | None, typer.Option(metavar="FILE.png", help="draw the league table, or what scale measures")
     ] = None,
     jobs: Annotated[
-        int | None, typer.Option(min=1, help="processes for strategies (default: one a core)")
+        int | None, typer.Option(min=1, metavar="N", help="processes for strategies (default: one a core)")
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:

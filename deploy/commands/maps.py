@@ -9,10 +9,12 @@ import typer
 from rich.text import Text
 
 from deploy.commands.console import screen, speaking_clearly
-from deploy.commands.flags import family
+from deploy.commands.flags import Subcommands, family
 
 app = family()
-maps_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="List, make and show maps.")
+maps_app = typer.Typer(
+    cls=Subcommands, no_args_is_help=True, rich_markup_mode=None, help="List, make and show maps."
+)
 app.add_typer(maps_app, name="map")
 
 
@@ -30,7 +32,7 @@ def map_list() -> None:
 @maps_app.command("make")
 def map_make(
     name: Annotated[str, typer.Argument(metavar="NAME", help="a name from `murmur map list`")],
-    seed: Annotated[int, typer.Option(min=0, help="seed of the generator")] = 0,
+    seed: Annotated[int, typer.Option(min=0, metavar="S", help="seed of the generator")] = 0,
     out: Annotated[Path | None, typer.Option(metavar="FILE.yaml", help="default: NAME.yaml here")] = None,
 ) -> None:
     """Make a map and write it as ROS map_server reads it: a YAML file and its picture."""
@@ -49,7 +51,7 @@ def map_voronoi(
     files: Annotated[
         list[str], typer.Argument(metavar="FILE|NAME...", help="map files, or generators' names")
     ],
-    seed: Annotated[int, typer.Option(min=0, help="the generator's seed")] = 0,
+    seed: Annotated[int, typer.Option(min=0, metavar="S", help="the generator's seed")] = 0,
     png: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="draw the first map's diagram and contour there")
     ] = None,
@@ -87,7 +89,7 @@ def map_voronoi(
 @maps_app.command("show")
 def map_show(
     file: Annotated[str, typer.Argument(metavar="FILE|NAME", help="a map file, or a generator's name")],
-    seed: Annotated[int, typer.Option(min=0, help="the generator's seed")] = 0,
+    seed: Annotated[int, typer.Option(min=0, metavar="S", help="the generator's seed")] = 0,
     resolution: Annotated[
         float | None, typer.Option(metavar="M", help="metres a cell, of a generated map or a picture")
     ] = None,

@@ -9,11 +9,14 @@ from typing import Annotated
 import typer
 
 from deploy.commands.console import screen, speaking_clearly
-from deploy.commands.flags import family
+from deploy.commands.flags import Subcommands, family
 
 app = family()
 new_app = typer.Typer(
-    no_args_is_help=True, rich_markup_mode=None, help="Write the beginning of something of your own."
+    cls=Subcommands,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Write the beginning of something of your own.",
 )
 app.add_typer(new_app, name="new")
 

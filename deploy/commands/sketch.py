@@ -18,8 +18,8 @@ INK = {(2, 2): "█", (2, 1): "▀", (2, 0): "▀", (1, 2): "▄", (0, 2): "▄"
 def sketch(grid: Grid, console: Console) -> Text:
     """Draw a grid with half-block characters, as wide as `console`, in colours if it supports them."""
     scale = max(1, -(-grid.shape[1] // max(20, console.width - 1)))
-    rows, columns = grid.shape[0] // (2 * scale) * 2, grid.shape[1] // scale
-    blocks = grid[: rows * scale, : columns * scale].reshape(rows, scale, columns, scale)
+    whole = np.pad(grid, [(0, -grid.shape[0] % (2 * scale)), (0, -grid.shape[1] % scale)], mode="edge")
+    blocks = whole.reshape(whole.shape[0] // scale, scale, whole.shape[1] // scale, scale)
     solid = (blocks == OCCUPIED).any(axis=(1, 3))
     free = (blocks == FREE).any(axis=(1, 3))
     shade = np.where(solid, 2, np.where(free, 1, 0))

@@ -15,7 +15,7 @@ from deploy.commands.flags import family, named_values
 
 app = family()
 
-JobsOption = Annotated[int | None, typer.Option(min=1, help="processes (default: one per core)")]
+JobsOption = Annotated[int | None, typer.Option(min=1, metavar="N", help="processes (default: one per core)")]
 SchedulerOption = Annotated[
     str | None,
     typer.Option(

@@ -14,7 +14,7 @@ from deploy.commands import main
 from deploy.run.exploration import Result, explore
 from deploy.scenario.scenario import parse
 from netshaper.ledger import CAUSES
-from protocol.packets import ALL_KINDS
+from protocol.packets import ALL_KINDS, Offer, decode
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,10 @@ def test_people_read_a_line_a_frame_and_the_sums_below(run: Result) -> None:
     assert any(line.endswith("cut by budget") for line in lines)
     assert murmur(run.directory / "radio.pcapng", "--step", 1) == murmur(run.directory, "--step", 1)
     with_packets = murmur(run.directory, "--step", 1, "--packets").splitlines()
-    assert any(line.split()[:2] == ["conn", "Offer"] for line in with_packets)
+    told = next(line.split() for line in with_packets if line.split()[:2] == ["conn", "Offer"])
+    (offer,) = decode(bytes.fromhex("".join(told[2:4])))
+    assert isinstance(offer, Offer)
+    assert told[4:] == ["map", str(offer.map), "block", str(offer.block)]
 
 
 def test_a_capture_that_was_cut_off_is_shown_and_said_to_be(run: Result, tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from agent.once import Once
 from agent.outline.approximation import approximation, repair
 from agent.outline.claims import THESIS, Drawing, Drawn, draw_anew, layer
 from agent.outline.contour import contours
@@ -19,7 +20,6 @@ from agent.outline.draft import Draft, Outline
 from agent.outline.edits import Held, edit_script
 from agent.outline.merge import rendered
 from agent.outline.objects import symbols
-from agent.outline.once import Once
 from agent.outline.polygons import Polygons
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from agent.once import Once
 from agent.planning.cost_field import costs
 from agent.planning.occupancy import Terrain, weighted_costs
 from agent.planning.path_planner import PathPlanner
@@ -37,6 +38,18 @@ def test_weighted_costs_are_those_of_a_plain_search(case: tuple[Grid, int, int])
     slow = dijkstra(grid, x, y, terrain.weights)
     # Each of at most 200 steps is rounded to a 1024th of a cell.
     np.testing.assert_allclose(weighted_costs(terrain, x, y), slow, rtol=0, atol=0.1)
+
+
+@given(grids_with_a_cell(), grids_with_a_cell(), st.sampled_from(["shortest", "weighted"]))
+def test_planners_that_share_searches_find_what_each_would_alone(
+    one: tuple[Grid, int, int], other: tuple[Grid, int, int], kind: str
+) -> None:
+    once = Once()
+    for grid, x, y in (one, other, one):
+        start, goals = np.array([[x, y]], np.int32), np.argwhere(grid.T == FREE).astype(np.int32)[::5]
+        shared, alone = PathPlanner(grid, kind, once=once), PathPlanner(grid, kind)
+        np.testing.assert_equal(shared.costs_between(start, goals), alone.costs_between(start, goals))
+        np.testing.assert_equal(shared.costs_among(start, goals), alone.costs_among(start, goals))
 
 
 @given(grids_with_a_cell(), st.sampled_from(["shortest", "weighted"]))

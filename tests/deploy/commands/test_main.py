@@ -44,8 +44,9 @@ def test_help_ends_well_and_teaches(words: str) -> None:
         assert getattr(parameter, "help", None), f"{parameter.name} has no help"
         if isinstance(parameter, TyperOption):
             assert max(parameter.opts, key=len) in said
-    for inner in getattr(command, "commands", {}):
-        assert inner in said
+            assert parameter.is_flag or parameter.metavar, f"{parameter.name} shows a type of Python's"
+    for name, inner in getattr(command, "commands", {}).items():
+        assert f"{name} {inner.get_short_help_str(sys.maxsize)}" in said
 
 
 def test_the_first_help_says_how_to_begin_and_what_exit_codes_mean() -> None:

@@ -15,5 +15,8 @@ def test_maps_can_be_made_shown_and_explored(floor: str) -> None:
     assert {"█", " "} <= set(shown.stdout), "walls and rooms can be told apart without colours"
     assert Path("hall.png.png").exists()
     assert explore("hall.yaml", "--steps", "2").exit_code == 1
+    drawing = murmur("map", "show", "office").stdout.split("\n\n")[0].splitlines()
+    assert set(drawing[0] + drawing[-1]) <= set("█▀▄"), "the walls all around are there, whatever the scale"
+    assert {line[0] + line[-1] for line in drawing} == {"██"}
     listed = murmur("map", "list").stdout
     assert all(name in listed for name in generators.names())

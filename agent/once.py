@@ -1,8 +1,8 @@
 """What robots of one process would all work out alike, worked out once.
 
-Teammates that hear the same words of a map read the same, and the same cells of its drawing change. Where each robot
-has a process of its own, it works that out for itself; where all run in one, the first that comes to it does so for
-all. Nobody can tell by the results.
+Teammates that hear the same words of a map read the same, and the same cells of its drawing change; those that have
+the same planning grid find the same ways on it. Where each robot has a process of its own, it works that out for
+itself; where all run in one, the first that comes to it does so for all. Nobody can tell by the results.
 """
 
 from __future__ import annotations

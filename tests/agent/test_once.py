@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from agent.outline.once import ALONE, Once
+from agent.once import ALONE, Once
 
 
 def test_who_shares_works_a_thing_out_once() -> None:
