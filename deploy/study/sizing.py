@@ -219,11 +219,11 @@ def _options(done: Sweep, within: int | None, agreement: float) -> list[Option]:
         teams.setdefault(size, []).append(case)
     options = []
     for _, cases in sorted(teams.items()):
-        team = [cases[0].place[key] for key in KEYS]
-        runs = [row for row in done.rows if [row["place"][key] for key in KEYS] == team]
+        team = {key: cases[0].place[key] for key in KEYS}
+        runs = [row for row in done.rows if team.items() <= row["place"].items()]
         met = sum(_meets(row, within, agreement) for row in runs)
         steps = interval([row["steps"] for row in runs if has_finished(row)])
-        options.append(Option(*team, share(met, len(cases)), steps))
+        options.append(Option(**team, met=share(met, len(cases)), steps=steps))
     return options
 
 
