@@ -38,13 +38,17 @@ from protocol.messages import (
     Watched,
     pack,
 )
+from protocol.packets import Held, Offer, Passed, Target
 from protocol.rights import BABBLES, MOST_NONSENSE
 
 ENDED = "its process ended"
 """Why a robot is lost that has left the bus."""
 
 LEAST_FRAME, MOST_FRAME = 64, 1 << 24
-"""Bytes of a frame that are taken from a robot besides the budget; and where there is none."""
+"""Bytes of a frame that are taken from a robot besides the budget, at least; and where there is none."""
+
+BESIDES = Held.size + Offer.size + Passed.size + Target.size
+"""Bytes that may be said of a map, or of where its robot is, whatever room there is."""
 
 
 class RelayNode:
@@ -62,8 +66,7 @@ class RelayNode:
         self._radio = radio(settings)
         self._captures = captures
         robots = self._robots = [names.robot(number) for number in range(settings.robots)]
-        self._most_bytes = MOST_FRAME if settings.budget == UNLIMITED else settings.budget + LEAST_FRAME
-        """Of a frame: what is longer is not looked at."""
+        self._besides = max(LEAST_FRAME, settings.maps * BESIDES)
         self._hears_at = [keys.radio_rx(robot, names.RELAY) for robot in robots]
         self._expected = {names.WORLD, names.LAB, *robots}
         self._present: set[str] = set()
@@ -72,6 +75,12 @@ class RelayNode:
         self._ended = False
         self._nonsense: Counter[str] = Counter()
         """How often each participant has made no sense in this step."""
+
+    @property
+    def _most_bytes(self) -> int:
+        """Of a frame: what is longer is not looked at."""
+        budget = self._radio.settings.budget
+        return MOST_FRAME if budget == UNLIMITED else budget + self._besides
 
     def missing(self) -> list[str]:
         """Participants that have not joined yet; empty once the run has begun."""

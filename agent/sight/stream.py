@@ -156,7 +156,7 @@ class Stream:
         is how many of `poses` have been told of, is all, then `own` follows from the stream in every cell once the
         unit is read; else only what these show.
         """
-        room = _ROOM
+        room, last = _ROOM, (self._before, self._overwritten)
         while True:
             state, data = writer(room)
             self._begin()
@@ -167,6 +167,7 @@ class Stream:
                 continue
             if told is None:
                 self.undo()
+                self._before, self._overwritten = last
                 return None
             message = written(state, data)
             return message, self._add(told, message), looks

@@ -66,6 +66,8 @@ class LocalPool:
                         while waiting and len(running) < self._jobs:
                             running[pool.submit(run, waiting[0])] = waiting[0]
                             waiting.popleft()
+                    if not running:
+                        break  # a process died that had no run: on with a new pool
                     over, _ = wait(running, return_when=FIRST_COMPLETED)
                     broken = False
                     for future in over:

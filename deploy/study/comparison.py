@@ -188,7 +188,9 @@ def _sentence(figure: str, finding: Finding) -> str:
     if not effect.n:
         return f"{one} and {other}: no two runs to compare"
     bounds = "" if effect.low != effect.low else f" [{effect.low:.2f}, {effect.high:.2f}]"
-    pairs = f"{effect.n} pairs" + (f", {finding.left_out} left out as unfinished" if finding.left_out else "")
+    pairs = f"{effect.n} pairs" + (
+        f", {finding.left_out} left out as unfinished or 0" if finding.left_out else ""
+    )
     told = f"{effect.mean:.2f}{bounds} of its {figure} (p = {finding.p:.3g}, {pairs})"
     if finding.verdict == UNDECIDED:
         return f"{one} and {other} cannot be told apart: {one} has {told}"

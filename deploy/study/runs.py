@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from agent.exchange.catalogue import exchange_kind
 from agent.strategies.registry import strategy
 from deploy.record.versions import versions
 from deploy.run.workers import Workers
@@ -46,7 +47,7 @@ SPOT_CHECKS = 3
 
 MAKERS = (
     "agent", "netshaper", "protocol", "worldsim", "deploy/scenario", "deploy/record", "deploy/run",
-    "deploy/study/measures.py", "deploy/study/runs.py",
+    "deploy/study/measures.py", "deploy/study/recovery.py", "deploy/study/runs.py", "deploy/study/voronoi.py",
 )  # fmt: skip
 """The sources that a run's figures come from."""
 
@@ -264,8 +265,9 @@ def identity(scenario: Scenario, measure: str, world: bytes) -> str:
 
 
 def code_of(scenario: Scenario) -> str:
-    """Sha256 over what runs it: versions, our sources, and the strategy's."""
-    return hashlib.sha256(f"{_versions()} {_sources()} {_strategy(scenario.strategy)}".encode()).hexdigest()
+    """Sha256 over what runs it: versions, our sources, the strategy's and the exchange's."""
+    theirs = f"{_strategy(scenario.strategy)} {_exchange(scenario.exchange)}"
+    return hashlib.sha256(f"{_versions()} {_sources()} {theirs}".encode()).hexdigest()
 
 
 @cache
@@ -280,13 +282,19 @@ def _strategy(name: str) -> str:
 
 
 @cache
+def _exchange(name: str) -> str:
+    """The source of an exchange, likewise."""
+    return inspect.getsource(sys.modules[exchange_kind(name).__module__])
+
+
+@cache
 def _sources() -> str:
     """Sha256 of the sources."""
     total = hashlib.sha256()
     root = Path(__file__).parents[2]
     for name in MAKERS:
         path = root / name
-        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
+        for file in sorted([*path.rglob("*.py"), *path.rglob("*.npz")]) if path.is_dir() else [path]:
             total.update(file.read_bytes())
     return total.hexdigest()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,9 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
+from deploy.scenario.plan import load_map
+from deploy.scenario.tables import UNLIMITED
 from deploy.study import plots
 from deploy.study.plots import Plot
 from deploy.study.results import Row, write_table
+from deploy.study.runs import Case
 from deploy.study.statistics import Interval, interval, share
 from deploy.study.sweep import Sweep, of_settings, run
 from deploy.study.tables import has_finished
@@ -34,7 +38,7 @@ class Option:
     robots, bandwidth, range
         Its settings.
     met : Interval
-        What share of its runs explored in time and with a map that is good enough (Wilson).
+        What share of its runs explored in time and with a map that is good enough (Wilson); a run that failed did not.
     steps : Interval
         Steps of those that finished.
     """
@@ -70,7 +74,7 @@ class Sizing:
     @property
     def enough(self) -> Option | None:
         """The smallest team, then bandwidth, then range, of which all runs met what was asked."""
-        return next((option for option in self.options if option.met.n and option.met.mean == 1), None)
+        return next((option for option in self.options if option.met.mean == 1), None)
 
     @property
     def sentence(self) -> str:
@@ -86,9 +90,9 @@ class Sizing:
                 f"{self._map} {asked}: in {_steps(best.steps)}, {n} of {n} runs (so in at least "
                 f"{100 * best.met.low:.0f} % of all, with 95 % confidence)."
             )
-        nearest = max(self.options, key=lambda option: (option.met.mean, -option.steps.mean), default=None)
-        if nearest is None or not nearest.met.n:
-            return "No run has ended."
+        nearest = min(
+            self.options, key=lambda option: (-option.met.mean, not option.steps.n, option.steps.mean)
+        )
         met = round(nearest.met.mean * nearest.met.n)
         return (
             f"None of these teams always explores {self._map} {asked}; nearest come {_count(nearest.robots)} with "
@@ -180,7 +184,7 @@ def size(
     """
     grid: dict[str, list[Any]] = {
         "robots": sorted(robots),
-        "bandwidth": sorted(bandwidth, key=lambda b: float("inf") if isinstance(b, str) else b),
+        "bandwidth": sorted(bandwidth, key=lambda b: math.inf if isinstance(b, str) else b),
         "range": list(range),
         "seed": list(_counted(seeds)),
     }
@@ -194,25 +198,32 @@ def size(
         ylabel="exploration time (steps)",
     )
     done = run(made.with_plots((plot,)), jobs=jobs, scheduler=scheduler, out=out, progress=progress)
-    return Sizing(done, _options(done.rows, grid, within, agreement), within, agreement)
+    return Sizing(done, _options(done, within, agreement), within, agreement)
 
 
 _counted = range
 """Python's own; `size` has a setting of that name."""
 
 
-def _options(
-    rows: Sequence[Row], grid: dict[str, list[Any]], within: int | None, agreement: float
-) -> list[Option]:
+def _options(done: Sweep, within: int | None, agreement: float) -> list[Option]:
+    """What came of each team that was tried, in their order."""
+    diagonal_m = load_map(done.cases[0].scenario).diagonal_m
+    teams: dict[tuple[int, float, float], list[Case]] = {}
+    for case in done.cases:
+        asked = case.scenario
+        size = (
+            asked.robots,
+            math.inf if asked.bandwidth == UNLIMITED else float(asked.bandwidth),
+            asked.range_m(diagonal_m),
+        )
+        teams.setdefault(size, []).append(case)
     options = []
-    for robots in grid["robots"]:
-        for bandwidth in grid["bandwidth"]:
-            for reach in grid["range"]:
-                here = dict(zip(KEYS, (robots, bandwidth, reach), strict=True))
-                runs = [row for row in rows if here.items() <= row["place"].items()]
-                met = sum(_meets(row, within, agreement) for row in runs)
-                steps = interval([row["steps"] for row in runs if has_finished(row)])
-                options.append(Option(robots, bandwidth, reach, share(met, len(runs)), steps))
+    for _, cases in sorted(teams.items()):
+        team = {key: cases[0].place[key] for key in KEYS}
+        runs = [row for row in done.rows if team.items() <= row["place"].items()]
+        met = sum(_meets(row, within, agreement) for row in runs)
+        steps = interval([row["steps"] for row in runs if has_finished(row)])
+        options.append(Option(**team, met=share(met, len(cases)), steps=steps))
     return options
 
 

@@ -38,7 +38,7 @@ from protocol.messages import (
     pack,
     unpack,
 )
-from protocol.packets import Offer, Target, encode
+from protocol.packets import Offer, Passed, Pose, Target, encode
 from protocol.rights import MOST_NONSENSE
 
 KEYS = Keys("relay")
@@ -339,6 +339,17 @@ def test_a_frame_longer_than_could_be_carried_is_reported_and_not_looked_at() ->
     assert run.relay.waiting_for() == [0, 1]
     (report,) = run.finish_step()
     assert report.rows == b""
+
+
+def test_where_everybody_is_said_to_be_may_be_longer_than_could_be_carried() -> None:
+    run = Run(robots=40, budget=150)
+    run.begin_step()
+    said = encode(
+        [Pose(1, 1, 0), *(packet for r in range(1, 40) for packet in (Passed(r, 1, 2, 2), Target(3, 3)))]
+    )
+    run.say("r0", Said(1, 0, "offers", [], 0, [-1], [said]))
+    assert run.heard(LAB) == []
+    assert 0 not in run.relay.waiting_for()
 
 
 def test_who_says_more_frames_in_a_phase_than_there_can_be_connections_again_and_again_is_given_up() -> None:

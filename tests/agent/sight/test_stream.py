@@ -296,6 +296,24 @@ def test_a_unit_has_so_many_looks_at_most_and_what_is_left_can_be_told_in_the_ne
     assert (hearer.grids[0] & STATE).tolist() == own.tolist()
 
 
+def test_where_nothing_is_left_to_tell_the_unit_before_can_still_be_taken_back() -> None:
+    own = np.full((1, 500), FREE, np.uint8)
+    stream = Group((1, 500), team=False, ranges=(3.0,)).streams[0]
+    poses = [(x, 0) for x in (3, 7, *range(12, 7 * MAX_LOOKS, 7))][:MAX_LOOKS]
+    poses.append((4, 0))  # from there nothing is to be seen that is not from one of the others
+    own[0, poses[-2][0] + 4 :] = UNKNOWN
+    unit = stream.encode(own, poses, (0, 0, 500, 1))
+    assert unit is not None
+    assert unit[2] == MAX_LOOKS
+    assert stream.encode(own, poses[MAX_LOOKS:], (0, 0, 500, 1)) is None
+    stream.undo()
+    assert not stream.grid.any()
+    stream.histories[0].pop()
+    again = stream.encode(own, poses, (0, 0, 500, 1))
+    assert again is not None
+    assert again[0] == unit[0]
+
+
 @given(seeds, st.integers(1, 40))
 def test_what_a_short_unit_has_no_room_for_is_told_in_the_next_ones(seed: int, most: int) -> None:
     scene = Scene.drawn(seed)

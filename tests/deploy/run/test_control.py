@@ -63,6 +63,15 @@ def test_a_run_that_was_meddled_with_repeats_from_its_scenario(more: dict[str, A
     assert untouched.summary["digest"] != result.summary["digest"]
 
 
+@pytest.mark.parametrize("wider", ["unlimited", 5000])
+def test_a_radio_that_becomes_wider_is_used_and_nobody_is_lost_for_it(wider: str | int) -> None:
+    change = [{"step": 20, "bandwidth": wider}]
+    settings = {"exchange": "laser", "offers": "gossip", "bandwidth": 6, "change": change}
+    result = explore(parse(SETTINGS | settings), keep=False)
+    assert result.summary["lost"] == {}
+    assert carried(result)[:20].max() <= 6 and carried(result)[20:].max() > 200
+
+
 def test_a_pause_holds_the_run_steps_are_counted_and_what_was_done_is_kept(tmp_path: Path) -> None:
     control, seen = Control(), []
 

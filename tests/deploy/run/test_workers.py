@@ -59,6 +59,22 @@ def test_a_process_that_dies_is_told_of_its_own_run_only() -> None:
     assert outcomes == dict(zip(numbers(1, 2, 3, 4), (1, DIED, 9, 16), strict=True))
 
 
+def process(number: Number) -> int:
+    del number
+    return os.getpid()
+
+
+def test_a_process_that_dies_between_two_runs_costs_none() -> None:
+    outcomes = []
+    for _, worker in LocalPool(1).each(numbers(1, 2), process):
+        outcomes.append(worker)
+        (child,) = multiprocessing.active_children()
+        os.kill(worker, signal.SIGKILL)
+        child.join()
+        time.sleep(0.5)
+    assert len(set(outcomes)) == 2
+
+
 def test_who_takes_no_more_outcomes_ends_the_others_at_once() -> None:
     began = time.monotonic()
     outcomes = LocalPool(2).each(numbers(1, 2, 3, 4), waits_unless_it_is_1)

@@ -10,7 +10,7 @@ import polars as pl
 import pytest
 
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.scenario import ScenarioError, parse
 from deploy.study import experiment as experiments
 from deploy.study import measures, runs
 from deploy.study.results import Results
@@ -101,6 +101,22 @@ def test_runs_of_other_code_are_made_again_unless_they_are_taken(
         assert len(us.made) == 2
         runs.make(todo, results, us)
         assert len(us.made) == 4 and len(results.frame) == 2
+
+
+def test_an_exchange_of_one_s_own_is_part_of_the_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    silent = (
+        "from agent.exchange.none import NoExchange\n\n\nclass Silent(NoExchange):\n    name = 'silent'\n"
+    )
+    for module, more in (("first_silent", ""), ("second_silent", "    loud = False\n")):
+        (tmp_path / f"{module}.py").write_text(silent + more)
+    monkeypatch.syspath_prepend(tmp_path)
+    codes = {
+        runs.code_of(parse({"exchange": exchange}))
+        for exchange in ("none", "first_silent:Silent", "second_silent:Silent")
+    }
+    assert len(codes) == 3
 
 
 def test_runs_of_other_code_are_taken_by_their_settings_where_there_are_more_of_these_now(

@@ -83,7 +83,8 @@ def test_comparisons_that_make_no_sense_are_refused(scenarios: Any, settings: An
 def test_the_smallest_team_that_is_enough_is_named(tmp_path: Path) -> None:
     settings = {name: value for name, value in ROOMS.items() if name not in ("map", "robots", "bandwidth")}
     tried = {"robots": [3, 1], "bandwidth": ["unlimited", 100], "range": ["100%"], "seeds": 2}
-    done = size("leader-rooms", within=45, **tried, **settings, **QUIET)
+    out = tmp_path / "runs.parquet"
+    done = size("leader-rooms", within=45, out=out, **tried, **settings, **QUIET)
     assert [(o.robots, o.bandwidth) for o in done.options] == [
         (1, 100),
         (1, "unlimited"),
@@ -97,10 +98,28 @@ def test_the_smallest_team_that_is_enough_is_named(tmp_path: Path) -> None:
     )
     assert [file.name for file in done.write(tmp_path)] == ["size.png", "size.csv"]
     assert "<img" in done._repr_html_()
-    never = size("leader-rooms", within=3, **tried, **settings, **QUIET)
+    never = size("leader-rooms", within=3, out=out, **tried, **settings, **QUIET)
     assert never.enough is None and never.sentence.startswith(
         "None of these teams always explores leader-rooms"
     )
+    is_one_of_three = (pl.col("robots") == 3) & (pl.col("seed") == 1)
+    spoilt = pl.when(is_one_of_three).then(pl.lit("it broke")).otherwise(pl.col("error")).alias("error")
+    pl.read_parquet(out).with_columns(spoilt).write_parquet(out)
+    broken = size("leader-rooms", within=45, out=out, **tried, **settings, **QUIET)
+    assert broken.enough is None and ": 1 of 2 runs, in " in broken.sentence
+
+
+def test_ranges_are_tried_from_the_shortest_and_the_nearest_team_is_one_that_has_finished() -> None:
+    settings = {name: value for name, value in ROOMS.items() if name not in ("map", "robots", "bandwidth")}
+    tried = {"robots": [1, 3], "bandwidth": ["unlimited"], "range": ["100%", "9"], "seeds": 1, "steps": 36}
+    done = size("leader-rooms", within=3, **tried, **settings, **QUIET)
+    assert [(o.robots, o.range, o.steps.n) for o in done.options] == [
+        (1, "9", 0),
+        (1, "100%", 0),
+        (3, "9", 1),
+        (3, "100%", 1),
+    ]
+    assert "nearest come 3 robots with unlimited bandwidth" in done.sentence
 
 
 def test_all_of_it_is_exported() -> None:
