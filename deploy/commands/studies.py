@@ -51,7 +51,11 @@ def sweep(
     quick: Annotated[bool, typer.Option("--quick", help="only what the file's [quick] says")] = False,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.parquet", help="the table of runs; those already in it are not repeated"),
+        typer.Option(
+            metavar="FILE.parquet",
+            callback=to_be_written(".parquet"),
+            help="the table of runs; those already in it are not repeated",
+        ),
     ] = None,
     table: Annotated[
         Path | None,

@@ -56,6 +56,7 @@ class LocalPool:
         self, todo: Sequence[Case], run: Callable[[Case], Outcome]
     ) -> Iterator[tuple[Case, Outcome | str]]:
         """Yield each case with its outcome."""
+        _heed_ctrl_c()
         waiting = deque(todo)
         while waiting:
             suspects = []
@@ -130,6 +131,7 @@ class Cluster:
         """Yield each case with its outcome."""
         from distributed import as_completed  # noqa: PLC0415
 
+        _heed_ctrl_c()
         asked = {
             self._client.submit(
                 _one_at_a_time, run, case, key=f"{case.key}-{os.getpid()}-{id(todo)}", pure=False
@@ -156,6 +158,11 @@ class Cluster:
 def workers(jobs: int | None, scheduler: str | None) -> Workers:
     """A cluster's workers if its scheduler's address is given, else `jobs` processes here, one per core if None."""
     return LocalPool(jobs or os.cpu_count() or 1) if scheduler is None else Cluster(scheduler)
+
+
+def _heed_ctrl_c() -> None:
+    """Have Ctrl-C end waiting for runs at once; polars, once imported, has the system wait on until one is over."""
+    signal.siginterrupt(signal.SIGINT, True)
 
 
 _TURN = threading.Lock()

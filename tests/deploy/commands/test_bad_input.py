@@ -196,6 +196,8 @@ OTHERS = {
     "size --robots 0..2": "robots = 0: must be greater than or equal to 1",
     "sweep lossy.toml --scheduler foo": "scheduler = 'foo': must be its address, as tcp://10.0.0.1:8786",
     "sweep lossy.toml --plot nowhere/x.png": "Invalid value for '--plot': nowhere/x.png: there is no folder nowhere",
+    "sweep lossy.toml --out runs.csv": "Invalid value for '--out': runs.csv must end in .parquet",
+    "chaos --out file": "out = file: is a file; name a folder for the scenarios of failures",
     "sweep lossy.toml --table x.txt": "Invalid value for '--table': x.txt must end in .csv or .parquet",
     "replay missing": "missing: no run directory, for it has no scenario.toml",
     "replay half": "half: no readable summary.json",
