@@ -11,6 +11,8 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from deploy.commands.console import BAD_INPUT, fail
+
 
 def family() -> typer.Typer:
     """The commands of one file, for `deploy.commands.main` to find by name."""
@@ -31,14 +33,14 @@ def preformatted(text: str) -> str:
     return text.replace("\n\n", "\n\n\b\n")
 
 
-def to_be_written(*suffixes: str) -> Callable[[Path | None], Path | None]:
+def to_be_written(*suffixes: str) -> Callable[[typer.CallbackParam, Path | None], Path | None]:
     """The check of a flag that names a file to be written: how it ends, and that its folder is there."""
 
-    def checked(path: Path | None) -> Path | None:
+    def checked(flag: typer.CallbackParam, path: Path | None) -> Path | None:
         if path is not None and path.suffix not in suffixes:
-            raise typer.BadParameter(f"{path} must end in {' or '.join(suffixes)}")
+            fail(f"{flag.name} = {path}: must end in {' or '.join(suffixes)}", BAD_INPUT)
         if path is not None and not path.parent.is_dir():
-            raise typer.BadParameter(f"{path}: there is no folder {path.parent}")
+            fail(f"{flag.name} = {path}: there is no folder {path.parent}", BAD_INPUT)
         return path
 
     return checked

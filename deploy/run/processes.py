@@ -197,7 +197,10 @@ def in_background(name: str, log: Path, serve: Callable[..., None], *args: objec
     setproctitle(f"murmur {name}")
     orphans.end_with_launcher()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    try:
+        file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    except FileNotFoundError:
+        sys.exit(BROKEN_OFF)  # the launcher has gone, and taken the folder with it
     os.dup2(file, 1)
     os.dup2(file, 2)
     try:
