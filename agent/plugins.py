@@ -9,6 +9,7 @@ A package offers its own under the names that scenarios give::
 from __future__ import annotations
 
 import importlib
+import inspect
 import sys
 import traceback
 from collections.abc import Mapping
@@ -89,7 +90,7 @@ class Plugins(Generic[Base]):
         where = f"{self.what} {point.name!r} of package {package(point)}"
         try:
             kind = point.load()
-        except Exception:  # another's code may raise anything; its traceback tells
+        except (Exception, SystemExit):  # another's code may raise anything; its traceback tells
             raise ValueError(f"{where} cannot be imported:\n{_own_traceback()}") from None
         checked = self._checked(kind, where, point.value)
         own: Any = vars(checked)["name"]
@@ -101,6 +102,8 @@ class Plugins(Generic[Base]):
 
     def _imported(self, name: str) -> type[Base]:
         module_name, _, class_name = name.partition(":")
+        if not module_name or not class_name:
+            raise ValueError(f"{self.what} {name!r}: must be package.module:Class")
         here = str(Path.cwd())
         if here not in sys.path:
             sys.path.append(here)  # last: a file here that is called as one of ours hides nothing
@@ -112,7 +115,7 @@ class Plugins(Generic[Base]):
             raise ValueError(
                 f"{self.what} {name!r}: {error}; a module is looked for in this folder and on PYTHONPATH"
             ) from None
-        except Exception:  # as above
+        except (Exception, SystemExit):  # as above
             raise ValueError(f"{self.what} {name!r} cannot be imported:\n{_own_traceback()}") from None
         if not hasattr(module, class_name):
             there = [each for each, kind in vars(module).items() if self._is_one(kind)]
@@ -128,6 +131,11 @@ class Plugins(Generic[Base]):
         if not self._is_one(kind):
             base = f"{self.base.__module__}.{self.base.__name__}"
             raise ValueError(f"{where}: {named} is no subclass of {base} with a name")
+        lacks = [
+            name for name, each in inspect.getmembers(kind) if getattr(each, "__isabstractmethod__", False)
+        ]
+        if lacks:
+            raise ValueError(f"{where}: {named} leaves out what it must define: {', '.join(lacks)}")
         return cast("type[Base]", kind)
 
 

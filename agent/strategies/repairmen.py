@@ -61,6 +61,9 @@ NEAR = 3 / 10
 REMAINS = 1 / 20
 """Of ways within that distance this much counts: of two goals in one neighbourhood the nearer comes first."""
 
+LONE_LOYALTY = 1 / 4
+"""How loyal to its last target a robot without teammates is, of what a team's is."""
+
 MOST = 48
 """Goals of a plan, more or less: ways between all pairs of them are searched in every step."""
 
@@ -226,14 +229,12 @@ class Repairmen(TeamStrategy):
         """With which goal the tour of each robot begins; of a robot without teammates the shortest tour."""
         del planner
         range_cells = self.settings.scale_cells
-        near = NEAR * range_cells
-        ways, between = (
-            np.maximum(costs - near, REMAINS * costs)
-            for costs in (self._loyal(table, situation), self._between)
-        )
+        loyal = self._loyal(table, situation)
         if self.settings.robots == 1:
-            self._tour = lone_tour(ways[0], between)
+            self._tour = lone_tour(loyal[0], self._between)
             return np.array((self._tour or [-1])[:1])
+        near = NEAR * range_cells
+        ways, between = (np.maximum(costs - near, REMAINS * costs) for costs in (loyal, self._between))
         promised = promise(situation.grid, table.goals, self._lengths, range_cells)
         worth = np.minimum(promised / PLENTY, 1.0)
         tours = team_tours(
@@ -250,6 +251,7 @@ class Repairmen(TeamStrategy):
     def _loyal(self, table: Table, situation: Situation) -> NDArray[np.float64]:
         """The ways to all goals, a little shorter to what is left of each robot's last target."""
         range_cells = self.settings.scale_cells
+        loyalty = self.options.loyalty * (LONE_LOYALTY if self.settings.robots == 1 else 1.0)
         ways = table.costs.copy()
         for way, robot in zip(ways, table.robots, strict=True):
             target = self.target if robot == self.settings.robot else situation.targets.get(robot)
@@ -257,7 +259,7 @@ class Repairmen(TeamStrategy):
                 gap = np.abs(table.goals - target).max(axis=1)
                 nearest = int(np.argmin(gap))
                 if gap[nearest] <= SAME * range_cells:
-                    way[nearest] = max(0.0, way[nearest] - self.options.loyalty * range_cells)
+                    way[nearest] = max(0.0, way[nearest] - loyalty * range_cells)
         return ways
 
 

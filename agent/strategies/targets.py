@@ -124,7 +124,10 @@ class TargetStrategy(Strategy):
 
     @abstractmethod
     def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
-        """Choose one of `goals`, at least one cell (x, y), shape (n, 2); None leaves them to others."""
+        """Choose one of `goals`, at least one cell (x, y), shape (n, 2); None leaves them to others.
+
+        What is none of the goals is refused.
+        """
 
     def is_due(self, situation: Situation) -> bool:
         """Whether it is time to choose; at all times while there is no target."""
@@ -214,7 +217,13 @@ class TargetStrategy(Strategy):
     def select(self, situation: Situation, planner: PathPlanner) -> tuple[Cell | None, bool]:
         """Choose one of all goals, as `choose` has it; and whether there are any."""
         goals = self.goals(situation, planner)
-        return (self.choose(situation, goals, planner) if len(goals) else None), len(goals) > 0
+        chosen = self.choose(situation, goals, planner) if len(goals) else None
+        if chosen is None:
+            return None, len(goals) > 0
+        x, y = map(int, chosen)
+        if not ((goals[:, 0] == x) & (goals[:, 1] == y)).any():
+            raise ValueError(f"strategy {self.name} chose {x, y}, which is none of its goals")
+        return (x, y), True
 
     def stand(self, situation: Situation, planner: PathPlanner) -> Cell | None:
         """Where to drive for the target: there itself."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.record import run_directory
+from deploy.record.columns import FILES
 from deploy.record.snapshots import SNAPSHOTS, Snapshots
 from deploy.record.summary import budgets
 from deploy.run.repeat import maps_over_time, why_unrepeatable
@@ -85,9 +86,14 @@ class Archive:
         if kept.is_file():
             return Snapshots.read(kept)
         if reason := why_unrepeatable(self.summary):
-            tell(f"No maps over time: none were kept (--pictures), and the run cannot be repeated: {reason}.")
+            tell(
+                "No maps over time: none were kept (murmur explore --pictures does), and the run cannot be "
+                f"repeated: {reason}."
+            )
             return None
-        tell("No maps over time were kept (--pictures); the run is repeated in memory to get them.")
+        tell(
+            "No maps over time were kept (murmur explore --pictures does); the run is repeated in memory to get them."
+        )
         snapshots = maps_over_time(self.plan, self.summary["digest"])
         if snapshots is None:
             tell("No maps over time: the repeated run differs here (murmur replay says more).")
@@ -101,7 +107,21 @@ def read(directory: Path) -> Archive:
     for name in (run_directory.STEPS, run_directory.LEDGER):
         if not (directory / name).is_file():
             raise ScenarioError(f"{directory}: {name} is missing, so there is nothing to tell of this run")
+        _check_columns(directory / name)
     return Archive(directory, plan, summary)
+
+
+def _check_columns(path: Path) -> None:
+    """ScenarioError if a table of a run cannot be read, or lacks a column that such tables have."""
+    from pyarrow import ArrowInvalid, parquet  # noqa: PLC0415  as below
+
+    try:
+        there = parquet.read_schema(path).names
+    except ArrowInvalid as error:
+        raise ScenarioError(f"{path}: is not a whole table ({error})") from None
+    lacking = [column.name for column in FILES[path.name] if column.name not in there]
+    if lacking:
+        raise ScenarioError(f"{path}: is not that of a run, for it has no {', '.join(lacking)}")
 
 
 def _read_table(path: Path) -> Table:

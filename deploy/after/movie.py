@@ -81,6 +81,10 @@ def write_movie(
         raise MovieError("films need the package imageio-ffmpeg: pip install 'murmur-robots[film]'")
     if not 0.1 <= rate <= 120:
         raise MovieError(f"rate = {rate:g}: must be 0.1 to 120 steps a second")
+    if out is not None and out.suffix not in ("", suffix):
+        raise MovieError(f"out = {out}: must end in {suffix}, or take the other of --mp4 and --gif")
+    if out is not None and not out.parent.is_dir():
+        raise MovieError(f"out = {out}: there is no folder {out.parent}")
     path = out or directories[0] / "-".join(["movie", *(each.name for each in directories[1:])])
     path = path if path.suffix == suffix else path.with_name(path.name + suffix)
     archives = [read(each) for each in directories]

@@ -122,15 +122,14 @@ def write_report(
     ScenarioError
         One is no run directory, or too little came of the run.
     """
-    archive = read(directory)
+    archive, another = read(directory), read(other) if other is not None else None
     snapshots = archive.snapshots(tell)
-    if other is None:
+    if other is None or another is None:
         figures = write_figures(archive, directory / run_directory.PICTURES, snapshots)
         if (directory / run_directory.PICTURE).is_file():
             figures.append(directory / run_directory.PICTURE)
         path, text = directory / REPORT, page(archive, snapshots, figures)
     else:
-        another = read(other)
         path = directory / f"compared-with-{other.resolve().name}.html"
         text = comparison({directory: (archive, snapshots), other: (another, another.snapshots(tell))})
     write_whole(path, lambda file: file.write(text.encode()))

@@ -40,6 +40,8 @@ def chaos(
     failed: list[Verdict] = []
     steps, wall_s, again, least = 0, 0.0, 0, 1.0
     with speaking_clearly():
+        if out.exists() and not out.is_dir():
+            raise ValueError(f"out = {out}: is a file; name a folder for the scenarios of failures")
         with counting(errors, "chaos") as tell:
             for done, verdict in enumerate(storms.storms(seed, runs), 1):
                 steps, wall_s = steps + verdict.steps, wall_s + verdict.wall_s

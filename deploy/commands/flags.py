@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -28,6 +29,19 @@ def default(name: str) -> str:
 def preformatted(text: str) -> str:
     """Text whose line breaks help keeps."""
     return text.replace("\n\n", "\n\n\b\n")
+
+
+def to_be_written(*suffixes: str) -> Callable[[Path | None], Path | None]:
+    """The check of a flag that names a file to be written: how it ends, and that its folder is there."""
+
+    def checked(path: Path | None) -> Path | None:
+        if path is not None and path.suffix not in suffixes:
+            raise typer.BadParameter(f"{path} must end in {' or '.join(suffixes)}")
+        if path is not None and not path.parent.is_dir():
+            raise typer.BadParameter(f"{path}: there is no folder {path.parent}")
+        return path
+
+    return checked
 
 
 ScenarioFile = Annotated[

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from deploy.commands.console import errors, screen, speaking_clearly
-from deploy.commands.flags import JsonFlag, family, named_values
+from deploy.commands.flags import JsonFlag, family, named_values, to_be_written
 
 app = family()
 
@@ -54,7 +54,12 @@ def bench(
         ),
     ] = None,
     picture: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="draw the league table, or what scale measures")
+        Path | None,
+        typer.Option(
+            metavar="FILE.png",
+            callback=to_be_written(".png"),
+            help="draw the league table, or what scale measures",
+        ),
     ] = None,
     jobs: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="processes for strategies (default: one a core)")

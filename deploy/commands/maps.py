@@ -9,7 +9,7 @@ import typer
 from rich.text import Text
 
 from deploy.commands.console import screen, speaking_clearly
-from deploy.commands.flags import Subcommands, family
+from deploy.commands.flags import Subcommands, family, to_be_written
 
 app = family()
 maps_app = typer.Typer(
@@ -53,7 +53,12 @@ def map_voronoi(
     ],
     seed: Annotated[int, typer.Option(min=0, metavar="S", help="the generator's seed")] = 0,
     png: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="draw the first map's diagram and contour there")
+        Path | None,
+        typer.Option(
+            metavar="FILE.png",
+            callback=to_be_written(".png"),
+            help="draw the first map's diagram and contour there",
+        ),
     ] = None,
 ) -> None:
     """Compare maps' Voronoi diagrams with their contours, in pixels, before and after smoothing.
@@ -93,7 +98,10 @@ def map_show(
     resolution: Annotated[
         float | None, typer.Option(metavar="M", help="metres a cell, of a generated map or a picture")
     ] = None,
-    png: Annotated[Path | None, typer.Option(metavar="FILE.png", help="draw it there, with metres")] = None,
+    png: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.png", callback=to_be_written(".png"), help="draw it there, with metres"),
+    ] = None,
 ) -> None:
     """Show a map in the terminal, with its figures."""
     from deploy.commands.sketch import sketch  # noqa: PLC0415

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import keyword
 from pathlib import Path
 from typing import Annotated
@@ -74,6 +75,11 @@ def new_strategy(
         module = name.replace("-", "_")
         if not module.isidentifier() or keyword.iskeyword(module) or not module.islower():
             raise ValueError(f"name = {name!r}: must be lower-case letters, digits and hyphens, as my-way")
+        if importlib.util.find_spec(module) is not None and not Path(f"{module}.py").exists():
+            raise ValueError(
+                f"name = {name!r}: Python has a module of that name, which the file would hide; take another name, as "
+                f"my-{name}"
+            )
         file, test = Path(f"{module}.py"), Path(f"test_{module}.py")
         for path in (file, test):
             if path.exists():

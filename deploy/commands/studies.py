@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import inspect
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +12,7 @@ import typer
 from rich.console import Console
 
 from deploy.commands.console import PAPER_WIDTH, errors, fail, screen, speaking_clearly
-from deploy.commands.flags import family, named_values
+from deploy.commands.flags import family, named_values, to_be_written
 
 app = family()
 
@@ -50,14 +51,27 @@ def sweep(
     quick: Annotated[bool, typer.Option("--quick", help="only what the file's [quick] says")] = False,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.parquet", help="the table of runs; those already in it are not repeated"),
+        typer.Option(
+            metavar="FILE.parquet",
+            callback=to_be_written(".parquet"),
+            help="the table of runs; those already in it are not repeated",
+        ),
     ] = None,
     table: Annotated[
-        Path | None, typer.Option(metavar="FILE.csv|.parquet", help="write means, intervals and quartiles")
+        Path | None,
+        typer.Option(
+            metavar="FILE.csv|.parquet",
+            callback=to_be_written(".csv", ".parquet"),
+            help="write means, intervals and quartiles",
+        ),
     ] = None,
     plot: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.png", help="draw the file's plots (FILE-2.png and so on for more)"),
+        typer.Option(
+            metavar="FILE.png",
+            callback=to_be_written(".png"),
+            help="draw the file's plots (FILE-2.png and so on for more)",
+        ),
     ] = None,
     retry: RetryFlag = False,
     any_code: AnyCodeFlag = False,
@@ -120,12 +134,12 @@ def reproduce(
     from deploy.commands import terminal  # noqa: PLC0415
     from deploy.run.workers import workers  # noqa: PLC0415
     from deploy.study import reproduction  # noqa: PLC0415
-    from deploy.study.results import Results  # noqa: PLC0415
+    from deploy.study.results import Results, make_folder  # noqa: PLC0415
 
     with speaking_clearly():
         settings = {"seed": list(range(seeds))} if seeds is not None else {}
         found = reproduction.asked(claim or [], quick=quick, settings=settings)
-        out.mkdir(parents=True, exist_ok=True)
+        make_folder(out)
         runs = out / reproduction.RUNS
         with Results(runs) as results:
             with running("reproduce", runs) as tell:
@@ -180,15 +194,14 @@ def compare(
     from deploy.study import comparison  # noqa: PLC0415
 
     with speaking_clearly():
-        settings = named_values(set_ or [], "set", "robots=4")
+        settings = other_settings(set_ or [], comparison.compare, "robots=4")
         choices = {"strategy": strategies, "exchange": exchanges}
-        given = [(key, names.split(",")) for key, names in choices.items() if names is not None]
+        given = [(key, words(names)) for key, names in choices.items() if names is not None]
         if len(given) + bool(scenario) != 1:
             raise ValueError("give scenario files, --strategies or --exchanges: one of them")
-        compared: Any = [{key: name.strip()} for key, names in given for name in names] or scenario
+        compared: Any = [{key: name} for key, names in given for name in names] or scenario
         if map_:
             settings["map"] = map_ if len(map_) > 1 else map_[0]
-        out.mkdir(parents=True, exist_ok=True)
         runs = out / "runs.parquet"
         with stopping(runs):
             done = comparison.compare(
@@ -232,8 +245,7 @@ def size(
     from deploy.study import sizing  # noqa: PLC0415
 
     with speaking_clearly():
-        settings = named_values(set_ or [], "set", "exchange=sight")
-        out.mkdir(parents=True, exist_ok=True)
+        settings = other_settings(set_ or [], sizing.size, "exchange=sight")
         runs = out / "runs.parquet"
         with stopping(runs):
             done = sizing.size(
@@ -252,6 +264,15 @@ def size(
         files = done.write(out)
         screen.print(f"Everything is in {out}; look at {files[0]}.")
     raise typer.Exit(0 if done.enough is not None else 1)
+
+
+def other_settings(texts: list[str], study: Callable[..., Any], example: str) -> dict[str, Any]:
+    """The settings that --set names for a study; ValueError if the study has a flag for one of them."""
+    settings = named_values(texts, "set", example)
+    for name in settings:
+        if name in (*inspect.signature(study).parameters, "seed"):
+            raise ValueError(f"set = '{name}=...': this command has a flag for it (--help); leave it to that")
+    return settings
 
 
 def words(text: str) -> list[str]:

@@ -50,4 +50,5 @@ def end_with_launcher() -> None:
 
 
 if FOLDER in os.environ:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # it would itself, but only when it has imported everything
     atexit.register(shutil.rmtree, os.environ.pop(FOLDER), ignore_errors=True)

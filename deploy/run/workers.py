@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import re
 import signal
 import threading
 from collections import deque
@@ -55,6 +56,7 @@ class LocalPool:
         self, todo: Sequence[Case], run: Callable[[Case], Outcome]
     ) -> Iterator[tuple[Case, Outcome | str]]:
         """Yield each case with its outcome."""
+        _heed_ctrl_c()
         waiting = deque(todo)
         while waiting:
             suspects = []
@@ -114,6 +116,8 @@ class Cluster:
             raise ValueError(
                 "scheduler: dask.distributed is not installed; pip install 'murmur-robots[cluster]'"
             ) from None
+        if not re.fullmatch(r"\w+://.+|\S+:[0-9]+", address):
+            raise ValueError(f"scheduler = {address!r}: must be its address, as tcp://10.0.0.1:8786")
         try:
             self._client: Any = Client(address, timeout=self.PATIENCE_S, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
@@ -127,6 +131,7 @@ class Cluster:
         """Yield each case with its outcome."""
         from distributed import as_completed  # noqa: PLC0415
 
+        _heed_ctrl_c()
         asked = {
             self._client.submit(
                 _one_at_a_time, run, case, key=f"{case.key}-{os.getpid()}-{id(todo)}", pure=False
@@ -153,6 +158,11 @@ class Cluster:
 def workers(jobs: int | None, scheduler: str | None) -> Workers:
     """A cluster's workers if its scheduler's address is given, else `jobs` processes here, one per core if None."""
     return LocalPool(jobs or os.cpu_count() or 1) if scheduler is None else Cluster(scheduler)
+
+
+def _heed_ctrl_c() -> None:
+    """Have Ctrl-C end waiting for runs at once; polars, once imported, has the system wait on until one is over."""
+    signal.siginterrupt(signal.SIGINT, True)
 
 
 _TURN = threading.Lock()

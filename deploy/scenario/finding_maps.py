@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from protocol.errors import there_are
 from worldsim import generators, maps
 from worldsim.map_error import MapError
 from worldsim.maps import Map
@@ -31,20 +32,20 @@ def find_map(name: str, seed: int, options: Mapping[str, float]) -> Map:
     MapError
         There is no such map, it cannot be read or drawn, or it has no such options.
     """
-    try:
-        if name.endswith(PICTURES):
-            return maps.load_picture(name, **_picture_options(name, options))
-        if name.endswith(FILES) or Path(name).is_file():
-            if options:
-                raise MapError(f"map_options: {name} is a file; only generated maps have options")
-            return maps.load(name)
-        return generators.make(name, seed=seed, **options)
-    except MapError:
-        raise
-    except ValueError as error:
+    if name.endswith(PICTURES):
+        return maps.load_picture(name, **_picture_options(name, options))
+    if name.endswith(FILES) or Path(name).is_file():
+        if options:
+            raise MapError(f"map_options: {name} is a file; only generated maps have options")
+        return maps.load(name)
+    if Path(name).is_dir() and name not in generators.names():
+        raise MapError(f"map = {name!r}: is a folder; give the YAML file of a map in it")
+    if name not in generators.names():
         raise MapError(
-            f"map = {name!r}: {error}; or give the YAML file of a map, or its picture and --resolution"
-        ) from None
+            f"no environment is called {name!r}; {there_are(generators.names(), name)}; or give the YAML file of a "
+            "map, or its picture and --resolution"
+        )
+    return generators.make(name, seed=seed, **options)
 
 
 def _picture_options(name: str, options: Mapping[str, float]) -> Mapping[str, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import tomllib
 from dataclasses import fields
 from pathlib import Path
@@ -391,6 +392,8 @@ _WORDS = {
     "a valid number": "a number",
     "a valid string": "text",
     ", unable to parse string as an integer": "",
+    "a valid dictionary": "a table",
+    "a valid tuple": "a list",
 }
 """What the checking library says, and how we say it."""
 
@@ -400,6 +403,7 @@ def _explain(item: Any) -> str:
     message = str(item["msg"]).removeprefix("Value error, ")
     for theirs, ours in _WORDS.items():
         message = message.replace(theirs, ours)
+    message = re.sub(r"a dictionary or an instance of \w+", "a table", message)
     if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         table = ".".join(str(part) for part in item["loc"][:-1] if isinstance(part, str))
         return f"{key} is no setting; {there_are(_KEYS[table], str(item['loc'][-1]))}"

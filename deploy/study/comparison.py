@@ -159,10 +159,18 @@ def _named(
                 ", ".join(f"{v}" if isinstance(v, str) else f"{k} {v}" for k, v in differing.items())
                 or "plain"
             )
+            if own in named.values():
+                raise ScenarioError(f"two of the scenarios are the same: {_in_words(own)}")
         if name in named:
-            raise ScenarioError(f"two scenarios are called {name!r}: give them in a dict, by names")
+            raise ScenarioError(
+                f"two scenarios are called {name!r}: rename the file of one, or in Python give a dict by names"
+            )
         named[name] = own
     return named
+
+
+def _in_words(settings: dict[str, Any]) -> str:
+    return ", ".join(f"{key} = {value}" for key, value in settings.items())
 
 
 def _settings(scenario: Scenario | dict[str, Any] | Path | str) -> dict[str, Any]:

@@ -35,6 +35,14 @@ PATIENCE = 20
 """A table is written when its last writing took less than this part of the time since."""
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder for results, if it is not there; ValueError if that cannot be."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"{folder}: no folder can be made there ({error.strerror}); name another") from None
+
+
 class Results:
     """An open table of runs; use it in a ``with`` statement.
 

@@ -16,7 +16,7 @@ from deploy.study import experiment as experiments
 from deploy.study import plots
 from deploy.study.experiment import Experiment
 from deploy.study.progress import counting
-from deploy.study.results import Results, Row
+from deploy.study.results import Results, Row, make_folder
 from deploy.study.runs import Case, cases, failures, looked_up, make
 from deploy.study.tables import VARIANT, Table, described
 
@@ -139,6 +139,8 @@ def run(
 ) -> Sweep:
     """Run an experiment; parameters as for `sweep`."""
     todo = cases(experiment)
+    if out is not None:
+        make_folder(out.parent)
     with Results(out) as results:
         with counting(Console(stderr=True, quiet=not progress), experiment.name) as tell:
             make(todo, results, workers(jobs, scheduler), tell)

@@ -172,6 +172,19 @@ def test_ctrl_c_which_all_in_the_terminal_get_ends_a_run_that_is_watched_to_its_
     assert (out / "pictures" / "channel-load.png").exists()
 
 
+def test_ctrl_c_while_processes_are_being_started_ends_the_run_as_well(tmp_path: Path) -> None:
+    with swarm(tmp_path / "run", *SLOW) as process:
+        while not any("forkserver" in " ".join(each.cmdline()) for each in descendants(process)):
+            time.sleep(0.02)
+        time.sleep(0.5)
+        family = descendants(process)
+        os.killpg(process.pid, signal.SIGINT)
+        code, said, _ = finish(process, 60)
+    assert code == 1, said
+    assert "Traceback" not in said
+    assert not psutil.wait_procs(family, timeout=10)[1]
+
+
 @pytest.mark.parametrize("moment", ["at the start", "under way"])
 def test_a_launcher_that_is_killed_leaves_no_process_and_no_folder_behind(
     tmp_path: Path, moment: str, monkeypatch: pytest.MonkeyPatch

@@ -155,7 +155,11 @@ def test_an_unknown_name_lists_the_known_ones() -> None:
         ("office", {"seed": -1}, "seed is -1; give 0 or more"),
         ("office", {"rooms": 3}, "office has no parameter 'rooms'; it has width_m, height_m, resolution"),
         ("hilbert-2", {"width_m": 3}, "hilbert-2 has no parameter 'width_m'; it has side_m, resolution"),
-        ("hilbert-2", {"side_m": 1.0}, r"side_m is 1\.0; it must lie between 1\.6 and 204\.8"),
+        (
+            "hilbert-2",
+            {"side_m": 1.0},
+            r"side_m is 1\.0 m; with cells of 0\.1 m it must be 1\.6 m at least, and 204\.8 m, 2048",
+        ),
         (
             "leader-trap",
             {"resolution": 0.0},
@@ -163,8 +167,16 @@ def test_an_unknown_name_lists_the_known_ones() -> None:
         ),
         ("em", {"resolution": float("nan")}, "resolution is nan"),
         ("office", {"resolution": 0.5}, r"resolution is 0\.5; it must lie above 0 and be at most 0\.4"),
-        ("em", {"resolution": 0.001}, r"width_m is 21\.0; it must lie between 2 and 2\.048"),
-        ("mixed", {"height_m": 5.0}, r"height_m is 5\.0; it must lie between 18 and 204\.8"),
+        (
+            "em",
+            {"resolution": 0.001},
+            r"width_m is 21\.0 m; with cells of 0\.001 m it must be 2 m at least, and 2\.048 m",
+        ),
+        (
+            "mixed",
+            {"height_m": 5.0},
+            r"height_m is 5\.0 m; with cells of 0\.1 m it must be 18 m at least, and 204\.8 m",
+        ),
         ("mixed", {"width_m": float("nan")}, "width_m is nan"),
     ],
 )

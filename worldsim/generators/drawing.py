@@ -51,7 +51,10 @@ def length(name: str, side_m: float, resolution: float, least_m: float) -> int:
         raise MapError(f"resolution is {resolution}; it must lie above 0 and be at most {_COARSEST} m a cell")
     most_m = MAX_SIDE * resolution
     if not least_m <= side_m <= most_m:
-        raise MapError(f"{name} is {side_m}; it must lie between {least_m:g} and {most_m:g}")
+        raise MapError(
+            f"{name} is {side_m} m; with cells of {resolution:g} m it must be {least_m:g} m at least, and "
+            f"{most_m:g} m, {MAX_SIDE} cells, at most"
+        )
     return round(side_m / resolution)
 
 

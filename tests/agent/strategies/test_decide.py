@@ -11,7 +11,8 @@ import pytest
 from agent.planning.path_planner import PathPlanner
 from agent.planning.route import crossed
 from agent.settings import Settings
-from agent.strategies.base import Decision, Pose, Situation, Strategy
+from agent.strategies.base import Cell, Decision, Pose, Situation, Strategy
+from agent.strategies.burgard import Nearest
 from agent.strategies.leaders import STALL_STEPS, elect
 from agent.strategies.registry import strategy
 from agent.strategies.rotating import ShengBid
@@ -504,3 +505,22 @@ def test_the_settings_say_how_long_a_turn_takes() -> None:
     for degrees, steps in turns.items():
         settings: Settings = settings_for(CORRIDOR, scanner_turn=degrees)
         assert settings.turn_steps == steps
+
+
+def test_of_goals_any_may_be_chosen_as_a_row_too_but_nothing_else() -> None:
+    class Own(Nearest):
+        chosen: Any = None
+
+        def choose(self, situation: Situation, goals: Any, planner: PathPlanner) -> Cell | None:
+            row: Cell | None = self.chosen
+            return row
+
+    for chosen in ((14, 1), np.array([14, 1], np.int32)):
+        own = Own({}, settings_for(CORRIDOR))
+        own.chosen = chosen
+        assert own.decide(robot_at(4)).target == (14, 1)
+    for wrong in ((7, 1), (10**6, -1)):
+        own = Own({}, settings_for(CORRIDOR))
+        own.chosen = wrong
+        with pytest.raises(ValueError, match=r"strategy nearest chose .*, which is none of its goals"):
+            own.decide(robot_at(4))

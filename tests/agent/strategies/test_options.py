@@ -168,3 +168,18 @@ def test_a_class_that_is_no_strategy_or_cannot_be_imported_is_refused() -> None:
         ValueError, match=r"Path is no subclass of agent.strategies.base.Strategy with a name"
     ):
         strategy("pathlib:Path")
+    with pytest.raises(ValueError, match=r"strategy 'pathlib:': must be package.module:Class"):
+        strategy("pathlib:")
+
+
+def test_a_class_that_lacks_its_method_or_a_module_that_ends_the_program_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unfinished = OUTSIDE.partition("    def choose")[0].replace("Farthest", "Unfinished")
+    (tmp_path / "unfinished_swarm.py").write_text(unfinished, encoding="utf-8")
+    (tmp_path / "leaving_swarm.py").write_text("raise SystemExit(0)\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(ValueError, match=r"Unfinished leaves out what it must define: choose"):
+        strategy("unfinished_swarm:Unfinished")
+    with pytest.raises(ValueError, match=r"(?s)leaving_swarm:Own' cannot be imported.*SystemExit: 0"):
+        strategy("leaving_swarm:Own")

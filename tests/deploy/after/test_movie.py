@@ -112,7 +112,11 @@ def test_the_command_writes_a_gif_and_names_it(tmp_path: Path) -> None:
         (["movie", "/nowhere"], "/nowhere: no run directory, for it has no scenario.toml"),
         (
             ["movie", "RUN", "--out", "/nowhere/film.mp4"],
-            "/nowhere/.film.part.mp4: No such file or directory",
+            "out = /nowhere/film.mp4: there is no folder /nowhere",
+        ),
+        (
+            ["movie", "RUN", "--out", "film.avi"],
+            "out = film.avi: must end in .mp4, or take the other of --mp4 and --gif",
         ),
         (["report", "RUN", "RUN", "RUN"], "a report is of one run, or compares two; stages are of one"),
     ],

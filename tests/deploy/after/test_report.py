@@ -175,7 +175,16 @@ def test_panels_of_a_channel_on_which_nothing_was_said_begin_at_zero(tmp_path: P
 def test_what_is_no_run_is_refused(tmp_path: Path, directory: Path) -> None:
     with pytest.raises(ScenarioError, match=r"no run directory"):
         write_report(tmp_path)
-    (directory / run_directory.STEPS).unlink()
+    ledger, steps = (directory / name for name in (run_directory.LEDGER, run_directory.STEPS))
+    steps.write_bytes(ledger.read_bytes())
+    with pytest.raises(
+        ScenarioError, match=r"steps.parquet: is not that of a run, for it has no robot, x, y"
+    ):
+        write_report(directory)
+    steps.write_bytes(ledger.read_bytes()[:-9])
+    with pytest.raises(ScenarioError, match=r"steps.parquet: is not a whole table"):
+        write_report(directory)
+    steps.unlink()
     with pytest.raises(ScenarioError, match=r"steps.parquet is missing"):
         write_report(directory)
 

@@ -52,7 +52,7 @@ def test_the_command_prints_the_table_and_writes_runs_means_and_pictures(tmp_pat
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--out", "/nonexist/a.parquet"], "/nonexist/a.parquet: No such file or directory"),
+        (["--out", "/nonexist/a.parquet"], "/nonexist/a.parquet: there is no folder /nonexist"),
         (["--set", "map=nope"], "no environment is called 'nope'"),
         (
             ["--set", "seed=0", "--set", "seed=1"],

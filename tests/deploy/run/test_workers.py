@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import multiprocessing
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -83,6 +85,15 @@ def test_who_takes_no_more_outcomes_ends_the_others_at_once() -> None:
     while multiprocessing.active_children():
         assert time.monotonic() - began < 30
         time.sleep(0.05)
+
+
+def test_ctrl_c_ends_the_wait_for_a_long_run_at_once() -> None:
+    importlib.import_module("polars")  # which handles signals in its own way
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        for _ in LocalPool(2).each(numbers(1, 2), waits_unless_it_is_1):
+            threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+    assert time.monotonic() - began < 30
 
 
 def test_a_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

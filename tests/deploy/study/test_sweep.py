@@ -69,7 +69,7 @@ def test_scenarios_of_files_and_objects_are_compared_by_their_names(tmp_path: Pa
     ("scenarios", "settings", "said"),
     [
         ([ROOMS], {}, "nothing to compare"),
-        ([ROOMS, ROOMS], {}, "two scenarios are called 'plain'"),
+        ([ROOMS, ROOMS], {}, "two of the scenarios are the same: map = "),
         ({"a": ROOMS, "b": ROOMS}, {}, "two of the scenarios are the same"),
         ([ROOMS, ROOMS | {"robots": 0}], {}, "robots = 0"),
         ([ROOMS, ROOMS | {"speed": 2.0}], {"figure": "stepz"}, "'stepz' is no figure"),
