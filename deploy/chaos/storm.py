@@ -2,8 +2,8 @@
 
 First comes the safety phase, in which robots are killed, restarted and stopped, radios go mute and deaf, and teams are
 parted. By `CALM` all of that has healed, but for robots that stay dead; at least one lives. Then the rest must finish:
-the liveness phase. A medium that loses, delays, repeats or damages what is said does so all the time, and liars lie
-all the time.
+the liveness phase. A medium that loses, delays, repeats or damages what is said does so all the time, one that becomes
+wider or narrower stays so, and liars lie all the time.
 """
 
 from __future__ import annotations
@@ -62,8 +62,7 @@ class Storm:
         faults = base["fault"]
         kept = [faults[:at] + faults[at + 1 :] for at in range(len(faults))]
         changes = [{"fault": fault} for fault in kept]
-        if base["radio"] != _PLAIN["radio"]:
-            changes.append({"radio": {}})
+        changes += [{key: _PLAIN[key]} for key in ("radio", "change") if base[key] != _PLAIN[key]]
         less: list[Storm] = [replace(self, liars=()) for _ in range(1 if self.liars else 0)]
         for change in changes:
             try:
@@ -100,6 +99,9 @@ def storm(seed: int) -> Storm:
     if draw.random() < 0.5:
         settings["radio"] = _radio(draw, robots)
     liars = (int(draw.integers(robots)),) if robots > 2 and draw.random() < 0.3 else ()
+    if draw.random() < 0.25:
+        step, bandwidth = int(draw.integers(1, CALM)), bandwidths[int(draw.integers(len(bandwidths)))]
+        settings["change"] = [{"step": step, "bandwidth": bandwidth, "range": str(draw.choice(RANGES))}]
     return Storm(seed, parse(settings), liars)
 
 

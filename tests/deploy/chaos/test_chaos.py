@@ -33,6 +33,7 @@ def test_a_storm_follows_from_its_seed() -> None:
     kinds = {fault.kind for each in drawn for fault in each.scenario.fault}
     assert kinds == {"kill", "restart", "stop", "mute", "deaf"}
     assert any(each.liars for each in drawn)
+    assert any(each.scenario.change for each in drawn)
     for each in drawn:
         assert all(fault.step + fault.steps <= CALM for fault in each.scenario.fault)
 
