@@ -31,4 +31,6 @@ def strategies(
         if as_json:
             print(json.dumps(pages.for_machines(entries)))
         else:
-            pages.console(screen).print(pages.listing(entries) if name is None else pages.page(entries[0]))
+            pages.console(screen).print(
+                pages.listing(entries) if name is None else pages.page(entries[0], name)
+            )

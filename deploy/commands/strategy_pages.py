@@ -38,8 +38,11 @@ def listing(entries: list[Entry]) -> RenderableType:
     return Group(*lines)
 
 
-def page(entry: Entry) -> RenderableType:
-    """One strategy: what it does, its options with defaults and choices, and the options that it does not accept."""
+def page(entry: Entry, called: str) -> RenderableType:
+    """One strategy: what it does, its options with defaults and choices, and those that it does not accept.
+
+    `called` is the name by which it was asked for, which runs it as well.
+    """
     lines: list[RenderableType] = [
         Text.assemble((entry.name, "bold"), f": {entry.summary}"),
         Text(f"{entry.source}\n"),
@@ -58,7 +61,7 @@ def page(entry: Entry) -> RenderableType:
     for reason, names in _by_reason(entry):
         lines.append(Text(f"It takes no {', '.join(names)}: {reason}."))
     lines += [Text(f"{clash}.") for clash in entry.clashes]
-    lines.append(Text(f"\nmurmur explore --strategy {entry.name} --option NAME=VALUE"))
+    lines.append(Text(f"\nmurmur explore --strategy {called} --option NAME=VALUE"))
     return Group(*lines)
 
 

@@ -191,7 +191,7 @@ def _sentence(figure: str, finding: Finding) -> str:
     pairs = f"{effect.n} pairs" + (
         f", {finding.left_out} left out as unfinished or 0" if finding.left_out else ""
     )
-    told = f"{effect.mean:.2f}{bounds} of its {figure} (p = {finding.p:.3g}, {pairs})"
+    told = f"{effect.mean:.2f}{bounds} of the {figure} of {other} (p = {finding.p:.3g}, {pairs})"
     if finding.verdict == UNDECIDED:
         return f"{one} and {other} cannot be told apart: {one} has {told}"
     return f"{one} has {'less' if finding.verdict == HOLDS else 'more'} than {other}: {told}"

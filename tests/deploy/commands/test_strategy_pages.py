@@ -43,6 +43,12 @@ def test_a_strategy_is_shown_with_all_options_their_defaults_and_choices(name: s
         assert ", ".join(option.choices) in one_line
 
 
+@pytest.mark.parametrize("name", ["meier", "agent.strategies.meier:Meier"])
+def test_the_last_line_runs_the_strategy_that_was_asked_for(name: str) -> None:
+    last = murmur("strategies", name).stdout.splitlines()[-1]
+    assert last == f"murmur explore --strategy {name} --option NAME=VALUE"
+
+
 def test_a_choice_that_does_not_fit_is_named_with_the_reason() -> None:
     said = " ".join(murmur("strategies", "mtsp").stdout.split())
     assert "mtsp cannot have candidates = cells: a tour needs the way between every two goals" in said

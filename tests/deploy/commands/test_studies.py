@@ -139,7 +139,7 @@ def test_teams_are_compared_by_the_command(tmp_path: Path) -> None:
     for setting in ("sensor_range=2.5", "speed=1.0", "exchange=laser", "bandwidth=unlimited"):
         words += ["--set", setting]
     code, text, _ = command(*words, "--out", tmp_path / "c", of="compare")
-    assert code == 0 and "leaders" in text and "of its steps (p = " in text
+    assert code == 0 and "leaders" in text and "of the steps of " in text
     written = {file.name for file in (tmp_path / "c").iterdir()}
     assert written >= {"boxes.png", "curves.png", "means.csv", "runs.parquet"}
 
