@@ -29,7 +29,7 @@ from protocol import keys as names
 from worldsim import generators
 
 ROBOTS = 4
-LINK_STEPS, HUB_STEPS = 60, 40
+LINK_STEPS, HUB_STEPS = 120, 120
 SIDE_M = 30.0
 REPEATS = 3
 ROUND_TRIPS_MS = (0, 5, 20, 50)

@@ -237,7 +237,7 @@ def test_a_link_delays_counts_and_changes_nothing() -> None:
 
 @pytest.mark.long
 def test_links_are_measured_and_delay_costs_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in {"ROBOTS": 2, "LINK_STEPS": 80, "REPEATS": 1, "ROUND_TRIPS_MS": (0, 20)}.items():
+    for name, value in {"ROBOTS": 2, "LINK_STEPS": 160, "REPEATS": 1, "ROUND_TRIPS_MS": (0, 20)}.items():
         monkeypatch.setattr(hosts, name, value)
     by_name = {figure.name: figure for figure in hosts.link()}
     for exchange in ("polygon", "laser"):
