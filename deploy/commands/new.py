@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
 import keyword
+import sys
+from importlib.metadata import packages_distributions
 from pathlib import Path
 from typing import Annotated
 
@@ -75,7 +76,7 @@ def new_strategy(
         module = name.replace("-", "_")
         if not module.isidentifier() or keyword.iskeyword(module) or not module.islower():
             raise ValueError(f"name = {name!r}: must be lower-case letters, digits and hyphens, as my-way")
-        if importlib.util.find_spec(module) is not None and not Path(f"{module}.py").exists():
+        if module in sys.stdlib_module_names or module in packages_distributions():
             raise ValueError(
                 f"name = {name!r}: Python has a module of that name, which the file would hide; take another name, as "
                 f"my-{name}"
