@@ -23,11 +23,12 @@ from typing import NamedTuple, TypeVar
 
 import msgspec
 
-from netshaper import airtime, connectivity
+from netshaper import airtime, connectivity, replies
 from netshaper.frames import is_broadcast, read_offer, wrong_in_answer, wrong_in_data
 from netshaper.ledger import EVERYONE
 from netshaper.medium import ANSWER, BROADCAST, DATA, OFFER, UNLIMITED, Connections, Medium
 from netshaper.radio_options import RadioOptions
+from netshaper.replies import Beforehand
 from protocol import packets, survey
 from protocol.grid import Grid
 from protocol.keyed_random import keyed_random
@@ -140,6 +141,10 @@ class Radio:
         """Whom the phase under way concerns."""
         self._spoken: dict[int, Said] = {}
         """What they have said in it."""
+        self._beforehand: dict[int, Beforehand] = {}
+        """What they have said of what they are going to say in this exchange."""
+        self._opened_with = UNLIMITED
+        """What was left of the budget when the exchange was opened."""
         self._connections = Connections()
         self._broadcast_carried: dict[int, bool] = {}
 
@@ -273,6 +278,8 @@ class Radio:
     def _open(self) -> list[Outgoing]:
         self._connections = Connections(self._connections.first + len(self._connections))
         self._broadcast_carried = {}
+        self._beforehand = {}
+        self._opened_with = self._medium.left
         living = sorted(set(self._reach) - self._dead)
         self._expect("offers", living)
         if not living:
@@ -305,10 +312,14 @@ class Radio:
         offers: dict[tuple[int, int, int], bytes] = {}
         for sender, said in sorted(self._spoken.items()):
             reach = set(self._reach.get(sender, ()))
+            offered: dict[tuple[int, int], int] = {}
+            self._beforehand[sender] = Beforehand(said.replies, offered)
+            count = -1
             for receiver, payload in said.puts():
                 if receiver == EVERYONE:
                     broadcasts.append((sender, payload))
                     continue
+                count += 1
                 if receiver not in reach or sender in self._mute:
                     cause = "range" if receiver not in reach else "mute"
                     self._refuse(sender, receiver, OFFER, payload, cause, "")
@@ -320,6 +331,7 @@ class Radio:
                     self._refuse(sender, receiver, OFFER, payload, "protocol", problem)
                 else:
                     offers[sender, receiver, about] = payload
+                    offered[receiver, about] = count
         out = self._put_broadcasts_on_air(broadcasts)
         ends = self._drawn("contention", sorted(offers))
         self._connections.add(ends, [offers[each] for each in ends])
@@ -367,7 +379,10 @@ class Radio:
         return [items[index] for index in draw.permutation(len(items)).tolist()]
 
     def _pass_on(self, frame: int, phase: str) -> list[Outgoing]:
-        """Hand all frames of one kind to their receivers, in the seeded order, and give these the turn."""
+        """Hand all frames of one kind to their receivers, in the seeded order, and give these the turn.
+
+        For those who have said beforehand what they are going to say it is said at once.
+        """
         heard: defaultdict[int, tuple[list[int], list[bytes], list[int], list[int]]]
         heard = defaultdict(lambda: ([], [], [], []))
         these = self._connections
@@ -393,8 +408,24 @@ class Radio:
         for robot in robots:
             whose, frames, numbers, maps = heard[robot]
             turn = Turn(self._step, self._exchange, PHASES[frame], numbers, maps)
+            said_for = self._reply(robot, frame, turn, whose, frames)
+            if said_for is not None:
+                self._spoken[robot] = said_for
+                self._waiting.discard(robot)
+                turn = msgspec.structs.replace(turn, spoken=True)
             out.append(Note(robot, turn, whose, frames))
         return out
+
+    def _reply(
+        self, robot: int, frame: int, turn: Turn, peers: Sequence[int], heard: Sequence[bytes]
+    ) -> Said | None:
+        """Say for a robot what it has said beforehand; None if it has to be asked."""
+        beforehand = self._beforehand.get(robot)
+        if beforehand is None:
+            return None
+        if frame == OFFER:
+            return replies.answers(beforehand, turn, peers, heard)
+        return replies.data(beforehand, turn, peers, heard, self._opened_with)
 
     def _end_answers(self) -> list[Outgoing]:
         self._collect(ANSWER, wrong_in_answer)

@@ -157,7 +157,8 @@ class Turn(Record, tag=6, frozen=True):
     """In a `Heard`: all frames of a phase have been passed on.
 
     `connections` and `maps` say what each is about, in the order in which they were passed on.
-    After ``offers`` the robot answers; after ``answers`` it sends data.
+    After ``offers`` the robot answers; after ``answers`` it sends data. Unless the relay has `spoken` for it, by the
+    `Replies` that it had from it.
     """
 
     step: Step
@@ -165,10 +166,39 @@ class Turn(Record, tag=6, frozen=True):
     phase: Word
     connections: Connections
     maps: ConnectionMaps
+    spoken: bool = False
 
     def __post_init__(self) -> None:
         if len(self.connections) != len(self.maps):
             raise ValueError("connections and maps are not as many")
+
+
+class Replies(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
+    """In a `Said`, with offers: what a robot would reply in this exchange, so that it need not be asked.
+
+    `offers`, `answers`: how it answers the first offer of a map; any other one of that map it declines.
+
+    Of each of its own offers, in their order: `level`, the answer behind which it has nothing to send; `behind`, the
+    one behind which it sends the frame `load` of `loads` (-1: it has to be asked), as far as there is room.
+    """
+
+    offers: Frames = []
+    answers: Frames = []
+    level: Frames = []
+    behind: Frames = []
+    load: Connections = []
+    loads: Frames = []
+
+    def __post_init__(self) -> None:
+        if len(self.offers) != len(self.answers):
+            raise ValueError("offers and answers are not as many")
+        if not len(self.level) == len(self.behind) == len(self.load):
+            raise ValueError("level, behind and load are not as many")
+        if max(self.load, default=-1) >= len(self.loads):
+            raise ValueError(f"load {max(self.load)} of {len(self.loads)} loads")
+
+
+NO_REPLIES = Replies()
 
 
 class Said(Record, tag=7, frozen=True):
@@ -176,7 +206,8 @@ class Said(Record, tag=7, frozen=True):
 
     `receivers`, `frames`: who each frame is for, -1 for all, and its packets. `connections` names them, in that
     order; it is empty for offers, which the relay has not numbered yet. `urgency`: how soon the news that it
-    broadcasts should be on the air, 0 to 255; the more, the shorter it would wait for a free medium.
+    broadcasts should be on the air, 0 to 255; the more, the shorter it would wait for a free medium. `replies`, in
+    the phase ``offers``: what it would say in the next ones.
     """
 
     step: Step
@@ -186,6 +217,7 @@ class Said(Record, tag=7, frozen=True):
     urgency: Urgency = 0
     receivers: Ends = []
     frames: Frames = []
+    replies: Replies = NO_REPLIES
 
     def __post_init__(self) -> None:
         if len(self.receivers) != len(self.frames):

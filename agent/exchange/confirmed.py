@@ -29,7 +29,7 @@ from agent.exchange.reports import from_packet, held_packet, number, report
 from agent.exchange.session import MAX_WAIT, PATIENCE, Session, Table
 from protocol import packets, survey
 from protocol.errors import ProtocolError
-from protocol.messages import Outcome
+from protocol.messages import NO_REPLIES, Outcome, Replies
 from protocol.packets import BLOCKS, INDEX_WINDOW, From, FromEarly, Held, HeldEarly, Offer
 
 LEAST_WAIT = 2
@@ -111,6 +111,10 @@ class ConfirmedSession(Session):
                 said.append((peer, about[0][1] if about else peer, frame.payload))
                 left = None if left is None else max(0, left - len(frame.payload))
         return said
+
+    def replies(self) -> Replies:
+        """Nothing is said before the medium opens next."""
+        return NO_REPLIES
 
     def answers(self, heard: list[tuple[int, int, bytes]]) -> list[tuple[int, int, bytes]]:
         """Answers are said when the medium opens next."""

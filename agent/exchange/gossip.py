@@ -48,7 +48,7 @@ from agent.exchange.reports import from_packet, held_packet, number, report
 from protocol import packets, survey
 from protocol.errors import ProtocolError
 from protocol.kernels import kernel
-from protocol.messages import Outcome
+from protocol.messages import NO_REPLIES, Outcome, Replies
 from protocol.packets import From, FromEarly, Gone, Held, HeldEarly, Near
 
 Table = NDArray[np.int32]
@@ -201,6 +201,10 @@ class Gossip:
         self._report(said)
         self._set_urgency(said, self._serve(said))
         return [(EVERYONE, self._robot, said.payload)] if said.payload else []
+
+    def replies(self) -> Replies:
+        """There is nothing to reply to."""
+        return NO_REPLIES
 
     def answers(self, heard: list[tuple[int, int, bytes]]) -> list[tuple[int, int, bytes]]:
         """Nobody offers anything."""

@@ -41,8 +41,8 @@ from agent.exchange.log import Log
 from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.kernels import kernel
-from protocol.messages import Outcome
-from protocol.packets import BLOCKS, INDEX_WINDOW
+from protocol.messages import NO_REPLIES, Outcome, Replies
+from protocol.packets import BLOCKS, DECLINE, INDEX_WINDOW
 
 ROUND = BLOCKS * INDEX_WINDOW
 """Units of a log whose blocks have different numbers."""
@@ -62,6 +62,9 @@ crowd (`CROWD`) to no more teammates than the medium could carry answers of, in 
 CROWD = 16
 """Robots in range of each other from which on, ``backoff``, handshakes are bounded by what the medium can carry: all
 of these could make 240 offers an exchange, which with their answers are 960 bytes."""
+
+MOST_BEFOREHAND = 1 << 16
+"""Bytes of data that are handed over beforehand, before it is known who lacks them."""
 
 LEAST_HANDSHAKE = packets.Offer.size + packets.Answer.size
 """Bytes of an offer and the shortest answer."""
@@ -215,6 +218,36 @@ class Session:
             frames.append((peer, about, _offer(about, int(self.known[peer, about]) // INDEX_WINDOW % BLOCKS)))
         return frames
 
+    def replies(self) -> Replies:
+        """What one is going to say in this exchange if all is as it seems: to offers, and behind one's own.
+
+        As `answers` and `data` will: who hands it over with the offers need not be asked for them. Data only of one's
+        own map: of others' teammates mostly hold by now what one believes that they lack.
+        """
+        if not self._peers or self._policy != "backoff":
+            return NO_REPLIES
+        refused = {about for _, about in self.refused}
+        refused.update(range(self.own, len(self.logs), self._robots))
+        held = [(about, len(log)) for about, log in enumerate(self.logs) if about not in refused]
+        blocks = [units // INDEX_WINDOW % BLOCKS for _, units in held]
+        offers = [_offer(about, block) for (about, _), block in zip(held, blocks, strict=True)]
+        answers = [_answer(units, block) for (_, units), block in zip(held, blocks, strict=True)]
+        level: list[bytes] = []
+        behind: list[bytes] = []
+        load: list[int] = []
+        loads: dict[int, bytes] = {}
+        for peer, about in self._said:
+            known = int(self.known[peer, about])
+            block = known // INDEX_WINDOW % BLOCKS
+            level.append(_answer(len(self.logs[about]), block))
+            behind.append(_answer(known, block))
+            if about == self.own and known not in loads:
+                loads[known] = self.logs[about].since(known, self._room)
+            load.append(list(loads).index(known) if about == self.own else -1)
+        if sum(map(len, loads.values())) > MOST_BEFOREHAND:
+            load, loads = [-1] * len(load), {}
+        return Replies(offers, answers, level, behind, load, list(loads.values()))
+
     def answers(self, heard: list[tuple[int, int, bytes]]) -> list[tuple[int, int, bytes]]:
         """Answer offers, given and returned as (connection number, peer, frame).
 
@@ -239,7 +272,7 @@ class Session:
                 self._being_taken.add(offer.map)
                 said = _answer(len(self.logs[offer.map]), offer.block)
             else:
-                said = _DECLINE
+                said = DECLINE
             frames.append((number, peer, said))
         return frames
 
@@ -479,6 +512,3 @@ def _answer(held: int, assumed_block: int) -> bytes:
     if held >= ROUND:
         return packets.encode([packets.Block(held // ROUND % BLOCKS), block, answer])
     return packets.encode([answer] if block.block == assumed_block else [block, answer])
-
-
-_DECLINE = packets.encode([packets.Decline()])

@@ -78,7 +78,7 @@ def _speak(session: Session, note: object, heard: list[tuple[int, bytes]]) -> Sa
             room = None if note.budget == UNLIMITED else note.budget
             offers = session.offers(note.exchange, note.peers, room)
             receivers, said = [peer for peer, _, _ in offers], [frame for _, _, frame in offers]
-            return Said(note.step, note.exchange, "offers", [], 0, receivers, said)
+            return Said(note.step, note.exchange, "offers", [], 0, receivers, said, session.replies())
         case Turn(phase="offers"):
             offered = [(n, *frame) for n, frame in zip(note.connections, heard, strict=True)]
             frames, phase = session.answers(offered), "answers"
@@ -93,5 +93,7 @@ def _speak(session: Session, note: object, heard: list[tuple[int, bytes]]) -> Sa
         case _:
             session.forget()
             return None
+    if note.spoken:
+        return None
     numbers, receivers = [number for number, _, _ in frames], [peer for _, peer, _ in frames]
     return Said(note.step, note.exchange, phase, numbers, 0, receivers, [frame for _, _, frame in frames])

@@ -297,14 +297,17 @@ def test_strange_numbers_at_the_end_of_a_phase_stop_no_run(said: Said) -> None:
     assert run.relay.waiting_for() == [0]
 
 
+REPLIES = [[], [], [], [], [], []]
+
+
 @pytest.mark.parametrize(
     "items",
     [
-        [1, 0, "offers", [2**63], 0, [], []],
-        [-5, 99, "offers", [], 0, [], []],
-        [1, 0, "offers", [], 256, [], []],
-        [1, 0, "offers", [], 0, [-2], [b""]],
-        [1, 0, "offers", [], 0, [0], ["text"]],
+        [1, 0, "offers", [2**63], 0, [], [], REPLIES],
+        [-5, 99, "offers", [], 0, [], [], REPLIES],
+        [1, 0, "offers", [], 256, [], [], REPLIES],
+        [1, 0, "offers", [], 0, [-2], [b""], REPLIES],
+        [1, 0, "offers", [], 0, [0], ["text"], REPLIES],
     ],
     ids=repr,
 )

@@ -168,9 +168,9 @@ def test_no_message_is_longer_than_its_kind_may_be(kind: type[messages.Record]) 
 def test_arrays_that_belong_together_are_refused_where_they_are_not_as_many() -> None:
     for items in (
         [4, 1, [0, 1], [2], [2], [], []],
-        [6, 1, 0, "offers", [1], []],
+        [6, 1, 0, "offers", [1], [], False],
         [8, 1, 0, [1], [1], [], [1], [], True],
-        [7, 1, 0, "data", [0], 0, [1], []],
+        [7, 1, 0, "data", [0], 0, [1], [], [[], [], [], [], [], []]],
         [25, [1], [], []],
     ):
         with pytest.raises(ProtocolError, match="not as many"):
