@@ -151,11 +151,17 @@ class AgentNode:
         if said is not None and medium.peers:
             receivers.insert(0, EVERYONE)
             frames.insert(0, said)
-        session = robot.session
-        said = Said(
-            medium.step, medium.exchange, "offers", [], session.urgency, receivers, frames, session.replies()
+        words = Said(
+            medium.step,
+            medium.exchange,
+            "offers",
+            [],
+            robot.session.urgency,
+            receivers,
+            frames,
+            robot.session.replies(),
         )
-        self._say(said)
+        self._say(words)
 
     def _take_turn(self, robot: Robot, turn: Turn, heard: list[tuple[int, bytes]]) -> None:
         """Answer the offers, or send data for the answers, that were delivered in this phase."""

@@ -182,12 +182,12 @@ class Replies(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_field
     one behind which it sends the frame `load` of `loads` (-1: it has to be asked), as far as there is room.
     """
 
-    offers: Frames = []
-    answers: Frames = []
-    level: Frames = []
-    behind: Frames = []
-    load: Connections = []
-    loads: Frames = []
+    offers: Frames
+    answers: Frames
+    level: Frames
+    behind: Frames
+    load: Connections
+    loads: Frames
 
     def __post_init__(self) -> None:
         if len(self.offers) != len(self.answers):
@@ -198,7 +198,8 @@ class Replies(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_field
             raise ValueError(f"load {max(self.load)} of {len(self.loads)} loads")
 
 
-NO_REPLIES = Replies()
+NO_REPLIES = Replies([], [], [], [], [], [])
+"""Who says so is asked for each."""
 
 
 class Said(Record, tag=7, frozen=True):

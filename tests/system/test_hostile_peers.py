@@ -127,8 +127,11 @@ class _Forger:
         said = unpack(payload)
         if isinstance(said, Said):
             lie, edits = encode(LIES["two save points in a row"]), ("em", "chg", "rm")
-            frames = [lie if packets.name(frame) in edits else frame for frame in said.frames]
-            payload = pack(replace(said, frames=frames))
+            frames, loads = (
+                [lie if packets.name(frame) in edits else frame for frame in honest]
+                for honest in (said.frames, said.replies.loads)
+            )
+            payload = pack(replace(said, frames=frames, replies=replace(said.replies, loads=loads)))
         self._inner.put(key, payload)
 
 
