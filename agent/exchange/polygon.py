@@ -43,7 +43,11 @@ class PolygonExchange(Exchange):
         self._options = options
         self._value = mixed_first if options.mixed_first else by_distance
         self._drawing = Drawing(
-            options.free_inside_edges, options.unknown_pairs, options.wide_walls, options.close_slivers
+            options.free_inside_edges,
+            options.unknown_pairs,
+            options.wide_walls,
+            options.close_slivers,
+            options.wide_seen_walls,
         )
         self._allowance = SplitAllowance(
             Splitting(

@@ -37,6 +37,9 @@ class PolygonOptions:
     wide_walls : bool
         Take what is unknown beside the wall of a teammate in range for wall: coarse walls run beside the true
         ones.
+    wide_seen_walls : bool
+        Also beside a wall that the robot has seen itself. Without it no small opening is taken for wall, so maps are
+        complete; specks in walls must be looked at, which takes some steps more.
     close_slivers : bool
         Take unknown slivers between free cells that teammates have told of for free: there coarse areas meet.
     exact_error : bool
@@ -54,6 +57,7 @@ class PolygonOptions:
     free_inside_edges: bool = False
     unknown_pairs: bool = False
     wide_walls: bool = True
+    wide_seen_walls: bool = True
     close_slivers: bool = True
     exact_error: bool = False
 

@@ -81,6 +81,10 @@ class Difference(NamedTuple):
     boxes: Boxes
 
 
+THIN, WIDE_UNSEEN, WIDE = range(3)
+"""Walls of teammates that are taken to be wider than they are drawn: none, those one has not seen, all."""
+
+
 @dataclass(frozen=True)
 class Drawing:
     """What of an approximation is drawn. By default all of it, as in the thesis.
@@ -96,12 +100,22 @@ class Drawing:
     close_slivers : bool
         Take an unknown cell for free if its neighbours on the left and right or above and below are free, and
         not both by the robot's own sight.
+    wide_seen_walls : bool
+        Let walls be wide that the robot has seen itself as well.
     """
 
     free_inside_edges: bool = True
     unknown_pairs: bool = True
     wide_walls: bool = False
     close_slivers: bool = False
+    wide_seen_walls: bool = True
+
+    @property
+    def wide(self) -> int:
+        """Which walls are wide: `THIN` for none, `WIDE_UNSEEN`, or `WIDE`."""
+        if not self.wide_walls:
+            return THIN
+        return WIDE if self.wide_seen_walls else WIDE_UNSEEN
 
 
 THESIS = Drawing()

@@ -75,6 +75,8 @@ def five_stages(own: Grid, approximations: Sequence[Polygons], drawing: Drawing 
         walls = np.zeros(own.shape, np.bool_)
         for each in chain(*outside, *inside):
             walls |= each.occupied_edges
+        if not drawing.wide_seen_walls:
+            walls &= own != OCCUPIED
         plan[binary_dilation(walls, np.ones((3, 3))) & (plan == UNKNOWN)] = OCCUPIED
     plan[own != UNKNOWN] = own[own != UNKNOWN]
     if drawing.close_slivers:

@@ -11,7 +11,8 @@ two away at most; so only where something has changed it is merged anew.
 
 Two guesses, which the thesis does not make, keep robots from driving to what only looks unexplored
 because approximations are coarse (`Drawing`). A coarse wall runs a cell beside the true one, so who has seen
-free cells up to the true one finds unknown cells behind them: with `wide_walls` these are wall. And
+free cells up to the true one finds unknown cells behind them: with `wide_walls` these are wall; without
+`wide_seen_walls` only beside walls that the robot has not seen itself, so that no small opening is lost. And
 approximations of areas that meet leave slivers between them: with `close_slivers` these are free.
 
 From an approximation refined until it is exact, the teammate's own grid comes back (`rendered`) but for
@@ -40,6 +41,8 @@ from agent.outline.claims import (
     NO_TALLY,
     OUTSIDE_OCCUPIED,
     THESIS,
+    THIN,
+    WIDE_UNSEEN,
     Drawing,
     Drawn,
     Layer,
@@ -106,7 +109,7 @@ class TeamMap:
             self._changed, changed = [whole(own.shape)], NO_BOXES
         if self._changed or len(changed):
             claims_changed = np.concatenate([NO_BOXES, *self._changed])
-            guesses = self._drawing.wide_walls, self._drawing.close_slivers
+            guesses = self._drawing.wide, self._drawing.close_slivers
             _merge(own, self._tally.claims, *guesses, claims_changed, changed, self._resolved, self._plan)
             self._changed = []
         return self._plan
@@ -207,18 +210,18 @@ def _count_wrong(own: Grid, claims: Layer, boxes: Boxes, wrong: NDArray[np.bool_
     return more
 
 
-@kernel("void(uint8[:,::1], uint8[:,::1], boolean, int32[::1], uint8[:,::1])")
-def _resolve(own: Grid, claims: Layer, wide_walls: bool, box: NDArray[np.int32], resolved: Grid) -> None:
+@kernel("void(uint8[:,::1], uint8[:,::1], int64, int32[::1], uint8[:,::1])")
+def _resolve(own: Grid, claims: Layer, wide: int, box: NDArray[np.int32], resolved: Grid) -> None:
     """Let the strongest claim of each cell count, and what the robot knows itself above all.
 
-    The eight neighbours of walls of those near are beside one, if walls are wide.
+    The eight neighbours of walls of those near are beside one, if these are `wide`.
     """
     x0, x1 = box[0], box[2]
     height, width = own.shape
     beside = np.zeros(x1 - x0, np.uint8)
     walls = np.zeros(x1 - x0 + 2, np.uint8)
     for y in range(box[1], box[3]):
-        if wide_walls:
+        if wide != THIN:
             left, right = max(x0 - 1, 0), min(x1 + 1, width)
             column = walls[left - x0 + 1 : right - x0 + 1]
             here = claims[y, left:right]
@@ -226,6 +229,14 @@ def _resolve(own: Grid, claims: Layer, wide_walls: bool, box: NDArray[np.int32],
             below = claims[min(y + 1, height - 1), left:right]
             for x in range(len(column)):
                 column[x] = (here[x] | above[x] | below[x]) & NEAR_WALL
+            if wide == WIDE_UNSEEN:
+                seen_here, seen_above = own[y, left:right], own[max(y - 1, 0), left:right]
+                seen_below = own[min(y + 1, height - 1), left:right]
+                for x in range(len(column)):
+                    hearsay = here[x] if seen_here[x] != OCCUPIED else 0
+                    hearsay |= above[x] if seen_above[x] != OCCUPIED else 0
+                    hearsay |= below[x] if seen_below[x] != OCCUPIED else 0
+                    column[x] = hearsay & NEAR_WALL
             for x in range(len(beside)):
                 beside[x] = walls[x] | walls[x + 1] | walls[x + 2]
         known, claimed, out = own[y, x0:x1], claims[y, x0:x1], resolved[y, x0:x1]
@@ -250,12 +261,12 @@ def _close_slivers(own: Grid, resolved: Grid, box: NDArray[np.int32], plan: Grid
 
 
 @kernel(
-    "void(uint8[:,::1], uint8[:,::1], boolean, boolean, int32[:,::1], int32[:,::1], uint8[:,::1], uint8[:,::1])"
+    "void(uint8[:,::1], uint8[:,::1], int64, boolean, int32[:,::1], int32[:,::1], uint8[:,::1], uint8[:,::1])"
 )
 def _merge(
     own: Grid,
     claims: Layer,
-    wide_walls: bool,
+    wide: int,
     close_slivers: bool,
     claims_changed: Boxes,
     own_changed: Boxes,
@@ -264,18 +275,19 @@ def _merge(
 ) -> None:
     """Bring all up to date that follows from what has changed."""
     box = np.empty(4, np.int32)
-    spread = 1 if wide_walls else 0
+    spread = 0 if wide == THIN else 1
+    own_spread = 1 if wide == WIDE_UNSEEN else 0
     for number in range(len(claims_changed)):
         clip(claims_changed[number], spread, own.shape, box)
-        _resolve(own, claims, wide_walls, box, resolved)
+        _resolve(own, claims, wide, box, resolved)
     for number in range(len(own_changed)):
-        clip(own_changed[number], 0, own.shape, box)
-        _resolve(own, claims, wide_walls, box, resolved)
+        clip(own_changed[number], own_spread, own.shape, box)
+        _resolve(own, claims, wide, box, resolved)
     if not close_slivers:
         return
     for number in range(len(claims_changed)):
         clip(claims_changed[number], spread + 1, own.shape, box)
         _close_slivers(own, resolved, box, plan)
     for number in range(len(own_changed)):
-        clip(own_changed[number], 1, own.shape, box)
+        clip(own_changed[number], own_spread + 1, own.shape, box)
         _close_slivers(own, resolved, box, plan)

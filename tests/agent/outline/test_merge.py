@@ -26,7 +26,7 @@ from tests.agent.explorations import Cell, exploration, grids, growing_maps, rea
 
 quick = settings(deadline=None)
 
-drawings = st.builds(Drawing, *4 * [st.booleans()])
+drawings = st.builds(Drawing, *5 * [st.booleans()])
 
 
 def approximated(grid: Grid, robot: Cell, splits: int | None = None) -> Polygons:
@@ -286,6 +286,23 @@ def test_what_is_unknown_beside_a_teammates_wall_is_wall_if_wished() -> None:
     changed = wide != plain
     assert (plain[changed] == UNKNOWN).all()
     assert (wide[changed] == OCCUPIED).all()
+
+
+def test_beside_a_wall_that_one_has_seen_itself_nothing_need_be_taken_for_wall() -> None:
+    room = np.full((9, 20), OCCUPIED, np.uint8)
+    room[1:8, 1:12] = FREE
+    room[:, 12:] = UNKNOWN
+    teammate = approximated(room, (3, 3))
+    own = np.full(room.shape, UNKNOWN, np.uint8)
+    own[4, 12:14] = FREE
+    for seen, expected in ((UNKNOWN, OCCUPIED), (OCCUPIED, UNKNOWN)):
+        own[0, 11] = seen
+        all_wide, unseen = (
+            merged(own, [teammate], Drawing(wide_walls=True, wide_seen_walls=wished))
+            for wished in (True, False)
+        )
+        assert all_wide[0, 12] == OCCUPIED
+        assert unseen[0, 12] == expected
 
 
 def test_nothing_heard_claims_nothing() -> None:
