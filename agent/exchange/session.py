@@ -21,8 +21,8 @@ With the outcome of the exchange all connections end: the offerer moves its tabl
 receiver appends the data that came to its log.
 
 How an index is said stands in `protocol.handshake`; it is never guessed at. A peer that says to hold less than it was
-sent does not want it: it counts as level. What one says is mostly known when the exchange is opened
-(`Session.replies`), and the relay says it for one; the states are the same.
+sent does not want it: it counts as level. What one says is mostly known when the exchange is opened (`Session.replies`),
+and the relay says it for one; the states are the same.
 """
 
 from __future__ import annotations
