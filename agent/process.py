@@ -127,16 +127,18 @@ class AgentNode:
 
     def _heed(self, robot: Robot, notes: list[MediumNote]) -> None:
         """Do what the relay's notes say."""
+        behind = sum(map(_frames_of, notes))
         for note in notes:
             began = time.perf_counter()
+            behind -= _frames_of(note)
             if note.step > self._step:
                 self._early.append(note)
             elif isinstance(note, Open):
                 self._offer(robot, note)
             elif isinstance(note, Turn):
-                self._take_turn(robot, note)
+                self._take_turn(robot, note, self._take_frames(robot, len(note.connections), behind))
             elif isinstance(note, Outcome):
-                robot.settle(note, self._take_frames(robot, len(note.heard)))
+                robot.settle(note, self._take_frames(robot, len(note.heard), behind))
             else:
                 self._decide(robot, began)
             self._work += time.perf_counter() - began
@@ -161,9 +163,8 @@ class AgentNode:
         )
         self._say(words)
 
-    def _take_turn(self, robot: Robot, turn: Turn) -> None:
+    def _take_turn(self, robot: Robot, turn: Turn, heard: list[tuple[int, bytes]]) -> None:
         """Answer the offers, or send data for the answers, that were delivered in this phase."""
-        heard = self._take_frames(robot, len(turn.connections))
         phase = "answers" if turn.phase == "offers" else "data"
         said: list[tuple[int, int, bytes]] = []
         try:
@@ -175,6 +176,8 @@ class AgentNode:
                 said = robot.session.data([(n, peer, about, load) for n, (peer, load), about in named])
         except ProtocolError as error:
             self._fault(str(error))
+        if turn.spoken:
+            return
         numbers, receivers = [number for number, _, _ in said], [peer for _, peer, _ in said]
         frames = [frame for _, _, frame in said]
         self._say(Said(turn.step, turn.exchange, phase, numbers, 0, receivers, frames))
@@ -196,11 +199,14 @@ class AgentNode:
         if self._step % SHOWN_EVERY == 0:
             self._show(self._step)
 
-    def _take_frames(self, robot: Robot, count: int) -> list[tuple[int, bytes]]:
-        """The last `count` frames received; those before them are the broadcasts of the beginning of a step."""
-        split = len(self._frames) - count
-        broadcasts, frames = self._frames[:split], self._frames[split:]
-        self._frames = []
+    def _take_frames(self, robot: Robot, count: int, behind: int = 0) -> list[tuple[int, bytes]]:
+        """Take `count` of the frames received, all but the last `behind` ones.
+
+        Those before them are the broadcasts of the beginning of a step.
+        """
+        end = len(self._frames) - behind
+        broadcasts, frames = self._frames[: end - count], self._frames[end - count : end]
+        del self._frames[:end]
         for peer, payload in broadcasts:
             robot.hear_broadcast(peer, payload)
         return frames
@@ -230,3 +236,10 @@ class AgentNode:
         if self._viewer_feed is not None and self.robot is not None:
             for news in self._viewer_feed.news(step, self.robot):
                 self._bus.put(self._to_viewer, pack(news))
+
+
+def _frames_of(note: MediumNote) -> int:
+    """How many of the frames that a robot hears with a note belong to it."""
+    if isinstance(note, Turn):
+        return len(note.connections)
+    return len(note.heard) if isinstance(note, Outcome) else 0

@@ -35,6 +35,7 @@ from protocol.messages import (
     Said,
     Stop,
     Strike,
+    Turn,
     Watched,
     pack,
 )
@@ -73,6 +74,8 @@ class RelayNode:
         self._watched = False
         self._begun = False
         self._ended = False
+        self._for_robots: defaultdict[int, Heard] = defaultdict(lambda: Heard([], [], []))
+        """What each robot is going to be told."""
         self._nonsense: Counter[str] = Counter()
         """How often each participant has made no sense in this step."""
 
@@ -115,6 +118,7 @@ class RelayNode:
         name = names.robot(robot)
         if name in self._present:
             self._present.discard(name)
+            self._for_robots.pop(robot, None)
             self._report(Lost(robot, cause))
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Lost(robot, cause)))
             self._send(self._radio.lost(robot))
@@ -198,8 +202,11 @@ class RelayNode:
         self.going_home = True
 
     def _send(self, outgoing: list[Outgoing]) -> None:
-        """Pass on what the radio gave, a message a robot: so each is woken once for all of it."""
-        for_robots: defaultdict[int, Heard] = defaultdict(lambda: Heard([], [], []))
+        """Pass on what the radio gave, a message a robot: so each is woken once for all of it.
+
+        Of phases in which it has been spoken for it is told when it is to say something itself, or nothing more comes.
+        """
+        for_robots = self._for_robots
         media: list[Medium] = []
         for item in outgoing:
             if isinstance(item, Frame):
@@ -216,7 +223,8 @@ class RelayNode:
             else:
                 media.append(item)
         for robot in sorted(for_robots):
-            self._bus.put(self._hears_at[robot], pack(for_robots[robot]))
+            if not _can_wait(for_robots[robot]):
+                self._bus.put(self._hears_at[robot], pack(for_robots.pop(robot)))
         for medium in media:
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Close(medium.step)))
             self._report(medium.report(captures=self._captures))
@@ -239,3 +247,8 @@ class RelayNode:
         if self._watched:
             seen = replace(message, frames=b"") if isinstance(message, RadioReport) else message
             self._bus.put(self._keys.control(names.VIEW, names.RELAY), pack(seen))
+
+
+def _can_wait(heard: Heard) -> bool:
+    """Whether a robot has nothing to say to what it hears, for it has been spoken for."""
+    return bool(heard.notes) and isinstance(heard.notes[-1], Turn) and heard.notes[-1].spoken

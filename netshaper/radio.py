@@ -143,8 +143,6 @@ class Radio:
         """What they have said in it."""
         self._beforehand: dict[int, Beforehand] = {}
         """What they have said of what they are going to say in this exchange."""
-        self._spoken_for: defaultdict[int, list[tuple[int, int, int, int]]] = defaultdict(list)
-        """Of each robot the connections in which it was spoken for: number, peer, map, and what came of it."""
         self._opened_with = UNLIMITED
         """What was left of the budget when the exchange was opened."""
         self._connections = Connections()
@@ -281,7 +279,6 @@ class Radio:
         self._connections = Connections(self._connections.first + len(self._connections))
         self._broadcast_carried = {}
         self._beforehand = {}
-        self._spoken_for.clear()
         self._opened_with = self._medium.left
         living = sorted(set(self._reach) - self._dead)
         self._expect("offers", living)
@@ -384,60 +381,58 @@ class Radio:
     def _pass_on(self, frame: int, phase: str) -> list[Outgoing]:
         """Hand all frames of one kind to their receivers, in the seeded order, and give these the turn.
 
-        For those who have said beforehand what they are going to say it is said at once; the outcome tells them.
+        For those who have said beforehand what they are going to say it is said at once.
         """
+        heard: defaultdict[int, tuple[list[int], list[bytes], list[int], list[int]]]
+        heard = defaultdict(lambda: ([], [], [], []))
         these = self._connections
         senders, receivers = these.senders, these.receivers
         if frame == ANSWER:
             senders, receivers = receivers, senders
         away = self._dead | self._deaf
-        places: defaultdict[int, list[int]] = defaultdict(list)
-        for at, (receiver, payload) in enumerate(zip(receivers, these.frames[frame], strict=True)):
+        said = zip(senders, receivers, these.maps, these.frames[frame], strict=True)
+        for number, (sender, receiver, about, payload) in enumerate(said, these.first):
             if payload is None:
                 continue
             if receiver in away:
-                these.lost[at] = frame
-            else:
-                places[receiver].append(at)
-        asked = [robot for robot in sorted(places) if not self._speak_for(robot, frame, places[robot])]
-        self._expect(phase, asked)
+                these.lost[number - these.first] = frame
+                continue
+            whose, frames, numbers, maps = heard[receiver]
+            whose.append(sender)
+            frames.append(payload)
+            numbers.append(number)
+            maps.append(about)
+        robots = sorted(heard)
+        self._expect(phase, robots)
         out: list[Outgoing] = []
-        for robot in asked:
-            mine = places[robot]
-            heard = [payload for at in mine if (payload := these.frames[frame][at]) is not None]
-            numbers, maps = [these.first + at for at in mine], [these.maps[at] for at in mine]
+        for robot in robots:
+            whose, frames, numbers, maps = heard[robot]
             turn = Turn(self._step, self._exchange, PHASES[frame], numbers, maps)
-            out.append(Note(robot, turn, [senders[at] for at in mine], heard))
+            said_for = self._reply(robot, frame, turn, whose, frames)
+            if said_for is not None:
+                self._spoken[robot] = said_for
+                self._waiting.discard(robot)
+                turn = msgspec.structs.replace(turn, spoken=True)
+            out.append(Note(robot, turn, whose, frames))
         return out
 
-    def _speak_for(self, robot: int, heard: int, places: Sequence[int]) -> bool:
-        """Say what a robot has said beforehand that it would say to what it hears; False if it has to be asked."""
-        these, said = self._connections, self._beforehand.get(robot)
-        if said is None:
-            return False
-        if heard == OFFER:
-            found, peers = replies.answers(said, these, places), these.senders
-        else:
-            found, peers = replies.data(said, these, places, self._opened_with), these.receivers
-        if found is None:
-            return False
-        for at, (frame, event) in zip(places, found, strict=True):
-            if heard == ANSWER and frame is not None and (problem := self._wrong_in_data(frame)):
-                self._refuse(robot, peers[at], DATA, frame, "protocol", problem)
-            else:
-                these.frames[heard + 1][at] = frame
-            self._spoken_for[robot].append((these.first + at, peers[at], these.maps[at], event))
-        return True
-
-    def _wrong_in_data(self, payload: bytes) -> str:
-        return wrong_in_data(payload) or self._too_long(payload)
+    def _reply(
+        self, robot: int, frame: int, turn: Turn, peers: Sequence[int], heard: Sequence[bytes]
+    ) -> Said | None:
+        """Say for a robot what it has said beforehand; None if it has to be asked."""
+        beforehand = self._beforehand.get(robot)
+        if beforehand is None:
+            return None
+        if frame == OFFER:
+            return replies.answers(beforehand, turn, peers, heard)
+        return replies.data(beforehand, turn, peers, heard, self._opened_with)
 
     def _end_answers(self) -> list[Outgoing]:
         self._collect(ANSWER, wrong_in_answer)
         return self._pass_on(ANSWER, "data")
 
     def _end_data(self) -> list[Outgoing]:
-        self._collect(DATA, self._wrong_in_data)
+        self._collect(DATA, lambda payload: wrong_in_data(payload) or self._too_long(payload))
         these = self._connections
         for at, (receiver, payload) in enumerate(zip(these.receivers, these.frames[DATA], strict=True)):
             if payload is not None and receiver in self._dead:
@@ -460,7 +455,6 @@ class Radio:
         for robot in sorted(concerned.keys() - self._dead):
             mine = concerned[robot]
             whose, frames, numbers = heard[robot]
-            spoken: list[list[int]] = [list(each) for each in zip(*self._spoken_for[robot], strict=True)]
             outcome = Outcome(
                 self._step,
                 self._exchange,
@@ -470,7 +464,6 @@ class Radio:
                 [data[at] for at in mine],
                 numbers,
                 self._broadcast_carried.get(robot, False),
-                *spoken,
             )
             out.append(Note(robot, outcome, whose, frames))
         self._exchange += 1

@@ -47,8 +47,6 @@ Coordinates = Annotated[list[Coordinate], Meta(max_length=MAX_ROBOTS)]
 Distances = Annotated[list[Count], Meta(max_length=MAX_ROBOTS)]
 Connections = Annotated[list[Connection], Meta(max_length=MOST_CONNECTIONS)]
 ConnectionMaps = Annotated[list[RobotNumber], Meta(max_length=MOST_CONNECTIONS)]
-ConnectionEvents = Annotated[list[Annotated[int, Meta(ge=0, lt=5)]], Meta(max_length=MOST_CONNECTIONS)]
-"""What became of each, of `protocol.handshake`."""
 ConnectionBytes = Annotated[list[Count], Meta(max_length=MOST_CONNECTIONS)]
 Ends = Annotated[list[RobotOrNone], Meta(max_length=MOST_CONNECTIONS)]
 """Who speaks, or is spoken to, of each frame; -1: all."""

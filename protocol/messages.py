@@ -29,7 +29,6 @@ from protocol.fields import (
     CellCountOrNone,
     Cells,
     ConnectionBytes,
-    ConnectionEvents,
     ConnectionMaps,
     Connections,
     Coordinate,
@@ -158,7 +157,8 @@ class Turn(Record, tag=6, frozen=True):
     """In a `Heard`: all frames of a phase have been passed on.
 
     `connections` and `maps` say what each is about, in the order in which they were passed on.
-    After ``offers`` the robot answers; after ``answers`` it sends data.
+    After ``offers`` the robot answers; after ``answers`` it sends data. Unless the relay has `spoken` for it, by the
+    `Replies` that it had from it.
     """
 
     step: Step
@@ -166,6 +166,7 @@ class Turn(Record, tag=6, frozen=True):
     phase: Word
     connections: Connections
     maps: ConnectionMaps
+    spoken: bool = False
 
     def __post_init__(self) -> None:
         if len(self.connections) != len(self.maps):
@@ -175,28 +176,29 @@ class Turn(Record, tag=6, frozen=True):
 class Replies(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
     """In a `Said`, with offers: what a robot would reply in this exchange, so that it need not be asked.
 
-    `held`: units of each map, by which it answers the first offer of it that it hears; any other one it declines. Of
-    the maps `asks` it has to be asked.
+    `offers`, `answers`: how it answers the first offer of a map; any other one of that map it declines.
 
-    `known`: of each of its own offers, in their order, up to which unit it believes that the map has reached the
-    receiver. Who holds just that many is sent the frame `load` of `loads` (-1: it has to be asked), as far as there is
-    room; who holds as many as itself, nothing.
+    Of each of its own offers, in their order: `level`, the answer behind which it has nothing to send; `behind`, the
+    one behind which it sends the frame `load` of `loads` (-1: it has to be asked), as far as there is room.
     """
 
-    held: ConnectionBytes
-    asks: ConnectionMaps
-    known: ConnectionBytes
+    offers: Frames
+    answers: Frames
+    level: Frames
+    behind: Frames
     load: Connections
     loads: Frames
 
     def __post_init__(self) -> None:
-        if len(self.known) != len(self.load):
-            raise ValueError("known and load are not as many")
+        if len(self.offers) != len(self.answers):
+            raise ValueError("offers and answers are not as many")
+        if not len(self.level) == len(self.behind) == len(self.load):
+            raise ValueError("level, behind and load are not as many")
         if max(self.load, default=-1) >= len(self.loads):
             raise ValueError(f"load {max(self.load)} of {len(self.loads)} loads")
 
 
-NO_REPLIES = Replies([], [], [], [], [])
+NO_REPLIES = Replies([], [], [], [], [], [])
 """Who says so is asked for each."""
 
 
@@ -233,9 +235,6 @@ class Outcome(Record, tag=8, frozen=True):
     `connections`, `offers`, `answers`, `data` are parallel: the bytes of each frame that were carried.
     `heard` names the connections whose data frames were passed on to this robot, in that order.
     `broadcast` tells whether its own was carried. News that are broadcast are of connection -1.
-
-    `spoken`: connections in which the relay has spoken for the robot, by its `Replies`; `peers`, `maps` and `events`
-    (`protocol.handshake`) say with whom, of which map, and what came of it.
     """
 
     step: Step
@@ -246,14 +245,8 @@ class Outcome(Record, tag=8, frozen=True):
     data: ConnectionBytes
     heard: Connections
     broadcast: bool
-    spoken: Connections = []
-    peers: ConnectionMaps = []
-    maps: ConnectionMaps = []
-    events: ConnectionEvents = []
 
     def __post_init__(self) -> None:
-        if not len(self.spoken) == len(self.peers) == len(self.maps) == len(self.events):
-            raise ValueError("spoken, peers, maps and events are not as many")
         if not len(self.connections) == len(self.offers) == len(self.answers) == len(self.data):
             raise ValueError("connections, offers, answers and data are not as many")
 

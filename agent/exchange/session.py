@@ -20,9 +20,10 @@ States and events of one connection (`TRANSITIONS`); an answer to an offer that 
 With the outcome of the exchange all connections end: the offerer moves its table by what was carried, the
 receiver appends the data that came to its log.
 
-How an index is said stands in `protocol.handshake`; it is never guessed at. A peer that says to hold less than it was
-sent does not want it: it counts as level. What one says is mostly known when the exchange is opened (`Session.replies`),
-and the relay says it for one; the states are the same.
+An answer gives of its index what the offer has not said: the place within the block of 4096 units; before it
+the block, where it is not the one that was offered; and before that the round of 64 blocks, where it is not
+the first. So an index is never guessed at. A peer that says to hold less than it was sent does not want it:
+it counts as level.
 """
 
 from __future__ import annotations
@@ -31,16 +32,20 @@ from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.exchange.log import Log
-from protocol import handshake, packets
+from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.kernels import kernel
 from protocol.messages import NO_REPLIES, Outcome, Replies
+from protocol.packets import BLOCKS, DECLINE, INDEX_WINDOW
+
+ROUND = BLOCKS * INDEX_WINDOW
+"""Units of a log whose blocks have different numbers."""
 
 MAX_WAIT = 64
 """Exchanges that an offer is put off at most."""
@@ -102,17 +107,6 @@ TRANSITIONS: dict[tuple[State, Event], State] = {
     (State.OFFERED, Event.DECLINED): State.REFUSED,
     (State.IDLE, Event.FIRST_OFFER): State.TAKING,
     (State.IDLE, Event.UNWANTED_OFFER): State.DECLINING,
-}
-
-
-_OF_ONES_OFFERS = {
-    handshake.BEHIND: Event.BEHIND,
-    handshake.LEVEL: Event.LEVEL,
-    handshake.DECLINED: Event.DECLINED,
-}
-_OF_OFFERS_TO_ONE = {
-    handshake.FIRST_OFFER: Event.FIRST_OFFER,
-    handshake.UNWANTED_OFFER: Event.UNWANTED_OFFER,
 }
 
 
@@ -221,29 +215,38 @@ class Session:
         for peer, about in self._worth_offering(exchange, np.array(held, np.int64)):
             connection = self._said[peer, about] = Connection(peer, about)
             connection.on(Event.NEWS)
-            frames.append((peer, about, handshake.offer(about, int(self.known[peer, about]))))
+            frames.append((peer, about, _offer(about, int(self.known[peer, about]) // INDEX_WINDOW % BLOCKS)))
         return frames
 
     def replies(self) -> Replies:
-        """What `answers` and `data` are going to say in this exchange, as far as one knows it when it is opened.
+        """What one is going to say in this exchange if all is as it seems: to offers, and behind one's own.
 
-        Data only of one's own map: of others' maps teammates mostly hold by now what one believes that they lack.
+        As `answers` and `data` will: who hands it over with the offers need not be asked for them. Data only of one's
+        own map: of others' teammates mostly hold by now what one believes that they lack.
         """
         if not self._peers or self._policy != "backoff":
             return NO_REPLIES
-        asks = {about for _, about in self.refused}
-        asks.update(range(self.own, len(self.logs), self._robots))
-        known, load = [], []
+        refused = {about for _, about in self.refused}
+        refused.update(range(self.own, len(self.logs), self._robots))
+        held = [(about, len(log)) for about, log in enumerate(self.logs) if about not in refused]
+        blocks = [units // INDEX_WINDOW % BLOCKS for _, units in held]
+        offers = [_offer(about, block) for (about, _), block in zip(held, blocks, strict=True)]
+        answers = [_answer(units, block) for (_, units), block in zip(held, blocks, strict=True)]
+        level: list[bytes] = []
+        behind: list[bytes] = []
+        load: list[int] = []
         loads: dict[int, bytes] = {}
         for peer, about in self._said:
-            reached = int(self.known[peer, about])
-            known.append(reached)
-            if about == self.own and reached not in loads:
-                loads[reached] = self.logs[about].since(reached, self._room)
-            load.append(list(loads).index(reached) if about == self.own else -1)
+            known = int(self.known[peer, about])
+            block = known // INDEX_WINDOW % BLOCKS
+            level.append(_answer(len(self.logs[about]), block))
+            behind.append(_answer(known, block))
+            if about == self.own and known not in loads:
+                loads[known] = self.logs[about].since(known, self._room)
+            load.append(list(loads).index(known) if about == self.own else -1)
         if sum(map(len, loads.values())) > MOST_BEFOREHAND:
             load, loads = [-1] * len(load), {}
-        return Replies([len(log) for log in self.logs], sorted(asks), known, load, list(loads.values()))
+        return Replies(offers, answers, level, behind, load, list(loads.values()))
 
     def answers(self, heard: list[tuple[int, int, bytes]]) -> list[tuple[int, int, bytes]]:
         """Answer offers, given and returned as (connection number, peer, frame).
@@ -255,7 +258,7 @@ class Session:
         """
         frames = []
         for number, peer, payload in heard:
-            offer = handshake.read_offer(payload)
+            offer = _only_offer(payload)
             if offer.map >= len(self.logs):
                 raise ProtocolError(offer.name, 0, f"map {offer.map} of {len(self.logs)} robots")
             connection = Connection(peer, offer.map)
@@ -267,9 +270,9 @@ class Session:
             )
             if connection.on(Event.UNWANTED_OFFER if unwanted else Event.FIRST_OFFER) is State.TAKING:
                 self._being_taken.add(offer.map)
-                said = handshake.answer(len(self.logs[offer.map]), offer.block)
+                said = _answer(len(self.logs[offer.map]), offer.block)
             else:
-                said = handshake.DECLINE
+                said = DECLINE
             frames.append((number, peer, said))
         return frames
 
@@ -305,8 +308,6 @@ class Session:
         `heard` has the data that reached this robot as (peer, frame), in the order of ``outcome.heard``. The
         caller appends the units of a frame with `accept` once it has made sense of them.
         """
-        for spoken in zip(outcome.spoken, outcome.peers, outcome.maps, outcome.events, strict=True):
-            self._note_spoken(*spoken)
         for number, answered, sent in zip(outcome.connections, outcome.answers, outcome.data, strict=True):
             connection = self._offered.get(number)
             if connection is not None and answered:
@@ -395,23 +396,14 @@ class Session:
         """Put the index of an answer together, and compare it with what is held."""
         known = int(self.known[connection.peer, connection.map])
         held = len(self.logs[connection.map])
-        index = handshake.held_by(payload, known)
-        if index is None:
+        said = _read_answer(payload)
+        if said is None:
             return Event.DECLINED
+        turn, block, index = said
+        block = known // INDEX_WINDOW % BLOCKS if block is None else block
+        index += turn * ROUND + block * INDEX_WINDOW
         connection.index = index if known <= index < held else held
         return Event.BEHIND if connection.index < held else Event.LEVEL
-
-    def _note_spoken(self, number: int, peer: int, about: int, event: int) -> None:
-        """The relay has said what one would have said, by one's `replies`."""
-        if event in _OF_OFFERS_TO_ONE:
-            self._taken[number] = connection = Connection(peer, about)
-            connection.on(_OF_OFFERS_TO_ONE[event])
-        elif (peer, about) in self._said:
-            self._offered[number] = connection = self._said[peer, about]
-            if connection.on(_OF_ONES_OFFERS[event]) is State.SENDING:
-                connection.index = int(self.known[peer, about])
-            elif event == handshake.LEVEL:
-                connection.index = len(self.logs[about])
 
     def _settle(self, connection: Connection, sent: int) -> None:
         """An answer was carried, and so many bytes of data after it."""
@@ -481,3 +473,42 @@ def reached_by_all(known: Table, robot: int, reached: Table) -> None:
         for about in range(robots):
             if about != peer:
                 reached[about] = min(reached[about], known[peer, about])
+
+
+@lru_cache(maxsize=1 << 14)
+def _read_answer(payload: bytes) -> tuple[int, int | None, int] | None:
+    """Read an answer: round, block (None: the one that the offer assumed), index; None if it declines."""
+    match packets.handshake(payload):
+        case (packets.Decline(),):
+            return None
+        case (packets.Answer(index),):
+            return 0, None, index
+        case (packets.Block(block), packets.Answer(index)):
+            return 0, block, index
+        case (packets.Block(turn), packets.Block(block), packets.Answer(index)):
+            return turn, block, index
+        case _:
+            raise ProtocolError("conn", 0, "expected an answer behind at most two blocks, or a decline")
+
+
+@lru_cache(maxsize=1 << 12)
+def _only_offer(payload: bytes) -> packets.Offer:
+    said = packets.handshake(payload)
+    if len(said) != 1 or not isinstance(said[0], packets.Offer):
+        raise ProtocolError("conn", 0, "expected one offer")
+    return said[0]
+
+
+@lru_cache(maxsize=1024)
+def _offer(about: int, block: int) -> bytes:
+    return packets.encode([packets.Offer(about, block)])
+
+
+@lru_cache(maxsize=1024)
+def _answer(held: int, assumed_block: int) -> bytes:
+    """Say how many units one holds, in as few packets as that takes."""
+    block = packets.Block(held // INDEX_WINDOW % BLOCKS)
+    answer = packets.Answer(held % INDEX_WINDOW)
+    if held >= ROUND:
+        return packets.encode([packets.Block(held // ROUND % BLOCKS), block, answer])
+    return packets.encode([answer] if block.block == assumed_block else [block, answer])

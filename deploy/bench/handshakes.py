@@ -93,5 +93,7 @@ def _speak(session: Session, note: object, heard: list[tuple[int, bytes]]) -> Sa
         case _:
             session.forget()
             return None
+    if note.spoken:
+        return None
     numbers, receivers = [number for number, _, _ in frames], [peer for _, peer, _ in frames]
     return Said(note.step, note.exchange, phase, numbers, 0, receivers, [frame for _, _, frame in frames])

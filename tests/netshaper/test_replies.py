@@ -76,6 +76,8 @@ class Team:
         else:
             named = zip(note.connections, heard, note.maps, strict=True)
             said = session.data([(n, peer, about, frame) for n, (peer, frame), about in named])
+        if note.spoken:
+            return None
         numbers, receivers = [number for number, _, _ in said], [peer for _, peer, _ in said]
         phase = "answers" if note.phase == "offers" else "data"
         return Said(note.step, note.exchange, phase, numbers, 0, receivers, [frame for _, _, frame in said])
@@ -119,27 +121,26 @@ def test_where_all_is_as_it_seems_a_robot_speaks_once_an_exchange() -> None:
 def test_who_lies_about_its_replies_is_refused_like_one_who_says_them() -> None:
     radio = Radio(RadioSettings(2, 0, 10.0))
     radio.begin(1, {0: (0, 0), 1: (1, 0)})
-    offer, decline = (packets.encode([packet]) for packet in (packets.Offer(0, 0), packets.Decline()))
-    noise = Replies([1, 0], [], [0], [0], [b"\xff\xff no units"])
-    radio.said(0, Said(1, 0, "offers", [], 0, [1], [offer], noise))
-    radio.said(1, Said(1, 0, "offers", [], 0, [], [], Replies([0, 0], [], [], [], [])))
-    ((sender, reason),) = radio.faults
-    assert sender == 0
-    assert "no packet begins" in reason
-    assert radio.phase == (1, 1, "offers"), "the step goes on"
-
-    radio.said(0, Said(1, 1, "offers", [], 0, [1, 1], [offer, decline], Replies([1], [], [0], [0], [b""])))
-    (turn,) = radio.said(1, Said(1, 1, "offers", [], 0, [], [], Replies([], [], [], [], [])))
-    assert isinstance(turn, Note)
-    assert turn.receiver == 1, "who has not said what it holds is asked"
+    offer, answer = (packets.encode([packet]) for packet in (packets.Offer(0, 0), packets.Answer(0)))
+    sends = Replies([], [], [b""], [answer], [0], [b"\xff\xff no units"])
+    radio.said(0, Said(1, 0, "offers", [], 0, [1], [offer], sends))
+    answers = Replies([offer], [packets.encode([packets.Answer(0), packets.Save()])], [], [], [], [])
+    radio.said(1, Said(1, 0, "offers", [], 0, [], [], answers))
+    assert [sender for sender, _ in radio.faults] == [1]
+    assert "an answer frame is" in radio.faults[0][1]
+    radio.faults.clear()
+    radio.begin(2, {0: (0, 0), 1: (1, 0)})
+    radio.said(0, Said(2, 0, "offers", [], 0, [1], [offer], sends))
+    radio.said(1, Said(2, 0, "offers", [], 0, [], [], Replies([offer], [answer], [], [], [], [])))
+    assert [sender for sender, _ in radio.faults] == [0]
 
 
 @pytest.mark.parametrize(
     "replies",
     [
-        [[-1], [], [], [], []],
-        [[], [], [1], [], []],
-        [[], [], [1], [1], [b"c"]],
+        [[b"a"], [], [], [], [], []],
+        [[], [], [b"a"], [], [], []],
+        [[], [], [b"a"], [b"b"], [1], [b"c"]],
         [[], [], []],
     ],
 )
@@ -147,5 +148,5 @@ def test_replies_that_do_not_fit_together_are_no_message(replies: list[Any]) -> 
     said = [7, 1, 0, "offers", [], 0, [], [], replies]
     with pytest.raises(ProtocolError, match="replies must be Replies"):
         unpack(msgspec.msgpack.encode(said))
-    whole = Said(1, 0, "offers", [], 0, [], [], Replies([3], [1], [2], [0], [b"e"]))
+    whole = Said(1, 0, "offers", [], 0, [], [], Replies([b"a"], [b"b"], [b"c"], [b"d"], [0], [b"e"]))
     assert unpack(pack(whole)) == whole
