@@ -80,6 +80,14 @@ def wrong_in_answer(payload: bytes) -> str:
     return "an answer frame is an answer behind at most two blocks, or a decline"
 
 
+def declines(payload: bytes) -> bool:
+    """Whether an answer frame declines the offer."""
+    return payload == _DECLINE
+
+
+_DECLINE = packets.encode([packets.Decline()])
+
+
 @lru_cache(maxsize=16)
 def wrong_in_data(payload: bytes) -> str:
     """Say what is wrong with a data frame; nothing if it is whole packets that may be data.

@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+from netshaper.frames import declines
 from netshaper.medium import UNLIMITED
 from protocol import survey
 from protocol.messages import Replies, Said, Turn
-from protocol.packets import DECLINE
 
 Offered = Mapping[tuple[int, int], int]
 """Of each offer of a robot, by its receiver and map, the place among them."""
@@ -36,7 +36,7 @@ def answers(said: Beforehand, turn: Turn, peers: Sequence[int], offers: Sequence
         answer = known.get(offer)
         if answer is None:
             return None
-        frames.append(DECLINE if about in taken else answer)
+        frames.append(said.replies.decline if about in taken else answer)
         taken.add(about)
     return Said(turn.step, turn.exchange, "answers", turn.connections, 0, list(peers), frames)
 
@@ -53,7 +53,7 @@ def data(
         place = said.offered[peer, about]
         if place >= len(replies.load):
             return None
-        if answer in (DECLINE, replies.level[place]):
+        if answer == replies.level[place] or declines(answer):
             continue
         if answer != replies.behind[place] or replies.load[place] < 0:
             return None

@@ -50,7 +50,8 @@ ConnectionMaps = Annotated[list[RobotNumber], Meta(max_length=MOST_CONNECTIONS)]
 ConnectionBytes = Annotated[list[Count], Meta(max_length=MOST_CONNECTIONS)]
 Ends = Annotated[list[RobotOrNone], Meta(max_length=MOST_CONNECTIONS)]
 """Who speaks, or is spoken to, of each frame; -1: all."""
-Frames = Annotated[list[Annotated[bytes, Meta(max_length=MOST_FRAME)]], Meta(max_length=MOST_CONNECTIONS)]
+Frame = Annotated[bytes, Meta(max_length=MOST_FRAME)]
+Frames = Annotated[list[Frame], Meta(max_length=MOST_CONNECTIONS)]
 
 WayCells = Annotated[bytes, Meta(max_length=4 * MOST_ON_THE_WAY)]
 WayPoints = Annotated[bytes, Meta(max_length=8 * MOST_ON_THE_WAY)]

@@ -40,6 +40,7 @@ from protocol.fields import (
     Eighths,
     Ends,
     Exchange,
+    Frame,
     Frames,
     Poses,
     Readings,
@@ -176,7 +177,7 @@ class Turn(Record, tag=6, frozen=True):
 class Replies(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
     """In a `Said`, with offers: what a robot would reply in this exchange, so that it need not be asked.
 
-    `offers`, `answers`: how it answers the first offer of a map; any other one of that map it declines.
+    `offers`, `answers`: how it answers the first offer of a map; `decline`: how any other one of that map.
 
     Of each of its own offers, in their order: `level`, the answer behind which it has nothing to send; `behind`, the
     one behind which it sends the frame `load` of `loads` (-1: it has to be asked), as far as there is room.
@@ -184,6 +185,7 @@ class Replies(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_field
 
     offers: Frames
     answers: Frames
+    decline: Frame
     level: Frames
     behind: Frames
     load: Connections
@@ -198,7 +200,7 @@ class Replies(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_field
             raise ValueError(f"load {max(self.load)} of {len(self.loads)} loads")
 
 
-NO_REPLIES = Replies([], [], [], [], [], [])
+NO_REPLIES = Replies([], [], b"", [], [], [], [])
 """Who says so is asked for each."""
 
 

@@ -393,10 +393,6 @@ def encode(packets: Iterable[Packet]) -> bytes:
     return bytes(out)
 
 
-DECLINE = encode([Decline()])
-"""The frame that declines an offer."""
-
-
 def length(buffer: bytes, offset: int = 0) -> int:
     """Return the length of the packet that begins at `offset`, in bytes.
 

@@ -42,7 +42,7 @@ from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.kernels import kernel
 from protocol.messages import NO_REPLIES, Outcome, Replies
-from protocol.packets import BLOCKS, DECLINE, INDEX_WINDOW
+from protocol.packets import BLOCKS, INDEX_WINDOW
 
 ROUND = BLOCKS * INDEX_WINDOW
 """Units of a log whose blocks have different numbers."""
@@ -246,7 +246,7 @@ class Session:
             load.append(list(loads).index(known) if about == self.own else -1)
         if sum(map(len, loads.values())) > MOST_BEFOREHAND:
             load, loads = [-1] * len(load), {}
-        return Replies(offers, answers, level, behind, load, list(loads.values()))
+        return Replies(offers, answers, _DECLINE, level, behind, load, list(loads.values()))
 
     def answers(self, heard: list[tuple[int, int, bytes]]) -> list[tuple[int, int, bytes]]:
         """Answer offers, given and returned as (connection number, peer, frame).
@@ -272,7 +272,7 @@ class Session:
                 self._being_taken.add(offer.map)
                 said = _answer(len(self.logs[offer.map]), offer.block)
             else:
-                said = DECLINE
+                said = _DECLINE
             frames.append((number, peer, said))
         return frames
 
@@ -512,3 +512,6 @@ def _answer(held: int, assumed_block: int) -> bytes:
     if held >= ROUND:
         return packets.encode([packets.Block(held // ROUND % BLOCKS), block, answer])
     return packets.encode([answer] if block.block == assumed_block else [block, answer])
+
+
+_DECLINE = packets.encode([packets.Decline()])

@@ -20,13 +20,12 @@ import pytest
 
 from deploy.record import run_directory
 from netshaper.capture import FRAMES
+from protocol.messages import Replies
 from tests.capture.sniffer import BUFFER, SO_RCVBUFFORCE
-from tests.capture.traffic import DOWN, PHASES, UP, Said, Traffic, frames, in_phases, passed_on
+from tests.capture.traffic import DOWN, PHASES, UP, Said, Traffic, Words, frames, in_exchanges, passed_on
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
-
-OFFER = FRAMES.index("offer")
 
 SWARMS = {
     "cut by the budget": {"robots": 4, "exchange": "polygon", "bandwidth": 300, "range": "40%", "steps": 50},
@@ -130,22 +129,48 @@ def test_the_relay_got_what_each_robot_said_in_order_and_booked_every_byte(
     traffic: Traffic, said: list[Said]
 ) -> None:
     for robot in traffic.robots:
-        sent = traffic.of(f"r{robot}").radio(UP)
-        at = 0
-        for phase, these in in_phases([frame for frame in said if frame.sender == robot]):
-            group = sent[at : at + len(these)]
-            at += len(these)
+        words = traffic.of(f"r{robot}").words()
+        for (step, exchange), booked in in_exchanges([frame for frame in said if frame.sender == robot]):
+            opening = words.pop((step, exchange, "offers"))
+            firsts = [frame for frame in booked if FRAMES[frame.frame] in ("broadcast", "offer")]
             # The relay has an order of its own for offers.
-            booked = sorted(these, key=_offer) if phase == OFFER else these
-            heard = sorted(group) if phase == OFFER else group
-            for frame, (receiver, payload) in zip(booked, heard, strict=True):
-                assert receiver == ("all" if frame.receiver < 0 else f"r{frame.receiver}")
-                assert frame.is_payload(payload), (frame, payload.hex())
-        assert at == len(sent), f"r{robot} said {len(sent) - at} frames that nobody booked"
+            assert sorted(map(_said, firsts)) == sorted(_put(opening))
+            for phase, name in (("answer", "answers"), ("data", "data")):
+                these = [frame for frame in booked if FRAMES[frame.frame] == phase]
+                asked = words.pop((step, exchange, name), None)
+                if asked is None:
+                    assert all(_is_beforehand(frame, opening.replies) for frame in these)
+                    continue
+                for frame, (receiver, payload) in zip(these, _put(asked), strict=True):
+                    assert receiver == _receiver(frame)
+                    assert frame.is_payload(payload), (frame, payload.hex())
+        assert not any(left.frames for left in words.values()), f"r{robot} said frames that nobody booked"
 
 
-def _offer(frame: Said) -> tuple[str, bytes]:
-    return f"r{frame.receiver}", frame.known
+def test_a_robot_hands_over_beforehand_what_it_is_rarely_asked_for(traffic: Traffic) -> None:
+    for robot in traffic.robots:
+        phases = Counter(phase for _, _, phase in traffic.of(f"r{robot}").words())
+        assert phases["offers"] > phases["answers"] + phases["data"]
+
+
+def _put(words: Words) -> list[tuple[str, bytes]]:
+    return [("all" if to < 0 else f"r{to}", payload) for to, payload in words.puts()]
+
+
+def _receiver(frame: Said) -> str:
+    return "all" if frame.receiver < 0 else f"r{frame.receiver}"
+
+
+def _said(frame: Said) -> tuple[str, bytes]:
+    assert frame.is_payload(frame.known)
+    return _receiver(frame), frame.known
+
+
+def _is_beforehand(frame: Said, replies: Replies) -> bool:
+    """Whether a robot has handed the frame over with its offers; data may go no further than there was room."""
+    if FRAMES[frame.frame] == "answer":
+        return frame.known in (*replies.answers, replies.decline)
+    return any(frame.size <= len(load) and load.startswith(frame.known) for load in replies.loads)
 
 
 def test_each_robot_got_what_was_carried_to_it_in_order_and_nothing_else(
@@ -157,7 +182,16 @@ def test_each_robot_got_what_was_carried_to_it_in_order_and_nothing_else(
 
 def test_what_the_wire_carried_is_what_the_ledger_books(traffic: Traffic, said: list[Said]) -> None:
     ledger = pyarrow.parquet.read_table(traffic.run / run_directory.LEDGER).to_pylist()
-    up = sum(len(payload) for robot in traffic.robots for _, payload in traffic.of(f"r{robot}").radio(UP))
+    words = {robot: traffic.of(f"r{robot}").words() for robot in traffic.robots}
+    asked = sum(
+        len(payload) for these in words.values() for each in these.values() for payload in each.frames
+    )
+    phases = dict(zip(PHASES, ("offers", "offers", "answers", "data"), strict=True))
+    beforehand = sum(
+        frame.size
+        for frame in said
+        if (frame.step, frame.exchange, phases[frame.frame]) not in words[frame.sender]
+    )
     down = sum(len(payload) for robot in traffic.robots for _, payload in traffic.of(f"r{robot}").radio(DOWN))
     carried = [row for row in ledger if row["carried"]]
     told = [
@@ -165,7 +199,7 @@ def test_what_the_wire_carried_is_what_the_ledger_books(traffic: Traffic, said: 
         for row in ledger
         if not row["carried"] and row["frame"] in PHASES[1:3] and row["cause"] == "budget"
     ]
-    assert up == sum(row["bytes"] for row in ledger)
+    assert asked + beforehand == sum(row["bytes"] for row in ledger)
     assert down == sum(row["bytes"] * row["heard"] for row in carried) + sum(row["bytes"] for row in told)
     assert sum(frame.carried for frame in said) == sum(row["bytes"] for row in carried) > 0
 

@@ -15,6 +15,7 @@ from netshaper import capture
 from netshaper.capture import FRAMES, Captured
 from netshaper.ledger import EVERYONE
 from netshaper.pcapng import Reader
+from protocol.messages import Said as Words
 from protocol.messages import unpack
 from tests.capture.sniffer import Segment, Strangers, Stream, segments
 from tests.capture.zenoh_wire import Session
@@ -56,6 +57,11 @@ class Connection:
                 names = ["all" if end < 0 else f"r{end}" for end in ends]
                 found += zip(names, said.frames, strict=True)
         return found
+
+    def words(self) -> dict[tuple[int, int, str], Words]:
+        """What a robot said to the relay, by step, exchange and phase."""
+        said = (unpack(payload) for key, payload in self.puts[UP] if key.startswith("radio/"))
+        return {(each.step, each.exchange, each.phase): each for each in said}
 
     @property
     def bytes(self) -> int:
@@ -169,10 +175,15 @@ def _together(parts: list[Captured]) -> Said:
 
 def in_phases(said: list[Said]) -> Iterator[tuple[int, list[Said]]]:
     """Yield the frames phase by phase, as they are said and passed on: (which frame, those of that phase)."""
-    for _, exchange in groupby(said, lambda frame: (frame.step, frame.exchange)):
-        frames_of = list(exchange)
+    for _, exchange in in_exchanges(said):
         for phase in PHASES:
-            yield phase, [frame for frame in frames_of if frame.frame == phase]
+            yield phase, [frame for frame in exchange if frame.frame == phase]
+
+
+def in_exchanges(said: list[Said]) -> Iterator[tuple[tuple[int, int], list[Said]]]:
+    """Yield the frames exchange by exchange, with its step and number."""
+    for name, exchange in groupby(said, lambda frame: (frame.step, frame.exchange)):
+        yield name, list(exchange)
 
 
 def passed_on(said: list[Said], robot: int) -> list[tuple[str, bytes]]:

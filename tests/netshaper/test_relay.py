@@ -297,7 +297,7 @@ def test_strange_numbers_at_the_end_of_a_phase_stop_no_run(said: Said) -> None:
     assert run.relay.waiting_for() == [0]
 
 
-REPLIES = [[], [], [], [], [], []]
+REPLIES = [[], [], b"", [], [], [], []]
 
 
 @pytest.mark.parametrize(

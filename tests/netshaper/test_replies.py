@@ -122,25 +122,25 @@ def test_who_lies_about_its_replies_is_refused_like_one_who_says_them() -> None:
     radio = Radio(RadioSettings(2, 0, 10.0))
     radio.begin(1, {0: (0, 0), 1: (1, 0)})
     offer, answer = (packets.encode([packet]) for packet in (packets.Offer(0, 0), packets.Answer(0)))
-    sends = Replies([], [], [b""], [answer], [0], [b"\xff\xff no units"])
+    sends = Replies([], [], b"", [b""], [answer], [0], [b"\xff\xff no units"])
     radio.said(0, Said(1, 0, "offers", [], 0, [1], [offer], sends))
-    answers = Replies([offer], [packets.encode([packets.Answer(0), packets.Save()])], [], [], [], [])
+    answers = Replies([offer], [packets.encode([packets.Answer(0), packets.Save()])], b"", [], [], [], [])
     radio.said(1, Said(1, 0, "offers", [], 0, [], [], answers))
     assert [sender for sender, _ in radio.faults] == [1]
     assert "an answer frame is" in radio.faults[0][1]
     radio.faults.clear()
     radio.begin(2, {0: (0, 0), 1: (1, 0)})
     radio.said(0, Said(2, 0, "offers", [], 0, [1], [offer], sends))
-    radio.said(1, Said(2, 0, "offers", [], 0, [], [], Replies([offer], [answer], [], [], [], [])))
+    radio.said(1, Said(2, 0, "offers", [], 0, [], [], Replies([offer], [answer], b"", [], [], [], [])))
     assert [sender for sender, _ in radio.faults] == [0]
 
 
 @pytest.mark.parametrize(
     "replies",
     [
-        [[b"a"], [], [], [], [], []],
-        [[], [], [b"a"], [], [], []],
-        [[], [], [b"a"], [b"b"], [1], [b"c"]],
+        [[b"a"], [], b"", [], [], [], []],
+        [[], [], b"", [b"a"], [], [], []],
+        [[], [], b"", [b"a"], [b"b"], [1], [b"c"]],
         [[], [], []],
     ],
 )
@@ -148,5 +148,5 @@ def test_replies_that_do_not_fit_together_are_no_message(replies: list[Any]) -> 
     said = [7, 1, 0, "offers", [], 0, [], [], replies]
     with pytest.raises(ProtocolError, match="replies must be Replies"):
         unpack(msgspec.msgpack.encode(said))
-    whole = Said(1, 0, "offers", [], 0, [], [], Replies([b"a"], [b"b"], [b"c"], [b"d"], [0], [b"e"]))
+    whole = Said(1, 0, "offers", [], 0, [], [], Replies([b"a"], [b"b"], b"f", [b"c"], [b"d"], [0], [b"e"]))
     assert unpack(pack(whole)) == whole

@@ -63,7 +63,21 @@ def values(kind: inspect.Type) -> st.SearchStrategy[Any]:
             return st.lists(values(kind.item_type), max_size=min(kind.max_length or 0, 5))
         case inspect.UnionType():
             return st.one_of(a_message(of.cls) for of in kind.types if isinstance(of, inspect.StructType))
+        case inspect.StructType(cls=messages.Replies):
+            return replies
     return st.dictionaries(st.text(), trees, max_size=4)
+
+
+@st.composite
+def some_replies(draw: st.DrawFn) -> messages.Replies:
+    frames = st.lists(st.binary(max_size=5), max_size=3)
+    offers, level, loads = draw(frames), draw(frames), draw(frames)
+    answers, behind = ([draw(st.binary(max_size=5)) for _ in each] for each in (offers, level))
+    load = [draw(st.integers(-1, len(loads) - 1)) for _ in level]
+    return messages.Replies(offers, answers, draw(st.binary(max_size=5)), level, behind, load, loads)
+
+
+replies = some_replies()
 
 
 @st.composite
@@ -170,7 +184,7 @@ def test_arrays_that_belong_together_are_refused_where_they_are_not_as_many() ->
         [4, 1, [0, 1], [2], [2], [], []],
         [6, 1, 0, "offers", [1], [], False],
         [8, 1, 0, [1], [1], [], [1], [], True],
-        [7, 1, 0, "data", [0], 0, [1], [], [[], [], [], [], [], []]],
+        [7, 1, 0, "data", [0], 0, [1], [], [[], [], b"", [], [], [], []]],
         [25, [1], [], []],
     ):
         with pytest.raises(ProtocolError, match="not as many"):
