@@ -39,7 +39,8 @@ class PolygonOptions:
         ones.
     wide_seen_walls : bool
         Also beside a wall that the robot has seen itself. Without it no small opening is taken for wall, so maps are
-        complete; specks in walls must be looked at, which takes some steps more.
+        complete; specks in walls must be looked at, which takes some steps more. Scenarios with `repairmen` leave it
+        out unless they say otherwise.
     close_slivers : bool
         Take unknown slivers between free cells that teammates have told of for free: there coarse areas meet.
     exact_error : bool

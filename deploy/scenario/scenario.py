@@ -44,6 +44,11 @@ from worldsim.faults import Fault
 SHIPPED = Path(__file__).with_name("shipped")
 """Scenarios that are installed with the code; they can be given by name instead of a path."""
 
+DEFAULT_STRATEGY = "repairmen"
+
+LOOKS_FROM_AFAR = ("repairmen",)
+"""Strategies whose robots look at crumbs from where they pass: more of these cost little."""
+
 
 class ScenarioError(ValueError):
     """A scenario that cannot be run: the message names each key, its value and what would be right."""
@@ -74,7 +79,9 @@ class Scenario(Table):
     range: Range = Field("100%", description="communication range: metres, or % of the map's diagonal")
     bandwidth: Bandwidth = Field(1000, description="bytes per step for the whole team")
     exchange: str = Field("sight", description="how maps are shared: polygon, laser, grid, sight, none")
-    strategy: str = Field("repairmen", description="how targets are chosen (murmur strategies lists all)")
+    strategy: str = Field(
+        DEFAULT_STRATEGY, description="how targets are chosen (murmur strategies lists all)"
+    )
     sensor_range: Positive = Field(5.0, description="range of the lasers, metres")
     field_of_view: Degrees = Field(360.0, gt=0, description="degrees")
     scanner_turn: Degrees = Field(
@@ -148,6 +155,20 @@ class Scenario(Table):
         preset = PRESETS[name]
         taken = {"bandwidth": preset.bandwidth, "range": str(preset.range_m)} | data
         return taken | {"radio": {"frame_bytes": preset.frame_bytes} | radio}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _doubt_openings(cls, data: Any) -> Any:
+        """Whether walls of outlines are wide that a robot has seen itself, where the scenario does not say it itself.
+
+        To a strategy that looks at crumbs from afar it is cheap to find out.
+        """
+        if not isinstance(data, dict) or data.get("exchange") != "polygon":
+            return data
+        polygon, strategy = data.get("polygon", {}), data.get("strategy", DEFAULT_STRATEGY)
+        if strategy not in LOOKS_FROM_AFAR or not isinstance(polygon, dict) or "wide_seen_walls" in polygon:
+            return data
+        return data | {"polygon": polygon | {"wide_seen_walls": False}}
 
     @field_validator("robot", "death", "fault", "change", mode="before")
     @classmethod

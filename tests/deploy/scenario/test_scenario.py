@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.exchange.catalogue import EXCHANGES, OFFERS
+from agent.exchange.polygon_options import PolygonOptions
 from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load, parse
 from deploy.scenario.tables import UNLIMITED
 from protocol.grid import MAX_ROBOTS
@@ -293,3 +294,15 @@ def test_help_names_every_exchange_and_every_policy_of_offers() -> None:
     assert str(fields["offers"].description).endswith(": " + ", ".join(OFFERS))
     for policy in OFFERS:
         assert parse({"offers": policy}).offers == policy
+
+
+def test_who_looks_at_crumbs_from_afar_takes_no_opening_for_a_wall_unless_told_to() -> None:
+    def wide(**settings: Any) -> bool:
+        return parse({"exchange": "polygon"} | settings).polygon.wide_seen_walls
+
+    assert not wide()
+    assert not wide(strategy="repairmen", polygon={"lazy": False})
+    assert wide(polygon={"wide_seen_walls": True})
+    assert wide(strategy="meier")
+    assert not wide(strategy="meier", polygon={"wide_seen_walls": False})
+    assert Scenario(exchange="polygon", polygon=PolygonOptions()).polygon.wide_seen_walls
