@@ -224,7 +224,7 @@ class Session:
         As `answers` and `data` will: who hands it over with the offers need not be asked for them. Data only of one's
         own map: of others' teammates mostly hold by now what one believes that they lack.
         """
-        if not self._peers or self._policy != "backoff":
+        if not self._peers or self._policy != "backoff" or not any(self.logs):
             return NO_REPLIES
         refused = {about for _, about in self.refused}
         refused.update(range(self.own, len(self.logs), self._robots))

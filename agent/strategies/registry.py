@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from inspect import isabstract
 from typing import Any
 
 import agent.strategies
@@ -16,13 +17,13 @@ from agent.strategies.base import Strategy
 
 
 def strategies() -> dict[str, type[Strategy]]:
-    """All strategies that have been imported, by name."""
+    """All strategies that have been imported and are complete, by name."""
     found: dict[str, type[Strategy]] = {}
     queue: list[Any] = [Strategy]
     while queue:
         for kind in queue.pop().__subclasses__():
             queue.append(kind)
-            if "name" in vars(kind):
+            if "name" in vars(kind) and not isabstract(kind):
                 found[kind.name] = kind
     return dict(sorted(found.items()))
 

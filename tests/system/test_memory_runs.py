@@ -250,6 +250,12 @@ def test_any_floor_is_explored_by_any_team(
     check_books(plan, records)
 
 
+def test_more_robots_than_packets_can_name_maps_of_share_none() -> None:
+    records = in_memory.run(small_plan(robots=66, steps=3, exchange="none"))
+    assert records.step == 3
+    assert not records.lost
+
+
 # Two robots, two sessions and the real radio, without bodies.
 
 
