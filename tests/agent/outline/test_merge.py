@@ -269,13 +269,18 @@ def test_unknown_specks_are_left_out_if_wished() -> None:
     assert clean[6, 6] == OCCUPIED
 
 
-def test_what_is_unknown_beside_a_teammates_wall_is_wall_if_wished() -> None:
+def half_a_room() -> tuple[Polygons, Grid]:
+    """What a teammate tells of the left half of a room, and what one has seen behind it oneself."""
     room = np.full((9, 20), OCCUPIED, np.uint8)
     room[1:8, 1:12] = FREE
     room[:, 12:] = UNKNOWN
-    teammate = approximated(room, (3, 3))
     own = np.full(room.shape, UNKNOWN, np.uint8)
     own[4, 12:14] = FREE
+    return approximated(room, (3, 3)), own
+
+
+def test_what_is_unknown_beside_a_teammates_wall_is_wall_if_wished() -> None:
+    teammate, own = half_a_room()
     own[0, 13] = FREE
     plain, wide = (merged(own, [teammate], Drawing(wide_walls=wished)) for wished in (False, True))
     assert plain[0, 12] == UNKNOWN
@@ -289,12 +294,7 @@ def test_what_is_unknown_beside_a_teammates_wall_is_wall_if_wished() -> None:
 
 
 def test_beside_a_wall_that_one_has_seen_itself_nothing_need_be_taken_for_wall() -> None:
-    room = np.full((9, 20), OCCUPIED, np.uint8)
-    room[1:8, 1:12] = FREE
-    room[:, 12:] = UNKNOWN
-    teammate = approximated(room, (3, 3))
-    own = np.full(room.shape, UNKNOWN, np.uint8)
-    own[4, 12:14] = FREE
+    teammate, own = half_a_room()
     for seen, expected in ((UNKNOWN, OCCUPIED), (OCCUPIED, UNKNOWN)):
         own[0, 11] = seen
         all_wide, unseen = (
