@@ -158,7 +158,9 @@ class RelayNode:
     def _take(self, sender: str, said: object, payload: bytes) -> None:
         """Take what somebody says; ProtocolError if it makes no sense."""
         if isinstance(said, Said):
-            longest = max(map(len, [*said.frames, *said.replies.loads]), default=0)
+            beforehand = said.replies
+            frames = (*said.frames, *beforehand.answers, beforehand.decline, *beforehand.loads)
+            longest = max(map(len, frames))
             if longest > self._most_bytes:
                 reason = (
                     f"a frame of {longest} bytes, where {self._most_bytes} are the most that can be carried"

@@ -33,6 +33,7 @@ from protocol.messages import (
     Open,
     Positions,
     RadioReport,
+    Replies,
     Said,
     Stop,
     pack,
@@ -342,6 +343,20 @@ def test_a_frame_longer_than_could_be_carried_is_reported_and_not_looked_at() ->
     assert run.relay.waiting_for() == [0, 1]
     (report,) = run.finish_step()
     assert report.rows == b""
+
+
+@pytest.mark.parametrize("replies", [
+    Replies([b""], [bytes(1065)], b"", [], [], [], []),
+    Replies([], [], bytes(1065), [], [], [], []),
+    Replies([], [], b"", [], [], [], [bytes(1065)]),
+], ids=["answer", "decline", "data"])  # fmt: skip
+def test_nor_is_a_reply_that_is_longer_than_could_be_carried(replies: Replies) -> None:
+    run = Run(budget=1000)
+    run.begin_step()
+    run.say("r1", Said(1, 0, "offers", [], 0, [], [], replies))
+    (fault,) = run.heard(LAB)
+    assert "a frame of 1065 bytes, where 1064 are the most" in fault.what
+    assert run.relay.waiting_for() == [0, 1]
 
 
 def test_where_everybody_is_said_to_be_may_be_longer_than_could_be_carried() -> None:
