@@ -21,7 +21,6 @@ _LETTERS = {packets.Pose: "p", packets.Target: "t", packets.Passed: "P"}
 _BROADCAST = re.compile(r"(?=.)p?t?(Pt?)*")
 
 
-@lru_cache(maxsize=1 << 9)
 def is_broadcast(payload: bytes) -> bool:
     """Whether a frame says a pose and a target, or one of them, and then the same of others, each once, ascending."""
     try:

@@ -13,14 +13,10 @@ from netshaper.frames import is_broadcast, wrong_in_news
 from netshaper.ledger import EVERYONE
 from netshaper.medium import NEWS
 from netshaper.radio import Frame, Outgoing, Radio
-from protocol.messages import Said
 
 
 class GossipRadio(Radio):
     """The radio of one run; as `Radio`, but for how maps travel."""
-
-    def _look_at(self, sender: int, said: Said) -> None:
-        """Nobody offers anything."""
 
     def _end_offers(self) -> list[Outgoing]:
         """Put broadcasts and then news on the air, the most urgent first, and tell all what became of them."""

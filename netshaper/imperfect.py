@@ -23,7 +23,6 @@ from netshaper.ledger import CAUSES, EVERYONE
 from netshaper.medium import ANSWER, BROADCAST, DATA, NEWS, UNLIMITED
 from netshaper.radio import Frame, Outgoing, Radio, RadioSettings
 from protocol import survey
-from protocol.messages import Said
 from protocol.packets import Check
 
 CARRIED, BUDGET, LIMIT, FULL = (CAUSES.index(cause) for cause in ("", "budget", "limit", "full"))
@@ -95,9 +94,6 @@ class ImperfectRadio(Radio):
         return (
             f"a packet of {size} bytes with its checksum, where a frame holds {most}" if size > most else ""
         )
-
-    def _look_at(self, sender: int, said: Said) -> None:
-        """All is said in one phase."""
 
     def _end_offers(self) -> list[Outgoing]:
         """Put all on the air, hand over what has come by now, and tell each robot what of its own was carried."""

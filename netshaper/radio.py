@@ -112,16 +112,6 @@ class Note(NamedTuple):
     frames: Sequence[bytes] = ()
 
 
-@dataclass
-class _Offers:
-    """What a robot says in the first phase: broadcasts; offers and their places, by receiver and map; the refused."""
-
-    broadcasts: list[bytes] = field(default_factory=list)
-    offers: dict[tuple[int, int], bytes] = field(default_factory=dict)
-    places: dict[tuple[int, int], int] = field(default_factory=dict)
-    refused: list[tuple[int, bytes, str, str]] = field(default_factory=list)
-
-
 Outgoing = Frame | Note | Medium
 """What is to be passed on, in this order: at the end of a step its medium, whose report the laboratory gets."""
 
@@ -151,8 +141,6 @@ class Radio:
         """Whom the phase under way concerns."""
         self._spoken: dict[int, Said] = {}
         """What they have said in it."""
-        self._offers: dict[int, _Offers] = {}
-        """What of that are offers."""
         self._beforehand: dict[int, Beforehand] = {}
         """What they have said of what they are going to say in this exchange."""
         self._opened_with = UNLIMITED
@@ -213,7 +201,6 @@ class Radio:
                 self._refuse(sender, receiver, DATA, payload, "protocol", "spoke out of turn")
             return []
         self._spoken[sender] = said
-        self._look_at(sender, said)
         self._waiting.discard(sender)
         return self._advance()
 
@@ -320,41 +307,31 @@ class Radio:
         """Who hears what a robot broadcasts."""
         return [peer for peer in self._reach[sender] if peer not in self._dead and peer not in self._deaf]
 
-    def _look_at(self, sender: int, said: Said) -> None:
-        """Read a robot's offers, while others still think."""
-        if self._phase != "offers":
-            return
-        read = self._offers[sender] = _Offers()
-        reach = self._reach.get(sender, ())
-        place = 0
-        for receiver, payload in said.puts():
-            if receiver == EVERYONE:
-                read.broadcasts.append(payload)
-                is_broadcast(payload)  # what was looked at once is known
-                continue
-            about, problem = read_offer(payload, self.settings.maps)
-            if receiver not in reach or sender in self._mute:
-                cause = "range" if receiver not in reach else "mute"
-                read.refused.append((receiver, payload, cause, ""))
-            elif problem or (receiver, about) in read.offers:
-                problem = problem or f"map {about} was offered to robot {receiver} twice in an exchange"
-                read.refused.append((receiver, payload, "protocol", problem))
-            else:
-                read.offers[receiver, about] = payload
-                read.places[receiver, about] = place
-            place += 1
-
     def _end_offers(self) -> list[Outgoing]:
         broadcasts: list[tuple[int, bytes]] = []
         offers: dict[tuple[int, int, int], bytes] = {}
         for sender, said in sorted(self._spoken.items()):
-            read = self._offers.pop(sender)
-            broadcasts += [(sender, payload) for payload in read.broadcasts]
-            for receiver, payload, cause, problem in read.refused:
-                self._refuse(sender, receiver, OFFER, payload, cause, problem)
-            for (receiver, about), payload in read.offers.items():
-                offers[sender, receiver, about] = payload
-            self._beforehand[sender] = Beforehand(said.replies, read.places)
+            reach = set(self._reach.get(sender, ()))
+            offered: dict[tuple[int, int], int] = {}
+            self._beforehand[sender] = Beforehand(said.replies, offered)
+            count = -1
+            for receiver, payload in said.puts():
+                if receiver == EVERYONE:
+                    broadcasts.append((sender, payload))
+                    continue
+                count += 1
+                if receiver not in reach or sender in self._mute:
+                    cause = "range" if receiver not in reach else "mute"
+                    self._refuse(sender, receiver, OFFER, payload, cause, "")
+                    continue
+                about, problem = read_offer(payload, self.settings.maps)
+                if not problem and (sender, receiver, about) in offers:
+                    problem = f"map {about} was offered to robot {receiver} twice in an exchange"
+                if problem:
+                    self._refuse(sender, receiver, OFFER, payload, "protocol", problem)
+                else:
+                    offers[sender, receiver, about] = payload
+                    offered[receiver, about] = count
         out = self._put_broadcasts_on_air(broadcasts)
         ends = self._drawn("contention", sorted(offers))
         self._connections.add(ends, [offers[each] for each in ends])
