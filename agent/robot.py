@@ -107,6 +107,8 @@ class Robot:
         self._heard: dict[int, int] = {}
         self._news: dict[int, Cell] = {}
         self._poses: dict[int, Pose] = {}
+        self._moved: dict[int, int] = {}
+        """The step in which each teammate was last heard to be elsewhere than before."""
         self._travelled: dict[int, float] = {}
         self._hearsay = Hearsay(settings)
         self._pose_is_said = True
@@ -234,6 +236,8 @@ class Robot:
         before = self._poses.get(peer)
         if before is not None:
             self._travel(peer, before[:2], pose[:2])
+        if before is None or before[:2] != pose[:2]:
+            self._moved[peer] = self._sense.step if self._sense is not None else 0
         self._poses[peer] = pose
 
     def _note_look(self, about: int) -> None:
@@ -330,6 +334,7 @@ class Robot:
             peers=self._peers,
             connected=self._hearsay.connected(sense.step, self._peers),
             poses=_ascending(self._poses),
+            moved=_ascending(self._moved),
             travelled=_ascending(self._travelled),
             targets=_ascending(self._targets),
             heard=_ascending(self._heard),

@@ -3,7 +3,8 @@
 The problem is the k-travelling repairmen's: it counts how late each goal is reached. A goal costs its weight times
 its arrival and its lateness times the square of that, so that small goals may wait for a while but not for long.
 On top counts when the last robot is done, and how far all of them drive, as for travelling salesmen: what is left
-for later has to be shared out again, so the run ends the sooner the less there is to drive in all. Goals are
+for later has to be shared out again, so the run ends the sooner the less there is to drive in all. A robot is done
+when it has also driven what is expected behind its goals, its load: who has much of that gets less else. Goals are
 inserted one by one where they cost least; then a goal moves elsewhere, two robots swap the ends of their tours,
 or a part of a tour is turned around, for as long as that helps. What a goal's move or a swap costs is known from
 sums over the rest of a tour, without driving along it.
@@ -26,7 +27,13 @@ _LEAST = 1e-7
 
 
 def team_tours(
-    starts: Numbers, between: Numbers, weights: Numbers, lateness: Numbers, last: float, way: float
+    starts: Numbers,
+    between: Numbers,
+    weights: Numbers,
+    lateness: Numbers,
+    last: float,
+    way: float,
+    loads: Numbers,
 ) -> list[list[int]]:
     """Plan one tour a robot, so that goals of weight are reached soon and none very late.
 
@@ -44,6 +51,8 @@ def team_tours(
         Cost of the longest tour, a unit of way.
     way : float
         Cost of every tour, a unit of way.
+    loads : float64 array, shape (n,)
+        By how much later a robot is done for each goal that it serves.
 
     Returns
     -------
@@ -54,7 +63,7 @@ def team_tours(
     tours = np.full((robots, goals), -1)
     counts = np.zeros(robots, np.int64)
     order = np.lexsort((starts.min(axis=0), -weights)) if goals else np.empty(0, np.int64)
-    _plan(starts, between, weights, lateness, last, way, order, tours, counts)
+    _plan(starts, between, weights, lateness, last, way, loads, order, tours, counts)
     return [tour[:count].tolist() for tour, count in zip(tours, counts, strict=True)]
 
 
@@ -66,6 +75,7 @@ def tours_cost(
     lateness: Numbers,
     last: float,
     way: float,
+    loads: Numbers,
 ) -> float:
     """What `team_tours` makes small."""
     total, longest = 0.0, 0.0
@@ -74,12 +84,13 @@ def tours_cost(
         for place, goal in enumerate(tour):
             arrival += starts[robot, goal] if place == 0 else between[tour[place - 1], goal]
             total += float(weights[goal] * arrival + lateness[goal] * arrival**2)
-        longest = max(longest, float(arrival))
-        total += way * float(arrival)
+        end = float(arrival + loads[tour].sum())
+        longest = max(longest, end)
+        total += way * end
     return total + last * longest
 
 
-_TOUR = "int64[::1], int64, float64[::1], float64[:,::1], float64[::1], float64[::1], float64[:,::1]"
+_TOUR = "int64[::1], int64, float64[::1], float64[:,::1], float64[::1], float64[::1], float64[::1], float64[:,::1]"
 
 
 @kernel(f"float64({_TOUR})")
@@ -90,11 +101,12 @@ def _drive(
     between: Numbers,
     weights: Numbers,
     lateness: Numbers,
+    loads: Numbers,
     book: Numbers,
 ) -> float:
     """Note the arrival at each place of a tour, and sums over the goals from there on; return the tour's cost.
 
-    `book[k]` has the arrival, the sums of weight, of lateness, and of lateness times arrival.
+    `book[k]` has the arrival, the sums of weight, of lateness, of lateness times arrival, and of load.
     """
     arrival = 0.0
     total = 0.0
@@ -109,6 +121,7 @@ def _drive(
         book[place, 1] = book[place + 1, 1] + weights[goal]
         book[place, 2] = book[place + 1, 2] + lateness[goal]
         book[place, 3] = book[place + 1, 3] + lateness[goal] * book[place, 0]
+        book[place, 4] = book[place + 1, 4] + loads[goal]
     return total
 
 
@@ -121,7 +134,7 @@ def _delay(book: Numbers, place: int, later: float) -> float:
 @kernel("float64(float64[:,:,::1], int64[::1], int64)")
 def _end(books: Numbers, counts: NDArray[np.int64], robot: int) -> float:
     """When a robot is done."""
-    return float(books[robot, counts[robot] - 1, 0]) if counts[robot] else 0.0
+    return float(books[robot, counts[robot] - 1, 0] + books[robot, 0, 4]) if counts[robot] else 0.0
 
 
 @kernel("float64(float64[:,:,::1], int64[::1], int64, int64)")
@@ -134,7 +147,7 @@ def _longest(books: Numbers, counts: NDArray[np.int64], one: int, other: int) ->
     return longest
 
 
-_ALL = "float64[:,::1], float64[:,::1], float64[::1], float64[::1], float64, float64"
+_ALL = "float64[:,::1], float64[:,::1], float64[::1], float64[::1], float64, float64, float64[::1]"
 _STATE = "int64[:,::1], int64[::1], float64[:,:,::1]"
 
 
@@ -147,6 +160,7 @@ def _best_place(
     lateness: Numbers,
     last: float,
     way: float,
+    loads: Numbers,
     tours: NDArray[np.int64],
     counts: NDArray[np.int64],
     books: Numbers,
@@ -164,11 +178,11 @@ def _best_place(
                 before = tours[robot, place - 1]
                 arrival = books[robot, place - 1, 0] + between[before, goal]
             cost = arrival * (weights[goal] + arrival * lateness[goal])
-            new_end = arrival
+            new_end = arrival + books[robot, 0, 4] + loads[goal]
             if place < counts[robot]:
                 later = arrival + between[goal, tours[robot, place]] - books[robot, place, 0]
                 cost += _delay(books[robot], place, later)
-                new_end = end + later
+                new_end = end + later + loads[goal]
             cost += last * (max(others, new_end) - max(others, end)) + way * (new_end - end)
             if cost < least:
                 least, best_robot, best_place = cost, robot, place
@@ -184,6 +198,7 @@ def _move(
     lateness: Numbers,
     last: float,
     way: float,
+    loads: Numbers,
     tours: NDArray[np.int64],
     counts: NDArray[np.int64],
     books: Numbers,
@@ -198,14 +213,18 @@ def _move(
         others = _longest(books, counts, robot, robot)
         end = _end(books, counts, robot)
         gain = last * max(others, end) + way * end
-        gain += _drive(tours[robot], counts[robot], starts[robot], between, weights, lateness, books[robot])
+        gain += _drive(
+            tours[robot], counts[robot], starts[robot], between, weights, lateness, loads, books[robot]
+        )
         tours[robot, place : counts[robot] - 1] = tours[robot, place + 1 : counts[robot]].copy()
         counts[robot] -= 1
-        gain -= _drive(tours[robot], counts[robot], starts[robot], between, weights, lateness, books[robot])
+        gain -= _drive(
+            tours[robot], counts[robot], starts[robot], between, weights, lateness, loads, books[robot]
+        )
         end = _end(books, counts, robot)
         gain -= last * max(others, end) + way * end
     cost, to_robot, to_place = _best_place(
-        goal, starts, between, weights, lateness, last, way, tours, counts, books
+        goal, starts, between, weights, lateness, last, way, loads, tours, counts, books
     )
     moved = to_robot >= 0 and cost < gain - _LEAST
     if not moved:
@@ -217,7 +236,14 @@ def _move(
         tours[to_robot, to_place] = goal
         counts[to_robot] += 1
         _drive(
-            tours[to_robot], counts[to_robot], starts[to_robot], between, weights, lateness, books[to_robot]
+            tours[to_robot],
+            counts[to_robot],
+            starts[to_robot],
+            between,
+            weights,
+            lateness,
+            loads,
+            books[to_robot],
         )
     return moved
 
@@ -232,6 +258,7 @@ def _swap_ends(
     lateness: Numbers,
     last: float,
     way: float,
+    loads: Numbers,
     tours: NDArray[np.int64],
     counts: NDArray[np.int64],
     books: Numbers,
@@ -245,19 +272,21 @@ def _swap_ends(
         gone = books[one, place - 1, 0] if place else 0.0
         for at in range(counts[other] + 1):
             run = books[other, at - 1, 0] if at else 0.0
-            cost, new_one, new_other = 0.0, gone, run
+            load_one = books[one, 0, 4] - books[one, place, 4] + books[other, at, 4]
+            load_other = books[other, 0, 4] - books[other, at, 4] + books[one, place, 4]
+            cost, new_one, new_other = 0.0, gone + load_one, run + load_other
             if at < counts[other]:
                 goal = tours[other, at]
                 step = between[tours[one, place - 1], goal] if place else starts[one, goal]
                 later = gone + step - books[other, at, 0]
                 cost += _delay(books[other], at, later)
-                new_one = end_other + later
+                new_one = end_other + later - books[other, 0, 4] + load_one
             if place < counts[one]:
                 goal = tours[one, place]
                 step = between[tours[other, at - 1], goal] if at else starts[other, goal]
                 later = run + step - books[one, place, 0]
                 cost += _delay(books[one], place, later)
-                new_other = end_one + later
+                new_other = end_one + later - books[one, 0, 4] + load_other
             cost += last * (max(others, new_one, new_other) - now)
             cost += way * (new_one + new_other - end_one - end_other)
             if cost < best:
@@ -270,7 +299,7 @@ def _swap_ends(
     tours[one, best_one : counts[one]] = tail_other
     tours[other, best_other : counts[other]] = tail_one
     for robot in (one, other):
-        _drive(tours[robot], counts[robot], starts[robot], between, weights, lateness, books[robot])
+        _drive(tours[robot], counts[robot], starts[robot], between, weights, lateness, loads, books[robot])
     return True
 
 
@@ -283,6 +312,7 @@ def _turn_around(
     lateness: Numbers,
     last: float,
     way: float,
+    loads: Numbers,
     tours: NDArray[np.int64],
     counts: NDArray[np.int64],
     books: Numbers,
@@ -304,7 +334,7 @@ def _turn_around(
                     arrival = starts[robot, goal]
                 before = book[at, 0]
                 cost += (arrival - before) * (weights[goal] + lateness[goal] * (arrival + before))
-            new_end = arrival
+            new_end = arrival + book[0, 4]
             if final + 1 < count:
                 later = arrival + between[tour[first], tour[final + 1]] - book[final + 1, 0]
                 cost += _delay(book, final + 1, later)
@@ -315,7 +345,7 @@ def _turn_around(
     if best_first < 0:
         return False
     tour[best_first : best_last + 1] = tour[best_first : best_last + 1][::-1].copy()
-    _drive(tour, count, starts[robot], between, weights, lateness, book)
+    _drive(tour, count, starts[robot], between, weights, lateness, loads, book)
     return True
 
 
@@ -327,27 +357,30 @@ def _plan(
     lateness: Numbers,
     last: float,
     way: float,
+    loads: Numbers,
     order: NDArray[np.int64],
     tours: NDArray[np.int64],
     counts: NDArray[np.int64],
 ) -> None:
     """Insert the goals in their order, and improve; `tours` and `counts` begin empty."""
     robots, goals = starts.shape
-    books = np.zeros((robots, goals + 1, 4))
+    books = np.zeros((robots, goals + 1, 5))
     for goal in order:
-        _move(goal, starts, between, weights, lateness, last, way, tours, counts, books)
+        _move(goal, starts, between, weights, lateness, last, way, loads, tours, counts, books)
     for _ in range(ROUNDS):
         improved = False
         for goal in order:
-            improved |= _move(goal, starts, between, weights, lateness, last, way, tours, counts, books)
+            improved |= _move(
+                goal, starts, between, weights, lateness, last, way, loads, tours, counts, books
+            )
         for one in range(robots):
             for other in range(one):
                 improved |= _swap_ends(
-                    one, other, starts, between, weights, lateness, last, way, tours, counts, books
+                    one, other, starts, between, weights, lateness, last, way, loads, tours, counts, books
                 )
         for robot in range(robots):
             improved |= _turn_around(
-                robot, starts, between, weights, lateness, last, way, tours, counts, books
+                robot, starts, between, weights, lateness, last, way, loads, tours, counts, books
             )
         if not improved:
             break

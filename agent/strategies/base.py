@@ -60,6 +60,8 @@ class Situation:
         Teammates out of radio range that are connected through others, ascending; only where poses are passed on.
     poses : dict of robot to Pose
         The last pose heard of each teammate that tells it, by ascending number.
+    moved : dict of robot to step
+        When each of these was last heard to be elsewhere than before.
     travelled : dict of robot to float
         Way in cells, straight from pose to pose: those heard of it, its own of every step.
     targets : dict of robot to (x, y)
@@ -82,6 +84,7 @@ class Situation:
     peers: tuple[int, ...] = ()
     connected: tuple[int, ...] = ()
     poses: Mapping[int, Pose] = field(default_factory=dict)
+    moved: Mapping[int, int] = field(default_factory=dict)
     travelled: Mapping[int, float] = field(default_factory=dict)
     targets: Mapping[int, Cell] = field(default_factory=dict)
     heard: Mapping[int, int] = field(default_factory=dict)

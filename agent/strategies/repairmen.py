@@ -73,6 +73,9 @@ CRUMB_CELLS = 2
 AHEAD = 5
 """Goals that come after the next one and have a say in where to look at it from."""
 
+STILL = 3
+"""Steps on end in one place after which a teammate sees nothing to do, or cannot go where there is."""
+
 RECALL = 200
 """Steps for which a teammate out of range is believed to be at the last target that it told of."""
 
@@ -96,6 +99,11 @@ class Options(Parts):
     look: float = option(
         0.9, "from how many sensor ranges off a crumb is looked at; 0: from where it is", least=0
     )
+    work: float = option(
+        1.5,
+        "sensor ranges of way expected behind an edge that promises much: who has these gets less else",
+        least=0,
+    )
     loyalty: float = option(0.2, "by how many sensor ranges a robot's last target seems nearer", least=0)
 
 
@@ -116,8 +124,8 @@ class Repairmen(TeamStrategy):
         self._tour: list[int] = []
         self._next = np.empty((0, 2), np.int32), np.empty(0, np.bool_)
         self._seen_in_vain: set[Cell] = set()
-        self._given_up: Mapping[int, int] = {}
-        """When each teammate had been heard when the robot ceased to rely on those out of range."""
+        self._given_up: dict[int, int] = {}
+        """When each teammate had been heard when the robot ceased to rely on it."""
 
     def is_due(self, situation: Situation) -> bool:
         """In each step that brings news of the map: a robot that hears nothing new does not turn to and fro.
@@ -142,16 +150,22 @@ class Repairmen(TeamStrategy):
     def team(self, situation: Situation) -> dict[int, Cell]:
         """The sub-team, and who left it not long ago: they are taken to be where they were headed.
 
-        Once the robot has waited in vain for what they were to do, not any more, until they are heard again.
+        A robot that waits for what others are to do does not rely on those that stand still, and once it has waited
+        in vain for long on nobody, until they tell of a new target.
         """
         members = super().team(situation)
-        if self._waited >= PATIENCE:
-            self._given_up = dict(situation.heard)
         for peer, target in situation.targets.items():
-            heard = situation.heard.get(peer, 0)
-            if situation.step - heard <= RECALL and heard > self._given_up.get(peer, -1):
+            if situation.step - situation.heard.get(peer, 0) <= RECALL:
                 members.setdefault(peer, target)
-        return dict(sorted(members.items()))
+        for peer in members:
+            stands = situation.step - situation.moved.get(peer, situation.step) >= STILL
+            if self._waited >= PATIENCE or (self._waited and stands and peer in situation.peers):
+                self._given_up[peer] = situation.heard.get(peer, 0)
+        return {
+            peer: members[peer]
+            for peer in sorted(members)
+            if peer == self.settings.robot or situation.heard.get(peer, 0) > self._given_up.get(peer, -1)
+        }
 
     def goals(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:
         """Representatives of all free edges that can be reached, however small; of those in a place one."""
@@ -244,6 +258,7 @@ class Repairmen(TeamStrategy):
             np.full(len(table.goals), self.options.lateness / (2 * range_cells)),
             self.options.last,
             self.options.total,
+            self.options.work * range_cells * worth,
         )
         self._tour = tours[table.robots.index(self.settings.robot)]
         return _follow(np.array([tour[0] if tour else -1 for tour in tours]), table.costs, worth)

@@ -308,7 +308,9 @@ class _Plan:
         cells = np.array([*self._starts, *stops], np.int32)
         ways = self._building.ways_between(cells, cells[robots:])
         few = np.full(count, 0.1 / max(1, count))
-        tours = team_tours(ways[:robots].copy(), ways[robots:].copy(), few, np.zeros(count), 1.0, 0.0)
+        tours = team_tours(
+            ways[:robots].copy(), ways[robots:].copy(), few, np.zeros(count), 1.0, 0.0, np.zeros(count)
+        )
         return [[start, *(stops[at] for at in tour)] for start, tour in zip(self._starts, tours, strict=True)]
 
     def improve(self) -> None:

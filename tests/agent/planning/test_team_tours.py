@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from agent.planning.team_tours import ROUNDS, Numbers, team_tours, tours_cost
 
-Task = tuple[Numbers, Numbers, Numbers, Numbers, float, float]
+Task = tuple[Numbers, Numbers, Numbers, Numbers, float, float, Numbers]
 
 
 def on_a_line(
@@ -24,6 +24,7 @@ def on_a_line(
         np.full(len(goals), lateness),
         0.0,
         way,
+        np.zeros(len(goals)),
     )
 
 
@@ -50,14 +51,24 @@ def test_a_far_robot_helps_where_the_end_of_the_last_counts(last: float, tours: 
     # arrival costs one more, the end 22 instead of 21 the other way round.
     starts = np.array([[20.0, 22.0], [30.0, 21.0]]) if last else np.array([[20.0, 22.0], [30.0, 23.0]])
     between = np.array([[0.0, 2.0], [2.0, 0.0]])
-    assert team_tours(starts, between, np.full(2, 0.1), np.zeros(2), last, 0.0) == tours
+    assert team_tours(starts, between, np.full(2, 0.1), np.zeros(2), last, 0.0, np.zeros(2)) == tours
+
+
+def test_who_has_much_to_expect_behind_a_goal_gets_less_else() -> None:
+    # The second goal lies a little nearer to robot 0, which has the first to see to.
+    starts = np.array([[10.0, 12.0], [40.0, 13.0]])
+    between = np.array([[0.0, 2.0], [2.0, 0.0]])
+    task = starts, between, np.full(2, 0.1), np.zeros(2), 1.0, 0.0
+    assert team_tours(*task, np.zeros(2)) == [[0, 1], []]
+    assert team_tours(*task, np.array([30.0, 0.0])) == [[0], [1]]
 
 
 def test_what_nobody_can_reach_is_in_no_tour_and_who_can_reach_nothing_has_none() -> None:
     starts = np.array([[3.0, np.inf, 1.0], [np.inf, np.inf, np.inf]])
     between = np.array([[0.0, np.inf, 2.0], [np.inf, 0.0, np.inf], [2.0, np.inf, 0.0]])
-    assert team_tours(starts, between, np.ones(3), np.ones(3), 1.0, 1.0) == [[2, 0], []]
-    assert team_tours(np.empty((2, 0)), np.empty((0, 0)), np.empty(0), np.empty(0), 1.0, 1.0) == [[], []]
+    assert team_tours(starts, between, np.ones(3), np.ones(3), 1.0, 1.0, np.zeros(3)) == [[2, 0], []]
+    none = np.empty(0)
+    assert team_tours(np.empty((2, 0)), np.empty((0, 0)), none, none, 1.0, 1.0, none) == [[], []]
 
 
 @st.composite
@@ -73,6 +84,7 @@ def tasks(draw: st.DrawFn) -> Task:
         np.full(goals, draw(st.sampled_from([0.0, 0.001, 0.02]))),
         draw(st.sampled_from([0.0, 2.0])),
         draw(st.sampled_from([0.0, 4.0])),
+        draw(st.sampled_from([0.0, 50.0])) * random.uniform(0, 1, goals),
     )
 
 
