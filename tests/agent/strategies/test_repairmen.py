@@ -11,7 +11,7 @@ import pytest
 from agent.planning.path_planner import PathPlanner
 from agent.settings import Settings
 from agent.strategies.base import Decision, Pose, Situation
-from agent.strategies.repairmen import RECALL, Repairmen
+from agent.strategies.repairmen import RECALL, STILL, Repairmen
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from tests.agent.planning.planning_references import settings_for
 
@@ -82,6 +82,37 @@ def test_a_teammate_out_of_range_is_believed_to_be_where_it_was_headed_but_not_f
     assert mind().decide(away).target == GAP
     assert mind().decide(replace(away, step=1 + RECALL)).target == GAP
     assert mind().decide(replace(away, step=2 + RECALL)).target == END
+
+
+def test_a_robot_that_waits_does_not_leave_anything_to_a_teammate_that_stands_still() -> None:
+    # Only the gap is left, and robot 1 is the nearer to it, but sees nothing to do.
+    grid = HALL.copy()
+    grid[1:-1, 50] = OCCUPIED
+    robot = mind(grid=grid)
+    seen = [
+        robot.decide(
+            replace(
+                robot_at(9, 4, grid),
+                step=step,
+                peers=(1,),
+                poses={1: Pose(5, 4, leads=False)},
+                targets={1: (30, 4)},
+                heard={1: 1},
+                moved={1: 1},
+            )
+        ).target
+        for step in range(1, STILL + 3)
+    ]
+    assert seen == [None] * STILL + [GAP] * 2
+
+
+@pytest.mark.parametrize(("work", "first"), [(0.0, GAP), (3.0, (32, 1))])
+def test_who_has_much_to_expect_leaves_the_rest_to_others(work: float, first: tuple[int, int]) -> None:
+    # A crumb is a little out of robot 1's way to the end, and more out of robot 0's to the gap, which is longer.
+    grid = HALL.copy()
+    grid[0, 32] = UNKNOWN
+    here = robot_at(28, 4, grid, peers=(1,), poses={1: Pose(31, 7, leads=False)})
+    assert mind(grid=grid, options={"work": work, "total": 0.0}).decide(here).target == first
 
 
 def test_it_plans_anew_with_all_news_unless_told_otherwise() -> None:
