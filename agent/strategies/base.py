@@ -179,6 +179,8 @@ class Strategy(ABC):
     """Whether its robots tell each other their targets."""
     tells_pose: ClassVar[bool] = False
     """Whether its robots tell each other where they are."""
+    looks_from_afar: ClassVar[bool] = False
+    """Whether its robots look at crumbs from where they pass, so that more of these cost little."""
     passes_on: bool = False
     """Whether its robots pass on what teammates have told of poses and targets."""
     withholds: bool = False

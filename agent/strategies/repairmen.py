@@ -114,6 +114,7 @@ class Repairmen(TeamStrategy):
     summary = "the team plans tours through all free edges that reach much soon and leave nothing for late"
     source = "Murmur, after the k-travelling repairmen problem (minimum latency)"
     options_type = Options
+    looks_from_afar = True
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)

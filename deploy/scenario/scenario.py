@@ -46,9 +46,6 @@ SHIPPED = Path(__file__).with_name("shipped")
 
 DEFAULT_STRATEGY = "repairmen"
 
-LOOKS_FROM_AFAR = ("repairmen",)
-"""Strategies whose robots look at crumbs from where they pass: more of these cost little."""
-
 
 class ScenarioError(ValueError):
     """A scenario that cannot be run: the message names each key, its value and what would be right."""
@@ -165,8 +162,16 @@ class Scenario(Table):
         """
         if not isinstance(data, dict) or data.get("exchange") != "polygon":
             return data
-        polygon, strategy = data.get("polygon", {}), data.get("strategy", DEFAULT_STRATEGY)
-        if strategy not in LOOKS_FROM_AFAR or not isinstance(polygon, dict) or "wide_seen_walls" in polygon:
+        polygon = data.get("polygon", {})
+        if not isinstance(polygon, dict) or "wide_seen_walls" in polygon:
+            return data
+        from agent.strategies.registry import strategy  # noqa: PLC0415  kernels, of which help needs none
+
+        try:
+            chosen = strategy(str(data.get("strategy", DEFAULT_STRATEGY)))
+        except ValueError:
+            return data  # `_fits_together` says why
+        if not chosen.looks_from_afar:
             return data
         return data | {"polygon": polygon | {"wide_seen_walls": False}}
 

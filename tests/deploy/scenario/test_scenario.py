@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from agent.exchange.catalogue import EXCHANGES, OFFERS
 from agent.exchange.polygon_options import PolygonOptions
+from agent.strategies.meier import Meier
 from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load, parse
 from deploy.scenario.tables import UNLIMITED
 from protocol.grid import MAX_ROBOTS
@@ -296,7 +297,9 @@ def test_help_names_every_exchange_and_every_policy_of_offers() -> None:
         assert parse({"offers": policy}).offers == policy
 
 
-def test_who_looks_at_crumbs_from_afar_takes_no_opening_for_a_wall_unless_told_to() -> None:
+def test_who_looks_at_crumbs_from_afar_takes_no_opening_for_a_wall_unless_told_to(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def wide(**settings: Any) -> bool:
         return parse({"exchange": "polygon"} | settings).polygon.wide_seen_walls
 
@@ -306,3 +309,5 @@ def test_who_looks_at_crumbs_from_afar_takes_no_opening_for_a_wall_unless_told_t
     assert wide(strategy="meier")
     assert not wide(strategy="meier", polygon={"wide_seen_walls": False})
     assert Scenario(exchange="polygon", polygon=PolygonOptions()).polygon.wide_seen_walls
+    monkeypatch.setattr(Meier, "looks_from_afar", True)
+    assert not wide(strategy="meier")
