@@ -12,6 +12,8 @@ sums over the rest of a tour, without driving along it.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,18 +28,10 @@ _LEAST = 1e-7
 """What a move must gain: less is rounding."""
 
 
-def team_tours(
-    starts: Numbers,
-    between: Numbers,
-    weights: Numbers,
-    lateness: Numbers,
-    last: float,
-    way: float,
-    loads: Numbers,
-) -> list[list[int]]:
-    """Plan one tour a robot, so that goals of weight are reached soon and none very late.
+class Task(NamedTuple):
+    """What there is to plan.
 
-    Parameters
+    Attributes
     ----------
     starts : float64 array, shape (m, n)
         Way from each robot to each goal; infinite where none leads.
@@ -53,31 +47,36 @@ def team_tours(
         Cost of every tour, a unit of way.
     loads : float64 array, shape (n,)
         By how much later a robot is done for each goal that it serves.
+    """
+
+    starts: Numbers
+    between: Numbers
+    weights: Numbers
+    lateness: Numbers
+    last: float
+    way: float
+    loads: Numbers
+
+
+def team_tours(task: Task) -> list[list[int]]:
+    """Plan one tour a robot, so that goals of weight are reached soon and none very late.
 
     Returns
     -------
     list of lists of int
         The numbers of each robot's goals, in its order; goals that no robot can reach are in none.
     """
-    robots, goals = starts.shape
+    robots, goals = task.starts.shape
     tours = np.full((robots, goals), -1)
     counts = np.zeros(robots, np.int64)
-    order = np.lexsort((starts.min(axis=0), -weights)) if goals else np.empty(0, np.int64)
-    _plan(starts, between, weights, lateness, last, way, loads, order, tours, counts)
+    order = np.lexsort((task.starts.min(axis=0), -task.weights)) if goals else np.empty(0, np.int64)
+    _plan((*task,), order, tours, counts)
     return [tour[:count].tolist() for tour, count in zip(tours, counts, strict=True)]
 
 
-def tours_cost(
-    tours: list[list[int]],
-    starts: Numbers,
-    between: Numbers,
-    weights: Numbers,
-    lateness: Numbers,
-    last: float,
-    way: float,
-    loads: Numbers,
-) -> float:
+def tours_cost(tours: list[list[int]], task: Task) -> float:
     """What `team_tours` makes small."""
+    starts, between, weights, lateness, last, way, loads = task
     total, longest = 0.0, 0.0
     for robot, tour in enumerate(tours):
         arrival = 0.0
@@ -90,29 +89,28 @@ def tours_cost(
     return total + last * longest
 
 
-_TOUR = "int64[::1], int64, float64[::1], float64[:,::1], float64[::1], float64[::1], float64[::1], float64[:,::1]"
+_Task = tuple[Numbers, Numbers, Numbers, Numbers, float, float, Numbers]
+_Plan = tuple[NDArray[np.int64], NDArray[np.int64], Numbers]
+"""Tours by robot and place, how many places each has, and what `_drive` notes of each."""
+
+_TASK = "Tuple((float64[:,::1], float64[:,::1], float64[::1], float64[::1], float64, float64, float64[::1]))"
+_PLAN = "Tuple((int64[:,::1], int64[::1], float64[:,:,::1]))"
 
 
-@kernel(f"float64({_TOUR})")
-def _drive(
-    tour: NDArray[np.int64],
-    count: int,
-    start: Numbers,
-    between: Numbers,
-    weights: Numbers,
-    lateness: Numbers,
-    loads: Numbers,
-    book: Numbers,
-) -> float:
-    """Note the arrival at each place of a tour, and sums over the goals from there on; return the tour's cost.
+@kernel(f"float64(int64, {_TASK}, {_PLAN})")
+def _drive(robot: int, task: _Task, plan: _Plan) -> float:
+    """Note the arrival at each place of a robot's tour, and sums over the goals from there on; return the tour's cost.
 
     `book[k]` has the arrival, the sums of weight, of lateness, of lateness times arrival, and of load.
     """
+    starts, between, weights, lateness, _, _, loads = task
+    tours, counts, books = plan
+    tour, count, book = tours[robot], counts[robot], books[robot]
     arrival = 0.0
     total = 0.0
     for place in range(count):
         goal = tour[place]
-        arrival += start[goal] if place == 0 else between[tour[place - 1], goal]
+        arrival += starts[robot, goal] if place == 0 else between[tour[place - 1], goal]
         book[place, 0] = arrival
         total += weights[goal] * arrival + lateness[goal] * arrival * arrival
     book[count] = 0.0
@@ -147,25 +145,11 @@ def _longest(books: Numbers, counts: NDArray[np.int64], one: int, other: int) ->
     return longest
 
 
-_ALL = "float64[:,::1], float64[:,::1], float64[::1], float64[::1], float64, float64, float64[::1]"
-_STATE = "int64[:,::1], int64[::1], float64[:,:,::1]"
-
-
-@kernel(f"Tuple((float64, int64, int64))(int64, {_ALL}, {_STATE})")
-def _best_place(
-    goal: int,
-    starts: Numbers,
-    between: Numbers,
-    weights: Numbers,
-    lateness: Numbers,
-    last: float,
-    way: float,
-    loads: Numbers,
-    tours: NDArray[np.int64],
-    counts: NDArray[np.int64],
-    books: Numbers,
-) -> tuple[float, int, int]:
+@kernel(f"Tuple((float64, int64, int64))(int64, {_TASK}, {_PLAN})")
+def _best_place(goal: int, task: _Task, plan: _Plan) -> tuple[float, int, int]:
     """Where a goal costs least: the cost, the robot (-1 if none can reach it) and the place in its tour."""
+    starts, between, weights, lateness, last, way, loads = task
+    tours, counts, books = plan
     least, best_robot, best_place = np.inf, -1, -1
     for robot in range(len(counts)):
         if not np.isfinite(starts[robot, goal]):
@@ -189,21 +173,11 @@ def _best_place(
     return least, best_robot, best_place
 
 
-@kernel(f"boolean(int64, {_ALL}, {_STATE})")
-def _move(
-    goal: int,
-    starts: Numbers,
-    between: Numbers,
-    weights: Numbers,
-    lateness: Numbers,
-    last: float,
-    way: float,
-    loads: Numbers,
-    tours: NDArray[np.int64],
-    counts: NDArray[np.int64],
-    books: Numbers,
-) -> bool:
+@kernel(f"boolean(int64, {_TASK}, {_PLAN})")
+def _move(goal: int, task: _Task, plan: _Plan) -> bool:
     """Put a goal where it costs least; whether it was elsewhere before."""
+    _, _, _, _, last, way, _ = task
+    tours, counts, books = plan
     robot, place, gain = -1, -1, np.inf
     for each in range(len(counts)):
         for at in range(counts[each]):
@@ -213,19 +187,13 @@ def _move(
         others = _longest(books, counts, robot, robot)
         end = _end(books, counts, robot)
         gain = last * max(others, end) + way * end
-        gain += _drive(
-            tours[robot], counts[robot], starts[robot], between, weights, lateness, loads, books[robot]
-        )
+        gain += _drive(robot, task, plan)
         tours[robot, place : counts[robot] - 1] = tours[robot, place + 1 : counts[robot]].copy()
         counts[robot] -= 1
-        gain -= _drive(
-            tours[robot], counts[robot], starts[robot], between, weights, lateness, loads, books[robot]
-        )
+        gain -= _drive(robot, task, plan)
         end = _end(books, counts, robot)
         gain -= last * max(others, end) + way * end
-    cost, to_robot, to_place = _best_place(
-        goal, starts, between, weights, lateness, last, way, loads, tours, counts, books
-    )
+    cost, to_robot, to_place = _best_place(goal, task, plan)
     moved = to_robot >= 0 and cost < gain - _LEAST
     if not moved:
         to_robot, to_place = robot, place
@@ -235,35 +203,15 @@ def _move(
         ].copy()
         tours[to_robot, to_place] = goal
         counts[to_robot] += 1
-        _drive(
-            tours[to_robot],
-            counts[to_robot],
-            starts[to_robot],
-            between,
-            weights,
-            lateness,
-            loads,
-            books[to_robot],
-        )
+        _drive(to_robot, task, plan)
     return moved
 
 
-@kernel(f"boolean(int64, int64, {_ALL}, {_STATE})")
-def _swap_ends(
-    one: int,
-    other: int,
-    starts: Numbers,
-    between: Numbers,
-    weights: Numbers,
-    lateness: Numbers,
-    last: float,
-    way: float,
-    loads: Numbers,
-    tours: NDArray[np.int64],
-    counts: NDArray[np.int64],
-    books: Numbers,
-) -> bool:
+@kernel(f"boolean(int64, int64, {_TASK}, {_PLAN})")
+def _swap_ends(one: int, other: int, task: _Task, plan: _Plan) -> bool:
     """Swap the ends of two tours where that gains most; whether it gains anything."""
+    starts, between, _, _, last, way, _ = task
+    tours, counts, books = plan
     others = _longest(books, counts, one, other)
     end_one, end_other = _end(books, counts, one), _end(books, counts, other)
     now = max(others, end_one, end_other)
@@ -299,25 +247,15 @@ def _swap_ends(
     tours[one, best_one : counts[one]] = tail_other
     tours[other, best_other : counts[other]] = tail_one
     for robot in (one, other):
-        _drive(tours[robot], counts[robot], starts[robot], between, weights, lateness, loads, books[robot])
+        _drive(robot, task, plan)
     return True
 
 
-@kernel(f"boolean(int64, {_ALL}, {_STATE})")
-def _turn_around(
-    robot: int,
-    starts: Numbers,
-    between: Numbers,
-    weights: Numbers,
-    lateness: Numbers,
-    last: float,
-    way: float,
-    loads: Numbers,
-    tours: NDArray[np.int64],
-    counts: NDArray[np.int64],
-    books: Numbers,
-) -> bool:
+@kernel(f"boolean(int64, {_TASK}, {_PLAN})")
+def _turn_around(robot: int, task: _Task, plan: _Plan) -> bool:
     """Turn around the part of a tour where that gains most; whether it gains anything."""
+    starts, between, weights, lateness, last, way, _ = task
+    tours, counts, books = plan
     tour, count, book = tours[robot], counts[robot], books[robot]
     others, end = _longest(books, counts, robot, robot), _end(books, counts, robot)
     best, best_first, best_last = -_LEAST, -1, -1
@@ -345,42 +283,25 @@ def _turn_around(
     if best_first < 0:
         return False
     tour[best_first : best_last + 1] = tour[best_first : best_last + 1][::-1].copy()
-    _drive(tour, count, starts[robot], between, weights, lateness, loads, book)
+    _drive(robot, task, plan)
     return True
 
 
-@kernel(f"void({_ALL}, int64[::1], int64[:,::1], int64[::1])")
-def _plan(
-    starts: Numbers,
-    between: Numbers,
-    weights: Numbers,
-    lateness: Numbers,
-    last: float,
-    way: float,
-    loads: Numbers,
-    order: NDArray[np.int64],
-    tours: NDArray[np.int64],
-    counts: NDArray[np.int64],
-) -> None:
+@kernel(f"void({_TASK}, int64[::1], int64[:,::1], int64[::1])")
+def _plan(task: _Task, order: NDArray[np.int64], tours: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
     """Insert the goals in their order, and improve; `tours` and `counts` begin empty."""
-    robots, goals = starts.shape
-    books = np.zeros((robots, goals + 1, 5))
+    robots, goals = task[0].shape
+    plan = tours, counts, np.zeros((robots, goals + 1, 5))
     for goal in order:
-        _move(goal, starts, between, weights, lateness, last, way, loads, tours, counts, books)
+        _move(goal, task, plan)
     for _ in range(ROUNDS):
         improved = False
         for goal in order:
-            improved |= _move(
-                goal, starts, between, weights, lateness, last, way, loads, tours, counts, books
-            )
+            improved |= _move(goal, task, plan)
         for one in range(robots):
             for other in range(one):
-                improved |= _swap_ends(
-                    one, other, starts, between, weights, lateness, last, way, loads, tours, counts, books
-                )
+                improved |= _swap_ends(one, other, task, plan)
         for robot in range(robots):
-            improved |= _turn_around(
-                robot, starts, between, weights, lateness, last, way, loads, tours, counts, books
-            )
+            improved |= _turn_around(robot, task, plan)
         if not improved:
             break

@@ -32,7 +32,7 @@ from agent.planning.gain import promise
 from agent.planning.giving_way import MEMORY
 from agent.planning.lone_tour import lone_tour
 from agent.planning.path_planner import PathPlanner
-from agent.planning.team_tours import team_tours
+from agent.planning.team_tours import Task, team_tours
 from agent.planning.vantage import best_vantage, vantage_cells
 from agent.settings import Settings
 from agent.strategies.base import Cell, Situation
@@ -252,15 +252,16 @@ class Repairmen(TeamStrategy):
         ways, between = (np.maximum(costs - near, REMAINS * costs) for costs in (loyal, self._between))
         promised = promise(situation.grid, table.goals, self._lengths, range_cells)
         worth = np.minimum(promised / PLENTY, 1.0)
-        tours = team_tours(
-            ways,
-            between,
-            worth + self.options.crumb,
-            np.full(len(table.goals), self.options.lateness / (2 * range_cells)),
-            self.options.last,
-            self.options.total,
-            self.options.work * range_cells * worth,
+        task = Task(
+            starts=ways,
+            between=between,
+            weights=worth + self.options.crumb,
+            lateness=np.full(len(table.goals), self.options.lateness / (2 * range_cells)),
+            last=self.options.last,
+            way=self.options.total,
+            loads=self.options.work * range_cells * worth,
         )
+        tours = team_tours(task)
         self._tour = tours[table.robots.index(self.settings.robot)]
         return _follow(np.array([tour[0] if tour else -1 for tour in tours]), table.costs, worth)
 

@@ -25,7 +25,7 @@ from scipy.sparse.csgraph import dijkstra
 from agent.planning.cost_field import DIAGONAL, Field, Floor, costs_on
 from agent.planning.cost_field import way as way_down
 from agent.planning.jump_point_search import costs_between
-from agent.planning.team_tours import team_tours
+from agent.planning.team_tours import Task, team_tours
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, enlarge, fan
 from protocol.scans import draw
 from worldsim.cell_motion import drive
@@ -308,9 +308,11 @@ class _Plan:
         cells = np.array([*self._starts, *stops], np.int32)
         ways = self._building.ways_between(cells, cells[robots:])
         few = np.full(count, 0.1 / max(1, count))
-        tours = team_tours(
-            ways[:robots].copy(), ways[robots:].copy(), few, np.zeros(count), 1.0, 0.0, np.zeros(count)
+        none = np.zeros(count)
+        task = Task(
+            ways[:robots].copy(), ways[robots:].copy(), few, lateness=none, last=1.0, way=0.0, loads=none
         )
+        tours = team_tours(task)
         return [[start, *(stops[at] for at in tour)] for start, tour in zip(self._starts, tours, strict=True)]
 
     def improve(self) -> None:

@@ -8,16 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from agent.planning.team_tours import ROUNDS, Numbers, team_tours, tours_cost
-
-Task = tuple[Numbers, Numbers, Numbers, Numbers, float, float, Numbers]
+from agent.planning.team_tours import ROUNDS, Task, team_tours, tours_cost
 
 
 def on_a_line(
     robots: list[float], goals: list[float], weights: list[float], lateness: float = 0.0, way: float = 0.0
 ) -> Task:
     at = np.array(goals, np.float64)
-    return (
+    return Task(
         np.abs(np.array(robots, np.float64)[:, None] - at),
         np.abs(at[:, None] - at),
         np.array(weights),
@@ -29,20 +27,20 @@ def on_a_line(
 
 
 def test_a_crumb_on_the_way_is_fetched_and_one_behind_is_not() -> None:
-    assert team_tours(*on_a_line([0], [10, 1], [1.0, 0.1])) == [[1, 0]]
-    assert team_tours(*on_a_line([0], [10, -3], [1.0, 0.1])) == [[0, 1]]
+    assert team_tours(on_a_line([0], [10, 1], [1.0, 0.1])) == [[1, 0]]
+    assert team_tours(on_a_line([0], [10, -3], [1.0, 0.1])) == [[0, 1]]
 
 
 @pytest.mark.parametrize(("lateness", "tour"), [(0.0, [0, 1]), (0.010, [0, 1]), (0.012, [1, 0])])
 def test_a_crumb_behind_is_fetched_first_where_lateness_counts(lateness: float, tour: list[int]) -> None:
     # There and on: 0.1 x 3 + 16 + (9 + 256) l. On and back: 10 + 0.1 x 23 + (100 + 529) l. Alike at l = 1 / 91.
-    assert team_tours(*on_a_line([0], [10, -3], [1.0, 0.1], lateness)) == [tour]
+    assert team_tours(on_a_line([0], [10, -3], [1.0, 0.1], lateness)) == [tour]
 
 
 @pytest.mark.parametrize(("way", "tour"), [(0.0, [0, 1]), (0.56, [0, 1]), (0.58, [1, 0])])
 def test_a_crumb_behind_is_fetched_first_where_the_way_counts(way: float, tour: list[int]) -> None:
     # There and on: 0.1 x 3 + 16 + 16 w. On and back: 10 + 0.1 x 23 + 23 w. Alike at w = 4 / 7.
-    assert team_tours(*on_a_line([0], [10, -3], [1.0, 0.1], way=way)) == [tour]
+    assert team_tours(on_a_line([0], [10, -3], [1.0, 0.1], way=way)) == [tour]
 
 
 @pytest.mark.parametrize(("last", "tours"), [(0.0, [[0, 1], []]), (2.0, [[0], [1]])])
@@ -51,24 +49,24 @@ def test_a_far_robot_helps_where_the_end_of_the_last_counts(last: float, tours: 
     # arrival costs one more, the end 22 instead of 21 the other way round.
     starts = np.array([[20.0, 22.0], [30.0, 21.0]]) if last else np.array([[20.0, 22.0], [30.0, 23.0]])
     between = np.array([[0.0, 2.0], [2.0, 0.0]])
-    assert team_tours(starts, between, np.full(2, 0.1), np.zeros(2), last, 0.0, np.zeros(2)) == tours
+    assert team_tours(Task(starts, between, np.full(2, 0.1), np.zeros(2), last, 0.0, np.zeros(2))) == tours
 
 
 def test_who_has_much_to_expect_behind_a_goal_gets_less_else() -> None:
     # The second goal lies a little nearer to robot 0, which has the first to see to.
     starts = np.array([[10.0, 12.0], [40.0, 13.0]])
     between = np.array([[0.0, 2.0], [2.0, 0.0]])
-    task = starts, between, np.full(2, 0.1), np.zeros(2), 1.0, 0.0
-    assert team_tours(*task, np.zeros(2)) == [[0, 1], []]
-    assert team_tours(*task, np.array([30.0, 0.0])) == [[0], [1]]
+    task = Task(starts, between, np.full(2, 0.1), np.zeros(2), 1.0, 0.0, np.zeros(2))
+    assert team_tours(task) == [[0, 1], []]
+    assert team_tours(task._replace(loads=np.array([30.0, 0.0]))) == [[0], [1]]
 
 
 def test_what_nobody_can_reach_is_in_no_tour_and_who_can_reach_nothing_has_none() -> None:
     starts = np.array([[3.0, np.inf, 1.0], [np.inf, np.inf, np.inf]])
     between = np.array([[0.0, np.inf, 2.0], [np.inf, 0.0, np.inf], [2.0, np.inf, 0.0]])
-    assert team_tours(starts, between, np.ones(3), np.ones(3), 1.0, 1.0, np.zeros(3)) == [[2, 0], []]
+    assert team_tours(Task(starts, between, np.ones(3), np.ones(3), 1.0, 1.0, np.zeros(3))) == [[2, 0], []]
     none = np.empty(0)
-    assert team_tours(np.empty((2, 0)), np.empty((0, 0)), none, none, 1.0, 1.0, none) == [[], []]
+    assert team_tours(Task(np.empty((2, 0)), np.empty((0, 0)), none, none, 1.0, 1.0, none)) == [[], []]
 
 
 @st.composite
@@ -77,7 +75,7 @@ def tasks(draw: st.DrawFn) -> Task:
     robots, goals = draw(st.integers(1, 4)), draw(st.integers(1, 9))
     places = random.uniform(0, 100, (robots + goals, 2))
     ways = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
-    return (
+    return Task(
         ways[:robots, robots:].copy(),
         ways[robots:, robots:].copy(),
         random.uniform(0.1, 1.1, goals),
@@ -90,29 +88,28 @@ def tasks(draw: st.DrawFn) -> Task:
 
 @given(tasks())
 def test_the_search_is_the_slow_one_that_drives_along_all_tours(task: Task) -> None:
-    found = team_tours(*task)
+    found = team_tours(task)
     assert sorted(goal for tour in found for goal in tour) == list(range(len(task[2])))
-    assert tours_cost(found, *task) == pytest.approx(tours_cost(slow(task), *task))
+    assert tours_cost(found, task) == pytest.approx(tours_cost(slow(task), task))
 
 
 def slow(task: Task) -> list[list[int]]:
     """Insertion, then moves of a goal, swaps of two ends and turns of a part, by the cost of all tours."""
-    starts, _, weights, *_ = task
-    tours: list[list[int]] = [[] for _ in starts]
-    order: NDArray[np.int64] = np.lexsort((starts.min(axis=0), -weights))
+    tours: list[list[int]] = [[] for _ in task.starts]
+    order: NDArray[np.int64] = np.lexsort((task.starts.min(axis=0), -task.weights))
     for goal in order.tolist():
-        tours = min(with_goal(tours, goal), key=lambda each: tours_cost(each, *task))
+        tours = min(with_goal(tours, goal), key=lambda each: tours_cost(each, task))
     for _ in range(ROUNDS):
-        before = tours_cost(tours, *task)
+        before = tours_cost(tours, task)
         for goal in order.tolist():
             others = [[each for each in tour if each != goal] for tour in tours]
-            tours = min([tours, *with_goal(others, goal)], key=lambda each: tours_cost(each, *task))
+            tours = min([tours, *with_goal(others, goal)], key=lambda each: tours_cost(each, task))
         for one in range(len(tours)):
             for other in range(one):
-                tours = min([tours, *swapped(tours, one, other)], key=lambda each: tours_cost(each, *task))
+                tours = min([tours, *swapped(tours, one, other)], key=lambda each: tours_cost(each, task))
         for robot in range(len(tours)):
-            tours = min([tours, *turned(tours, robot)], key=lambda each: tours_cost(each, *task))
-        if tours_cost(tours, *task) > before - 1e-7:
+            tours = min([tours, *turned(tours, robot)], key=lambda each: tours_cost(each, task))
+        if tours_cost(tours, task) > before - 1e-7:
             break
     return tours
 
