@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from agent.exchange import gossip, session
+from agent.exchange import gossip, offer_policy
 from agent.exchange.base import Exchange
 from agent.exchange.confirmed import ConfirmedSession
 from agent.exchange.confirmed_gossip import ConfirmedGossip
@@ -21,7 +21,7 @@ EXCHANGES: dict[str, type[Exchange]] = {
 }
 
 
-OFFERS = (*session.POLICIES, gossip.POLICY)
+OFFERS = (*offer_policy.POLICIES, gossip.POLICY)
 """When, and to whom, maps are told."""
 
 

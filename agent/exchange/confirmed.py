@@ -25,12 +25,13 @@ from functools import cached_property
 
 import numpy as np
 
+from agent.exchange.handshake import offer
 from agent.exchange.reports import from_packet, held_packet, number, report
 from agent.exchange.session import MAX_WAIT, PATIENCE, Session, Table
 from protocol import packets, survey
 from protocol.errors import ProtocolError
 from protocol.messages import NO_REPLIES, Outcome, Replies
-from protocol.packets import BLOCKS, INDEX_WINDOW, From, FromEarly, Held, HeldEarly, Offer
+from protocol.packets import From, FromEarly, Held, HeldEarly, Offer
 
 LEAST_WAIT = 2
 """Exchanges in which a word can come back at the soonest: it is said in one and answered in the next."""
@@ -158,8 +159,7 @@ class ConfirmedSession(Session):
 
     def _offer(self, frame: _Frame, pairs: list[Pair]) -> None:
         for peer, about in pairs:
-            block = int(self.known[peer, about]) // INDEX_WINDOW % BLOCKS
-            frame.payload += packets.encode([Offer(about, block)])
+            frame.payload += offer(about, int(self.known[peer, about]))
             frame.offers.append((len(frame.payload), (peer, about)))
 
     def _send(self, frame: _Frame, pair: Pair, room: int | None) -> None:

@@ -5,47 +5,34 @@ reached each teammate. It offers what is news to a teammate; the teammate answer
 sent. What the relay did not put on the air did not happen: the table and the logs move when the outcome is
 told, and by nothing else.
 
-States and events of one connection (`TRANSITIONS`); an answer to an offer that was not made is an error:
-
-    side      state      event                          next state   action
-    offerer   idle       medium opens, there is news    offered      say offer(map, block)
-    offerer   offered    answer, index below my own     sending      say data from that index on
-    offerer   offered    answer, index not below        refused      say nothing
-    offerer   offered    decline                        refused      say nothing
-    receiver  idle       offer, first of its map        taking       say answer(index)
-    receiver  idle       offer, another of that map     declining    say decline
-    receiver  idle       offer of the receiver's map    declining    say decline
-    receiver  idle       offer of one who is distrusted declining    say decline
-
-With the outcome of the exchange all connections end: the offerer moves its table by what was carried, the
-receiver appends the data that came to its log.
-
-An answer gives of its index what the offer has not said: the place within the block of 4096 units; before it
-the block, where it is not the one that was offered; and before that the round of 64 blocks, where it is not
-the first. So an index is never guessed at. A peer that says to hold less than it was sent does not want it:
-it counts as level.
+Both ends of a connection go through the states of `agent.exchange.connection`; `agent.exchange.offer_policy` says which
+to open. A peer that says to hold less than it was sent does not want it: it counts as level.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import StrEnum
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.exchange.connection import Connection, Event, State
+from agent.exchange.handshake import (
+    DECLINE,
+    LEAST_HANDSHAKE,
+    answer,
+    block_of,
+    offer,
+    read_answer,
+    read_offer,
+)
 from agent.exchange.log import Log
-from protocol import packets
+from agent.exchange.offer_policy import CROWD, POLICIES, all_news, choose_offers
 from protocol.errors import ProtocolError
 from protocol.kernels import kernel
 from protocol.messages import NO_REPLIES, Outcome, Replies
-from protocol.packets import BLOCKS, INDEX_WINDOW
-
-ROUND = BLOCKS * INDEX_WINDOW
-"""Units of a log whose blocks have different numbers."""
 
 MAX_WAIT = 64
 """Exchanges that an offer is put off at most."""
@@ -53,85 +40,10 @@ MAX_WAIT = 64
 PATIENCE = 4
 """Who has refused one's own map so often that offers wait for more exchanges than these is not waited for."""
 
-POLICIES = ("backoff", "thesis")
-"""When maps are offered. ``thesis``: in every exchange all maps, to all for whom they are news. ``backoff``:
-at most one map to each teammate, the robot's own if it is news, else, after a step's first exchange, the one
-with most news; where steps have only one exchange these take turns; after a refusal twice as long a wait. And in a
-crowd (`CROWD`) to no more teammates than the medium could carry answers of, in turn."""
-
-CROWD = 16
-"""Robots in range of each other from which on, ``backoff``, handshakes are bounded by what the medium can carry: all
-of these could make 240 offers an exchange, which with their answers are 960 bytes."""
-
 MOST_BEFOREHAND = 1 << 16
 """Bytes of data that are handed over beforehand, before it is known who lacks them."""
 
-LEAST_HANDSHAKE = packets.Offer.size + packets.Answer.size
-"""Bytes of an offer and the shortest answer."""
-
 Table = NDArray[np.int64]
-
-
-class State(StrEnum):
-    """Where a connection stands."""
-
-    __hash__ = str.__hash__  # the one of enumerations is not compiled
-
-    IDLE = "idle"
-    OFFERED = "offered"
-    SENDING = "sending"
-    REFUSED = "refused"
-    TAKING = "taking"
-    DECLINING = "declining"
-
-
-class Event(StrEnum):
-    """What can happen to a connection."""
-
-    __hash__ = str.__hash__
-
-    NEWS = "the medium opens and there is news"
-    BEHIND = "the answer's index is below one's own"
-    LEVEL = "the answer's index is not below one's own, or the peer does not want what it was sent"
-    DECLINED = "the offer is declined"
-    FIRST_OFFER = "the first offer of a map in this exchange"
-    UNWANTED_OFFER = (
-        "an offer of a map that is being taken, of the receiver's own, or of one who is distrusted"
-    )
-
-
-TRANSITIONS: dict[tuple[State, Event], State] = {
-    (State.IDLE, Event.NEWS): State.OFFERED,
-    (State.OFFERED, Event.BEHIND): State.SENDING,
-    (State.OFFERED, Event.LEVEL): State.REFUSED,
-    (State.OFFERED, Event.DECLINED): State.REFUSED,
-    (State.IDLE, Event.FIRST_OFFER): State.TAKING,
-    (State.IDLE, Event.UNWANTED_OFFER): State.DECLINING,
-}
-
-
-@dataclass(slots=True)
-class Connection:
-    """One connection as one of its two ends sees it.
-
-    Attributes
-    ----------
-    peer, map : int
-        The other end, and whose map it is about.
-    state : State
-    index : int
-        As offerer: how far the peer is, as it said.
-    """
-
-    peer: int
-    map: int
-    state: State = State.IDLE
-    index: int = 0
-
-    def on(self, event: Event) -> State:
-        """Move on by the table."""
-        self.state = TRANSITIONS[self.state, event]
-        return self.state
 
 
 class Session:
@@ -215,7 +127,7 @@ class Session:
         for peer, about in self._worth_offering(exchange, np.array(held, np.int64)):
             connection = self._said[peer, about] = Connection(peer, about)
             connection.on(Event.NEWS)
-            frames.append((peer, about, _offer(about, int(self.known[peer, about]) // INDEX_WINDOW % BLOCKS)))
+            frames.append((peer, about, offer(about, int(self.known[peer, about]))))
         return frames
 
     def replies(self) -> Replies:
@@ -229,24 +141,22 @@ class Session:
         refused = {about for _, about in self.refused}
         refused.update(range(self.own, len(self.logs), self._robots))
         held = [(about, len(log)) for about, log in enumerate(self.logs) if about not in refused]
-        blocks = [units // INDEX_WINDOW % BLOCKS for _, units in held]
-        offers = [_offer(about, block) for (about, _), block in zip(held, blocks, strict=True)]
-        answers = [_answer(units, block) for (_, units), block in zip(held, blocks, strict=True)]
+        offers = [offer(about, units) for about, units in held]
+        answers = [answer(units, block_of(units)) for _, units in held]
         level: list[bytes] = []
         behind: list[bytes] = []
         load: list[int] = []
         loads: dict[int, bytes] = {}
         for peer, about in self._said:
             known = int(self.known[peer, about])
-            block = known // INDEX_WINDOW % BLOCKS
-            level.append(_answer(len(self.logs[about]), block))
-            behind.append(_answer(known, block))
+            level.append(answer(len(self.logs[about]), block_of(known)))
+            behind.append(answer(known, block_of(known)))
             if about == self.own and known not in loads:
                 loads[known] = self.logs[about].since(known, self._room)
             load.append(list(loads).index(known) if about == self.own else -1)
         if sum(map(len, loads.values())) > MOST_BEFOREHAND:
             load, loads = [-1] * len(load), {}
-        return Replies(offers, answers, _DECLINE, level, behind, load, list(loads.values()))
+        return Replies(offers, answers, DECLINE, level, behind, load, list(loads.values()))
 
     def answers(self, heard: list[tuple[int, int, bytes]]) -> list[tuple[int, int, bytes]]:
         """Answer offers, given and returned as (connection number, peer, frame).
@@ -258,21 +168,21 @@ class Session:
         """
         frames = []
         for number, peer, payload in heard:
-            offer = _only_offer(payload)
-            if offer.map >= len(self.logs):
-                raise ProtocolError(offer.name, 0, f"map {offer.map} of {len(self.logs)} robots")
-            connection = Connection(peer, offer.map)
+            offered = read_offer(payload)
+            if offered.map >= len(self.logs):
+                raise ProtocolError(offered.name, 0, f"map {offered.map} of {len(self.logs)} robots")
+            connection = Connection(peer, offered.map)
             self._taken[number] = connection
             unwanted = (
-                (offer.map >= self.own and offer.map % self._robots == self._robot)
-                or offer.map in self._being_taken
-                or (peer, offer.map) in self.refused
+                (offered.map >= self.own and offered.map % self._robots == self._robot)
+                or offered.map in self._being_taken
+                or (peer, offered.map) in self.refused
             )
             if connection.on(Event.UNWANTED_OFFER if unwanted else Event.FIRST_OFFER) is State.TAKING:
-                self._being_taken.add(offer.map)
-                said = _answer(len(self.logs[offer.map]), offer.block)
+                self._being_taken.add(offered.map)
+                said = answer(len(self.logs[offered.map]), offered.block)
             else:
-                said = _DECLINE
+                said = DECLINE
             frames.append((number, peer, said))
         return frames
 
@@ -363,7 +273,7 @@ class Session:
             held = np.where(np.arange(len(held)) == self.own, held, 0)
         peers = np.array(self._peers, np.int64)
         if self._policy == "thesis":
-            return _all_news(self.own, self._peers, self._own_maps, self.known, held)
+            return all_news(self.own, self._peers, self._own_maps, self.known, held)
         chosen = np.empty(len(peers), np.int64)
         rule = self._now, exchange, self._only_first
         choose_offers(self.known, self._due, held, peers, self._own_maps, self.own, *rule, chosen)
@@ -393,15 +303,12 @@ class Session:
             self._wait[peer] = 1
 
     def _read_answer(self, connection: Connection, payload: bytes) -> Event:
-        """Put the index of an answer together, and compare it with what is held."""
+        """Note how far the peer is, and compare it with what is held."""
         known = int(self.known[connection.peer, connection.map])
         held = len(self.logs[connection.map])
-        said = _read_answer(payload)
-        if said is None:
+        index = read_answer(payload, block_of(known))
+        if index is None:
             return Event.DECLINED
-        turn, block, index = said
-        block = known // INDEX_WINDOW % BLOCKS if block is None else block
-        index += turn * ROUND + block * INDEX_WINDOW
         connection.index = index if known <= index < held else held
         return Event.BEHIND if connection.index < held else Event.LEVEL
 
@@ -418,50 +325,6 @@ class Session:
         self.known[peer, about] = max(self.known[peer, about], reached)
 
 
-def _all_news(
-    own_map: int, peers: Sequence[int], own_maps: Table, known: Table, held: Table
-) -> list[tuple[int, int]]:
-    """All maps to all for whom they are news, the robot's own first: the thesis' policy."""
-    news = known < held
-    return [
-        (peer, about)
-        for peer in peers
-        for about in (own_map, *(each for each in range(len(held)) if each not in (own_map, own_maps[peer])))
-        if news[peer, about]
-    ]
-
-
-@kernel(
-    "void(int64[:,::1], int64[:,::1], int64[::1], int64[::1], int64[::1], int64, int64, int64, boolean, int64[::1])"
-)
-def choose_offers(
-    known: Table,
-    due: Table,
-    held: Table,
-    peers: Table,
-    own_maps: Table,
-    own_map: int,
-    now: int,
-    exchange: int,
-    only_first: bool,
-    chosen: Table,
-) -> None:
-    """Choose for each peer the map to offer it, by the rule ``backoff``; -1: none."""
-    turn_of_others = exchange != 0 or (only_first and now % 2 == 0)
-    for each in range(len(peers)):
-        peer = peers[each]
-        own = held[own_map] > known[peer, own_map] and now >= due[peer, own_map]
-        chosen[each] = own_map if own else -1
-        if (own and not only_first) or not turn_of_others:
-            continue
-        most = 0
-        for about in range(len(held)):
-            news = held[about] - known[peer, about]
-            if news > most and about not in (own_map, own_maps[peer]) and now >= due[peer, about]:
-                most = news
-                chosen[each] = about
-
-
 @kernel("void(int64[:,::1], int64, int64[::1])")
 def reached_by_all(known: Table, robot: int, reached: Table) -> None:
     """Note of each map up to which unit all have it but the robot itself and the map's own robot."""
@@ -473,45 +336,3 @@ def reached_by_all(known: Table, robot: int, reached: Table) -> None:
         for about in range(robots):
             if about != peer:
                 reached[about] = min(reached[about], known[peer, about])
-
-
-@lru_cache(maxsize=1 << 14)
-def _read_answer(payload: bytes) -> tuple[int, int | None, int] | None:
-    """Read an answer: round, block (None: the one that the offer assumed), index; None if it declines."""
-    match packets.handshake(payload):
-        case (packets.Decline(),):
-            return None
-        case (packets.Answer(index),):
-            return 0, None, index
-        case (packets.Block(block), packets.Answer(index)):
-            return 0, block, index
-        case (packets.Block(turn), packets.Block(block), packets.Answer(index)):
-            return turn, block, index
-        case _:
-            raise ProtocolError("conn", 0, "expected an answer behind at most two blocks, or a decline")
-
-
-@lru_cache(maxsize=1 << 12)
-def _only_offer(payload: bytes) -> packets.Offer:
-    said = packets.handshake(payload)
-    if len(said) != 1 or not isinstance(said[0], packets.Offer):
-        raise ProtocolError("conn", 0, "expected one offer")
-    return said[0]
-
-
-@lru_cache(maxsize=1024)
-def _offer(about: int, block: int) -> bytes:
-    return packets.encode([packets.Offer(about, block)])
-
-
-@lru_cache(maxsize=1024)
-def _answer(held: int, assumed_block: int) -> bytes:
-    """Say how many units one holds, in as few packets as that takes."""
-    block = packets.Block(held // INDEX_WINDOW % BLOCKS)
-    answer = packets.Answer(held % INDEX_WINDOW)
-    if held >= ROUND:
-        return packets.encode([packets.Block(held // ROUND % BLOCKS), block, answer])
-    return packets.encode([answer] if block.block == assumed_block else [block, answer])
-
-
-_DECLINE = packets.encode([packets.Decline()])

@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from agent.exchange.catalogue import EXCHANGES, OFFERS
+from agent.exchange.connection import TRANSITIONS, State
 from agent.exchange.gossip import Gossip
 from agent.exchange.polygon_options import THESIS_OPTIONS, PolygonOptions
-from agent.exchange.session import TRANSITIONS, Session, State
+from agent.exchange.session import Session
 from agent.exchange.sight import SightExchange
 from agent.exchange.sight_options import SightOptions
 from agent.outline.approximation import approximation, repair

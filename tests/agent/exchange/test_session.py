@@ -11,22 +11,12 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from agent.exchange import session as state_table
+from agent.exchange import connection as state_table
+from agent.exchange.connection import TRANSITIONS, Connection, Event, State
+from agent.exchange.handshake import LEAST_HANDSHAKE
 from agent.exchange.log import Log
-from agent.exchange.session import (
-    CROWD,
-    LEAST_HANDSHAKE,
-    MAX_WAIT,
-    PATIENCE,
-    POLICIES,
-    TRANSITIONS,
-    Connection,
-    Event,
-    Session,
-    State,
-    choose_offers,
-    reached_by_all,
-)
+from agent.exchange.offer_policy import CROWD, POLICIES, choose_offers
+from agent.exchange.session import MAX_WAIT, PATIENCE, Session, reached_by_all
 from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.messages import Outcome
