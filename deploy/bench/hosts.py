@@ -127,7 +127,7 @@ class Link:
             while True:
                 due, data = await under_way.get()
                 await asyncio.sleep(due - self._loop.time())
-                if not data:
+                if not data or writer.is_closing():  # it is the other end that hung up
                     writer.close()
                     return
                 writer.write(data)

@@ -21,6 +21,7 @@ from deploy.run import preload  # noqa: F401  before the process joins: others w
 from deploy.run.exploration import Result, conclude
 from deploy.run.interrupt import Interrupt
 from deploy.run.launch import Outcome, attend
+from deploy.run.meeting import free_port
 from deploy.run.processes import WorldTask, relay, serve_agent, serve_world
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
@@ -108,6 +109,13 @@ def _endpoint(listen: str) -> str:
             f"listen = {listen!r}: stands in every credential, and nobody can be reached at {parts[1]}; "
             "give the address by which others know this host"
         )
+    try:
+        free_port(parts[1].strip("[]"), int(parts[2]))
+    except OSError as error:
+        raise ScenarioError(
+            f"listen = {listen!r}: nobody can listen there: {error.strerror}; "
+            "it must be an address of this host, and a port that is free"
+        ) from None
     return f"tcp/{listen}"
 
 

@@ -34,13 +34,13 @@ class Meeting:
 
 def on_loopback(robots: int) -> Meeting:
     """A meeting at a free port of the loopback, by passwords."""
-    run, endpoint = secrets.token_hex(4), f"tcp/{LOOPBACK}:{_free_port(LOOPBACK)}"
+    run, endpoint = secrets.token_hex(4), f"tcp/{LOOPBACK}:{free_port(LOOPBACK)}"
     return Meeting(run, endpoint, access.issue(run, endpoint, robots))
 
 
 def behind(router: Credential) -> Meeting:
     """Where the robots of a router meet: at a free port of the loopback, by passwords that nobody else knows."""
-    endpoint = f"tcp/{LOOPBACK}:{_free_port(LOOPBACK)}"
+    endpoint = f"tcp/{LOOPBACK}:{free_port(LOOPBACK)}"
     return Meeting(router.run, endpoint, access.passwords(router.run, endpoint, router.robots))
 
 
@@ -59,7 +59,7 @@ def by_certificates(
     from netshaper import certificates  # noqa: PLC0415  not needed on the loopback
 
     try:
-        port = _free_port(address, port or 0)
+        port = free_port(address, port or 0)
     except OSError as error:
         where = f"address = {address!r}" + (f", port = {port}" if port else "")
         raise ScenarioError(
@@ -71,7 +71,7 @@ def by_certificates(
     return Meeting(run, endpoint, certificates.credentials(run, endpoint, made), made[names.RELAY])
 
 
-def _free_port(address: str, port: int = 0) -> int:
+def free_port(address: str, port: int = 0) -> int:
     """A port that nobody listens to now: `port`, if that is not 0; OSError if it is taken."""
     family, kind, number, _, place = socket.getaddrinfo(address, port, type=socket.SOCK_STREAM)[0]
     with socket.socket(family, kind, number) as probe:

@@ -143,12 +143,15 @@ def test_a_scenario_that_is_not_the_relay_s_is_refused_by_name(tmp_path: Path) -
 
 
 def test_a_relay_that_cannot_listen_leaves_no_credentials(tmp_path: Path) -> None:
+    scenario = parse(tomllib.loads(SCENARIO))
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         listen = f"127.0.0.1:{taken.getsockname()[1]}"
-        with pytest.raises(ConnectionError, match=r"cannot listen at tcp/\S+: Address already in use$"):
-            serve_netshaper(parse(tomllib.loads(SCENARIO)), listen, tmp_path / "credentials", print)
+        with pytest.raises(ScenarioError, match=r"^listen = '127\S+': .* Address already in use; it must be "):
+            serve_netshaper(scenario, listen, tmp_path / "credentials", print)
+    with pytest.raises(ScenarioError, match=r"^listen = '192\.0\.2\.7:7447': nobody can listen there: "):
+        serve_netshaper(scenario, "192.0.2.7:7447", tmp_path / "credentials", print)
     assert not (tmp_path / "credentials").exists()
 
 
