@@ -64,7 +64,7 @@ REMAINS = 1 / 20
 LONE_LOYALTY = 1 / 4
 """How loyal to its last target a robot without teammates is, of what a team's is."""
 
-MOST = 48
+MOST = 96
 """Goals of a plan, more or less: ways between all pairs of them are searched in every step."""
 
 CRUMB_CELLS = 2
@@ -89,13 +89,13 @@ class Options(Parts):
     candidates: str = option("edges", "which cells are worth going to", ("edges",))
     replan: str = option(EACH_STEP, "when a new target is chosen", (EACH_STEP, "at-once", "at-goal"))
     crumb: float = option(
-        0.1, "weight of an edge that promises nothing; one that promises much has 1", least=0
+        0.02, "weight of an edge that promises nothing; one that promises much has 1", least=0
     )
     lateness: float = option(
         0.2, "by how much an edge's weight grows with each sensor range of way until it is reached", least=0
     )
-    last: float = option(16.0, "weight of the longest tour", least=0)
-    total: float = option(16.0, "weight of the lengths of all tours", least=0)
+    last: float = option(6.0, "weight of the longest tour", least=0)
+    total: float = option(6.0, "weight of the lengths of all tours", least=0)
     look: float = option(
         0.9, "from how many sensor ranges off a crumb is looked at; 0: from where it is", least=0
     )
