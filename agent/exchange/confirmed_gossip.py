@@ -25,6 +25,7 @@ import numpy as np
 
 from agent.exchange.gossip import PATIENCE, Bases, Gossip, Table, nothing
 from agent.exchange.neighbours import Mask
+from agent.exchange.places import NoPlaces
 from protocol.packets import Held
 
 NAG = 2
@@ -63,7 +64,7 @@ class ConfirmedGossip(Gossip):
         """How much of each map one has said last that one holds."""
         self._again: set[int] = set()
         """Maps of which one has heard again what one holds."""
-        self._forget_places()
+        self._places = NoPlaces(robot, robots)
 
     @property
     def certain(self) -> Table:
@@ -104,16 +105,10 @@ class ConfirmedGossip(Gossip):
 
     def _settle(self, sent: int) -> None:
         super()._settle(sent)
-        self._forget_places()
         for end, about in self._said.held:
             if end <= sent:
                 self._said_held[about] = len(self.logs[about])
                 self._again.discard(about)
-
-    def _forget_places(self) -> None:
-        """Nobody knows where a broadcast goes on, unless it says so."""
-        self._synced = set()
-        self._cursors = [None] * self._robots
 
     def _recognise(self, peer: int, pieces: list[bytes]) -> None:
         life = self._own_maps[peer]
@@ -143,4 +138,3 @@ class ConfirmedGossip(Gossip):
             if end <= len(self.logs[about]):
                 self._again.add(about)
         yield from super()._take(peer, about, index, units)
-        self._cursors[peer] = None

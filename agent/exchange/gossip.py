@@ -23,11 +23,11 @@ others' words goes behind those of them that the teammate lacks (`agent.exchange
 hear what is new before others hear what is old, and where much is lacking a few know all soon, and not all a part.
 Nothing is said that nobody in range can use, for it lacks what comes before.
 
-Who speaks first: where all have always heard each other, who has begun a unit, and then who has most to say; else who
-serves one that holds most. Both become more urgent the longer they wait.
+Who speaks first is in `agent.exchange.urgency`.
 
 A log of one's own goes on where its last broadcast ended, and nothing says where that was, unless somebody is in range
-who has not been there since: then `From` goes before it. The first `EARLY` units of a log have a shorter one.
+who has not been there since (`agent.exchange.places`): then `From` goes before it. The first `EARLY` units of a log
+have a shorter one.
 """
 
 from __future__ import annotations
@@ -40,10 +40,12 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.exchange import urgency
 from agent.exchange.base import Basis
 from agent.exchange.broadcast import Broadcast
 from agent.exchange.log import Log
 from agent.exchange.neighbours import Mask, Neighbours
+from agent.exchange.places import Places
 from agent.exchange.reports import from_packet, held_packet, number, report
 from protocol import packets, survey
 from protocol.errors import ProtocolError
@@ -70,23 +72,6 @@ SELDOM = 16
 
 GREETING = 1
 """Steps after its coming into range in which a robot is not told what it may hold by then."""
-
-MOST_URGENT = 255
-
-KEEPING_UP = 64
-"""Units: who lacks fewer is served more urgently, and the more so the fewer."""
-
-LONG = 64
-"""Bytes of news that are more urgent the more there are."""
-
-AGING = 2
-"""What a step of waiting adds to the urgency."""
-
-HOLDS = 4
-"""Units that who is served holds, for each of which as many one is more urgent, where robots have been out of range."""
-
-HOLDS_MOST = 200
-"""The most that this adds."""
 
 
 def nothing(about: int) -> Sequence[Basis]:
@@ -154,12 +139,7 @@ class Gossip:
         """Where what was last recorded begins in one's own log."""
         self._aired = 0
         """Up to which unit one's own log has been on the air."""
-        self._cursor = 0
-        """Where the last broadcast of one's own log ended."""
-        self._synced = set() if life else set(range(robots)) - {robot}
-        """Who has been in range since then, so that it needs not be said."""
-        self._cursors: list[int | None] = [None if life else 0] * robots
-        """Where the last broadcast of each teammate's own log ended, if that was heard."""
+        self._places = Places(robot, robots, begun=not life)
         self._lacks: Table = np.zeros((robots, maps), np.int32)
         """How many units that one holds a peer in range lacks of each map."""
         self._held: NDArray[np.int32] = np.zeros(maps, np.int32)
@@ -270,9 +250,7 @@ class Gossip:
         come = set() if begins else set(peers) - set(self._peers)
         self._met = (self._met | come) & set(peers)
         self._unsure |= dict.fromkeys(come, self._step + GREETING)
-        self._synced &= set(peers)
-        for peer in set(range(self._robots)) - set(peers):
-            self._cursors[peer] = None
+        self._places.in_range(peers)
         self._peers = peers
         self._parted = self._parted or len(peers) < self._robots - 1
 
@@ -377,32 +355,28 @@ class Gossip:
         """
         log = self.logs[about]
         first, end = max(first, log.oldest), min(end, len(log))
-        goes_on = about == self.own and first == self._cursor and not said.stretches
-        knows = goes_on and set(self._peers) <= self._synced
-        return said.stretch(
-            about, log, first, end, b"" if knows else packets.encode([from_packet(about, first)])
-        )
+        goes_on = about == self.own and not said.stretches and self._places.known(first, self._peers)
+        head = b"" if goes_on else packets.encode([from_packet(about, first)])
+        return said.stretch(about, log, first, end, head)
 
     def _set_urgency(self, said: Broadcast, served: int | None) -> None:
         """Note how soon this should be on the air; `served` is who is served first."""
         if not said.payload:
             self._waits = self._step
         waited = self._step - self._waits
-        begun = self._begun < self._aired < len(self.logs[self.own])
         if self._parted:
-            begun = False
             holds = 0 if served is None else int(self.known[served].sum())
-            urgency = min(HOLDS_MOST, holds // HOLDS)
+            self.urgency = urgency.among_some(holds, waited)
         else:
             lacks = 0 if served is None else int(self._lacks[served].sum())
-            urgency = max(0, KEEPING_UP - lacks) + min(LONG, len(said.payload))
-        self.urgency = MOST_URGENT if begun else min(MOST_URGENT - 1, urgency + AGING * waited)
+            begun = self._begun < self._aired < len(self.logs[self.own])
+            self.urgency = urgency.among_all(lacks, len(said.payload), waited, begun=begun)
 
     # --- what was heard
 
     def _settle(self, sent: int) -> None:
         """So many bytes of one's broadcast were on the air: all in range have heard them."""
-        said, peers = self._said, set(self._peers)
+        said = self._said
         for end, peer, here in said.near:
             if end <= sent:
                 self._neighbours.told(self._peers, peer, here)
@@ -420,12 +394,10 @@ class Gossip:
             self._believe(self._peers, stretch.map, end)
             self._reach(self._peers, stretch.map, stretch.first, end)
             if stretch.map == self.own:
-                self._cursor, self._synced = end, peers
+                self._places.said(end, self._peers)
                 self._aired = max(self._aired, end)
             elif stretch.map % self._robots == self._robot:
-                self._synced = (
-                    set()
-                )  # who has not heard of this life takes its old map for the one that goes on
+                self._places.said_of_another_life()
         if sent:
             self._waits = self._step
 
@@ -437,12 +409,11 @@ class Gossip:
                 continue
             if said.map % self._robots == peer:
                 self._own_maps[peer] = said.map
-                self._cursors[peer] = None
+                self._places.begins_anew(peer)
                 self.known[peer] = 0
                 self._told[peer] = 0
                 self._neighbours.begins_anew(peer)
                 self._met.add(peer)
-                self._synced.discard(peer)
 
     def _hear_reports(self, peer: int, pieces: list[bytes]) -> Iterator[tuple[int, int, bytes]]:
         """Take who is near a peer, and what it holds; yield what does not belong here."""
@@ -472,7 +443,7 @@ class Gossip:
     def _hear_units(self, peer: int, pieces: list[bytes]) -> Iterator[tuple[int, int, bytes]]:
         """Take what a peer said of logs; yield what is news."""
         stretches: list[tuple[int, int | None, list[bytes]]]
-        stretches = [(self._own_maps[peer], self._cursors[peer], [])]
+        stretches = [(self._own_maps[peer], self._places.of(peer), [])]
         for piece in pieces:
             said = report(piece)
             if said is None:
@@ -495,7 +466,7 @@ class Gossip:
             return
         end, held = index + len(units), len(self.logs[about])
         if about == self._own_maps[peer]:
-            self._cursors[peer] = end
+            self._places.heard(peer, end)
         self.known[peer, about] = max(int(self.known[peer, about]), end)
         if index > held:
             self._gaps.add(about)

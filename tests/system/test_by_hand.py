@@ -148,7 +148,9 @@ def test_a_relay_that_cannot_listen_leaves_no_credentials(tmp_path: Path) -> Non
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         listen = f"127.0.0.1:{taken.getsockname()[1]}"
-        with pytest.raises(ScenarioError, match=r"^listen = '127\S+': .* Address already in use; it must be "):
+        with pytest.raises(
+            ScenarioError, match=r"^listen = '127\S+': .* Address already in use; it must be "
+        ):
             serve_netshaper(scenario, listen, tmp_path / "credentials", print)
     with pytest.raises(ScenarioError, match=r"^listen = '192\.0\.2\.7:7447': nobody can listen there: "):
         serve_netshaper(scenario, "192.0.2.7:7447", tmp_path / "credentials", print)

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from agent.exchange.base import Basis
 from agent.exchange.confirmed_gossip import ConfirmedGossip
-from agent.exchange.gossip import EVERYONE, GREETING, HOLDS, MOST_URGENT, PATIENCE, SELDOM, Gossip
+from agent.exchange.gossip import EVERYONE, GREETING, PATIENCE, SELDOM, Gossip
+from agent.exchange.urgency import HOLDS, MOST_URGENT
 from protocol import packets, survey
 from protocol.errors import ProtocolError
 from protocol.messages import Outcome
