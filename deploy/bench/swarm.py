@@ -52,7 +52,7 @@ CASES = (
 def bus() -> Iterator[Figure]:
     """The floor alone: the steps a second that the bus could carry if no participant computed anything."""
     for case in CASES:
-        plan = _plan(case)
+        plan = plan_of(case)
         scripts, records = record(plan)
         speeds = [_floor(plan, scripts, records.step) for _ in range(REPEATS)]
         yield Figure(f"{FLOOR}, {ROBOTS} robots, {case.exchange}", "steps/s", float(np.median(speeds)))
@@ -61,7 +61,7 @@ def bus() -> Iterator[Figure]:
 def swarm() -> Iterator[Figure]:
     """The real swarm against the floor, alternating; computing time, memory and start-up as well."""
     for case in CASES:
-        plan = _plan(case)
+        plan = plan_of(case)
         scripts, records = record(plan)
         floors, speeds, starts, memories = [], [], [], []
         for _ in range(REPEATS):
@@ -109,7 +109,8 @@ class _Watched:
         return (self._last[1] - self._first[1]) / (self._last[0] - self._first[0])
 
 
-def _plan(case: Case) -> Plan:
+def plan_of(case: Case) -> Plan:
+    """The run of a case: eight robots in an office of 300 x 300 cells."""
     scenario = Scenario(
         robots=ROBOTS,
         steps=STEPS,

@@ -28,7 +28,7 @@ def bench(
         list[str] | None,
         typer.Argument(
             metavar="NAME",
-            help="kernels, bus, swarm, replanning, relay, scale, link, hub; default: all of these. "
+            help="kernels, bus, swarm, cold, replanning, relay, scale, link, hub; default: all of these. "
             "Or strategies: the league table",
         ),
     ] = None,

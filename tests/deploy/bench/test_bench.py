@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from agent.outline.contour import contours
 from agent.planning.cost_field import costs
 from agent.strategies.registry import strategies
-from deploy.bench import hosts, kernels, ratios, relay, replanning, scale, yardsticks
+from deploy.bench import cold, hosts, kernels, ratios, relay, replanning, scale, swarm, yardsticks
 from deploy.bench.ratios import Figure, compare, run_benches
 from deploy.commands.main import app
 from protocol.grid import FREE, OCCUPIED, Grid, fan
@@ -146,6 +146,26 @@ def test_the_relay_s_work_is_measured_a_frame(monkeypatch: pytest.MonkeyPatch) -
     ]
     assert all(figure.unit == "us" and figure.yardstick == "reading its packets" for figure in figures)
     assert all(figure.value > 0 and (figure.ratio or 0) > 0 for figure in figures)
+
+
+def test_a_robot_hears_a_run_again_and_says_as_much_and_cold_memory_is_compared_with_warm(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(swarm, "STEPS", 12)
+    monkeypatch.setattr(swarm, "SIDE_M", 10.0)
+    monkeypatch.setattr(cold, "REPEATS", 1)
+    for case in cold.CASES:
+        ear, steps = cold.overheard(swarm.plan_of(case))
+        again = cold.hear_again(ear.heard)
+        assert (steps, again.said) == (12, ear.said)
+        assert again.seconds > 0
+    figures = list(cold.cold())
+    assert [figure.name for figure in figures][:2] == [
+        "a robot's work a step, laser, warm",
+        "a robot's work a step, laser, cold",
+    ]
+    assert all(figure.unit == "ms" and figure.value > 0 for figure in figures)
+    assert all(figure.yardstick == "the same, warm" for figure in figures[1::2])
 
 
 def test_teams_of_the_sizes_asked_for_are_measured_and_drawn(
