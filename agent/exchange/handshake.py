@@ -19,7 +19,6 @@ ROUND = BLOCKS * INDEX_WINDOW
 LEAST_HANDSHAKE = packets.Offer.size + packets.Answer.size
 """Bytes of an offer and the shortest answer."""
 
-
 DECLINE = packets.encode([packets.Decline()])
 
 
@@ -42,10 +41,10 @@ def read_offer(payload: bytes) -> packets.Offer:
 def answer(held: int, offered_block: int) -> bytes:
     """Say how many units one holds, in as few packets as that takes."""
     block = packets.Block(block_of(held))
-    answer = packets.Answer(held % INDEX_WINDOW)
+    place = packets.Answer(held % INDEX_WINDOW)
     if held >= ROUND:
-        return packets.encode([packets.Block(held // ROUND % BLOCKS), block, answer])
-    return packets.encode([answer] if block.block == offered_block else [block, answer])
+        return packets.encode([packets.Block(held // ROUND % BLOCKS), block, place])
+    return packets.encode([place] if block.block == offered_block else [block, place])
 
 
 @lru_cache(maxsize=1 << 14)

@@ -11,15 +11,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
+from deploy.bench.ear import Ear, overheard
 from deploy.bench.ratios import Figure, compare
-from deploy.run import in_memory
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario
 from netshaper.process import RelayNode
 from protocol import keys as names
 from protocol import packets, rights
-from protocol.bus import Bus, Message
+from protocol.bus import Message
 from protocol.errors import ProtocolError
 from protocol.keys import Keys
 from worldsim import generators
@@ -41,33 +41,12 @@ class Case:
 CASES = (Case(8, "polygon", 1000), Case(8, "laser", "unlimited"), Case(32, "polygon", 1000))
 
 
-class _Heard:
-    """The relay's end of the bus, which keeps what it hears; where nobody is behind it, its words go nowhere."""
-
-    def __init__(self, inner: Bus | None = None) -> None:
-        self.messages: list[Message] = []
-        self._inner = inner
-
-    def put(self, key: str, payload: bytes) -> None:
-        if self._inner is not None:
-            self._inner.put(key, payload)
-
-    def receive(self, timeout_s: float | None = None) -> Message | None:
-        message = self._inner.receive(timeout_s) if self._inner is not None else None
-        if message is not None:
-            self.messages.append(message)
-        return message
-
-    def close(self) -> None:
-        if self._inner is not None:
-            self._inner.close()
-
-
 def relay() -> Iterator[Figure]:
     """The relay's work a frame, in microseconds."""
     for case in CASES:
         plan = _plan(case)
-        heard = _listen(plan)
+        ear, _ = overheard(plan, names.RELAY)
+        heard = ear.heard
         said = [rights.read(*message) for message in heard if names.parts(message.key)[0] == "radio"]
         frames = [frame for words in said for frame in words.frames]
         ours, theirs = [], []
@@ -90,23 +69,9 @@ def _plan(case: Case) -> Plan:
     return plans.make(scenario, generators.make("office", width_m=SIDE_M, height_m=SIDE_M))
 
 
-def _listen(plan: Plan) -> list[Message]:
-    """Run the plan in memory; return all that the relay hears."""
-    ends: dict[str, _Heard] = {}
-
-    def listen(name: str, bus: Bus) -> Bus:
-        if name != names.RELAY:
-            return bus
-        ends[name] = _Heard(bus)
-        return ends[name]
-
-    in_memory.run(plan, wrap=listen)
-    return ends[names.RELAY].messages
-
-
 def _relaying(plan: Plan, heard: list[Message]) -> float:
     """Tell a new relay all of it; return the microseconds of processor time that it takes."""
-    node = RelayNode(_Heard(), Keys("memory"), plan.radio)
+    node = RelayNode(Ear(), Keys("memory"), plan.radio)
     began = time.thread_time_ns()
     for message in heard:
         node.handle(message)

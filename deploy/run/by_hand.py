@@ -97,7 +97,7 @@ def _hand_out(credentials: Mapping[str, Credential], folder: Path) -> None:
 
 
 def _endpoint(listen: str) -> str:
-    """The hub's address in zenoh's form; it is part of every credential."""
+    """The hub's address in zenoh's form, which is part of every credential; ScenarioError: nobody can listen there."""
     parts = re.fullmatch(r"(\[[0-9A-Fa-f:.]+\]|[^\s\[\]:]+):([0-9]{1,5})", listen)
     if parts is None or not 1 <= int(parts[2]) <= MOST_PORT:
         raise ScenarioError(

@@ -18,6 +18,7 @@ from agent.outline.contour import contours
 from agent.planning.cost_field import costs
 from agent.strategies.registry import strategies
 from deploy.bench import cold, hosts, kernels, ratios, relay, replanning, scale, swarm, yardsticks
+from deploy.bench.ear import overheard
 from deploy.bench.ratios import Figure, compare, run_benches
 from deploy.commands.main import app
 from protocol.grid import FREE, OCCUPIED, Grid, fan
@@ -155,10 +156,10 @@ def test_a_robot_hears_a_run_again_and_says_as_much_and_cold_memory_is_compared_
     monkeypatch.setattr(swarm, "SIDE_M", 10.0)
     monkeypatch.setattr(cold, "REPEATS", 1)
     for case in cold.CASES:
-        ear, steps = cold.overheard(swarm.plan_of(case))
-        again = cold.hear_again(ear.heard)
-        assert (steps, again.said) == (12, ear.said)
-        assert again.seconds > 0
+        ear, steps = overheard(swarm.plan_of(case), "r0")
+        seconds, said = cold.hear_again(ear.heard)
+        assert (steps, said) == (12, ear.said)
+        assert seconds > 0
     figures = list(cold.cold())
     assert [figure.name for figure in figures][:2] == [
         "a robot's work a step, laser, warm",
