@@ -6,11 +6,13 @@ hope that is not confirmed in time is given up, and what it was about is said ag
 
     event                                                  what follows
     units of a map are new, or known and said again        held: of that map, within `_every` steps
-    a unit came behind others that one lacks               held: at once, and again every `NAG` steps
+    a unit came behind others that one lacks               held: at once, and again every `NAG` steps; it is kept
+    what was lacking came, and kept units go on from it    held: at once
     a peer says that it holds no more than was certain,    the hope is given up, the units are said again
     though a round trip ago it was sent more
     nothing is said by a peer for two round trips,         the same
     and the steps in which it may put off what it holds
+    a peer has lacked something for as long                the next one passes it on as well
 
 `From` goes before all units, for who has missed a broadcast does not know where the next one goes on. The more robots
 and the narrower the medium, the more seldom one says what one holds: all together use the `SHARE`th part of it.
@@ -19,6 +21,7 @@ and the narrower the medium, the more seldom one says what one holds: all togeth
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterator
 
 import numpy as np
@@ -64,6 +67,8 @@ class ConfirmedGossip(Gossip):
         """How much of each map one has said last that one holds."""
         self._again: set[int] = set()
         """Maps of which one has heard again what one holds."""
+        self._early: defaultdict[int, dict[int, tuple[int, bytes]]] = defaultdict(dict)
+        """Of each map the units that came behind others that one lacks, by their numbers: who said it, and what."""
         self._places = NoPlaces(robot, robots)
 
     @property
@@ -76,6 +81,7 @@ class ConfirmedGossip(Gossip):
         if exchange == 0 and room:
             words = SHARE * Held.size * self._robots * (self._robots - 1)
             self._every = max(PATIENCE, math.ceil(words / room))
+            self._turn = 2 * int(self._trip.max()) + self._every
         return super().offers(exchange, peers, room)
 
     # --- what is said
@@ -137,4 +143,21 @@ class ConfirmedGossip(Gossip):
             self._certain[peer, about] = max(int(self._certain[peer, about]), end)
             if end <= len(self.logs[about]):
                 self._again.add(about)
+            elif index > len(self.logs[about]) and (peer, about) not in self.refused:
+                self._early[about] |= dict(enumerate(((peer, unit) for unit in units), index))
         yield from super()._take(peer, about, index, units)
+        yield from self._take_early(about)
+
+    def _take_early(self, about: int) -> Iterator[tuple[int, int, bytes]]:
+        """Yield the units that were kept of a map, as far as nothing is lacking before them any more.
+
+        What was kept of a peer from whom nothing is taken by now counts as lacking.
+        """
+        early, log = self._early[about], self.logs[about]
+        while (kept := early.pop(len(log), None)) is not None:
+            self._gaps.add(about)
+            peer, unit = kept
+            if (peer, about) not in self.refused:
+                yield peer, about, unit
+        for number in [number for number in early if number < len(log)]:
+            del early[number]

@@ -65,7 +65,7 @@ EVERYONE = -1
 """Whom a broadcast is for."""
 
 PATIENCE = 6
-"""Steps after which a robot says again what it lacks, and after which the next one may pass it on."""
+"""Steps after which a robot says again what it lacks; and, where nothing is lost, the next one passes it on."""
 
 SELDOM = 16
 """Steps after which a robot that has not always had all others in range says what it holds of one more map."""
@@ -149,6 +149,8 @@ class Gossip:
         self._waits = 0
         """Since which step there is something to say that has not been on the air."""
         self._said = Broadcast()
+        self._turn = PATIENCE
+        """Steps after which the next one may pass on what a peer lacks."""
         self._forgotten: NDArray[np.int32] = np.zeros(maps, np.int32)
         """How many units of each map all teammates hold."""
 
@@ -336,7 +338,7 @@ class Gossip:
         """Whether it is for oneself to pass on what a peer lacks of a map.
 
         Of those who hold more of it than the peer and are in its range it is the maker, else one by turns; after
-        `PATIENCE` steps in which the peer has not got it the next one does as well.
+        `_turn` steps in which the peer has not got it the next one does as well.
         """
         able = [
             each
@@ -346,7 +348,7 @@ class Gossip:
         ]
         able.append(self._robot)
         able.sort(key=lambda each: (self._own_maps[each] != about, (each - about) % self._robots))
-        return able.index(self._robot) <= (self._step - int(self._since[peer, about])) // PATIENCE
+        return able.index(self._robot) <= (self._step - int(self._since[peer, about])) // self._turn
 
     def _stretch(self, said: Broadcast, about: int, first: int, end: int) -> int:
         """Say units `first` to `end` - 1 of a log as far as there is room, behind a `From` where it is needed.

@@ -147,11 +147,17 @@ def _under(path: Path, scenario: Any, base: dict[str, Any]) -> dict[str, Any]:
 
 
 def lay(data: dict[str, Any], settings: dict[str, Any]) -> None:
-    """Lay settings over others; of tables only the keys that a dotted name names (``options.beta``)."""
+    """Lay settings over others; of tables only the keys that a dotted name names (``options.beta``).
+
+    ValueError if what a dotted name names a key of is no table.
+    """
     for key, value in settings.items():
         table, dot, inner = key.partition(".")
         if dot:
-            data[table] = {**data.get(table, {}), inner: value}
+            keys = data.get(table, {})
+            if not isinstance(keys, dict):
+                raise ValueError(f"{table} = {keys!r}: must be a table, for {key!r} sets a key of it")
+            data[table] = {**keys, inner: value}
         else:
             data[key] = value
 

@@ -98,8 +98,11 @@ def cases(experiment: Experiment) -> list[Case]:
             here = ", ".join(f"{key} = {value}" for key, value in place.items())
             where = f"{experiment.where} ({here})"
             data: dict[str, Any] = {"bus": MEMORY}
-            for layer in (experiment.base, settings, keys):
-                lay(data, layer)
+            try:
+                for layer in (experiment.base, settings, keys):
+                    lay(data, layer)
+            except ValueError as error:
+                raise ScenarioError(f"{where}: {error}") from None
             data |= {key: data[leader] for key, leader in experiment.follow.items() if leader in data}
             data = with_thesis(data, where)
             if data["bus"] != MEMORY:

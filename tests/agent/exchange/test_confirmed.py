@@ -8,9 +8,10 @@ from hypothesis import strategies as st
 
 from agent.exchange.confirmed import ConfirmedSession
 from agent.exchange.confirmed_gossip import ConfirmedGossip
+from protocol import survey
 from protocol.errors import ProtocolError
 from protocol.messages import Outcome
-from protocol.packets import From, Held, HeldEarly, Offer, decode, encode
+from protocol.packets import From, FromEarly, Held, HeldEarly, Offer, decode, encode
 from tests.agent.exchange.lossy_link import MAKERS, LossyLink
 from tests.agent.exchange.session_link import Reach, everyone, held, line, words
 
@@ -124,6 +125,51 @@ def test_a_unit_is_not_taken_back_once_it_was_on_the_air() -> None:
             outcome = Outcome(1, exchange, [-1], [0], [0], [len(frame)], [-1], False)
             list(mind.outcome(outcome, [(1, encode([HeldEarly(0, 0)]))]))
         assert not mind.retract(1), "it was lost perhaps, but perhaps not"
+
+
+def hear(mind: ConfirmedGossip, peer: int, frame: bytes, nonsense: bytes = b"") -> list[int]:
+    """Accept all that is news of a frame but `nonsense`; return of whom that came."""
+    heard = Outcome(1, 0, [], [], [], [], [-1], False)
+    blamed = []
+    for source, about, news in mind.outcome(heard, [(peer, frame)]):
+        if news == nonsense:
+            blamed.append(source)
+        else:
+            mind.accept(source, about, news, survey.ends(news))
+    return blamed
+
+
+def test_what_came_too_early_is_kept_until_what_was_lost_comes() -> None:
+    mind = ConfirmedGossip(1, 2)
+    mind.offers(0, [0], None)
+    early = encode([FromEarly(0, 3)]) + b"".join(words(0, 3, 6))
+    late = encode([FromEarly(0, 0)]) + b"".join(words(0, 0, 3))
+    for frame in (early, late):
+        hear(mind, 0, frame)
+    assert survey.split(mind.logs[0].since(0, None)) == words(0, 0, 6)
+    ((_, _, said),) = mind.offers(1, [0], None)
+    assert decode(said) == [HeldEarly(0, 6)], "nobody is to say again what was kept"
+
+
+def test_of_what_was_kept_for_nothing_the_truth_is_taken_when_it_comes() -> None:
+    mind = ConfirmedGossip(2, 3)
+    mind.offers(0, [0, 1], None)
+    lie = words(0, 7, 8)[0]
+    first, second = (encode([FromEarly(0, at)]) + words(0, at, at + 1)[0] for at in range(2))
+    hear(mind, 1, encode([FromEarly(0, 1)]) + lie, lie)
+    assert hear(mind, 0, first, lie) == [1]
+    hear(mind, 0, second, lie)
+    assert survey.split(mind.logs[0].since(0, None)) == words(0, 0, 2)
+
+
+def test_what_was_kept_of_a_peer_is_not_taken_once_nothing_is_taken_from_it() -> None:
+    mind = ConfirmedGossip(2, 3)
+    mind.offers(0, [0, 1], None)
+    early = encode([FromEarly(0, 1)]) + words(0, 1, 2)[0]
+    hear(mind, 1, early)
+    mind.refused.add((1, 0))
+    hear(mind, 0, encode([FromEarly(0, 0)]) + words(0, 0, 1)[0])
+    assert survey.split(mind.logs[0].since(0, None)) == words(0, 0, 1)
 
 
 def test_who_says_to_hold_more_than_there_is_gets_nothing_and_harms_nobody_else() -> None:

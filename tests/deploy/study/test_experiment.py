@@ -181,6 +181,12 @@ def test_a_table_in_the_grid_sets_all_its_keys_and_goes_by_its_own(tmp_path: Pat
     assert coarse.scenario.map_options == {"resolution": 0.2}
 
 
+def test_a_dotted_name_of_what_is_no_table_is_refused(tmp_path: Path) -> None:
+    text = "[base]\nradio = 'lora-sf9'\n'radio.loss' = 0.2\n"
+    with pytest.raises(ScenarioError, match=r"radio = 'lora-sf9': must be a table, for 'radio\.loss' sets"):
+        runs.cases(experiments.read(write(tmp_path, text)))
+
+
 def test_keys_follow_those_of_the_grid_whatever_replaces_them(tmp_path: Path) -> None:
     text = "[grid]\nmap = ['office']\nseed = [0, 1]\n[follow]\nmap_seed = 'seed'\n"
     experiment = experiments.override(experiments.read(write(tmp_path, text)), {"seed": [4, 7]})
