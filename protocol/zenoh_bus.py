@@ -141,11 +141,9 @@ class ZenohBus:
             raise BusClosed(f"{self._name}: this end of the bus is closed")
         publisher = self._publishers.get(key)
         if publisher is None:
-            if names.may_be_dropped(key):
-                control, priority = zenoh.CongestionControl.DROP, zenoh.Priority.DATA_LOW
-            else:
-                control, priority = zenoh.CongestionControl.BLOCK, zenoh.Priority.DATA
-            publisher = self._session.declare_publisher(key, congestion_control=control, priority=priority)
+            drop, block = zenoh.CongestionControl.DROP, zenoh.CongestionControl.BLOCK
+            control = drop if names.may_be_dropped(key) else block
+            publisher = self._session.declare_publisher(key, congestion_control=control)
             self._publishers[key] = publisher
         publisher.put(payload)
 
@@ -256,7 +254,8 @@ def plain_config(mode: str) -> zenoh.Config:
     """A configuration without discovery: a session contacts only the addresses that it is given.
 
     Shared memory is off: with it, messages larger than 3 kB would bypass the network, where they cannot be seen or
-    counted, and a killed process would leave its segment behind.
+    counted, and a killed process would leave its segment behind. Priorities are off: with them, that somebody leaves
+    would overtake what was put before.
     """
     config = zenoh.Config()
     insert(config, "mode", mode)
@@ -264,6 +263,7 @@ def plain_config(mode: str) -> zenoh.Config:
     for key in ("scouting/multicast/enabled", "scouting/gossip/enabled"):
         insert(config, key, False)
     insert(config, "scouting/delay", 0)
+    insert(config, "transport/unicast/qos/enabled", False)
     return config
 
 
