@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from deploy.record.records import Records
 from deploy.run import in_memory
-from deploy.run.processes import FAREWELL_S
+from deploy.run.processes import FAREWELL_S, wait_for_a_turn
 from deploy.scenario.plan import Plan
 from netshaper.hub import open_hub
 from protocol import keys as names
@@ -89,6 +89,8 @@ def play_hub(
 
 def play(credential: Credential, script: Script) -> None:
     """Play the script of any other participant."""
+    if names.is_robot(credential.name):
+        wait_for_a_turn()
     send_along()
     bus = join(credential)
     try:

@@ -9,7 +9,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Mapping
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -153,9 +153,20 @@ def serve_router(credential: Credential, endpoint: str, credentials: Mapping[str
         router.serve()
 
 
+def wait_for_a_turn() -> None:
+    """Have a process that is woken wait until a processor is free, where the system can tell (Linux).
+
+    Robots outnumber processors, and all are woken at once: each would interrupt the relay while it hands out what
+    the others wait for. To be called before zenoh first opens, for its threads to do likewise.
+    """
+    with suppress(AttributeError, OSError):
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+
+
 def serve_agent(credential: Credential, journal: Path | None = None, wrap: Wrap | None = None) -> None:
     """Serve as one robot of a run; with a `journal` it may be killed and begin again."""
     kept = Journal.open(journal) if journal is not None else None
+    wait_for_a_turn()
     bus = _joined(credential, wrap)
     node = AgentNode(bus, Keys(credential.run), names.number(credential.name), kept)
     try:
