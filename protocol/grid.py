@@ -13,10 +13,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+
+from protocol.kernels import kernel
 
 UNKNOWN = 0
 FREE = 1
@@ -75,13 +76,23 @@ def _flat(beams: Fan, width: int) -> NDArray[np.int32]:
 
 @lru_cache(maxsize=16)
 def _shared(beams: Fan) -> NDArray[np.int32]:
-    walks = np.split(beams.cells, beams.start[1:-1])
-    common = [0]
-    for before, walk in pairwise(walks):
-        both = min(len(before), len(walk))
-        parted = np.flatnonzero((before[:both] != walk[:both]).any(axis=1))
-        common.append(int(parted[0]) if len(parted) else both)
-    return np.array(common, np.int32)
+    shared: NDArray[np.int32] = _count_shared(beams.cells, beams.start)
+    return shared
+
+
+@kernel("int32[::1](int32[:,::1], int32[::1])")
+def _count_shared(cells: NDArray[np.int32], start: NDArray[np.int32]) -> NDArray[np.int32]:
+    shared = np.zeros(len(start) - 1, np.int32)
+    for beam in range(1, len(shared)):
+        before, here, end = start[beam - 1], start[beam], start[beam + 1]
+        both = min(here - before, end - here)
+        while (
+            shared[beam] < both
+            and cells[before + shared[beam], 0] == cells[here + shared[beam], 0]
+            and cells[before + shared[beam], 1] == cells[here + shared[beam], 1]
+        ):
+            shared[beam] += 1
+    return shared
 
 
 @lru_cache(maxsize=16)
@@ -106,32 +117,37 @@ def fan(range_cells: float, beams: int = 360) -> Fan:
     if beams < 4 or beams % 4:
         raise ValueError(f"{beams} beams: give a multiple of 4, so that the four neighbours are always seen")
     reach = min(range_cells, math.hypot(MAX_SIDE, MAX_SIDE))
-    cells: list[tuple[int, int]] = []
-    start = [0]
-    for beam in range(beams):
-        angle = 2 * math.pi * beam / beams
-        cells += _walk(
-            round(math.cos(angle) * _DIRECTION_UNIT), round(math.sin(angle) * _DIRECTION_UNIT), reach
-        )
-        start.append(len(cells))
-    return Fan(np.array(cells, np.int32).reshape(-1, 2), np.array(start, np.int32))
+    angles = [2 * math.pi * beam / beams for beam in range(beams)]
+    directions = [
+        (round(math.cos(angle) * _DIRECTION_UNIT), round(math.sin(angle) * _DIRECTION_UNIT))
+        for angle in angles
+    ]
+    return Fan(*_walk(np.array(directions, np.int64), reach))
 
 
-def _walk(direction_x: int, direction_y: int, range_cells: float) -> list[tuple[int, int]]:
-    """Cells along one direction from the centre of (0, 0), that cell left out."""
-    step_x, step_y = (1 if direction_x > 0 else -1), (1 if direction_y > 0 else -1)
-    along_x, along_y = abs(direction_x), abs(direction_y)
-    x = y = 0
-    walk: list[tuple[int, int]] = []
-    while True:
-        # The next border in x is crossed at (2 |x| + 1) / (2 along_x), in y likewise: cross-multiplied.
-        if along_y == 0 or (along_x and (2 * abs(x) + 1) * along_y <= (2 * abs(y) + 1) * along_x):
-            x += step_x
-        else:
-            y += step_y
-        if x * x + y * y > range_cells * range_cells:
-            return walk
-        walk.append((x, y))
+@kernel("Tuple((int32[:,::1], int32[::1]))(int64[:,::1], float64)")
+def _walk(directions: NDArray[np.int64], range_cells: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Cells along each direction from the centre of (0, 0), that cell left out; and where those of each begin."""
+    most = int(math.sqrt(2) * range_cells) + 2
+    cells = np.empty((len(directions) * most, 2), np.int32)
+    start = np.zeros(len(directions) + 1, np.int32)
+    for beam in range(len(directions)):
+        along_x, along_y = abs(directions[beam, 0]), abs(directions[beam, 1])
+        step_x, step_y = (1 if directions[beam, 0] > 0 else -1), (1 if directions[beam, 1] > 0 else -1)
+        x = y = 0
+        end = start[beam]
+        while True:
+            # The next border in x is crossed at (2 |x| + 1) / (2 along_x), in y likewise: cross-multiplied.
+            if along_y == 0 or (along_x > 0 and (2 * abs(x) + 1) * along_y <= (2 * abs(y) + 1) * along_x):
+                x += step_x
+            else:
+                y += step_y
+            if x * x + y * y > range_cells * range_cells:
+                break
+            cells[end] = x, y
+            end += 1
+        start[beam + 1] = end
+    return cells[: start[-1]].copy(), start
 
 
 def disc(radius_cells: float) -> NDArray[np.bool_]:
