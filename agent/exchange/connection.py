@@ -70,7 +70,7 @@ class Connection:
         The other end, and whose map it is about.
     state : State
     index : int
-        As offerer: how far the peer is, as it said.
+        As offerer: how far the peer is, as it said; before that, as one believes.
     """
 
     peer: int

@@ -125,9 +125,10 @@ class Session:
             return []
         frames = []
         for peer, about in self._worth_offering(exchange, np.array(held, np.int64)):
-            connection = self._said[peer, about] = Connection(peer, about)
+            known = self.known.item(peer, about)
+            connection = self._said[peer, about] = Connection(peer, about, index=known)
             connection.on(Event.NEWS)
-            frames.append((peer, about, offer(about, int(self.known[peer, about]))))
+            frames.append((peer, about, offer(about, known)))
         return frames
 
     def replies(self) -> Replies:
@@ -147,8 +148,8 @@ class Session:
         behind: list[bytes] = []
         load: list[int] = []
         loads: dict[int, bytes] = {}
-        for peer, about in self._said:
-            known = int(self.known[peer, about])
+        for connection in self._said.values():
+            about, known = connection.map, connection.index
             level.append(answer(len(self.logs[about]), block_of(known)))
             behind.append(answer(known, block_of(known)))
             if about == self.own and known not in loads:
@@ -304,8 +305,7 @@ class Session:
 
     def _read_answer(self, connection: Connection, payload: bytes) -> Event:
         """Note how far the peer is, and compare it with what is held."""
-        known = int(self.known[connection.peer, connection.map])
-        held = len(self.logs[connection.map])
+        known, held = connection.index, len(self.logs[connection.map])
         index = read_answer(payload, block_of(known))
         if index is None:
             return Event.DECLINED
