@@ -82,6 +82,7 @@ def _shared(beams: Fan) -> NDArray[np.int32]:
 
 @kernel("int32[::1](int32[:,::1], int32[::1])")
 def _count_shared(cells: NDArray[np.int32], start: NDArray[np.int32]) -> NDArray[np.int32]:
+    """How many cells each beam's walk has in common with the one before it, from its begin on."""
     shared = np.zeros(len(start) - 1, np.int32)
     for beam in range(1, len(shared)):
         before, here, end = start[beam - 1], start[beam], start[beam + 1]

@@ -29,7 +29,7 @@ class _HeapInfo(ctypes.Structure):
 def fill_holes() -> int:
     """Take all free pieces of `LEAST` bytes or more inside the heap for good; return how many bytes these are.
 
-    None where the C library is not glibc 2.33 or newer.
+    These are 0 where the C library is not glibc 2.33 or newer.
     """
     libc = ctypes.CDLL(None)
     if not hasattr(libc, "mallinfo2"):

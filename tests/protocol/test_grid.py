@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
-from itertools import pairwise
+from itertools import pairwise, takewhile
 
 import numpy as np
 import pytest
@@ -119,6 +119,16 @@ def test_a_range_beyond_any_grid_ends_with_the_largest_grid(range_cells: float) 
     assert len(laid.cells) < 8 * 2 * MAX_SIDE
     for walk in walks(laid):
         assert math.hypot(*walk[-1]) >= (MAX_SIDE - 1) * math.sqrt(2)
+
+
+@given(ranges, beam_counts)
+def test_what_beams_share_with_the_ones_before_is_how_far_their_walks_are_equal(
+    range_cells: float, beams: int
+) -> None:
+    laid = fan(range_cells, beams)
+    both = [zip(before, walk, strict=False) for before, walk in pairwise(walks(laid))]
+    shared = [len(list(takewhile(lambda cells: cells[0] == cells[1], pairs))) for pairs in both]
+    assert laid.shared.tolist() == [0, *shared]
 
 
 def test_the_fan_is_laid_out_in_whole_numbers() -> None:
