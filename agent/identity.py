@@ -21,12 +21,12 @@ from agent.journal import Journal, JournalError
 from agent.settings import Settings
 
 
-class Life(msgspec.Struct, frozen=True, tag=True, array_like=True, forbid_unknown_fields=True):
+class Incarnation(msgspec.Struct, frozen=True, tag=True, array_like=True, forbid_unknown_fields=True):
     """A robot begins a life."""
 
     robot: int
     robots: int
-    life: int
+    incarnation: int
 
 
 class Home(msgspec.Struct, frozen=True, tag=True, array_like=True, forbid_unknown_fields=True):
@@ -36,7 +36,7 @@ class Home(msgspec.Struct, frozen=True, tag=True, array_like=True, forbid_unknow
     y: int
 
 
-_read = msgspec.msgpack.Decoder(Life | Home).decode
+_read = msgspec.msgpack.Decoder(Incarnation | Home).decode
 _write = msgspec.msgpack.Encoder().encode
 
 
@@ -61,23 +61,27 @@ class Identity:
         JournalError
             The journal is that of another robot, makes no sense, or the robot has no life left.
         """
-        life = 0
+        incarnation = 0
         for number, record in enumerate(self._journal.records):
             entry = _entry(record, number)
             if isinstance(entry, Home):
                 if not (0 <= entry.x < settings.width and 0 <= entry.y < settings.height):
                     raise JournalError(f"record {number}: home is at ({entry.x}, {entry.y}), outside the map")
                 self._home = entry.x, entry.y
-            elif (entry.robot, entry.robots, entry.life) != (settings.robot, settings.robots, life):
-                whose = f"life {entry.life} of robot {entry.robot} of {entry.robots}"
-                wanted = f"life {life} of robot {settings.robot} of {settings.robots}"
+            elif (entry.robot, entry.robots, entry.incarnation) != (
+                settings.robot,
+                settings.robots,
+                incarnation,
+            ):
+                whose = f"life {entry.incarnation} of robot {entry.robot} of {entry.robots}"
+                wanted = f"life {incarnation} of robot {settings.robot} of {settings.robots}"
                 raise JournalError(f"record {number}: {whose}, where {wanted} is the next")
             else:
-                life += 1
-        if life >= settings.lives:
-            raise JournalError(f"robot {settings.robot} has used up its lives: {settings.lives}")
-        self._journal.append(_write(Life(settings.robot, settings.robots, life)))
-        return replace(settings, life=life, home=self._home)
+                incarnation += 1
+        if incarnation >= settings.incarnations:
+            raise JournalError(f"robot {settings.robot} has used up its lives: {settings.incarnations}")
+        self._journal.append(_write(Incarnation(settings.robot, settings.robots, incarnation)))
+        return replace(settings, incarnation=incarnation, home=self._home)
 
     def settle(self, x: int, y: int) -> None:
         """Note where the robot is as it begins; home is where it first did so."""
@@ -86,9 +90,9 @@ class Identity:
             self._journal.append(_write(Home(x, y)))
 
 
-def _entry(record: bytes, number: int) -> Life | Home:
+def _entry(record: bytes, number: int) -> Incarnation | Home:
     try:
-        entry: Life | Home = _read(record)
+        entry: Incarnation | Home = _read(record)
         return entry
     except (msgspec.DecodeError, msgspec.ValidationError, RecursionError, UnicodeDecodeError) as error:
         raise JournalError(f"record {number}: no entry of a robot's journal: {error}") from None

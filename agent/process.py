@@ -18,21 +18,21 @@ from protocol.errors import ProtocolError
 from protocol.fields import clip
 from protocol.keys import Keys
 from protocol.messages import (
-    Bye,
     Configure,
     End,
     Fault,
     Heard,
     Maps,
     MediumNote,
-    MindReport,
     Open,
     Outcome,
+    PhaseDelivery,
     Record,
+    RobotStatus,
     Said,
     Sense,
+    Shutdown,
     Strike,
-    Turn,
     Watched,
     pack,
 )
@@ -65,7 +65,7 @@ class AgentNode:
         self._name = names.robot(number)
         self._to_air = keys.radio_tx(self._name)
         self._to_world = keys.body(names.WORLD, self._name)
-        self._to_lab = keys.control(names.LAB, self._name)
+        self._to_lab = keys.control(names.RECORDER, self._name)
         self._to_viewer = keys.control(names.VIEW, self._name)
         self.robot: Robot | None = None
         self._frames: list[tuple[int, bytes]] = []
@@ -100,7 +100,7 @@ class AgentNode:
         elif isinstance(said, End):
             self._show(said.step)
             self._hand_in_maps()
-        elif isinstance(said, Bye):
+        elif isinstance(said, Shutdown):
             self.done = True
 
     def _begin(self, settings: Settings) -> None:
@@ -135,7 +135,7 @@ class AgentNode:
                 self._early.append(note)
             elif isinstance(note, Open):
                 self._offer(robot, note)
-            elif isinstance(note, Turn):
+            elif isinstance(note, PhaseDelivery):
                 self._take_turn(robot, note, self._take_frames(robot, len(note.connections), behind))
             elif isinstance(note, Outcome):
                 robot.settle(note, self._take_frames(robot, len(note.heard), behind))
@@ -144,26 +144,26 @@ class AgentNode:
             self._work += time.perf_counter() - began
 
     def _offer(self, robot: Robot, medium: Open) -> None:
-        said = robot.announce(medium.peers) if medium.exchange == 0 else None
+        said = robot.announce(medium.peers) if medium.round == 0 else None
         room = None if medium.budget == UNLIMITED else medium.budget
-        offers = robot.session.offers(medium.exchange, medium.peers, room)
+        offers = robot.session.offers(medium.round, medium.peers, room)
         receivers, frames = [peer for peer, _, _ in offers], [frame for _, _, frame in offers]
         if said is not None and medium.peers:
             receivers.insert(0, EVERYONE)
             frames.insert(0, said)
         words = Said(
             medium.step,
-            medium.exchange,
+            medium.round,
             "offers",
             [],
-            robot.session.urgency,
+            robot.session.priority,
             receivers,
             frames,
             robot.session.replies(),
         )
         self._say(words)
 
-    def _take_turn(self, robot: Robot, turn: Turn, heard: list[tuple[int, bytes]]) -> None:
+    def _take_turn(self, robot: Robot, turn: PhaseDelivery, heard: list[tuple[int, bytes]]) -> None:
         """Answer the offers, or send data for the answers, that were delivered in this phase."""
         phase = "answers" if turn.phase == "offers" else "data"
         said: list[tuple[int, int, bytes]] = []
@@ -173,14 +173,14 @@ class AgentNode:
                 said = robot.session.answers(offers)
             else:
                 named = zip(turn.connections, heard, turn.maps, strict=True)
-                said = robot.session.data([(n, peer, about, load) for n, (peer, load), about in named])
+                said = robot.session.data([(n, peer, map_id, load) for n, (peer, load), map_id in named])
         except ProtocolError as error:
             self._fault(str(error))
         if turn.spoken:
             return
         numbers, receivers = [number for number, _, _ in said], [peer for _, peer, _ in said]
         frames = [frame for _, _, frame in said]
-        self._say(Said(turn.step, turn.exchange, phase, numbers, 0, receivers, frames))
+        self._say(Said(turn.step, turn.round, phase, numbers, 0, receivers, frames))
 
     def _decide(self, robot: Robot, began: float) -> None:
         self._take_frames(robot, 0)
@@ -194,7 +194,7 @@ class AgentNode:
         backlog = robot.session.undelivered()
         exact = robot.exact_error()
         errors = robot.error(), -1 if exact is None else exact
-        report = MindReport(self._step, x, y, robot.known_cells, *errors, backlog, robot.status, work)
+        report = RobotStatus(self._step, x, y, robot.known_cells, *errors, backlog, robot.status, work)
         self._report(report)
         if self._step % SHOWN_EVERY == 0:
             self._show(self._step)
@@ -240,6 +240,6 @@ class AgentNode:
 
 def _frames_of(note: MediumNote) -> int:
     """How many of the frames that a robot hears with a note belong to it."""
-    if isinstance(note, Turn):
+    if isinstance(note, PhaseDelivery):
         return len(note.connections)
     return len(note.heard) if isinstance(note, Outcome) else 0

@@ -14,17 +14,18 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from agent.encodings.catalog import ENCODINGS, make_encoding
 from agent.exchange import gossip
-from agent.exchange.catalogue import EXCHANGES, distribution, exchange
+from agent.exchange.distribution import distribution
 from agent.outline.polygons import Polygons
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Pose, Situation
-from agent.strategies.hearsay import Hearsay
 from agent.strategies.registry import strategy
-from protocol import packets, survey
+from agent.strategies.relayed_state import RelayedState
+from protocol import packet_index, packets
 from protocol.errors import ProtocolError
 from protocol.fields import MOST_ON_THE_WAY
-from protocol.grid import UNKNOWN, Grid, fan
+from protocol.grid import UNKNOWN, Grid, ray_table
 from protocol.messages import Move, Outcome, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
 from protocol.scans import Scan, check_readings, draw
 
@@ -51,9 +52,9 @@ def sure_after(settings: Settings) -> int:
 
     Twice as many where words may be late, or lost and said again.
     """
-    if not EXCHANGES[settings.exchange].guesses(settings):
+    if not ENCODINGS[settings.map_encoding].guesses(settings):
         return 0
-    return 2 * SURE_AFTER if settings.confirms else SURE_AFTER
+    return 2 * SURE_AFTER if settings.requires_acks else SURE_AFTER
 
 
 @dataclass(frozen=True)
@@ -73,8 +74,8 @@ class Robot:
         """The self-explored grid."""
         self.planning: Grid = self.own.copy()
         """The planning grid: the own one merged with what teammates sent."""
-        self._exchange = exchange(settings)
-        self.session = distribution(settings, self._exchange)
+        self._encoding = make_encoding(settings)
+        self.session = distribution(settings, self._encoding)
         self.target: Cell | None = None
         self.status = ""
         """Its current activity, as text."""
@@ -85,7 +86,7 @@ class Robot:
         """For each map, the peers from which pieces were taken."""
         self.known_cells = 0
         """Cells of the self-explored grid that are known."""
-        self._fan = fan(settings.range_cells, settings.beams)
+        self._ray_table = ray_table(settings.range_cells, settings.beams)
         self._strategy = strategy(settings.strategy)(settings.options, settings)
         self._sense: Sense | None = None
         self._homes: dict[int, Cell] = {}
@@ -94,7 +95,7 @@ class Robot:
         self._target_news: Cell | None = None
         self._told_target: Cell | None = None
         """The target that teammates have heard of last."""
-        self._slack = settings.range_cells / TARGET_SLACK if settings.offers == gossip.POLICY else 0.0
+        self._slack = settings.range_cells / TARGET_SLACK if settings.dissemination == gossip.POLICY else 0.0
         self._pose_news: packets.Pose | None = None
         self._told: tuple[packets.Pose | None, tuple[int, ...], int] = (None, (), 0)
         self._looked: tuple[Cell | None, tuple[int, ...]] = (None, ())
@@ -110,29 +111,29 @@ class Robot:
         self._moved: dict[int, int] = {}
         """The step in which each teammate was last heard to be elsewhere than before."""
         self._travelled: dict[int, float] = {}
-        self._hearsay = Hearsay(settings)
+        self._relayed_state = RelayedState(settings)
         self._pose_is_said = True
         """Whether its pose is in this step's broadcast, as it is in all where nothing is passed on."""
         self._idle_steps = 0
         self._sure_after = sure_after(settings)
 
     def share(self, common: dict[str, Any]) -> None:
-        """Share memory with the other robots of this process (`agent.exchange.base.Exchange.share`)."""
-        self._exchange.share(common)
+        """Share memory with the other robots of this process (`agent.encodings.base.MapEncoding.share`)."""
+        self._encoding.share(common)
         self._strategy.share(common)
 
     @property
     def polygons(self) -> Mapping[int, Polygons]:
         """The polygons of each robot's map, its own included, as this robot holds them."""
-        return self._exchange.polygons
+        return self._encoding.polygons
 
     def error(self) -> int:
         """Cells in which its map and the approximation that it has logged differ (thesis, Eq. 6.1)."""
-        return self._exchange.error(self.own)
+        return self._encoding.error(self.own)
 
     def exact_error(self) -> int | None:
         """What that would be if the approximation were exact; None if it is not measured."""
-        return self._exchange.exact_error(self.own)
+        return self._encoding.exact_error(self.own)
 
     def perceive(self, sense: Sense) -> None:
         """Take the sensor readings at the beginning of a step.
@@ -143,9 +144,9 @@ class Robot:
             The readings do not fit the robot's laser.
         """
         readings = np.frombuffer(sense.readings, np.uint16).copy()
-        check_readings(readings, self._fan)
+        check_readings(readings, self._ray_table)
         driven = cells_from_bytes(sense.driven)
-        change = draw(self.own, self._fan, sense.x, sense.y, readings, driven)
+        change = draw(self.own, self._ray_table, sense.x, sense.y, readings, driven)
         self.known_cells += change.cells
         if self._sense is None:
             self._homes[self.settings.robot] = self.settings.home or (sense.x, sense.y)
@@ -153,12 +154,12 @@ class Robot:
             self._travel(self.settings.robot, (self._sense.x, self._sense.y), (sense.x, sense.y))
         self._sense = sense
         scan = Scan(sense.x, sense.y, readings)
-        if self._exchange.revisable and not self._withheld and self.session.retract(self._exchange.revisable):
-            self._exchange.retract()
+        if self._encoding.revisable and not self._withheld and self.session.retract(self._encoding.revisable):
+            self._encoding.retract()
         delivered = self.session.delivered() and not self._withheld
         if delivered:
-            self._looked = self._exchange.pose(self.session.own), self._peers
-        self._withheld += self._exchange.record(self.own, scan, change, delivered=delivered)
+            self._looked = self._encoding.pose(self.session.own), self._peers
+        self._withheld += self._encoding.record(self.own, scan, change, delivered=delivered)
         if not self._strategy.withholds:
             self._publish()
         if self._strategy.tells_pose:
@@ -181,9 +182,9 @@ class Robot:
                 said.append(self._pose_news)
         if self._target_news is not None:
             said.append(packets.Target(*self._target_news))
-        if self._strategy.passes_on:
+        if self._strategy.forwards_state:
             self._pose_is_said = any(isinstance(packet, packets.Pose) for packet in said)
-            said += self._hearsay.passed_on(self._sense.step, heard, peers, self._poses, self._targets)
+            said += self._relayed_state.passed_on(self._sense.step, heard, peers, self._poses, self._targets)
         return packets.encode(said) if said else None
 
     def _looks_tell(self, pose: packets.Pose, peers: list[int]) -> bool:
@@ -201,20 +202,20 @@ class Robot:
             self.faults.append(Fault(peer, str(error)))
             return
         height, width = self.own.shape
-        about: int | None = peer
+        map_id: int | None = peer
         """Whose the next target is; None: it is of no interest."""
         for packet in said:
             if isinstance(packet, packets.Target) and packet.x < width and packet.y < height:
                 target = packet.x, packet.y
-                if about == peer or (about is not None and target != self._targets.get(about)):
-                    self._news[about] = target
+                if map_id == peer or (map_id is not None and target != self._targets.get(map_id)):
+                    self._news[map_id] = target
             elif isinstance(packet, packets.Passed) and packet.x < width and packet.y < height:
-                about = self._take_hearsay(peer, packet)
+                map_id = self._take_hearsay(peer, packet)
             elif isinstance(packet, packets.Pose) and packet.x < width and packet.y < height:
                 self._heard_pose[peer] = self._sense.step if self._sense is not None else 0
                 self._note_pose(peer, Pose(packet.x, packet.y, bool(packet.leads)))
                 if self._sense is not None:
-                    self._exchange.plausible.place(peer, self._sense.step, packet.x, packet.y)
+                    self._encoding.reachability_check.place(peer, self._sense.step, packet.x, packet.y)
             else:
                 reason = f"{packet} is no target or pose on a {width} x {height} grid"
                 self.faults.append(Fault(peer, reason))
@@ -225,7 +226,7 @@ class Robot:
             self.faults.append(Fault(peer, f"{packet} is no robot of {self.settings.robots}"))
             return None
         step = self._sense.step if self._sense is not None else 0
-        if packet.robot in self._peers or not self._hearsay.take(packet, step):
+        if packet.robot in self._peers or not self._relayed_state.take(packet, step):
             return None
         self._note_pose(packet.robot, Pose(packet.x, packet.y, leads=False))
         return packet.robot
@@ -240,10 +241,10 @@ class Robot:
             self._moved[peer] = self._sense.step if self._sense is not None else 0
         self._poses[peer] = pose
 
-    def _note_look(self, about: int) -> None:
+    def _note_look(self, map_id: int) -> None:
         """Take where a teammate is from its looks, if it has told its pose before, but not in this step."""
         assert self._sense is not None
-        peer, cell = about % self.settings.robots, self._exchange.pose(about)
+        peer, cell = map_id % self.settings.robots, self._encoding.pose(map_id)
         before = self._poses.get(peer)
         if cell is None or before is None or before[:2] == cell:
             return
@@ -256,24 +257,24 @@ class Robot:
         A peer that sends malformed or inconsistent data is distrusted. If others had sent pieces of that map before,
         theirs may be the false ones: then only this map is no longer accepted from it.
         """
-        for peer, about, frame in self.session.outcome(outcome, heard):
-            if (peer, about) in self.session.refused:
+        for peer, map_id, frame in self.session.outcome(outcome, heard):
+            if (peer, map_id) in self.session.refused:
                 continue
-            told_by = self._told_by.setdefault(about, set())
+            told_by = self._told_by.setdefault(map_id, set())
             try:
-                ends = survey.ends(frame)
-                self._exchange.plausible.listen(outcome.step, peer)
-                self._exchange.take(about, frame)
+                ends = packet_index.ends(frame)
+                self._encoding.reachability_check.listen(outcome.step, peer)
+                self._encoding.take(map_id, frame)
             except ProtocolError as error:
                 self.faults.append(Fault(peer, str(error)))
-                self.session.refused.add((peer, about))
+                self.session.refused.add((peer, map_id))
                 if told_by <= {peer}:
                     self.distrusted.add(peer)
                     self.session.refused.update((peer, each) for each in range(self.settings.maps))
             else:
-                self.session.accept(peer, about, frame, ends)
+                self.session.accept(peer, map_id, frame, ends)
                 told_by.add(peer)
-                self._note_look(about)
+                self._note_look(map_id)
         if outcome.broadcast:
             self._told_target, self._target_news = self._target_news or self._told_target, None
             if self._pose_is_said and not self._by_looks:
@@ -285,7 +286,7 @@ class Robot:
         if sense is None:
             raise RuntimeError("decide before the first perceive")
         self.session.forget()
-        self.planning = self._exchange.merge(self.own, self._peers)
+        self.planning = self._encoding.merge(self.own, self._peers)
         decision = self._strategy.decide(self._situation(sense))
         self._take(decision)
         self._idle_steps = self._idle_steps + 1 if decision.explored else 0
@@ -332,7 +333,7 @@ class Robot:
             homes=_ascending(self._homes),
             home=self._homes[self.settings.robot],
             peers=self._peers,
-            connected=self._hearsay.connected(sense.step, self._peers),
+            connected=self._relayed_state.connected(sense.step, self._peers),
             poses=_ascending(self._poses),
             moved=_ascending(self._moved),
             travelled=_ascending(self._travelled),

@@ -50,10 +50,10 @@ class Settings:
         Bytes a step that the team shares; None: unlimited.
     reach_cells : float
         Communication range in cells.
-    polygon : dict
-        Options of the polygon exchange, by name (`agent.exchange.polygon`).
-    sight : dict
-        Options of the sight exchange, by name (`agent.exchange.sight`).
+    polygons : dict
+        Options of the polygon exchange, by name (`agent.encodings.polygons`).
+    predictive : dict
+        Options of the predictive exchange, by name (`agent.encodings.predictive`).
     options : dict
         Options of the strategy, by name.
     pass_on : bool
@@ -81,35 +81,35 @@ class Settings:
     beams: int
     speed_cells: float
     seed: int
-    exchange: str
+    map_encoding: str
     strategy: str
-    offers: str
+    dissemination: str
     bandwidth: float | None
     reach_cells: float
-    polygon: dict[str, Any] = field(default_factory=dict)
-    sight: dict[str, Any] = field(default_factory=dict)
+    polygons: dict[str, Any] = field(default_factory=dict)
+    predictive: dict[str, Any] = field(default_factory=dict)
     options: dict[str, Any] = field(default_factory=dict)
     resolution: float = 0.1
     radii_cells: list[float] = field(default_factory=list)
     field_of_view: float = 360.0
     scanner_turn: float = 0.0
-    pass_on: bool = True
-    confirms: bool = False
+    forward_maps: bool = True
+    requires_acks: bool = False
     frame_bytes: int | None = None
-    lives: int = 1
-    life: int = 0
+    incarnations: int = 1
+    incarnation: int = 0
     home: tuple[int, int] | None = None
     fastest_cells: float = 0.0
 
     @property
     def maps(self) -> int:
         """How many maps there may be: one a life of each robot."""
-        return self.robots * self.lives
+        return self.robots * self.incarnations
 
     @property
     def own_map(self) -> int:
         """The number of the robot's own map: it says whose, and of which life (`agent.identity`)."""
-        return self.robot + self.robots * self.life
+        return self.robot + self.robots * self.incarnation
 
     @property
     def range_cells(self) -> float:

@@ -27,10 +27,10 @@ class ViewerFeed:
             self._planning = robot.planning.copy()
             height, width = robot.planning.shape
             said.append(Snapshot(step, width, height, grid_to_bytes(robot.planning)))
-        for about, polygons in sorted(robot.polygons.items()):
-            if self._polygons.get(about) is not polygons:
-                self._polygons[about] = polygons
-                said.append(Outlines(step, about, outline_bytes(polygons)))
+        for map_id, polygons in sorted(robot.polygons.items()):
+            if self._polygons.get(map_id) is not polygons:
+                self._polygons[map_id] = polygons
+                said.append(Outlines(step, map_id, outline_bytes(polygons)))
         return said
 
 

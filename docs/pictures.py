@@ -27,14 +27,16 @@ SHADES = ListedColormap(np.array(CELLS) / 255)
 def main(folder: Path) -> None:
     """Draw all pictures into a folder."""
     folder.mkdir(exist_ok=True)
-    taken = {name: _taken(name) for name in ("polygon", "sight")}
+    taken = {name: _taken(name) for name in ("polygon", "predictive")}
     _save(outline(taken["polygon"][-1]), folder / "outline.png")
     _save(knowledge(taken["polygon"][-1]), folder / "knowledge.png")
-    _save(sent({"outlines": taken["polygon"], "looks": taken["sight"]}), folder / "bytes.png")
+    _save(sent({"outlines": taken["polygon"], "looks": taken["predictive"]}), folder / "bytes.png")
 
 
-def _taken(exchange: str) -> list[Step]:
-    run = steps(map="office", exchange=exchange, strategy="meier", robots=3, range=12, bandwidth=BUDGET)
+def _taken(map_encoding: str) -> list[Step]:
+    run = steps(
+        map="office", map_encoding=map_encoding, strategy="meier", robots=3, range=12, bandwidth=BUDGET
+    )
     return [next(run) for _ in range(AFTER)]
 
 

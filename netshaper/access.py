@@ -25,7 +25,7 @@ PASSWORDS, CERTIFICATES = "usernames", "cert_common_names"
 
 def participants(robots: int) -> list[str]:
     """Names of all clients of a run with the given number of robots."""
-    return [names.WORLD, names.LAB, names.VIEW, *(names.robot(number) for number in range(robots))]
+    return [names.WORLD, names.RECORDER, names.VIEW, *(names.robot(number) for number in range(robots))]
 
 
 def issue(run: str, hub: str, robots: int) -> dict[str, Credential]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from protocol import survey
+from protocol import packet_index
 
 UNLIMITED = -1
 
@@ -24,7 +24,7 @@ def fill(payloads: Sequence[bytes], left: int) -> list[int]:
     """Return how many bytes of each frame go on the air, given in the order of speaking; `left`: the budget's rest."""
     sizes = []
     for payload in payloads:
-        size = len(payload) if left == UNLIMITED else survey.fitting(payload, left)
+        size = len(payload) if left == UNLIMITED else packet_index.fitting(payload, left)
         if left != UNLIMITED:
             left -= size
         sizes.append(size)
@@ -44,10 +44,10 @@ class Shares:
         self.budget = budget
         self._had: dict[int, int] = {}
 
-    def rank(self, robot: int, urgency: int) -> tuple[bool, int]:
+    def rank(self, robot: int, priority: int) -> tuple[bool, int]:
         """What decides who speaks first: the least."""
         shouts = self.budget != UNLIMITED and 2 * self._had.get(robot, 0) > self.budget * LATE
-        return shouts, -min(max(urgency, 0), MOST_URGENT)
+        return shouts, -min(max(priority, 0), MOST_URGENT)
 
     def book(self, robot: int, size: int) -> None:
         """A robot has had so many bytes of the air."""
@@ -182,7 +182,7 @@ def cut_into_frames(payload: bytes, room: int, most: int, tail: int) -> tuple[li
     rest = payload
     while rest:
         limit = least(room, most or UNLIMITED)
-        size = len(rest) if limit == UNLIMITED else survey.fitting(rest, limit - tail)
+        size = len(rest) if limit == UNLIMITED else packet_index.fitting(rest, limit - tail)
         if not size:
             break
         frames.append(rest[:size])

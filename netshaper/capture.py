@@ -29,29 +29,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from netshaper import pcapng
-from netshaper.ledger import CAUSES, FIRST_ON_AIR
-from netshaper.pcapng import CaptureError
-from netshaper.sightings import (
+from netshaper.frame_log import (
     BEGIN,
     CONNECTION,
     END,
-    EXCHANGE,
     FRAME,
     HEARD_FROM,
     HEARD_TO,
     MAP,
     RECEIVER,
+    ROUND,
     SENDER,
     VERDICT,
     WORDS,
     Columns,
+    LoggedFrame,
     Rows,
-    Sighting,
     hearers_of,
 )
-from protocol import survey
+from netshaper.ledger import CAUSES, FIRST_ON_AIR
+from netshaper.pcapng import CaptureError
+from protocol import packet_index
 from protocol.kernels import kernel
-from protocol.survey import TABLE, Bytes, Table, fitting_part
+from protocol.packet_index import TABLE, Bytes, Table, fitting_part
 
 LINK_TYPE = 147
 """LINKTYPE_USER0, which the dissector takes."""
@@ -91,7 +91,7 @@ class Captured:
     part: int
     size: int
     words: str
-    seen: Sighting
+    seen: LoggedFrame
 
     @property
     def verdict(self) -> str:
@@ -126,21 +126,21 @@ def read(reader: pcapng.Reader) -> Iterator[Captured]:
         if head is None or len(packet.data) < head.size:
             found = packet.data[: HEAD.size].hex()
             raise CaptureError(f"a packet without a head of version {VERSION} or {WIDE}: {found}")
-        _, frame, verdict, exchange, sender, receiver, about, part, step, connection, heard = (
+        _, frame, verdict, round_number, sender, receiver, map_id, part, step, connection, heard = (
             head.unpack_from(packet.data)
         )
         if frame >= len(FRAMES) or verdict >= len(VERDICTS):
             raise CaptureError(f"a packet with frame {frame} and verdict {verdict}, which mean nothing")
         kept = packet.data[head.size :]
         mask = heard if isinstance(heard, int) else int.from_bytes(heard, "big")
-        seen = Sighting(exchange, connection, frame, sender, receiver, about, verdict, mask, kept)
+        seen = LoggedFrame(round_number, connection, frame, sender, receiver, map_id, verdict, mask, kept)
         yield Captured(step, part, packet.size - head.size, packet.comment, seen)
 
 
 _HEADS = {VERSION: HEAD, WIDE: WIDE_HEAD}
 
 
-def hearers(seen: Sighting) -> list[int]:
+def hearers(seen: LoggedFrame) -> list[int]:
     """The robots that heard a frame."""
     return hearers_of(seen.hearers)
 
@@ -171,7 +171,7 @@ def _write_head(out: Bytes, at: int, step: int, row: Rows, part: int, wide: bool
     out[at] = WIDE if wide else VERSION
     out[at + 1] = row[FRAME]
     out[at + 2] = row[VERDICT]
-    out[at + 3] = row[EXCHANGE]
+    out[at + 3] = row[ROUND]
     size = 2 if wide else 1
     at += 4
     for value in (row[SENDER], row[RECEIVER], row[MAP], part):
@@ -185,7 +185,7 @@ def _write_head(out: Bytes, at: int, step: int, row: Rows, part: int, wide: bool
     return behind
 
 
-@kernel(f"int64(uint8[::1], int64, {survey.FRAME}, int64)")
+@kernel(f"int64(uint8[::1], int64, {packet_index.FRAME}, int64)")
 def _write_comment(out: Bytes, at: int, text: Bytes, block: int) -> int:
     """Write a comment, and the end of the options; return where they end."""
     _little(out, at, _COMMENT, 2)
@@ -201,7 +201,7 @@ def _write_comment(out: Bytes, at: int, text: Bytes, block: int) -> int:
 
 
 @kernel(
-    f"uint8[::1](int64, int64[:,::1], int64[::1], {survey.FRAME}, {survey.FRAME}, int64[::1], "
+    f"uint8[::1](int64, int64[:,::1], int64[::1], {packet_index.FRAME}, {packet_index.FRAME}, int64[::1], "
     "int64[:,::1], int64)"
 )
 def _encode(

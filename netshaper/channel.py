@@ -52,7 +52,7 @@ class Channel:
     def carry(
         self,
         step: int,
-        exchange: int,
+        round_number: int,
         sender: int,
         number: int,
         frames: Sequence[bytes],
@@ -60,7 +60,7 @@ class Channel:
     ) -> list[Reception]:
         """Carry frames that belong together to each of `hearers`; `number` counts what a sender says in an exchange."""
         options = self._options
-        random = keyed_random(self._seed, "channel", step, exchange, sender, number)
+        random = keyed_random(self._seed, "channel", step, round_number, sender, number)
         draws = random.random((len(self._bad), 2 * len(frames) + 2))
         receptions = []
         for hearer in hearers:
@@ -74,7 +74,7 @@ class Channel:
                     cause = LOSS
                     break
                 if mine[2 * index + 1] < chance_of_damage(len(frame), options.bit_errors):
-                    key = (step, exchange, sender, number, hearer, index)
+                    key = (step, round_number, sender, number, hearer, index)
                     heard = unsum(flip(frame, options.bit_errors, keyed_random(self._seed, "flips", *key)))
                 elif options.sums:
                     heard = unsum(frame)

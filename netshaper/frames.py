@@ -9,7 +9,7 @@ from itertools import pairwise
 
 from netshaper.ledger import EVERYONE, KIND_NUMBER
 from netshaper.medium import ANSWER, DATA, OFFER
-from protocol import packets, survey
+from protocol import packet_index, packets
 from protocol.errors import ProtocolError
 from protocol.packets import Check, From, FromEarly, Held, HeldEarly, Offer
 
@@ -37,7 +37,7 @@ def wrong_in_news(receiver: int, payload: bytes) -> str:
     if receiver != EVERYONE:
         return "said to one robot"
     try:
-        pieces = survey.split(payload)
+        pieces = packet_index.split(payload)
     except ProtocolError as error:
         return str(error)
     strange = [packets.name(piece) for piece in pieces if _is_strange(piece)]
@@ -94,7 +94,7 @@ def wrong_in_data(payload: bytes) -> str:
     What a robot sends to several teammates is looked at once.
     """
     try:
-        kinds = survey.kinds(payload)
+        kinds = packet_index.kinds(payload)
     except ProtocolError as error:
         return str(error)
     if kinds & _NO_DATA:
@@ -115,7 +115,7 @@ def read_confirmed(receiver: int, payload: bytes, maps: int) -> tuple[int, int, 
     Of robots that go by what the other confirms (`agent.exchange.confirmed`).
     """
     try:
-        pieces = survey.split(payload)
+        pieces = packet_index.split(payload)
         handshakes = [packets.decode(piece)[0] for piece in pieces if packets.name(piece) == Offer.name]
     except ProtocolError as error:
         return DATA, -1, str(error)

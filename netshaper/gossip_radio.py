@@ -41,9 +41,9 @@ class GossipRadio(Radio):
                     told.append((sender, payload))
         out = self._put_broadcasts_on_air(broadcasts, self._fair_share())
         order = self._drawn("back-off", told)
-        order.sort(key=lambda item: self._shares.rank(item[0], self._urgency(item[0])))
+        order.sort(key=lambda item: self._shares.rank(item[0], self._priority(item[0])))
         hearers = {sender: self._hearers(sender) for sender, _ in order}
-        sizes = self._medium.tell(self._exchange, [(s, payload, hearers[s]) for s, payload in order])
+        sizes = self._medium.tell(self._round, [(s, payload, hearers[s]) for s, payload in order])
         carried = {sender: size for (sender, _), size in zip(order, sizes, strict=True)}
         for sender, size in carried.items():
             self._shares.book(sender, size)
@@ -56,7 +56,7 @@ class GossipRadio(Radio):
         for robot in sorted({*carried, *heard, *self._broadcast_carried} - self._dead):
             own = [carried[robot]] if robot in carried else []
             out.append(self._tell(robot, own, heard.get(robot, 0)))
-        self._exchange += 1
-        if any(sizes) and self._exchange < self.settings.exchanges and self._medium.left:
+        self._round += 1
+        if any(sizes) and self._round < self.settings.rounds and self._medium.left:
             return out + self._open()
         return out + self._close()

@@ -22,7 +22,7 @@ from netshaper.gossip_radio import GossipRadio
 from netshaper.ledger import CAUSES, EVERYONE
 from netshaper.medium import ANSWER, BROADCAST, DATA, NEWS, UNLIMITED
 from netshaper.radio import Frame, Outgoing, Radio, RadioSettings
-from protocol import survey
+from protocol import packet_index
 from protocol.packets import Check
 
 CARRIED, BUDGET, LIMIT, FULL = (CAUSES.index(cause) for cause in ("", "budget", "limit", "full"))
@@ -90,7 +90,7 @@ class ImperfectRadio(Radio):
 
     def _too_long(self, payload: bytes) -> str:
         most = self.settings.options.frame_bytes
-        size = survey.longest(payload) + self._tail if most else 0
+        size = packet_index.longest(payload) + self._tail if most else 0
         return (
             f"a packet of {size} bytes with its checksum, where a frame holds {most}" if size > most else ""
         )
@@ -103,7 +103,7 @@ class ImperfectRadio(Radio):
             self._put_broadcast(each, share)
         carried: dict[int, dict[int, int]] = {}
         order = self._drawn("contention", said)
-        order.sort(key=lambda s: (s.frame != ANSWER, self._shares.rank(s.sender, self._urgency(s.sender))))
+        order.sort(key=lambda s: (s.frame != ANSWER, self._shares.rank(s.sender, self._priority(s.sender))))
         for each in order:
             size = carried.setdefault(each.sender, {})[each.number] = self._put(each)
             self._shares.book(each.sender, size)
@@ -117,9 +117,9 @@ class ImperfectRadio(Radio):
             ]
             if own or heard.get(robot) or robot in self._broadcast_carried:
                 out.append(self._tell(robot, own, heard.get(robot, 0)))
-        self._exchange += 1
+        self._round += 1
         busy = any(size for sizes in carried.values() for size in sizes.values()) or bool(heard)
-        if busy and self._exchange < self.settings.exchanges and any(map(self._room, self._reach)):
+        if busy and self._round < self.settings.rounds and any(map(self._room, self._reach)):
             return out + self._open()
         return out + self._close()
 
@@ -131,11 +131,11 @@ class ImperfectRadio(Radio):
             told: set[int] = set()
             for number, (receiver, payload) in enumerate(said.puts()):
                 target = receiver == EVERYONE and is_broadcast(payload)
-                frame, about, problem = BROADCAST, -1, ""
-                if target and (self._exchange or sender in self._broadcast_carried):
+                frame, map_id, problem = BROADCAST, -1, ""
+                if target and (self._round or sender in self._broadcast_carried):
                     problem = "broadcast something other than a target or a pose, at the start of a step"
                 elif not target:
-                    frame, about, problem = self._read(receiver, payload)
+                    frame, map_id, problem = self._read(receiver, payload)
                     problem = problem or self._too_long(payload) or ("twice" if receiver in told else "")
                     told.add(receiver)
                 if receiver != EVERYONE and receiver not in self._reach.get(sender, ()):
@@ -149,7 +149,7 @@ class ImperfectRadio(Radio):
                 else:
                     if target:
                         self._broadcast_carried[sender] = False
-                    one = _Said(sender, receiver, number, frame, about, payload)
+                    one = _Said(sender, receiver, number, frame, map_id, payload)
                     (broadcasts if target else frames).append(one)
         return broadcasts, frames
 
@@ -162,7 +162,7 @@ class ImperfectRadio(Radio):
     def _put_broadcast(self, said: _Said, share: int) -> None:
         """Put a target or a pose on the air, behind the first as long as they have not had their share."""
         if self._waits(said.payload, share):
-            self._medium.leave_out(self._exchange, said.sender, said.payload)
+            self._medium.leave_out(self._round, said.sender, said.payload)
         else:
             self._broadcast_carried[said.sender] = self._put(said) > 0
 
@@ -184,7 +184,7 @@ class ImperfectRadio(Radio):
         got: dict[int, Reception] = {}
         if frames:
             carry = self._channel.carry
-            receptions = carry(self._step, self._exchange, sender, said.number, summed, hearers)
+            receptions = carry(self._step, self._round, sender, said.number, summed, hearers)
             for hearer, reception in zip(hearers, receptions, strict=True):
                 got[hearer] = self._take(hearer, reception)
                 self._queue(said, hearer, got[hearer])
@@ -192,8 +192,8 @@ class ImperfectRadio(Radio):
             self._note(said, frame, index, got)
         if rest:
             cause = BUDGET if room == shared else LIMIT
-            self._medium.sightings.add(
-                self._exchange, -1, said.frame, sender, receiver, said.map, cause, rest
+            self._medium.predictiveings.add(
+                self._round, -1, said.frame, sender, receiver, said.map, cause, rest
             )
         return sum(map(len, frames))
 
@@ -224,8 +224,8 @@ class ImperfectRadio(Radio):
                 words.append(f"heard by r{hearer} in step {self._step + delay}")
             if again:
                 words.append(f"twice by r{hearer}")
-        self._medium.sightings.add(
-            self._exchange, -1, said.frame, said.sender, said.receiver, said.map, verdict, frame, heard,
+        self._medium.predictiveings.add(
+            self._round, -1, said.frame, said.sender, said.receiver, said.map, verdict, frame, heard,
             "" if verdict else ", ".join(words),
         )  # fmt: skip
 

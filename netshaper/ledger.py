@@ -26,7 +26,7 @@ EVERYONE = -1
 ROW = np.dtype(
     [
         ("step", "<i4"),
-        ("exchange", "<i2"),
+        ("round", "<i2"),
         ("connection", "<i4"),
         ("frame", "<i2"),
         ("sender", "<i2"),

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from netshaper import airtime, capture
-from netshaper.booking import book
+from netshaper.frame_log import BEGIN, COLUMNS, HEARD_FROM, HEARD_TO, VERDICT, WORDS, FrameLog, Rows
 from netshaper.ledger import CAUSES, EVERYONE
-from netshaper.sightings import BEGIN, COLUMNS, HEARD_FROM, HEARD_TO, VERDICT, WORDS, Rows, Sightings
-from protocol import survey
+from netshaper.ledger_rows import book
+from protocol import packet_index
 from protocol.kernels import kernel
 from protocol.messages import RadioReport
-from protocol.survey import TABLE, Bytes, Table, fitting_part
+from protocol.packet_index import TABLE, Bytes, Table, fitting_part
 
 OFFER, ANSWER, DATA, BROADCAST, NEWS = range(5)
 """The frames of a connection in their order, and broadcasts, which have none: targets and poses, and news of maps."""
@@ -56,10 +56,10 @@ class Connections:
 
     def add(self, ends: Sequence[tuple[int, int, int]], offers: Sequence[bytes]) -> None:
         """Add connections, as (sender, receiver, map), of which the offers have been said."""
-        for sender, receiver, about in ends:
+        for sender, receiver, map_id in ends:
             self.senders.append(sender)
             self.receivers.append(receiver)
-            self.maps.append(about)
+            self.maps.append(map_id)
         self.frames[OFFER].extend(offers)
         self.frames[ANSWER].extend([None] * len(ends))
         self.frames[DATA].extend([None] * len(ends))
@@ -84,23 +84,23 @@ class Medium:
         self._frame_bytes = frame_bytes
         self.left = budget
         self.carried = 0
-        self.sightings = Sightings()
+        self.predictiveings = FrameLog()
         """What was said: of this the ledger and the capture are made."""
 
-    def broadcast(self, exchange: int, sender: int, payload: bytes, hearers: Sequence[int]) -> bool:
+    def broadcast(self, round_number: int, sender: int, payload: bytes, hearers: Sequence[int]) -> bool:
         """Put a target on the air, whole or not at all; say whether it was carried."""
         size = len(payload)
         if self.left != UNLIMITED:
             if size > self.left:
                 self.left = 0  # what is left over is too small for this packet: closed
-                self.sightings.add(exchange, -1, BROADCAST, sender, EVERYONE, -1, _BUDGET, payload)
+                self.predictiveings.add(round_number, -1, BROADCAST, sender, EVERYONE, -1, _BUDGET, payload)
                 return False
             self.left -= size
         self.carried += size
-        self.sightings.add(exchange, -1, BROADCAST, sender, EVERYONE, -1, _CARRIED, payload, hearers)
+        self.predictiveings.add(round_number, -1, BROADCAST, sender, EVERYONE, -1, _CARRIED, payload, hearers)
         return size > 0
 
-    def play(self, exchange: int, connections: Connections) -> NDArray[np.int64]:
+    def play(self, round_number: int, connections: Connections) -> NDArray[np.int64]:
         """Put connections on the air one by one, frame by frame, as far as there is room.
 
         A frame that is lost is the last of its connection, and so is one that is not there.
@@ -127,17 +127,17 @@ class Medium:
         data = np.frombuffer(payload, np.uint8)
         most = self._frame_bytes or len(payload)
         written, heard, self.left = _play(
-            exchange, connections.first, ends, sizes, data, self.left, most, TABLE, carried, rows, hearers
+            round_number, connections.first, ends, sizes, data, self.left, most, TABLE, carried, rows, hearers
         )
         self.carried += int(carried.sum())
-        self.sightings.extend(rows[:written], hearers[:heard], payload)
+        self.predictiveings.extend(rows[:written], hearers[:heard], payload)
         return carried
 
-    def leave_out(self, exchange: int, sender: int, payload: bytes) -> None:
+    def leave_out(self, round_number: int, sender: int, payload: bytes) -> None:
         """Note a broadcast that has to wait, though there is room."""
-        self.sightings.add(exchange, -1, BROADCAST, sender, EVERYONE, -1, _BUDGET, payload)
+        self.predictiveings.add(round_number, -1, BROADCAST, sender, EVERYONE, -1, _BUDGET, payload)
 
-    def tell(self, exchange: int, told: Sequence[tuple[int, bytes, Sequence[int]]]) -> list[int]:
+    def tell(self, round_number: int, told: Sequence[tuple[int, bytes, Sequence[int]]]) -> list[int]:
         """Put news on the air, each as (sender, payload, hearers), as far as there is room; return the bytes of each.
 
         What is left where not all find room is for shorter ones, in the next exchange.
@@ -145,37 +145,46 @@ class Medium:
         sizes = airtime.fill([payload for _, payload, _ in told], self.left)
         for (sender, payload, hearers), size in zip(told, sizes, strict=True):
             for frame in airtime.cut_into_frames(payload[:size], UNLIMITED, self._frame_bytes, 0)[0]:
-                self.sightings.add(exchange, -1, NEWS, sender, EVERYONE, -1, _CARRIED, frame, hearers)
+                self.predictiveings.add(
+                    round_number, -1, NEWS, sender, EVERYONE, -1, _CARRIED, frame, hearers
+                )
             if size < len(payload):
-                self.sightings.add(exchange, -1, NEWS, sender, EVERYONE, -1, _BUDGET, payload[size:])
+                self.predictiveings.add(round_number, -1, NEWS, sender, EVERYONE, -1, _BUDGET, payload[size:])
             self.carried += size
             if self.left != UNLIMITED:
                 self.left -= size
         return sizes
 
     def refuse(
-        self, exchange: int, frame: int, sender: int, receiver: int, payload: bytes, cause: str, reason: str
+        self,
+        round_number: int,
+        frame: int,
+        sender: int,
+        receiver: int,
+        payload: bytes,
+        cause: str,
+        reason: str,
     ) -> None:
         """Note a frame that was never admitted to the air, and why."""
-        self.sightings.add(
-            exchange, -1, frame, sender, receiver, -1, CAUSES.index(cause), payload, (), reason
+        self.predictiveings.add(
+            round_number, -1, frame, sender, receiver, -1, CAUSES.index(cause), payload, (), reason
         )
 
     def report(self, *, captures: bool = True) -> RadioReport:
         """Write down what was said: the ledger's rows, and the frames for a capture unless there is none."""
-        if not len(self.sightings):
+        if not len(self.predictiveings):
             return RadioReport(self.step, b"", self.carried, b"")
-        seen = self.sightings.columns()
+        seen = self.predictiveings.columns()
         frames = capture.encode(self.step, seen) if captures else b""
         return RadioReport(self.step, book(self.step, seen), self.carried, frames)
 
 
 @kernel(
-    f"UniTuple(int64, 3)(int64, int64, int64[:,::1], int64[:,::1], {survey.FRAME}, int64, int64, int64[:,::1], "
+    f"UniTuple(int64, 3)(int64, int64, int64[:,::1], int64[:,::1], {packet_index.FRAME}, int64, int64, int64[:,::1], "
     "int64[:,::1], int64[:,::1], int64[::1])"
 )
 def _play(
-    exchange: int,
+    round_number: int,
     first: int,
     ends: Rows,
     sizes: Rows,
@@ -229,7 +238,7 @@ def _play(
                     part = fitting_part(payload, start, end, most, table)
                     end = start + part if part else end
                 row = rows[written]
-                row[0] = exchange
+                row[0] = round_number
                 row[1] = first + each
                 row[2] = frame
                 row[3] = sender

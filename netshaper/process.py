@@ -22,25 +22,25 @@ from protocol.keys import Keys
 from protocol.messages import (
     Back,
     Begin,
-    Bye,
     Change,
     Close,
     End,
     Fault,
     Heard,
     Lost,
+    PhaseDelivery,
     Positions,
     RadioReport,
     Record,
     Said,
+    Shutdown,
     Stop,
     Strike,
-    Turn,
     Watched,
     pack,
 )
 from protocol.packets import Held, Offer, Passed, Target
-from protocol.rights import BABBLES, MOST_NONSENSE
+from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_ERRORS
 
 ENDED = "its process ended"
 """Why a robot is lost that has left the bus."""
@@ -69,14 +69,14 @@ class RelayNode:
         robots = self._robots = [names.robot(number) for number in range(settings.robots)]
         self._besides = max(LEAST_FRAME, settings.maps * BESIDES)
         self._hears_at = [keys.radio_rx(robot, names.RELAY) for robot in robots]
-        self._expected = {names.WORLD, names.LAB, *robots}
+        self._expected = {names.WORLD, names.RECORDER, *robots}
         self._present: set[str] = set()
         self._watched = False
         self._begun = False
         self._ended = False
         self._for_robots: defaultdict[int, Heard] = defaultdict(lambda: Heard([], [], []))
         """What each robot is going to be told."""
-        self._nonsense: Counter[str] = Counter()
+        self._protocol_errors: Counter[str] = Counter()
         """How often each participant has made no sense in this step."""
 
     @property
@@ -126,23 +126,23 @@ class RelayNode:
     def _presence(self, who: str, *, came: bool) -> None:
         if who == names.VIEW:
             self._watched = came
-            for name in sorted(self._present - {names.LAB}):
+            for name in sorted(self._present - {names.RECORDER}):
                 self._bus.put(self._keys.control(name, names.RELAY), pack(Watched(came)))
         elif came:
             self._present.add(who)
-            if self._watched and who != names.LAB:
+            if self._watched and who != names.RECORDER:
                 self._bus.put(self._keys.control(who, names.RELAY), pack(Watched(here=True)))
             if not self._begun and self._expected <= self._present:
                 self._begun = True
                 self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Begin()))
             elif self._begun and who[:1] == "r":
                 self._come_back(names.number(who))
-        elif self.going_home or not (self._begun or who in (names.WORLD, names.LAB)):
+        elif self.going_home or not (self._begun or who in (names.WORLD, names.RECORDER)):
             self._present.discard(who)
         elif who == names.WORLD:
             self._present.discard(who)
             self.break_off("the world died")
-        elif who == names.LAB:
+        elif who == names.RECORDER:
             self._present.discard(who)
             self.break_off("the laboratory died")
             self._go_home()
@@ -168,7 +168,7 @@ class RelayNode:
                 raise ProtocolError("Said", 0, reason)
             self._send(self._radio.said(names.number(sender), said))
         elif isinstance(said, Positions):
-            self._nonsense.clear()
+            self._protocol_errors.clear()
             cells = dict(zip(said.robots, zip(said.x, said.y, strict=True), strict=True))
             opening = self._radio.begin(said.step, cells, said.mute, said.deaf)
             for change in self._radio.changed:
@@ -183,7 +183,7 @@ class RelayNode:
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), payload)
         elif isinstance(said, Change):
             self._radio.change(said)
-        elif isinstance(said, Bye):
+        elif isinstance(said, Shutdown):
             self._go_home()
 
     def break_off(self, reason: str) -> None:
@@ -194,13 +194,13 @@ class RelayNode:
     def _end(self, end: End) -> None:
         """Tell the robots and the laboratory that the run is over; their maps follow."""
         self._ended = True
-        for name in sorted(self._present - {names.WORLD, names.LAB}):
+        for name in sorted(self._present - {names.WORLD, names.RECORDER}):
             self._bus.put(self._keys.control(name, names.RELAY), pack(end))
         self._report(end)
 
     def _go_home(self) -> None:
         for name in sorted(self._present | ({names.VIEW} if self._watched else set())):
-            self._bus.put(self._keys.control(name, names.RELAY), pack(Bye()))
+            self._bus.put(self._keys.control(name, names.RELAY), pack(Shutdown()))
         self.going_home = True
 
     def _send(self, outgoing: list[Outgoing]) -> None:
@@ -237,15 +237,15 @@ class RelayNode:
         self._radio.faults.clear()
 
     def _fault(self, who: str, reason: str) -> None:
-        self._nonsense[who] += 1
-        if self._nonsense[who] <= MOST_NONSENSE:
+        self._protocol_errors[who] += 1
+        if self._protocol_errors[who] <= MAX_PROTOCOL_ERRORS:
             self._report(Fault(who[:MOST_WORD], clip(reason)))
         elif who in self._robots:
-            self.give_up_on(names.number(who), BABBLES)
+            self.give_up_on(names.number(who), TOO_MANY_ERRORS)
 
     def _report(self, message: Record) -> None:
         """Tell the laboratory, and the viewer if there is one; frames on the air are only for the former."""
-        self._bus.put(self._keys.control(names.LAB, names.RELAY), pack(message))
+        self._bus.put(self._keys.control(names.RECORDER, names.RELAY), pack(message))
         if self._watched:
             seen = replace(message, frames=b"") if isinstance(message, RadioReport) else message
             self._bus.put(self._keys.control(names.VIEW, names.RELAY), pack(seen))
@@ -253,4 +253,4 @@ class RelayNode:
 
 def _can_wait(heard: Heard) -> bool:
     """Whether a robot has nothing to say to what it hears, for it has been spoken for."""
-    return bool(heard.notes) and isinstance(heard.notes[-1], Turn) and heard.notes[-1].spoken
+    return bool(heard.notes) and isinstance(heard.notes[-1], PhaseDelivery) and heard.notes[-1].spoken

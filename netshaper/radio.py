@@ -29,10 +29,10 @@ from netshaper.ledger import EVERYONE
 from netshaper.medium import ANSWER, BROADCAST, DATA, OFFER, UNLIMITED, Connections, Medium
 from netshaper.radio_options import RadioOptions
 from netshaper.replies import Beforehand
-from protocol import packets, survey
+from protocol import packet_index, packets
 from protocol.grid import Grid
 from protocol.keyed_random import keyed_random
-from protocol.messages import Change, Close, MediumNote, Open, Outcome, Said, Turn
+from protocol.messages import Change, Close, MediumNote, Open, Outcome, PhaseDelivery, Said
 
 Item = TypeVar("Item")
 
@@ -61,10 +61,10 @@ class RadioSettings:
     seed: int
     range_cells: float
     budget: int = UNLIMITED
-    exchanges: int = 2
+    rounds: int = 2
     gossip: bool = False
     """Whether news of maps are broadcast; else robots offer them to each other."""
-    lives: int = 1
+    incarnations: int = 1
     """How often a robot may begin; each of its lives has a map of its own."""
     options: RadioOptions = field(default_factory=RadioOptions)
     cell_m: float = 1.0
@@ -81,7 +81,7 @@ class RadioSettings:
     @property
     def maps(self) -> int:
         """How many maps can be spoken of."""
-        return self.robots * self.lives
+        return self.robots * self.incarnations
 
     @property
     def perfect(self) -> bool:
@@ -129,7 +129,7 @@ class Radio:
         """What is still to change."""
         self._dead: set[int] = set()
         self._step = 0
-        self._exchange = 0
+        self._round = 0
         self._phase = ""
         self._reach: dict[int, list[int]] = {}
         self._mute: set[int] = set()
@@ -163,14 +163,14 @@ class Radio:
         self._step = step
         while self._changes and self._changes[0].step <= step:
             self._apply(msgspec.structs.replace(self._changes.pop(0), step=step))
-        self._exchange = 0
+        self._round = 0
         self._mute, self._deaf = set(mute), set(deaf)
         self._connections = Connections()
         living = {robot: cell for robot, cell in cells.items() if robot not in self._dead}
         self._reach = self._who_hears_whom(living)
         between = self._medium
         self._medium = self._new_medium(step, self.settings.budget)
-        self._medium.sightings = between.sightings
+        self._medium.predictiveings = between.predictiveings
         self._next_step()
         return self._open() if self.settings.robots > 1 else self._close()
 
@@ -217,7 +217,7 @@ class Radio:
     @property
     def phase(self) -> tuple[int, int, str]:
         """Step, exchange and phase under way."""
-        return self._step, self._exchange, self._phase
+        return self._step, self._round, self._phase
 
     def waiting_for(self) -> list[int]:
         """Robots which have not spoken in this phase yet."""
@@ -232,8 +232,8 @@ class Radio:
         robots, places = sorted(cells), connectivity.places_of(cells)
         if options.model == "disc" or settings.walls is None:
             hears = connectivity.disc(places, settings.range_cells)
-        elif options.model == "line-of-sight":
-            hears = connectivity.line_of_sight(places, settings.range_cells, settings.walls)
+        elif options.model == "line-of-predictive":
+            hears = connectivity.line_of_predictive(places, settings.range_cells, settings.walls)
         else:
             extra = connectivity.shadowing(
                 places, settings.cell_m, settings.seed, options.shadowing_db, options.shadowing_m
@@ -258,7 +258,7 @@ class Radio:
     def _too_long(self, payload: bytes) -> str:
         """Say which packet of a frame of whole packets no frame on the air has room for; nothing if none."""
         most = self.settings.options.frame_bytes
-        size = survey.longest(payload) if most else 0
+        size = packet_index.longest(payload) if most else 0
         return f"a packet of {size} bytes, where a frame holds {most}" if size > most else ""
 
     def _advance(self) -> list[Outgoing]:
@@ -289,7 +289,7 @@ class Radio:
                 robot,
                 Open(
                     self._step,
-                    self._exchange,
+                    self._round,
                     self._heard_by(robot),
                     self._room(robot),
                 ),
@@ -324,27 +324,27 @@ class Radio:
                     cause = "range" if receiver not in reach else "mute"
                     self._refuse(sender, receiver, OFFER, payload, cause, "")
                     continue
-                about, problem = read_offer(payload, self.settings.maps)
-                if not problem and (sender, receiver, about) in offers:
-                    problem = f"map {about} was offered to robot {receiver} twice in an exchange"
+                map_id, problem = read_offer(payload, self.settings.maps)
+                if not problem and (sender, receiver, map_id) in offers:
+                    problem = f"map {map_id} was offered to robot {receiver} twice in an exchange"
                 if problem:
                     self._refuse(sender, receiver, OFFER, payload, "protocol", problem)
                 else:
-                    offers[sender, receiver, about] = payload
-                    offered[receiver, about] = count
+                    offers[sender, receiver, map_id] = payload
+                    offered[receiver, map_id] = count
         out = self._put_broadcasts_on_air(broadcasts)
         ends = self._drawn("contention", sorted(offers))
         self._connections.add(ends, [offers[each] for each in ends])
         return out + self._pass_on(OFFER, "answers")
 
-    def _urgency(self, sender: int) -> int:
-        return self._spoken[sender].urgency
+    def _priority(self, sender: int) -> int:
+        return self._spoken[sender].priority
 
     def _put_broadcasts_on_air(self, said: list[tuple[int, bytes]], share: int = UNLIMITED) -> list[Outgoing]:
         """Put targets and poses, of (sender, payload), on the air; behind the first no more bytes than `share`."""
         out: list[Outgoing] = []
         for sender, payload in self._drawn("targets", said):
-            if not is_broadcast(payload) or self._exchange or sender in self._broadcast_carried:
+            if not is_broadcast(payload) or self._round or sender in self._broadcast_carried:
                 reason = "broadcast something other than a target or a pose, at the start of a step"
                 self._refuse(sender, EVERYONE, BROADCAST, payload, "protocol", reason)
                 continue
@@ -353,10 +353,10 @@ class Radio:
                 continue
             hearers = self._hearers(sender)
             if self._waits(payload, share):
-                self._medium.leave_out(self._exchange, sender, payload)
+                self._medium.leave_out(self._round, sender, payload)
                 self._broadcast_carried[sender] = False
                 continue
-            carried = self._medium.broadcast(self._exchange, sender, payload, hearers)
+            carried = self._medium.broadcast(self._round, sender, payload, hearers)
             self._broadcast_carried[sender] = carried
             if carried:
                 out.append(Frame(hearers, sender, payload))
@@ -375,7 +375,7 @@ class Radio:
         """Put things into an order that is drawn for this exchange."""
         if len(items) < 2:
             return items
-        draw = keyed_random(self.settings.seed, purpose, self._step, self._exchange)
+        draw = keyed_random(self.settings.seed, purpose, self._step, self._round)
         return [items[index] for index in draw.permutation(len(items)).tolist()]
 
     def _pass_on(self, frame: int, phase: str) -> list[Outgoing]:
@@ -391,7 +391,7 @@ class Radio:
             senders, receivers = receivers, senders
         away = self._dead | self._deaf
         said = zip(senders, receivers, these.maps, these.frames[frame], strict=True)
-        for number, (sender, receiver, about, payload) in enumerate(said, these.first):
+        for number, (sender, receiver, map_id, payload) in enumerate(said, these.first):
             if payload is None:
                 continue
             if receiver in away:
@@ -401,13 +401,13 @@ class Radio:
             whose.append(sender)
             frames.append(payload)
             numbers.append(number)
-            maps.append(about)
+            maps.append(map_id)
         robots = sorted(heard)
         self._expect(phase, robots)
         out: list[Outgoing] = []
         for robot in robots:
             whose, frames, numbers, maps = heard[robot]
-            turn = Turn(self._step, self._exchange, PHASES[frame], numbers, maps)
+            turn = PhaseDelivery(self._step, self._round, PHASES[frame], numbers, maps)
             said_for = self._reply(robot, frame, turn, whose, frames)
             if said_for is not None:
                 self._spoken[robot] = said_for
@@ -417,7 +417,7 @@ class Radio:
         return out
 
     def _reply(
-        self, robot: int, frame: int, turn: Turn, peers: Sequence[int], heard: Sequence[bytes]
+        self, robot: int, frame: int, turn: PhaseDelivery, peers: Sequence[int], heard: Sequence[bytes]
     ) -> Said | None:
         """Say for a robot what it has said beforehand; None if it has to be asked."""
         beforehand = self._beforehand.get(robot)
@@ -437,7 +437,7 @@ class Radio:
         for at, (receiver, payload) in enumerate(zip(these.receivers, these.frames[DATA], strict=True)):
             if payload is not None and receiver in self._dead:
                 these.lost[at] = DATA
-        offers, answers, data = self._medium.play(self._exchange, these).T.tolist()
+        offers, answers, data = self._medium.play(self._round, these).T.tolist()
         heard: defaultdict[int, tuple[list[int], list[bytes], list[int]]]
         heard = defaultdict(lambda: ([], [], []))
         concerned: defaultdict[int, list[int]] = defaultdict(list)
@@ -457,7 +457,7 @@ class Radio:
             whose, frames, numbers = heard[robot]
             outcome = Outcome(
                 self._step,
-                self._exchange,
+                self._round,
                 [these.first + at for at in mine],
                 [offers[at] for at in mine],
                 [answers[at] for at in mine],
@@ -466,8 +466,8 @@ class Radio:
                 self._broadcast_carried.get(robot, False),
             )
             out.append(Note(robot, outcome, whose, frames))
-        self._exchange += 1
-        if self._exchange < self.settings.exchanges and self._medium.left:
+        self._round += 1
+        if self._round < self.settings.rounds and self._medium.left:
             return out + self._open()
         return out + self._close()
 
@@ -475,7 +475,7 @@ class Radio:
         """Tell a robot how much of its frames was on the air, and how many it hears; none is of a connection."""
         nothing = [0] * len(own)
         outcome = Outcome(
-            self._step, self._exchange, [-1] * len(own), nothing, nothing, own, [-1] * heard,
+            self._step, self._round, [-1] * len(own), nothing, nothing, own, [-1] * heard,
             self._broadcast_carried.get(robot, False),
         )  # fmt: skip
         return Note(robot, outcome)
@@ -516,6 +516,6 @@ class Radio:
     def _refuse(
         self, sender: int, receiver: int, frame: int, payload: bytes, cause: str, reason: str
     ) -> None:
-        self._medium.refuse(self._exchange, frame, sender, receiver, payload, cause, reason)
+        self._medium.refuse(self._round, frame, sender, receiver, payload, cause, reason)
         if reason:
             self.faults.append((sender, reason))

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 from netshaper.frames import declines
 from netshaper.medium import UNLIMITED
-from protocol import survey
-from protocol.messages import Replies, Said, Turn
+from protocol import packet_index
+from protocol.messages import PhaseDelivery, Replies, Said
 
 Offered = Mapping[tuple[int, int], int]
 """Of each offer of a robot, by its receiver and map, the place among them."""
@@ -27,30 +27,32 @@ class Beforehand(NamedTuple):
     offered: Offered
 
 
-def answers(said: Beforehand, turn: Turn, peers: Sequence[int], offers: Sequence[bytes]) -> Said | None:
+def answers(
+    said: Beforehand, turn: PhaseDelivery, peers: Sequence[int], offers: Sequence[bytes]
+) -> Said | None:
     """Answer offers of `peers` for a robot; None if it has to be asked."""
     known = dict(zip(said.replies.offers, said.replies.answers, strict=True))
     taken: set[int] = set()
     frames: list[bytes] = []
-    for about, offer in zip(turn.maps, offers, strict=True):
+    for map_id, offer in zip(turn.maps, offers, strict=True):
         answer = known.get(offer)
         if answer is None:
             return None
-        frames.append(said.replies.decline if about in taken else answer)
-        taken.add(about)
-    return Said(turn.step, turn.exchange, "answers", turn.connections, 0, list(peers), frames)
+        frames.append(said.replies.decline if map_id in taken else answer)
+        taken.add(map_id)
+    return Said(turn.step, turn.round, "answers", turn.connections, 0, list(peers), frames)
 
 
 def data(
-    said: Beforehand, turn: Turn, peers: Sequence[int], heard: Sequence[bytes], room: int
+    said: Beforehand, turn: PhaseDelivery, peers: Sequence[int], heard: Sequence[bytes], room: int
 ) -> Said | None:
     """Send for a robot, in all no more than `room`, what follows answers of `peers`; None if it has to be asked."""
     replies = said.replies
     numbers: list[int] = []
     receivers: list[int] = []
     frames: list[bytes] = []
-    for number, peer, about, answer in zip(turn.connections, peers, turn.maps, heard, strict=True):
-        place = said.offered[peer, about]
+    for number, peer, map_id, answer in zip(turn.connections, peers, turn.maps, heard, strict=True):
+        place = said.offered[peer, map_id]
         if place >= len(replies.load):
             return None
         if answer == replies.level[place] or declines(answer):
@@ -59,10 +61,10 @@ def data(
             return None
         frame = replies.loads[replies.load[place]]
         if room != UNLIMITED:
-            frame = frame if len(frame) <= room else frame[: survey.fitting(frame, room)]
+            frame = frame if len(frame) <= room else frame[: packet_index.fitting(frame, room)]
             room -= len(frame)
         if frame:
             numbers.append(number)
             receivers.append(peer)
             frames.append(frame)
-    return Said(turn.step, turn.exchange, "data", numbers, 0, receivers, frames)
+    return Said(turn.step, turn.round, "data", numbers, 0, receivers, frames)

@@ -22,7 +22,7 @@ MOST_WORD, MOST_TEXT = 16, 1000
 
 Step = Annotated[int, Meta(ge=0, le=MOST_STEPS)]
 StepOrNone = Annotated[int, Meta(ge=-1, le=MOST_STEPS)]
-Exchange = Annotated[int, Meta(ge=0, lt=16)]
+Round = Annotated[int, Meta(ge=0, lt=16)]
 RobotNumber = Annotated[int, Meta(ge=0, lt=MAX_ROBOTS)]
 RobotOrNone = Annotated[int, Meta(ge=-1, lt=MAX_ROBOTS)]
 Coordinate = Annotated[int, Meta(ge=0, lt=MAX_SIDE)]
@@ -37,7 +37,7 @@ CountOrNone = Annotated[int, Meta(ge=-1, lt=2**53)]
 Budget = Annotated[int, Meta(ge=-2, lt=2**53)]
 """Bytes a step; -1: no limit, -2: as it is."""
 Connection = Annotated[int, Meta(ge=-1, lt=2**31)]
-Urgency = Annotated[int, Meta(ge=0, le=255)]
+Priority = Annotated[int, Meta(ge=0, le=255)]
 
 Word = Annotated[str, Meta(max_length=MOST_WORD)]
 Text = Annotated[str, Meta(max_length=MOST_TEXT)]

@@ -3,7 +3,7 @@
 Grids are ``uint8`` arrays of shape (height, width), indexed ``grid[y, x]``: x to the right, y down, row 0
 on top, cell centres at integers. A cell is unknown, free or occupied (thesis, section 3.2).
 
-A beam is a sequence of cells. `fan` computes the sequences of all beams once, in exact integer arithmetic, as
+A beam is a sequence of cells. `ray_table` computes the sequences of all beams once, in exact integer arithmetic, as
 offsets from the robot's cell; the laser that casts a scan and the robot that draws it use the same table, so
 that a reading stands for the same cells to both, on every machine.
 """
@@ -39,7 +39,7 @@ _DIRECTION_UNIT = 1 << 20
 
 
 @dataclass(frozen=True, eq=False)
-class Fan:
+class RayTable:
     """The cells that each beam crosses, nearest first, relative to the robot's own cell.
 
     Attributes
@@ -69,13 +69,13 @@ class Fan:
 
 
 @lru_cache(maxsize=16)
-def _flat(beams: Fan, width: int) -> NDArray[np.int32]:
+def _flat(beams: RayTable, width: int) -> NDArray[np.int32]:
     steps: NDArray[np.int32] = beams.cells[:, 1] * np.int32(width) + beams.cells[:, 0]
     return steps
 
 
 @lru_cache(maxsize=16)
-def _shared(beams: Fan) -> NDArray[np.int32]:
+def _shared(beams: RayTable) -> NDArray[np.int32]:
     shared: NDArray[np.int32] = _count_shared(beams.cells, beams.start)
     return shared
 
@@ -97,7 +97,7 @@ def _count_shared(cells: NDArray[np.int32], start: NDArray[np.int32]) -> NDArray
 
 
 @lru_cache(maxsize=16)
-def fan(range_cells: float, beams: int = 360) -> Fan:
+def ray_table(range_cells: float, beams: int = 360) -> RayTable:
     """Compute the cells of `beams` beams over the grid.
 
     Parameters
@@ -123,7 +123,7 @@ def fan(range_cells: float, beams: int = 360) -> Fan:
         (round(math.cos(angle) * _DIRECTION_UNIT), round(math.sin(angle) * _DIRECTION_UNIT))
         for angle in angles
     ]
-    return Fan(*_walk(np.array(directions, np.int64), reach))
+    return RayTable(*_walk(np.array(directions, np.int64), reach))
 
 
 @kernel("Tuple((int32[:,::1], int32[::1]))(int64[:,::1], float64)")

@@ -13,7 +13,7 @@ from functools import lru_cache
 
 RELAY = "relay"
 WORLD = "world"
-LAB = "lab"
+RECORDER = "recorder"
 VIEW = "view"
 ALL = "all"
 

@@ -39,20 +39,20 @@ from protocol.fields import (
     Distances,
     Eighths,
     Ends,
-    Exchange,
     Frame,
     Frames,
     Poses,
+    Priority,
     Readings,
     RobotNumber,
     RobotNumbers,
     RobotOrNone,
+    Round,
     SideLength,
     Step,
     StepOrNone,
     Text,
     Thousandths,
-    Urgency,
     Vertices,
     WayCells,
     WayPoints,
@@ -142,19 +142,19 @@ class Positions(Record, tag=4, frozen=True):
 
 
 class Open(Record, tag=5, frozen=True):
-    """In a `Heard`: the medium is open for exchange `exchange`; these teammates are in range.
+    """In a `Heard`: the medium is open for exchange `round_number`; these teammates are in range.
 
     `budget` is what is left of this step's bytes, -1 for no limit. The robot says its target (in exchange
     0) and its offers.
     """
 
     step: Step
-    exchange: Exchange
+    round: Round
     peers: RobotNumbers
     budget: CountOrNone
 
 
-class Turn(Record, tag=6, frozen=True):
+class PhaseDelivery(Record, tag=6, frozen=True):
     """In a `Heard`: all frames of a phase have been passed on.
 
     `connections` and `maps` say what each is about, in the order in which they were passed on.
@@ -163,7 +163,7 @@ class Turn(Record, tag=6, frozen=True):
     """
 
     step: Step
-    exchange: Exchange
+    round: Round
     phase: Word
     connections: Connections
     maps: ConnectionMaps
@@ -208,16 +208,16 @@ class Said(Record, tag=7, frozen=True):
     """Robot to relay: all that it says in a phase.
 
     `receivers`, `frames`: who each frame is for, -1 for all, and its packets. `connections` names them, in that
-    order; it is empty for offers, which the relay has not numbered yet. `urgency`: how soon the news that it
+    order; it is empty for offers, which the relay has not numbered yet. `priority`: how soon the news that it
     broadcasts should be on the air, 0 to 255; the more, the shorter it would wait for a free medium. `replies`, in
     the phase ``offers``: what it would say in the next ones.
     """
 
     step: Step
-    exchange: Exchange
+    round: Round
     phase: Word
     connections: Connections
-    urgency: Urgency = 0
+    priority: Priority = 0
     receivers: Ends = []
     frames: Frames = []
     replies: Replies = NO_REPLIES
@@ -240,7 +240,7 @@ class Outcome(Record, tag=8, frozen=True):
     """
 
     step: Step
-    exchange: Exchange
+    round: Round
     connections: Connections
     offers: ConnectionBytes
     answers: ConnectionBytes
@@ -259,7 +259,7 @@ class Close(Record, tag=9, frozen=True):
     step: Step
 
 
-MediumNote = Open | Turn | Outcome | Close
+MediumNote = Open | PhaseDelivery | Outcome | Close
 """What the relay tells a robot of the medium."""
 
 
@@ -333,7 +333,7 @@ class Stop(Record, tag=12, frozen=True):
     reason: Text
 
 
-class Bye(Record, tag=13, frozen=True):
+class Shutdown(Record, tag=13, frozen=True):
     """Laboratory to all, by way of the relay: everything is recorded, go home."""
 
 
@@ -361,7 +361,7 @@ class WorldReport(Record, tag=14, frozen=True):
             raise ValueError(f"{len(self.poses)} bytes of poses are not rows of four int32")
 
 
-class MindReport(Record, tag=15, frozen=True):
+class RobotStatus(Record, tag=15, frozen=True):
     """Robot to laboratory, once a step: what it is at, and the time that its thinking took (not a result).
 
     `error`: cells in which its map and what it has told of it differ (Eq. 6.1); `exact_error`: what that would be if
@@ -416,13 +416,13 @@ class Snapshot(Record, tag=20, frozen=True):
 
 
 class Outlines(Record, tag=21, frozen=True):
-    """Robot to viewer, where they have changed: the polygons of robot `about`'s map, as this robot holds them.
+    """Robot to viewer, where they have changed: the polygons of robot `map_id`'s map, as this robot holds them.
 
     `vertices`: int16 rows (object, x and y in quarters of a cell, bit 0 occupied edge, bit 1 inside object).
     """
 
     step: Step
-    about: RobotNumber
+    map_id: RobotNumber
     vertices: Vertices
 
     def __post_init__(self) -> None:
@@ -438,8 +438,8 @@ class Fault(Record, tag=18, frozen=True):
 
 
 _TYPES: tuple[type[Record], ...] = (
-    Begin, Configure, Sense, Move, Positions, Open, Turn, Said, Outcome, Close, Lost, End, Stop, Bye,
-    WorldReport, MindReport, RadioReport, Maps, Fault, Watched, Snapshot, Outlines, Strike, Back, Change, Heard,
+    Begin, Configure, Sense, Move, Positions, Open, PhaseDelivery, Said, Outcome, Close, Lost, End, Stop, Shutdown,
+    WorldReport, RobotStatus, RadioReport, Maps, Fault, Watched, Snapshot, Outlines, Strike, Back, Change, Heard,
 )  # fmt: skip
 _HEAD = {kind: 0x90 | len(kind.__struct_fields__) + 1 for kind in _TYPES}
 """The first byte of each message: a list of so many items."""

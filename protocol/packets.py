@@ -238,7 +238,7 @@ class Pose(Packet):
 class Passed(Packet):
     """Broadcast: `robot` was in cell (x, y) `age` steps ago; a `Target` behind it is that robot's.
 
-    Its own words, passed on to those who do not hear it (`agent.strategies.hearsay`).
+    Its own words, passed on to those who do not hear it (`agent.strategies.relayed_state`).
     """
 
     name, size, code, code_bits, bits = "pose", 6, 0xFF0, 12, (8, 6, 11, 11)
@@ -264,11 +264,11 @@ class Fragment(Packet):
 
 
 @dataclass(frozen=True, slots=True)
-class Look(Packet):
-    """A piece of a unit of the sight exchange (`agent.sight`).
+class Update(Packet):
+    """A piece of a unit of the predictive exchange (`agent.predictive`).
 
-    Pieces of `LOOK_DATA` bytes, which need no length, and then one that ends the unit: up to `LAST_LOOK_DATA` bytes,
-    and the number of the unit in its maker's stream, modulo `LOOK_NUMBERS`. `number` is None where it is not the last.
+    Pieces of `UPDATE_DATA` bytes, which need no length, and then one that ends the unit: up to `LAST_UPDATE_DATA` bytes,
+    and the number of the unit in its maker's stream, modulo `UPDATE_NUMBERS`. `number` is None where it is not the last.
     """
 
     name, size, code, code_bits, bits = "look", 9, 0xF4, 8, ()
@@ -283,18 +283,18 @@ FRAGMENT_DATA = Fragment.size - 1
 """Bytes of content in a full fragment."""
 _FULL, _SHORT = 0xF1, 0xF2
 
-LOOK_DATA = Look.size - 1
+UPDATE_DATA = Update.size - 1
 """Bytes of content in a piece of a unit behind which there are more."""
-LAST_LOOK_DATA = 63
+LAST_UPDATE_DATA = 63
 """Bytes of content in the last piece, at most."""
-LOOK_NUMBERS = 4
+UPDATE_NUMBERS = 4
 """Units that the last piece can tell apart."""
-_LOOK, _LAST_LOOK = 0xF4, 0xF5
+_UPDATE, _LAST_UPDATE = 0xF4, 0xF5
 
 Edit = Insert | Replace | Delete | Emerge | Change | Remove | Save
 Handshake = Offer | Answer | Block | Decline
 Gossip = From | FromEarly | Held | HeldEarly | Near | Gone
-AnyPacket = Edit | Handshake | Gossip | Check | Target | Pose | Passed | Fragment | Look
+AnyPacket = Edit | Handshake | Gossip | Check | Target | Pose | Passed | Fragment | Update
 
 _TYPES: tuple[type[Packet], ...] = (
     Insert, Replace, Delete, Emerge, Change, Remove, Offer, Answer, Block, Decline, Target, Save, Pose,
@@ -307,7 +307,7 @@ HANDSHAKE_SIZE = 3 * Answer.size
 KINDS = ("ins", "rep", "del", "em", "chg", "rm", "conn", "targ", "save")
 """The nine kinds of Table 6.1."""
 
-ALL_KINDS = (*KINDS, Fragment.name, Pose.name, Look.name, Check.name)
+ALL_KINDS = (*KINDS, Fragment.name, Pose.name, Update.name, Check.name)
 """All kinds that may be on the air, in the order of reports."""
 
 _RIM = 1
@@ -321,7 +321,7 @@ def _by_first_byte() -> list[type[Packet] | None]:
         fits = [kind for kind in _TYPES if byte >> max(8 - kind.code_bits, 0) == _first_bits(kind)]
         table.append(fits[0] if fits else None)
     table[_FULL] = table[_SHORT] = Fragment
-    table[_LOOK] = table[_LAST_LOOK] = Look
+    table[_UPDATE] = table[_LAST_UPDATE] = Update
     return table
 
 
@@ -350,7 +350,8 @@ def _layout(kind: type[Packet]) -> tuple[tuple[str, int, int, int], ...]:
 
 _FIRST_BYTE = _by_first_byte()
 _SIZE = [
-    0 if kind is None or byte in (_SHORT, _LAST_LOOK) else kind.size for byte, kind in enumerate(_FIRST_BYTE)
+    0 if kind is None or byte in (_SHORT, _LAST_UPDATE) else kind.size
+    for byte, kind in enumerate(_FIRST_BYTE)
 ]
 """For each possible first byte the size of the packet, 0 where it does not tell."""
 _FIXED = {kind: _fixed(kind) for kind in _TYPES}
@@ -362,7 +363,7 @@ LAYOUT_BY_BYTE = [
 ]
 """For each possible first byte the number of the packet's kind (-1: none), its size (0: the next byte tells, for a
 scan or a look as in `length`), which of its bits are the same in all such packets, and what they are
-(`protocol.survey`)."""
+(`protocol.packet_index`)."""
 
 
 def encode(packets: Iterable[Packet]) -> bytes:
@@ -378,8 +379,8 @@ def encode(packets: Iterable[Packet]) -> bytes:
         if isinstance(packet, Fragment):
             out += _write_fragment(packet, len(out))
             continue
-        if isinstance(packet, Look):
-            out += _write_look(packet, len(out))
+        if isinstance(packet, Update):
+            out += _write_update(packet, len(out))
             continue
         kind = type(packet)
         word = _FIXED[kind][1]
@@ -402,11 +403,11 @@ def length(buffer: bytes, offset: int = 0) -> int:
         No packet begins like this.
     """
     kind = _kind(buffer, offset)
-    if buffer[offset] not in (_SHORT, _LAST_LOOK):
+    if buffer[offset] not in (_SHORT, _LAST_UPDATE):
         return kind.size
     if offset + 1 == len(buffer):
         return 2
-    if kind is Look:
+    if kind is Update:
         return 2 + (buffer[offset + 1] >> 2)
     size = buffer[offset + 1]
     if not 1 <= size < FRAGMENT_DATA:
@@ -438,18 +439,18 @@ def content(packet: bytes) -> bytes:
 
 
 def look(packet: bytes) -> tuple[int | None, bytes]:
-    """Return the fields of one piece of a unit of the sight exchange: `Look.number` and `Look.data`.
+    """Return the fields of one piece of a unit of the predictive exchange: `Update.number` and `Update.data`.
 
     Raises
     ------
     ProtocolError
         It is another packet, or cut off.
     """
-    if packet[0] == _LOOK and len(packet) == Look.size:
+    if packet[0] == _UPDATE and len(packet) == Update.size:
         return None, packet[1:]
-    if packet[0] == _LAST_LOOK and len(packet) == length(packet):
-        return packet[1] & LOOK_NUMBERS - 1, packet[2:]
-    if _kind(packet, 0) is Look:
+    if packet[0] == _LAST_UPDATE and len(packet) == length(packet):
+        return packet[1] & UPDATE_NUMBERS - 1, packet[2:]
+    if _kind(packet, 0) is Update:
         raise _cut_off(packet, 0)
     raise ProtocolError(name(packet), 0, "only looks travel in this exchange")
 
@@ -542,17 +543,17 @@ def _write_fragment(packet: Fragment, offset: int) -> bytes:
     return head + packet.data
 
 
-def _write_look(packet: Look, offset: int) -> bytes:
+def _write_update(packet: Update, offset: int) -> bytes:
     size, number = len(packet.data), packet.number
     if number is None:
-        if size != LOOK_DATA:
-            reason = f"{size} bytes of content instead of {LOOK_DATA}"
+        if size != UPDATE_DATA:
+            reason = f"{size} bytes of content instead of {UPDATE_DATA}"
             raise ProtocolError(packet.name, offset, reason)
-        return bytes([_LOOK]) + packet.data
-    if size > LAST_LOOK_DATA or not 0 <= number < LOOK_NUMBERS:
-        reason = f"unit {number} of {size} bytes is outside 0 to {LOOK_NUMBERS - 1} or {LAST_LOOK_DATA}"
+        return bytes([_UPDATE]) + packet.data
+    if size > LAST_UPDATE_DATA or not 0 <= number < UPDATE_NUMBERS:
+        reason = f"unit {number} of {size} bytes is outside 0 to {UPDATE_NUMBERS - 1} or {LAST_UPDATE_DATA}"
         raise ProtocolError(packet.name, offset, reason)
-    return bytes([_LAST_LOOK, size << 2 | number]) + packet.data
+    return bytes([_LAST_UPDATE, size << 2 | number]) + packet.data
 
 
 def _kind(buffer: bytes, offset: int) -> type[Packet]:
@@ -575,8 +576,8 @@ def _misfit(kind: type[Packet], word: int, offset: int) -> ProtocolError:
 def _read(buffer: bytes, offset: int, size: int) -> AnyPacket:
     if buffer[offset] in (_FULL, _SHORT):
         return Fragment(content(buffer[offset : offset + size]))
-    if buffer[offset] in (_LOOK, _LAST_LOOK):
-        return Look(*look(buffer[offset : offset + size]))
+    if buffer[offset] in (_UPDATE, _LAST_UPDATE):
+        return Update(*look(buffer[offset : offset + size]))
     kind = _kind(buffer, offset)
     word = int.from_bytes(buffer[offset : offset + size], "big")
     mask, bits = _FIXED[kind]

@@ -11,11 +11,10 @@ from functools import lru_cache
 from typing import Any
 
 from protocol import keys as names
-from protocol.keys import LAB, RELAY, VIEW, WORLD, Keys
+from protocol.keys import RECORDER, RELAY, VIEW, WORLD, Keys
 from protocol.messages import (
     Back,
     Begin,
-    Bye,
     Change,
     Close,
     Configure,
@@ -24,14 +23,15 @@ from protocol.messages import (
     Heard,
     Lost,
     Maps,
-    MindReport,
     Move,
     Outlines,
     Positions,
     RadioReport,
     Record,
+    RobotStatus,
     Said,
     Sense,
+    Shutdown,
     Snapshot,
     Stop,
     Strike,
@@ -44,19 +44,19 @@ ROBOT = "robot"
 """Stands in the table for each robot."""
 
 RIGHTS: dict[tuple[str, str], tuple[type[Record], ...]] = {
-    (RELAY, WORLD): (Begin, Close, Lost, Back, Stop, Strike, Bye, Watched),
-    (RELAY, ROBOT): (Heard, End, Bye, Watched),
-    (RELAY, LAB): (Lost, Back, End, Bye, RadioReport, Fault, Change),
-    (RELAY, VIEW): (Lost, Back, End, Bye, RadioReport, Fault, Change),
+    (RELAY, WORLD): (Begin, Close, Lost, Back, Stop, Strike, Shutdown, Watched),
+    (RELAY, ROBOT): (Heard, End, Shutdown, Watched),
+    (RELAY, RECORDER): (Lost, Back, End, Shutdown, RadioReport, Fault, Change),
+    (RELAY, VIEW): (Lost, Back, End, Shutdown, RadioReport, Fault, Change),
     (WORLD, RELAY): (Positions, Lost, End),
     (WORLD, ROBOT): (Configure, Sense, End, Strike),
-    (WORLD, LAB): (WorldReport, Strike, Fault),
+    (WORLD, RECORDER): (WorldReport, Strike, Fault),
     (WORLD, VIEW): (WorldReport, Strike, Fault),
-    (LAB, RELAY): (Lost, Stop, Strike, Change, Bye),
+    (RECORDER, RELAY): (Lost, Stop, Strike, Change, Shutdown),
     (ROBOT, RELAY): (Said,),
     (ROBOT, WORLD): (Move,),
-    (ROBOT, LAB): (MindReport, Maps, Fault),
-    (ROBOT, VIEW): (MindReport, Fault, Snapshot, Outlines),
+    (ROBOT, RECORDER): (RobotStatus, Maps, Fault),
+    (ROBOT, VIEW): (RobotStatus, Fault, Snapshot, Outlines),
 }
 """What who says (first) may say to whom (second); a viewer says nothing."""
 
@@ -67,9 +67,9 @@ BODY = {(WORLD, ROBOT), (ROBOT, WORLD)}
 """Who speaks to whom on the body plane; all others do on the control plane."""
 
 
-MOST_NONSENSE = 1000
+MAX_PROTOCOL_ERRORS = 1000
 """Who says more in a step that makes no sense is given up."""
-BABBLES = f"said more than {MOST_NONSENSE} things in a step that make no sense"
+TOO_MANY_ERRORS = f"said more than {MAX_PROTOCOL_ERRORS} things in a step that make no sense"
 
 
 def read(key: str, payload: bytes) -> Any:

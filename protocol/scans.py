@@ -1,7 +1,7 @@
 """A laser scan: the meaning of readings, and the binary form in which raw scans travel.
 
 A scan is taken at the centre of the robot's cell. Beam directions are fixed to the map's frame
-(`protocol.grid.fan`), so a scan is a cell and one reading per beam. A reading is a uint16: the number of cells
+(`protocol.grid.ray_table`), so a scan is a cell and one reading per beam. A reading is a uint16: the number of cells
 that the beam crossed, plus the bit `HIT` if the next one stopped it. A beam without a reading (outside
 the field of view) is `NONE`. A teammate ends a beam without a hit, and its cell counts as crossed: robots
 recognise each other, and where one stands the floor is free.
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import ProtocolError
-from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Fan, Grid
+from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid, RayTable
 from protocol.kernels import kernel
 from protocol.packets import FRAGMENT_DATA, SHORT_HEAD, Fragment, encode
 
@@ -49,7 +49,7 @@ def encode_scan(scan: Scan) -> bytes:
     return struct.pack(">HH", scan.x, scan.y) + scan.readings.astype(">u2").tobytes()
 
 
-def decode_scan(data: bytes, fan: Fan) -> Scan:
+def decode_scan(data: bytes, ray_table: RayTable) -> Scan:
     """Decode a scan.
 
     Raises
@@ -57,23 +57,23 @@ def decode_scan(data: bytes, fan: Fan) -> Scan:
     ProtocolError
         Wrong length, a cell outside any grid, or a reading that is longer than its beam.
     """
-    if len(data) != scan_size(fan.beams):
-        raise ProtocolError("scan", 0, f"{len(data)} bytes instead of {scan_size(fan.beams)}")
+    if len(data) != scan_size(ray_table.beams):
+        raise ProtocolError("scan", 0, f"{len(data)} bytes instead of {scan_size(ray_table.beams)}")
     x, y = struct.unpack_from(">HH", data)
     if x >= MAX_SIDE or y >= MAX_SIDE:
         raise ProtocolError("scan", 0, f"cell ({x}, {y}) is outside {MAX_SIDE} x {MAX_SIDE}")
     readings = np.frombuffer(data, ">u2", offset=4).astype(np.uint16)
-    check_readings(readings, fan)
+    check_readings(readings, ray_table)
     return Scan(x, y, readings)
 
 
-def check_readings(readings: Readings, fan: Fan) -> None:
+def check_readings(readings: Readings, ray_table: RayTable) -> None:
     """Raise ProtocolError if a reading has more cells than its beam."""
-    if len(readings) != fan.beams:
-        raise ProtocolError("scan", 0, f"{len(readings)} readings for {fan.beams} beams")
-    beam = int(_first_too_long(readings, fan.start))
-    if beam < fan.beams:
-        touched, length = (readings[beam] & NONE) + (readings[beam] >> 15), np.diff(fan.start)[beam]
+    if len(readings) != ray_table.beams:
+        raise ProtocolError("scan", 0, f"{len(readings)} readings for {ray_table.beams} beams")
+    beam = int(_first_too_long(readings, ray_table.start))
+    if beam < ray_table.beams:
+        touched, length = (readings[beam] & NONE) + (readings[beam] >> 15), np.diff(ray_table.start)[beam]
         reason = f"beam {beam} touches {touched} cells, but its range is {length}"
         raise ProtocolError("scan", 4 + 2 * beam, reason)
 
@@ -109,7 +109,7 @@ _NO_CELLS = np.empty((0, 2), np.int32)
 
 
 def draw(
-    grid: Grid, fan: Fan, x: int, y: int, readings: Readings, driven: NDArray[np.int32] = _NO_CELLS
+    grid: Grid, ray_table: RayTable, x: int, y: int, readings: Readings, driven: NDArray[np.int32] = _NO_CELLS
 ) -> Change:
     """Draw a scan taken in cell (x, y) of a grid: cells crossed are free, the next one is occupied if it was hit.
 
@@ -120,7 +120,18 @@ def draw(
     does a scan that was taken there.
     """
     out = np.empty(5, np.int32)
-    _draw(grid, fan.cells, fan.flat(grid.shape[1]), fan.start, fan.shared, x, y, readings, driven, out)
+    _draw(
+        grid,
+        ray_table.cells,
+        ray_table.flat(grid.shape[1]),
+        ray_table.start,
+        ray_table.shared,
+        x,
+        y,
+        readings,
+        driven,
+        out,
+    )
     return Change(*out.tolist())
 
 

@@ -76,7 +76,7 @@ def deafen(faults: Iterable[Fault]) -> bool:
     return any(fault.kind == "deaf" for fault in faults)
 
 
-def lives(faults: Iterable[Fault]) -> int:
+def incarnations(faults: Iterable[Fault]) -> int:
     """How often a robot begins, at most: once, and once more with each restart."""
     counts: dict[int, int] = {}
     for fault in faults:

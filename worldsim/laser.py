@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.grid import FREE, Fan, Grid
+from protocol.grid import FREE, Grid, RayTable
 from protocol.kernels import kernel
 from protocol.scans import HIT, NONE, Readings
 
@@ -18,7 +18,7 @@ FULL_TURN = 360.0
 def cast(
     truth: Grid,
     teammates: NDArray[np.bool_],
-    fan: Fan,
+    ray_table: RayTable,
     x: int,
     y: int,
     heading: int = 0,
@@ -42,11 +42,21 @@ def cast(
     uint16 array, shape (beams,)
         Readings as `protocol.scans` defines them.
     """
-    readings = np.empty(fan.beams, np.uint16)
-    flat = fan.flat(truth.shape[1])
-    _cast(truth, teammates.view(np.uint8), fan.cells, flat, fan.start, fan.shared, x, y, readings)
+    readings = np.empty(ray_table.beams, np.uint16)
+    flat = ray_table.flat(truth.shape[1])
+    _cast(
+        truth,
+        teammates.view(np.uint8),
+        ray_table.cells,
+        flat,
+        ray_table.start,
+        ray_table.shared,
+        x,
+        y,
+        readings,
+    )
     if field_of_view < FULL_TURN:
-        angles = np.arange(fan.beams) * (FULL_TURN / fan.beams)
+        angles = np.arange(ray_table.beams) * (FULL_TURN / ray_table.beams)
         off = np.abs((angles - heading * FULL_TURN / HEADINGS + FULL_TURN / 2) % FULL_TURN - FULL_TURN / 2)
         readings[off > field_of_view / 2] = NONE
     return readings

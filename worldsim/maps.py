@@ -333,8 +333,8 @@ def _shades(picture: Image.Image) -> tuple[NDArray[np.float64], int]:
         return np.array(picture, np.float64), 65535
     if picture.mode in ("1", "L"):
         return np.array(picture.convert("L"), np.float64), 255
-    colours = np.array(picture.convert("RGBA" if picture.has_transparency_data else "RGB"), np.float64)
-    mean: NDArray[np.float64] = colours.sum(axis=2) / colours.shape[2]
+    colors = np.array(picture.convert("RGBA" if picture.has_transparency_data else "RGB"), np.float64)
+    mean: NDArray[np.float64] = colors.sum(axis=2) / colors.shape[2]
     return mean, 255
 
 

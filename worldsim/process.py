@@ -17,7 +17,6 @@ from protocol.keys import Keys
 from protocol.messages import (
     Back,
     Begin,
-    Bye,
     Close,
     Configure,
     End,
@@ -25,13 +24,14 @@ from protocol.messages import (
     Move,
     Positions,
     Record,
+    Shutdown,
     Stop,
     Strike,
     Watched,
     WorldReport,
     pack,
 )
-from protocol.rights import BABBLES, MOST_NONSENSE
+from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_ERRORS
 from worldsim.continuous_motion import FINE
 from worldsim.faults import KINDS, Fault
 from worldsim.world import World
@@ -62,7 +62,7 @@ class WorldNode:
         bus: Bus,
         keys: Keys,
         world: World,
-        minds: Mapping[int, Mapping[str, Any]],
+        robot_settings: Mapping[int, Mapping[str, Any]],
         steps: int,
         cell_mm: float,
         *,
@@ -73,13 +73,15 @@ class WorldNode:
         self._bus = bus
         self._keys = keys
         self._world = world
-        self._minds = minds
-        self._to = {robot: keys.body(names.robot(robot), names.WORLD) for robot in minds}
+        self._minds = robot_settings
+        self._to = {robot: keys.body(names.robot(robot), names.WORLD) for robot in robot_settings}
         self._steps = steps
         self._cell_mm = cell_mm
         self._wait = wait
         self._revive = revive
-        self._left = {robot: settings.get("lives", 1) - 1 for robot, settings in minds.items()}
+        self._left = {
+            robot: settings.get("incarnations", 1) - 1 for robot, settings in robot_settings.items()
+        }
         """How often each robot may still be started again."""
         self._coming: set[int] = set()
         """Robots that were lost unasked, and are being started again."""
@@ -97,7 +99,7 @@ class WorldNode:
         self._watched = False
         self._closed = False
         """Whether the medium of this step is: then all robots are to move."""
-        self._nonsense: Counter[str] = Counter()
+        self._protocol_errors: Counter[str] = Counter()
         """How often each participant has made no sense in this step."""
 
     def handle(self, message: Message) -> None:
@@ -155,7 +157,7 @@ class WorldNode:
                 self._end(self._stop, -1)
         elif isinstance(said, Watched):
             self._watched = said.here
-        elif isinstance(said, Bye):
+        elif isinstance(said, Shutdown):
             self.done = True
 
     def _begin(self) -> None:
@@ -171,7 +173,7 @@ class WorldNode:
             raise ProtocolError("Move", 0, f"for step {move.step}, while step {step} is under way")
         if robot in self._moves:
             raise ProtocolError("Move", 0, f"a second one for step {step}")
-        if robot in self._world.cells and robot not in self._world.afflicted["stop"]:
+        if robot in self._world.cells and robot not in self._world.active_faults["stop"]:
             self._moves[robot] = move
 
     def _end_step(self) -> None:
@@ -181,7 +183,7 @@ class WorldNode:
         if self._world.settings.ends_with_all:
             wanted = len(moves)
         elif explored:
-            explored = [robot for robot in self._world.thinnest() if robot in explored]
+            explored = [robot for robot in self._world.smallest_robots() if robot in explored]
         if explored and len(explored) >= wanted:
             self._end(EXPLORED, explored[0])
         elif self._world.hopeless() and not self._back and not self._coming:
@@ -198,7 +200,7 @@ class WorldNode:
     def _open_step(self, moves: Mapping[int, Move]) -> None:
         self._wait()
         self._closed = False
-        self._nonsense.clear()
+        self._protocol_errors.clear()
         for fault in self._world.strikes():
             self._strike(fault)
         self._held = dict(moves)
@@ -214,10 +216,10 @@ class WorldNode:
         world = self._world
         known = strike.kind in KINDS and 0 <= strike.robot < len(self._minds) and strike.steps >= 0
         if not known:
-            self._report(messages.Fault(names.LAB, f"{strike} is no fault of a robot of this run"))
+            self._report(messages.Fault(names.RECORDER, f"{strike} is no fault of a robot of this run"))
         elif strike.kind == "restart" and not self._left[strike.robot]:
             self._report(
-                messages.Fault(names.LAB, f"robot {strike.robot} cannot begin once more in this run")
+                messages.Fault(names.RECORDER, f"robot {strike.robot} cannot begin once more in this run")
             )
         else:
             fault = Fault(max(strike.step, world.step + 1), strike.robot, strike.kind, strike.steps)
@@ -279,7 +281,7 @@ class WorldNode:
         senses = world.drive(moves)
         robots = world.awake()
         x, y = ([world.cells[robot][axis] for robot in robots] for axis in range(2))
-        ill = [sorted(world.afflicted[kind]) for kind in ("mute", "deaf")]
+        ill = [sorted(world.active_faults[kind]) for kind in ("mute", "deaf")]
         positions = Positions(world.step, robots, x, y, *ill)
         self._bus.put(self._keys.control_tx(names.WORLD), pack(positions))
         for robot, sense in senses:
@@ -288,16 +290,16 @@ class WorldNode:
 
     def _fault(self, who: str, what: str) -> None:
         """Report what made no sense; who says too much of it is given up."""
-        self._nonsense[who] += 1
-        if self._nonsense[who] <= MOST_NONSENSE:
+        self._protocol_errors[who] += 1
+        if self._protocol_errors[who] <= MAX_PROTOCOL_ERRORS:
             self._report(messages.Fault(who[:MOST_WORD], clip(what)))
-        elif self._nonsense[who] == MOST_NONSENSE + 1 and names.is_robot(who):
-            self.give_up_on(names.number(who), BABBLES)
+        elif self._protocol_errors[who] == MAX_PROTOCOL_ERRORS + 1 and names.is_robot(who):
+            self.give_up_on(names.number(who), TOO_MANY_ERRORS)
 
     def _report(self, message: Record) -> None:
         """Tell the laboratory, and the viewer if there is one."""
         payload = pack(message)
-        self._bus.put(self._keys.control(names.LAB, names.WORLD), payload)
+        self._bus.put(self._keys.control(names.RECORDER, names.WORLD), payload)
         if self._watched:
             self._bus.put(self._keys.control(names.VIEW, names.WORLD), payload)
 

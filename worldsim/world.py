@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.grid import FREE, Grid, areas, disc, enlarge, fan
+from protocol.grid import FREE, Grid, areas, disc, enlarge, ray_table
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes, points_from_bytes
@@ -119,12 +119,12 @@ class World:
         self._taken = np.zeros(truth.shape, np.bool_)
         self.faults = sorted(settings.faults)
         """What is still to come, by step."""
-        self.afflicted: dict[str, dict[int, float]] = {"stop": {}, "mute": {}, "deaf": {}}
+        self.active_faults: dict[str, dict[int, float]] = {"stop": {}, "mute": {}, "deaf": {}}
         """By kind of fault, the robots that have it, and the step in which they are well again."""
         self._fell = dict(self.cells)
         """Where robots that are gone were last."""
         self._widest = max((body.radius_cells for body in settings.bodies), default=0.0)
-        self._fans = [fan(body.range_cells, settings.beams) for body in settings.bodies]
+        self._ray_tables = [ray_table(body.range_cells, settings.beams) for body in settings.bodies]
         self._carry = [0.0] * len(settings.starts)
         self._scanner_angle = [0.0] * len(settings.starts)
 
@@ -132,7 +132,7 @@ class World:
         """Remove a broken robot from the world: others do not collide with it."""
         if robot in self.cells:
             self._fell[robot] = self.cells.pop(robot)
-            self.afflicted["stop"].pop(robot, None)
+            self.active_faults["stop"].pop(robot, None)
 
     def revive(self, robot: int) -> None:
         """Put a robot that was lost back to where that happened, or into the free cell nearest to it."""
@@ -153,30 +153,30 @@ class World:
         now = self.step + 1
         due = [fault for fault in self.faults if fault.step <= now]
         self.faults = [fault for fault in self.faults if fault.step > now]
-        for robots in self.afflicted.values():
+        for robots in self.active_faults.values():
             for robot in [robot for robot, until in robots.items() if until <= now]:
                 del robots[robot]
         for fault in due:
-            if fault.kind in self.afflicted and (fault.kind != "stop" or fault.robot in self.cells):
-                self.afflicted[fault.kind][fault.robot] = now + fault.steps if fault.steps else math.inf
+            if fault.kind in self.active_faults and (fault.kind != "stop" or fault.robot in self.cells):
+                self.active_faults[fault.kind][fault.robot] = now + fault.steps if fault.steps else math.inf
         return due
 
     def awake(self) -> list[int]:
         """Robots that take part in the step, in ascending order."""
-        return sorted(self.cells.keys() - self.afflicted["stop"].keys())
+        return sorted(self.cells.keys() - self.active_faults["stop"].keys())
 
     @property
     def awake_count(self) -> int:
         """How many those are."""
-        return len(self.cells) - len(self.afflicted["stop"])
+        return len(self.cells) - len(self.active_faults["stop"])
 
     def hopeless(self) -> bool:
         """Whether nobody takes part, and nobody ever will again."""
         comes = any(fault.kind == "restart" for fault in self.faults)
-        wakes = any(until < math.inf for until in self.afflicted["stop"].values())
+        wakes = any(until < math.inf for until in self.active_faults["stop"].values())
         return not self.awake_count and not comes and not wakes
 
-    def thinnest(self) -> list[int]:
+    def smallest_robots(self) -> list[int]:
         """Robots of the least radius: nobody gets farther than they do, so they say when all is explored."""
         radii = {robot: self.settings.bodies[robot].radius_cells for robot in self.awake()}
         return [robot for robot, radius in radii.items() if radius == min(radii.values())]
@@ -300,7 +300,7 @@ class World:
     ) -> Sense:
         body = self.settings.bodies[robot]
         heading = self.headings[robot]
-        readings = cast(self.truth, occupied, self._fans[robot], x, y, heading, body.field_of_view)
+        readings = cast(self.truth, occupied, self._ray_tables[robot], x, y, heading, body.field_of_view)
         if not look:
             readings[:] = NONE
         elif body.scanner_turn:
@@ -308,7 +308,7 @@ class World:
             readings[beams_outside(len(readings), angle, body.scanner_turn)] = NONE
             self._scanner_angle[robot] = (angle + body.scanner_turn) % FULL_TURN
         driven_over = np.array(entered, np.int32).reshape(-1, 2)
-        news = draw(self.seen, self._fans[robot], x, y, readings, driven_over)
+        news = draw(self.seen, self._ray_tables[robot], x, y, readings, driven_over)
         if news.cells:
             self.seen_cells += int(_count_seen(self.seen, self.reachable, *news[1:], self._counted))
         driven = cells_to_bytes(driven_over)

@@ -46,7 +46,7 @@ class Broadcast:
         self.payload += report
         return len(self.payload)
 
-    def stretch(self, about: int, log: Log, first: int, end: int, head: bytes) -> int:
+    def stretch(self, map_id: int, log: Log, first: int, end: int, head: bytes) -> int:
         """Add units `first` to `end` - 1 of a map's log behind `head`, as far as there is room; return up to which."""
         left = None if self.room is None else self.room - len(self.payload) - len(head)
         units = log.since(first, left, end) if first < end else b""
@@ -55,8 +55,8 @@ class Broadcast:
         self.payload += head
         begin = len(self.payload)
         self.payload += units
-        self.stretches.append(Stretch(about, first, begin, len(self.payload)))
+        self.stretches.append(Stretch(map_id, first, begin, len(self.payload)))
         end = log.reached(first, len(units))
-        low, high = self.spoken.get(about, (first, end))
-        self.spoken[about] = min(low, first), max(high, end)
+        low, high = self.spoken.get(map_id, (first, end))
+        self.spoken[map_id] = min(low, first), max(high, end)
         return end

@@ -28,7 +28,7 @@ import numpy as np
 from agent.exchange.handshake import offer
 from agent.exchange.reports import from_packet, held_packet, number, report
 from agent.exchange.session import MAX_WAIT, PATIENCE, Session, Table
-from protocol import packets, survey
+from protocol import packet_index, packets
 from protocol.errors import ProtocolError
 from protocol.messages import NO_REPLIES, Outcome, Replies
 from protocol.packets import From, FromEarly, Held, HeldEarly, Offer
@@ -61,9 +61,9 @@ class ConfirmedSession(Session):
     """One robot's end of all connections, where only what the other says confirms."""
 
     def __init__(
-        self, robot: int, robots: int, policy: str = "backoff", *, lives: int = 1, life: int = 0
+        self, robot: int, robots: int, policy: str = "backoff", *, incarnations: int = 1, incarnation: int = 0
     ) -> None:
-        super().__init__(robot, robots, policy, lives=lives, life=life)
+        super().__init__(robot, robots, policy, incarnations=incarnations, incarnation=incarnation)
         self._owed: set[Pair] = set()
         """Whom one is to tell how much of which map one holds."""
         self._word: dict[Pair, int] = {}
@@ -87,29 +87,29 @@ class ConfirmedSession(Session):
         """Take the last `count` units of one's own log back, if none of them has been on the air; say whether."""
         return self.logs[self.own].retract(count, self._aired)
 
-    def offers(self, exchange: int, peers: list[int], room: int | None) -> list[tuple[int, int, bytes]]:
+    def offers(self, round_number: int, peers: list[int], room: int | None) -> list[tuple[int, int, bytes]]:
         """Open an exchange: return what to say, one frame a peer, as (peer, map, frame)."""
         self._now += 1
-        self._only_first = self._only_first and exchange == 0
+        self._only_first = self._only_first and round_number == 0
         self._room = room
         self._peers = peers
         held = np.array([len(log) for log in self.logs], np.int64)
-        chosen = self._worth_offering(exchange, held) if peers and held.any() else []
+        chosen = self._worth_offering(round_number, held) if peers and held.any() else []
         chosen = [pair for pair in chosen if self._now >= self._due[pair]]
         left = room
         said: list[tuple[int, int, bytes]] = []
         self._frames = []
         for peer in peers:
             frame = _Frame()
-            about = [pair for pair in chosen if pair[0] == peer]
-            send = [pair for pair in about if self._now <= self._word.get(pair, -MAX_WAIT) + OF_LATE]
+            map_id = [pair for pair in chosen if pair[0] == peer]
+            send = [pair for pair in map_id if self._now <= self._word.get(pair, -MAX_WAIT) + OF_LATE]
             self._report(frame, peer)
-            self._offer(frame, [pair for pair in about if pair not in send])
+            self._offer(frame, [pair for pair in map_id if pair not in send])
             for pair in send:
                 self._send(frame, pair, left)
             if frame.payload:
                 self._frames.append(frame)
-                said.append((peer, about[0][1] if about else peer, frame.payload))
+                said.append((peer, map_id[0][1] if map_id else peer, frame.payload))
                 left = None if left is None else max(0, left - len(frame.payload))
         return said
 
@@ -135,7 +135,7 @@ class ConfirmedSession(Session):
             self._settle_frame(frame, sent)
         self._frames = []
         for peer, payload in heard:
-            yield from self._hear(peer, survey.split(payload))
+            yield from self._hear(peer, packet_index.split(payload))
 
     def delivered(self) -> bool:
         """Whether teammates were in range when the medium last opened, and all said to hold one's own log.
@@ -153,22 +153,22 @@ class ConfirmedSession(Session):
     # --- what is said
 
     def _report(self, frame: _Frame, peer: int) -> None:
-        for about in sorted(each for to, each in self._owed if to == peer):
-            frame.payload += packets.encode([held_packet(about, len(self.logs[about]))])
-            frame.reports.append((len(frame.payload), (peer, about)))
+        for map_id in sorted(each for to, each in self._owed if to == peer):
+            frame.payload += packets.encode([held_packet(map_id, len(self.logs[map_id]))])
+            frame.reports.append((len(frame.payload), (peer, map_id)))
 
     def _offer(self, frame: _Frame, pairs: list[Pair]) -> None:
-        for peer, about in pairs:
-            frame.payload += offer(about, int(self.known[peer, about]))
-            frame.offers.append((len(frame.payload), (peer, about)))
+        for peer, map_id in pairs:
+            frame.payload += offer(map_id, int(self.known[peer, map_id]))
+            frame.offers.append((len(frame.payload), (peer, map_id)))
 
     def _send(self, frame: _Frame, pair: Pair, room: int | None) -> None:
         """Send the units that a peer lacks of a map, as many as there is room for."""
-        peer, about = pair
-        first = max(int(self.known[peer, about]), self.logs[about].oldest)
-        head = packets.encode([from_packet(about, first)])
+        peer, map_id = pair
+        first = max(int(self.known[peer, map_id]), self.logs[map_id].oldest)
+        head = packets.encode([from_packet(map_id, first)])
         left = None if room is None else room - len(frame.payload) - len(head)
-        units = self.logs[about].since(first, left)
+        units = self.logs[map_id].since(first, left)
         if units:
             frame.payload += head
             begin = len(frame.payload)
@@ -200,13 +200,13 @@ class ConfirmedSession(Session):
 
     def _hear(self, peer: int, pieces: list[bytes]) -> Iterator[tuple[int, int, bytes]]:
         """Take a frame; yield the units in it that are news."""
-        about, first, units = -1, 0, list[bytes]()
+        map_id, first, units = -1, 0, list[bytes]()
         for piece in pieces:
             said = report(piece)
             if said is None:
                 units.append(piece)
                 continue
-            yield from self._take(peer, about, first, units)
+            yield from self._take(peer, map_id, first, units)
             units = []
             match said:
                 case (Held(map, _) | HeldEarly(map, _)) as held if map < len(self.logs):
@@ -216,34 +216,34 @@ class ConfirmedSession(Session):
                     self._owe((peer, map))
                 case (From(map, _) | FromEarly(map, _)) as begin if map < len(self.logs):
                     self._recognise(peer, map)
-                    about, first = map, number(begin, len(self.logs[map]))
-        yield from self._take(peer, about, first, units)
+                    map_id, first = map, number(begin, len(self.logs[map]))
+        yield from self._take(peer, map_id, first, units)
 
     def _take(
-        self, peer: int, about: int, first: int, units: list[bytes]
+        self, peer: int, map_id: int, first: int, units: list[bytes]
     ) -> Iterator[tuple[int, int, bytes]]:
         """A peer sent units of a map, from number `first` on: yield those that are news."""
-        if not units or about < 0:
+        if not units or map_id < 0:
             return
-        held, end = len(self.logs[about]), first + len(units)
-        self._owe((peer, about))
-        self._learn((peer, about), end)
-        if first <= held < end and not self._is_mine(about):
-            yield peer, about, b"".join(units[held - first :])
+        held, end = len(self.logs[map_id]), first + len(units)
+        self._owe((peer, map_id))
+        self._learn((peer, map_id), end)
+        if first <= held < end and not self._is_mine(map_id):
+            yield peer, map_id, b"".join(units[held - first :])
 
     def _owe(self, pair: Pair) -> None:
         """A peer is to be told how much one holds, unless its word about that map is not wanted."""
         if not self._is_mine(pair[1]) and pair not in self.refused:
             self._owed.add(pair)
 
-    def _is_mine(self, about: int) -> bool:
+    def _is_mine(self, map_id: int) -> bool:
         """Whether a map is one's own, of this life or of one to come."""
-        return about % self._robots == self._robot and about >= self.own
+        return map_id % self._robots == self._robot and map_id >= self.own
 
-    def _recognise(self, peer: int, about: int) -> None:
+    def _recognise(self, peer: int, map_id: int) -> None:
         """Who speaks of the map of a new life of its own has begun anew: nothing that it said before holds."""
         known = int(self._own_maps[peer])
-        super()._recognise(peer, about)
+        super()._recognise(peer, map_id)
         if self._own_maps[peer] != known:
             self._wait[peer] = LEAST_WAIT
             for table in (self._word, self._spoken, self._tries, self._trip):

@@ -27,7 +27,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from agent.exchange.gossip import PATIENCE, Bases, Gossip, Table, nothing
-from agent.exchange.neighbours import Mask
+from agent.exchange.neighbors import Mask
 from agent.exchange.places import NoPlaces
 from protocol.packets import Held
 
@@ -51,11 +51,11 @@ class ConfirmedGossip(Gossip):
         robot: int,
         robots: int,
         *,
-        lives: int = 1,
-        life: int = 0,
+        incarnations: int = 1,
+        incarnation: int = 0,
         bases: Bases = nothing,
     ) -> None:
-        super().__init__(robot, robots, lives=lives, life=life, bases=bases)
+        super().__init__(robot, robots, incarnations=incarnations, incarnation=incarnation, bases=bases)
         self._certain: Table = np.zeros_like(self.known)
         self._hoping: Table = np.full_like(self.known, -1)
         """Since which step one hopes that a peer holds more of a map than is certain; -1: one does not."""
@@ -76,13 +76,13 @@ class ConfirmedGossip(Gossip):
         """``certain[peer, map]``: up to which unit the map has reached the peer, as it has said."""
         return self._certain
 
-    def offers(self, exchange: int, peers: list[int], room: int | None) -> list[tuple[int, int, bytes]]:
+    def offers(self, round_number: int, peers: list[int], room: int | None) -> list[tuple[int, int, bytes]]:
         """Open an exchange: return what to broadcast, as [(EVERYONE, own number, frame)], or nothing."""
-        if exchange == 0 and room:
+        if round_number == 0 and room:
             words = SHARE * Held.size * self._robots * (self._robots - 1)
             self._every = max(PATIENCE, math.ceil(words / room))
             self._turn = 2 * int(self._trip.max()) + self._every
-        return super().offers(exchange, peers, room)
+        return super().offers(round_number, peers, room)
 
     # --- what is said
 
@@ -103,61 +103,61 @@ class ConfirmedGossip(Gossip):
         news = self._held > self._said_held
         news[sorted(self._again)] = True
         due |= news & (self._step >= self._asked + self._every)
-        for about in self._gaps:
-            due[about] |= self._step >= self._asked[about] + NAG
+        for map_id in self._gaps:
+            due[map_id] |= self._step >= self._asked[map_id] + NAG
         return due
 
     # --- what was heard
 
     def _settle(self, sent: int) -> None:
         super()._settle(sent)
-        for end, about in self._said.held:
+        for end, map_id in self._said.held:
             if end <= sent:
-                self._said_held[about] = len(self.logs[about])
-                self._again.discard(about)
+                self._said_held[map_id] = len(self.logs[map_id])
+                self._again.discard(map_id)
 
     def _recognise(self, peer: int, pieces: list[bytes]) -> None:
-        life = self._own_maps[peer]
+        incarnation = self._own_maps[peer]
         super()._recognise(peer, pieces)
-        if self._own_maps[peer] != life:
+        if self._own_maps[peer] != incarnation:
             self._certain[peer] = 0
             self._hoping[peer] = -1
 
-    def _hear_held(self, peer: int, about: int, held: int) -> None:
-        certain, hoping = int(self._certain[peer, about]), int(self._hoping[peer, about])
+    def _hear_held(self, peer: int, map_id: int, held: int) -> None:
+        certain, hoping = int(self._certain[peer, map_id]), int(self._hoping[peer, map_id])
         if held > certain or self._lives > 1:
-            self._certain[peer, about] = held
+            self._certain[peer, map_id] = held
             if hoping >= 0 and held > certain:
                 trip = max(self._step - hoping, int(self._trip[peer]) - 1)
                 self._trip[peer] = min(max(trip, LEAST_TRIP), LONGEST_TRIP)
-                self._hoping[peer, about] = self._step
+                self._hoping[peer, map_id] = self._step
         if hoping >= 0 and held <= certain and self._step - hoping >= self._trip[peer]:
-            self.known[peer, about] = held
-        self.known[peer, about] = max(int(self.known[peer, about]), held)
+            self.known[peer, map_id] = held
+        self.known[peer, map_id] = max(int(self.known[peer, map_id]), held)
 
     def _take(
-        self, peer: int, about: int, index: int | None, units: list[bytes]
+        self, peer: int, map_id: int, index: int | None, units: list[bytes]
     ) -> Iterator[tuple[int, int, bytes]]:
         if units and index is not None:
             end = index + len(units)
-            self._certain[peer, about] = max(int(self._certain[peer, about]), end)
-            if end <= len(self.logs[about]):
-                self._again.add(about)
-            elif index > len(self.logs[about]) and (peer, about) not in self.refused:
-                self._early[about] |= dict(enumerate(((peer, unit) for unit in units), index))
-        yield from super()._take(peer, about, index, units)
-        yield from self._take_early(about)
+            self._certain[peer, map_id] = max(int(self._certain[peer, map_id]), end)
+            if end <= len(self.logs[map_id]):
+                self._again.add(map_id)
+            elif index > len(self.logs[map_id]) and (peer, map_id) not in self.refused:
+                self._early[map_id] |= dict(enumerate(((peer, unit) for unit in units), index))
+        yield from super()._take(peer, map_id, index, units)
+        yield from self._take_early(map_id)
 
-    def _take_early(self, about: int) -> Iterator[tuple[int, int, bytes]]:
+    def _take_early(self, map_id: int) -> Iterator[tuple[int, int, bytes]]:
         """Yield the units that were kept of a map, as far as nothing is lacking before them any more.
 
         What was kept of a peer from whom nothing is taken by now counts as lacking.
         """
-        early, log = self._early[about], self.logs[about]
+        early, log = self._early[map_id], self.logs[map_id]
         while (kept := early.pop(len(log), None)) is not None:
-            self._gaps.add(about)
+            self._gaps.add(map_id)
             peer, unit = kept
-            if (peer, about) not in self.refused:
-                yield peer, about, unit
+            if (peer, map_id) not in self.refused:
+                yield peer, map_id, unit
         for number in [number for number in early if number < len(log)]:
             del early[number]

@@ -19,11 +19,11 @@ Events and what follows from them; the tables move with the relay's word of what
     one is chosen to pass on what a teammate lacks    from, and these
 
 Who holds most is served first, and of the maps that it lacks the one of which it lacks least. A word that is built on
-others' words goes behind those of them that the teammate lacks (`agent.exchange.base.Basis`). So those who keep up
+others' words goes behind those of them that the teammate lacks (`agent.encodings.base.Basis`). So those who keep up
 hear what is new before others hear what is old, and where much is lacking a few know all soon, and not all a part.
 Nothing is said that nobody in range can use, for it lacks what comes before.
 
-Who speaks first is in `agent.exchange.urgency`.
+Who speaks first is in `agent.exchange.priority`.
 
 A log of one's own goes on where its last broadcast ended, and nothing says where that was, unless somebody is in range
 who has not been there since (`agent.exchange.places`): then `From` goes before it. The first `EARLY` units of a log
@@ -40,14 +40,14 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.exchange import urgency
-from agent.exchange.base import Basis
+from agent.encodings.base import Basis
+from agent.exchange import priority
 from agent.exchange.broadcast import Broadcast
 from agent.exchange.log import Log
-from agent.exchange.neighbours import Mask, Neighbours
+from agent.exchange.neighbors import Mask, Neighbors
 from agent.exchange.places import Places
 from agent.exchange.reports import from_packet, held_packet, number, report
-from protocol import packets, survey
+from protocol import packet_index, packets
 from protocol.errors import ProtocolError
 from protocol.kernels import kernel
 from protocol.messages import NO_REPLIES, Outcome, Replies
@@ -57,7 +57,7 @@ Table = NDArray[np.int32]
 Robots = list[int] | NDArray[np.intp]
 
 Bases = Callable[[int], Sequence[Basis]]
-"""Of a map, in their order, the words that can only be read behind others' (`Exchange.bases`)."""
+"""Of a map, in their order, the words that can only be read behind others' (`Round.bases`)."""
 
 POLICY = "gossip"
 
@@ -74,9 +74,9 @@ GREETING = 1
 """Steps after its coming into range in which a robot is not told what it may hold by then."""
 
 
-def nothing(about: int) -> Sequence[Basis]:
+def nothing(map_id: int) -> Sequence[Basis]:
     """Words that stand each for itself."""
-    del about
+    del map_id
     return ()
 
 
@@ -96,25 +96,25 @@ class Gossip:
         robot: int,
         robots: int,
         *,
-        lives: int = 1,
-        life: int = 0,
+        incarnations: int = 1,
+        incarnation: int = 0,
         bases: Bases = nothing,
     ) -> None:
-        maps = robots * lives
+        maps = robots * incarnations
         self.bases = bases
         self.logs = [Log() for _ in range(maps)]
         """What is held of every robot's map, of each of its lives (`agent.identity`)."""
-        self.own = robot + robots * life
+        self.own = robot + robots * incarnation
         """The number of one's own map."""
         self.known: Table = np.zeros((robots, maps), np.int32)
         """``known[peer, map]``: up to which unit the map has reached the peer, as far as one can know."""
         self.refused: set[tuple[int, int]] = set()
         """(peer, map): what is not taken from a peer, for what came of it made no sense."""
-        self.urgency = 0
+        self.priority = 0
         """How soon what was said last should be on the air: the more, the shorter one waits for a free medium."""
         self._robot = robot
         self._robots = robots
-        self._lives = lives
+        self._lives = incarnations
         self._own_maps = list(range(robots))
         """The number of each robot's own map, in the life that it is in, as far as one has heard."""
         self._own_maps[robot] = self.own
@@ -122,7 +122,7 @@ class Gossip:
         self._peers: list[int] = []
         self._sure: list[int] = []
         """Those in range who have said what they hold, or had the time to."""
-        self._neighbours = Neighbours(robot, robots)
+        self._neighbours = Neighbors(robot, robots)
         self._parted = False
         """Whether anybody has ever been out of one's range."""
         self._told: Table = np.zeros((robots, maps), np.int32)
@@ -139,7 +139,7 @@ class Gossip:
         """Where what was last recorded begins in one's own log."""
         self._aired = 0
         """Up to which unit one's own log has been on the air."""
-        self._places = Places(robot, robots, begun=not life)
+        self._places = Places(robot, robots, begun=not incarnation)
         self._lacks: Table = np.zeros((robots, maps), np.int32)
         """How many units that one holds a peer in range lacks of each map."""
         self._held: NDArray[np.int32] = np.zeros(maps, np.int32)
@@ -169,19 +169,19 @@ class Gossip:
         """Take the last `count` units of one's own log back, if nobody has heard any of them; say whether."""
         return self.logs[self.own].retract(count, self._aired)
 
-    def offers(self, exchange: int, peers: list[int], room: int | None) -> list[tuple[int, int, bytes]]:
+    def offers(self, round_number: int, peers: list[int], room: int | None) -> list[tuple[int, int, bytes]]:
         """Open an exchange: return what to broadcast, as [(EVERYONE, own number, frame)], or nothing.
 
         `room` is what is left of the step's budget in bytes, None for no limit.
         """
-        if exchange == 0:
+        if round_number == 0:
             self._begin_step(peers)
         self._look_who_lacks()
         said = self._said = Broadcast(room)
         if not peers:
             return []
         self._report(said)
-        self._set_urgency(said, self._serve(said))
+        self._set_priority(said, self._serve(said))
         return [(EVERYONE, self._robot, said.payload)] if said.payload else []
 
     def replies(self) -> Replies:
@@ -205,7 +205,7 @@ class Gossip:
         frames: list[tuple[int, list[bytes]]] = []
         for peer, payload in heard:
             try:
-                frames.append((peer, survey.split(payload)))
+                frames.append((peer, packet_index.split(payload)))
             except ProtocolError:
                 yield peer, peer, payload  # whoever makes sense of it will say what is wrong
         for peer, pieces in frames:
@@ -217,10 +217,10 @@ class Gossip:
         for peer, pieces in frames:
             yield from self._hear_units(peer, pieces)
 
-    def accept(self, peer: int, about: int, frame: bytes, ends: Sequence[int]) -> None:
+    def accept(self, peer: int, map_id: int, frame: bytes, ends: Sequence[int]) -> None:
         """Append units of a map that a peer said, given where in the frame they end."""
         del peer
-        self.logs[about].extend(frame, ends)
+        self.logs[map_id].extend(frame, ends)
 
     def delivered(self) -> bool:
         """Whether teammates are in range, and all that one has logged has been on the air."""
@@ -239,8 +239,8 @@ class Gossip:
         np.fill_diagonal(others, np.iinfo(np.int32).max)
         others[self._robot] = np.iinfo(np.int32).max
         reached = others.min(axis=0)
-        for about in np.flatnonzero(reached > self._forgotten).tolist():
-            self.logs[about].forget(int(reached[about]))
+        for map_id in np.flatnonzero(reached > self._forgotten).tolist():
+            self.logs[map_id].forget(int(reached[map_id]))
         self._forgotten = reached
 
     # --- what is said
@@ -274,16 +274,16 @@ class Gossip:
         said.met = set(self._met)
         due = self._worth_reporting()
         due[self.own] = False
-        for about in np.flatnonzero(due).tolist():
-            if end := said.report(held_packet(about, len(self.logs[about]))):
-                said.held.append((end, about))
+        for map_id in np.flatnonzero(due).tolist():
+            if end := said.report(held_packet(map_id, len(self.logs[map_id]))):
+                said.held.append((end, map_id))
 
     def _worth_reporting(self) -> Mask:
         """Maps of which somebody should know how much of them one holds."""
         held = self._held
         due: Mask = np.logical_or.reduce(self._told[sorted(self._met)] < held)
-        for about in self._gaps:
-            due[about] |= self._step >= self._asked[about] + PATIENCE
+        for map_id in self._gaps:
+            due[map_id] |= self._step >= self._asked[map_id] + PATIENCE
         if self._parted and self._step % SELDOM == self._robot % SELDOM:
             mine = np.arange(len(self.logs)) % self._robots == self._step // SELDOM % self._robots
             mine[self._robots :] &= held[self._robots :] > 0
@@ -300,41 +300,41 @@ class Gossip:
             plan = _Plan(peer, self.known[peer].copy())
             plan.held[self._own_maps[peer]] = np.iinfo(np.int32).max
             before = len(said.stretches)
-            for about in sorted(wanted, key=lambda each: (each != self.own, self._lacks[peer, each], each)):
-                self._bring(said, plan, about, int(self._held[about]))
+            for map_id in sorted(wanted, key=lambda each: (each != self.own, self._lacks[peer, each], each)):
+                self._bring(said, plan, map_id, int(self._held[map_id]))
             if served is None and len(said.stretches) > before:
                 served = peer
         return served
 
-    def _bring(self, said: Broadcast, plan: _Plan, about: int, end: int) -> None:
+    def _bring(self, said: Broadcast, plan: _Plan, map_id: int, end: int) -> None:
         """Say of a map what a peer lacks before unit `end`, and before each word what that one is built on."""
-        bases = self.bases(about)
-        for basis in bases[bisect_right(bases, plan.held[about], key=attrgetter("end")) :]:
+        bases = self.bases(map_id)
+        for basis in bases[bisect_right(bases, plan.held[map_id], key=attrgetter("end")) :]:
             if basis.first >= end:
                 break
             if any(plan.held[other] < units for other, units in basis.on):
-                self._say(said, plan, about, basis.first)
+                self._say(said, plan, map_id, basis.first)
                 for other, units in basis.on:
                     self._bring(said, plan, other, units)
                 if any(plan.held[other] < units for other, units in basis.on):
                     return
-        self._say(said, plan, about, end)
+        self._say(said, plan, map_id, end)
 
-    def _say(self, said: Broadcast, plan: _Plan, about: int, end: int) -> None:
+    def _say(self, said: Broadcast, plan: _Plan, map_id: int, end: int) -> None:
         """Say of a map what a peer lacks before unit `end`, as far as it is for oneself and has not been said."""
-        first = int(plan.held[about])
+        first = int(plan.held[map_id])
         if first >= end:
             return
-        low, high = said.spoken.get(about, (end, end))
+        low, high = said.spoken.get(map_id, (end, end))
         if low <= first:
             first = max(first, high)
         else:
             end = min(end, low)
-        if first < end and (about == self.own or self._is_chosen(plan.peer, about)):
-            end = self._stretch(said, about, first, end)
-        plan.held[about] = max(first, end)
+        if first < end and (map_id == self.own or self._is_chosen(plan.peer, map_id)):
+            end = self._stretch(said, map_id, first, end)
+        plan.held[map_id] = max(first, end)
 
-    def _is_chosen(self, peer: int, about: int) -> bool:
+    def _is_chosen(self, peer: int, map_id: int) -> bool:
         """Whether it is for oneself to pass on what a peer lacks of a map.
 
         Of those who hold more of it than the peer and are in its range it is the maker, else one by turns; after
@@ -344,35 +344,35 @@ class Gossip:
             each
             for each in self._peers
             if self._neighbours.are_near(each, peer)
-            and (self._own_maps[each] == about or self.known[each, about] > self.known[peer, about])
+            and (self._own_maps[each] == map_id or self.known[each, map_id] > self.known[peer, map_id])
         ]
         able.append(self._robot)
-        able.sort(key=lambda each: (self._own_maps[each] != about, (each - about) % self._robots))
-        return able.index(self._robot) <= (self._step - int(self._since[peer, about])) // self._turn
+        able.sort(key=lambda each: (self._own_maps[each] != map_id, (each - map_id) % self._robots))
+        return able.index(self._robot) <= (self._step - int(self._since[peer, map_id])) // self._turn
 
-    def _stretch(self, said: Broadcast, about: int, first: int, end: int) -> int:
+    def _stretch(self, said: Broadcast, map_id: int, first: int, end: int) -> int:
         """Say units `first` to `end` - 1 of a log as far as there is room, behind a `From` where it is needed.
 
         Return up to which one there is.
         """
-        log = self.logs[about]
+        log = self.logs[map_id]
         first, end = max(first, log.oldest), min(end, len(log))
-        goes_on = about == self.own and not said.stretches and self._places.known(first, self._peers)
-        head = b"" if goes_on else packets.encode([from_packet(about, first)])
-        return said.stretch(about, log, first, end, head)
+        goes_on = map_id == self.own and not said.stretches and self._places.known(first, self._peers)
+        head = b"" if goes_on else packets.encode([from_packet(map_id, first)])
+        return said.stretch(map_id, log, first, end, head)
 
-    def _set_urgency(self, said: Broadcast, served: int | None) -> None:
+    def _set_priority(self, said: Broadcast, served: int | None) -> None:
         """Note how soon this should be on the air; `served` is who is served first."""
         if not said.payload:
             self._waits = self._step
         waited = self._step - self._waits
         if self._parted:
             holds = 0 if served is None else int(self.known[served].sum())
-            self.urgency = urgency.among_some(holds, waited)
+            self.priority = priority.among_some(holds, waited)
         else:
             lacks = 0 if served is None else int(self._lacks[served].sum())
             begun = self._begun < self._aired < len(self.logs[self.own])
-            self.urgency = urgency.among_all(lacks, len(said.payload), waited, begun=begun)
+            self.priority = priority.among_all(lacks, len(said.payload), waited, begun=begun)
 
     # --- what was heard
 
@@ -382,11 +382,11 @@ class Gossip:
         for end, peer, here in said.near:
             if end <= sent:
                 self._neighbours.told(self._peers, peer, here)
-        for end, about in said.held:
+        for end, map_id in said.held:
             if end <= sent:
-                self._asked[about] = self._step
-                self._gaps.discard(about)
-                self._believe(self._peers, about, len(self.logs[about]))
+                self._asked[map_id] = self._step
+                self._gaps.discard(map_id)
+                self._believe(self._peers, map_id, len(self.logs[map_id]))
         if all(end <= sent for end, _ in said.held):
             self._met -= said.met
         for stretch in said.stretches:
@@ -425,22 +425,22 @@ class Gossip:
                     self._neighbours.says(peer, robot, True)
                 case Gone(robot) if robot < self._robots:
                     self._neighbours.says(peer, robot, False)
-                case (Held(about, _) | HeldEarly(about, _)) as held if about < len(self.logs) and (
-                    about != peer or self._lives > 1
+                case (Held(map_id, _) | HeldEarly(map_id, _)) as held if map_id < len(self.logs) and (
+                    map_id != peer or self._lives > 1
                 ):
-                    self._hear_held(peer, about, self._heard_most(about, self._number(held)))
+                    self._hear_held(peer, map_id, self._heard_most(map_id, self._number(held)))
                     self._unsure.pop(peer, None)
                     self._neighbours.says(peer, self._robot, True)
-                case From(about, _) | FromEarly(about, _) if about < len(self.logs):
+                case From(map_id, _) | FromEarly(map_id, _) if map_id < len(self.logs):
                     pass
                 case None:
                     pass
                 case other:
                     yield peer, peer, packets.encode([other])
 
-    def _hear_held(self, peer: int, about: int, held: int) -> None:
+    def _hear_held(self, peer: int, map_id: int, held: int) -> None:
         """A peer says how many units of a map it holds."""
-        self.known[peer, about] = held
+        self.known[peer, map_id] = held
 
     def _hear_units(self, peer: int, pieces: list[bytes]) -> Iterator[tuple[int, int, bytes]]:
         """Take what a peer said of logs; yield what is news."""
@@ -452,49 +452,49 @@ class Gossip:
                 stretches[-1][2].append(piece)
             elif isinstance(said, From | FromEarly) and said.map < len(self.logs):
                 stretches.append((said.map, self._number(said), []))
-        for about, index, units in stretches:
+        for map_id, index, units in stretches:
             if index is not None:
-                del units[max(0, self._heard_most(about, index + len(units)) - index) :]
-            yield from self._take(peer, about, index, units)
+                del units[max(0, self._heard_most(map_id, index + len(units)) - index) :]
+            yield from self._take(peer, map_id, index, units)
 
     def _take(
-        self, peer: int, about: int, index: int | None, units: list[bytes]
+        self, peer: int, map_id: int, index: int | None, units: list[bytes]
     ) -> Iterator[tuple[int, int, bytes]]:
         """A peer said units of a map, from number `index` on: yield those that are news."""
         if not units:
             return
         if index is None:
-            self._gaps.add(about)
+            self._gaps.add(map_id)
             return
-        end, held = index + len(units), len(self.logs[about])
-        if about == self._own_maps[peer]:
+        end, held = index + len(units), len(self.logs[map_id])
+        if map_id == self._own_maps[peer]:
             self._places.heard(peer, end)
-        self.known[peer, about] = max(int(self.known[peer, about]), end)
+        self.known[peer, map_id] = max(int(self.known[peer, map_id]), end)
         if index > held:
-            self._gaps.add(about)
+            self._gaps.add(map_id)
         else:
-            self._gaps.discard(about)
-        mine = about % self._robots == self._robot and about >= self.own
-        if index <= held < end and not mine and (peer, about) not in self.refused:
-            yield peer, about, b"".join(units[held - index :])
+            self._gaps.discard(map_id)
+        mine = map_id % self._robots == self._robot and map_id >= self.own
+        if index <= held < end and not mine and (peer, map_id) not in self.refused:
+            yield peer, map_id, b"".join(units[held - index :])
         hearers = self._neighbours.hearers(peer)
-        self._reach(np.flatnonzero(hearers), about, index, end)
-        if len(self.logs[about]) >= end:
+        self._reach(np.flatnonzero(hearers), map_id, index, end)
+        if len(self.logs[map_id]) >= end:
             hearers[[peer, self._robot]] = True
-            self._believe(np.flatnonzero(hearers), about, end)
+            self._believe(np.flatnonzero(hearers), map_id, end)
 
-    def _reach(self, peers: Robots, about: int, first: int, end: int) -> None:
+    def _reach(self, peers: Robots, map_id: int, first: int, end: int) -> None:
         """Peers have heard units `first` to `end` - 1 of a map; each takes them unless it lacks earlier ones."""
-        known = self.known[peers, about]
-        self.known[peers, about] = np.where(known >= first, np.maximum(known, end), known)
+        known = self.known[peers, map_id]
+        self.known[peers, map_id] = np.where(known >= first, np.maximum(known, end), known)
 
-    def _believe(self, peers: Robots, about: int, held: int) -> None:
+    def _believe(self, peers: Robots, map_id: int, held: int) -> None:
         """Peers have heard that one holds so many units of a map."""
-        self._told[peers, about] = np.maximum(self._told[peers, about], held)
+        self._told[peers, map_id] = np.maximum(self._told[peers, map_id], held)
 
-    def _heard_most(self, about: int, units: int) -> int:
+    def _heard_most(self, map_id: int, units: int) -> int:
         """Of so many units of a map that a peer speaks of: of one's own nobody holds what has not been on the air."""
-        return min(units, self._aired) if about == self.own else units
+        return min(units, self._aired) if map_id == self.own else units
 
     def _number(self, said: From | FromEarly | Held | HeldEarly) -> int:
         return number(said, len(self.logs[said.map]))
@@ -513,10 +513,10 @@ def _note_lacks(
     """Note how much each peer that one is `sure` of lacks of each map that is not its own, and since when."""
     robots, maps = known.shape
     for peer in range(robots):
-        for about in range(maps):
+        for map_id in range(maps):
             lack = 0
-            if sure[peer] and about != own_maps[peer]:
-                lack = max(held[about] - known[peer, about], 0)
-            if lack and not lacks[peer, about]:
-                since[peer, about] = step
-            lacks[peer, about] = lack
+            if sure[peer] and map_id != own_maps[peer]:
+                lack = max(held[map_id] - known[peer, map_id], 0)
+            if lack and not lacks[peer, map_id]:
+                since[peer, map_id] = step
+            lacks[peer, map_id] = lack

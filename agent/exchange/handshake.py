@@ -23,9 +23,9 @@ DECLINE = packets.encode([packets.Decline()])
 
 
 @lru_cache(maxsize=1024)
-def offer(about: int, known: int) -> bytes:
+def offer(map_id: int, known: int) -> bytes:
     """Offer a map to who is thought to hold `known` units of it."""
-    return packets.encode([packets.Offer(about, block_of(known))])
+    return packets.encode([packets.Offer(map_id, block_of(known))])
 
 
 @lru_cache(maxsize=1 << 12)

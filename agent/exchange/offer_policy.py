@@ -28,10 +28,10 @@ def all_news(
     """All maps to all for whom they are news, the robot's own first: the thesis' policy."""
     news = known < held
     return [
-        (peer, about)
+        (peer, map_id)
         for peer in peers
-        for about in (own_map, *(each for each in range(len(held)) if each not in (own_map, own_maps[peer])))
-        if news[peer, about]
+        for map_id in (own_map, *(each for each in range(len(held)) if each not in (own_map, own_maps[peer])))
+        if news[peer, map_id]
     ]
 
 
@@ -46,12 +46,12 @@ def choose_offers(
     own_maps: Table,
     own_map: int,
     now: int,
-    exchange: int,
+    round_number: int,
     only_first: bool,
     chosen: Table,
 ) -> None:
     """Choose for each peer the map to offer it, by the rule ``backoff``; -1: none."""
-    turn_of_others = exchange != 0 or (only_first and now % 2 == 0)
+    turn_of_others = round_number != 0 or (only_first and now % 2 == 0)
     for each in range(len(peers)):
         peer = peers[each]
         own = held[own_map] > known[peer, own_map] and now >= due[peer, own_map]
@@ -59,8 +59,8 @@ def choose_offers(
         if (own and not only_first) or not turn_of_others:
             continue
         most = 0
-        for about in range(len(held)):
-            news = held[about] - known[peer, about]
-            if news > most and about not in (own_map, own_maps[peer]) and now >= due[peer, about]:
+        for map_id in range(len(held)):
+            news = held[map_id] - known[peer, map_id]
+            if news > most and map_id not in (own_map, own_maps[peer]) and now >= due[peer, map_id]:
                 most = news
-                chosen[each] = about
+                chosen[each] = map_id

@@ -22,11 +22,11 @@ def report(piece: bytes) -> packets.AnyPacket | None:
     return packets.decode(piece)[0] if packets.name(piece) == From.name else None
 
 
-def from_packet(about: int, index: int) -> From | FromEarly:
+def from_packet(map_id: int, index: int) -> From | FromEarly:
     """The shortest packet that says of which log, and from which unit on, units follow."""
-    return FromEarly(about, index) if index < EARLY else From(about, index % GOSSIP_WINDOW)
+    return FromEarly(map_id, index) if index < EARLY else From(map_id, index % GOSSIP_WINDOW)
 
 
-def held_packet(about: int, index: int) -> Held | HeldEarly:
+def held_packet(map_id: int, index: int) -> Held | HeldEarly:
     """The shortest packet that says how many units of a log one holds."""
-    return HeldEarly(about, index) if index < EARLY else Held(about, index % GOSSIP_WINDOW)
+    return HeldEarly(map_id, index) if index < EARLY else Held(map_id, index % GOSSIP_WINDOW)

@@ -50,23 +50,23 @@ class Session:
     """One robot's end of all connections."""
 
     def __init__(
-        self, robot: int, robots: int, policy: str = "backoff", *, lives: int = 1, life: int = 0
+        self, robot: int, robots: int, policy: str = "backoff", *, incarnations: int = 1, incarnation: int = 0
     ) -> None:
         if policy not in POLICIES:
             raise ValueError(f"no offer policy is called {policy!r}; there are: {', '.join(POLICIES)}")
-        self.logs = [Log() for _ in range(robots * lives)]
+        self.logs = [Log() for _ in range(robots * incarnations)]
         """What is held of every robot's map, of each of its lives (`agent.identity`)."""
-        self.own = robot + robots * life
+        self.own = robot + robots * incarnation
         """The number of one's own map."""
-        self.urgency = 0
+        self.priority = 0
         """Offers wait for nothing: their order is drawn."""
         self.refused: set[tuple[int, int]] = set()
         """(peer, map): offers that are declined, for what came of them made no sense."""
         self._robot = robot
-        self.passes_on = True
+        self.forwards_state = True
         """Whether maps of others are offered as well as one's own."""
         self._robots = robots
-        self._lives = lives
+        self._lives = incarnations
         self._policy = policy
         self._now = 0
         self._only_first = True
@@ -109,13 +109,13 @@ class Session:
         heard = max(self._heard, *self.known[:, self.own].tolist())
         return self.logs[self.own].retract(count, heard)
 
-    def offers(self, exchange: int, peers: list[int], room: int | None) -> list[tuple[int, int, bytes]]:
+    def offers(self, round_number: int, peers: list[int], room: int | None) -> list[tuple[int, int, bytes]]:
         """Open an exchange: return offers as (peer, map, frame).
 
         `room` is what is left of the step's budget in bytes, None for no limit.
         """
         self._now += 1
-        self._only_first = self._only_first and exchange == 0
+        self._only_first = self._only_first and round_number == 0
         self._room = room
         self._peers = peers
         for of_last_exchange in (self._said, self._offered, self._taken, self._being_taken):
@@ -124,11 +124,11 @@ class Session:
         if not any(held):
             return []
         frames = []
-        for peer, about in self._worth_offering(exchange, np.array(held, np.int64)):
-            known = self.known.item(peer, about)
-            connection = self._said[peer, about] = Connection(peer, about, index=known)
+        for peer, map_id in self._worth_offering(round_number, np.array(held, np.int64)):
+            known = self.known.item(peer, map_id)
+            connection = self._said[peer, map_id] = Connection(peer, map_id, index=known)
             connection.on(Event.NEWS)
-            frames.append((peer, about, offer(about, known)))
+            frames.append((peer, map_id, offer(map_id, known)))
         return frames
 
     def replies(self) -> Replies:
@@ -139,22 +139,22 @@ class Session:
         """
         if not self._peers or self._policy != "backoff" or not any(self.logs):
             return NO_REPLIES
-        refused = {about for _, about in self.refused}
+        refused = {map_id for _, map_id in self.refused}
         refused.update(range(self.own, len(self.logs), self._robots))
-        held = [(about, len(log)) for about, log in enumerate(self.logs) if about not in refused]
-        offers = [offer(about, units) for about, units in held]
+        held = [(map_id, len(log)) for map_id, log in enumerate(self.logs) if map_id not in refused]
+        offers = [offer(map_id, units) for map_id, units in held]
         answers = [answer(units, block_of(units)) for _, units in held]
         level: list[bytes] = []
         behind: list[bytes] = []
         load: list[int] = []
         loads: dict[int, bytes] = {}
         for connection in self._said.values():
-            about, known = connection.map, connection.index
-            level.append(answer(len(self.logs[about]), block_of(known)))
+            map_id, known = connection.map, connection.index
+            level.append(answer(len(self.logs[map_id]), block_of(known)))
             behind.append(answer(known, block_of(known)))
-            if about == self.own and known not in loads:
-                loads[known] = self.logs[about].since(known, self._room)
-            load.append(list(loads).index(known) if about == self.own else -1)
+            if map_id == self.own and known not in loads:
+                loads[known] = self.logs[map_id].since(known, self._room)
+            load.append(list(loads).index(known) if map_id == self.own else -1)
         if sum(map(len, loads.values())) > MOST_BEFOREHAND:
             load, loads = [-1] * len(load), {}
         return Replies(offers, answers, DECLINE, level, behind, load, list(loads.values()))
@@ -200,13 +200,13 @@ class Session:
         """
         frames = []
         room = self._room
-        for number, peer, about, payload in heard:
-            connection = self._said.get((peer, about))
+        for number, peer, map_id, payload in heard:
+            connection = self._said.get((peer, map_id))
             if connection is None or connection.state is not State.OFFERED:
                 raise ProtocolError("conn", 0, f"robot {peer} answers an offer that was not made")
             self._offered[number] = connection
             if connection.on(self._read_answer(connection, payload)) is State.SENDING:
-                frame = self.logs[about].since(connection.index, room)
+                frame = self.logs[map_id].since(connection.index, room)
                 if frame:
                     frames.append((number, peer, frame))
                 if room is not None:
@@ -235,10 +235,10 @@ class Session:
                 news.append((peer, connection.map, payload))
         return news
 
-    def accept(self, peer: int, about: int, frame: bytes, ends: Sequence[int]) -> None:
+    def accept(self, peer: int, map_id: int, frame: bytes, ends: Sequence[int]) -> None:
         """Append units of a map that a peer sent, given where in the frame they end; the peer holds them too."""
-        self.logs[about].extend(frame, ends)
-        self.known[peer, about] = max(self.known[peer, about], len(self.logs[about]))
+        self.logs[map_id].extend(frame, ends)
+        self.known[peer, map_id] = max(self.known[peer, map_id], len(self.logs[map_id]))
 
     def delivered(self) -> bool:
         """Whether teammates were in range when the medium last opened, and all hold one's own log.
@@ -268,18 +268,18 @@ class Session:
         for log, before in zip(self.logs, reached.tolist(), strict=True):
             log.forget(before)
 
-    def _worth_offering(self, exchange: int, held: Table) -> list[tuple[int, int]]:
+    def _worth_offering(self, round_number: int, held: Table) -> list[tuple[int, int]]:
         """Offers to make now, as (peer, map), as the policy has it; `held`: the length of each log."""
-        if not self.passes_on:
+        if not self.forwards_state:
             held = np.where(np.arange(len(held)) == self.own, held, 0)
         peers = np.array(self._peers, np.int64)
         if self._policy == "thesis":
             return all_news(self.own, self._peers, self._own_maps, self.known, held)
         chosen = np.empty(len(peers), np.int64)
-        rule = self._now, exchange, self._only_first
+        rule = self._now, round_number, self._only_first
         choose_offers(self.known, self._due, held, peers, self._own_maps, self.own, *rule, chosen)
         offers = [
-            (peer, about) for peer, about in zip(self._peers, chosen.tolist(), strict=True) if about >= 0
+            (peer, map_id) for peer, map_id in zip(self._peers, chosen.tolist(), strict=True) if map_id >= 0
         ]
         around = len(self._peers) + 1
         if self._room is None or around <= CROWD:
@@ -295,10 +295,10 @@ class Session:
             self._next = offers[-1][0] + 1
         return offers
 
-    def _recognise(self, peer: int, about: int) -> None:
+    def _recognise(self, peer: int, map_id: int) -> None:
         """Who offers the map of a new life of its own has begun anew, and holds nothing of what it was sent before."""
-        if about % self._robots == peer and about > self._own_maps[peer]:
-            self._own_maps[peer] = about
+        if map_id % self._robots == peer and map_id > self._own_maps[peer]:
+            self._own_maps[peer] = map_id
             self._heard = max(self._heard, int(self.known[peer, self.own]))
             self.known[peer] = self._due[peer] = 0
             self._wait[peer] = 1
@@ -314,15 +314,15 @@ class Session:
 
     def _settle(self, connection: Connection, sent: int) -> None:
         """An answer was carried, and so many bytes of data after it."""
-        peer, about = connection.peer, connection.map
+        peer, map_id = connection.peer, connection.map
         reached = connection.index
         if connection.state is State.REFUSED:
-            wait = int(self._wait[peer, about])
-            self._due[peer, about], self._wait[peer, about] = self._now + wait, min(2 * wait, MAX_WAIT)
+            wait = int(self._wait[peer, map_id])
+            self._due[peer, map_id], self._wait[peer, map_id] = self._now + wait, min(2 * wait, MAX_WAIT)
         elif connection.state is State.SENDING:
-            self._wait[peer, about] = 1
-            reached = self.logs[about].reached(reached, sent)
-        self.known[peer, about] = max(self.known[peer, about], reached)
+            self._wait[peer, map_id] = 1
+            reached = self.logs[map_id].reached(reached, sent)
+        self.known[peer, map_id] = max(self.known[peer, map_id], reached)
 
 
 @kernel("void(int64[:,::1], int64, int64[::1])")
@@ -333,6 +333,6 @@ def reached_by_all(known: Table, robot: int, reached: Table) -> None:
     for peer in range(robots):
         if peer == robot:
             continue
-        for about in range(robots):
-            if about != peer:
-                reached[about] = min(reached[about], known[peer, about])
+        for map_id in range(robots):
+            if map_id != peer:
+                reached[map_id] = min(reached[map_id], known[peer, map_id])

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.once import ALONE, Once
+from agent.memo_cache import ALONE, MemoCache
 from agent.outline.boxes import NO_BOXES, Boxes, clip, whole
 from agent.outline.objects import (
     BOTTOM,
@@ -99,7 +99,7 @@ class Drawing:
         Take the eight neighbours of a wall's cells for wall where nothing else is claimed of them.
     close_slivers : bool
         Take an unknown cell for free if its neighbours on the left and right or above and below are free, and
-        not both by the robot's own sight.
+        not both by the robot's own predictive.
     wide_seen_walls : bool
         Let walls be wide that the robot has seen itself as well.
     """
@@ -148,7 +148,7 @@ class Drawn:
         Where it is worked out what changes.
     """
 
-    def __init__(self, shape: tuple[int, int], drawing: Drawing, once: Once = ALONE) -> None:
+    def __init__(self, shape: tuple[int, int], drawing: Drawing, once: MemoCache = ALONE) -> None:
         self.layer: Layer = np.zeros(shape, np.uint8)
         self._cells = self.layer.reshape(-1)
         self._drawing = drawing

@@ -31,7 +31,7 @@ from collections.abc import Collection, Set
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.once import ALONE, Once
+from agent.memo_cache import ALONE, MemoCache
 from agent.outline.boxes import NO_BOXES, Boxes, clip, united, whole
 from agent.outline.claims import (
     FREE_AREA,
@@ -65,7 +65,7 @@ class TeamMap:
         Where it is worked out what changes in their drawings.
     """
 
-    def __init__(self, drawing: Drawing = THESIS, once: Once = ALONE) -> None:
+    def __init__(self, drawing: Drawing = THESIS, once: MemoCache = ALONE) -> None:
         self._drawing = drawing
         self._once = once
         self._drawn: dict[int, Drawn] = {}
@@ -152,7 +152,7 @@ class ErrorCount:
         Where it is worked out what changes in the drawing.
     """
 
-    def __init__(self, drawing: Drawing = THESIS, once: Once = ALONE) -> None:
+    def __init__(self, drawing: Drawing = THESIS, once: MemoCache = ALONE) -> None:
         if drawing.wide_walls or drawing.close_slivers:
             raise ValueError(f"{drawing}: what receivers guess is no error of the approximation")
         self._drawing = drawing
@@ -233,10 +233,10 @@ def _resolve(own: Grid, claims: Layer, wide: int, box: NDArray[np.int32], resolv
                 seen_here, seen_above = own[y, left:right], own[max(y - 1, 0), left:right]
                 seen_below = own[min(y + 1, height - 1), left:right]
                 for x in range(len(column)):
-                    hearsay = here[x] if seen_here[x] != OCCUPIED else 0
-                    hearsay |= above[x] if seen_above[x] != OCCUPIED else 0
-                    hearsay |= below[x] if seen_below[x] != OCCUPIED else 0
-                    column[x] = hearsay & NEAR_WALL
+                    relayed_state = here[x] if seen_here[x] != OCCUPIED else 0
+                    relayed_state |= above[x] if seen_above[x] != OCCUPIED else 0
+                    relayed_state |= below[x] if seen_below[x] != OCCUPIED else 0
+                    column[x] = relayed_state & NEAR_WALL
             for x in range(len(beside)):
                 beside[x] = walls[x] | walls[x + 1] | walls[x + 2]
         known, claimed, out = own[y, x0:x1], claims[y, x0:x1], resolved[y, x0:x1]

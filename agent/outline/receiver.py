@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from hashlib import blake2b
 
-from agent.once import ALONE, Once
+from agent.memo_cache import ALONE, MemoCache
 from agent.outline.boxes import NO_BOXES, Boxes, united
 from agent.outline.draft import Draft
 from agent.outline.edit_reader import Reading, Saved, read
@@ -28,7 +28,7 @@ class Receiver:
         Where the stream is read.
     """
 
-    def __init__(self, shape: tuple[int, int], once: Once = ALONE) -> None:
+    def __init__(self, shape: tuple[int, int], once: MemoCache = ALONE) -> None:
         self._once = once
         self._heard = blake2b(digest_size=16)
         """Of all that has been heard: what follows from it."""

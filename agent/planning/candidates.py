@@ -151,7 +151,7 @@ def representatives(cells: NDArray[np.int32], range_cells: float, at_least: int 
 def thin_out(
     grid: Grid, cells: NDArray[np.int32], lengths: NDArray[np.int64], gap: float
 ) -> NDArray[np.int64]:
-    """Leave out representatives that lie nearer than `gap` to one of a longer edge, and in its sight.
+    """Leave out representatives that lie nearer than `gap` to one of a longer edge, and in its predictive.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Information gain of frontier cells: how much there is to see from them.
 
 information_gain  unknown cells in sensor range that nobody else is about to see
-promise           the unknown area in sight, and how much of that is likely to be floor
+promise           the unknown area in predictive, and how much of that is likely to be floor
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from protocol.grid import OCCUPIED, UNKNOWN, Grid, fan
+from protocol.grid import OCCUPIED, UNKNOWN, Grid, ray_table
 from protocol.kernels import kernel
 
 BEAMS = 92
-"""Beams by which the unknown in sight is measured."""
+"""Beams by which the unknown in predictive is measured."""
 
 _LEAST_FLOOR, _MOST_FLOOR, _A_LENGTH = 0.13, 0.35, 0.3
-"""How much of the unknown in sight of a free edge turns out to be floor that is seen from there: the least, the
+"""How much of the unknown in predictive of a free edge turns out to be floor that is seen from there: the least, the
 most, and how much more for an edge as long as the sensor's range."""
 
 
@@ -68,12 +68,12 @@ def _disc_rows(range_cells: float) -> NDArray[np.int64]:
     return widths
 
 
-def promise(
+def expected_gain(
     grid: Grid, cells: NDArray[np.int32], lengths: NDArray[np.int64], range_cells: float
 ) -> NDArray[np.float64]:
     """Predict what is to be seen from representatives of free edges.
 
-    The unknown area in sight through what is free or unknown itself bounds it. Most of that lies behind walls
+    The unknown area in predictive through what is free or unknown itself bounds it. Most of that lies behind walls
     which nobody has seen yet: the shorter the edge, the more.
 
     Parameters
@@ -92,7 +92,7 @@ def promise(
     float64 array, shape (n,)
         Shares of the sensor's disc.
     """
-    around = fan(range_cells, BEAMS)
+    around = ray_table(range_cells, BEAMS)
     unknown = np.empty(len(cells))
     _look(grid, cells, around.cells, around.start, unknown)
     floor = np.minimum(_LEAST_FLOOR + _A_LENGTH * lengths / range_cells, _MOST_FLOOR)

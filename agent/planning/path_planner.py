@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from agent.once import ALONE, Once, Result
+from agent.memo_cache import ALONE, MemoCache, Result
 from agent.planning.best_frontier import Appeal, best_frontier
 from agent.planning.breadth_first import first_by_hops
 from agent.planning.cost_field import (
@@ -64,7 +64,7 @@ class PathPlanner:
         radius_cells: float = 0.0,
         floor: Grid | None = None,
         occ_max: float = 1.0,
-        once: Once = ALONE,
+        once: MemoCache = ALONE,
     ) -> None:
         self.grid = grid
         self.floor = barred(grid, enlarge(grid, radius_cells), occ_max) if floor is None else floor

@@ -52,7 +52,7 @@ class Task(NamedTuple):
     starts: Numbers
     between: Numbers
     weights: Numbers
-    lateness: Numbers
+    latency_weight: Numbers
     last: float
     way: float
     loads: Numbers
@@ -76,13 +76,13 @@ def team_tours(task: Task) -> list[list[int]]:
 
 def tours_cost(tours: list[list[int]], task: Task) -> float:
     """What `team_tours` makes small."""
-    starts, between, weights, lateness, last, way, loads = task
+    starts, between, weights, latency_weight, last, way, loads = task
     total, longest = 0.0, 0.0
     for robot, tour in enumerate(tours):
         arrival = 0.0
         for place, goal in enumerate(tour):
             arrival += starts[robot, goal] if place == 0 else between[tour[place - 1], goal]
-            total += float(weights[goal] * arrival + lateness[goal] * arrival**2)
+            total += float(weights[goal] * arrival + latency_weight[goal] * arrival**2)
         end = float(arrival + loads[tour].sum())
         longest = max(longest, end)
         total += way * end
@@ -103,7 +103,7 @@ def _drive(robot: int, task: _Task, plan: _Plan) -> float:
 
     `book[k]` has the arrival, the sums of weight, of lateness, of lateness times arrival, and of load.
     """
-    starts, between, weights, lateness, _, _, loads = task
+    starts, between, weights, latency_weight, _, _, loads = task
     tours, counts, books = plan
     tour, count, book = tours[robot], counts[robot], books[robot]
     arrival = 0.0
@@ -112,13 +112,13 @@ def _drive(robot: int, task: _Task, plan: _Plan) -> float:
         goal = tour[place]
         arrival += starts[robot, goal] if place == 0 else between[tour[place - 1], goal]
         book[place, 0] = arrival
-        total += weights[goal] * arrival + lateness[goal] * arrival * arrival
+        total += weights[goal] * arrival + latency_weight[goal] * arrival * arrival
     book[count] = 0.0
     for place in range(count - 1, -1, -1):
         goal = tour[place]
         book[place, 1] = book[place + 1, 1] + weights[goal]
-        book[place, 2] = book[place + 1, 2] + lateness[goal]
-        book[place, 3] = book[place + 1, 3] + lateness[goal] * book[place, 0]
+        book[place, 2] = book[place + 1, 2] + latency_weight[goal]
+        book[place, 3] = book[place + 1, 3] + latency_weight[goal] * book[place, 0]
         book[place, 4] = book[place + 1, 4] + loads[goal]
     return total
 
@@ -148,7 +148,7 @@ def _longest(books: Numbers, counts: NDArray[np.int64], one: int, other: int) ->
 @kernel(f"Tuple((float64, int64, int64))(int64, {_TASK}, {_PLAN})")
 def _best_place(goal: int, task: _Task, plan: _Plan) -> tuple[float, int, int]:
     """Where a goal costs least: the cost, the robot (-1 if none can reach it) and the place in its tour."""
-    starts, between, weights, lateness, last, way, loads = task
+    starts, between, weights, latency_weight, last, way, loads = task
     tours, counts, books = plan
     least, best_robot, best_place = np.inf, -1, -1
     for robot in range(len(counts)):
@@ -161,7 +161,7 @@ def _best_place(goal: int, task: _Task, plan: _Plan) -> tuple[float, int, int]:
             if place:
                 before = tours[robot, place - 1]
                 arrival = books[robot, place - 1, 0] + between[before, goal]
-            cost = arrival * (weights[goal] + arrival * lateness[goal])
+            cost = arrival * (weights[goal] + arrival * latency_weight[goal])
             new_end = arrival + books[robot, 0, 4] + loads[goal]
             if place < counts[robot]:
                 later = arrival + between[goal, tours[robot, place]] - books[robot, place, 0]
@@ -254,7 +254,7 @@ def _swap_ends(one: int, other: int, task: _Task, plan: _Plan) -> bool:
 @kernel(f"boolean(int64, {_TASK}, {_PLAN})")
 def _turn_around(robot: int, task: _Task, plan: _Plan) -> bool:
     """Turn around the part of a tour where that gains most; whether it gains anything."""
-    starts, between, weights, lateness, last, way, _ = task
+    starts, between, weights, latency_weight, last, way, _ = task
     tours, counts, books = plan
     tour, count, book = tours[robot], counts[robot], books[robot]
     others, end = _longest(books, counts, robot, robot), _end(books, counts, robot)
@@ -271,7 +271,7 @@ def _turn_around(robot: int, task: _Task, plan: _Plan) -> bool:
                 else:
                     arrival = starts[robot, goal]
                 before = book[at, 0]
-                cost += (arrival - before) * (weights[goal] + lateness[goal] * (arrival + before))
+                cost += (arrival - before) * (weights[goal] + latency_weight[goal] * (arrival + before))
             new_end = arrival + book[0, 4]
             if final + 1 < count:
                 later = arrival + between[tour[first], tour[final + 1]] - book[final + 1, 0]

@@ -181,7 +181,7 @@ class Strategy(ABC):
     """Whether its robots tell each other where they are."""
     looks_from_afar: ClassVar[bool] = False
     """Whether its robots look at crumbs from where they pass, so that more of these cost little."""
-    passes_on: bool = False
+    forwards_state: bool = False
     """Whether its robots pass on what teammates have told of poses and targets."""
     withholds: bool = False
     """Whether news waits until a decision publishes it."""
@@ -195,7 +195,7 @@ class Strategy(ABC):
     def share(self, common: dict[str, Any]) -> None:
         """Hold what follows from the planning grid together with the other robots of this process.
 
-        As `agent.exchange.base.Exchange.share` has it.
+        As `agent.encodings.base.MapEncoding.share` has it.
         """
         del common
 

@@ -75,7 +75,7 @@ class Burgard(TeamStrategy):
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)
-        self.passes_on = self.options.sub_team == "connected"
+        self.forwards_state = self.options.sub_team == "connected"
         self._assigned = 0
         self._travelled: dict[int, float] = {}
 

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning import forces
-from agent.planning.giving_way import GivingWay
 from agent.planning.path_planner import PathPlanner
 from agent.planning.route import Route, corners, crossed
 from agent.planning.visibility import shortest_way
+from agent.planning.yielding import YieldBehavior
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Situation, Strategy
 from agent.strategies.options import option
@@ -84,7 +84,7 @@ class PotentialField(Strategy):
         )  # fmt: skip
         self._velocity = np.zeros(2)
         self._route = Route()
-        self._giving_way = GivingWay(settings.seed, settings.robot, settings.range_cells)
+        self._giving_way = YieldBehavior(settings.seed, settings.robot, settings.range_cells)
         self._anchor: tuple[float, float] = (0.0, 0.0)
         self._anchor_step = 0
         self._known = -1

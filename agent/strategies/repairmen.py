@@ -1,6 +1,6 @@
 """Tours for the whole team that reach much soon and leave nothing for late: our own strategy, of no paper.
 
-Every free edge is a goal, however small. What it promises is predicted from the unknown area in sight of it; a
+Every free edge is a goal, however small. What it promises is predicted from the unknown area in predictive of it; a
 crumb promises next to nothing, but it must be fetched some time, and what is left behind is a long way back. So
 robots plan as k travelling repairmen (`agent.planning.team_tours`): together they order all goals into tours, in
 which a goal costs by what it promises and by when it is reached, a crumb the more the later, and how far all drive
@@ -8,10 +8,10 @@ and when the last robot is done count on top. A goal is seen from some way off: 
 drives to the first goal of its own tour and plans anew in every step.
 
 A crumb is not driven up to. The robot looks at it from a cell that is on its tour's way, or nearly, and from which
-what is unknown there is in sight (`agent.planning.vantage`).
+what is unknown there is in predictive (`agent.planning.viewpoint`).
 
 A robot that has no teammates in the scenario comes back itself for all that it leaves: it drives the shortest
-tour through all goals (`agent.planning.lone_tour`), whatever they promise. One that is only out of range of its
+tour through all goals (`agent.planning.single_robot_tour`), whatever they promise. One that is only out of range of its
 teammates does not: they pass where it does not, and it plans as a team of one.
 """
 
@@ -28,18 +28,18 @@ from agent.planning.assignment import Assignment
 from agent.planning.candidates import components, count_representatives, thin_out
 from agent.planning.clusters import medoids
 from agent.planning.frontier import is_frontier
-from agent.planning.gain import promise
-from agent.planning.giving_way import MEMORY
-from agent.planning.lone_tour import lone_tour
+from agent.planning.gain import expected_gain
 from agent.planning.path_planner import PathPlanner
+from agent.planning.single_robot_tour import single_robot_tour
 from agent.planning.team_tours import Task, team_tours
-from agent.planning.vantage import best_vantage, vantage_cells
+from agent.planning.viewpoint import best_vantage, vantage_cells
+from agent.planning.yielding import MEMORY
 from agent.settings import Settings
 from agent.strategies.base import Cell, Situation
 from agent.strategies.options import option
 from agent.strategies.targets import Parts
 from agent.strategies.team import PATIENCE, Table, TeamStrategy
-from protocol.grid import fan
+from protocol.grid import ray_table
 
 PLENTY = 1 / 8
 """An edge that promises this share of the sensor's disc, or more, has the weight 1."""
@@ -52,7 +52,7 @@ SAME = 1 / 4
 
 
 GAP = 1 / 10
-"""Goals nearer to each other than this many sensor ranges, in sight of each other, are one, or those farther
+"""Goals nearer to each other than this many sensor ranges, in predictive of each other, are one, or those farther
 apart where there are more than `MOST`."""
 
 NEAR = 3 / 10
@@ -88,10 +88,10 @@ class Options(Parts):
 
     candidates: str = option("edges", "which cells are worth going to", ("edges",))
     replan: str = option(EACH_STEP, "when a new target is chosen", (EACH_STEP, "at-once", "at-goal"))
-    crumb: float = option(
+    small_frontier: float = option(
         0.02, "weight of an edge that promises nothing; one that promises much has 1", least=0
     )
-    lateness: float = option(
+    latency_weight: float = option(
         0.2, "by how much an edge's weight grows with each sensor range of way until it is reached", least=0
     )
     last: float = option(6.0, "weight of the longest tour", least=0)
@@ -104,7 +104,9 @@ class Options(Parts):
         "sensor ranges of way expected behind an edge that promises much: who has these gets less else",
         least=0,
     )
-    loyalty: float = option(0.2, "by how many sensor ranges a robot's last target seems nearer", least=0)
+    target_hysteresis: float = option(
+        0.2, "by how many sensor ranges a robot's last target seems nearer", least=0
+    )
 
 
 class Repairmen(TeamStrategy):
@@ -217,7 +219,7 @@ class Repairmen(TeamStrategy):
         if target in self._seen_in_vain:
             return target
         reach = min(self.options.look, 1.0) * self.settings.range_cells
-        around = fan(self.settings.range_cells, self.settings.beams)
+        around = ray_table(self.settings.range_cells, self.settings.beams)
         views = (
             vantage_cells(situation.grid, (x, y), around, reach) if is_crumb else None
             for (x, y), is_crumb in zip(goals.tolist(), are_crumbs, strict=True)
@@ -246,17 +248,17 @@ class Repairmen(TeamStrategy):
         range_cells = self.settings.scale_cells
         loyal = self._loyal(table, situation)
         if self.settings.robots == 1:
-            self._tour = lone_tour(loyal[0], self._between)
+            self._tour = single_robot_tour(loyal[0], self._between)
             return np.array((self._tour or [-1])[:1])
         near = NEAR * range_cells
         ways, between = (np.maximum(costs - near, REMAINS * costs) for costs in (loyal, self._between))
-        promised = promise(situation.grid, table.goals, self._lengths, range_cells)
+        promised = expected_gain(situation.grid, table.goals, self._lengths, range_cells)
         worth = np.minimum(promised / PLENTY, 1.0)
         task = Task(
             starts=ways,
             between=between,
-            weights=worth + self.options.crumb,
-            lateness=np.full(len(table.goals), self.options.lateness / (2 * range_cells)),
+            weights=worth + self.options.small_frontier,
+            latency_weight=np.full(len(table.goals), self.options.latency_weight / (2 * range_cells)),
             last=self.options.last,
             way=self.options.total,
             loads=self.options.work * range_cells * worth,
@@ -268,7 +270,9 @@ class Repairmen(TeamStrategy):
     def _loyal(self, table: Table, situation: Situation) -> NDArray[np.float64]:
         """The ways to all goals, a little shorter to what is left of each robot's last target."""
         range_cells = self.settings.scale_cells
-        loyalty = self.options.loyalty * (LONE_LOYALTY if self.settings.robots == 1 else 1.0)
+        target_hysteresis = self.options.target_hysteresis * (
+            LONE_LOYALTY if self.settings.robots == 1 else 1.0
+        )
         ways = table.costs.copy()
         for way, robot in zip(ways, table.robots, strict=True):
             target = self.target if robot == self.settings.robot else situation.targets.get(robot)
@@ -276,7 +280,7 @@ class Repairmen(TeamStrategy):
                 gap = np.abs(table.goals - target).max(axis=1)
                 nearest = int(np.argmin(gap))
                 if gap[nearest] <= SAME * range_cells:
-                    way[nearest] = max(0.0, way[nearest] - loyalty * range_cells)
+                    way[nearest] = max(0.0, way[nearest] - target_hysteresis * range_cells)
         return ways
 
 

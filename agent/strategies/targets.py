@@ -21,14 +21,14 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.once import ALONE, Once
+from agent.memo_cache import ALONE, MemoCache
 from agent.planning.breadth_first import is_wide_frontier
 from agent.planning.candidates import CANDIDATES, SEARCHED, goal_candidates, searched_candidate
 from agent.planning.frontier import is_frontier
-from agent.planning.giving_way import GivingWay
 from agent.planning.path_planner import COSTS, PathPlanner
 from agent.planning.route import Route
-from agent.planning.utility import in_sight
+from agent.planning.utility import in_predictive
+from agent.planning.yielding import YieldBehavior
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Situation, Strategy
 from agent.strategies.options import option
@@ -83,7 +83,7 @@ class TargetStrategy(Strategy):
         self.target: Cell | None = None
         self._route = Route()
         self._goal: Cell | None = None
-        self._giving_way = GivingWay(settings.seed, settings.robot, settings.range_cells)
+        self._giving_way = YieldBehavior(settings.seed, settings.robot, settings.range_cells)
         self._turned_away = 0
         self._cut_off = 0
         self._turned = 0
@@ -94,7 +94,7 @@ class TargetStrategy(Strategy):
     def share(self, common: dict[str, Any]) -> None:
         """Search for ways once for all robots of this process that have the same planning grid."""
         if self.settings.robots > 1:
-            self._once = common.setdefault("ways", Once(MOST_WAYS))
+            self._once = common.setdefault("ways", MemoCache(MOST_WAYS))
 
     @classmethod
     def check(cls, options: Mapping[str, Any]) -> Any:
@@ -145,7 +145,7 @@ class TargetStrategy(Strategy):
     def herds(self, situation: Situation) -> bool:
         """The rule against herding: robots that choose at once from the same map choose alike.
 
-        A target of a lower-numbered teammate within that one's sensor range and in sight of one's own makes one
+        A target of a lower-numbered teammate within that one's sensor range and in predictive of one's own makes one
         choose again, once for each that is heard.
         """
         if self.target is None:
@@ -154,7 +154,7 @@ class TargetStrategy(Strategy):
         return any(
             other < self.settings.robot
             and (x - own_x) ** 2 + (y - own_y) ** 2 < self.settings.ranges_cells[other] ** 2
-            and in_sight(situation.grid, x, y, own_x, own_y)
+            and in_predictive(situation.grid, x, y, own_x, own_y)
             for other, (x, y) in situation.news.items()
         )
 

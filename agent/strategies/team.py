@@ -1,7 +1,7 @@
 """Strategies whose robots assign targets together: a planner at the centre, without the centre.
 
 Each robot broadcasts its pose. A robot's sub-team is itself and those whose radio reaches it; where poses and targets
-are passed on (`agent.strategies.hearsay`), all that are connected. Where all members hear each other they have the
+are passed on (`agent.strategies.relayed_state`), all that are connected. Where all members hear each other they have the
 same table of robots and goals and compute the same assignment at the same time; each takes its own share and says so.
 In a chain A - B - C, and where maps or words are late, they may differ: what a teammate says of its target counts, and
 of two that are headed for one cell the higher-numbered robot chooses again.
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from agent.planning.assignment import Assignment
 from agent.planning.candidates import SEARCHED
 from agent.planning.path_planner import PathPlanner
-from agent.planning.utility import in_sight
+from agent.planning.utility import in_predictive
 from agent.settings import Settings
 from agent.strategies.base import Cell, Situation
 from agent.strategies.targets import TargetStrategy
@@ -170,11 +170,11 @@ class TeamStrategy(TargetStrategy):
 def unclaimed(
     situation: Situation, goals: NDArray[np.int32], targets: Mapping[int, Cell], settings: Settings
 ) -> NDArray[np.int32]:
-    """Leave out goals within sensor range and in sight of robots' targets; all stay if none would be left."""
+    """Leave out goals within sensor range and in predictive of robots' targets; all stay if none would be left."""
     keep = [
         all(
             (x - tx) ** 2 + (y - ty) ** 2 >= settings.ranges_cells[robot] ** 2
-            or not in_sight(situation.grid, x, y, tx, ty)
+            or not in_predictive(situation.grid, x, y, tx, ty)
             for robot, (tx, ty) in targets.items()
         )
         for x, y in goals.tolist()

@@ -17,7 +17,7 @@ from netshaper.ledger import EVERYONE, on_air
 from netshaper.pcapng import CaptureError, Reader
 from protocol import packets
 from protocol.errors import ProtocolError
-from protocol.packets import ALL_KINDS, AnyPacket, Fragment, Look
+from protocol.packets import ALL_KINDS, AnyPacket, Fragment, Update
 
 CARRIED = 0
 
@@ -198,7 +198,7 @@ def _row(frame: Captured) -> str:
         said.append(f"{rest} bytes not {'kept' if frame.size > len(seen.payload) else 'readable'}")
     return _COLUMNS.format(
         frame.step,
-        seen.exchange,
+        seen.round,
         _or_dash(seen.connection),
         _name(seen.sender),
         _name(seen.receiver),
@@ -232,7 +232,7 @@ def _to_json(frame: Captured) -> dict[str, Any]:
     ]
     return {
         "step": frame.step,
-        "exchange": seen.exchange,
+        "round": seen.round,
         "connection": seen.connection,
         "sender": seen.sender,
         "receiver": seen.receiver,
@@ -270,7 +270,7 @@ def _decoded(payload: bytes) -> Iterator[tuple[bytes, AnyPacket]]:
 
 def _fields(packet: AnyPacket) -> dict[str, Any]:
     values = {item.name: getattr(packet, item.name) for item in fields(packet)}
-    return values | {"data": packet.data.hex()} if isinstance(packet, Fragment | Look) else values
+    return values | {"data": packet.data.hex()} if isinstance(packet, Fragment | Update) else values
 
 
 def _said(piece: bytes, packet: AnyPacket) -> str:

@@ -32,7 +32,7 @@ from deploy.dashboard.shapes import corner
 from deploy.record.colors import GROUPS, robot_color
 from deploy.record.snapshots import Snapshots
 from netshaper.capture import FRAMES
-from protocol.grid import FREE, OCCUPIED, Fan, Grid
+from protocol.grid import FREE, OCCUPIED, Grid, RayTable
 from protocol.messages import Outlines, Snapshot, grid_from_bytes
 from protocol.scans import HIT, NONE, Readings
 from worldsim.maps import Map
@@ -46,8 +46,8 @@ DEFINITIONS = {
     RADIO_FRAME: """\
 # One frame on the radio, as the ledger has it (docs/protocol.md).
 std_msgs/Header header
-int32 exchange
-# Of this exchange; -1: a broadcast.
+int32 round
+# Of this round; -1: a broadcast.
 int32 connection
 # offer, answer, data, broadcast or news
 string frame
@@ -122,17 +122,17 @@ def export_mcap(directory: Path, tell: Callable[[str], object] = lambda _: None)
     return directory / BAG / f"{BAG}.mcap"
 
 
-def ranges_of(readings: Readings, fan: Fan, resolution: float) -> Any:
+def ranges_of(readings: Readings, ray_table: RayTable, resolution: float) -> Any:
     """Return a scan's readings in ROS' convention: metres, counterclockwise from +x (y up).
 
     A beam that hit no wall is infinite, one that was not sent is NaN. A wall lies at the centre of its cell.
     """
     crossed = (readings & NONE).astype(np.int64)
-    at = np.minimum(fan.start[:-1] + crossed, len(fan.cells) - 1)
-    metres = resolution * np.hypot(fan.cells[at, 0], fan.cells[at, 1])
-    metres = np.where(readings & HIT, metres, np.inf)
-    metres[readings == NONE] = np.nan
-    return np.roll(metres[::-1], 1).astype(np.float32)
+    at = np.minimum(ray_table.start[:-1] + crossed, len(ray_table.cells) - 1)
+    meters = resolution * np.hypot(ray_table.cells[at, 0], ray_table.cells[at, 1])
+    meters = np.where(readings & HIT, meters, np.inf)
+    meters[readings == NONE] = np.nan
+    return np.roll(meters[::-1], 1).astype(np.float32)
 
 
 def occupancy(grid: Grid) -> Any:
@@ -184,7 +184,7 @@ class _Messages:
         ledger = self._archive.ledger
         begin, end = np.searchsorted(ledger["step"], (step, step + 1))
         here = {name: column[begin:end] for name, column in ledger.items()}
-        same = ("exchange", "connection", "frame", "sender", "receiver", "map")
+        same = ("round", "connection", "frame", "sender", "receiver", "map")
         frames: dict[tuple[int, ...], list[int]] = {}
         for row, key in enumerate(zip(*(here[name].tolist() for name in same), strict=True)):
             frames.setdefault(key, []).append(row)
@@ -284,14 +284,14 @@ class _Messages:
         return self._make("tf2_msgs/msg/TFMessage", transforms=transforms)
 
     def _scan(self, step: int, scan: Rescan) -> Any:
-        fan, world = self._lasers.fans[scan.robot], self._archive.plan.map
-        ranges = ranges_of(scan.readings, fan, world.resolution)
-        turn = 2 * math.pi / fan.beams
+        ray_table, world = self._lasers.ray_tables[scan.robot], self._archive.plan.map
+        ranges = ranges_of(scan.readings, ray_table, world.resolution)
+        turn = 2 * math.pi / ray_table.beams
         return self._make(
             "sensor_msgs/msg/LaserScan",
             header=self._header(step, f"r{scan.robot}/laser"),
             angle_min=0.0,
-            angle_max=turn * (fan.beams - 1),
+            angle_max=turn * (ray_table.beams - 1),
             angle_increment=turn,
             time_increment=0.0,
             scan_time=1.0,
@@ -323,7 +323,7 @@ class _Messages:
         starts = np.flatnonzero(np.diff(rows[:, 0], prepend=-1))
         following = np.arange(1, len(rows) + 1)
         following[np.append(starts[1:], len(rows)).astype(int) - 1] = starts
-        red, green, blue = (part / 255 for part in robot_color(said.about))
+        red, green, blue = (part / 255 for part in robot_color(said.map_id))
         wall, open_ = (
             self._make("std_msgs/msg/ColorRGBA", r=red, g=green, b=blue, a=alpha) for alpha in (1.0, 0.4)
         )
@@ -332,17 +332,17 @@ class _Messages:
             points += [self._point(*places[here]), self._point(*places[there])]
             colors += 2 * [wall if rows[here, 3] & 1 else open_]
         return self._make(
-            "visualization_msgs/msg/MarkerArray", markers=[self._lines(step, said.about, points, colors)]
+            "visualization_msgs/msg/MarkerArray", markers=[self._lines(step, said.map_id, points, colors)]
         )
 
-    def _lines(self, step: int, about: int, points: list[Any], colors: list[Any]) -> Any:
+    def _lines(self, step: int, map_id: int, points: list[Any], colors: list[Any]) -> Any:
         marker: Any = self.types.types["visualization_msgs/msg/Marker"]
         clock = self._make("builtin_interfaces/msg/Duration", sec=0, nanosec=0)
         none = np.empty(0, np.uint8)
         return marker(
             header=self._header(step),
             ns="approximations",
-            id=about,
+            id=map_id,
             type=marker.LINE_LIST,
             action=marker.ADD if points else marker.DELETE,
             pose=self._placed(0.0, 0.0),
@@ -357,7 +357,7 @@ class _Messages:
                 "sensor_msgs/msg/CompressedImage", header=self._header(step), format="", data=none
             ),
             uv_coordinates=[],
-            text=f"map of robot {about}",
+            text=f"map of robot {map_id}",
             mesh_resource="",
             mesh_file=self._make("visualization_msgs/msg/MeshFile", filename="", data=none),
             mesh_use_embedded_materials=False,

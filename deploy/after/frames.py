@@ -121,7 +121,7 @@ class Frames:
         )
         what = (
             f"{self._archive.summary['map']}: {counted(scenario.robots, 'robot')}, {scenario.strategy}, "
-            f"{scenario.exchange}, {medium}"
+            f"{scenario.map_encoding}, {medium}"
         )
         draw.text((px(MARGIN), px(24)), what, INK, _font(px(15)), "lm")
         now = f"step {step} of {self.last_step}"

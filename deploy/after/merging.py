@@ -37,16 +37,18 @@ def merging(archive: Archive, robot: int, step: int) -> Figure:
         The run cannot be repeated, there is no such robot or step, or no polygons travel in it.
     """
     scenario, last = archive.plan.scenario, archive.last_step
-    if scenario.exchange != "polygon":
-        raise ScenarioError(f"stages: only polygons are merged in stages, not {scenario.exchange}")
+    if scenario.map_encoding != "polygons":
+        raise ScenarioError(f"stages: only polygons are merged in stages, not {scenario.map_encoding}")
     if reason := why_unrepeatable(archive.summary):
         raise ScenarioError(f"{archive.directory}: this run cannot be repeated: {reason}")
     if not 1 <= step <= last:
         raise ScenarioError(f"stages = {step}: the run has the steps 1 to {last}")
-    minds = {mind.settings.robot: mind for mind in robots_at(archive.plan, step)}
-    if robot not in minds:
-        raise ScenarioError(f"robot = {robot}: at step {step} there are {', '.join(map(str, sorted(minds)))}")
-    return stages_figure(minds[robot], step)
+    robot_settings = {mind.settings.robot: mind for mind in robots_at(archive.plan, step)}
+    if robot not in robot_settings:
+        raise ScenarioError(
+            f"robot = {robot}: at step {step} there are {', '.join(map(str, sorted(robot_settings)))}"
+        )
+    return stages_figure(robot_settings[robot], step)
 
 
 def stages_figure(mind: Robot, step: int) -> Figure:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.after.archive import Archive
-from protocol.grid import UNKNOWN, Fan, Grid, fan
+from protocol.grid import UNKNOWN, Grid, RayTable, ray_table
 from protocol.scans import Readings, draw
 from worldsim.laser import HEADINGS, cast
 from worldsim.maps import to_cell
@@ -38,7 +38,9 @@ class Lasers:
         self._archive = archive
         plan = archive.plan
         self._bodies = plan.world.bodies
-        self.fans: list[Fan] = [fan(body.range_cells, plan.world.beams) for body in self._bodies]
+        self.ray_tables: list[RayTable] = [
+            ray_table(body.range_cells, plan.world.beams) for body in self._bodies
+        ]
 
     def scans(self) -> Iterator[tuple[int, list[Rescan]]]:
         """Give each step and the scans taken in it, by ascending robot."""
@@ -62,12 +64,12 @@ class Lasers:
         for step, scans in self.scans():
             for scan in scans:
                 if scan.robot == robot:
-                    draw(grid, self.fans[robot], scan.x, scan.y, scan.readings)
+                    draw(grid, self.ray_tables[robot], scan.x, scan.y, scan.readings)
             if step in wanted:
                 grids[step] = grid.copy()
         return grids
 
     def _scan(self, standing: NDArray[np.bool_], robot: int, x: int, y: int, heading: int) -> Rescan:
         truth, body = self._archive.plan.map.cells, self._bodies[robot]
-        readings = cast(truth, standing, self.fans[robot], x, y, heading, body.field_of_view)
+        readings = cast(truth, standing, self.ray_tables[robot], x, y, heading, body.field_of_view)
         return Rescan(robot, x, y, heading, readings)

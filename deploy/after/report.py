@@ -265,7 +265,7 @@ def _traffic(names: list[str], summaries: list[dict[str, Any]]) -> list[list[str
 def _in_words(summary: dict[str, Any]) -> str:
     budget = summary["bandwidth"]
     medium = "unlimited bandwidth" if isinstance(budget, str) else f"at most {budget} bytes a step"
-    told = f"Radio: {medium}, range {summary['range_m']:.1f} m ({summary['exchange']} exchange)."
+    told = f"Radio: {medium}, range {summary['range_m']:.1f} m ({summary['map_encoding']} exchange)."
     if summary["finished"]:
         first = f"robot {summary['first_robot']} finished first"
         return f"Explored in {summary['steps']} steps; {first}. {told}"

@@ -11,7 +11,7 @@ from deploy.run import in_memory
 from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol.bus import Bus, Message
-from protocol.grid import FREE, UNKNOWN, Fan, Grid, fan
+from protocol.grid import FREE, UNKNOWN, Grid, RayTable, ray_table
 from protocol.messages import Sense, cells_from_bytes, unpack
 from protocol.scans import Change, Scan, draw
 
@@ -81,9 +81,9 @@ def _seen(plan: Plan, senses: Sequence[Sense]) -> Iterator[Moment]:
         yield Moment(grid.copy(), scan, change)
 
 
-def beams(plan: Plan) -> Fan:
+def beams(plan: Plan) -> RayTable:
     """The beams of the plan's robots."""
-    return fan(plan.world.bodies[0].range_cells, plan.world.beams)
+    return ray_table(plan.world.bodies[0].range_cells, plan.world.beams)
 
 
 def samples(walk: Sequence[Moment]) -> list[Moment]:

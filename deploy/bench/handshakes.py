@@ -11,8 +11,8 @@ from agent.exchange.session import Session
 from deploy.scenario.plan import Plan
 from netshaper.medium import UNLIMITED
 from netshaper.radio import Frame, Note, Outgoing, Radio
-from protocol import survey
-from protocol.messages import Open, Outcome, Said, Turn
+from protocol import packet_index
+from protocol.messages import Open, Outcome, PhaseDelivery, Said
 
 Result = TypeVar("Result")
 
@@ -37,7 +37,7 @@ class Handshakes:
 
     def __init__(self, plan: Plan) -> None:
         robots = plan.scenario.robots
-        self.sessions = [Session(robot, robots, plan.scenario.offers) for robot in range(robots)]
+        self.sessions = [Session(robot, robots, plan.scenario.dissemination) for robot in range(robots)]
         self.in_sessions: list[float] = []
         self.in_relay: list[float] = []
         self._radio = Radio(plan.radio)
@@ -76,19 +76,19 @@ def _speak(session: Session, note: object, heard: list[tuple[int, bytes]]) -> Sa
     match note:
         case Open():
             room = None if note.budget == UNLIMITED else note.budget
-            offers = session.offers(note.exchange, note.peers, room)
+            offers = session.offers(note.round, note.peers, room)
             receivers, said = [peer for peer, _, _ in offers], [frame for _, _, frame in offers]
-            return Said(note.step, note.exchange, "offers", [], 0, receivers, said, session.replies())
-        case Turn(phase="offers"):
+            return Said(note.step, note.round, "offers", [], 0, receivers, said, session.replies())
+        case PhaseDelivery(phase="offers"):
             offered = [(n, *frame) for n, frame in zip(note.connections, heard, strict=True)]
             frames, phase = session.answers(offered), "answers"
-        case Turn():
+        case PhaseDelivery():
             named = zip(note.connections, heard, note.maps, strict=True)
-            answers = [(n, peer, about, load) for n, (peer, load), about in named]
+            answers = [(n, peer, map_id, load) for n, (peer, load), map_id in named]
             frames, phase = session.data(answers), "data"
         case Outcome():
-            for peer, about, frame in session.outcome(note, heard):
-                session.accept(peer, about, frame, survey.ends(frame))
+            for peer, map_id, frame in session.outcome(note, heard):
+                session.accept(peer, map_id, frame, packet_index.ends(frame))
             return None
         case _:
             session.forget()
@@ -96,4 +96,4 @@ def _speak(session: Session, note: object, heard: list[tuple[int, bytes]]) -> Sa
     if note.spoken:
         return None
     numbers, receivers = [number for number, _, _ in frames], [peer for _, peer, _ in frames]
-    return Said(note.step, note.exchange, phase, numbers, 0, receivers, [frame for _, _, frame in frames])
+    return Said(note.step, note.round, phase, numbers, 0, receivers, [frame for _, _, frame in frames])

@@ -21,7 +21,7 @@ import numpy as np
 from deploy.bench.ratios import Figure, compare
 from deploy.record.records import Records
 from deploy.run import launch
-from deploy.run.meeting import LOOPBACK, Meeting, by_certificates, on_loopback
+from deploy.run.rendezvous import LOOPBACK, Rendezvous, by_certificates, on_loopback
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario
@@ -178,9 +178,9 @@ class _Watch:
 
 def link() -> Iterator[Figure]:
     """What the link between the hub's host and a robot's carries, and what its delay costs."""
-    for exchange, bandwidth in (("polygon", 1000), ("laser", "unlimited")):
-        plan = _plan(ROBOTS, LINK_STEPS, exchange, bandwidth)
-        what = f"{ROBOTS} robots, {exchange}"
+    for map_encoding, bandwidth in (("polygons", 1000), ("scans", "unlimited")):
+        plan = _plan(ROBOTS, LINK_STEPS, map_encoding, bandwidth)
+        what = f"{ROBOTS} robots, {map_encoding}"
         speeds: dict[int, list[float]] = {delay: [] for delay in ROUND_TRIPS_MS}
         carried: list[dict[str, float]] = []
         for _ in range(REPEATS):
@@ -205,10 +205,10 @@ def hub() -> Iterator[Figure]:
     """
     measured: dict[str, dict[str, list[float]]] = {}
     for robots in TEAMS:
-        plan = _plan(robots, HUB_STEPS, "polygon", 1000)
-        for by, meeting in _meetings(robots).items():
+        plan = _plan(robots, HUB_STEPS, "polygons", 1000)
+        for by, rendezvous in _meetings(robots).items():
             watch = _Watch(plan, processor_ms)
-            _run(plan, meeting, watch)
+            _run(plan, rendezvous, watch)
             for what, spent in _by_kind(watch.a_step(), robots).items():
                 measured.setdefault(by, {}).setdefault(what, []).append(spent)
                 yield Figure(f"{robots} robots, {by}: {what}, a step", _unit(what), spent)
@@ -232,7 +232,7 @@ def _planned(measured: dict[str, list[float]], what: str) -> Iterator[Figure]:
             yield Figure(f"{what}: {of}, alone", "steps/s", 1000 / needs)
 
 
-def _meetings(robots: int) -> dict[str, Meeting]:
+def _meetings(robots: int) -> dict[str, Rendezvous]:
     """How robots may join: by passwords on the loopback, by certificates, or so through routers."""
     names_of = [
         list(map(names.robot, range(first, min(first + ROUTED, robots))))
@@ -248,7 +248,7 @@ def _meetings(robots: int) -> dict[str, Meeting]:
 
 def _by_kind(spent: dict[str, float], robots: int) -> dict[str, float]:
     """What each kind of process spent; of robots and routers the mean."""
-    kinds = {name: spent[name] for name in (names.RELAY, FIRST_THREAD, names.WORLD, names.LAB)}
+    kinds = {name: spent[name] for name in (names.RELAY, FIRST_THREAD, names.WORLD, names.RECORDER)}
     kinds[ROBOT] = float(np.mean([spent[name] for name in map(names.robot, range(robots)) if name in spent]))
     routers = [ms for name, ms in spent.items() if name.startswith(names.ROUTER)]
     if routers:
@@ -263,29 +263,29 @@ def _unit(what: str) -> str:
 def _delayed(plan: Plan, round_trip_ms: float) -> tuple[float, dict[str, float]]:
     """Steps a second with all robots behind links, and what the links carried a step."""
     robots = plan.scenario.robots
-    meeting = by_certificates(LOOPBACK, None, robots)
-    with Link(int(meeting.endpoint.rpartition(":")[2]), round_trip_ms / 2000) as forwarder:
-        credentials = dict(meeting.credentials)
+    rendezvous = by_certificates(LOOPBACK, None, robots)
+    with Link(int(rendezvous.endpoint.rpartition(":")[2]), round_trip_ms / 2000) as forwarder:
+        credentials = dict(rendezvous.credentials)
         for name in map(names.robot, range(robots)):
             credentials[name] = replace(credentials[name], hub=f"tls/{LOOPBACK}:{forwarder.port}")
         watch = _Watch(plan, forwarder.carried)
-        _run(plan, replace(meeting, credentials=credentials), watch)
+        _run(plan, replace(rendezvous, credentials=credentials), watch)
     return watch.steps_per_s(), watch.a_step()
 
 
-def _run(plan: Plan, meeting: Meeting, watch: _Watch) -> None:
-    outcome = launch.run(plan, None, watch.look, meeting=meeting)
+def _run(plan: Plan, rendezvous: Rendezvous, watch: _Watch) -> None:
+    outcome = launch.run(plan, None, watch.look, rendezvous=rendezvous)
     if outcome.deaths:
         raise ConnectionError(f"the bench's swarm broke off: {outcome.deaths}")
 
 
-def _plan(robots: int, steps: int, exchange: str, bandwidth: int | str) -> Plan:
+def _plan(robots: int, steps: int, map_encoding: str, bandwidth: int | str) -> Plan:
     scenario = Scenario.model_validate(
         {
             "robots": robots,
             "steps": steps,
             "strategy": "meier",
-            "exchange": exchange,
+            "map_encoding": map_encoding,
             "bandwidth": bandwidth,
         }
     )
@@ -307,7 +307,7 @@ def processor_ms() -> dict[str, float]:
             continue
         if len(title) == 2 and title[0] == "murmur":
             spent[pid] = title[1], ms
-    times = {names.LAB: 1000 * time.process_time()}
+    times = {names.RECORDER: 1000 * time.process_time()}
     for pid, (name, ms) in spent.items():
         if parents.get(parents[pid]) == os.getpid():  # the fork server stands in between
             times[name] = ms

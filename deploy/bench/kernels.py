@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.exchange.polygon import PolygonExchange
-from agent.exchange.sight import SightExchange
+from agent.encodings.polygons import PolygonEncoding
+from agent.encodings.predictive import PredictiveEncoding
 from agent.outline.approximation import approximation, repair
 from agent.outline.claims import Drawing
 from agent.outline.contour import contours
@@ -44,7 +44,7 @@ from deploy.bench.yardsticks import (
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario
-from protocol.grid import FREE, Fan, Grid
+from protocol.grid import FREE, Grid, RayTable
 from protocol.scans import draw
 from worldsim import generators, maps
 from worldsim.laser import cast
@@ -60,7 +60,8 @@ def kernels() -> Iterator[Figure]:
     cv2, graph = yardstick("cv2", "opencv-python-headless"), yardstick("skimage.graph", "scikit-image")
     cv2.setNumThreads(1)
     plan = plans.make(
-        Scenario(robots=ROBOTS, exchange="polygon", strategy="meier", bandwidth=BUDGET, bus="memory"), _map()
+        Scenario(robots=ROBOTS, map_encoding="polygons", strategy="meier", bandwidth=BUDGET, bus="memory"),
+        _map(),
     )
     walks = explore(plan)
     yield _scanning(plan, walks[0])
@@ -90,20 +91,20 @@ def _check_same(ours: Grid, theirs: Grid, what: str) -> None:
 
 def _scanning(plan: Plan, walk: Sequence[Moment]) -> Figure:
     """Cast a scan on the true map and draw it, against the same beams in numpy."""
-    truth, fan = plan.map.cells, beams(plan)
+    truth, ray_table = plan.map.cells, beams(plan)
     nobody = np.zeros(truth.shape, np.bool_)
     ours: list[float] = []
     theirs: list[float] = []
     for moment in samples(walk):
         mine, other = np.zeros_like(truth), np.zeros_like(truth)
         for known, look, times in ((mine, _look, ours), (other, look_in_numpy, theirs)):
-            times.append(timed(partial(look, truth, nobody, fan, moment.cell, known))[1])
+            times.append(timed(partial(look, truth, nobody, ray_table, moment.cell, known))[1])
         _check_same(mine, other, "scan")
     return compare("scan, cast and drawn", "ms", ours, "the same beams in numpy", theirs)
 
 
-def _look(truth: Grid, nobody: NDArray[np.bool_], fan: Fan, cell: Cell, known: Grid) -> None:
-    draw(known, fan, *cell, cast(truth, nobody, fan, *cell))
+def _look(truth: Grid, nobody: NDArray[np.bool_], ray_table: RayTable, cell: Cell, known: Grid) -> None:
+    draw(known, ray_table, *cell, cast(truth, nobody, ray_table, *cell))
 
 
 def _contours(walks: Sequence[Sequence[Moment]], cv2: Any) -> Figure:
@@ -140,13 +141,13 @@ class _Telling:
 
     def follow(self, robot: int, walk: Sequence[Moment]) -> None:
         """Let one robot send its updates."""
-        exchange = PolygonExchange(Settings.from_message(self._plan.minds[robot]))
+        map_encoding = PolygonEncoding(Settings.from_message(self._plan.robot_settings[robot]))
         self.units.append([])
         self.polygons.append([])
         for moment in walk:
-            record = partial(exchange.record, moment.grid, moment.scan, moment.change, delivered=True)
+            record = partial(map_encoding.record, moment.grid, moment.scan, moment.change, delivered=True)
             units, spent = timed(record)
-            told = exchange.polygons[robot]
+            told = map_encoding.polygons[robot]
             self.units[-1].append(units)
             self.polygons[-1].append(told)
             if units:
@@ -224,17 +225,20 @@ def _ways(walk: Sequence[Moment], graph: Any) -> Figure:
 def _looks(plan: Plan, walk: Sequence[Moment]) -> Iterator[Figure]:
     """Tell a walk in looks and read them, against drawing its scans."""
     settings = replace(
-        Settings.from_message(plan.minds[0]), exchange="sight", offers="gossip", bandwidth=None
+        Settings.from_message(plan.robot_settings[0]),
+        map_encoding="predictive",
+        dissemination="gossip",
+        bandwidth=None,
     )
-    maker, hearer = SightExchange(settings), SightExchange(replace(settings, robot=1))
-    drawn, fan = np.zeros_like(walk[0].grid), beams(plan)
+    maker, hearer = PredictiveEncoding(settings), PredictiveEncoding(replace(settings, robot=1))
+    drawn, ray_table = np.zeros_like(walk[0].grid), beams(plan)
     cells = size = 0
     written, read, scans = [], [], []
     for moment in walk:
         record = partial(maker.record, moment.grid, moment.scan, moment.change, delivered=True)
         units, spent = timed(record)
         scan = moment.scan
-        scans.append(timed(partial(draw, drawn, fan, scan.x, scan.y, scan.readings))[1])
+        scans.append(timed(partial(draw, drawn, ray_table, scan.x, scan.y, scan.readings))[1])
         written.append(spent)
         read.append(timed(partial(hearer.take, 0, b"".join(units)))[1])
         cells += moment.change.cells

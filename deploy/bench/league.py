@@ -1,6 +1,6 @@
 """The league table: every strategy on the same buildings, from the same starts, against what is possible at all.
 
-The yardstick is the plan of a team that knows the building (`deploy.bench.known_map`): a strategy's steps are given as
+The yardstick is the plan of a team that knows the building (`deploy.bench.offline_bound`): a strategy's steps are given as
 a multiple of that plan's. Robots share raw scans over an unlimited radio unless told otherwise, so that what
 differs is where they go.
 """
@@ -17,7 +17,7 @@ import numpy as np
 import polars as pl
 
 from agent.strategies.registry import strategies, strategy
-from deploy.bench.known_map import KnownMap, fewest_steps, offline_steps
+from deploy.bench.offline_bound import OfflineBound, fewest_steps, offline_steps
 from deploy.bench.replanning import Watch
 from deploy.run.exploration import explore
 from deploy.run.workers import workers
@@ -27,7 +27,13 @@ from deploy.scenario.scenario import Scenario, parse
 BOUND, KNOWN = "(lower bound)", "(map known)"
 """Contestants that are no strategies."""
 
-COMMON = {"bus": "memory", "exchange": "laser", "bandwidth": "unlimited", "sensor_range": 5.0, "speed": 0.5}
+COMMON = {
+    "bus": "memory",
+    "map_encoding": "scans",
+    "bandwidth": "unlimited",
+    "sensor_range": 5.0,
+    "speed": 0.5,
+}
 """What all scenarios of a contest are, unless it says otherwise."""
 
 Run = dict[str, Any]
@@ -117,13 +123,13 @@ def _with(name: str, scenario: Scenario) -> list[Run]:
 
 def _with_the_map_known(scenarios: Sequence[Scenario]) -> list[Run]:
     """The offline plan, and the bound, of each team on one map."""
-    building: KnownMap | None = None
+    building: OfflineBound | None = None
     found = []
     for scenario in scenarios:
         settings = plans.make(scenario).world
         truth, body, starts = plans.make(scenario).map.cells, settings.bodies[0], settings.starts
         if building is None or not building.is_reached_from(starts[0]):
-            building = KnownMap(
+            building = OfflineBound(
                 truth, starts[0], body.range_cells, body.speed, settings.beams, body.radius_cells
             )
         found.append(_run(KNOWN, scenario, steps=offline_steps(building, starts)))

@@ -68,13 +68,13 @@ Bench = Callable[[], Iterator[Figure]]
 
 def benches() -> dict[str, Bench]:
     """All benches, by name."""
-    from deploy.bench import cold, hosts, kernels, relay, replanning, scale, swarm  # noqa: PLC0415
+    from deploy.bench import cold_cache, hosts, kernels, relay, replanning, scale, swarm  # noqa: PLC0415
 
     return {
         "kernels": kernels.kernels,
         "bus": swarm.bus,
         "swarm": swarm.swarm,
-        "cold": cold.cold,
+        "cold-cache": cold_cache.cold_cache,
         "replanning": replanning.replanning,
         "relay": relay.relay,
         "scale": scale.scale,

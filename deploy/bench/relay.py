@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from deploy.bench.ear import Ear, overheard
 from deploy.bench.ratios import Figure, compare
+from deploy.bench.recording_bus import RecordingBus, recorded_for
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario
@@ -34,26 +34,26 @@ class Case:
     """A team whose relay is measured."""
 
     robots: int
-    exchange: str
+    map_encoding: str
     bandwidth: int | Literal["unlimited"]
 
 
-CASES = (Case(8, "polygon", 1000), Case(8, "laser", "unlimited"), Case(32, "polygon", 1000))
+CASES = (Case(8, "polygons", 1000), Case(8, "scans", "unlimited"), Case(32, "polygons", 1000))
 
 
 def relay() -> Iterator[Figure]:
     """The relay's work a frame, in microseconds."""
     for case in CASES:
         plan = _plan(case)
-        ear, _ = overheard(plan, names.RELAY)
-        heard = ear.heard
+        recording_bus, _ = recorded_for(plan, names.RELAY)
+        heard = recording_bus.heard
         said = [rights.read(*message) for message in heard if names.parts(message.key)[0] == "radio"]
         frames = [frame for words in said for frame in words.frames]
         ours, theirs = [], []
         for _ in range(REPEATS):
             ours.append(_relaying(plan, heard) / len(frames))
             theirs.append(_decoding(frames) / len(frames))
-        what = f"relay, {case.robots} robots, {case.exchange}, {case.bandwidth}: work a frame"
+        what = f"relay, {case.robots} robots, {case.map_encoding}, {case.bandwidth}: work a frame"
         yield compare(what, "us", ours, "reading its packets", theirs)
 
 
@@ -61,7 +61,7 @@ def _plan(case: Case) -> Plan:
     scenario = Scenario(
         robots=case.robots,
         steps=STEPS,
-        exchange=case.exchange,
+        map_encoding=case.map_encoding,
         strategy="meier",
         bandwidth=case.bandwidth,
         bus="memory",
@@ -71,7 +71,7 @@ def _plan(case: Case) -> Plan:
 
 def _relaying(plan: Plan, heard: list[Message]) -> float:
     """Tell a new relay all of it; return the microseconds of processor time that it takes."""
-    node = RelayNode(Ear(), Keys("memory"), plan.radio)
+    node = RelayNode(RecordingBus(), Keys("memory"), plan.radio)
     began = time.thread_time_ns()
     for message in heard:
         node.handle(message)

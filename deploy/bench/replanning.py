@@ -47,7 +47,7 @@ def replanning() -> Iterator[Figure]:
     world = generators.make("office", width_m=SIDE_M, height_m=SIDE_M)
     for name, kind in strategies().items():
         scenario = Scenario(
-            robots=ROBOTS, strategy=name, exchange="laser", bandwidth="unlimited", speed=SPEED, steps=STEPS,
+            robots=ROBOTS, strategy=name, map_encoding="scans", bandwidth="unlimited", speed=SPEED, steps=STEPS,
             bus="memory",
         )  # fmt: skip
         watch = Watch()

@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 from deploy.bench.ratios import Figure
 from deploy.bench.swarm import memory_of_robots
-from deploy.record.records import LabNode, Records
+from deploy.record.records import RecorderNode, Records
 from deploy.run import in_memory, launch
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
@@ -37,11 +37,11 @@ FEWEST = 4
 """Steps that are measured all the same."""
 SIDE_M = 30.0
 BUDGET = 1000
-POLYGONS, TARGETS, LOOKS = "polygons", "targets", "looks by gossip"
+POLYGONS, TARGETS, PREDICTIVE = "polygons", "targets", "looks by gossip"
 RADIOS = {
-    POLYGONS: {"exchange": "polygon"},
-    TARGETS: {"exchange": "none"},
-    LOOKS: {"exchange": "sight", "offers": "gossip"},
+    POLYGONS: {"map_encoding": "polygons"},
+    TARGETS: {"map_encoding": "none"},
+    PREDICTIVE: {"map_encoding": "predictive", "dissemination": "gossip"},
 }
 WORK, MEMORY = "processor time a robot and step", "memory a robot, proportional"
 CORE = "speed on a core of its own"
@@ -54,7 +54,7 @@ def scale(robots: Sequence[int] = ROBOTS) -> Iterator[Figure]:
     first: dict[str, float] = {}
     for size in robots:
         maps = POLYGONS if size <= MAX_MAPS else TARGETS
-        for radio in (maps, LOOKS):
+        for radio in (maps, PREDICTIVE):
             run = _Measured()
             records = in_memory.run(_plan(size, radio, "memory"), run.look, io.BytesIO(), heed=run.heed)
             what = f"{size} robots, {radio}, memory"
@@ -126,7 +126,11 @@ def _line(radio: str, bus: str, what: str) -> tuple[str, str]:
         return "moved by the bus", "#c06a2b"
     if bus == "Zenoh":
         return f"{radio}, as processes", "#c06a2b"
-    return (LOOKS, "#4f8a5b") if radio == LOOKS else (f"{POLYGONS} to {MAX_MAPS}, then {TARGETS}", "#2f5f95")
+    return (
+        (PREDICTIVE, "#4f8a5b")
+        if radio == PREDICTIVE
+        else (f"{POLYGONS} to {MAX_MAPS}, then {TARGETS}", "#2f5f95")
+    )
 
 
 def _plan(size: int, radio: str, bus: Literal["memory", "zenoh"]) -> Plan:
@@ -168,14 +172,14 @@ class _Measured:
         elif not self.megabytes:
             self.megabytes = memory_of_robots()
 
-    def heed(self, lab: LabNode) -> bool:
+    def heed(self, recorder: RecorderNode) -> bool:
         """End the run once it has been measured well enough."""
-        if len(self._looks) < 2 or lab.records.end is not None:
+        if len(self._looks) < 2 or recorder.records.end is not None:
             return False
         first, last = self._looks[0], self._looks[-1]
         enough = last.step - first.step >= FEWEST and last.wall_s - first.wall_s > ENOUGH_S
         if enough:
-            lab.stop("measured well enough")
+            recorder.stop("measured well enough")
         return enough
 
     @property

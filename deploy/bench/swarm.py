@@ -15,8 +15,8 @@ from deploy.bench.ratios import Figure, compare
 from deploy.bench.transcript import Script, play, play_hub, play_lab, record
 from deploy.record.records import Records
 from deploy.run import launch
-from deploy.run.meeting import on_loopback
 from deploy.run.process_table import ProcessTable
+from deploy.run.rendezvous import on_loopback
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario
@@ -35,17 +35,17 @@ FLOOR = "bus with empty minds"
 class Case:
     """A swarm to measure, and its target value."""
 
-    exchange: str
+    map_encoding: str
     bandwidth: int | Literal["unlimited"]
     aim_speed: str
     aim_work: str
-    offers: str = "backoff"
+    dissemination: str = "backoff"
 
 
 CASES = (
-    Case("laser", "unlimited", "at least 0.50", "at most 1"),
-    Case("polygon", 1000, "at least 0.33", "at most 2"),
-    Case("sight", "unlimited", "at least 0.33", "at most 1 more than with laser", "gossip"),
+    Case("scans", "unlimited", "at least 0.50", "at most 1"),
+    Case("polygons", 1000, "at least 0.33", "at most 2"),
+    Case("predictive", "unlimited", "at least 0.33", "at most 1 more than with laser", "gossip"),
 )
 
 
@@ -55,7 +55,7 @@ def bus() -> Iterator[Figure]:
         plan = plan_of(case)
         scripts, records = record(plan)
         speeds = [_floor(plan, scripts, records.step) for _ in range(REPEATS)]
-        yield Figure(f"{FLOOR}, {ROBOTS} robots, {case.exchange}", "steps/s", float(np.median(speeds)))
+        yield Figure(f"{FLOOR}, {ROBOTS} robots, {case.map_encoding}", "steps/s", float(np.median(speeds)))
 
 
 def swarm() -> Iterator[Figure]:
@@ -71,8 +71,8 @@ def swarm() -> Iterator[Figure]:
             speeds.append(run.speed())
             starts.append(run.first_step_s)
             memories.append(run.memory_mb)
-        what = f"swarm of {ROBOTS}, {case.exchange}"
-        yield Figure(f"{FLOOR}, {ROBOTS} robots, {case.exchange}", "steps/s", float(np.median(floors)))
+        what = f"swarm of {ROBOTS}, {case.map_encoding}"
+        yield Figure(f"{FLOOR}, {ROBOTS} robots, {case.map_encoding}", "steps/s", float(np.median(floors)))
         yield compare(what, "steps/s", speeds, FLOOR, floors, case.aim_speed)
         yield Figure(f"{what}: work a robot and step", "ms", _median_work(records), aim=case.aim_work)
         yield Figure(f"{what}: start to first step", "s", float(np.median(starts)), aim="at most 2")
@@ -115,9 +115,9 @@ def plan_of(case: Case) -> Plan:
         robots=ROBOTS,
         steps=STEPS,
         strategy="meier",
-        exchange=case.exchange,
+        map_encoding=case.map_encoding,
         bandwidth=case.bandwidth,
-        offers=case.offers,
+        dissemination=case.dissemination,
     )
     return plans.make(scenario, generators.make("office", width_m=SIDE_M, height_m=SIDE_M))
 
@@ -134,13 +134,15 @@ def _floor(plan: Plan, scripts: dict[str, Script], steps: int) -> float:
         tempfile.TemporaryDirectory() as folder,
         ProcessTable(Path(folder)) as processes,
     ):
-        meeting = on_loopback(plan.scenario.robots)
-        where = meeting.run, meeting.endpoint, meeting.credentials
+        rendezvous = on_loopback(plan.scenario.robots)
+        where = rendezvous.run, rendezvous.endpoint, rendezvous.credentials
         processes.start(names.RELAY, play_hub, *where, len(scripts) - 1, scripts[names.RELAY])
         for name, script in scripts.items():
-            if name not in (names.RELAY, names.LAB):
-                processes.start(name, play, meeting.credentials[name], script)
-        seconds = play_lab(meeting.credentials[names.LAB], scripts[names.LAB], _alarmed(processes))
+            if name not in (names.RELAY, names.RECORDER):
+                processes.start(name, play, rendezvous.credentials[name], script)
+        seconds = play_lab(
+            rendezvous.credentials[names.RECORDER], scripts[names.RECORDER], _alarmed(processes)
+        )
     return steps / seconds
 
 
@@ -156,7 +158,7 @@ def _alarmed(processes: ProcessTable) -> Callable[[], None]:
 
 def _median_work(records: Records) -> float:
     """Median computing time per robot and step in milliseconds, of a run in one process, on one core."""
-    return float(np.median([m.work_us for reports in records.minds for m in reports])) / 1000
+    return float(np.median([m.work_us for reports in records.robot_settings for m in reports])) / 1000
 
 
 def memory_of_robots() -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.outline.polygons import Polygons
-from protocol.grid import FREE, OCCUPIED, Fan, Grid
+from protocol.grid import FREE, OCCUPIED, Grid, RayTable
 
 Cell = tuple[int, int]
 
@@ -26,7 +26,7 @@ def yardstick(module: str, package: str) -> Any:
         ) from None
 
 
-def look_in_numpy(truth: Grid, nobody: NDArray[np.bool_], beams: Fan, cell: Cell, known: Grid) -> None:
+def look_in_numpy(truth: Grid, nobody: NDArray[np.bool_], beams: RayTable, cell: Cell, known: Grid) -> None:
     """Cast a scan where no teammate stands, and draw it: all beams at once."""
     del nobody
     height, width = truth.shape

@@ -44,11 +44,11 @@ class Watcher:
         Robots of which nothing is asked.
     """
 
-    def __init__(self, plan: Plan, liars: tuple[int, ...]) -> None:
+    def __init__(self, plan: Plan, byzantine: tuple[int, ...]) -> None:
         self.known = 0.0
         """Part of the reachable free cells that those who live know at the end."""
         self._plan = plan
-        self._liars = liars
+        self._liars = byzantine
         self._truth: Grid = np.where(plan.map.cells == FREE, FREE, OCCUPIED).astype(np.uint8)
         self._lives: dict[tuple[int, int], Robot] = {}
         self._checked: dict[int, tuple[Robot, int]] = {}
@@ -65,10 +65,10 @@ class Watcher:
             Something does not hold.
         """
         number = robot.settings.robot
-        life, last = self._checked.get(number, (None, -1))
-        if number in self._liars or (life is robot and last == step):
+        incarnation, last = self._checked.get(number, (None, -1))
+        if number in self._liars or (incarnation is robot and last == step):
             return
-        self._lives[number, robot.settings.life] = robot
+        self._lives[number, robot.settings.incarnation] = robot
         self._checked[number] = robot, step
         held = [len(log) for log in robot.session.logs]
         who = f"step {step}: robot {number}"
@@ -77,12 +77,12 @@ class Watcher:
             raise Violation(f"{who} has seen what is not so")
         if step and (robot.planning != robot.own)[known].any():
             raise Violation(f"{who} plans on cells otherwise than it has seen them")
-        if life is robot:
+        if incarnation is robot:
             if (robot.own == UNKNOWN)[self._own[number] != UNKNOWN].any():
                 raise Violation(f"{who} does not know any more what it has seen")
-            for about, (then, now) in enumerate(zip(self._held[number], held, strict=True)):
-                if now < then and about != robot.settings.own_map:
-                    raise Violation(f"{who} held {then} units of map {about}, and now {now}")
+            for map_id, (then, now) in enumerate(zip(self._held[number], held, strict=True)):
+                if now < then and map_id != robot.settings.own_map:
+                    raise Violation(f"{who} held {then} units of map {map_id}, and now {now}")
         self._own[number], self._held[number] = robot.own.copy(), held
 
     def conclude(self, records: Records) -> None:
@@ -119,15 +119,15 @@ class Watcher:
     def _check_logs(self) -> None:
         """What is held of a log is what its maker wrote."""
         robots = self._plan.scenario.robots
-        for (number, life), robot in self._lives.items():
-            for about, log in enumerate(robot.session.logs):
-                maker = self._lives.get((about % robots, about // robots))
+        for (number, incarnation), robot in self._lives.items():
+            for map_id, log in enumerate(robot.session.logs):
+                maker = self._lives.get((map_id % robots, map_id // robots))
                 if maker is None or maker is robot:
                     continue
-                written = maker.session.logs[about]
+                written = maker.session.logs[map_id]
                 first = max(log.oldest, written.oldest)
                 held = log.since(first, None) if first < len(log) else b""
                 if held != written.since(first, None)[: len(held)]:
                     raise Violation(
-                        f"robot {number} in life {life} holds units of map {about} that nobody wrote"
+                        f"robot {number} in life {incarnation} holds units of map {map_id} that nobody wrote"
                     )

@@ -7,9 +7,9 @@ import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+from deploy.chaos.byzantine import Lies
+from deploy.chaos.case import ChaosCase, case
 from deploy.chaos.invariants import Violation, Watcher
-from deploy.chaos.liars import Lies
-from deploy.chaos.storm import Storm, storm
 from deploy.record.summary import digest
 from deploy.run import launch
 from deploy.run.in_memory import MemoryRun
@@ -24,7 +24,7 @@ AGAIN_EVERY = 10
 class Verdict:
     """What came of a storm: what went wrong, if anything did, and what was seen of it."""
 
-    storm: Storm
+    case: ChaosCase
     failure: str
     digest: str = ""
     steps: int = 0
@@ -36,20 +36,20 @@ class Verdict:
     @property
     def line(self) -> str:
         """What was run, and what came of it, in a line."""
-        this, about = self.storm, self.storm.scenario
-        liars = f", liars {list(this.liars)}" if this.liars else ""
+        this, map_id = self.case, self.case.scenario
+        byzantine = f", liars {list(this.byzantine)}" if this.byzantine else ""
         return (
-            f"seed {this.seed}: {about.robots} robots on {about.map}, {about.strategy}, {about.exchange} by "
-            f"{about.offers}, {len(about.fault)} faults{liars}: {self.steps} steps, known {self.known:.3f}, "
+            f"seed {this.seed}: {map_id.robots} robots on {map_id.map}, {map_id.strategy}, {map_id.map_encoding} by "
+            f"{map_id.dissemination}, {len(map_id.fault)} faults{byzantine}: {self.steps} steps, known {self.known:.3f}, "
             f"digest {self.digest[:12]}"
         )
 
 
-def weather(drawn: Storm, *, again: bool = False) -> Verdict:
+def weather(drawn: ChaosCase, *, again: bool = False) -> Verdict:
     """Run a storm in memory and check it; with `again` as processes as well, whose digest must be the same."""
     plan = plans.make(drawn.scenario)
-    watcher = Watcher(plan, drawn.liars)
-    lies = Lies(drawn.seed, drawn.liars)
+    watcher = Watcher(plan, drawn.byzantine)
+    lies = Lies(drawn.seed, drawn.byzantine)
     began = time.perf_counter()
     try:
         under_way = MemoryRun(plan, wrap=lies)
@@ -72,15 +72,15 @@ def weather(drawn: Storm, *, again: bool = False) -> Verdict:
 def storms(first: int, runs: int) -> Iterator[Verdict]:
     """Run the storms of seeds `first` to `first + runs - 1`."""
     for seed in range(first, first + runs):
-        yield weather(storm(seed), again=seed % AGAIN_EVERY == 0)
+        yield weather(case(seed), again=seed % AGAIN_EVERY == 0)
 
 
-def shrink(verdict: Verdict, tell: Callable[[Storm], object] = lambda _: None) -> Verdict:
+def shrink(verdict: Verdict, tell: Callable[[ChaosCase], object] = lambda _: None) -> Verdict:
     """Leave out of a storm that fails what it does not need in order to fail; any failure counts."""
     smaller = True
     while smaller:
         smaller = False
-        for less in verdict.storm.smaller():
+        for less in verdict.case.smaller():
             tell(less)
             found = weather(less, again=verdict.again)
             if found.failure:

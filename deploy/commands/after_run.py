@@ -13,8 +13,8 @@ from deploy.commands.console import (
     explain_difference,
     progress,
     report_deaths,
+    report_user_errors,
     screen,
-    speaking_clearly,
 )
 from deploy.commands.flags import JsonFlag, family
 from deploy.scenario.scenario import ScenarioError, load
@@ -41,7 +41,7 @@ def report(
     """
     from deploy.after.report import write_report  # noqa: PLC0415
 
-    with speaking_clearly():
+    with report_user_errors():
         directory, *others = directories
         if len(others) > (1 if stages is None else 0):
             raise ValueError("a report is of one run, or compares two; stages are of one")
@@ -75,7 +75,7 @@ def export(
     """Export a run to formats of other programs: poses, scans, maps and polygons."""
     from deploy.after.export import export_mcap  # noqa: PLC0415
 
-    with speaking_clearly():
+    with report_user_errors():
         if not mcap:
             raise ScenarioError("export: no format given; choose --mcap")
         written = export_mcap(directory, errors.print)
@@ -102,7 +102,7 @@ def movie(
     from deploy.after.movie import GIF, MP4, write_movie  # noqa: PLC0415
     from deploy.study.progress import counting  # noqa: PLC0415
 
-    with speaking_clearly():
+    with report_user_errors():
         if len(directories) > 2:
             raise ValueError("a film shows one run, or two side by side")
         if mp4 and gif:
@@ -127,7 +127,7 @@ def replay(
     from deploy.run import exploration  # noqa: PLC0415
     from deploy.run.repeat import why_unrepeatable  # noqa: PLC0415
 
-    with speaking_clearly():
+    with report_user_errors():
         scenario = run_directory.read_scenario(directory)
         if bus is not None:
             scenario = load(directory / run_directory.SCENARIO, {"bus": bus})
@@ -182,7 +182,7 @@ def show_capture(
     from deploy.after import capture  # noqa: PLC0415
     from deploy.after.wireshark.install import install  # noqa: PLC0415
 
-    with speaking_clearly():
+    with report_user_errors():
         if install_dissector:
             screen.print(f"installed: {install()}")
         elif directory is None:

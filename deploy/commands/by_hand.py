@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from deploy.commands.console import errors, progress, report_result, screen, speaking_clearly
+from deploy.commands.console import errors, progress, report_result, report_user_errors, screen
 from deploy.commands.flags import JsonFlag, OutOption, Subcommands, ViewAs, family
 from deploy.scenario.scenario import load
 
@@ -44,7 +44,7 @@ def run_netshaper(
     """Start the radio relay: the hub that all other processes join. It writes their credentials and waits for them."""
     from deploy.run.by_hand import serve_netshaper  # noqa: PLC0415
 
-    with speaking_clearly():
+    with report_user_errors():
         serve_netshaper(load(scenario, {}), listen, credentials, screen.print, keys)
 
 
@@ -58,7 +58,7 @@ def run_worldsim(
     """Start the world simulator: it owns the map and the clock, and begins once all processes have joined."""
     from deploy.run.by_hand import serve_worldsim  # noqa: PLC0415
 
-    with speaking_clearly():
+    with report_user_errors():
         serve_worldsim(load(scenario, {}), credential)
 
 
@@ -71,16 +71,16 @@ def run_agent(
     """Start one robot. It receives everything else over the bus."""
     from deploy.run.by_hand import serve_robot  # noqa: PLC0415
 
-    with speaking_clearly():
+    with report_user_errors():
         serve_robot(credential)
 
 
 @run_app.command("agents")
 def run_agents() -> None:
     """Start robots for murmur explore --hosts on another host, which speaks over standard input and output."""
-    from deploy.run.far_end import serve  # noqa: PLC0415
+    from deploy.run.remote_agents import serve  # noqa: PLC0415
 
-    with speaking_clearly():
+    with report_user_errors():
         serve()
 
 
@@ -99,7 +99,7 @@ def run_router(
     """Start a router: its robots join it, and share its connection to the hub (docs/hosts.md)."""
     from deploy.run.by_hand import serve_routing  # noqa: PLC0415
 
-    with speaking_clearly():
+    with report_user_errors():
         serve_routing(credential, listen, credentials, screen.print)
 
 
@@ -116,7 +116,7 @@ def run_view(
     from deploy.dashboard.windows import Window  # noqa: PLC0415
     from deploy.run.by_hand import serve_viewer  # noqa: PLC0415
 
-    with speaking_clearly():
+    with report_user_errors():
         window = Window(view_as, errors.print)
         try:
             serve_viewer(load(scenario, {}), credential, out, window)
@@ -124,9 +124,11 @@ def run_view(
             window.close()
 
 
-@run_app.command("lab")
+@run_app.command("recorder")
 def run_lab(
-    credential: Annotated[Path, typer.Option(metavar="FILE", help="lab.json of the netshaper's credentials")],
+    credential: Annotated[
+        Path, typer.Option(metavar="FILE", help="recorder.json of the netshaper's credentials")
+    ],
     scenario: SameScenario = None,
     out: OutOption = None,
     as_json: JsonFlag = False,
@@ -134,7 +136,7 @@ def run_lab(
     """Start the laboratory: it records the run and writes its directory at the end."""
     from deploy.run.by_hand import serve_lab  # noqa: PLC0415
 
-    with speaking_clearly():
+    with report_user_errors():
         with progress(shown=not as_json) as watch:
             result = serve_lab(load(scenario, {}), credential, out, watch, errors.print)
         raise typer.Exit(report_result(result, as_json=as_json))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deploy.commands.console import errors, screen, speaking_clearly
+from deploy.commands.console import errors, report_user_errors, screen
 from deploy.commands.flags import family
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def chaos(
 
     failed: list[Verdict] = []
     steps, wall_s, again, least = 0, 0.0, 0, 1.0
-    with speaking_clearly():
+    with report_user_errors():
         if out.exists() and not out.is_dir():
             raise ValueError(f"out = {out}: is a file; name a folder for the scenarios of failures")
         with counting(errors, "chaos") as tell:
@@ -48,8 +48,8 @@ def chaos(
                 again += verdict.again and not verdict.failure
                 if verdict.failure:
                     failed.append(verdict)
-                    errors.print(f"seed {verdict.storm.seed}: {verdict.failure}")
-                    errors.print(f"  again: murmur chaos --runs 1 --seed {verdict.storm.seed}")
+                    errors.print(f"seed {verdict.case.seed}: {verdict.failure}")
+                    errors.print(f"  again: murmur chaos --runs 1 --seed {verdict.case.seed}")
                     if shrink:
                         errors.print(f"  {_write(storms.shrink(verdict), out)}")
                 else:
@@ -68,9 +68,9 @@ def chaos(
 
 def _write(verdict: Verdict, folder: Path) -> str:
     """Write the smallest storm that fails as a scenario; say where it is, and what is in it."""
-    storm = verdict.storm
-    path = folder / f"chaos-{storm.seed}.toml"
+    case = verdict.case
+    path = folder / f"chaos-{case.seed}.toml"
     folder.mkdir(parents=True, exist_ok=True)
-    path.write_text(f"# {verdict.failure}\n" + storm.scenario.to_toml(), encoding="utf-8")
-    liars = f", and liars {list(storm.liars)}" if storm.liars else ""
-    return f"{path} has what it takes: {len(storm.scenario.fault)} faults{liars}: {verdict.failure}"
+    path.write_text(f"# {verdict.failure}\n" + case.scenario.to_toml(), encoding="utf-8")
+    byzantine = f", and liars {list(case.byzantine)}" if case.byzantine else ""
+    return f"{path} has what it takes: {len(case.scenario.fault)} faults{byzantine}: {verdict.failure}"

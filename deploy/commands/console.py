@@ -58,7 +58,7 @@ def explain_difference(before: dict[str, Any], now: dict[str, Any]) -> None:
     from deploy.record.run_directory import MAP  # noqa: PLC0415
 
     errors.print("Replay differs: the digest has changed.")
-    settings = ("robots", "seed", "map", "strategy", "exchange", "bandwidth", "range_m")
+    settings = ("robots", "seed", "map", "strategy", "map_encoding", "bandwidth", "range_m")
     for key in (*settings, "steps", "coverage", "map_agreement", "bytes", "versions"):
         is_copy = key == "map" and now[key] == Path(MAP).stem
         if before[key] != now[key] and not is_copy:
@@ -72,7 +72,7 @@ def progress(*, shown: bool, below: Callable[[], str] = lambda: "") -> Any:
     return terminal.progress(errors, shown=shown, below=below)
 
 
-class speaking_clearly:  # noqa: N801  used like a statement
+class report_user_errors:  # noqa: N801  used like a statement
     """Turn errors that the user can fix into a message: exit code 2 for bad input, 3 for work that was aborted."""
 
     def __enter__(self) -> None:

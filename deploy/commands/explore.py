@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from deploy.commands.console import errors, progress, report_result, speaking_clearly
+from deploy.commands.console import errors, progress, report_result, report_user_errors
 from deploy.commands.flags import (
     GroupedCommand,
     JsonFlag,
@@ -67,8 +67,8 @@ def explore(
             rich_help_panel=RADIO,
         ),
     ] = None,
-    exchange: setting("exchange", str, "NAME", RADIO) = None,  # type: ignore[valid-type]
-    offers: setting("offers", str, "NAME", RADIO) = None,  # type: ignore[valid-type]
+    map_encoding: setting("map_encoding", str, "NAME", RADIO) = None,  # type: ignore[valid-type]
+    dissemination: setting("dissemination", str, "NAME", RADIO) = None,  # type: ignore[valid-type]
     thesis: Annotated[
         bool,
         typer.Option(
@@ -85,7 +85,7 @@ def explore(
         typer.Option(
             "--set",
             metavar="KEY=VALUE",
-            help="any other setting of a scenario, as radius=0.2 or polygon.lazy=false; repeatable",
+            help="any other setting of a scenario, as radius=0.2 or polygons.lazy=false; repeatable",
             rich_help_panel=RUN,
         ),
     ] = None,
@@ -130,11 +130,11 @@ def explore(
     begin with.
     """
     overrides: dict[str, Any] = {
-        "map": map, "robots": robots, "range": range, "bandwidth": bandwidth, "exchange": exchange,
+        "map": map, "robots": robots, "range": range, "bandwidth": bandwidth, "map_encoding": map_encoding,
         "strategy": strategy, "sensor_range": sensor_range, "speed": speed, "seed": seed,
-        "map_seed": map_seed, "offers": offers, "bus": bus, "steps": steps,
+        "map_seed": map_seed, "dissemination": dissemination, "bus": bus, "steps": steps,
     }  # fmt: skip
-    with speaking_clearly():
+    with report_user_errors():
         if set_:
             overrides |= _other_settings(set_, overrides)
         overrides["radio.preset"] = radio
@@ -162,7 +162,7 @@ def watch(
     from deploy.dashboard.windows import Window  # noqa: PLC0415
     from deploy.run.interrupt import sigterm_as_ctrl_c  # noqa: PLC0415
 
-    with speaking_clearly(), sigterm_as_ctrl_c():
+    with report_user_errors(), sigterm_as_ctrl_c():
         window = Window(view_as, errors.print)
         try:
             watching.watch(directory, window)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from deploy.commands.console import screen, speaking_clearly
+from deploy.commands.console import report_user_errors, screen
 from deploy.commands.flags import family
 from deploy.scenario.scenario import ScenarioError
 from protocol import keys as names
@@ -42,7 +42,7 @@ def keys(
     """
     from netshaper import certificates  # noqa: PLC0415
 
-    with speaking_clearly():
+    with report_user_errors():
         known_as = address or ["127.0.0.1"]
         made = certificates.make(robots, known_as, days, _routers(router or [], robots))
         written = certificates.write(made, directory)

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from deploy.commands.console import errors, screen, speaking_clearly
+from deploy.commands.console import errors, report_user_errors, screen
 from deploy.commands.flags import JsonFlag, family, named_values, to_be_written
 
 app = family()
@@ -71,7 +71,7 @@ def bench(
     ``murmur bench strategies`` is the league table: all strategies on the same buildings, from the same starts, as
     multiples of the steps that a team needs which knows the map (docs/strategies.md).
     """
-    with speaking_clearly():
+    with report_user_errors():
         if names == ["strategies"]:
             values = named_values(settings or [], "set", "bandwidth=1000")
             _league(maps, robots, seeds, strategies, values, picture, jobs, as_json=as_json)

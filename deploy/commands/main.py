@@ -36,7 +36,7 @@ COMMANDS = {
     "export": Place("after_run", "Export a run to formats of other programs."),
     "replay": Place("after_run", "Repeat a run and check that its digest is the same."),
     "sweep": Place("studies", "Run a scenario over a grid of settings and print a table."),
-    "compare": Place("studies", "Run scenarios, strategies or exchanges on the same seeds, and compare."),
+    "compare": Place("studies", "Run scenarios, strategies or map encodings on the same seeds, and compare."),
     "size": Place("studies", "Try teams, bandwidths and ranges in a building, and say which is enough."),
     "reproduce": Place("studies", "Run the papers' experiments and judge their claims."),
     "chaos": Place("chaos", "Run swarms under faults drawn from seeds, and check what must hold of them."),

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from deploy.commands.console import screen, speaking_clearly
+from deploy.commands.console import report_user_errors, screen
 from deploy.commands.flags import Subcommands, family, to_be_written
 
 app = family()
@@ -38,7 +38,7 @@ def map_make(
     """Make a map and write it as ROS map_server reads it: a YAML file and its picture."""
     from worldsim import generators, maps  # noqa: PLC0415
 
-    with speaking_clearly():
+    with report_user_errors():
         path = out or Path(f"{name}.yaml")
         if path.suffix not in (".yaml", ".yml"):
             raise ValueError(f"out = {path}: must end in .yaml; the picture is written beside it")
@@ -70,7 +70,7 @@ def map_voronoi(
     from deploy.scenario.finding_maps import find_map  # noqa: PLC0415
     from deploy.study import voronoi  # noqa: PLC0415
 
-    with speaking_clearly():
+    with report_user_errors():
         table = Table("map", box=None, pad_edge=False, header_style="bold")
         for title in ("Voronoi pixels", "contour pixels", "ratio", "ratio, smoothed"):
             table.add_column(title, justify="right")
@@ -107,7 +107,7 @@ def map_show(
     from deploy.commands.sketch import sketch  # noqa: PLC0415
     from deploy.scenario.finding_maps import find_map  # noqa: PLC0415
 
-    with speaking_clearly():
+    with report_user_errors():
         world_map = find_map(file, seed, {} if resolution is None else {"resolution": resolution})
         free = int((world_map.cells == 1).sum())
         screen.print(sketch(world_map.cells, screen))

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from deploy.commands.console import screen, speaking_clearly
+from deploy.commands.console import report_user_errors, screen
 from deploy.commands.flags import Subcommands, family
 
 app = family()
@@ -72,7 +72,7 @@ def new_strategy(
     name: Annotated[str, typer.Argument(metavar="NAME", help="what it is called, as farthest or my-way")],
 ) -> None:
     """Write a strategy and its test into this folder: one class to change, and how to run it."""
-    with speaking_clearly():
+    with report_user_errors():
         module = name.replace("-", "_")
         if not module.isidentifier() or keyword.iskeyword(module) or not module.islower():
             raise ValueError(f"name = {name!r}: must be lower-case letters, digits and hyphens, as my-way")

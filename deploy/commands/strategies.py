@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from agent.strategies.catalogue import COMBINING, catalogue, entry
+from agent.strategies.catalog import COMBINING, catalog, entry
 from deploy.commands import strategy_pages as pages
-from deploy.commands.console import screen, speaking_clearly
+from deploy.commands.console import report_user_errors, screen
 from deploy.commands.flags import family, preformatted
 
 app = family()
@@ -26,8 +26,8 @@ def strategies(
     as_json: Annotated[bool, typer.Option("--json", help="print all their data as JSON")] = False,
 ) -> None:
     """List the exploration strategies, or show one with all its options."""
-    with speaking_clearly():
-        entries = catalogue() if name is None else [entry(name)]
+    with report_user_errors():
+        entries = catalog() if name is None else [entry(name)]
         if as_json:
             print(json.dumps(pages.for_machines(entries)))
         else:

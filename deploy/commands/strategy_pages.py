@@ -10,7 +10,7 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from agent.strategies.catalogue import Entry
+from agent.strategies.catalog import Entry
 from deploy.scenario.scenario import Scenario
 
 WIDTH = 100

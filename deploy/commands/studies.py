@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from deploy.commands.console import PAPER_WIDTH, errors, fail, screen, speaking_clearly
+from deploy.commands.console import PAPER_WIDTH, errors, fail, report_user_errors, screen
 from deploy.commands.flags import family, named_values, to_be_written
 
 app = family()
@@ -85,7 +85,7 @@ def sweep(
     from deploy.study.runs import cases, failures, looked_up, make  # noqa: PLC0415
     from deploy.study.tables import described, tabulate  # noqa: PLC0415
 
-    with speaking_clearly():
+    with report_user_errors():
         settings = named_values(set_ or [], "set", "seed=[0,1]")
         if seeds is not None:
             settings["seed"] = list(range(seeds))
@@ -136,7 +136,7 @@ def reproduce(
     from deploy.study import reproduction  # noqa: PLC0415
     from deploy.study.results import Results, make_folder  # noqa: PLC0415
 
-    with speaking_clearly():
+    with report_user_errors():
         settings = {"seed": list(range(seeds))} if seeds is not None else {}
         found = reproduction.asked(claim or [], quick=quick, settings=settings)
         make_folder(out)
@@ -175,7 +175,9 @@ def compare(
         list[Path] | None, typer.Argument(metavar="A.toml B.toml ...", help="scenarios to compare")
     ] = None,
     strategies: Annotated[str | None, typer.Option(metavar="A,B,...", help="strategies to compare")] = None,
-    exchanges: Annotated[str | None, typer.Option(metavar="A,B,...", help="exchanges to compare")] = None,
+    map_encodings: Annotated[
+        str | None, typer.Option(metavar="A,B,...", help="map encodings to compare")
+    ] = None,
     map_: Annotated[
         list[str] | None, typer.Option("--map", metavar="FILE|NAME", help="on this map; repeatable")
     ] = None,
@@ -190,15 +192,15 @@ def compare(
         Path, typer.Option(metavar="DIR", help="where pictures, means and runs are written")
     ] = Path("comparison"),
 ) -> None:
-    """Run scenarios, strategies or exchanges on the same seeds, and say which is better."""
+    """Run scenarios, strategies or map encodings on the same seeds, and say which is better."""
     from deploy.study import comparison  # noqa: PLC0415
 
-    with speaking_clearly():
+    with report_user_errors():
         settings = other_settings(set_ or [], comparison.compare, "robots=4")
-        choices = {"strategy": strategies, "exchange": exchanges}
+        choices = {"strategy": strategies, "map_encoding": map_encodings}
         given = [(key, words(names)) for key, names in choices.items() if names is not None]
         if len(given) + bool(scenario) != 1:
-            raise ValueError("give scenario files, --strategies or --exchanges: one of them")
+            raise ValueError("give scenario files, --strategies or --map-encodings: one of them")
         compared: Any = [{key: name} for key, names in given for name in names] or scenario
         if map_:
             settings["map"] = map_ if len(map_) > 1 else map_[0]
@@ -244,8 +246,8 @@ def size(
     """Try teams, bandwidths and ranges in a building, and say which is enough."""
     from deploy.study import sizing  # noqa: PLC0415
 
-    with speaking_clearly():
-        settings = other_settings(set_ or [], sizing.size, "exchange=sight")
+    with report_user_errors():
+        settings = other_settings(set_ or [], sizing.size, "exchange=predictive")
         runs = out / "runs.parquet"
         with stopping(runs):
             done = sizing.size(

@@ -18,10 +18,10 @@ each robot has on its map. The gap is news still under way.
 OUTLINES = "Faint outlines were received."
 
 
-def about(plan: Plan) -> str:
+def map_id(plan: Plan) -> str:
     """Explain the dashboard, in markdown, with the figures of this run."""
     budget = plan.radio.budget
-    polygons = plan.scenario.exchange == "polygon"
+    polygons = plan.scenario.map_encoding == "polygons"
     medium = "unlimited bandwidth" if budget == UNLIMITED else f"{budget} bytes a step (a second)"
     medium += f", range {plan.range_m:.0f} m"
     return TEXT.format(

@@ -23,18 +23,18 @@ def layout(plan: Plan) -> rrb.Blueprint:
     robots = range(plan.scenario.robots)
     world = _map("/world", "The building as it is [m]", plan, ["/world/**", "/ways/**"], margin=0.12)
     chosen = [_chosen(robot, plan) for robot in robots] if len(robots) > 1 else []
-    minds = [
+    robot_settings = [
         _map(f"/minds/{robot}", f"Robot {robot} knows", plan, [f"/minds/{robot}/**", f"/ways/{robot}"], 0.24)
         for robot in robots
     ]
-    columns = len(minds) if len(minds) < 4 else -(-min(len(minds), MOST) // 2)
+    columns = len(robot_settings) if len(robot_settings) < 4 else -(-min(len(robot_settings), MOST) // 2)
     pages = [
         rrb.Grid(
-            *minds[first : first + MOST],
+            *robot_settings[first : first + MOST],
             grid_columns=columns,
-            name=f"robots {first}-{min(first + MOST, len(minds)) - 1}",
+            name=f"robots {first}-{min(first + MOST, len(robot_settings)) - 1}",
         )
-        for first in range(0, len(minds), MOST)
+        for first in range(0, len(robot_settings), MOST)
     ]
     return rrb.Blueprint(
         rrb.Vertical(

@@ -21,7 +21,7 @@ from protocol import rights
 from protocol.bus import BusClosed, Message
 from protocol.errors import ProtocolError
 from protocol.fields import clip
-from protocol.messages import Bye, Fault
+from protocol.messages import Fault, Shutdown
 from protocol.zenoh_bus import Credential, join
 
 RECORDING = "run.rrd"
@@ -77,7 +77,7 @@ class ViewNode:
             self._show(sender, Fault(sender, clip(str(error))))
 
     def _show(self, sender: str, said: object) -> None:
-        if isinstance(said, Bye):
+        if isinstance(said, Shutdown):
             self.done = True
         for watcher in self._watchers:
             watcher.take(sender, said)

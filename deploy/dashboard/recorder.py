@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from deploy.dashboard.explanation import about, shows_range
+from deploy.dashboard.explanation import map_id, shows_range
 from deploy.dashboard.grid_image import map_picture
 from deploy.dashboard.run_events import Event, RunEvents
 from deploy.dashboard.shapes import axes, corner, flip, number_strips, outline_strips
@@ -78,7 +78,7 @@ class Recorder:
         stream.set_time(TIMELINE, sequence=0)
         self._draw_maps()
         self._draw_styles()
-        self._log("about", rr.TextDocument(about(plan), media_type=rr.MediaType.MARKDOWN), static=True)
+        self._log("about", rr.TextDocument(map_id(plan), media_type=rr.MediaType.MARKDOWN), static=True)
 
     def take(self, sender: str, said: Any) -> None:
         """Draw what is reported."""
@@ -92,7 +92,7 @@ class Recorder:
             self._draw_planning_map(names.number(sender), said)
         elif isinstance(said, Outlines):
             outlines = rr.LineStrips2D.from_fields(strips=outline_strips(self._plan.map, said.vertices))
-            self._log(f"minds/{names.number(sender)}/outlines/{said.about}", outlines)
+            self._log(f"minds/{names.number(sender)}/outlines/{said.map_id}", outlines)
         elif isinstance(said, End):
             self._draw_world()
         for event in events:

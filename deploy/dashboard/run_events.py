@@ -15,7 +15,7 @@ from deploy.scenario.plan import Plan
 from netshaper.ledger import CAUSES, EVERYONE, KIND_NUMBER, ROW
 from netshaper.medium import UNLIMITED
 from protocol import keys as names
-from protocol.messages import Change, End, Fault, Lost, MindReport, RadioReport, WorldReport
+from protocol.messages import Change, End, Fault, Lost, RadioReport, RobotStatus, WorldReport
 from worldsim.maps import to_world
 
 BUDGET = CAUSES.index("budget")
@@ -91,7 +91,7 @@ class RunEvents:
             return self._world(said)
         if isinstance(said, RadioReport):
             return self._radio(said)
-        if isinstance(said, MindReport):
+        if isinstance(said, RobotStatus):
             return self._mind(names.number(sender), said)
         if isinstance(said, Lost):
             self.positions.pop(said.robot, None)
@@ -158,7 +158,7 @@ class RunEvents:
                 events.append(Event(report.step, f"channel full: {cut} bytes wait", 1))
         return events
 
-    def _mind(self, robot: int, report: MindReport) -> list[Event]:
+    def _mind(self, robot: int, report: RobotStatus) -> list[Event]:
         self.backlog[robot] = report.backlog
         events = []
         target = None

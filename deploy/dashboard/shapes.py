@@ -36,13 +36,13 @@ def flip(place: Point) -> Point:
     return place[0], -place[1]
 
 
-def number_strips(number: int, centre: Point, height: float) -> list[Strip]:
+def number_strips(number: int, center: Point, height: float) -> list[Strip]:
     """Draw a number as strokes around a position: readable on a disc of any colour, at any zoom."""
     digits = str(number)
     unit = height / 2
     width = unit * (1.6 * len(digits) - 0.6)
     return [
-        [(centre[0] - width / 2 + unit * (1.6 * place + x), centre[1] + unit * (y - 1)) for x, y in stroke]
+        [(center[0] - width / 2 + unit * (1.6 * place + x), center[1] + unit * (y - 1)) for x, y in stroke]
         for place, digit in enumerate(digits)
         for stroke in _STROKES[int(digit)]
     ]

@@ -10,7 +10,7 @@ class Column(NamedTuple):
 
     name: str
     type: str
-    about: str
+    map_id: str
 
 
 STEPS = (
@@ -32,7 +32,7 @@ STEPS = (
 
 LEDGER = (
     Column("step", "int32", "the step, from 1"),
-    Column("exchange", "int16", "the exchange within the step, from 0"),
+    Column("round", "int16", "the round within the step, from 0"),
     Column("connection", "int32", "within the step, in the order of processing; -1: none"),
     Column("frame", "int16", "0 offer, 1 answer, 2 data, 3 broadcast, 4 news"),
     Column("sender", "int16", "the robot that sent it"),

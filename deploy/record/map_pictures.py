@@ -118,7 +118,7 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
     medium = bandwidth if isinstance(bandwidth, str) else f"{bandwidth} bytes a step"
     top = 1 - 0.26 / figure.get_figheight()
     figure.suptitle(
-        f"{plan.map.name}: {counted(summary['robots'], 'robot')}, {summary['exchange']}, {medium}; "
+        f"{plan.map.name}: {counted(summary['robots'], 'robot')}, {summary['map_encoding']}, {medium}; "
         f"{summary['steps']} steps, {summary['bytes']['total'] / 1000:.0f} kB on the air",
         y=top, va="center",
     )  # fmt: skip

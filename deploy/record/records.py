@@ -20,20 +20,20 @@ from protocol.grid import OCCUPIED, Grid
 from protocol.keys import Keys
 from protocol.messages import (
     Back,
-    Bye,
     Change,
     End,
     Fault,
     Lost,
     Maps,
-    MindReport,
     RadioReport,
+    RobotStatus,
+    Shutdown,
     Stop,
     Strike,
     WorldReport,
     pack,
 )
-from protocol.rights import BABBLES, MOST_NONSENSE
+from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_ERRORS
 
 MOST_FAULTS = 1000
 """Faults that are kept in words; more are counted."""
@@ -45,7 +45,7 @@ class Records:
 
     robots: int
     world: list[WorldReport] = field(default_factory=list)
-    minds: list[list[MindReport]] = field(default_factory=list)
+    robot_settings: list[list[RobotStatus]] = field(default_factory=list)
     rows: list[bytes] = field(default_factory=list)
     own: dict[int, Grid] = field(default_factory=dict)
     """Self-explored grids, by robot, at the end."""
@@ -71,7 +71,7 @@ class Records:
     """Bytes that the bus has moved (`deploy.record.wire_bytes`); None if it is not available."""
 
     def __post_init__(self) -> None:
-        self.minds = [[] for _ in range(self.robots)]
+        self.robot_settings = [[] for _ in range(self.robots)]
 
     def __repr__(self) -> str:
         return f"<records of {self.robots} robots, up to step {self.step}>"
@@ -102,7 +102,7 @@ class Records:
         return np.frombuffer(b"".join(self.rows), ROW)
 
 
-class LabNode:
+class RecorderNode:
     """The laboratory's end of the bus; `done` once everything has been handed in.
 
     Each participant is believed what is its to say, of itself; all else is a fault. `shape` is that of the run's
@@ -128,7 +128,7 @@ class LabNode:
         self._meter = meter
         self._bus = bus
         self._keys = keys
-        self._nonsense: Counter[str] = Counter()
+        self._protocol_errors: Counter[str] = Counter()
         """How often each participant has made no sense in this step."""
         self._obey = obey
 
@@ -145,19 +145,21 @@ class LabNode:
     def _note_nonsense(self, sender: str, what: str) -> None:
         """Record what made no sense; who says too much of it is given up."""
         self.records.note_fault(sender, what)
-        self._nonsense[sender] += 1
-        if self._nonsense[sender] == MOST_NONSENSE + 1 and names.is_robot(sender):
-            self._bus.put(self._keys.control_tx(names.LAB), pack(Lost(names.number(sender), BABBLES)))
+        self._protocol_errors[sender] += 1
+        if self._protocol_errors[sender] == MAX_PROTOCOL_ERRORS + 1 and names.is_robot(sender):
+            self._bus.put(
+                self._keys.control_tx(names.RECORDER), pack(Lost(names.number(sender), TOO_MANY_ERRORS))
+            )
 
     def _take(self, sender: str, said: object) -> None:
         """Record what `sender` says, which is its to say; ProtocolError if it makes no sense."""
         records = self.records
         if isinstance(said, WorldReport):
             records.world.append(said)
-            self._nonsense.clear()
+            self._protocol_errors.clear()
         elif isinstance(said, RadioReport):
             self._take_books(said)
-        elif isinstance(said, MindReport):
+        elif isinstance(said, RobotStatus):
             self._take_thoughts(self._number(sender), said)
         elif isinstance(said, Lost):
             if said.robot not in records.killed:
@@ -185,9 +187,9 @@ class LabNode:
         if self._capture is not None:
             self._capture.write(said.frames)
 
-    def _take_thoughts(self, robot: int, said: MindReport) -> None:
+    def _take_thoughts(self, robot: int, said: RobotStatus) -> None:
         """Take a robot's report, one a step at most."""
-        told = self.records.minds[robot]
+        told = self.records.robot_settings[robot]
         after, last = (told[-1].step if told else 0), self.records.step + 1
         if not after < said.step <= last:
             raise ProtocolError(
@@ -241,15 +243,15 @@ class LabNode:
 
     def ask(self, wish: Strike | Change) -> None:
         """Ask for something that the scenario does not have: with the next step."""
-        self._bus.put(self._keys.control_tx(names.LAB), pack(wish))
+        self._bus.put(self._keys.control_tx(names.RECORDER), pack(wish))
 
     def stop(self, reason: str) -> None:
         """Ask the world to end after this step."""
-        self._bus.put(self._keys.control_tx(names.LAB), pack(Stop(reason)))
+        self._bus.put(self._keys.control_tx(names.RECORDER), pack(Stop(reason)))
 
     def strike(self, robot: int, kind: str, steps: int = 0) -> None:
         """Have a fault befall a robot at the beginning of the next step (`worldsim.faults`)."""
-        self._bus.put(self._keys.control_tx(names.LAB), pack(Strike(0, robot, kind, steps)))
+        self._bus.put(self._keys.control_tx(names.RECORDER), pack(Strike(0, robot, kind, steps)))
 
     def read_meter(self) -> None:
         """Record the bytes that the bus has moved so far."""
@@ -260,4 +262,4 @@ class LabNode:
         """Tell all participants that everything is recorded and that they can shut down."""
         self.read_meter()
         self.done = True
-        self._bus.put(self._keys.control_tx(names.LAB), pack(Bye()))
+        self._bus.put(self._keys.control_tx(names.RECORDER), pack(Shutdown()))

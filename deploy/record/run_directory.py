@@ -41,7 +41,7 @@ RUNS = Path("runs")
 
 FIGURES = (
     "finished", "reason", "steps", "first_robot", "coverage", "map_agreement", "t90", "t99", "robots", "seed",
-    "map", "bus", "strategy", "exchange", "bandwidth", "range_m", "bytes", "packets", "over_budget_steps",
+    "map", "bus", "strategy", "map_encoding", "bandwidth", "range_m", "bytes", "packets", "over_budget_steps",
     "undelivered", "lost", "digest", "steps_per_s", "versions",
 )  # fmt: skip
 """Keys that a summary must have for a run to be reported on or repeated."""
@@ -78,7 +78,7 @@ def create(out: Path | None, plan: Plan) -> Path:
 def _next_free(plan: Plan) -> Path:
     """Make a directory that no other run uses, not even one that starts at the same time."""
     scenario = plan.scenario
-    stem = f"{plan.map.name}-{scenario.exchange}-{scenario.robots}robots-seed{scenario.seed}"
+    stem = f"{plan.map.name}-{scenario.map_encoding}-{scenario.robots}robots-seed{scenario.seed}"
     RUNS.mkdir(exist_ok=True)
     for number in count(1):
         directory = RUNS / (stem if number == 1 else f"{stem}-{number}")
@@ -104,12 +104,12 @@ def open_capture(directory: Path | None, plan: Plan) -> Iterator[BinaryIO | None
         yield None
         return
     scenario = plan.scenario
-    about = (
-        f"{scenario.robots} robots on {plan.map.name}, exchange {scenario.exchange}, "
+    map_id = (
+        f"{scenario.robots} robots on {plan.map.name}, exchange {scenario.map_encoding}, "
         f"bandwidth {scenario.bandwidth}, range {plan.range_m:.1f} m, seed {scenario.seed}"
     )
     with (directory / CAPTURE).open("wb", buffering=0) as file:
-        file.write(capture.head(about))
+        file.write(capture.head(map_id))
         yield file
 
 
@@ -159,7 +159,9 @@ def steps_table(plan: Plan, records: Records) -> Any:
     import pyarrow as pa  # noqa: PLC0415
 
     cell = plan.map.resolution
-    minds = {(r, report.step): report for r, reports in enumerate(records.minds) for report in reports}
+    robot_settings = {
+        (r, report.step): report for r, reports in enumerate(records.robot_settings) for report in reports
+    }
     rows: list[dict[str, Any]] = []
     for report in records.world:
         for robot, x_mm, y_mm, heading in np.frombuffer(report.poses, "<i4").reshape(-1, 4).tolist():
@@ -173,7 +175,7 @@ def steps_table(plan: Plan, records: Records) -> Any:
                 "driven": report.driven[robot] / 1000,
                 "team_seen": report.seen / report.reachable,
             }
-            mind = minds.get((robot, report.step))
+            mind = robot_settings.get((robot, report.step))
             if mind is not None:
                 has_target = mind.target_x >= 0
                 target = to_world(plan.map, mind.target_x, mind.target_y) if has_target else (None, None)

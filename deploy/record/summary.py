@@ -60,7 +60,7 @@ def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "map": plan.map.name,
         "bus": scenario.bus,
         "strategy": scenario.strategy,
-        "exchange": scenario.exchange,
+        "map_encoding": scenario.map_encoding,
         "bandwidth": scenario.bandwidth,
         "range_m": plan.range_m,
         "bytes": kinds,
@@ -182,16 +182,16 @@ def _per_kind(ledger: NDArray[np.void]) -> tuple[dict[str, int], dict[str, int]]
 
 def _approximation_error(records: Records, robot: int, cells: int) -> float | None:
     """Mean over the steps of one robot's d(t), as a share of the cells to explore (thesis, Eq. 6.1)."""
-    if not 0 <= robot < len(records.minds) or not records.minds[robot]:
+    if not 0 <= robot < len(records.robot_settings) or not records.robot_settings[robot]:
         return None
-    return float(np.mean([report.error for report in records.minds[robot]]) / cells)
+    return float(np.mean([report.error for report in records.robot_settings[robot]]) / cells)
 
 
 def _net_error(records: Records, robot: int, cells: int) -> float | None:
     """The same less what an exact approximation would have wrong; None where that was not measured."""
-    if not 0 <= robot < len(records.minds) or not records.minds[robot]:
+    if not 0 <= robot < len(records.robot_settings) or not records.robot_settings[robot]:
         return None
-    reports = records.minds[robot]
+    reports = records.robot_settings[robot]
     if any(report.exact_error < 0 for report in reports):
         return None
     return float(np.mean([report.error - report.exact_error for report in reports]) / cells)
@@ -199,7 +199,7 @@ def _net_error(records: Records, robot: int, cells: int) -> float | None:
 
 def _explored_at(plan: Plan, steps: int) -> int:
     """The step after which the first robot only made sure that nothing was left."""
-    return steps - sure_after(Settings.from_message(plan.minds[0]))
+    return steps - sure_after(Settings.from_message(plan.robot_settings[0]))
 
 
 def _over_budget(ledger: NDArray[np.void], allowed: NDArray[np.float64], *, each: bool) -> int:
@@ -227,7 +227,7 @@ def budgets(budget: int, changes: Iterable[Change], steps: int) -> NDArray[np.fl
 def _undelivered(ledger: NDArray[np.void]) -> dict[str, int]:
     """Frames that were not delivered whole, by cause."""
     cut = ledger[ledger["cause"] > 0]
-    fields = ("step", "exchange", "connection", "frame", "sender", "receiver", "map", "cause")
+    fields = ("step", "round", "connection", "frame", "sender", "receiver", "map", "cause")
     whose = np.array([cut[name] for name in fields], np.int64)
     belongs = cut["connection"] >= 0
     # Of frames of no connection the order of the rows tells where one ends: within it kinds ascend.
@@ -252,5 +252,5 @@ def _differs(columns: NDArray[np.int64]) -> Mask:
 
 def _median_work(records: Records) -> float | None:
     """Median computing time of a robot per step, in microseconds."""
-    work = [report.work_us for reports in records.minds for report in reports]
+    work = [report.work_us for reports in records.robot_settings for report in reports]
     return float(np.median(work)) if work else None

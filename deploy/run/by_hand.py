@@ -15,14 +15,14 @@ from pathlib import Path
 from deploy.dashboard.process import ViewTask, serve
 from deploy.dashboard.windows import Window
 from deploy.record import run_directory
-from deploy.record.records import LabNode, Records
+from deploy.record.records import RecorderNode, Records
 from deploy.record.wire_bytes import Meter
 from deploy.run import preload  # noqa: F401  before the process joins: others wait for it
 from deploy.run.exploration import Result, conclude
 from deploy.run.interrupt import Interrupt
 from deploy.run.launch import Outcome, attend
-from deploy.run.meeting import free_port
 from deploy.run.processes import WorldTask, relay, serve_agent, serve_world
+from deploy.run.rendezvous import free_port
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario, ScenarioError, load
@@ -63,7 +63,7 @@ def serve_netshaper(
         _hand_out(credentials, folder)
         (folder / SCENARIO).write_text(scenario.to_toml(), encoding="utf-8")
         tell(f"run {run} at {endpoint}; credentials in {folder}: {', '.join(credentials)}")
-        relay(bus, run, plan.radio, scenario.patience, tell=tell)
+        relay(bus, run, plan.radio, scenario.reply_timeout_s, tell=tell)
 
 
 def serve_routing(credential: Path, listen: str, folder: Path, tell: Callable[[str], object]) -> None:
@@ -133,10 +133,10 @@ def serve_worldsim(scenario: Scenario, credential: Path) -> None:
     plan = plans.make(scenario)
     task = WorldTask(
         plan.make_world(),
-        plan.minds,
+        plan.robot_settings,
         scenario.steps,
         1000 * plan.map.resolution,
-        patience_s=scenario.patience,
+        reply_timeout_s=scenario.reply_timeout_s,
     )
     serve_world(_credential(credential, names.WORLD), task)
 
@@ -161,7 +161,7 @@ def serve_lab(
     """Serve as the laboratory: record the run and write its directory; `tell` is called once Ctrl-C takes effect."""
     _check_same(scenario, credential)
     plan = plans.make(scenario)
-    read = _credential(credential, names.LAB)
+    read = _credential(credential, names.RECORDER)
     run_directory.check_free(out)
     bus = join(read)
     interrupt = Interrupt(tell)
@@ -171,20 +171,20 @@ def serve_lab(
             directory = run_directory.create(out, plan)
             began = time.perf_counter()
             with run_directory.open_capture(directory, plan) as capture:
-                lab = LabNode(
+                recorder = RecorderNode(
                     bus, Keys(read.run), scenario.robots, plan.map.cells.shape, capture, Meter(read.hub)
                 )
 
                 def look() -> bool:
                     if watch is not None:
-                        watch(plan, lab.records)
+                        watch(plan, recorder.records)
                     return False
 
                 try:
-                    attend(bus, lab, interrupt.heed, look, quiet_s=math.inf)
+                    attend(bus, recorder, interrupt.heed, look, quiet_s=math.inf)
                 except BusClosed as error:
                     deaths[names.RELAY] = str(error)
-        return conclude(plan, Outcome(lab.records, deaths), directory, time.perf_counter() - began)
+        return conclude(plan, Outcome(recorder.records, deaths), directory, time.perf_counter() - began)
 
 
 def serve_viewer(scenario: Scenario, credential: Path, out: Path, window: Window) -> None:

@@ -9,7 +9,7 @@ import multiprocessing
 import queue
 from dataclasses import replace
 
-from deploy.record.records import LabNode, Records
+from deploy.record.records import RecorderNode, Records
 from deploy.run.gate import Gate
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario
@@ -80,10 +80,10 @@ class Control:
         """Say which run it is that is controlled, and whether its robots can be killed."""
         self._scenario, self._diagonal_m, self._may_kill = plan.scenario, plan.map.diagonal_m, may_kill
 
-    def heed(self, lab: LabNode) -> None:
+    def heed(self, recorder: RecorderNode) -> None:
         """Pass on what was wished for."""
         while not self._wishes.empty():
-            lab.ask(self._wishes.get())
+            recorder.ask(self._wishes.get())
 
     def gate(self, free: int = 0) -> Gate:
         """What the world passes before it opens a step; the first `free` ones it opens without."""

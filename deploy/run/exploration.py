@@ -19,18 +19,18 @@ import numpy as np
 from deploy.dashboard.process import RECORDING, ViewTask, watching
 from deploy.dashboard.windows import Window, optimise
 from deploy.record import run_directory
-from deploy.record.records import LabNode, Records
+from deploy.record.records import RecorderNode, Records
 from deploy.record.summary import summarise
 from deploy.run import in_memory, launch
 from deploy.run.control import Control, as_it_went
+from deploy.run.crash_report import traceback_of
 from deploy.run.hosts import Hosts
 from deploy.run.interrupt import Interrupt
-from deploy.run.last_words import traceback_of
 from deploy.run.ssh import Fleet
 from deploy.scenario import plan as plans
 from deploy.scenario.effective_radio import effective_radio
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import Scenario, ScenarioError, check_lives, parse
+from deploy.scenario.scenario import Scenario, ScenarioError, check_incarnations, parse
 from protocol import keys as names
 from protocol.grid import Grid
 from worldsim.pace import Pace
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 EXPLORED, NOT_FINISHED, BAD_INPUT, BROKEN_OFF = range(4)
 """Exit codes of the contract."""
 
-LIVES = 4
+INCARNATIONS = 4
 """How often a robot may begin, with `restart`, if there is room for the maps of so many lives."""
 
 
@@ -139,7 +139,17 @@ class Result:
         return f"<p>{escape(repr(self)[1:-1])}</p>{deaths}{picture}<table>{rows}</table>"
 
 
-_SHOWN = ("steps", "coverage", "map_agreement", "t90", "t99", "strategy", "exchange", "bandwidth", "digest")
+_SHOWN = (
+    "steps",
+    "coverage",
+    "map_agreement",
+    "t90",
+    "t99",
+    "strategy",
+    "map_encoding",
+    "bandwidth",
+    "digest",
+)
 """Figures that a notebook shows."""
 
 
@@ -205,7 +215,7 @@ def explore(
         raise ValueError(f"out = {str(out)!r}: with keep = False nothing is written; leave one of them out")
     scenario = scenario_of(scenario, settings)
     wait: Callable[[], object] = Pace(pace).wait if pace is not None else _nothing
-    plan = plans.make(scenario, lives=_lives(scenario, hosts) if restart else 1)
+    plan = plans.make(scenario, incarnations=_lives(scenario, hosts) if restart else 1)
     if hosts is not None and scenario.bus == "memory":
         raise ScenarioError("bus = 'memory': is one process of one host; with hosts it must be 'zenoh'")
     if radio := effective_radio(plan):
@@ -219,10 +229,10 @@ def explore(
             control.set_speed(pace)
         wait = control.gate().wait
 
-    def heed(lab: LabNode) -> bool:
+    def heed(recorder: RecorderNode) -> bool:
         if control is not None:
-            control.heed(lab)
-        return interrupt.heed(lab)
+            control.heed(recorder)
+        return interrupt.heed(recorder)
 
     with (
         Fleet(hosts, scenario.robots, tell) if hosts is not None else contextlib.nullcontext() as fleet,
@@ -282,7 +292,9 @@ def explore(
                 break
             done = outcome.records.step
             went = as_it_went(plan, outcome.records)
-            plan = plan if went is plan else plans.make(went.scenario, plan.map, lives=plan.lives)
+            plan = (
+                plan if went is plan else plans.make(went.scenario, plan.map, incarnations=plan.incarnations)
+            )
             tell(
                 f"{' and '.join(dead)} died at step {done}: going through the run again up to there, then on"
             )
@@ -302,9 +314,13 @@ def _lives(scenario: Scenario, hosts: Hosts | None) -> int:
         raise ScenarioError(
             "restart: robots of other hosts cannot be started again; leave --hosts or --restart out"
         )
-    lives = LIVES if scenario.exchange == "none" else min(LIVES, scenario.most_maps // scenario.robots)
-    check_lives(scenario, max(lives, 2))
-    return lives
+    incarnations = (
+        INCARNATIONS
+        if scenario.map_encoding == "none"
+        else min(INCARNATIONS, scenario.most_maps // scenario.robots)
+    )
+    check_incarnations(scenario, max(incarnations, 2))
+    return incarnations
 
 
 def scenario_of(scenario: Scenario | None, settings: Mapping[str, Any]) -> Scenario:

@@ -10,7 +10,7 @@ from typing import Any, BinaryIO, Protocol
 from agent.journal import Journal, journal_name
 from agent.process import AgentNode
 from agent.robot import Robot
-from deploy.record.records import LabNode, Records
+from deploy.record.records import RecorderNode, Records
 from deploy.run.garbage import seldom_looking
 from deploy.scenario.plan import Plan
 from netshaper.process import RelayNode
@@ -85,19 +85,19 @@ class MemoryRun:
         """What robots hold together (`agent.robot.Robot.share`)."""
         self._due: list[int] = []
         """Robots that come back."""
-        self._hub = MemoryHub("memory", [names.RELAY, names.WORLD, names.LAB, *self._minds, *watching])
+        self._hub = MemoryHub("memory", [names.RELAY, names.WORLD, names.RECORDER, *self._minds, *watching])
         keys = self._hub.keys
         self._buses: dict[str, Bus] = {}
-        for name in (names.RELAY, *watching, names.LAB, names.WORLD, *self._minds):
+        for name in (names.RELAY, *watching, names.RECORDER, names.WORLD, *self._minds):
             self._buses[name] = wrap(name, self._hub.join(name))
-        self._lab = LabNode(
-            self._buses[names.LAB], keys, robots, plan.map.cells.shape, capture, obey=_noting(self._due)
+        self._lab = RecorderNode(
+            self._buses[names.RECORDER], keys, robots, plan.map.cells.shape, capture, obey=_noting(self._due)
         )
         self._world = WorldNode(
             self._buses[names.WORLD],
             keys,
             plan.make_world(),
-            plan.minds,
+            plan.robot_settings,
             plan.scenario.steps,
             1000 * plan.map.resolution,
             wait=wait,
@@ -106,7 +106,7 @@ class MemoryRun:
         self._nodes: dict[str, Node] = {
             names.RELAY: self._relay,
             names.WORLD: self._world,
-            names.LAB: self._lab,
+            names.RECORDER: self._lab,
         }
         self.agents = [self._agent(number) for number in range(robots)]
         self._nodes |= zip(self._minds, self.agents, strict=True)
@@ -122,7 +122,7 @@ class MemoryRun:
         """Ask for something that the scenario does not have."""
         self._lab.ask(wish)
 
-    def steps(self, heed: Callable[[LabNode], object] = lambda _: None) -> Iterator[int]:
+    def steps(self, heed: Callable[[RecorderNode], object] = lambda _: None) -> Iterator[int]:
         """Go on, and yield each step that is over, from 0, the time before the first.
 
         All has been told of it then, the world has opened the next one, and no robot knows of that.
@@ -134,7 +134,7 @@ class MemoryRun:
             heed(self._lab)
             for name in self._hub.in_turn():
                 spoke |= self._take_turn(name)
-                if name == names.LAB:
+                if name == names.RECORDER:
                     self._end_the_lost()
                     if self._last_step() > over:
                         over = self._last_step()
@@ -190,7 +190,7 @@ class MemoryRun:
 
     def _journal(self, number: int) -> Journal | None:
         """The journal of a robot, in a folder or in memory; None where no robot can come back."""
-        if self._plan.lives == 1:
+        if self._plan.incarnations == 1:
             return None
         if self._journals is not None:
             return Journal.open(self._journals / journal_name(number))
@@ -210,7 +210,7 @@ def run(
     watch: Callable[[Records], object] | None = None,
     capture: BinaryIO | None = None,
     *,
-    heed: Callable[[LabNode], object] = lambda _: None,
+    heed: Callable[[RecorderNode], object] = lambda _: None,
     wrap: Callable[[str, Bus], Bus] = lambda _, bus: bus,
     view: Node | None = None,
     wait: Callable[[], object] = lambda: None,

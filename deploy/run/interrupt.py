@@ -6,7 +6,7 @@ import contextlib
 import signal
 from collections.abc import Callable, Iterator
 
-from deploy.record.records import LabNode
+from deploy.record.records import RecorderNode
 
 REASON = "interrupted"
 
@@ -60,12 +60,12 @@ class Interrupt:
             for number, handler in before.items():
                 signal.signal(number, handler)
 
-    def heed(self, lab: LabNode) -> bool:
+    def heed(self, recorder: RecorderNode) -> bool:
         """Have the run ended after this step if that was requested; return whether it was."""
-        if self._came and not self._heeded and not lab.done:
+        if self._came and not self._heeded and not recorder.done:
             self._heeded = True
             self._tell("ending after this step; writing the run directory")
-            lab.stop(REASON)
+            recorder.stop(REASON)
         return self._came
 
     def _come(self, *_: object) -> None:

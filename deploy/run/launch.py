@@ -18,10 +18,9 @@ from typing import BinaryIO
 from agent.journal import journal_name
 from deploy.dashboard.process import ViewTask
 from deploy.dashboard.watch import announced
-from deploy.record.records import LabNode, Records
+from deploy.record.records import RecorderNode, Records
 from deploy.record.wire_bytes import Meter
 from deploy.run.gate import Gate
-from deploy.run.meeting import Meeting, behind, on_loopback
 from deploy.run.process_table import FORK_SERVER, ProcessTable
 from deploy.run.processes import (
     WorldTask,
@@ -33,6 +32,7 @@ from deploy.run.processes import (
     serve_world,
     silence_s,
 )
+from deploy.run.rendezvous import Rendezvous, behind, on_loopback
 from deploy.run.ssh import Fleet
 from deploy.scenario.plan import Plan
 from netshaper.process import ENDED
@@ -52,7 +52,7 @@ VIEWER_END_S = 5.0
 WRAP_UP_S = 3.0
 """How long the others may be silent once the run is over or was interrupted, and something is not handed in."""
 
-Heed = Callable[[LabNode], bool]
+Heed = Callable[[RecorderNode], bool]
 """Called repeatedly: ends the run early if that was requested, and returns whether it was (`Interrupt.heed`)."""
 
 
@@ -85,7 +85,7 @@ def run(
     pace: float | None = None,
     live: Path | None = None,
     fleet: Fleet | None = None,
-    meeting: Meeting | None = None,
+    rendezvous: Rendezvous | None = None,
     journals: Path | None = None,
     free: int = 0,
     revive: bool = False,
@@ -98,7 +98,7 @@ def run(
     takes the frames (`deploy.record.records`); `heed` may end it early; `show` adds a viewer; `pace` is the steps a
     second at most, but of the first `free` ones; `live` is a directory in which to say how to look at the run
     (`deploy.dashboard.watch`); `fleet`, whose hosts have been reached, runs its robots there, and says where all meet;
-    without it that is `meeting`, or on the loopback. Where robots may come back (`Plan.lives`) their journals are in
+    without it that is `rendezvous`, or on the loopback. Where robots may come back (`Plan.incarnations`) their journals are in
     the folder `journals`; with `revive` those that are lost unasked are started again. `wrap`, which must be picklable,
     may lay something around the ends of the bus of world, laboratory and robots here. `gate` is what the world passes
     before it opens a step, where the run is controlled (`deploy.run.control`).
@@ -115,55 +115,55 @@ def run(
                 pace=pace,
                 live=live,
                 fleet=fleet,
-                meeting=meeting,
+                rendezvous=rendezvous,
                 journals=journals or Path(folder) / "journals",
                 free=free,
                 revive=revive,
                 gate=gate,
                 wrap=wrap,
             )
-    robots, patience = plan.scenario.robots, plan.scenario.patience
+    robots, reply_timeout = plan.scenario.robots, plan.scenario.reply_timeout_s
     world = WorldTask(
         plan.make_world(),
-        plan.minds,
+        plan.robot_settings,
         plan.scenario.steps,
         1000 * plan.map.resolution,
         pace,
         free,
-        patience,
+        reply_timeout,
         revive,
         gate,
     )
-    meeting = fleet.meeting if fleet is not None else meeting or on_loopback(robots)
+    rendezvous = fleet.rendezvous if fleet is not None else rendezvous or on_loopback(robots)
     elsewhere = fleet.robots if fleet is not None else set()
     with (
         ProcessTable(logs) as processes,
-        fleet.running(meeting.credentials, logs) if fleet is not None else contextlib.nullcontext(),
+        fleet.running(rendezvous.credentials, logs) if fleet is not None else contextlib.nullcontext(),
     ):
         table: dict[str, tuple[Callable[..., None], *tuple[object, ...]]] = {
             names.RELAY: (
                 serve_relay,
-                meeting.run,
-                meeting.endpoint,
-                meeting.credentials,
+                rendezvous.run,
+                rendezvous.endpoint,
+                rendezvous.credentials,
                 plan.radio,
-                meeting.certificate,
-                patience,
+                rendezvous.certificate,
+                reply_timeout,
                 world.pause_s,
                 capture is not None,
             ),
-            names.WORLD: (serve_world, meeting.credentials[names.WORLD], world, wrap),
+            names.WORLD: (serve_world, rendezvous.credentials[names.WORLD], world, wrap),
         }
         journals = journals or logs.parent / "journals"
-        credentials = dict(meeting.credentials)
-        for router in [each for each in meeting.credentials.values() if each.robots]:
+        credentials = dict(rendezvous.credentials)
+        for router in [each for each in rendezvous.credentials.values() if each.robots]:
             if elsewhere.isdisjoint(router.robots):
                 there = behind(router)
                 table[router.name] = (serve_router, router, there.endpoint, there.credentials)
                 credentials |= there.credentials
         for number, name in enumerate(map(names.robot, range(robots))):
             if name not in elsewhere:
-                journal = journals / journal_name(number) if plan.lives > 1 else None
+                journal = journals / journal_name(number) if plan.incarnations > 1 else None
                 table[name] = (serve_agent, credentials[name], journal, wrap)
 
         def obey(strike: Strike) -> None:
@@ -177,23 +177,25 @@ def run(
                 processes.start(name, serve, *args)
 
         port = show.task.port if show is not None else None
-        with announced(live, meeting.credentials[names.VIEW], port):
+        with announced(live, rendezvous.credentials[names.VIEW], port):
             for name, (serve, *args) in table.items():
                 processes.start(name, serve, *args)
             if show is not None:
-                _start_viewer(processes, meeting, show)
+                _start_viewer(processes, rendezvous, show)
             outcome = _attend(
-                processes, meeting, fleet, plan, world.pause_s, heed, watch, capture, obey, wrap
+                processes, rendezvous, fleet, plan, world.pause_s, heed, watch, capture, obey, wrap
             )
             if show is not None:
                 outcome.view_fault = processes.await_end(names.VIEW, VIEWER_END_S)
             return outcome
 
 
-def _start_viewer(processes: ProcessTable, meeting: Meeting, show: Show) -> None:
+def _start_viewer(processes: ProcessTable, rendezvous: Rendezvous, show: Show) -> None:
     """Start the viewer, and wait a little for it, so that it sees the first steps; it is not needed."""
     here, there = multiprocessing.Pipe(duplex=False)
-    processes.start(names.VIEW, serve_view, meeting.credentials[names.VIEW], show.task, there, needed=False)
+    processes.start(
+        names.VIEW, serve_view, rendezvous.credentials[names.VIEW], show.task, there, needed=False
+    )
     there.close()
     with contextlib.suppress(EOFError):
         if here.poll(VIEWER_S) and here.recv():
@@ -202,7 +204,7 @@ def _start_viewer(processes: ProcessTable, meeting: Meeting, show: Show) -> None
 
 def _attend(
     processes: ProcessTable,
-    meeting: Meeting,
+    rendezvous: Rendezvous,
     fleet: Fleet | None,
     plan: Plan,
     pause_s: float,
@@ -232,32 +234,34 @@ def _attend(
                     fleet.give_up(names.robot(robot))
 
     try:
-        bus: Bus = join(meeting.credentials[names.LAB])
+        bus: Bus = join(rendezvous.credentials[names.RECORDER])
     except ConnectionError as error:
         look_after_all().setdefault(names.RELAY, str(error))
         return Outcome(Records(plan.scenario.robots), deaths)
     if wrap is not None:
-        bus = wrap(names.LAB, bus)
-    meter = Meter(meeting.endpoint, here=True)
-    lab = LabNode(bus, Keys(meeting.run), plan.scenario.robots, plan.map.cells.shape, capture, meter, obey)
+        bus = wrap(names.RECORDER, bus)
+    meter = Meter(rendezvous.endpoint, here=True)
+    recorder = RecorderNode(
+        bus, Keys(rendezvous.run), plan.scenario.robots, plan.map.cells.shape, capture, meter, obey
+    )
 
     def look() -> bool:
         if watch is not None:
-            watch(lab.records)
-        end_the_lost(lab.records)
-        if look_after_all() and not lab.records.world:
-            lab.send_home()  # no first step can come
+            watch(recorder.records)
+        end_the_lost(recorder.records)
+        if look_after_all() and not recorder.records.world:
+            recorder.send_home()  # no first step can come
         return bool({names.WORLD, FORK_SERVER} & deaths.keys())
 
     with contextlib.closing(bus):
         try:
-            attend(bus, lab, heed, look, 2 * silence_s(plan.scenario.patience, pause_s))
+            attend(bus, recorder, heed, look, 2 * silence_s(plan.scenario.reply_timeout_s, pause_s))
         except BusClosed as error:
             time.sleep(POLL_S)  # the system tells of the death a moment after the bus
             look_after_all().setdefault(names.RELAY, str(error))
-    if lab.records.end is not None and lab.records.end.step < 0:
+    if recorder.records.end is not None and recorder.records.end.step < 0:
         time.sleep(POLL_S)  # likewise
-    for robot, cause in lab.records.lost.items():
+    for robot, cause in recorder.records.lost.items():
         if cause == ENDED:
             processes.await_end(
                 names.robot(robot), FAREWELL_S
@@ -267,10 +271,10 @@ def _attend(
         processes.forget_who_left()
         if fleet is not None:
             fleet.forget_who_left(deaths)
-    return Outcome(lab.records, deaths)
+    return Outcome(recorder.records, deaths)
 
 
-def attend(bus: Bus, lab: LabNode, heed: Heed, look: Callable[[], bool], quiet_s: float) -> None:
+def attend(bus: Bus, recorder: RecorderNode, heed: Heed, look: Callable[[], bool], quiet_s: float) -> None:
     """Serve as the laboratory until everything is recorded, or the participants that still owe data fall silent.
 
     `look` is called a few times a second, and returns whether the run is broken: then it ends as well.
@@ -283,21 +287,21 @@ def attend(bus: Bus, lab: LabNode, heed: Heed, look: Callable[[], bool], quiet_s
     ending: float | None = None
     owed = -1
     heard = looked = time.monotonic()
-    while not lab.done:
+    while not recorder.done:
         message = bus.receive(POLL_S)
         now = time.monotonic()
         if message is not None:
             heard = now
-            lab.handle(message)
+            recorder.handle(message)
         if now - looked < POLL_S:
             continue
         looked = now
-        lab.read_meter()
-        broken, wished = look(), heed(lab)
+        recorder.read_meter()
+        broken, wished = look(), heed(recorder)
         if now - heard > quiet_s:
             raise BusClosed(f"the relay said nothing for {quiet_s:g} s")
-        is_over = lab.records.end is not None
-        if (broken or wished or is_over) and (ending is None or owed != len(lab.missing())):
-            ending, owed = now, len(lab.missing())
+        is_over = recorder.records.end is not None
+        if (broken or wished or is_over) and (ending is None or owed != len(recorder.missing())):
+            ending, owed = now, len(recorder.missing())
         if ending is not None and now - ending > WRAP_UP_S:
-            lab.give_up_waiting()
+            recorder.give_up_waiting()

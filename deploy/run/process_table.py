@@ -19,8 +19,8 @@ from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Self
 
-from deploy.run import orphans
-from deploy.run.last_words import last_words
+from deploy.run import parent_watchdog
+from deploy.run.crash_report import crash_report
 from deploy.run.processes import BROKEN_OFF, in_background
 
 FORK_SERVER = "the fork server"
@@ -45,13 +45,13 @@ class Child:
         """Whether it has printed anything."""
         return self.log.exists() and self.log.stat().st_size > 0
 
-    def last_words(self) -> str:
+    def crash_report(self) -> str:
         """How it ended, and its last line of output."""
         code = self.process.exitcode
         how = f"exit code {code}"
         if code is not None and code < 0:
             how = f"killed by {signal.Signals(-code).name}"
-        said = last_words(self.log.read_text(errors="replace")) if self.log.exists() else ""
+        said = crash_report(self.log.read_text(errors="replace")) if self.log.exists() else ""
         return f"{how}; its last words: {said}" if said else f"{how}, without a word"
 
 
@@ -69,7 +69,7 @@ class ProcessTable:
         self._logs = logs
         self._children: list[Child] = []
         self._context = multiprocessing.get_context("forkserver")
-        self._context.set_forkserver_preload(["deploy.run.orphans", "deploy.run.preload"])
+        self._context.set_forkserver_preload(["deploy.run.parent_watchdog", "deploy.run.preload"])
 
     def __enter__(self) -> Self:
         self._logs.mkdir(parents=True, exist_ok=True)
@@ -83,13 +83,13 @@ class ProcessTable:
         log = self._logs / f"{name}.log"
         with _blank_main():
             process = self._context.Process(target=in_background, args=(name, log, serve, *args), name=name)
-            os.environ[orphans.FOLDER] = orphans.open_folder()
+            os.environ[parent_watchdog.FOLDER] = parent_watchdog.open_folder()
             try:
                 process.start()
             except (EOFError, ConnectionError):
                 raise ConnectionError(f"{FORK_SERVER} died before it had started {name}") from None
             finally:
-                del os.environ[orphans.FOLDER]
+                del os.environ[parent_watchdog.FOLDER]
         self._children.append(Child(name, process, log, needed))
 
     def give_up(self, name: str) -> None:
@@ -114,7 +114,7 @@ class ProcessTable:
             return self.deaths
         for child in dead:
             if child.name not in self.deaths:
-                self.deaths[child.name] = child.last_words()
+                self.deaths[child.name] = child.crash_report()
         return self.deaths
 
     def forget_who_left(self) -> None:
@@ -136,7 +136,7 @@ class ProcessTable:
         child.process.join(timeout_s)
         if child.process.exitcode is None:
             return f"it did not end within {timeout_s:g} s"
-        return child.last_words() if child.process.exitcode else ""
+        return child.crash_report() if child.process.exitcode else ""
 
     def end(self) -> None:
         """Wait, terminate, kill; leave no empty logs."""

@@ -19,10 +19,10 @@ from setproctitle import setproctitle
 
 from agent.journal import Journal, JournalError
 from agent.process import AgentNode
-from deploy.run import orphans
+from deploy.run import parent_watchdog
+from deploy.run.crash_report import traceback_of
 from deploy.run.gate import LONGEST_PAUSE_S, Gate
-from deploy.run.last_words import traceback_of
-from deploy.run.patience import PATIENCE_S, Patience
+from deploy.run.reply_timeout import REPLY_TIMEOUT_S, ReplyTimeout
 from netshaper.hub import open_hub
 from netshaper.process import RelayNode
 from netshaper.radio import RadioSettings
@@ -52,14 +52,14 @@ class WorldTask:
     """The task of the world's process."""
 
     world: World
-    minds: Mapping[int, Mapping[str, Any]]
+    robot_settings: Mapping[int, Mapping[str, Any]]
     steps: int
     cell_mm: float
     pace: float | None = None
     """Steps a second at most, for people who watch."""
     free: int = 0
     """The first steps, which go as fast as they can all the same."""
-    patience_s: float = PATIENCE_S
+    reply_timeout_s: float = REPLY_TIMEOUT_S
     """How long a robot may take for its move."""
     revive: bool = False
     """Whether robots that are lost unasked are to be started again."""
@@ -87,20 +87,20 @@ def serve_relay(
     credentials: Mapping[str, Credential],
     settings: RadioSettings,
     certificate: Certificate | None = None,
-    patience_s: float = PATIENCE_S,
+    reply_timeout_s: float = REPLY_TIMEOUT_S,
     pause_s: float = 0.0,
     captures: bool = True,
 ) -> None:
     """Serve as the hub and relay of a run until all participants have left; all are to be here soon."""
     with closing(open_hub(run, endpoint, credentials, certificate)) as bus:
-        relay(bus, run, settings, patience_s, pause_s, waits=False, captures=captures)
+        relay(bus, run, settings, reply_timeout_s, pause_s, waits=False, captures=captures)
 
 
 def relay(
     bus: Bus,
     run: str,
     settings: RadioSettings,
-    patience_s: float,
+    reply_timeout_s: float,
     pause_s: float = 0.0,
     tell: Callable[[str], object] = lambda _: None,
     *,
@@ -113,28 +113,28 @@ def relay(
     joined for as long as a robot may take for anything. `pause_s` is the world's pause between steps at most.
     """
     node = RelayNode(bus, Keys(run), settings, captures=captures)
-    patience = Patience(node, patience_s)
+    reply_timeout = ReplyTimeout(node, reply_timeout_s)
     told: list[str] = []
     while not node.done:
         message = bus.receive(POLL_S)
         if message is not None:
             node.handle(message)
-        idle = patience.look()
+        idle = reply_timeout.look()
         if node.going_home and idle > FAREWELL_S:
             break
         missing = node.missing()
-        if missing and idle > patience_s and not waits:
-            node.break_off(f"{', '.join(missing)} did not join within {patience_s:g} s")
-        if not missing and idle > silence_s(patience_s, pause_s) and not node.waiting_for():
+        if missing and idle > reply_timeout_s and not waits:
+            node.break_off(f"{', '.join(missing)} did not join within {reply_timeout_s:g} s")
+        if not missing and idle > silence_s(reply_timeout_s, pause_s) and not node.waiting_for():
             node.break_off(f"the world said nothing for {idle:.0f} s")
         if missing != told:
             told = missing
             tell(f"waiting for {', '.join(told)}" if told else "all are here")
 
 
-def silence_s(patience_s: float, pause_s: float) -> float:
+def silence_s(reply_timeout_s: float, pause_s: float) -> float:
     """For how long a world may say nothing: it waits for robots itself."""
-    return 2 * patience_s + pause_s
+    return 2 * reply_timeout_s + pause_s
 
 
 def serve_world(credential: Credential, task: WorldTask, wrap: Wrap | None = None) -> None:
@@ -142,9 +142,16 @@ def serve_world(credential: Credential, task: WorldTask, wrap: Wrap | None = Non
     bus = _joined(credential, wrap)
     keys = Keys(credential.run)
     node = WorldNode(
-        bus, keys, task.world, task.minds, task.steps, task.cell_mm, wait=task.wait, revive=task.revive
+        bus,
+        keys,
+        task.world,
+        task.robot_settings,
+        task.steps,
+        task.cell_mm,
+        wait=task.wait,
+        revive=task.revive,
     )
-    _serve(bus, node, Patience(node, task.patience_s))
+    _serve(bus, node, ReplyTimeout(node, task.reply_timeout_s))
 
 
 def serve_router(credential: Credential, endpoint: str, credentials: Mapping[str, Credential]) -> None:
@@ -189,14 +196,14 @@ def _joined(credential: Credential, wrap: Wrap | None) -> Bus:
     return bus if wrap is None else wrap(credential.name, bus)
 
 
-def _serve(bus: Bus, node: WorldNode | AgentNode, patience: Patience | None = None) -> None:
+def _serve(bus: Bus, node: WorldNode | AgentNode, reply_timeout: ReplyTimeout | None = None) -> None:
     try:
         while not node.done:
-            message = bus.receive(None if patience is None else POLL_S)
+            message = bus.receive(None if reply_timeout is None else POLL_S)
             if message is not None:
                 node.handle(message)
-            if patience is not None:
-                patience.look()
+            if reply_timeout is not None:
+                reply_timeout.look()
         if isinstance(node, AgentNode) and node.killed:
             os.kill(os.getpid(), signal.SIGKILL)
     finally:
@@ -206,7 +213,7 @@ def _serve(bus: Bus, node: WorldNode | AgentNode, patience: Patience | None = No
 def in_background(name: str, log: Path, serve: Callable[..., None], *args: object) -> None:
     """Run `serve` as a child of the launcher: its output goes to `log`; Ctrl-C is handled by the launcher."""
     setproctitle(f"murmur {name}")
-    orphans.end_with_launcher()
+    parent_watchdog.end_with_launcher()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)

@@ -1,7 +1,7 @@
 """Robots on other hosts, from the launcher's side: one `ssh` a host, with `murmur run agents` at its far end.
 
 All hosts are reached and asked for their code before anything else starts. Credentials go through standard input; when
-that is closed, by us or by our end, the far end ends its robots (`deploy.run.far_end`).
+that is closed, by us or by our end, the far end ends its robots (`deploy.run.remote_agents`).
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Self
 
-from deploy.run.far_end import hello
 from deploy.run.hosts import Host, Hosts
-from deploy.run.meeting import by_certificates
 from deploy.run.processes import BROKEN_OFF
+from deploy.run.remote_agents import hello
+from deploy.run.rendezvous import by_certificates
 from deploy.scenario.scenario import ScenarioError
 from protocol import keys as names
 from protocol.zenoh_bus import Credential
@@ -72,7 +72,7 @@ class Fleet:
     def __init__(self, hosts: Hosts, robots: int, tell: Callable[[str], object] = lambda _: None) -> None:
         placing = {name: list(map(names.robot, there)) for name, there in hosts.placing(robots).items()}
         routers = {names.router(host.name): placing[host.name] for host in hosts.host if host.router}
-        self.meeting = by_certificates(hosts.address, hosts.port, robots, routers)
+        self.rendezvous = by_certificates(hosts.address, hosts.port, robots, routers)
         self._links = [_Link(host, placing[host.name]) for host in hosts.host]
         self._tell = tell
 

@@ -107,7 +107,7 @@ class Cluster:
         Nobody answers there, or dask.distributed is not installed.
     """
 
-    PATIENCE_S = 20
+    REPLY_TIMEOUT_S = 20
 
     def __init__(self, address: str) -> None:
         try:
@@ -119,7 +119,7 @@ class Cluster:
         if not re.fullmatch(r"\w+://.+|\S+:[0-9]+", address):
             raise ValueError(f"scheduler = {address!r}: must be its address, as tcp://10.0.0.1:8786")
         try:
-            self._client: Any = Client(address, timeout=self.PATIENCE_S, set_as_default=False)
+            self._client: Any = Client(address, timeout=self.REPLY_TIMEOUT_S, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise ValueError(
                 f"scheduler = {address!r}: {str(error) or 'nobody answers'}; give its address, as tcp://10.0.0.1:8786"

@@ -32,9 +32,9 @@ class Plan:
     map: Map
     world: WorldSettings
     radio: RadioSettings
-    minds: dict[int, dict[str, Any]]
+    robot_settings: dict[int, dict[str, Any]]
     range_m: float
-    lives: int = 1
+    incarnations: int = 1
     """How often a robot may begin: more than once only where robots may come back (`worldsim.faults`)."""
 
     def make_world(self) -> World:
@@ -42,10 +42,10 @@ class Plan:
         return World(self.map.cells, self.world)
 
 
-def make(scenario: Scenario, world_map: Map | None = None, *, lives: int = 1) -> Plan:
+def make(scenario: Scenario, world_map: Map | None = None, *, incarnations: int = 1) -> Plan:
     """Derive the plan of a scenario, on `world_map` instead of the map that it names if one is given.
 
-    Robots may begin as often as `lives` says, or more often if the scenario restarts them more often.
+    Robots may begin as often as `incarnations` says, or more often if the scenario restarts them more often.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def make(scenario: Scenario, world_map: Map | None = None, *, lives: int = 1) ->
         or for the strategy.
     """
     world_map = world_map or load_map(scenario)
-    lives = max(lives, faults.lives(scenario.faults))
+    incarnations = max(incarnations, faults.incarnations(scenario.faults))
     cell = world_map.resolution
     bodies = []
     for number in range(scenario.robots):
@@ -100,7 +100,7 @@ def make(scenario: Scenario, world_map: Map | None = None, *, lives: int = 1) ->
         scenario.faults,
         chosen.returns(scenario.options),
         scenario.motion == "cells",
-        scenario.bodies,
+        scenario.robots_collide,
     )
     budget = medium.UNLIMITED if scenario.bandwidth == UNLIMITED else int(scenario.bandwidth)
     radio = RadioSettings(
@@ -108,9 +108,9 @@ def make(scenario: Scenario, world_map: Map | None = None, *, lives: int = 1) ->
         scenario.seed,
         range_m / cell,
         budget,
-        scenario.exchanges,
-        scenario.offers == gossip.POLICY,
-        lives,
+        scenario.rounds,
+        scenario.dissemination == gossip.POLICY,
+        incarnations,
         scenario.radio,
         cell,
         world_map.cells if scenario.radio.model != "disc" else None,
@@ -118,7 +118,7 @@ def make(scenario: Scenario, world_map: Map | None = None, *, lives: int = 1) ->
         tuple(scenario.body_of(number).receive_bytes or 0 for number in range(scenario.robots)),
         scenario.changes(world_map.diagonal_m),
     )
-    minds = {
+    robot_settings = {
         number: Settings(
             robot=number,
             robots=scenario.robots,
@@ -128,27 +128,27 @@ def make(scenario: Scenario, world_map: Map | None = None, *, lives: int = 1) ->
             beams=scenario.beams,
             speed_cells=bodies[number].speed,
             seed=scenario.seed,
-            exchange=scenario.exchange,
+            map_encoding=scenario.map_encoding,
             strategy=scenario.strategy,
-            offers=scenario.offers,
+            dissemination=scenario.dissemination,
             bandwidth=None if scenario.bandwidth == UNLIMITED else float(scenario.bandwidth),
             reach_cells=range_m / cell,
-            polygon=asdict(scenario.polygon),
-            sight=asdict(scenario.sight),
+            polygons=asdict(scenario.polygons),
+            predictive=asdict(scenario.predictive),
             options=scenario.options,
             resolution=cell,
             radii_cells=[body.radius_cells for body in bodies],
             field_of_view=bodies[number].field_of_view,
             scanner_turn=bodies[number].scanner_turn,
-            pass_on=scenario.pass_on,
-            confirms=not radio.perfect or (radio.gossip and faults.deafen(scenario.faults)),
+            forward_maps=scenario.forward_maps,
+            requires_acks=not radio.perfect or (radio.gossip and faults.deafen(scenario.faults)),
             fastest_cells=max(body.speed for body in bodies),
             frame_bytes=radio.packet_bytes,
-            lives=lives,
+            incarnations=incarnations,
         ).to_message()
         for number in range(scenario.robots)
     }
-    return Plan(scenario, world_map, world, radio, minds, range_m, lives)
+    return Plan(scenario, world_map, world, radio, robot_settings, range_m, incarnations)
 
 
 def least_range(radius_cells: float) -> float:
@@ -172,7 +172,7 @@ def load_map(scenario: Scenario) -> Map:
 def _starts(scenario: Scenario, world_map: Map, radii_cells: list[float]) -> list[Cell]:
     """Where each robot starts: those of `starts` first, the others around `start`, or around a drawn cell."""
     floor = enlarge(world_map.cells, max(radii_cells))
-    apart = max(1, round(scenario.apart / world_map.resolution), math.ceil(2 * max(radii_cells)))
+    apart = max(1, round(scenario.start_spacing / world_map.resolution), math.ceil(2 * max(radii_cells)))
     jitter = scenario.start_jitter / world_map.resolution
     given: list[Cell] = []
     try:
@@ -202,7 +202,7 @@ def _cell(world_map: Map, point: tuple[float, float]) -> Cell:
 
 def _check_apart(scenario: Scenario, given: list[Cell], radii_cells: list[float]) -> None:
     """Raise ValueError if two robots that block each other would start in one place."""
-    for robot, (x, y) in enumerate(given if scenario.bodies else ()):
+    for robot, (x, y) in enumerate(given if scenario.robots_collide else ()):
         for other, (other_x, other_y) in enumerate(given[:robot]):
             reach = max(1.0, radii_cells[robot] + radii_cells[other])
             if math.hypot(x - other_x, y - other_y) < reach:

@@ -12,8 +12,8 @@ from typing import Annotated, Any, Literal, Self
 import tomli_w
 from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
-from agent.exchange.polygon_options import PolygonOptions
-from agent.exchange.sight_options import SightOptions
+from agent.encodings.polygon_options import PolygonOptions
+from agent.encodings.predictive_options import PredictiveOptions
 from deploy.scenario.finding_maps import FILES as MAP_FILES
 from deploy.scenario.tables import (
     MOST_INTEGER,
@@ -23,7 +23,7 @@ from deploy.scenario.tables import (
     Death,
     Degrees,
     FaultTable,
-    Metres,
+    Meters,
     NotNegative,
     Positive,
     Range,
@@ -69,13 +69,15 @@ class Scenario(Table):
 
     map: str = Field("office", description="a map's YAML file, or the name of a generator (murmur map list)")
     map_seed: Whole = Field(0, ge=0, le=MOST_INTEGER, description="seed of the generator")
-    map_options: dict[str, Metres] = Field(
+    map_options: dict[str, Meters] = Field(
         default_factory=dict, description="parameters of the generator: resolution, width_m, ..."
     )
     robots: Whole = Field(3, ge=1, le=MAX_ROBOTS, description="how many robots explore")
     range: Range = Field("100%", description="communication range: metres, or % of the map's diagonal")
     bandwidth: Bandwidth = Field(1000, description="bytes per step for the whole team")
-    exchange: str = Field("sight", description="how maps are shared: polygon, laser, grid, sight, none")
+    map_encoding: str = Field(
+        "predictive", description="how maps are encoded: polygons, scans, cells, predictive, none"
+    )
     strategy: str = Field(
         DEFAULT_STRATEGY, description="how targets are chosen (murmur strategies lists all)"
     )
@@ -91,10 +93,10 @@ class Scenario(Table):
     steps: Whole = Field(
         10000, ge=1, le=MOST_INTEGER, description="the run ends after this many steps at the latest"
     )
-    start: tuple[Metres, Metres] | None = Field(
+    start: tuple[Meters, Meters] | None = Field(
         None, description="metres in the map's frame; drawn from the seed if left out"
     )
-    starts: tuple[tuple[Metres, Metres], ...] = Field(
+    starts: tuple[tuple[Meters, Meters], ...] = Field(
         (),
         description="where the first robots start, one each, metres in the map's frame; the others around start",
     )
@@ -105,25 +107,27 @@ class Scenario(Table):
         "metres",
         description="how a cell's way is counted: by its length, or one cell to any of eight neighbours",
     )
-    bodies: Annotated[bool, Field(strict=True)] = Field(
+    robots_collide: Annotated[bool, Field(strict=True)] = Field(
         True, description="whether robots block each other's way and laser"
     )
     radius: NotNegative = Field(0.0, description="metres; robots are discs, 0: points")
-    apart: Positive = Field(0.3, description="metres between start poses")
-    exchanges: Whole = Field(2, ge=1, le=16, description="exchanges per step (R)")
-    offers: Literal["backoff", "thesis", "gossip"] = Field(
-        default_factory=lambda said: "gossip" if said.get("exchange") == "sight" else "backoff",
-        description="when maps are offered, by default gossip with sight, else backoff: backoff, thesis, gossip",
+    start_spacing: Positive = Field(0.3, description="metres between start poses")
+    rounds: Whole = Field(2, ge=1, le=16, description="rounds of the medium per step (R)")
+    dissemination: Literal["backoff", "thesis", "gossip"] = Field(
+        default_factory=lambda said: "gossip" if said.get("map_encoding") == "predictive" else "backoff",
+        description="when maps are offered, by default gossip with predictive, else backoff: backoff, thesis, gossip",
     )
-    pass_on: bool = Field(True, description="whether robots offer maps of others too", strict=True)
+    forward_maps: bool = Field(True, description="whether robots offer maps of others too", strict=True)
     interference: NotNegative = Field(0.0, description="metres; nearer robots hinder each other")
-    polygon: PolygonOptions = Field(
-        default_factory=PolygonOptions, description="options of the polygon exchange"
+    polygons: PolygonOptions = Field(
+        default_factory=PolygonOptions, description="options of the polygon encoding"
     )
-    sight: SightOptions = Field(default_factory=SightOptions, description="options of the sight exchange")
+    predictive: PredictiveOptions = Field(
+        default_factory=PredictiveOptions, description="options of the predictive encoding"
+    )
     radio: RadioOptions = Field(default_factory=RadioOptions, description="options of the radio")
     options: dict[str, Any] = Field(default_factory=dict, description="options of the strategy, by name")
-    patience: Positive = Field(
+    reply_timeout_s: Positive = Field(
         60.0, description="seconds of wall clock in which a robot must be done with a phase or a move"
     )
     least_coverage: float = Field(
@@ -160,9 +164,9 @@ class Scenario(Table):
 
         To a strategy that looks at crumbs from afar it is cheap to find out.
         """
-        if not isinstance(data, dict) or data.get("exchange") != "polygon":
+        if not isinstance(data, dict) or data.get("map_encoding") != "polygons":
             return data
-        polygon = data.get("polygon", {})
+        polygon = data.get("polygons", {})
         if not isinstance(polygon, dict) or "wide_seen_walls" in polygon:
             return data
         from agent.strategies.registry import strategy  # noqa: PLC0415  kernels, of which help needs none
@@ -173,7 +177,7 @@ class Scenario(Table):
             return data  # `_fits_together` says why
         if not chosen.looks_from_afar:
             return data
-        return data | {"polygon": polygon | {"wide_seen_walls": False}}
+        return data | {"polygons": polygon | {"wide_seen_walls": False}}
 
     @field_validator("robot", "death", "fault", "change", mode="before")
     @classmethod
@@ -190,12 +194,12 @@ class Scenario(Table):
         hint = "; how many robots explore is `robots`" if info.field_name == "robot" else ""
         raise ValueError(f"must be tables, [[{info.field_name}]], of {', '.join(kind.model_fields)}{hint}")
 
-    @field_validator("exchange")
+    @field_validator("map_encoding")
     @classmethod
-    def _exchange_is_known(cls, value: str) -> str:
-        from agent.exchange.catalogue import exchange_kind  # noqa: PLC0415  arrays, of which help needs none
+    def _encoding_is_known(cls, value: str) -> str:
+        from agent.encodings.catalog import encoding_class  # noqa: PLC0415  arrays, of which help needs none
 
-        exchange_kind(value)
+        encoding_class(value)
         return value
 
     @field_validator("options")
@@ -211,14 +215,14 @@ class Scenario(Table):
         from agent.strategies.registry import strategy  # noqa: PLC0415  kernels, of which help needs none
 
         strategy(self.strategy).check(self.options)
-        if self.robots > self.most_maps and self.exchange != "none":
+        if self.robots > self.most_maps and self.map_encoding != "none":
             raise ValueError(
                 f"robots = {self.robots}: packets can name the maps of {self.most_maps} robots; "
-                "more need offers = 'gossip', or exchange = 'none'"
+                "more need dissemination = 'gossip', or map_encoding = 'none'"
             )
-        if not self.pass_on and self.offers == "gossip":
+        if not self.forward_maps and self.dissemination == "gossip":
             raise ValueError(
-                "pass_on = false: with offers = 'gossip' whoever is nearest passes maps on; leave one out"
+                "forward_maps = false: with dissemination = 'gossip' whoever is nearest passes maps on; leave one out"
             )
         for partition in self.radio.partition:
             strange = [robot for group in partition.groups for robot in group if robot >= self.robots]
@@ -241,7 +245,7 @@ class Scenario(Table):
             if len(set(numbers)) < len(numbers):
                 raise ValueError(f"[[{table}]] speaks of a robot twice: {numbers}")
         faults.check(self.faults, self.robots)
-        check_lives(self, faults.lives(self.faults))
+        check_incarnations(self, faults.incarnations(self.faults))
         return self
 
     @property
@@ -282,20 +286,20 @@ class Scenario(Table):
     @property
     def most_maps(self) -> int:
         """Maps that packets can name: offers have fewer bits for it than gossip."""
-        return MAX_GOSSIP_MAPS if self.offers == "gossip" else MAX_MAPS
+        return MAX_GOSSIP_MAPS if self.dissemination == "gossip" else MAX_MAPS
 
     def to_toml(self) -> str:
         """The scenario as TOML, every setting written out."""
         return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
 
 
-def check_lives(scenario: Scenario, lives: int) -> None:
+def check_incarnations(scenario: Scenario, incarnations: int) -> None:
     """Raise ScenarioError if packets cannot name the maps of robots that begin so often (`agent.identity`)."""
     most = scenario.most_maps
-    if scenario.exchange != "none" and scenario.robots * lives > most:
+    if scenario.map_encoding != "none" and scenario.robots * incarnations > most:
         raise ScenarioError(
             f"robots = {scenario.robots}: packets can name {most} maps, one a life of each robot; so "
-            f"{scenario.robots} robots can begin {most // scenario.robots} times each, not {lives} times"
+            f"{scenario.robots} robots can begin {most // scenario.robots} times each, not {incarnations} times"
         )
 
 
@@ -331,7 +335,7 @@ def _leave_to_preset(data: dict[str, Any]) -> None:
 
 
 def _lay_over(data: dict[str, Any], overrides: dict[str, Any]) -> None:
-    """Replace what the overrides set; of tables only the keys that they name (``polygon.lazy``)."""
+    """Replace what the overrides set; of tables only the keys that they name (``polygons.lazy``)."""
     for key, value in overrides.items():
         table, _, inner = key.partition(".")
         if value is None:
@@ -404,8 +408,8 @@ _KEYS = {
     "death": list(Death.model_fields),
     "fault": list(FaultTable.model_fields),
     "change": list(ChangeTable.model_fields),
-    "polygon": [field.name for field in fields(PolygonOptions)],
-    "sight": [field.name for field in fields(SightOptions)],
+    "polygons": [field.name for field in fields(PolygonOptions)],
+    "predictive": [field.name for field in fields(PredictiveOptions)],
     "radio": [field.name for field in fields(RadioOptions)],
     "radio.partition": [field.name for field in fields(Partition)],
 }

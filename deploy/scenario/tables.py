@@ -17,7 +17,7 @@ MOST_INTEGER = 2**31 - 1
 MOST_METRES = 1e6
 
 Whole = Annotated[int, Field(strict=True)]
-Metres = Annotated[float, Field(strict=True, ge=-MOST_METRES, le=MOST_METRES)]
+Meters = Annotated[float, Field(strict=True, ge=-MOST_METRES, le=MOST_METRES)]
 Positive = Annotated[float, Field(strict=True, gt=0, le=MOST_METRES)]
 NotNegative = Annotated[float, Field(strict=True, ge=0, le=MOST_METRES)]
 LimitOrNone = Annotated[int | None, Field(strict=True, ge=LEAST_FRAME, le=MOST_INTEGER)]

@@ -6,10 +6,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from agent.exchange.polygon_options import THESIS_OPTIONS, PolygonOptions
+from agent.encodings.polygon_options import THESIS_OPTIONS, PolygonOptions
 from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load, read_toml
 
-EXCHANGE, OFFERS, STRATEGY = "polygon", "thesis", "meier"
+ENCODING, DISSEMINATIONS, STRATEGY = "polygons", "thesis", "meier"
 
 NOT_IN_IT: dict[str, dict[str, Any]] = {"meier": {"herding": False}}
 """Options of strategies that take away what the thesis does not have: the rule against herding is ours."""
@@ -23,8 +23,8 @@ def thesis_settings(strategy: str = STRATEGY) -> dict[str, Any]:
     ours = asdict(PolygonOptions())
     plain = {name: value for name, value in asdict(THESIS_OPTIONS).items() if value != ours[name]}
     return (
-        {"exchange": EXCHANGE, "offers": OFFERS, "strategy": strategy}
-        | {f"polygon.{name}": value for name, value in plain.items()}
+        {"map_encoding": ENCODING, "dissemination": DISSEMINATIONS, "strategy": strategy}
+        | {f"polygons.{name}": value for name, value in plain.items()}
         | {f"options.{name}": value for name, value in NOT_IN_IT.get(strategy, {}).items()}
     )
 

@@ -54,7 +54,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=2)
     asked = parser.parse_args()
     scenario = {
-        "map": asked.map, "robots": asked.robots, "seed": asked.seed, "exchange": "laser", "bandwidth": "unlimited",
+        "map": asked.map, "robots": asked.robots, "seed": asked.seed, "map_encoding": "scans", "bandwidth": "unlimited",
         "bus": "memory", "sensor_range": 3.0, "speed": 0.5, "scanner_turn": 72,
     }  # fmt: skip
     draw(asked.file, list(strategies()), scenario)

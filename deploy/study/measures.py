@@ -175,7 +175,7 @@ def _over_the_rest(values: NDArray[np.int64], chosen: NDArray[np.bool_]) -> floa
 
 def _meetings(plan: Plan, records: Records) -> NDArray[np.bool_]:
     """Steps in which two robots have just come into range, and the `AFTER_MEETING` - 1 after each."""
-    meeting = np.zeros(records.step, np.bool_)
+    rendezvous = np.zeros(records.step, np.bool_)
     before: set[tuple[int, int]] | None = None
     for number, report in enumerate(records.world):
         poses = np.frombuffer(report.poses, "<i4").reshape(-1, 4)
@@ -184,6 +184,6 @@ def _meetings(plan: Plan, records: Records) -> NDArray[np.bool_]:
         names = poses[:, 0].tolist()
         now = {(names[one], names[other]) for one, other in zip(ones, others, strict=True) if one < other}
         if before is not None and now - before:
-            meeting[number : number + AFTER_MEETING] = True
+            rendezvous[number : number + AFTER_MEETING] = True
         before = now
-    return meeting
+    return rendezvous

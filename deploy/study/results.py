@@ -27,7 +27,17 @@ KEY, CODE, ERROR = "key", "code", "error"
 IDENTITY = (KEY, CODE, ERROR)
 """Columns of every table: the run's key, the code that made it, and why it failed (null: it did not)."""
 
-ORDER = ("map", "strategy", "exchange", "offers", "bandwidth", "range", "robots", "map_seed", "seed")
+ORDER = (
+    "map",
+    "strategy",
+    "map_encoding",
+    "dissemination",
+    "bandwidth",
+    "range",
+    "robots",
+    "map_seed",
+    "seed",
+)
 """Settings by which rows are sorted, before their key, and the first columns after `IDENTITY`; the others are sorted
 by name, so that a table does not tell which run was over first."""
 

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.exchange.catalogue import exchange_kind
+from agent.encodings.catalog import encoding_class
 from agent.strategies.registry import strategy
 from deploy.record.versions import versions
 from deploy.run.workers import Workers
@@ -263,13 +263,13 @@ def identity(scenario: Scenario, measure: str, world: bytes) -> str:
     settings = scenario.model_dump(mode="json")
     if world:
         settings["map"] = Path(scenario.map).name
-    about = json.dumps((settings, measure), sort_keys=True)
-    return hashlib.sha256(about.encode() + world).hexdigest()
+    map_id = json.dumps((settings, measure), sort_keys=True)
+    return hashlib.sha256(map_id.encode() + world).hexdigest()
 
 
 def code_of(scenario: Scenario) -> str:
     """Sha256 over what runs it: versions, our sources, the strategy's and the exchange's."""
-    theirs = f"{_strategy(scenario.strategy)} {_exchange(scenario.exchange)}"
+    theirs = f"{_strategy(scenario.strategy)} {_encoding(scenario.map_encoding)}"
     return hashlib.sha256(f"{_versions()} {_sources()} {theirs}".encode()).hexdigest()
 
 
@@ -285,9 +285,9 @@ def _strategy(name: str) -> str:
 
 
 @cache
-def _exchange(name: str) -> str:
+def _encoding(name: str) -> str:
     """The source of an exchange, likewise."""
-    return inspect.getsource(sys.modules[exchange_kind(name).__module__])
+    return inspect.getsource(sys.modules[encoding_class(name).__module__])
 
 
 @cache

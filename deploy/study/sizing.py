@@ -171,7 +171,7 @@ def size(
     seeds : int
         Runs of each combination.
     **settings
-        Other settings of all runs: ``exchange="sight", offers="gossip"``.
+        Other settings of all runs: ``exchange="predictive", dissemination="gossip"``.
 
     Raises
     ------

@@ -1,10 +1,10 @@
-"""The counts with which sight's streams begin, learnt on generated maps.
+"""The counts with which predictive's streams begin, learnt on generated maps.
 
 ``python -m deploy.study.starting_table FILE.npz`` writes them to a file.
 
-Explorations of generated maps are run, and told again in units as the sight exchange tells them. What came how often
+Explorations of generated maps are run, and told again in units as the predictive exchange tells them. What came how often
 in each context is summed up over all robots and runs, and scaled down, so that a robot's own building soon counts more.
-What is written is shipped as `agent.sight.contexts.TABLE`; whoever reads a stream must have the one that it was
+What is written is shipped as `agent.predictive.contexts.TABLE`; whoever reads a stream must have the one that it was
 written with.
 """
 
@@ -18,17 +18,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.exchange.sight import ENOUGH_STEPS
-from agent.sight import contexts
-from agent.sight.history import Box, History, around
-from agent.sight.stream import Stream
+from agent.encodings.predictive import ENOUGH_STEPS
+from agent.predictive import contexts
+from agent.predictive.history import Box, History, around
+from agent.predictive.stream import Stream
 from deploy.run import in_memory
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import parse
 from protocol import keys as names
 from protocol.bus import Bus, Message
-from protocol.grid import UNKNOWN, fan
+from protocol.grid import UNKNOWN, ray_table
 from protocol.messages import Sense, cells_from_bytes, unpack
 from protocol.scans import draw
 
@@ -74,13 +74,14 @@ def explored(plan: Plan) -> list[list[Sense]]:
 def counted(plan: Plan, senses: list[list[Sense]]) -> Iterator[NDArray[np.uint16]]:
     """Tell an exploration again; yield the counts of each robot's stream at its end."""
     robots, shape = len(senses), plan.map.cells.shape
-    fans = [fan(body.range_cells, plan.world.beams) for body in plan.world.bodies]
+    ray_tables = [ray_table(body.range_cells, plan.world.beams) for body in plan.world.bodies]
     grids = np.zeros((robots, *shape), np.uint8)
     histories = [History() for _ in senses]
     scratch = np.empty((2 * shape[0] * shape[1], 3), np.int32)
     even = np.zeros((contexts.CONTEXTS, 2), np.uint16)
     streams = [
-        Stream(n, grids[n], fans[n], histories, scratch, team=True, counts=even.copy()) for n in range(robots)
+        Stream(n, grids[n], ray_tables[n], histories, scratch, team=True, counts=even.copy())
+        for n in range(robots)
     ]
     own = np.full((robots, *shape), UNKNOWN, np.uint8)
     poses: list[list[tuple[int, int]]] = [[] for _ in senses]
@@ -90,7 +91,7 @@ def counted(plan: Plan, senses: list[list[Sense]]) -> Iterator[NDArray[np.uint16
             sense = senses[robot][step]
             readings = np.frombuffer(sense.readings, np.uint16).copy()
             driven = cells_from_bytes(sense.driven)
-            change = draw(own[robot], fans[robot], sense.x, sense.y, readings, driven)
+            change = draw(own[robot], ray_tables[robot], sense.x, sense.y, readings, driven)
             if change.cells:
                 poses[robot].append((sense.x, sense.y))
                 boxes[robot].append((change.x0, change.y0, change.x1, change.y1))
@@ -107,7 +108,7 @@ def learn() -> NDArray[np.uint16]:
     for number, (name, robots, speed) in enumerate(product(MAPS, TEAMS, SPEEDS)):
         settings = {
             "map": name, "map_seed": number, "seed": number, "robots": robots, "speed": speed, "steps": STEPS,
-            "strategy": "meier", "exchange": "laser", "bandwidth": "unlimited", "bus": "memory",
+            "strategy": "meier", "map_encoding": "scans", "bandwidth": "unlimited", "bus": "memory",
         }  # fmt: skip
         plan = plans.make(parse(settings))
         for counts in counted(plan, explored(plan)):

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image
 
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, fan
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
 
 REAL_MAPS = Path(os.environ.get("MURMUR_MAPS", Path(__file__).parents[3] / "shared" / "maps"))
 
@@ -107,7 +107,7 @@ def exploration(
 
 def see(world: Grid, known: Grid, robot: Cell, range_cells: float) -> None:
     """Cast all beams from the robot's cell and enter what they meet."""
-    beams = fan(range_cells)
+    beams = ray_table(range_cells)
     x, y = beams.cells[:, 0] + robot[0], beams.cells[:, 1] + robot[1]
     height, width = world.shape
     on_map = (x >= 0) & (x < width) & (y >= 0) & (y < height)

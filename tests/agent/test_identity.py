@@ -9,18 +9,20 @@ from agent.identity import Identity
 from agent.journal import Journal, JournalError
 from agent.settings import Settings
 
-SETTINGS = Settings(1, 3, 20, 10, [5.0] * 3, 36, 5.0, 0, "polygon", "meier", "backoff", 1000.0, 50.0, lives=3)
+SETTINGS = Settings(
+    1, 3, 20, 10, [5.0] * 3, 36, 5.0, 0, "polygons", "meier", "backoff", 1000.0, 50.0, incarnations=3
+)
 
 
 def test_each_life_has_a_map_of_its_own_and_the_home_of_the_first() -> None:
     file = BytesIO()
-    lives = []
+    incarnations = []
     for place in ((4, 5), (9, 9), (0, 1)):
         identity = Identity(Journal(file))
-        lives.append(identity.begin(SETTINGS))
+        incarnations.append(identity.begin(SETTINGS))
         identity.settle(*place)
-    assert [life.own_map for life in lives] == [1, 4, 7]
-    assert [life.home for life in lives] == [None, (4, 5), (4, 5)]
+    assert [incarnation.own_map for incarnation in incarnations] == [1, 4, 7]
+    assert [incarnation.home for incarnation in incarnations] == [None, (4, 5), (4, 5)]
     with pytest.raises(JournalError, match="robot 1 has used up its lives: 3"):
         Identity(Journal(file)).begin(SETTINGS)
 
@@ -31,7 +33,7 @@ def test_a_life_that_was_torn_off_was_not_begun() -> None:
     before = len(file.getvalue())
     Identity(Journal(file)).begin(SETTINGS)
     torn = BytesIO(file.getvalue()[: before + 9])
-    assert Identity(Journal(torn)).begin(SETTINGS).life == 1
+    assert Identity(Journal(torn)).begin(SETTINGS).incarnation == 1
 
 
 def test_the_journal_of_another_robot_is_refused() -> None:
@@ -58,6 +60,6 @@ def test_any_records_are_a_journal_or_are_refused_in_words(records: list[bytes])
     for record in records:
         journal.append(record)
     try:
-        assert Identity(journal).begin(SETTINGS).life < SETTINGS.lives
+        assert Identity(journal).begin(SETTINGS).incarnation < SETTINGS.incarnations
     except JournalError as error:
-        assert "record" in str(error) or "lives" in str(error)
+        assert "record" in str(error) or "incarnations" in str(error)

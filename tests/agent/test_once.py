@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from agent.once import ALONE, Once
+from agent.memo_cache import ALONE, MemoCache
 
 
 def test_who_shares_works_a_thing_out_once() -> None:
-    once, done = Once(), []
+    once, done = MemoCache(), []
     for _ in range(2):
         assert once.get("nothing", lambda: done.append(1)) is None
     assert done == [1]
 
 
 def test_when_too_much_is_kept_it_is_worked_out_again() -> None:
-    once = Once(2)
+    once = MemoCache(2)
     assert [once.get(key, lambda key=key: key) for key in (1, 2, 3)] == [1, 2, 3]
     assert once.get(1, lambda: "again") == "again"
     assert once.get(3, lambda: "again") == 3

@@ -15,12 +15,12 @@ INFO = {
     "METADATA": "Metadata-Version: 2.1\nName: farthest-first\nVersion: 1\n",
     "WHEEL": "Wheel-Version: 1.0\nGenerator: hand\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
     "entry_points.txt": "[murmur.strategies]\nfarthest = farthest_first:Farthest\ntorn = torn_strategy:Torn\n"
-    "[murmur.exchanges]\nquiet = farthest_first:Quiet\n",
+    "[murmur.map_encodings]\nquiet = farthest_first:Quiet\n",
     "RECORD": "",
 }
 MODULE = '''
 import numpy as np
-from agent.exchange.none import NoExchange
+from agent.encodings.none import NoExchange
 from agent.strategies.targets import TargetStrategy
 
 class Farthest(TargetStrategy):
@@ -61,7 +61,9 @@ def python(installed: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 def test_strategies_and_exchanges_of_a_package_are_run_by_their_names(installed: Path) -> None:
     run = "from deploy import explore; print(explore(map='em', robots=2, steps=4, bus='memory', keep=False, "
-    done = python(installed, "-c", run + "strategy='farthest', exchange='quiet').summary['exchange'])")
+    done = python(
+        installed, "-c", run + "strategy='farthest', map_encoding='quiet').summary['map_encoding'])"
+    )
     assert done.stdout == "quiet\n", done.stderr
     torn = python(installed, "-c", run + "strategy='torn'))")
     assert "strategy 'torn' of package farthest-first cannot be imported:" in torn.stderr

@@ -39,7 +39,7 @@ def test_all_is_shown_first_and_then_only_what_has_changed() -> None:
     assert (grid_from_bytes(said.planning, said.width, said.height) == grid).all()
     (said,) = feed.news(20, robot(grid, {0: mine, 2: mine}))
     assert isinstance(said, Outlines)
-    assert said.about == 2
+    assert said.map_id == 2
 
 
 def test_outlines_tell_place_object_and_kind_of_every_vertex() -> None:

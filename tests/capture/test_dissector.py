@@ -10,18 +10,18 @@ from typing import Any
 
 import pytest
 
-from agent.exchange.catalogue import EXCHANGES
+from agent.encodings.catalog import ENCODINGS
 from deploy.record import run_directory
 from deploy.run import in_memory
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import parse
 from netshaper import capture
 from netshaper.capture import HEAD, KEPT, VERDICTS
+from netshaper.frame_log import FrameLog, LoggedFrame
 from netshaper.ledger import CAUSES, EVERYONE
-from netshaper.sightings import Sighting, Sightings
 from protocol import packets
 from protocol.errors import ProtocolError
-from protocol.packets import ALL_KINDS, Fragment, Look, Packet
+from protocol.packets import ALL_KINDS, Fragment, Packet, Update
 from tests.capture import tshark as tsharks
 from tests.capture.tshark import Tshark
 from tests.netshaper import plain_books
@@ -41,26 +41,28 @@ def drawn(kind: type[Packet], chance: random.Random) -> bytes:
     """A packet of one kind: all bits of its fields set, or none, or drawn."""
     if kind is Fragment:
         return packets.encode([Fragment(chance.randbytes(chance.randint(1, packets.FRAGMENT_DATA)))])
-    if kind is Look:
-        size = chance.choice((None, chance.randint(0, packets.LAST_LOOK_DATA)))
-        number = None if size is None else chance.randrange(packets.LOOK_NUMBERS)
-        return packets.encode([Look(number, chance.randbytes(packets.LOOK_DATA if size is None else size))])
+    if kind is Update:
+        size = chance.choice((None, chance.randint(0, packets.LAST_UPDATE_DATA)))
+        number = None if size is None else chance.randrange(packets.UPDATE_NUMBERS)
+        return packets.encode(
+            [Update(number, chance.randbytes(packets.UPDATE_DATA if size is None else size))]
+        )
     width = sum(kind.bits)
     fields = chance.choice((0, (1 << width) - 1, chance.getrandbits(width))) if width else 0
     spare = 8 * kind.size - kind.code_bits - width
     return ((kind.code << width | fields) << spare).to_bytes(kind.size, "big")
 
 
-def sighting(payload: bytes, verdict: int = 0) -> Sighting:
-    return Sighting(1, 7, DATA, 3, 5, 2, verdict, 0b100000, payload)
+def predictiveing(payload: bytes, verdict: int = 0) -> LoggedFrame:
+    return LoggedFrame(1, 7, DATA, 3, 5, 2, verdict, 0b100000, payload)
 
 
-def encoded(step: int, seen: list[Sighting]) -> bytes:
-    return capture.encode(step, Sightings.of(seen).columns())
+def encoded(step: int, seen: list[LoggedFrame]) -> bytes:
+    return capture.encode(step, FrameLog.of(seen).columns())
 
 
 def write(file: Path, payloads: list[bytes]) -> Path:
-    file.write_bytes(capture.head("a test") + encoded(9, [sighting(payload) for payload in payloads]))
+    file.write_bytes(capture.head("a test") + encoded(9, [predictiveing(payload) for payload in payloads]))
     return file
 
 
@@ -78,13 +80,13 @@ def test_every_packet_is_shown_by_name_and_field(tshark: Tshark, tmp_path: Path)
         *(f"murmur.{name}" for name in VALUES),
     ]
     rows = tshark.fields(write(tmp_path / "all.pcapng", payloads), names)
-    for payload, (layout, kind, size, about, *values) in zip(payloads, rows, strict=True):
+    for payload, (layout, kind, size, map_id, *values) in zip(payloads, rows, strict=True):
         (packet,) = packets.decode(payload)
         assert layout == [type(packet).__name__]
         assert kind == [packet.name]
         assert size == [str(len(payload))]
         wanted: dict[str, Any] = dataclasses.asdict(packet)
-        assert about == ["2", str(wanted.pop("map"))] if "map" in wanted else ["2"]
+        assert map_id == ["2", str(wanted.pop("map"))] if "map" in wanted else ["2"]
         found = {name: value[0] for name, value in zip(VALUES, values, strict=True) if value}
         there = {name: v for name, v in wanted.items() if v not in (None, b"")}
         assert found == {name: v.hex() if isinstance(v, bytes) else str(v) for name, v in there.items()}
@@ -93,16 +95,16 @@ def test_every_packet_is_shown_by_name_and_field(tshark: Tshark, tmp_path: Path)
 def test_the_head_is_shown_field_by_field(tshark: Tshark, tmp_path: Path) -> None:
     file = tmp_path / "head.pcapng"
     said = [
-        Sighting(1, 70000, DATA, 63, 0, 62, 0, 1 << 63 | 1, b"\xf0"),
-        Sighting(0, -1, 3, 4, EVERYONE, -1, 0, 0b101, b"\x00\x00\x00"),
-        Sighting(0, -1, 0, 4, -99, -1, 2, 0, b"\xc0\x00"),
-        Sighting(0, 3, 2, 255, 64, 200, 0, 1 << 255 | 1 << 64 | 1, b"\xf0"),
-        Sighting(0, -1, 0, 4, 100, -1, 2, 0, b"\xc0\x00"),
+        LoggedFrame(1, 70000, DATA, 63, 0, 62, 0, 1 << 63 | 1, b"\xf0"),
+        LoggedFrame(0, -1, 3, 4, EVERYONE, -1, 0, 0b101, b"\x00\x00\x00"),
+        LoggedFrame(0, -1, 0, 4, -99, -1, 2, 0, b"\xc0\x00"),
+        LoggedFrame(0, 3, 2, 255, 64, 200, 0, 1 << 255 | 1 << 64 | 1, b"\xf0"),
+        LoggedFrame(0, -1, 0, 4, 100, -1, 2, 0, b"\xc0\x00"),
     ]
     file.write_bytes(capture.head("a test") + encoded(86401, said))
     names = (
         "step",
-        "exchange",
+        "round",
         "connection",
         "frame",
         "sender",
@@ -199,7 +201,7 @@ def test_packets_without_a_head_of_ours_make_no_lua_error(tshark: Tshark, tmp_pa
 def test_bytes_that_were_not_kept_are_no_error(tshark: Tshark, tmp_path: Path) -> None:
     payload = packets.encode([Fragment(bytes(50))] * 9)
     file = tmp_path / "unkept.pcapng"
-    file.write_bytes(capture.head("a test") + encoded(1, [sighting(payload, BUDGET)]))
+    file.write_bytes(capture.head("a test") + encoded(1, [predictiveing(payload, BUDGET)]))
     names = ["murmur.bytes", "murmur.unkept", "murmur.kind", "murmur.broken", "murmur.refused"]
     ((said, unkept, kinds, broken, refused),) = tshark.fields(file, names)
     assert (said, unkept) == ([str(len(payload))], [str(len(payload) - KEPT)])
@@ -207,9 +209,9 @@ def test_bytes_that_were_not_kept_are_no_error(tshark: Tshark, tmp_path: Path) -
     assert refused
 
 
-@pytest.mark.parametrize("exchange", [name for name in EXCHANGES if name != "none"])
-def test_its_sums_are_those_of_the_ledger(tshark: Tshark, tmp_path: Path, exchange: str) -> None:
-    settings = {"robots": 4, "exchange": exchange, "offers": "backoff", "strategy": "meier"}
+@pytest.mark.parametrize("map_encoding", [name for name in ENCODINGS if name != "none"])
+def test_its_sums_are_those_of_the_ledger(tshark: Tshark, tmp_path: Path, map_encoding: str) -> None:
+    settings = {"robots": 4, "map_encoding": map_encoding, "dissemination": "backoff", "strategy": "meier"}
     plan = plans.make(parse(settings | {"bandwidth": 700, "range": "40%", "steps": 60}))
     with run_directory.open_capture(tmp_path, plan) as file:
         ledger = in_memory.run(plan, None, file).ledger()

@@ -28,9 +28,9 @@ HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 
 SWARMS = {
-    "cut by the budget": {"robots": 4, "exchange": "polygon", "bandwidth": 300, "range": "40%", "steps": 50},
+    "cut by the budget": {"robots": 4, "round": "polygons", "bandwidth": 300, "range": "40%", "steps": 50},
     "long frames": {
-        "robots": 3, "exchange": "laser", "bandwidth": "unlimited", "beams": 3600, "range": "10%", "seed": 2,
+        "robots": 3, "round": "scans", "bandwidth": "unlimited", "beams": 3600, "range": "10%", "seed": 2,
         "steps": 40,
     },
 }  # fmt: skip
@@ -130,14 +130,14 @@ def test_the_relay_got_what_each_robot_said_in_order_and_booked_every_byte(
 ) -> None:
     for robot in traffic.robots:
         words = traffic.of(f"r{robot}").words()
-        for (step, exchange), booked in in_exchanges([frame for frame in said if frame.sender == robot]):
-            opening = words.pop((step, exchange, "offers"))
+        for (step, round_number), booked in in_exchanges([frame for frame in said if frame.sender == robot]):
+            opening = words.pop((step, round_number, "offers"))
             firsts = [frame for frame in booked if FRAMES[frame.frame] in ("broadcast", "offer")]
             # The relay has an order of its own for offers.
             assert sorted(map(_said, firsts)) == sorted(_put(opening))
             for phase, name in (("answer", "answers"), ("data", "data")):
                 these = [frame for frame in booked if FRAMES[frame.frame] == phase]
-                asked = words.pop((step, exchange, name), None)
+                asked = words.pop((step, round_number, name), None)
                 if asked is None:
                     assert all(_is_beforehand(frame, opening.replies) for frame in these)
                     continue
@@ -190,7 +190,7 @@ def test_what_the_wire_carried_is_what_the_ledger_books(traffic: Traffic, said: 
     beforehand = sum(
         frame.size
         for frame in said
-        if (frame.step, frame.exchange, phases[frame.frame]) not in words[frame.sender]
+        if (frame.step, frame.round, phases[frame.frame]) not in words[frame.sender]
     )
     down = sum(len(payload) for robot in traffic.robots for _, payload in traffic.of(f"r{robot}").radio(DOWN))
     carried = [row for row in ledger if row["carried"]]

@@ -61,7 +61,7 @@ class Connection:
     def words(self) -> dict[tuple[int, int, str], Words]:
         """What a robot said to the relay, by step, exchange and phase."""
         said = (unpack(payload) for key, payload in self.puts[UP] if key.startswith("radio/"))
-        return {(each.step, each.exchange, each.phase): each for each in said}
+        return {(each.step, each.round, each.phase): each for each in said}
 
     @property
     def bytes(self) -> int:
@@ -124,7 +124,7 @@ class Said:
     """
 
     step: int
-    exchange: int
+    round_number: int
     frame: int
     sender: int
     receiver: int
@@ -152,7 +152,7 @@ def _identity(captured: list[Captured]) -> Any:
     def key(item: Captured) -> tuple[int, ...]:
         seen = item.seen
         own = number[id(item)] if seen.connection < 0 else -1
-        return item.step, seen.exchange, seen.connection, seen.frame, own
+        return item.step, seen.round, seen.connection, seen.frame, own
 
     return key
 
@@ -162,7 +162,7 @@ def _together(parts: list[Captured]) -> Said:
     heard = {robot for part in parts for robot in capture.hearers(part.seen)}
     return Said(
         first.step,
-        first.seen.exchange,
+        first.seen.round,
         first.seen.frame,
         first.seen.sender,
         first.seen.receiver,
@@ -175,15 +175,15 @@ def _together(parts: list[Captured]) -> Said:
 
 def in_phases(said: list[Said]) -> Iterator[tuple[int, list[Said]]]:
     """Yield the frames phase by phase, as they are said and passed on: (which frame, those of that phase)."""
-    for _, exchange in in_exchanges(said):
+    for _, round_number in in_exchanges(said):
         for phase in PHASES:
-            yield phase, [frame for frame in exchange if frame.frame == phase]
+            yield phase, [frame for frame in round_number if frame.frame == phase]
 
 
 def in_exchanges(said: list[Said]) -> Iterator[tuple[tuple[int, int], list[Said]]]:
     """Yield the frames exchange by exchange, with its step and number."""
-    for name, exchange in groupby(said, lambda frame: (frame.step, frame.exchange)):
-        yield name, list(exchange)
+    for name, round_number in groupby(said, lambda frame: (frame.step, frame.round)):
+        yield name, list(round_number)
 
 
 def passed_on(said: list[Said], robot: int) -> list[tuple[str, bytes]]:

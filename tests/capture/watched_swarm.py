@@ -71,7 +71,7 @@ def main(folder: Path, settings: dict[str, Any]) -> None:
             for child in multiprocessing.active_children():
                 assert child.pid is not None
                 processes[child.name] = channels(child.pid)
-            processes["lab"] = channels(os.getpid())
+            processes["recorder"] = channels(os.getpid())
 
     with Sniffer() as sniffer:
         result = explore(parse(settings), out=folder / "run", watch=look)

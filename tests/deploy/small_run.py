@@ -17,7 +17,7 @@ from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import parse
 
 SETTINGS = {
-    "map": "office", "robots": 3, "exchange": "polygon", "strategy": "meier", "range": "30%", "steps": 40,
+    "map": "office", "robots": 3, "map_encoding": "polygons", "strategy": "meier", "range": "30%", "steps": 40,
     "bus": "memory",
 }  # fmt: skip
 

@@ -12,20 +12,21 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from agent.exchange.catalogue import EXCHANGES, OFFERS
+from agent.encodings.catalog import ENCODINGS
+from agent.encodings.polygon_options import THESIS_OPTIONS, PolygonOptions
+from agent.encodings.predictive import PredictiveEncoding
+from agent.encodings.predictive_options import PredictiveOptions
 from agent.exchange.connection import TRANSITIONS, State
+from agent.exchange.distribution import DISSEMINATIONS
 from agent.exchange.gossip import Gossip
-from agent.exchange.polygon_options import THESIS_OPTIONS, PolygonOptions
 from agent.exchange.session import Session
-from agent.exchange.sight import SightExchange
-from agent.exchange.sight_options import SightOptions
 from agent.outline.approximation import approximation, repair
 from agent.outline.contour import contours
 from agent.outline.edits import Held, edit_script
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
+from agent.predictive.scan_updates import MAX_LOOKS
 from agent.settings import Settings
-from agent.sight.looks import MAX_LOOKS
 from deploy.run.exploration import explore
 from deploy.run.in_memory import run as run_in_memory
 from deploy.scenario.plan import make
@@ -35,8 +36,8 @@ from netshaper import access
 from netshaper.ledger import CAUSES, ROW
 from netshaper.presets import PRESETS
 from netshaper.radio_options import RadioOptions
-from protocol import messages, packets, survey
-from protocol.grid import MAX_ROBOTS, MAX_SIDE, UNKNOWN, Grid, fan
+from protocol import messages, packet_index, packets
+from protocol.grid import MAX_ROBOTS, MAX_SIDE, UNKNOWN, Grid, ray_table
 from protocol.keys import Keys
 from protocol.messages import Outcome
 from protocol.rights import RIGHTS
@@ -109,7 +110,7 @@ def told(*buffers: bytes) -> list[str]:
     return [
         f"{piece.hex(' '):18} {packets.decode(piece)[0]!r}"
         for buffer in buffers
-        for piece in survey.split(buffer)
+        for piece in packet_index.split(buffer)
     ]
 
 
@@ -166,13 +167,17 @@ def looks_example() -> str:
     height, width = truth.shape
     settings = Settings(
         robot=0, robots=3, width=width, height=height, ranges_cells=[5.0] * 3, beams=72, speed_cells=3.0, seed=0,
-        exchange="sight", strategy="meier", offers="gossip", bandwidth=None, reach_cells=100.0,
+        map_encoding="predictive", strategy="meier", dissemination="gossip", bandwidth=None, reach_cells=100.0,
     )  # fmt: skip
-    maker, gossip, hearer = SightExchange(settings), Gossip(0, 3), SightExchange(replace(settings, robot=1))
+    maker, gossip, hearer = (
+        PredictiveEncoding(settings),
+        Gossip(0, 3),
+        PredictiveEncoding(replace(settings, robot=1)),
+    )
     own, nobody, beams = (
         np.full(truth.shape, UNKNOWN, np.uint8),
         np.zeros(truth.shape, np.bool_),
-        fan(5.0, 72),
+        ray_table(5.0, 72),
     )
     lines = []
     for x, peers in ((1, [1]), (3, [1]), (6, [1, 2])):
@@ -208,11 +213,13 @@ def defaults(kind: Any, prefix: str = "") -> dict[str, tuple[str, str]]:
     for name, info in kind.model_fields.items():
         if name in ("robot", "death", "fault", "change") and not prefix:
             continue
-        if name == "polygon":
+        if name == "polygons":
             found |= {f"polygon.{n}": (plain(value), "") for n, value in asdict(PolygonOptions()).items()}
             continue
-        if name == "sight":
-            found |= {f"sight.{n}": (plain(value), "") for n, value in asdict(SightOptions()).items()}
+        if name == "predictive":
+            found |= {
+                f"predictive.{n}": (plain(value), "") for n, value in asdict(PredictiveOptions()).items()
+            }
             continue
         if name == "radio":
             options = {**asdict(RadioOptions()), "partition": []}
@@ -233,7 +240,7 @@ def test_every_packet_is_drawn_as_it_is_written() -> None:
         for kind in vars(packets).values()
         if isinstance(kind, type) and issubclass(kind, packets.Packet) and kind is not packets.Packet
     ]
-    fixed = [kind for kind in kinds if kind not in (packets.Fragment, packets.Look)]
+    fixed = [kind for kind in kinds if kind not in (packets.Fragment, packets.Update)]
     lines = fences("protocol.md")["packets"].splitlines()
     assert sorted(lines) == sorted(
         [
@@ -325,7 +332,7 @@ def test_the_table_of_states_and_events_is_the_session_s() -> None:
 
 
 def test_offer_policies_are_all_described() -> None:
-    assert {row[0] for row in rows("protocol.md", "When maps are offered")} == set(OFFERS)
+    assert {row[0] for row in rows("protocol.md", "When maps are offered")} == set(DISSEMINATIONS)
 
 
 def test_messages_and_their_fields_are_all_there_in_their_order() -> None:
@@ -378,18 +385,20 @@ def test_keys_and_rights_are_what_participants_put_hear_and_say() -> None:
 
 
 def test_every_setting_stands_in_the_table_with_its_default() -> None:
-    table = {name: (default, about) for name, default, about in rows("protocol.md", "Settings and defaults")}
+    table = {
+        name: (default, map_id) for name, default, map_id in rows("protocol.md", "Settings and defaults")
+    }
     wanted = defaults(Scenario) | defaults(RobotOverride, "robot.") | defaults(Death, "death.")
     wanted |= defaults(FaultTable, "fault.")
     wanted |= defaults(ChangeTable, "change.")
     assert list(table) == list(wanted)
-    for name, (default, about) in wanted.items():
+    for name, (default, map_id) in wanted.items():
         assert table[name][0] == default, name
-        assert about in table[name][1], name
+        assert map_id in table[name][1], name
     for name, value in asdict(THESIS_OPTIONS).items():
         if value != asdict(PolygonOptions())[name]:
             assert f"thesis: {plain(value)}" in table[f"polygon.{name}"][1]
-    for choice in (*EXCHANGES, *get_args(Scenario.model_fields["bus"].annotation)):
+    for choice in (*ENCODINGS, *get_args(Scenario.model_fields["bus"].annotation)):
         assert choice in (DOCS / "protocol.md").read_text(encoding="utf-8")
 
 

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from agent.exchange.catalogue import EXCHANGES, exchange
+from agent.encodings.catalog import ENCODINGS, make_encoding
 from agent.exchange.gossip import Gossip
 from agent.exchange.session import Session
 from agent.identity import Identity
@@ -24,7 +24,7 @@ from agent.journal import Journal, JournalError
 from agent.outline.receiver import Receiver
 from agent.settings import Settings
 from deploy.scenario.scenario import ScenarioError, parse
-from protocol import packets, survey
+from protocol import packet_index, packets
 from protocol.errors import ProtocolError
 from protocol.keys import Keys
 from protocol.messages import Outcome, Record, unpack
@@ -46,18 +46,18 @@ SETTINGS = Settings(
     36,
     5.0,
     0,
-    "polygon",
+    "polygons",
     "meier",
     "backoff",
     1000.0,
     50.0,
     radii_cells=[0.0] * 3,
-    lives=2,
+    incarnations=2,
 )
 
 
 def read_packets(data: bytes) -> None:
-    assert b"".join(survey.split(data)) == data
+    assert b"".join(packet_index.split(data)) == data
     for packet in packets.decode(data):
         assert packets.decode(packets.encode([packet])) == [packet]
 
@@ -84,8 +84,8 @@ def read_polygons(data: bytes) -> None:
 
 
 def take_units(data: bytes) -> None:
-    for name in EXCHANGES:
-        mind = exchange(Settings(**(SETTINGS.to_message() | {"exchange": name})))
+    for name in ENCODINGS:
+        mind = make_encoding(Settings(**(SETTINGS.to_message() | {"map_encoding": name})))
         try:
             mind.take(0, data)
         except ProtocolError:
@@ -93,20 +93,20 @@ def take_units(data: bytes) -> None:
 
 
 def hear_in_session(data: bytes) -> None:
-    session = Session(1, 3, lives=2)
-    session.offers(0, [0, 2], None)
+    session = Session(1, 3, incarnations=2)
+    session.dissemination(0, [0, 2], None)
     answered = session.answers([(0, 0, data)])
     assert len(answered) == 1
     session.outcome(Outcome(1, 0, [0], [2], [2], [0], [], broadcast=False), [])
 
 
 def hear_gossip(data: bytes) -> None:
-    gossip = Gossip(1, 3, lives=2)
-    gossip.offers(0, [0, 2], None)
-    for peer, about, frame in gossip.outcome(
+    gossip = Gossip(1, 3, incarnations=2)
+    gossip.dissemination(0, [0, 2], None)
+    for peer, map_id, frame in gossip.outcome(
         Outcome(1, 0, [], [], [], [], [-1], broadcast=False), [(0, data)]
     ):
-        gossip.accept(peer, about, frame, survey.ends(frame))
+        gossip.accept(peer, map_id, frame, packet_index.ends(frame))
 
 
 def read_journal(data: bytes) -> None:
@@ -161,7 +161,7 @@ some_messages = st.lists(st.integers(0, 30) | st.binary(max_size=4) | st.text(ma
 some_toml = st.lists(
     st.tuples(
         st.sampled_from(
-            ["robots", "map", "range", "bandwidth", "fault", "radio", "starts", "steps", "exchange"]
+            ["robots", "map", "range", "bandwidth", "fault", "radio", "starts", "steps", "map_encoding"]
         ),
         st.sampled_from(
             [
@@ -174,7 +174,7 @@ some_toml = st.lists(
                 "[[1, 2]]",
                 '[{step = 1, robot = 0, kind = "kill"}]',
                 "{}",
-                '"sight"',
+                '"predictive"',
             ]
         ),
     ),

@@ -8,19 +8,19 @@ from collections.abc import Iterable, Iterator
 
 from netshaper import pcapng
 from netshaper.capture import HEAD, KEPT, PART, VERSION, WIDE, WIDE_HEAD
+from netshaper.frame_log import LoggedFrame, hearers_of, in_words
 from netshaper.ledger import KIND_NUMBER, MALFORMED, on_air
-from netshaper.sightings import Sighting, hearers_of, in_words
 from protocol import packets
 from protocol.errors import ProtocolError
 
 Row = tuple[int, ...]
 
 
-def rows(step: int, seen: Iterable[Sighting]) -> list[Row]:
+def rows(step: int, seen: Iterable[LoggedFrame]) -> list[Row]:
     """The ledger's rows."""
     return [
         (
-            step, each.exchange, each.connection, each.frame, each.sender, each.receiver, each.map, kind, number,
+            step, each.round, each.connection, each.frame, each.sender, each.receiver, each.map, kind, number,
             size, int(on_air(each.verdict)), each.verdict, each.hearers.bit_count(),
         )
         for each in seen
@@ -41,7 +41,7 @@ def counted(payload: bytes) -> list[tuple[int, int, int]]:
     return [(kind, number[kind], size[kind]) for kind in sorted(number)]
 
 
-def blocks(step: int, seen: Iterable[Sighting]) -> bytes:
+def blocks(step: int, seen: Iterable[LoggedFrame]) -> bytes:
     """The capture."""
     written: list[bytes] = []
     for each in seen:
@@ -53,17 +53,17 @@ def blocks(step: int, seen: Iterable[Sighting]) -> bytes:
     return b"".join(written)
 
 
-def head_of(step: int, seen: Sighting, part: int) -> bytes:
+def head_of(step: int, seen: LoggedFrame, part: int) -> bytes:
     """The narrow head, where all robots' numbers fit into it."""
     wide = max(seen.sender, seen.receiver, seen.map, seen.hearers.bit_length() - 1) >= 64
     heard = seen.hearers.to_bytes(32, "big") if wide else seen.hearers
     return (WIDE_HEAD if wide else HEAD).pack(
-        WIDE if wide else VERSION, seen.frame, seen.verdict, seen.exchange, seen.sender, seen.receiver, seen.map,
+        WIDE if wide else VERSION, seen.frame, seen.verdict, seen.round, seen.sender, seen.receiver, seen.map,
         part, step, seen.connection, heard,
     )  # fmt: skip
 
 
-def parts(seen: Sighting) -> Iterator[tuple[bytes, int]]:
+def parts(seen: LoggedFrame) -> Iterator[tuple[bytes, int]]:
     """What is kept of a frame, packet by packet of the capture, and the size of each."""
     rest = seen.payload
     if not on_air(seen.verdict):

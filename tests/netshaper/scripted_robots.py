@@ -19,7 +19,7 @@ from netshaper.imperfect import radio
 from netshaper.ledger import EVERYONE, ROW
 from netshaper.radio import Frame, Note, Outgoing, RadioSettings
 from protocol import packets
-from protocol.messages import Close, Open, Outcome, RadioReport, Said, Turn
+from protocol.messages import Close, Open, Outcome, PhaseDelivery, RadioReport, Said
 
 Put = tuple[int, bytes]
 """A frame: receiver and payload."""
@@ -39,29 +39,29 @@ class Robot:
         return np.random.default_rng([self.seed, self.number, *key])
 
     def opens(self, note: Open) -> list[Put | Said]:
-        rng = self.draw(note.step, note.exchange, 0)
+        rng = self.draw(note.step, note.round, 0)
         said: list[Put | Said] = []
-        if note.exchange == 0 and rng.random() < 0.6:
+        if note.round == 0 and rng.random() < 0.6:
             said.append((EVERYONE, packets.encode([packets.Target(*rng.integers(0, 2048, 2).tolist())])))
         # Drawn for all, so that a teammate more or less in range changes nothing for the others.
         for peer in range(self.robots):
             maps = rng.permutation(self.robots)[: rng.integers(0, 3)].tolist()
             block = int(rng.integers(64))
             if peer in note.peers:
-                said += [(peer, packets.encode([packets.Offer(about, block)])) for about in maps]
-        return [*said, Said(note.step, note.exchange, "offers", [])]
+                said += [(peer, packets.encode([packets.Offer(map_id, block)])) for map_id in maps]
+        return [*said, Said(note.step, note.round, "offers", [])]
 
-    def takes_turn(self, note: Turn, heard: Heard) -> list[Put | Said]:
+    def takes_turn(self, note: PhaseDelivery, heard: Heard) -> list[Put | Said]:
         phase = "answers" if note.phase == "offers" else "data"
         said: list[Put | Said] = []
         numbers = []
-        for number, about, (peer, payload) in zip(note.connections, note.maps, heard, strict=True):
-            rng = self.draw(note.step, note.exchange, 1, peer, about, phase == "data")
+        for number, map_id, (peer, payload) in zip(note.connections, note.maps, heard, strict=True):
+            rng = self.draw(note.step, note.round, 1, peer, map_id, phase == "data")
             frame = self.answer(rng) if phase == "answers" else self.data(rng, payload)
             if frame:
                 said.append((peer, frame))
                 numbers.append(number)
-        return [*said, Said(note.step, note.exchange, phase, numbers)]
+        return [*said, Said(note.step, note.round, phase, numbers)]
 
     def answer(self, rng: np.random.Generator) -> bytes:
         index, block = packets.Answer(int(rng.integers(4096))), packets.Block(int(rng.integers(64)))
@@ -87,16 +87,16 @@ class Gossiper(Robot):
     """A robot that broadcasts news, and a target now and then."""
 
     def opens(self, note: Open) -> list[Put | Said]:
-        rng = self.draw(note.step, note.exchange, 6)
+        rng = self.draw(note.step, note.round, 6)
         said: list[Put | Said] = []
-        if note.exchange == 0 and rng.random() < 0.6:
+        if note.round == 0 and rng.random() < 0.6:
             said.append((EVERYONE, packets.encode([packets.Target(*rng.integers(0, 2048, 2).tolist())])))
         kinds = [
             packets.Save(),
             packets.Insert(1, 2, 3, 0, 1),
             packets.Fragment(bytes(63)),
-            packets.Look(None, bytes(8)),
-            packets.Look(2, b"new"),
+            packets.Update(None, bytes(8)),
+            packets.Update(2, b"new"),
             packets.FromEarly(1, 7),
             packets.Held(0, 300),
             packets.Gone(1),
@@ -104,7 +104,7 @@ class Gossiper(Robot):
         news = packets.encode([kinds[kind] for kind in rng.integers(0, len(kinds), rng.integers(0, 9))])
         if news:
             said.append((EVERYONE, news))
-        return [*said, Said(note.step, note.exchange, "offers", [], int(rng.integers(0, 256)))]
+        return [*said, Said(note.step, note.round, "offers", [], int(rng.integers(0, 256)))]
 
 
 class Liar(Robot):
@@ -133,16 +133,16 @@ class Liar(Robot):
         return choices[rng.integers(len(choices))]()
 
     def opens(self, note: Open) -> list[Put | Said]:
-        rng = self.draw(note.step, note.exchange, 2)
+        rng = self.draw(note.step, note.round, 2)
         *honest, end = super().opens(note)
         return [*self.noise(rng, note.step), *honest, *honest, end, *self.noise(rng, note.step)]
 
-    def takes_turn(self, note: Turn, heard: Heard) -> list[Put | Said]:
-        rng = self.draw(note.step, note.exchange, 3, note.phase == "offers")
+    def takes_turn(self, note: PhaseDelivery, heard: Heard) -> list[Put | Said]:
+        rng = self.draw(note.step, note.round, 3, note.phase == "offers")
         phase = "answers" if note.phase == "offers" else "data"
         noise = [item for item in self.noise(rng, note.step) if not isinstance(item, Said)]
         numbers = [int(number) for number in rng.permutation([*note.connections, *range(-2, 9)])]
-        end = Said(note.step, note.exchange, phase, numbers)
+        end = Said(note.step, note.round, phase, numbers)
         return [*noise, *super().takes_turn(note, heard)[:-1], end, end, *self.noise(rng, note.step)]
 
     def rests(self, note: Close) -> list[Put | Said]:
@@ -187,7 +187,7 @@ class Step:
     said: list[tuple[int, int, bytes]] = field(default_factory=list)
     """Frames that robots put, as (sender, receiver, payload)."""
     opened: list[tuple[int, Open]] = field(default_factory=list)
-    turns: list[tuple[int, Turn, Heard]] = field(default_factory=list)
+    turns: list[tuple[int, PhaseDelivery, Heard]] = field(default_factory=list)
     outcomes: list[tuple[int, Outcome]] = field(default_factory=list)
     closed: list[int] = field(default_factory=list)
 
@@ -265,7 +265,7 @@ class Air:
         if isinstance(message, Open):
             result.opened.append((receiver, message))
             todo += together(robot.opens(message))
-        elif isinstance(message, Turn):
+        elif isinstance(message, PhaseDelivery):
             heard = self._take(result, receiver, len(message.connections), message.phase)
             result.turns.append((receiver, message, heard))
             todo += together(robot.takes_turn(message, heard))

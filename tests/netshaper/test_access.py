@@ -24,7 +24,7 @@ from protocol.keys import Keys
 from protocol.zenoh_bus import Credential, insert, join, plain_config
 
 KEYS = Keys("guarded")
-RELAY, WORLD, LAB = names.RELAY, names.WORLD, names.LAB
+RELAY, WORLD, RECORDER = names.RELAY, names.WORLD, names.RECORDER
 ROUTER = names.router("rack")
 SOON_S = 5.0
 MODES = ("client", "peer", "router")
@@ -34,16 +34,16 @@ FORBIDDEN = [
     KEYS.radio_tx("r0"),
     KEYS.control_tx("r0"),
     KEYS.control_tx(WORLD),
-    KEYS.control_tx(LAB),
+    KEYS.control_tx(RECORDER),
     KEYS.radio_rx("r0", "r1"),
     KEYS.radio_rx("r0", "r2"),
     KEYS.control("r0", RELAY),
     KEYS.control("r0", "r1"),
     KEYS.control("r0", "tick"),
     KEYS.control(WORLD, RELAY),
-    KEYS.control(LAB, RELAY),
-    KEYS.control(LAB, WORLD),
-    KEYS.control(LAB, "r0"),
+    KEYS.control(RECORDER, RELAY),
+    KEYS.control(RECORDER, WORLD),
+    KEYS.control(RECORDER, "r0"),
     KEYS.body("r0", WORLD),
     KEYS.body("r0", "r1"),
     KEYS.body(WORLD, "r0"),
@@ -73,7 +73,7 @@ class Guarded:
         else:
             self.ends = {RELAY: open_hub(KEYS.run, self.endpoint, self.credentials)}
         stack.callback(self.ends[RELAY].close)
-        for name in (WORLD, LAB, "r0", "r2"):
+        for name in (WORLD, RECORDER, "r0", "r2"):
             self.ends[name] = join(self.credentials[name])
             stack.callback(self.ends[name].close)
         for _ in range(4):
@@ -119,11 +119,11 @@ class Guarded:
             (RELAY, KEYS.control("r0", RELAY), "r0"),
             (WORLD, KEYS.body("r0", WORLD), "r0"),
             (RELAY, KEYS.control(WORLD, RELAY), WORLD),
-            (RELAY, KEYS.control(LAB, RELAY), LAB),
+            (RELAY, KEYS.control(RECORDER, RELAY), RECORDER),
             ("r0", KEYS.radio_tx("r0"), RELAY),
             ("r0", KEYS.control_tx("r0"), RELAY),
             ("r0", KEYS.body(WORLD, "r0"), WORLD),
-            ("r0", KEYS.control(LAB, "r0"), LAB),
+            ("r0", KEYS.control(RECORDER, "r0"), RECORDER),
         ]:
             self.ends[sender].put(key, b"secret")
             message = self.hear(receiver)
@@ -191,7 +191,7 @@ def test_a_robot_may_use_its_own_channels_whatever_it_speaks_them_with(guarded: 
         (KEYS.radio_tx("r1"), RELAY),
         (KEYS.control_tx("r1"), RELAY),
         (KEYS.body(WORLD, "r1"), WORLD),
-        (KEYS.control(LAB, "r1"), LAB),
+        (KEYS.control(RECORDER, "r1"), RECORDER),
     ]:
         rogue.put(key, b"mine", congestion_control=BLOCK)
         assert guarded.hear(receiver) == Message(key, b"mine")
@@ -249,9 +249,9 @@ def test_a_rogue_that_listens_to_everything_hears_nothing_but_its_own(guarded: G
         KEYS.control("r1", RELAY),
         KEYS.body("r1", WORLD),
     }
-    for ear in ears:
-        overheard = {str(sample.key_expr) for sample in drained(ear.handler)}
-        assert overheard <= {KEYS.control("r1", RELAY), KEYS.body("r1", WORLD)}
+    for recording_bus in ears:
+        recorded_for = {str(sample.key_expr) for sample in drained(recording_bus.handler)}
+        assert recorded_for <= {KEYS.control("r1", RELAY), KEYS.body("r1", WORLD)}
     undeclare(token)
 
 
@@ -354,14 +354,14 @@ def test_without_a_valid_credential_nobody_gets_in(
             guarded.nothing_else_is_heard()
             return
         stack.callback(close, rogue)
-        ear = rogue.declare_subscriber("**", zenoh.handlers.FifoChannel(1000))
+        recording_bus = rogue.declare_subscriber("**", zenoh.handlers.FifoChannel(1000))
         token = rogue.liveliness().declare_token(KEYS.alive("r1"))
         for key in [*FORBIDDEN, KEYS.radio_tx("r1")]:
             rogue.put(key, b"forged", allowed_destination=zenoh.Locality.REMOTE)
         time.sleep(0.2)
         assert list(rogue.info.routers_zid()) == []
         guarded.nothing_else_is_heard()
-        assert drained(ear.handler) == []
+        assert drained(recording_bus.handler) == []
         undeclare(token)
 
 

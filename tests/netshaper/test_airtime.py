@@ -7,11 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from netshaper.airtime import HOUR, LATE, MOST_URGENT, UNLIMITED, Airtime, Shares, cut_into_frames, fill
-from protocol import survey
-from protocol.packets import Delete, Fragment, Look, Save, encode
+from protocol import packet_index
+from protocol.packets import Delete, Fragment, Save, Update, encode
 
 frames = st.lists(
-    st.sampled_from([Save(), Delete(7), Look(None, bytes(8)), Look(1, b"abc"), Fragment(bytes(63))]),
+    st.sampled_from([Save(), Delete(7), Update(None, bytes(8)), Update(1, b"abc"), Fragment(bytes(63))]),
     min_size=1,
     max_size=6,
 ).map(encode)
@@ -22,7 +22,7 @@ def test_all_is_cut_between_packets_and_within_the_budget(said: list[bytes], lef
     sizes = fill(said, left)
     assert sum(sizes) <= left
     for frame, size in zip(said, sizes, strict=True):
-        assert survey.fitting(frame, size) == size
+        assert packet_index.fitting(frame, size) == size
 
 
 @given(st.lists(frames, max_size=6), st.integers(0, 200))
@@ -30,7 +30,7 @@ def test_who_speaks_first_is_cut_only_where_the_budget_ends(said: list[bytes], l
     sizes = fill(said, left)
     room = left
     for frame, size in zip(said, sizes, strict=True):
-        assert size == survey.fitting(frame, room)
+        assert size == packet_index.fitting(frame, room)
         room -= size
 
 
@@ -140,6 +140,6 @@ def test_frames_hold_whole_packets_and_no_more_than_there_is_room_for(
     assert all(not most or len(frame) + tail <= most for frame in frames)
     assert room == UNLIMITED or sum(len(frame) + tail for frame in frames) <= room
     for frame in [*frames, rest]:
-        assert survey.split(frame) or not frame
+        assert packet_index.split(frame) or not frame
     if rest and room == UNLIMITED:
         assert most

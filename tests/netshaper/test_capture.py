@@ -12,19 +12,19 @@ from hypothesis import strategies as st
 
 from netshaper import capture, pcapng
 from netshaper.capture import CAPTURED_AT_MOST, KEPT, PART, VERDICTS, Captured
+from netshaper.frame_log import FrameLog, LoggedFrame, hearers_of, in_words
 from netshaper.ledger import EVERYONE
 from netshaper.pcapng import CaptureError, Reader
 from netshaper.radio import RadioSettings
-from netshaper.sightings import Sighting, Sightings, hearers_of, in_words
 from protocol.messages import RadioReport, Said
 from protocol.packets import Delete, Save, encode
 from tests.netshaper import plain_books
 from tests.netshaper.scripted_robots import Air, Liar, Robot
 
 small = st.integers(-1, 63)
-sightings = st.builds(
-    Sighting,
-    exchange=st.integers(0, 15),
+predictiveings = st.builds(
+    LoggedFrame,
+    round_number=st.integers(0, 15),
     connection=st.integers(-1, 2**31 - 1),
     frame=st.integers(0, 3),
     sender=st.integers(0, 63),
@@ -35,7 +35,7 @@ sightings = st.builds(
     payload=st.binary(max_size=200),
     reason=st.text(max_size=30),
 )
-steps = st.lists(st.tuples(st.integers(0, 2**32 - 1), st.lists(sightings, max_size=5)), max_size=5)
+steps = st.lists(st.tuples(st.integers(0, 2**32 - 1), st.lists(predictiveings, max_size=5)), max_size=5)
 
 
 class Listening(Air):
@@ -57,9 +57,9 @@ def read(file: bytes) -> list[Captured]:
     return frames
 
 
-def write(steps: list[tuple[int, list[Sighting]]]) -> bytes:
+def write(steps: list[tuple[int, list[LoggedFrame]]]) -> bytes:
     return capture.head("a test") + b"".join(
-        capture.encode(step, Sightings.of(seen).columns()) for step, seen in steps
+        capture.encode(step, FrameLog.of(seen).columns()) for step, seen in steps
     )
 
 
@@ -72,7 +72,7 @@ def test_a_file_begins_as_every_pcapng_file_does() -> None:
 
 
 @given(steps)
-def test_what_is_written_is_read(said: list[tuple[int, list[Sighting]]]) -> None:
+def test_what_is_written_is_read(said: list[tuple[int, list[LoggedFrame]]]) -> None:
     wanted = [(step, seen) for step, frames in said for seen in frames]
     for (step, seen), found in zip(wanted, read(write(said)), strict=True):
         kept = seen.payload if seen.verdict == 0 else seen.payload[:KEPT]
@@ -80,16 +80,16 @@ def test_what_is_written_is_read(said: list[tuple[int, list[Sighting]]]) -> None
         assert found.words == in_words(
             seen.verdict, seen.receiver, tuple(hearers_of(seen.hearers)), seen.reason
         )
-        assert found.seen == Sighting(
-            seen.exchange, seen.connection, seen.frame, seen.sender, seen.receiver, seen.map, seen.verdict,
+        assert found.seen == LoggedFrame(
+            seen.round, seen.connection, seen.frame, seen.sender, seen.receiver, seen.map, seen.verdict,
             seen.hearers, kept,
         )  # fmt: skip
 
 
 large = st.integers(-1, 255)
-wide_sightings = st.builds(
-    Sighting,
-    exchange=st.integers(0, 15),
+wide_predictiveings = st.builds(
+    LoggedFrame,
+    round_number=st.integers(0, 15),
     connection=st.integers(-1, 2**31 - 1),
     frame=st.integers(0, 3),
     sender=large,
@@ -102,13 +102,13 @@ wide_sightings = st.builds(
 )
 
 
-@given(st.integers(0, 2**32 - 1), st.lists(sightings | wide_sightings, max_size=8))
-def test_the_kernel_writes_what_is_written_block_by_block(step: int, seen: list[Sighting]) -> None:
-    assert capture.encode(step, Sightings.of(seen).columns()) == plain_books.blocks(step, seen)
+@given(st.integers(0, 2**32 - 1), st.lists(predictiveings | wide_predictiveings, max_size=8))
+def test_the_kernel_writes_what_is_written_block_by_block(step: int, seen: list[LoggedFrame]) -> None:
+    assert capture.encode(step, FrameLog.of(seen).columns()) == plain_books.blocks(step, seen)
 
 
-@given(st.lists(wide_sightings, max_size=5))
-def test_robots_beyond_the_plain_head_are_read_back(seen: list[Sighting]) -> None:
+@given(st.lists(wide_predictiveings, max_size=5))
+def test_robots_beyond_the_plain_head_are_read_back(seen: list[LoggedFrame]) -> None:
     for wanted, found in zip(seen, read(write([(1, seen)])), strict=True):
         kept = wanted.payload if wanted.verdict == 0 else wanted.payload[:KEPT]
         assert found.seen == wanted._replace(payload=kept, reason="")
@@ -117,7 +117,7 @@ def test_robots_beyond_the_plain_head_are_read_back(seen: list[Sighting]) -> Non
 
 @given(steps, st.integers(0, 10**6))
 def test_a_file_that_was_cut_anywhere_opens_up_to_its_last_whole_packet(
-    said: list[tuple[int, list[Sighting]]], cut: int
+    said: list[tuple[int, list[LoggedFrame]]], cut: int
 ) -> None:
     head, whole = len(capture.head("a test")), write(said)
     cut = head + cut % (len(whole) - head + 1)
@@ -133,7 +133,7 @@ def test_the_capture_has_every_byte_that_the_ledger_books(robots: int, seed: int
     air = Listening(RadioSettings(robots, seed, 6.0, budget), script)
     booked: Counter[tuple[int, ...]] = Counter()
     said = heard = 0
-    names = ("step", "exchange", "connection", "frame", "sender", "receiver", "map", "cause")
+    names = ("step", "round", "connection", "frame", "sender", "receiver", "map", "cause")
     for number in range(1, 4):
         step = air.step(number, {n: (2 * n, number) for n in range(robots)})
         for row in step.rows:
@@ -144,7 +144,7 @@ def test_the_capture_has_every_byte_that_the_ledger_books(robots: int, seed: int
     heard_of = 0
     for frame in read(air.file):
         seen = frame.seen
-        key = (seen.exchange, seen.connection, seen.frame, seen.sender, seen.receiver, seen.map, seen.verdict)
+        key = (seen.round, seen.connection, seen.frame, seen.sender, seen.receiver, seen.map, seen.verdict)
         found[(frame.step, *key)] += frame.size
         heard_of += frame.size * len(capture.hearers(seen))
     assert +found == +booked
@@ -164,15 +164,15 @@ def test_what_is_said_between_steps_is_booked_to_the_next_one() -> None:
 
 
 def test_times_tell_the_step_in_seconds_and_the_place_in_it_in_microseconds() -> None:
-    seen = Sighting(0, 0, 2, 0, 1, 0, 0, 2, b"\xf0")
+    seen = LoggedFrame(0, 0, 2, 0, 1, 0, 0, 2, b"\xf0")
     reader = Reader(io.BytesIO(write([(7, [seen, seen]), (8, [seen])])))
     assert [packet.time_us for packet in reader] == [7_000_000, 7_000_001, 8_000_000]
 
 
 def test_a_frame_too_long_for_one_packet_of_wireshark_is_several_that_hold_whole_packets() -> None:
     payload = encode([Delete(n % 4096) for n in range(PART + 1)])
-    seen = [Sighting(0, 0, 2, 0, 1, 0, 0, 2, payload)]
-    assert capture.encode(1, Sightings.of(seen).columns()) == plain_books.blocks(1, seen)
+    seen = [LoggedFrame(0, 0, 2, 0, 1, 0, 0, 2, payload)]
+    assert capture.encode(1, FrameLog.of(seen).columns()) == plain_books.blocks(1, seen)
     frames = read(write([(1, seen)]))
     assert [frame.part for frame in frames] == [0, 1, 2]
     assert b"".join(frame.seen.payload for frame in frames) == payload
@@ -195,7 +195,7 @@ def test_a_frame_too_long_for_one_packet_of_wireshark_is_several_that_hold_whole
 def test_the_comment_says_in_words_what_became_of_a_frame(
     receiver: int, verdict: int, hearers: int, reason: str, words: str
 ) -> None:
-    seen = Sighting(0, 0, 0, 1, receiver, 0, verdict, hearers, b"\xc0\x00", reason)
+    seen = LoggedFrame(0, 0, 0, 1, receiver, 0, verdict, hearers, b"\xc0\x00", reason)
     assert read(write([(1, [seen])]))[0].words == words
 
 

@@ -21,13 +21,13 @@ from protocol.keys import Keys
 from protocol.zenoh_bus import Certificate, Credential, insert, join, mutual_tls, plain_config
 
 KEYS = Keys("certified")
-RELAY, WORLD, LAB = names.RELAY, names.WORLD, names.LAB
+RELAY, WORLD, RECORDER = names.RELAY, names.WORLD, names.RECORDER
 SOON_S = 5.0
 BLOCK = zenoh.CongestionControl.BLOCK
 FORGED = [
     KEYS.radio_tx("r0"),
     KEYS.control_tx("r0"),
-    KEYS.control_tx(LAB),
+    KEYS.control_tx(RECORDER),
     KEYS.radio_rx("r0", "r1"),
     KEYS.control("r0", RELAY),
     KEYS.body("r0", WORLD),
@@ -51,7 +51,7 @@ class Certified:
         hub = open_hub(KEYS.run, self.endpoint, self.credentials, self.certificates[RELAY])
         self.ends: dict[str, Bus] = {RELAY: hub}
         stack.callback(hub.close)
-        for name in (WORLD, LAB, "r0"):
+        for name in (WORLD, RECORDER, "r0"):
             self.ends[name] = join(self.credentials[name])
             stack.callback(self.ends[name].close)
             assert self.hear(RELAY) == Message(KEYS.presence(name), b"1")
@@ -90,7 +90,7 @@ def say_and_hear(certified: Certified) -> None:
     for sender, key, receiver in [
         ("r0", KEYS.radio_tx("r0"), RELAY),
         ("r0", KEYS.body(WORLD, "r0"), WORLD),
-        ("r0", KEYS.control(LAB, "r0"), LAB),
+        ("r0", KEYS.control(RECORDER, "r0"), RECORDER),
         (WORLD, KEYS.body("r0", WORLD), "r0"),
         (RELAY, KEYS.radio_rx("r0", "r1"), "r0"),
     ]:
@@ -101,7 +101,7 @@ def say_and_hear(certified: Certified) -> None:
 def test_a_rogue_with_a_robots_certificate_is_held_to_that_robots_rules(certified: Certified) -> None:
     rogue = certified.session(certified.certificates["r1"])
     try:
-        ear = rogue.declare_subscriber("**", zenoh.handlers.FifoChannel(1000))
+        recording_bus = rogue.declare_subscriber("**", zenoh.handlers.FifoChannel(1000))
         token = rogue.liveliness().declare_token(KEYS.alive("r0") + "x")
         for key in FORGED:
             rogue.put(key, b"forged", congestion_control=BLOCK, allowed_destination=zenoh.Locality.REMOTE)
@@ -118,7 +118,7 @@ def test_a_rogue_with_a_robots_certificate_is_held_to_that_robots_rules(certifie
         assert certified.hear(RELAY) == Message(KEYS.control_tx("r0"), b"last")
         for name, end in certified.ends.items():
             assert end.receive(0) is None, name
-        assert ear.handler.try_recv() is None
+        assert recording_bus.handler.try_recv() is None
         token.undeclare()
     finally:
         rogue.close()  # type: ignore[no-untyped-call]

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from netshaper.ledger import CAUSES, EVERYONE, KIND_NUMBER, MALFORMED, ROW, balance
 from netshaper.medium import ANSWER, BROADCAST, DATA, OFFER, UNLIMITED, Medium
 from netshaper.radio import Note, RadioSettings
-from protocol import packets, survey
-from protocol.messages import Close, Open, Outcome, Said, Turn
+from protocol import packet_index, packets
+from protocol.messages import Close, Open, Outcome, PhaseDelivery, Said
 from protocol.packets import Answer, Decline, Delete, Offer, Save, Target, encode
 from tests.netshaper.scenes import gossip, play, scenes, seeds
 from tests.netshaper.scripted_robots import Air, Heard, Liar, Mute, Put, Robot, Step
@@ -105,7 +105,7 @@ def test_the_order_in_which_the_relay_reads_robots_changes_nothing(scene: Any, o
 
 
 def _by_robot(outcome: tuple[int, Outcome]) -> tuple[int, int]:
-    return outcome[0], outcome[1].exchange
+    return outcome[0], outcome[1].round
 
 
 @given(scenes())
@@ -113,10 +113,10 @@ def test_a_receiver_hears_its_offers_in_the_order_in_which_they_are_played(scene
     for step in play(scene):
         for receiver, turn, heard in step.turns:
             assert turn.connections == sorted(turn.connections)
-            for (peer, payload), about in zip(heard, turn.maps, strict=True):
+            for (peer, payload), map_id in zip(heard, turn.maps, strict=True):
                 assert peer != receiver
                 if turn.phase == "offers":
-                    assert packets.decode(payload)[0].map == about  # type: ignore[union-attr]
+                    assert packets.decode(payload)[0].map == map_id  # type: ignore[union-attr]
         played = step.rows[(step.rows["connection"] >= 0)]["connection"].tolist()
         assert played == sorted(played)
 
@@ -143,7 +143,7 @@ def test_what_was_cut_was_cut_between_packets(scene: Any) -> None:
     for step in play(scene):
         for kind, frame in step.delivered:
             if kind == "data":
-                assert survey.split(frame.payload)
+                assert packet_index.split(frame.payload)
 
 
 @given(scenes())
@@ -168,30 +168,30 @@ def test_everyone_who_lives_is_told_of_every_exchange_while_the_medium_is_open_a
         step = air.step(at + 1, where, deaths[at])
         assert set(step.closed) - air.dead == set(where) - air.dead
         for robot in step.closed:
-            opened = [note.exchange for number, note in step.opened if number == robot]
+            opened = [note.round for number, note in step.opened if number == robot]
             assert opened == list(range(len(opened)))
             closed = settings.budget == step.carried or CAUSES.index("budget") in step.rows["cause"]
-            assert len(opened) == (settings.exchanges if settings.robots > 1 else 0) or closed
+            assert len(opened) == (settings.rounds if settings.robots > 1 else 0) or closed
 
 
 @given(scenes(st.lists(st.sampled_from((Robot, Robot, Liar, Liar)), min_size=2, max_size=6)))
 def test_who_lies_harms_nobody_who_does_not(scene: Any) -> None:
     settings, robots, cells, _ = scene
     settings = replace(settings, budget=UNLIMITED)
-    liars = {number for number, robot in robots.items() if isinstance(robot, Liar)}
-    silent = {n: Quiet(n, len(robots), 0) if n in liars else robot for n, robot in robots.items()}
+    byzantine = {number for number, robot in robots.items() if isinstance(robot, Liar)}
+    silent = {n: Quiet(n, len(robots), 0) if n in byzantine else robot for n, robot in robots.items()}
     none: list[Any] = [{} for _ in cells]
     for first, second in zip(
         play((settings, robots, cells, none)), play((settings, silent, cells, none)), strict=True
     ):
-        assert _among(first, liars) == _among(second, liars)
+        assert _among(first, byzantine) == _among(second, byzantine)
 
 
 class Quiet(Robot):
     """A robot that takes part and has nothing to say."""
 
     def opens(self, note: Open) -> list[Put | Said]:
-        return [Said(note.step, note.exchange, "offers", [])]
+        return [Said(note.step, note.round, "offers", [])]
 
     def answer(self, _rng: np.random.Generator) -> bytes:
         return encode([Decline()])
@@ -207,8 +207,8 @@ def _among(step: Step, without: set[int]) -> list[Any]:
 # Scenes by hand.
 
 
-def air_of(*robots: Robot, budget: int = UNLIMITED, range_cells: float = 10.0, exchanges: int = 1) -> Air:
-    settings = RadioSettings(len(robots), 7, range_cells, budget, exchanges)
+def air_of(*robots: Robot, budget: int = UNLIMITED, range_cells: float = 10.0, rounds: int = 1) -> Air:
+    settings = RadioSettings(len(robots), 7, range_cells, budget, rounds)
     return Air(settings, dict(enumerate(robots)))
 
 
@@ -222,7 +222,7 @@ class Says(Robot):
         self.late = late
 
     def opens(self, note: Open) -> list[Put | Said]:
-        return [*(self.opening if note.exchange == 0 else []), Said(note.step, note.exchange, "offers", [])]
+        return [*(self.opening if note.round == 0 else []), Said(note.step, note.round, "offers", [])]
 
     def answer(self, _rng: np.random.Generator) -> bytes:
         return encode([Answer(0)])
@@ -296,15 +296,15 @@ def test_the_budget_is_spent_on_targets_then_connection_by_connection_packet_by_
 
 def test_once_closed_the_medium_stays_closed_for_smaller_frames_and_later_exchanges() -> None:
     robots = Says(0, (1, OFFER_0), data=encode([packets.Fragment(bytes(63))])), Says(1, (0, OFFER_0))
-    step = air_of(*robots, budget=50, exchanges=2).step(1, TOGETHER)
-    assert [note.exchange for number, note in step.opened if number == 0] == [0]
+    step = air_of(*robots, budget=50, rounds=2).step(1, TOGETHER)
+    assert [note.round for number, note in step.opened if number == 0] == [0]
     cut = step.rows["carried"].tolist().index(0)
     assert not step.rows["carried"][cut:].any()
 
 
 def test_a_later_exchange_has_what_is_left_of_the_budget() -> None:
     robots = Says(0, (1, OFFER_0), data=encode([Save()])), Says(1)
-    step = air_of(*robots, budget=50, exchanges=3).step(1, TOGETHER)
+    step = air_of(*robots, budget=50, rounds=3).step(1, TOGETHER)
     assert [note.budget for number, note in step.opened if number == 0] == [50, 45, 45]
 
 
@@ -412,13 +412,13 @@ def test_data_that_is_malformed_or_no_data_is_booked_and_passed_on_to_nobody(dat
 
 def test_data_for_an_offer_that_was_not_answered_is_refused_and_booked() -> None:
     class Impatient(Says):
-        def takes_turn(self, note: Turn, heard: Heard) -> list[Put | Said]:
+        def takes_turn(self, note: PhaseDelivery, heard: Heard) -> list[Put | Said]:
             (number,) = note.connections
-            return [(1, encode([Save()])), Said(note.step, note.exchange, "data", [1 - number])]
+            return [(1, encode([Save()])), Said(note.step, note.round, "data", [1 - number])]
 
     class Choosy(Says):
-        def takes_turn(self, note: Turn, heard: Heard) -> list[Put | Said]:
-            return [*super().takes_turn(note, heard)[1:-1], Said(note.step, note.exchange, "answers", [1])]
+        def takes_turn(self, note: PhaseDelivery, heard: Heard) -> list[Put | Said]:
+            return [*super().takes_turn(note, heard)[1:-1], Said(note.step, note.round, "answers", [1])]
 
     air = air_of(Impatient(0, (1, OFFER_0), (1, encode([Offer(1, 0)]))), Choosy(1))
     step = air.step(1, TOGETHER)
@@ -431,10 +431,10 @@ def test_data_for_an_offer_that_was_not_answered_is_refused_and_booked() -> None
     assert [reason for _, reason in air.radio.faults] == ["a frame of no connection of its own"]
 
 
-@given(seeds, st.permutations([(peer, about) for peer in (1, 2) for about in (0, 1, 2)]))
+@given(seeds, st.permutations([(peer, map_id) for peer in (1, 2) for map_id in (0, 1, 2)]))
 def test_the_order_in_which_a_robot_says_its_offers_changes_nothing(seed: int, order: list[Put]) -> None:
     def played(pairs: list[Any]) -> list[Any]:
-        offers = [(peer, encode([Offer(about, 0)])) for peer, about in pairs]
+        offers = [(peer, encode([Offer(map_id, 0)])) for peer, map_id in pairs]
         robots = {0: Says(0, *offers, data=encode(3 * [Delete(1)])), 1: Says(1), 2: Says(2)}
         air = Air(RadioSettings(3, seed, 10.0, 20), robots)
         rows: list[Any] = air.step(1, TOGETHER | {2: (1, 1)}).rows.tolist()

@@ -23,7 +23,6 @@ from protocol.keys import RELAY, Keys
 from protocol.memory_bus import MemoryHub
 from protocol.messages import (
     Begin,
-    Bye,
     Close,
     End,
     Fault,
@@ -35,15 +34,16 @@ from protocol.messages import (
     RadioReport,
     Replies,
     Said,
+    Shutdown,
     Stop,
     pack,
     unpack,
 )
 from protocol.packets import Offer, Passed, Pose, Target, encode
-from protocol.rights import MOST_NONSENSE
+from protocol.rights import MAX_PROTOCOL_ERRORS
 
 KEYS = Keys("relay")
-WORLD, LAB = names.WORLD, names.LAB
+WORLD, RECORDER = names.WORLD, names.RECORDER
 
 
 class Run:
@@ -56,7 +56,7 @@ class Run:
         self.ends: dict[str, Bus] = {}
         self.robots = [names.robot(number) for number in range(robots)]
         if begun:
-            for name in (WORLD, LAB, *self.robots):
+            for name in (WORLD, RECORDER, *self.robots):
                 self.join(name)
             assert self.heard(WORLD) == [Begin()]
 
@@ -113,13 +113,13 @@ class Run:
             for name in self.robots:
                 for message in self.heard(name) if name in self.ends else []:
                     if isinstance(message, Open):
-                        self.say(name, Said(step, message.exchange, "offers", []))
-        return [message for message in self.heard(LAB) if isinstance(message, RadioReport)]
+                        self.say(name, Said(step, message.round, "offers", []))
+        return [message for message in self.heard(RECORDER) if isinstance(message, RadioReport)]
 
 
 def test_the_run_begins_when_everyone_is_here_and_not_before() -> None:
     run = Run(begun=False)
-    for name, missing in [(WORLD, [LAB, "r0", "r1"]), ("r1", [LAB, "r0"]), (LAB, ["r0"])]:
+    for name, missing in [(WORLD, [RECORDER, "r0", "r1"]), ("r1", [RECORDER, "r0"]), (RECORDER, ["r0"])]:
         run.join(name)
         assert run.relay.missing() == missing
         assert run.heard(WORLD) == []
@@ -130,7 +130,7 @@ def test_the_run_begins_when_everyone_is_here_and_not_before() -> None:
 
 def test_who_leaves_before_the_beginning_is_waited_for_again() -> None:
     run = Run(begun=False)
-    for name in (WORLD, LAB, "r0"):
+    for name in (WORLD, RECORDER, "r0"):
         run.join(name)
     run.leave("r0")
     run.join("r1")
@@ -165,7 +165,7 @@ def test_what_a_robot_is_told_goes_out_at_one_go_and_the_books_once_all_are_told
             run.say(robot, Said(1, 0, phase, []))
     for robot in run.robots:
         run.say(robot, Said(1, 1, "offers", []))
-    assert told[-5:] == ["r0", "r1", "r2", WORLD, LAB]
+    assert told[-5:] == ["r0", "r1", "r2", WORLD, RECORDER]
 
 
 def test_a_robot_that_dies_is_reported_and_nobody_waits_for_it() -> None:
@@ -173,7 +173,7 @@ def test_a_robot_that_dies_is_reported_and_nobody_waits_for_it() -> None:
     run.begin_step()
     run.leave("r1")
     assert run.heard(WORLD) == [Lost(1, "its process ended")]
-    assert run.heard(LAB) == [Lost(1, "its process ended")]
+    assert run.heard(RECORDER) == [Lost(1, "its process ended")]
     assert run.relay.waiting_for() == [0]
     assert len(run.finish_step()) == 1
 
@@ -189,20 +189,20 @@ def test_a_robot_that_is_given_up_is_reported_once_also_when_it_leaves_later() -
 def test_a_robot_that_dies_before_it_has_handed_in_its_maps_is_reported_too() -> None:
     run = Run()
     run.say(WORLD, End(7, "explored", 0))
-    assert run.heard(LAB) == [End(7, "explored", 0)]
+    assert run.heard(RECORDER) == [End(7, "explored", 0)]
     run.leave("r1")
-    assert run.heard(LAB) == [Lost(1, "its process ended")]
+    assert run.heard(RECORDER) == [Lost(1, "its process ended")]
 
 
 def test_when_the_world_dies_the_run_is_over_for_everyone_once() -> None:
     run = Run()
     run.begin_step()
     run.leave(WORLD)
-    for name in (LAB, "r0", "r1"):
+    for name in (RECORDER, "r0", "r1"):
         assert [m for m in run.heard(name) if isinstance(m, End)] == [End(-1, "the world died", -1)]
-    run.say(LAB, Bye())
-    for name in (LAB, "r0", "r1"):
-        assert run.heard(name) == [Bye()]
+    run.say(RECORDER, Shutdown())
+    for name in (RECORDER, "r0", "r1"):
+        assert run.heard(name) == [Shutdown()]
         run.leave(name)
     assert run.relay.done
 
@@ -211,7 +211,7 @@ def test_a_world_that_dies_after_the_end_ends_nothing_again() -> None:
     run = Run()
     run.say(WORLD, End(7, "explored", 0))
     run.leave(WORLD)
-    assert run.heard(LAB) == [End(7, "explored", 0)]
+    assert run.heard(RECORDER) == [End(7, "explored", 0)]
 
 
 @pytest.mark.parametrize("ended", [False, True])
@@ -219,9 +219,9 @@ def test_when_the_laboratory_dies_everyone_goes_home(ended: bool) -> None:
     run = Run()
     if ended:
         run.say(WORLD, End(7, "explored", 0))
-    run.leave(LAB)
+    run.leave(RECORDER)
     for name in (WORLD, "r0", "r1"):
-        assert run.heard(name)[-1] == Bye()
+        assert run.heard(name)[-1] == Shutdown()
         run.leave(name)
     assert run.relay.done
 
@@ -229,8 +229,8 @@ def test_when_the_laboratory_dies_everyone_goes_home(ended: bool) -> None:
 def test_the_relay_is_done_when_all_have_been_sent_home_and_have_left() -> None:
     run = Run()
     run.say(WORLD, End(7, "explored", 0))
-    run.say(LAB, Bye())
-    for name in (WORLD, LAB, "r0", "r1"):
+    run.say(RECORDER, Shutdown())
+    for name in (WORLD, RECORDER, "r0", "r1"):
         assert run.relay.going_home
         assert not run.relay.done
         run.leave(name)
@@ -239,7 +239,7 @@ def test_the_relay_is_done_when_all_have_been_sent_home_and_have_left() -> None:
 
 def test_a_stop_of_the_laboratory_is_passed_on_to_the_world() -> None:
     run = Run()
-    run.say(LAB, Stop("interrupted"))
+    run.say(RECORDER, Stop("interrupted"))
     assert run.heard(WORLD) == [Stop("interrupted")]
 
 
@@ -252,7 +252,7 @@ def test_a_stop_of_the_laboratory_is_passed_on_to_the_world() -> None:
         Positions(1, [0, 1], [0, 0], [0, 0]),
         End(1, "I am done", 0),
         Stop("enough"),
-        Bye(),
+        Shutdown(),
         Begin(),
         Lost(1, "I saw it die"),
         Move(1, b"", 0, explored=True),
@@ -264,7 +264,7 @@ def test_what_is_not_a_robots_to_say_is_reported_and_has_no_effect(lie: object) 
     run = Run()
     run.begin_step()
     run.say("r1", lie)
-    (fault,) = run.heard(LAB)
+    (fault,) = run.heard(RECORDER)
     assert isinstance(fault, Fault)
     assert fault.who == "r1"
     assert run.heard(WORLD) == []
@@ -316,7 +316,7 @@ def test_numbers_that_cannot_be_end_no_phase(items: list[Any]) -> None:
     run = Run()
     run.begin_step()
     run.radio("r1", msgspec.msgpack.encode([7, *items]))
-    (fault,) = run.heard(LAB)
+    (fault,) = run.heard(RECORDER)
     assert fault.who == "r1"
     assert "must be" in fault.what
     assert run.relay.waiting_for() == [0, 1]
@@ -337,7 +337,7 @@ def test_a_frame_longer_than_could_be_carried_is_reported_and_not_looked_at() ->
     run.begin_step()
     for size in (1065, 1 << 24, 20 << 20):
         run.say("r1", Said(1, 0, "offers", [], 0, [0, 0], [b"", bytes(size)]))
-    faults = run.heard(LAB)
+    faults = run.heard(RECORDER)
     assert [fault.who for fault in faults] == 3 * ["r1"]
     assert "a frame of 1065 bytes, where 1064 are the most" in faults[0].what
     assert run.relay.waiting_for() == [0, 1]
@@ -354,7 +354,7 @@ def test_nor_is_a_reply_that_is_longer_than_could_be_carried(replies: Replies) -
     run = Run(budget=1000)
     run.begin_step()
     run.say("r1", Said(1, 0, "offers", [], 0, [], [], replies))
-    (fault,) = run.heard(LAB)
+    (fault,) = run.heard(RECORDER)
     assert "a frame of 1065 bytes, where 1064 are the most" in fault.what
     assert run.relay.waiting_for() == [0, 1]
 
@@ -366,7 +366,7 @@ def test_where_everybody_is_said_to_be_may_be_longer_than_could_be_carried() -> 
         [Pose(1, 1, 0), *(packet for r in range(1, 40) for packet in (Passed(r, 1, 2, 2), Target(3, 3)))]
     )
     run.say("r0", Said(1, 0, "offers", [], 0, [-1], [said]))
-    assert run.heard(LAB) == []
+    assert run.heard(RECORDER) == []
     assert 0 not in run.relay.waiting_for()
 
 
@@ -375,9 +375,9 @@ def test_who_says_more_frames_in_a_phase_than_there_can_be_connections_again_and
     run.begin_step()
     frames = (MOST_CONNECTIONS + 1) * [encode([Offer(1, 0)])]
     said = pack(Said(1, 0, "offers", [], 0, len(frames) * [0], frames))
-    for _ in range(MOST_NONSENSE + 1):
+    for _ in range(MAX_PROTOCOL_ERRORS + 1):
         run.radio("r1", said)
-    assert [type(message) for message in run.heard(LAB)] == [*MOST_NONSENSE * [Fault], Lost]
+    assert [type(message) for message in run.heard(RECORDER)] == [*MAX_PROTOCOL_ERRORS * [Fault], Lost]
     assert run.relay.waiting_for() == [0]
 
 

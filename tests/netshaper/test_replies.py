@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from agent.exchange.session import Session
 from netshaper.medium import UNLIMITED
 from netshaper.radio import Frame, Note, Outgoing, Radio, RadioSettings
-from protocol import packets, survey
+from protocol import packet_index, packets
 from protocol.errors import ProtocolError
-from protocol.messages import NO_REPLIES, Open, Outcome, Replies, Said, Turn, pack, unpack
+from protocol.messages import NO_REPLIES, Open, Outcome, PhaseDelivery, Replies, Said, pack, unpack
 
 
 class Team:
@@ -62,25 +62,25 @@ class Team:
         if isinstance(note, Open):
             self.opened += 1
             room = None if note.budget == UNLIMITED else note.budget
-            offers = session.offers(note.exchange, note.peers, room)
+            offers = session.offers(note.round, note.peers, room)
             receivers, frames = [peer for peer, _, _ in offers], [frame for _, _, frame in offers]
             replies = session.replies() if self._beforehand else NO_REPLIES
-            return Said(note.step, note.exchange, "offers", [], 0, receivers, frames, replies)
+            return Said(note.step, note.round, "offers", [], 0, receivers, frames, replies)
         if isinstance(note, Outcome):
-            for peer, about, frame in session.outcome(note, heard):
-                session.accept(peer, about, frame, survey.ends(frame))
-        if not isinstance(note, Turn):
+            for peer, map_id, frame in session.outcome(note, heard):
+                session.accept(peer, map_id, frame, packet_index.ends(frame))
+        if not isinstance(note, PhaseDelivery):
             return None
         if note.phase == "offers":
             said = session.answers([(n, *frame) for n, frame in zip(note.connections, heard, strict=True)])
         else:
             named = zip(note.connections, heard, note.maps, strict=True)
-            said = session.data([(n, peer, about, frame) for n, (peer, frame), about in named])
+            said = session.data([(n, peer, map_id, frame) for n, (peer, frame), map_id in named])
         if note.spoken:
             return None
         numbers, receivers = [number for number, _, _ in said], [peer for _, peer, _ in said]
         phase = "answers" if note.phase == "offers" else "data"
-        return Said(note.step, note.exchange, phase, numbers, 0, receivers, [frame for _, _, frame in said])
+        return Said(note.step, note.round, phase, numbers, 0, receivers, [frame for _, _, frame in said])
 
 
 @settings(deadline=None)

@@ -66,7 +66,7 @@ def free_port() -> int:
 
 
 def test_robots_behind_a_router_have_no_certificate_and_it_says_for_whom_it_speaks(routed: Routed) -> None:
-    assert routed.made.keys() == {RELAY, WORLD, names.LAB, names.VIEW, "r2", ROUTER}
+    assert routed.made.keys() == {RELAY, WORLD, names.RECORDER, names.VIEW, "r2", ROUTER}
     assert routed.credentials[ROUTER].robots == ("r0", "r1")
     assert routed.credentials["r2"].robots == ()
 
@@ -77,7 +77,7 @@ def test_a_rogue_with_a_router_s_certificate_speaks_for_its_robots_and_for_nobod
 ) -> None:
     rogue = open_connected(plain_config(mode), routed.credentials[ROUTER])
     try:
-        ear = rogue.declare_subscriber("**", zenoh.handlers.FifoChannel(1000))
+        recording_bus = rogue.declare_subscriber("**", zenoh.handlers.FifoChannel(1000))
         tokens = [rogue.liveliness().declare_token(KEYS.alive(name)) for name in ("r2", ROUTER, "r1")]
         assert routed.hear(RELAY) == Message(KEYS.presence("r1"), b"1")
         for key in (
@@ -101,7 +101,7 @@ def test_a_rogue_with_a_router_s_certificate_speaks_for_its_robots_and_for_nobod
         for name, end in routed.ends.items():
             assert end.receive(0) is None, name
         heard = []
-        while (sample := ear.handler.try_recv()) is not None:
+        while (sample := recording_bus.handler.try_recv()) is not None:
             heard.append(str(sample.key_expr))
         assert set(heard) <= {own}
         del tokens

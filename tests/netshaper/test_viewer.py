@@ -19,7 +19,7 @@ from netshaper.radio import RadioSettings
 from protocol import keys as names
 from protocol.keys import Keys, may_be_dropped
 from protocol.memory_bus import MemoryBus, MemoryHub
-from protocol.messages import Begin, Bye, End, Fault, Lost, Stop, Watched, pack, unpack
+from protocol.messages import Begin, End, Fault, Lost, Shutdown, Stop, Watched, pack, unpack
 from protocol.zenoh_bus import join
 
 
@@ -49,40 +49,40 @@ class Team:
 
 
 def test_a_run_begins_without_a_viewer_and_tells_one_that_comes_late() -> None:
-    team = Team(names.LAB, names.WORLD, "r0")
+    team = Team(names.RECORDER, names.WORLD, "r0")
     assert team.heard(names.WORLD) == [Begin()]
     team.ends[names.VIEW] = team.come(names.VIEW)
     assert team.heard(names.WORLD) == team.heard("r0") == [Watched(here=True)]
-    assert team.heard(names.LAB) == []
+    assert team.heard(names.RECORDER) == []
     team.ends[names.VIEW].close()
     team.work()
     assert team.heard(names.WORLD) == team.heard("r0") == [Watched(here=False)]
 
 
 def test_who_comes_after_the_viewer_is_told_of_it() -> None:
-    team = Team(names.VIEW, names.WORLD, "r0", names.LAB)
+    team = Team(names.VIEW, names.WORLD, "r0", names.RECORDER)
     assert team.heard(names.WORLD) == [Watched(here=True), Begin()]
     assert team.heard("r0") == [Watched(here=True)]
-    assert team.heard(names.LAB) == []
+    assert team.heard(names.RECORDER) == []
 
 
 def test_the_viewer_hears_what_the_laboratory_hears() -> None:
-    team = Team(names.VIEW, names.WORLD, "r0", names.LAB)
+    team = Team(names.VIEW, names.WORLD, "r0", names.RECORDER)
     team.ends["r0"].close()
     team.work()
     lost = Lost(0, "its process ended")
-    assert team.heard(names.LAB) == team.heard(names.VIEW) == [lost]
+    assert team.heard(names.RECORDER) == team.heard(names.VIEW) == [lost]
     team.ends[names.WORLD].put(team.hub.keys.control_tx(names.WORLD), pack(End(3, "explored", 0)))
     team.work()
-    assert team.heard(names.LAB) == team.heard(names.VIEW) == [End(3, "explored", 0)]
+    assert team.heard(names.RECORDER) == team.heard(names.VIEW) == [End(3, "explored", 0)]
 
 
 def test_the_relay_goes_home_though_the_viewer_stays() -> None:
-    team = Team(names.VIEW, names.WORLD, "r0", names.LAB)
-    team.ends[names.LAB].put(team.hub.keys.control_tx(names.LAB), pack(Bye()))
+    team = Team(names.VIEW, names.WORLD, "r0", names.RECORDER)
+    team.ends[names.RECORDER].put(team.hub.keys.control_tx(names.RECORDER), pack(Shutdown()))
     team.work()
-    assert team.heard(names.VIEW) == [Bye()]
-    for name in (names.WORLD, "r0", names.LAB):
+    assert team.heard(names.VIEW) == [Shutdown()]
+    for name in (names.WORLD, "r0", names.RECORDER):
         assert not team.relay.done
         team.ends[name].close()
         team.work()
@@ -90,12 +90,12 @@ def test_the_relay_goes_home_though_the_viewer_stays() -> None:
 
 
 def test_what_a_viewer_says_is_none_of_its_business() -> None:
-    team = Team(names.VIEW, names.WORLD, "r0", names.LAB)
+    team = Team(names.VIEW, names.WORLD, "r0", names.RECORDER)
     team.heard(names.WORLD)
     team.ends[names.VIEW].put(team.hub.keys.control_tx(names.VIEW), pack(Stop("I am bored")))
     team.work()
     assert team.heard(names.WORLD) == []
-    (fault,) = team.heard(names.LAB)
+    (fault,) = team.heard(names.RECORDER)
     assert fault == Fault(names.VIEW, "message at byte 0: nothing is for view to say here")
 
 
@@ -103,7 +103,7 @@ def test_only_what_goes_to_the_viewer_may_be_dropped() -> None:
     keys = Keys("run")
     assert may_be_dropped(keys.control(names.VIEW, "r0"))
     for key in (
-        keys.control(names.LAB, "r0"), keys.control("r1", names.RELAY), keys.body("r1", names.WORLD),
+        keys.control(names.RECORDER, "r0"), keys.control("r1", names.RELAY), keys.body("r1", names.WORLD),
         keys.radio_rx("r1", "r0"), keys.radio_tx("r1"), keys.control_tx(names.VIEW),
     ):  # fmt: skip
         assert not may_be_dropped(key)
@@ -178,4 +178,4 @@ def free_port() -> int:
 
 def test_credentials_are_for_the_viewer_as_well(tmp_path: Path) -> None:
     assert names.VIEW in access.issue("run", "tcp/127.0.0.1:1", 3)
-    assert access.participants(0) == [names.WORLD, names.LAB, names.VIEW]
+    assert access.participants(0) == [names.WORLD, names.RECORDER, names.VIEW]

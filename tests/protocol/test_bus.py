@@ -19,13 +19,13 @@ from protocol.memory_bus import MemoryHub
 from protocol.zenoh_bus import join
 
 KEYS = Keys("contract")
-RELAY, WORLD, LAB, R0, R1 = names.RELAY, names.WORLD, names.LAB, "r0", "r1"
+RELAY, WORLD, RECORDER, R0, R1 = names.RELAY, names.WORLD, names.RECORDER, "r0", "r1"
 SOON_S = 5.0
 """How long a message may take that must come."""
 
 
 @dataclass
-class Meeting:
+class Rendezvous:
     """All ends of one run, and how to open another."""
 
     open: Callable[[str], Bus]
@@ -60,7 +60,7 @@ class Meeting:
 
 
 @pytest.fixture(params=["memory", "zenoh"])
-def meeting(request: pytest.FixtureRequest) -> Iterator[Meeting]:
+def rendezvous(request: pytest.FixtureRequest) -> Iterator[Rendezvous]:
     """Relay, world, laboratory and two robots; the relay has read that they came."""
     with ExitStack() as stack:
         if request.param == "memory":
@@ -77,12 +77,12 @@ def meeting(request: pytest.FixtureRequest) -> Iterator[Meeting]:
 
         ends = {RELAY: relay}
         stack.callback(close_all, ends)
-        for name in (WORLD, LAB, R0, R1):
+        for name in (WORLD, RECORDER, R0, R1):
             ends[name] = opener(name)
-        meeting = Meeting(opener, ends)
-        came = {meeting.hear(RELAY).key for _ in range(4)}
-        assert came == {KEYS.presence(name) for name in (WORLD, LAB, R0, R1)}
-        yield meeting
+        rendezvous = Rendezvous(opener, ends)
+        came = {rendezvous.hear(RELAY).key for _ in range(4)}
+        assert came == {KEYS.presence(name) for name in (WORLD, RECORDER, R0, R1)}
+        yield rendezvous
 
 
 def close_all(ends: dict[str, Bus]) -> None:
@@ -101,15 +101,15 @@ ROUTES = [
     (R0, KEYS.radio_tx(R0), RELAY),
     (R0, KEYS.control_tx(R0), RELAY),
     (R0, KEYS.body(WORLD, R0), WORLD),
-    (R0, KEYS.control(LAB, R0), LAB),
+    (R0, KEYS.control(RECORDER, R0), RECORDER),
     (RELAY, KEYS.radio_rx(R0, R1), R0),
     (RELAY, KEYS.control(R0, RELAY), R0),
     (RELAY, KEYS.control(WORLD, RELAY), WORLD),
-    (RELAY, KEYS.control(LAB, RELAY), LAB),
+    (RELAY, KEYS.control(RECORDER, RELAY), RECORDER),
     (WORLD, KEYS.body(R0, WORLD), R0),
     (WORLD, KEYS.control_tx(WORLD), RELAY),
-    (WORLD, KEYS.control(LAB, WORLD), LAB),
-    (LAB, KEYS.control_tx(LAB), RELAY),
+    (WORLD, KEYS.control(RECORDER, WORLD), RECORDER),
+    (RECORDER, KEYS.control_tx(RECORDER), RELAY),
 ]
 
 
@@ -117,21 +117,21 @@ ROUTES = [
     ("sender", "key", "receiver"), ROUTES, ids=lambda value: value.replace("murmur/", "")
 )
 def test_a_message_reaches_the_addressed_inbox_and_no_other(
-    meeting: Meeting, sender: str, key: str, receiver: str
+    rendezvous: Rendezvous, sender: str, key: str, receiver: str
 ) -> None:
-    meeting[sender].put(key, b"hello")
-    heard = meeting.everything_before_a_fence()
+    rendezvous[sender].put(key, b"hello")
+    heard = rendezvous.everything_before_a_fence()
     assert heard.pop(receiver) == [Message(key, b"hello")]
     assert not any(heard.values())
 
 
 @pytest.mark.parametrize("size", [0, 1, 724, 1 << 20])
-def test_a_payload_arrives_whole_whatever_its_size(meeting: Meeting, size: int) -> None:
+def test_a_payload_arrives_whole_whatever_its_size(rendezvous: Rendezvous, size: int) -> None:
     payload = (b"murmur" * (size // 6 + 1))[:size]
-    meeting[R0].put(KEYS.radio_tx(R0), payload)
-    meeting[RELAY].put(KEYS.radio_rx(R1, R0), payload)
-    assert meeting.hear(RELAY).payload == payload
-    assert meeting.hear(R1).payload == payload
+    rendezvous[R0].put(KEYS.radio_tx(R0), payload)
+    rendezvous[RELAY].put(KEYS.radio_rx(R1, R0), payload)
+    assert rendezvous.hear(RELAY).payload == payload
+    assert rendezvous.hear(R1).payload == payload
 
 
 @pytest.mark.parametrize(
@@ -141,126 +141,130 @@ def test_a_payload_arrives_whole_whatever_its_size(meeting: Meeting, size: int) 
         (R0, RELAY, [KEYS.radio_tx(R0), KEYS.control_tx(R0)]),
         (R0, WORLD, [KEYS.body(WORLD, R0)]),
         (WORLD, R0, [KEYS.body(R0, WORLD)]),
-        (R0, LAB, [KEYS.control(LAB, R0)]),
+        (R0, RECORDER, [KEYS.control(RECORDER, R0)]),
     ],
 )
 def test_thousands_of_messages_arrive_once_and_in_order_over_all_planes(
-    meeting: Meeting, sender: str, receiver: str, routes: list[str]
+    rendezvous: Rendezvous, sender: str, receiver: str, routes: list[str]
 ) -> None:
     said = [Message(routes[n % len(routes)], b"%d" % n) for n in range(5000)]
     for message in said:
-        meeting[sender].put(message.key, message.payload)
-    assert [meeting.hear(receiver) for _ in said] == said
-    assert not any(meeting.everything_before_a_fence().values())
+        rendezvous[sender].put(message.key, message.payload)
+    assert [rendezvous.hear(receiver) for _ in said] == said
+    assert not any(rendezvous.everything_before_a_fence().values())
 
 
-def test_what_several_put_for_one_arrives_in_the_order_of_each(meeting: Meeting) -> None:
-    senders = {R0: KEYS.control(LAB, R0), R1: KEYS.control(LAB, R1), WORLD: KEYS.control(LAB, WORLD)}
+def test_what_several_put_for_one_arrives_in_the_order_of_each(rendezvous: Rendezvous) -> None:
+    senders = {
+        R0: KEYS.control(RECORDER, R0),
+        R1: KEYS.control(RECORDER, R1),
+        WORLD: KEYS.control(RECORDER, WORLD),
+    }
     for n in range(1000):
         for name, key in senders.items():
-            meeting[name].put(key, b"%d" % n)
-    heard = [meeting.hear(LAB) for _ in range(3000)]
+            rendezvous[name].put(key, b"%d" % n)
+    heard = [rendezvous.hear(RECORDER) for _ in range(3000)]
     for key in senders.values():
         assert [message.payload for message in heard if message.key == key] == [
             b"%d" % n for n in range(1000)
         ]
 
 
-def test_large_and_small_messages_do_not_overtake_each_other(meeting: Meeting) -> None:
+def test_large_and_small_messages_do_not_overtake_each_other(rendezvous: Rendezvous) -> None:
     sizes = [1 << 20, 0, 1, 300_000, 2, 1 << 20, 3]
     for size in sizes:
-        meeting[RELAY].put(KEYS.control(R0, RELAY), bytes(size))
-    assert [len(meeting.hear(R0).payload) for _ in sizes] == sizes
+        rendezvous[RELAY].put(KEYS.control(R0, RELAY), bytes(size))
+    assert [len(rendezvous.hear(R0).payload) for _ in sizes] == sizes
 
 
-def test_the_first_words_of_who_has_just_come_are_heard(meeting: Meeting) -> None:
+def test_the_first_words_of_who_has_just_come_are_heard(rendezvous: Rendezvous) -> None:
     for _ in range(20):
-        meeting[R1].close()
-        assert meeting.hear(RELAY) == Message(KEYS.presence(R1), b"0")
-        meeting.ends[R1] = meeting.open(R1)
-        meeting[R1].put(KEYS.radio_tx(R1), b"I am here")
-        heard = {meeting.hear(RELAY), meeting.hear(RELAY)}
+        rendezvous[R1].close()
+        assert rendezvous.hear(RELAY) == Message(KEYS.presence(R1), b"0")
+        rendezvous.ends[R1] = rendezvous.open(R1)
+        rendezvous[R1].put(KEYS.radio_tx(R1), b"I am here")
+        heard = {rendezvous.hear(RELAY), rendezvous.hear(RELAY)}
         assert heard == {Message(KEYS.presence(R1), b"1"), Message(KEYS.radio_tx(R1), b"I am here")}
-        meeting[RELAY].put(KEYS.control(R1, RELAY), b"welcome")
-        assert meeting.hear(R1).payload == b"welcome"
+        rendezvous[RELAY].put(KEYS.control(R1, RELAY), b"welcome")
+        assert rendezvous.hear(R1).payload == b"welcome"
 
 
-def test_the_relay_is_told_that_somebody_left_after_all_that_he_had_said(meeting: Meeting) -> None:
+def test_the_relay_is_told_that_somebody_left_after_all_that_he_had_said(rendezvous: Rendezvous) -> None:
     for n in range(2000):
-        meeting[R0].put(KEYS.radio_tx(R0), b"%d" % n)
-    meeting[R0].close()
-    heard = [meeting.hear(RELAY) for _ in range(2001)]
+        rendezvous[R0].put(KEYS.radio_tx(R0), b"%d" % n)
+    rendezvous[R0].close()
+    heard = [rendezvous.hear(RELAY) for _ in range(2001)]
     assert [message.payload for message in heard[:-1]] == [b"%d" % n for n in range(2000)]
     assert heard[-1] == Message(KEYS.presence(R0), b"0")
 
 
-def test_what_was_put_before_leaving_is_delivered_to_everyone(meeting: Meeting) -> None:
+def test_what_was_put_before_leaving_is_delivered_to_everyone(rendezvous: Rendezvous) -> None:
     for n in range(2000):
-        meeting[R0].put(KEYS.control(LAB, R0), b"%d" % n)
-        meeting[R0].put(KEYS.body(WORLD, R0), b"%d" % n)
-    meeting[R0].close()
-    for name in (LAB, WORLD):
-        assert [meeting.hear(name).payload for _ in range(2000)] == [b"%d" % n for n in range(2000)]
+        rendezvous[R0].put(KEYS.control(RECORDER, R0), b"%d" % n)
+        rendezvous[R0].put(KEYS.body(WORLD, R0), b"%d" % n)
+    rendezvous[R0].close()
+    for name in (RECORDER, WORLD):
+        assert [rendezvous.hear(name).payload for _ in range(2000)] == [b"%d" % n for n in range(2000)]
 
 
-def test_nothing_comes_where_nothing_was_put(meeting: Meeting) -> None:
-    for name, end in meeting.ends.items():
+def test_nothing_comes_where_nothing_was_put(rendezvous: Rendezvous) -> None:
+    for name, end in rendezvous.ends.items():
         began = time.monotonic()
         assert end.receive(0) is None, name
         assert end.receive(0.05) is None, name
         assert time.monotonic() - began < 2
 
 
-def test_a_word_for_someone_who_is_not_there_is_gone(meeting: Meeting) -> None:
-    meeting[R1].close()
-    meeting.hear(RELAY)
-    meeting[RELAY].put(KEYS.control(R1, RELAY), b"anyone?")
-    meeting[RELAY].put(KEYS.control("r7", RELAY), b"anyone?")
-    meeting.ends[R1] = meeting.open(R1)
-    assert meeting.hear(RELAY).payload == b"1"
-    assert not any(meeting.everything_before_a_fence().values())
+def test_a_word_for_someone_who_is_not_there_is_gone(rendezvous: Rendezvous) -> None:
+    rendezvous[R1].close()
+    rendezvous.hear(RELAY)
+    rendezvous[RELAY].put(KEYS.control(R1, RELAY), b"anyone?")
+    rendezvous[RELAY].put(KEYS.control("r7", RELAY), b"anyone?")
+    rendezvous.ends[R1] = rendezvous.open(R1)
+    assert rendezvous.hear(RELAY).payload == b"1"
+    assert not any(rendezvous.everything_before_a_fence().values())
 
 
-def test_an_end_that_was_closed_neither_hears_nor_says_anything(meeting: Meeting) -> None:
+def test_an_end_that_was_closed_neither_hears_nor_says_anything(rendezvous: Rendezvous) -> None:
     for name, key in ((R0, KEYS.radio_tx(R0)), (WORLD, KEYS.control_tx(WORLD))):
-        meeting[name].put(key, b"before")
-        meeting[name].close()
-        meeting[name].close()
+        rendezvous[name].put(key, b"before")
+        rendezvous[name].close()
+        rendezvous[name].close()
         with pytest.raises(BusClosed):
-            meeting[name].put(key, b"after")
+            rendezvous[name].put(key, b"after")
         with pytest.raises(BusClosed):
-            meeting[name].put(KEYS.control(LAB, name), b"after")
+            rendezvous[name].put(KEYS.control(RECORDER, name), b"after")
         with pytest.raises(BusClosed):
-            meeting[name].receive(0)
+            rendezvous[name].receive(0)
         with pytest.raises(BusClosed):
-            meeting[name].receive(SOON_S)
-        assert [meeting.hear(RELAY).payload, meeting.hear(RELAY).payload] == [b"before", b"0"]
+            rendezvous[name].receive(SOON_S)
+        assert [rendezvous.hear(RELAY).payload, rendezvous.hear(RELAY).payload] == [b"before", b"0"]
 
 
 def test_who_is_still_there_when_the_hub_goes_hears_its_last_words_and_then_that_it_is_gone(
-    meeting: Meeting,
+    rendezvous: Rendezvous,
 ) -> None:
     for n in range(500):
-        meeting[RELAY].put(KEYS.control(R0, RELAY), b"%d" % n)
-    meeting[RELAY].close()
+        rendezvous[RELAY].put(KEYS.control(R0, RELAY), b"%d" % n)
+    rendezvous[RELAY].close()
     heard = []
     began = time.monotonic()
     with pytest.raises(BusClosed):
         while time.monotonic() - began < SOON_S:
-            message = meeting[R0].receive(SOON_S)
+            message = rendezvous[R0].receive(SOON_S)
             if message is not None:
                 heard.append(message.payload)
     assert heard == [b"%d" % n for n in range(500)]
     assert time.monotonic() - began < SOON_S
 
 
-def test_a_waiting_end_notices_that_the_hub_is_gone(meeting: Meeting) -> None:
-    meeting[RELAY].close()
+def test_a_waiting_end_notices_that_the_hub_is_gone(rendezvous: Rendezvous) -> None:
+    rendezvous[RELAY].close()
     began = time.monotonic()
-    for name in (R0, R1, WORLD, LAB):
+    for name in (R0, R1, WORLD, RECORDER):
         with pytest.raises(BusClosed, match=name):
             while time.monotonic() - began < SOON_S:
-                meeting[name].receive()
+                rendezvous[name].receive()
 
 
 def test_two_ends_of_one_name_cannot_share_an_inbox_in_memory() -> None:
@@ -285,11 +289,11 @@ def test_a_relay_that_comes_last_is_told_of_everyone_in_memory() -> None:
 
 def test_who_has_mail_takes_turns_in_their_order_in_memory() -> None:
     hub = MemoryHub("contract", [RELAY, WORLD, R0, R1])
-    ends = {name: hub.join(name) for name in (R1, RELAY, LAB, R0, WORLD)}
+    ends = {name: hub.join(name) for name in (R1, RELAY, RECORDER, R0, WORLD)}
     while ends[RELAY].receive() is not None:
         pass
     assert list(hub.in_turn()) == []
-    ends[RELAY].put(KEYS.control(LAB, RELAY), b"")
+    ends[RELAY].put(KEYS.control(RECORDER, RELAY), b"")
     ends[RELAY].put(KEYS.control(R1, RELAY), b"")
     ends[RELAY].put(KEYS.control(WORLD, RELAY), b"")
     ends[RELAY].put(KEYS.control("r7", RELAY), b"nobody has it")
@@ -301,7 +305,7 @@ def test_who_has_mail_takes_turns_in_their_order_in_memory() -> None:
             ends[WORLD].put(KEYS.control_tx(WORLD), b"")
         while ends[name].receive() is not None:
             pass
-    assert turns == [WORLD, R0, R1, LAB]
+    assert turns == [WORLD, R0, R1, RECORDER]
     assert list(hub.in_turn()) == [RELAY]
     ends[RELAY].close()
     assert list(hub.in_turn()) == []

@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from scipy.ndimage import binary_dilation, label
 
-from protocol.grid import FREE, MAX_ROBOTS, MAX_SIDE, OCCUPIED, Fan, areas, disc, enlarge, fan
+from protocol.grid import FREE, MAX_ROBOTS, MAX_SIDE, OCCUPIED, RayTable, areas, disc, enlarge, ray_table
 
 ranges = st.floats(1, 40) | st.integers(1, 40).map(float)
 beam_counts = st.integers(1, 30).map(lambda quarters: 4 * quarters)
 
 
-def walks(laid: Fan) -> list[list[tuple[int, int]]]:
+def walks(laid: RayTable) -> list[list[tuple[int, int]]]:
     cells = [(int(x), int(y)) for x, y in laid.cells]
     return [cells[begin:end] for begin, end in pairwise(laid.start.tolist())]
 
@@ -47,13 +47,13 @@ def walk_by_fractions(beam: int, beams: int, range_cells: float) -> list[tuple[i
 
 @given(ranges, beam_counts)
 def test_a_walk_is_what_exact_fractions_say(range_cells: float, beams: int) -> None:
-    for beam, walk in enumerate(walks(fan(range_cells, beams))):
+    for beam, walk in enumerate(walks(ray_table(range_cells, beams))):
         assert walk == walk_by_fractions(beam, beams, range_cells)
 
 
 @given(ranges, beam_counts)
 def test_a_walk_steps_between_4_neighbours_and_comes_by_no_cell_twice(range_cells: float, beams: int) -> None:
-    for walk in walks(fan(range_cells, beams)):
+    for walk in walks(ray_table(range_cells, beams)):
         for (x0, y0), (x1, y1) in pairwise([(0, 0), *walk]):
             assert abs(x1 - x0) + abs(y1 - y0) == 1
             assert abs(x1) + abs(y1) == abs(x0) + abs(y0) + 1
@@ -61,20 +61,20 @@ def test_a_walk_steps_between_4_neighbours_and_comes_by_no_cell_twice(range_cell
 
 @given(ranges, beam_counts)
 def test_no_walk_goes_beyond_the_range_and_none_stops_long_before(range_cells: float, beams: int) -> None:
-    for walk in walks(fan(range_cells, beams)):
+    for walk in walks(ray_table(range_cells, beams)):
         assert all(math.hypot(x, y) <= range_cells + 1e-9 for x, y in walk)
         assert math.hypot(*walk[-1]) > range_cells - 1 - 1e-9
 
 
 @given(ranges, beam_counts)
 def test_each_of_the_four_neighbours_is_the_first_cell_of_a_beam(range_cells: float, beams: int) -> None:
-    firsts = [walk[0] for walk in walks(fan(range_cells, beams))]
+    firsts = [walk[0] for walk in walks(ray_table(range_cells, beams))]
     assert [firsts[quarter * beams // 4] for quarter in range(4)] == [(1, 0), (0, 1), (-1, 0), (0, -1)]
 
 
 @given(st.integers(1, 60).map(float))
 def test_a_whole_range_reaches_its_last_cell_along_the_axes(range_cells: float) -> None:
-    laid = walks(fan(range_cells))
+    laid = walks(ray_table(range_cells))
     assert [walk[-1] for walk in laid[::90]] == [
         (range_cells, 0),
         (0, range_cells),
@@ -84,7 +84,7 @@ def test_a_whole_range_reaches_its_last_cell_along_the_axes(range_cells: float) 
 
 
 def test_beams_turn_from_x_towards_y_and_stay_on_their_line() -> None:
-    for beam, walk in enumerate(walks(fan(30.0))):
+    for beam, walk in enumerate(walks(ray_table(30.0))):
         angle = math.radians(beam)
         for x, y in walk:
             assert x * math.cos(angle) + y * math.sin(angle) > 0
@@ -92,30 +92,30 @@ def test_beams_turn_from_x_towards_y_and_stay_on_their_line() -> None:
 
 
 def test_a_beam_through_corners_takes_the_cell_beside_it_in_x_first() -> None:
-    assert walks(fan(3.0))[45] == [(1, 0), (1, 1), (2, 1), (2, 2)]
-    assert walks(fan(3.0))[225] == [(-1, 0), (-1, -1), (-2, -1), (-2, -2)]
+    assert walks(ray_table(3.0))[45] == [(1, 0), (1, 1), (2, 1), (2, 2)]
+    assert walks(ray_table(3.0))[225] == [(-1, 0), (-1, -1), (-2, -1), (-2, -2)]
 
 
 def test_all_cells_in_range_are_seen_where_beams_lie_close() -> None:
-    seen = {cell for walk in walks(fan(20.0)) for cell in walk}
+    seen = {cell for walk in walks(ray_table(20.0)) for cell in walk}
     assert {(x, y) for x in range(-20, 21) for y in range(-20, 21) if 0 < x * x + y * y <= 400} == seen
 
 
 @pytest.mark.parametrize("range_cells", [0.99, 0.0, -1.0, math.nan])
 def test_a_range_that_does_not_reach_the_neighbours_is_refused(range_cells: float) -> None:
     with pytest.raises(ValueError, match="must see at least its neighbours"):
-        fan(range_cells)
+        ray_table(range_cells)
 
 
 @pytest.mark.parametrize("beams", [0, 2, 3, 5, 359, -4])
 def test_beams_that_leave_out_a_neighbour_are_refused(beams: int) -> None:
     with pytest.raises(ValueError, match="multiple of 4"):
-        fan(5.0, beams)
+        ray_table(5.0, beams)
 
 
 @pytest.mark.parametrize("range_cells", [1e300, math.inf])
 def test_a_range_beyond_any_grid_ends_with_the_largest_grid(range_cells: float) -> None:
-    laid = fan(range_cells, 8)
+    laid = ray_table(range_cells, 8)
     assert len(laid.cells) < 8 * 2 * MAX_SIDE
     for walk in walks(laid):
         assert math.hypot(*walk[-1]) >= (MAX_SIDE - 1) * math.sqrt(2)
@@ -125,14 +125,14 @@ def test_a_range_beyond_any_grid_ends_with_the_largest_grid(range_cells: float) 
 def test_what_beams_share_with_the_ones_before_is_how_far_their_walks_are_equal(
     range_cells: float, beams: int
 ) -> None:
-    laid = fan(range_cells, beams)
+    laid = ray_table(range_cells, beams)
     both = [zip(before, walk, strict=False) for before, walk in pairwise(walks(laid))]
     shared = [len(list(takewhile(lambda cells: cells[0] == cells[1], pairs))) for pairs in both]
     assert laid.shared.tolist() == [0, *shared]
 
 
 def test_the_fan_is_laid_out_in_whole_numbers() -> None:
-    laid = fan(7.5, 36)
+    laid = ray_table(7.5, 36)
     assert laid.cells.dtype == np.int32
     assert laid.start.dtype == np.int32
     assert laid.beams == 36

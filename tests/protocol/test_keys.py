@@ -24,7 +24,7 @@ def covers(expression: str, key: str) -> bool:
         (KEYS.radio_tx("r0"), ("radio", "tx", "r0", "")),
         (KEYS.radio_rx("r1", "r0"), ("radio", "rx", "r1", "r0")),
         (KEYS.body("r1", names.WORLD), ("body", "rx", "r1", "world")),
-        (KEYS.control("lab", names.RELAY), ("control", "rx", "lab", "relay")),
+        (KEYS.control("recorder", names.RELAY), ("control", "rx", "recorder", "relay")),
         (KEYS.control_tx("r2"), ("control", "tx", "r2", "")),
         (KEYS.presence("r2"), ("presence", "tx", "r2", "")),
     ],
@@ -34,7 +34,7 @@ def test_a_key_names_plane_direction_and_both_ends(key: str, read: tuple[str, st
 
 
 def test_each_key_lies_in_exactly_one_inbox() -> None:
-    everyone = [names.RELAY, names.WORLD, names.LAB, "r0", "r1", "r10"]
+    everyone = [names.RELAY, names.WORLD, names.RECORDER, "r0", "r1", "r10"]
     for plane in (KEYS.radio_rx, KEYS.body, KEYS.control):
         for owner in everyone[1:]:
             key = plane(owner, "someone")

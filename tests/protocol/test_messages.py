@@ -97,7 +97,7 @@ def a_message(draw: st.DrawFn, *kinds: type[messages.Record]) -> messages.Record
 
 TOGETHER: dict[type[messages.Record], tuple[str, ...]] = {
     messages.Positions: ("robots", "x", "y"),
-    messages.Turn: ("connections", "maps"),
+    messages.PhaseDelivery: ("connections", "maps"),
     messages.Said: ("receivers", "frames"),
     messages.Heard: ("senders", "frames"),
     messages.Outcome: ("connections", "offers", "answers", "data"),

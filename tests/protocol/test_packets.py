@@ -17,9 +17,9 @@ from protocol.packets import (
     ALL_KINDS,
     FRAGMENT_DATA,
     KINDS,
-    LAST_LOOK_DATA,
-    LOOK_DATA,
-    LOOK_NUMBERS,
+    LAST_UPDATE_DATA,
+    UPDATE_DATA,
+    UPDATE_NUMBERS,
     Answer,
     AnyPacket,
     Block,
@@ -36,7 +36,6 @@ from protocol.packets import (
     Held,
     HeldEarly,
     Insert,
-    Look,
     Near,
     Offer,
     Packet,
@@ -46,6 +45,7 @@ from protocol.packets import (
     Replace,
     Save,
     Target,
+    Update,
     content,
     decode,
     encode,
@@ -110,9 +110,9 @@ EXAMPLES: list[AnyPacket] = [
     Near(7),
     Gone(130),
     Check(0x29B1),
-    Look(None, bytes(range(8))),
-    Look(2, b"surprise"),
-    Look(3, b""),
+    Update(None, bytes(range(8))),
+    Update(2, b"surprise"),
+    Update(3, b""),
 ]
 
 
@@ -126,8 +126,8 @@ def packets_of(kind: type[Packet]) -> st.SearchStrategy[Any]:
 
 fragments = st.builds(Fragment, st.binary(min_size=1, max_size=FRAGMENT_DATA))
 looks = st.one_of(
-    st.builds(Look, st.none(), st.binary(min_size=LOOK_DATA, max_size=LOOK_DATA)),
-    st.builds(Look, st.integers(0, LOOK_NUMBERS - 1), st.binary(max_size=LAST_LOOK_DATA)),
+    st.builds(Update, st.none(), st.binary(min_size=UPDATE_DATA, max_size=UPDATE_DATA)),
+    st.builds(Update, st.integers(0, UPDATE_NUMBERS - 1), st.binary(max_size=LAST_UPDATE_DATA)),
 )
 streams = st.lists(st.one_of(*map(packets_of, LIMITS), fragments, looks), max_size=12)
 
@@ -169,7 +169,7 @@ def by_the_book(packet: AnyPacket) -> str:
         case Fragment():
             size = len(packet.data)
             said = ("11110001" if size == 63 else f"11110010{size:08b}") + bits(packet.data)
-        case Look():
+        case Update():
             last = f"11110101{len(packet.data):06b}{packet.number or 0:02b}"
             said = ("11110100" if packet.number is None else last) + bits(packet.data)
         case From() | Held():
@@ -255,7 +255,7 @@ def test_every_bit_is_where_the_book_has_it(said: list[AnyPacket]) -> None:
 def test_the_bytes_of_each_packet_are_those_written_down() -> None:
     lines = [line for line in GOLDEN.read_text().splitlines() if not line.startswith("#")]
     assert lines == [f"{encode([packet]).hex(' ')}  {packet!r}" for packet in EXAMPLES]
-    assert {type(packet) for packet in EXAMPLES} == {*LIMITS, Fragment, Look}
+    assert {type(packet) for packet in EXAMPLES} == {*LIMITS, Fragment, Update}
 
 
 @given(streams, st.lists(st.integers(0, 100), max_size=8))
@@ -315,7 +315,7 @@ def test_random_bytes_break_off_at_the_same_place_however_they_are_cut(noise: by
 def test_a_packet_with_a_spare_bit_set_is_refused(packet: AnyPacket) -> None:
     buffer = encode([packet])
     used = packet.code_bits + sum(packet.bits)
-    spare = 0 if isinstance(packet, Fragment | Look) else 8 * packet.size - used
+    spare = 0 if isinstance(packet, Fragment | Update) else 8 * packet.size - used
     for bit in range(spare):
         broken = int.from_bytes(buffer, "big") | 1 << bit
         with pytest.raises(ProtocolError, match=rf"^{packet.name} at byte 1: .*must be zero"):
@@ -406,7 +406,7 @@ def test_a_handshake_is_read_as_any_packets_are_but_never_longer_than_one() -> N
 
 
 @given(looks)
-def test_a_look_gives_back_what_it_carries(packet: Look) -> None:
+def test_a_look_gives_back_what_it_carries(packet: Update) -> None:
     assert look(encode([packet])) == (packet.number, packet.data)
 
 
@@ -421,15 +421,15 @@ def test_what_is_no_whole_look_carries_nothing(packet: bytes) -> None:
 @pytest.mark.parametrize(
     "packet",
     [
-        Look(None, bytes(LOOK_DATA - 1)),
-        Look(None, bytes(LOOK_DATA + 1)),
-        Look(0, bytes(LAST_LOOK_DATA + 1)),
-        Look(LOOK_NUMBERS, b""),
-        Look(-1, b""),
+        Update(None, bytes(UPDATE_DATA - 1)),
+        Update(None, bytes(UPDATE_DATA + 1)),
+        Update(0, bytes(LAST_UPDATE_DATA + 1)),
+        Update(UPDATE_NUMBERS, b""),
+        Update(-1, b""),
     ],
     ids=repr,
 )
-def test_a_look_that_has_no_layout_is_refused(packet: Look) -> None:
+def test_a_look_that_has_no_layout_is_refused(packet: Update) -> None:
     with pytest.raises(ProtocolError, match=r"look at byte 1: "):
         encode([Save(), packet])
 

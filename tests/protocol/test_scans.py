@@ -11,7 +11,7 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from protocol.errors import ProtocolError
-from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Fan, Grid, fan
+from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid, RayTable, ray_table
 from protocol.packets import Fragment, decode
 from protocol.scans import (
     HIT,
@@ -27,11 +27,11 @@ from protocol.scans import (
     scan_size,
 )
 
-FAN = fan(6.0, 40)
+FAN = ray_table(6.0, 40)
 seeds = st.integers(0, 2**32 - 1)
 
 
-def readings_of(seed: int, laid: Fan = FAN) -> Readings:
+def readings_of(seed: int, laid: RayTable = FAN) -> Readings:
     """Random readings, all of which the beams can give."""
     rng = np.random.default_rng(seed)
     lengths = np.diff(laid.start)
@@ -48,7 +48,7 @@ def random_grid(seed: int, states: tuple[int, ...] = (UNKNOWN, FREE, OCCUPIED)) 
     return rng.choice(np.array(states, np.uint8), (height, width))
 
 
-def drawn_by_the_book(grid: Grid, laid: Fan, x: int, y: int, readings: Readings) -> tuple[Grid, Change]:
+def drawn_by_the_book(grid: Grid, laid: RayTable, x: int, y: int, readings: Readings) -> tuple[Grid, Change]:
     """Claim by claim: the robot's own cell, then each beam from near to far."""
     claims = [(x, y, FREE)]
     for (begin, end), reading in zip(pairwise(laid.start.tolist()), readings.tolist(), strict=True):
@@ -73,14 +73,14 @@ def drawn_by_the_book(grid: Grid, laid: Fan, x: int, y: int, readings: Readings)
 
 def test_a_scan_of_360_beams_is_724_bytes_on_the_air() -> None:
     assert scan_size(360) == 724
-    laid = fan(50.0)
+    laid = ray_table(50.0)
     data = encode_scan(Scan(3, 4, readings_of(0, laid)))
     assert len(data) == 724
     assert decode_scan(data, laid).x == 3
 
 
 def test_a_scan_is_big_endian_cell_first() -> None:
-    laid = fan(1.0, 4)
+    laid = ray_table(1.0, 4)
     scan = Scan(258, 3, np.array([1, HIT, NONE, 0], np.uint16))
     assert encode_scan(scan).hex(" ", 2) == "0102 0003 0001 8000 7fff 0000"
     assert decode_scan(encode_scan(scan), laid).readings.tolist() == [1, HIT, NONE, 0]
@@ -164,7 +164,7 @@ def test_drawing_changes_nothing_that_is_known(map_seed: int, scan_seed: int) ->
 
 
 def test_a_reading_counts_the_cells_crossed_and_says_whether_the_next_one_stopped_it() -> None:
-    laid = fan(3.0, 4)
+    laid = ray_table(3.0, 4)
     cases: list[tuple[int, list[int]]] = [
         (0, [FREE, UNKNOWN, UNKNOWN, UNKNOWN]),
         (2, [FREE, FREE, FREE, UNKNOWN]),
@@ -181,7 +181,7 @@ def test_a_reading_counts_the_cells_crossed_and_says_whether_the_next_one_stoppe
 
 def test_a_change_tells_the_box_that_it_lies_in() -> None:
     grid = np.zeros((9, 9), np.uint8)
-    change = draw(grid, fan(2.0, 4), 4, 5, np.array([2, 1 | HIT, HIT, 0], np.uint16))
+    change = draw(grid, ray_table(2.0, 4), 4, 5, np.array([2, 1 | HIT, HIT, 0], np.uint16))
     assert change == Change(6, 3, 5, 7, 8)
 
 
@@ -205,7 +205,7 @@ def test_a_scan_drawn_by_a_longer_laser_of_the_same_beams_says_the_same(seed: in
     assume((readings != NONE).any())
     short, long = np.zeros((40, 40), np.uint8), np.zeros((40, 40), np.uint8)
     draw(short, FAN, 20, 20, readings)
-    draw(long, fan(6.0 + more, 40), 20, 20, readings)
+    draw(long, ray_table(6.0 + more, 40), 20, 20, readings)
     assert short.tolist() == long.tolist()
 
 

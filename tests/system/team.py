@@ -22,8 +22,8 @@ from netshaper.imperfect import radio
 from netshaper.ledger import EVERYONE, ROW
 from netshaper.medium import UNLIMITED
 from netshaper.radio import Frame, Note, Outgoing
-from protocol.grid import FREE, OCCUPIED, Grid, fan
-from protocol.messages import Close, Move, Open, Outcome, Said, Sense, Turn
+from protocol.grid import FREE, OCCUPIED, Grid, ray_table
+from protocol.messages import Close, Move, Open, Outcome, PhaseDelivery, Said, Sense
 from worldsim import generators
 from worldsim.laser import cast
 from worldsim.maps import Map
@@ -43,7 +43,7 @@ def small_plan(name: str = "office", side_m: float = 12.0, map_seed: int = 0, **
 
 def plan_on(world_map: Map, **settings: Any) -> Plan:
     """Of the thesis, as far as it is not said: polygons, and targets by Meier."""
-    thesis = {"exchange": "polygon", "strategy": "meier"}
+    thesis = {"map_encoding": "polygons", "strategy": "meier"}
     return plans.make(parse({"bus": "memory", "sensor_range": 3.0} | thesis | settings), world_map)
 
 
@@ -65,27 +65,29 @@ class Mind:
     def perceive(self, sense: Sense) -> None:
         self.robot.perceive(sense)
 
-    def hear(self, note: Open | Turn | Outcome | Close, heard: Heard) -> tuple[list[Put], Said | None]:
+    def hear(
+        self, note: Open | PhaseDelivery | Outcome | Close, heard: Heard
+    ) -> tuple[list[Put], Said | None]:
         """Take a note of the relay, and the frames that came before it."""
         robot, session = self.robot, self.robot.session
-        count = len(note.connections if isinstance(note, Turn) else getattr(note, "heard", ()))
+        count = len(note.connections if isinstance(note, PhaseDelivery) else getattr(note, "heard", ()))
         for peer, payload in heard[: len(heard) - count]:
             robot.hear_broadcast(peer, payload)
         frames = heard[len(heard) - count :]
         match note:
             case Open():
-                said = robot.announce(note.peers) if note.exchange == 0 else None
+                said = robot.announce(note.peers) if note.map_encoding == 0 else None
                 puts = [(EVERYONE, said)] if said is not None and note.peers else []
                 room = None if note.budget == UNLIMITED else note.budget
-                offers = session.offers(note.exchange, note.peers, room)
-                puts += [(peer, frame) for peer, _, frame in offers]
-                return puts, Said(note.step, note.exchange, "offers", [], session.urgency)
-            case Turn(phase="offers"):
+                dissemination = session.dissemination(note.map_encoding, note.peers, room)
+                puts += [(peer, frame) for peer, _, frame in dissemination]
+                return puts, Said(note.step, note.map_encoding, "dissemination", [], session.priority)
+            case PhaseDelivery(phase="dissemination"):
                 offered = [(n, *frame) for n, frame in zip(note.connections, frames, strict=True)]
                 return self._put(note, "answers", session.answers(offered))
-            case Turn():
+            case PhaseDelivery():
                 named = zip(note.connections, frames, note.maps, strict=True)
-                answers = [(n, peer, about, load) for n, (peer, load), about in named]
+                answers = [(n, peer, map_id, load) for n, (peer, load), map_id in named]
                 return self._put(note, "data", session.data(answers))
             case Outcome():
                 robot.settle(note, frames)
@@ -95,37 +97,37 @@ class Mind:
         return self.robot.decide()
 
     def _put(
-        self, note: Turn, phase: str, said: list[tuple[int, int, bytes]]
+        self, note: PhaseDelivery, phase: str, said: list[tuple[int, int, bytes]]
     ) -> tuple[list[Put], Said | None]:
         puts = [(peer, frame) for _, peer, frame in said]
-        return puts, Said(note.step, note.exchange, phase, [number for number, _, _ in said])
+        return puts, Said(note.step, note.map_encoding, phase, [number for number, _, _ in said])
 
 
 class Team:
-    """All robots of a plan; `minds` may stand in for some of them."""
+    """All robots of a plan; `robot_settings` may stand in for some of them."""
 
-    def __init__(self, plan: Plan, minds: Mapping[int, Mind] | None = None) -> None:
+    def __init__(self, plan: Plan, robot_settings: Mapping[int, Mind] | None = None) -> None:
         self.plan = plan
         self.truth: Grid = plan.map.cells
         self.world = plan.make_world()
-        self.minds = {
-            number: Mind(Settings.from_message(settings)) for number, settings in plan.minds.items()
-        } | dict(minds or {})
+        self.robot_settings = {
+            number: Mind(Settings.from_message(settings)) for number, settings in plan.robot_settings.items()
+        } | dict(robot_settings or {})
         self.step = 0
         self.said: dict[int, int] = {}
         """Bytes that robots put on their antennas, by step."""
         self.moves: dict[int, Move] = {}
         self._radio = radio(plan.radio)
         self._rows: list[bytes] = []
-        self._laser = fan(plan.world.bodies[0].range_cells, plan.world.beams)
+        self._laser = ray_table(plan.world.bodies[0].range_cells, plan.world.beams)
 
     @property
     def robots(self) -> list[Robot]:
-        return [mind.robot for _, mind in sorted(self.minds.items())]
+        return [mind.robot for _, mind in sorted(self.robot_settings.items())]
 
-    def held(self, robot: int, about: int) -> object:
+    def held(self, robot: int, map_id: int) -> object:
         """What a robot holds of a map, in a form that can be compared; None if nothing."""
-        polygons = self.minds[robot].robot.polygons.get(about)
+        polygons = self.robot_settings[robot].robot.polygons.get(map_id)
         return None if polygons is None else polygons.canonical()
 
     def ledger(self) -> NDArray[np.void]:
@@ -157,12 +159,12 @@ class Team:
         self.step += 1
         self.said[self.step] = 0
         for robot, sense in senses.items():
-            self.minds[robot].perceive(sense)
+            self.robot_settings[robot].perceive(sense)
         inbox: dict[int, Heard] = {robot: [] for robot in senses}
         out: Sequence[Outgoing] = self._radio.begin(self.step, cells)
         while out:
             out = list(self._spread(out, inbox))
-        self.moves = {robot: self.minds[robot].decide() for robot in sorted(senses)}
+        self.moves = {robot: self.robot_settings[robot].decide() for robot in sorted(senses)}
 
     def _spread(self, out: Sequence[Outgoing], inbox: dict[int, Heard]) -> Iterable[Outgoing]:
         """Hand out what the relay says; yield what it says to what the robots say then."""
@@ -176,8 +178,8 @@ class Team:
                 inbox[item.receiver] += zip(item.senders, item.frames, strict=True)
                 heard, inbox[item.receiver] = inbox[item.receiver], []
                 note = item.message
-                assert isinstance(note, Open | Turn | Outcome | Close)
-                puts, said = self.minds[item.receiver].hear(note, heard)
+                assert isinstance(note, Open | PhaseDelivery | Outcome | Close)
+                puts, said = self.robot_settings[item.receiver].hear(note, heard)
                 self.said[self.step] += sum(len(payload) for _, payload in puts)
                 if said is not None:
                     receivers, frames = [receiver for receiver, _ in puts], [frame for _, frame in puts]

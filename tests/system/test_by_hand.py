@@ -77,7 +77,13 @@ def digest(directory: Path) -> str:
 def test_the_commands_of_the_document_make_the_run_that_explore_makes(tmp_path: Path) -> None:
     address = free_address()
     *by_hand, in_memory = [command.replace(ADDRESS, address) for command in COMMANDS]
-    assert [command.split()[1] for command in by_hand] == ["netshaper", "worldsim", "agent", "agent", "lab"]
+    assert [command.split()[1] for command in by_hand] == [
+        "netshaper",
+        "worldsim",
+        "agent",
+        "agent",
+        "recorder",
+    ]
     with terminals(tmp_path) as running:
         for command in by_hand:
             running[command] = start(command, tmp_path)
@@ -85,7 +91,7 @@ def test_the_commands_of_the_document_make_the_run_that_explore_makes(tmp_path: 
         said = {command: process.communicate(timeout=PATIENCE_S) for command, process in running.items()}
         codes = {command: process.returncode for command, process in running.items()}
         assert set(codes.values()) == {0}, said
-        relay, world, *agents, lab = (said[command][0] for command in by_hand)
+        relay, world, *agents, recorder = (said[command][0] for command in by_hand)
         assert re.match(
             rf"run \w+ at tcp/{address}; credentials in credentials: world, lab, view, r0, r1\n", relay
         )
@@ -93,8 +99,8 @@ def test_the_commands_of_the_document_make_the_run_that_explore_makes(tmp_path: 
         assert relay.endswith("\nall are here\n")
         assert not world
         assert agents == ["", ""]
-        assert lab.lstrip().startswith("Explored in ")
-        assert "Everything is in by-hand; look at by-hand/maps.png." in lab
+        assert recorder.lstrip().startswith("Explored in ")
+        assert "Everything is in by-hand; look at by-hand/maps.png." in recorder
         running["memory"] = start(in_memory, tmp_path)
         _, faults = running["memory"].communicate(timeout=PATIENCE_S)
         assert running["memory"].returncode == 0, faults
@@ -103,19 +109,19 @@ def test_the_commands_of_the_document_make_the_run_that_explore_makes(tmp_path: 
 
 def test_ctrl_c_does_in_each_terminal_what_the_document_says(tmp_path: Path) -> None:
     address = free_address()
-    netshaper, worldsim, r0, r1, lab = [command.replace(ADDRESS, address) for command in COMMANDS[:-1]]
+    netshaper, worldsim, r0, r1, recorder = [command.replace(ADDRESS, address) for command in COMMANDS[:-1]]
     with terminals(tmp_path) as running:
         (tmp_path / "hand.toml").write_text(SCENARIO + "speed = 0.005\n")  # not over before Ctrl-C
-        for command in (netshaper, worldsim, r0, r1, lab):
+        for command in (netshaper, worldsim, r0, r1, recorder):
             running[command] = start(command, tmp_path)
             wait_for(tmp_path / "credentials" / "scenario.toml", running[netshaper])
         capture = tmp_path / "by-hand" / "radio.pcapng"
-        wait_for(capture, running[lab], size=10_000)
+        wait_for(capture, running[recorder], size=10_000)
         running[r1].send_signal(signal.SIGINT)
         running[r1].wait(PATIENCE_S)
-        running[lab].send_signal(signal.SIGINT)
-        said, faults = running[lab].communicate(timeout=PATIENCE_S)
-        assert running[lab].returncode == 3
+        running[recorder].send_signal(signal.SIGINT)
+        said, faults = running[recorder].communicate(timeout=PATIENCE_S)
+        assert running[recorder].returncode == 3
         assert "robot 1 was lost: its process ended" in faults
         assert "interrupted" in said
         assert "ending after this step; writing the run directory" in faults
@@ -126,7 +132,7 @@ def test_ctrl_c_does_in_each_terminal_what_the_document_says(tmp_path: Path) -> 
 
 def test_a_scenario_that_is_not_the_relay_s_is_refused_by_name(tmp_path: Path) -> None:
     credential = access.issue("run", "tcp/127.0.0.1:1", robots=2)
-    for name in ("world", "lab"):
+    for name in ("world", "recorder"):
         credential[name].write(tmp_path / f"{name}.json")
     theirs = tomllib.loads(SCENARIO)
     (tmp_path / "scenario.toml").write_text(parse(theirs).to_toml())
@@ -138,7 +144,7 @@ def test_a_scenario_that_is_not_the_relay_s_is_refused_by_name(tmp_path: Path) -
     with pytest.raises(
         ScenarioError, match=r"^robots = 3 here, but 2 in .*scenario\.toml: give all the same"
     ):
-        serve_lab(ours, tmp_path / "lab.json", tmp_path / "run", None)
+        serve_lab(ours, tmp_path / "recorder.json", tmp_path / "run", None)
     assert not (tmp_path / "run").exists()
 
 
@@ -161,8 +167,8 @@ def test_a_laboratory_that_is_not_let_in_leaves_no_directory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("protocol.zenoh_bus.CONNECT_S", 0.5)
-    access.issue("run", "tcp/127.0.0.1:1", robots=2)["lab"].write(tmp_path / "lab.json")
+    access.issue("run", "tcp/127.0.0.1:1", robots=2)["recorder"].write(tmp_path / "recorder.json")
     scenario = parse(tomllib.loads(SCENARIO))
     with pytest.raises(ConnectionError, match=r"lab: no hub let us in"):
-        serve_lab(scenario, tmp_path / "lab.json", tmp_path / "run", None)
+        serve_lab(scenario, tmp_path / "recorder.json", tmp_path / "run", None)
     assert not (tmp_path / "run").exists()

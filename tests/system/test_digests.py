@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from agent.exchange.catalogue import EXCHANGES
-from agent.exchange.polygon_options import THESIS_OPTIONS
+from agent.encodings.catalog import ENCODINGS
+from agent.encodings.polygon_options import THESIS_OPTIONS
 from deploy.run import exploration
 from deploy.scenario.scenario import parse
 from worldsim import generators, maps
@@ -48,26 +48,32 @@ def check_both_buses(**settings: Any) -> None:
 
 
 QUICK = [
-    {"exchange": "polygon", "robots": 3, "bandwidth": 1000},
-    {"exchange": "polygon", "robots": 8, "bandwidth": 150, "range": "30%"},
-    {"exchange": "polygon", "robots": 5, "bandwidth": "unlimited", "offers": "thesis"},
-    {"exchange": "laser", "robots": 2, "bandwidth": "unlimited", "range": 4},
-    {"exchange": "laser", "robots": 5, "bandwidth": 1000},
-    {"exchange": "none", "robots": 2, "range": "20%"},
-    {"exchange": "sight", "robots": 5, "bandwidth": 50, "offers": "gossip"},
-    {"exchange": "sight", "robots": 4, "bandwidth": "unlimited", "range": "30%", "offers": "gossip"},
-    {"exchange": "sight", "robots": 3, "bandwidth": 200},
-    {"exchange": "grid", "robots": 3, "bandwidth": 300, "offers": "gossip"},
-    {"exchange": "grid", "robots": 3, "bandwidth": 1000},
-    {"exchange": "polygon", "robots": 3, "bandwidth": 500, "range": 5, "offers": "gossip"},
-    {"exchange": "laser", "robots": 3, "bandwidth": "unlimited", "range": 5, "offers": "gossip"},
-    {"exchange": "polygon", "robots": 1},
+    {"map_encoding": "polygons", "robots": 3, "bandwidth": 1000},
+    {"map_encoding": "polygons", "robots": 8, "bandwidth": 150, "range": "30%"},
+    {"map_encoding": "polygons", "robots": 5, "bandwidth": "unlimited", "dissemination": "thesis"},
+    {"map_encoding": "scans", "robots": 2, "bandwidth": "unlimited", "range": 4},
+    {"map_encoding": "scans", "robots": 5, "bandwidth": 1000},
+    {"map_encoding": "none", "robots": 2, "range": "20%"},
+    {"map_encoding": "predictive", "robots": 5, "bandwidth": 50, "dissemination": "gossip"},
+    {
+        "map_encoding": "predictive",
+        "robots": 4,
+        "bandwidth": "unlimited",
+        "range": "30%",
+        "dissemination": "gossip",
+    },
+    {"map_encoding": "predictive", "robots": 3, "bandwidth": 200},
+    {"map_encoding": "cells", "robots": 3, "bandwidth": 300, "dissemination": "gossip"},
+    {"map_encoding": "cells", "robots": 3, "bandwidth": 1000},
+    {"map_encoding": "polygons", "robots": 3, "bandwidth": 500, "range": 5, "dissemination": "gossip"},
+    {"map_encoding": "scans", "robots": 3, "bandwidth": "unlimited", "range": 5, "dissemination": "gossip"},
+    {"map_encoding": "polygons", "robots": 1},
 ]
 
 
 @pytest.mark.parametrize("settings", QUICK, ids=lambda case: "-".join(str(value) for value in case.values()))
 def test_the_digest_is_the_same_on_both_buses(floor: str, settings: dict[str, Any]) -> None:
-    polygon = asdict(THESIS_OPTIONS) if settings.get("offers") == "thesis" else {}
+    polygon = asdict(THESIS_OPTIONS) if settings.get("dissemination") == "thesis" else {}
     check_both_buses(map=floor, steps=40, seed=7, polygon=polygon, **settings)
 
 
@@ -99,15 +105,21 @@ def test_another_seed_gives_another_digest(floor: str) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize(
-    ("exchange", "offers", "robots", "bandwidth", "reach"),
-    list(product(EXCHANGES, ["backoff", "gossip"], [1, 2, 5, 8], [200, "unlimited"], ["15%", "100%"])),
+    ("map_encoding", "dissemination", "robots", "bandwidth", "reach"),
+    list(product(ENCODINGS, ["backoff", "gossip"], [1, 2, 5, 8], [200, "unlimited"], ["15%", "100%"])),
 )
 def test_the_digest_is_the_same_on_both_buses_for_every_team(
-    floor: str, exchange: str, offers: str, robots: int, bandwidth: int | str, reach: str, seed: int
+    floor: str,
+    map_encoding: str,
+    dissemination: str,
+    robots: int,
+    bandwidth: int | str,
+    reach: str,
+    seed: int,
 ) -> None:
     settings = {
-        "exchange": exchange,
-        "offers": offers,
+        "map_encoding": map_encoding,
+        "dissemination": dissemination,
         "robots": robots,
         "bandwidth": bandwidth,
         "range": reach,

@@ -10,18 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from agent.encodings.polygons import PolygonEncoding
 from agent.exchange.gossip import EVERYONE
-from agent.exchange.polygon import PolygonExchange
 from agent.process import AgentNode
 from agent.robot import Robot
 from agent.settings import Settings
 from deploy.run import in_memory
 from deploy.scenario.plan import Plan
 from protocol import keys as names
-from protocol import messages, packets, survey
+from protocol import messages, packet_index, packets
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
-from protocol.grid import FREE, UNKNOWN, fan
+from protocol.grid import FREE, UNKNOWN, ray_table
 from protocol.keys import Keys
 from protocol.messages import (
     Close,
@@ -33,9 +33,9 @@ from protocol.messages import (
     Move,
     Open,
     Outcome,
+    PhaseDelivery,
     Said,
     Sense,
-    Turn,
     pack,
     unpack,
 )
@@ -52,7 +52,6 @@ from protocol.packets import (
     Gone,
     Held,
     Insert,
-    Look,
     Offer,
     Packet,
     Pose,
@@ -60,6 +59,7 @@ from protocol.packets import (
     Replace,
     Save,
     Target,
+    Update,
     encode,
 )
 from protocol.scans import Scan, draw
@@ -91,7 +91,9 @@ class Liar(Mind):
         super().__init__(settings)
         self.lie = encode(lie)
 
-    def hear(self, note: Open | Turn | Outcome | Close, heard: Heard) -> tuple[list[Put], Said | None]:
+    def hear(
+        self, note: Open | PhaseDelivery | Outcome | Close, heard: Heard
+    ) -> tuple[list[Put], Said | None]:
         puts, said = super().hear(note, heard)
         if said is not None and said.phase == "data":
             puts = [(receiver, self.lie) for receiver, _ in puts]
@@ -101,18 +103,18 @@ class Liar(Mind):
 @pytest.mark.parametrize("lie", LIES)
 def test_a_liar_is_distrusted_and_reported_and_the_honest_go_on_with_each_other(lie: str) -> None:
     plan = small_plan("office", robots=3, bandwidth="unlimited")
-    team = Team(plan, {LIAR: Liar(Settings.from_message(plan.minds[LIAR]), LIES[lie])})
+    team = Team(plan, {LIAR: Liar(Settings.from_message(plan.robot_settings[LIAR]), LIES[lie])})
     team.explore(200)
     assert any(move.explored for move in team.moves.values())
     for number in (0, 2):
-        robot = team.minds[number].robot
+        robot = team.robot_settings[number].robot
         assert robot.distrusted == {LIAR}
         assert {fault.peer for fault in robot.faults} == {LIAR}
         assert robot.faults[0].reason
         assert team.held(number, LIAR) is None
         assert team.held(number, 2 - number) == team.held(2 - number, 2 - number)
         assert not (team.truth != FREE)[robot.planning == FREE].any()
-    assert not team.minds[LIAR].robot.distrusted
+    assert not team.robot_settings[LIAR].robot.distrusted
 
 
 class _Forger:
@@ -199,32 +201,32 @@ def sensed(step: int) -> Sense:
     """What a robot senses that drives along the corridor."""
     plan = a_small_plan()
     truth, (x, y) = plan.map.cells, (3 + step, 4)
-    readings = cast(truth, np.zeros(truth.shape, np.bool_), fan(plan.world.bodies[0].range_cells), x, y)
+    readings = cast(truth, np.zeros(truth.shape, np.bool_), ray_table(plan.world.bodies[0].range_cells), x, y)
     return Sense(step, x, y, 0, b"", readings.tobytes(), "", 0, 0)
 
 
 @cache
 def honest_words() -> list[tuple[bytes, object]]:
     """What robot 2 says of its map in each step, and what it means."""
-    settings = Settings.from_message(a_small_plan().minds[2])
-    exchange = PolygonExchange(settings)
+    settings = Settings.from_message(a_small_plan().robot_settings[2])
+    map_encoding = PolygonEncoding(settings)
     own = np.full((HEIGHT, WIDTH), UNKNOWN, np.uint8)
     said = []
     for step in range(1, 1 + STEPS):
         sense = sensed(step)
         scan = Scan(sense.x, sense.y, np.frombuffer(sense.readings, np.uint16).copy())
-        change = draw(own, fan(settings.range_cells), scan.x, scan.y, scan.readings)
-        units = exchange.record(own, scan, change, delivered=True)
-        said.append((b"".join(units), exchange.polygons[2].canonical()))
+        change = draw(own, ray_table(settings.range_cells), scan.x, scan.y, scan.readings)
+        units = map_encoding.record(own, scan, change, delivered=True)
+        said.append((b"".join(units), map_encoding.polygons[2].canonical()))
     return said
 
 
 @given(st.lists(data_frames, min_size=1, max_size=STEPS))
 def test_hostile_data_never_stops_a_robot_nor_changes_a_saved_state(lies: list[bytes]) -> None:
-    robot = Robot(Settings.from_message(a_small_plan().minds[0]))
+    robot = Robot(Settings.from_message(a_small_plan().robot_settings[0]))
     for step, lie in enumerate(lies, 1):
         robot.perceive(sensed(step))
-        robot.session.offers(0, [LIAR, 2], 1000)
+        robot.session.dissemination(0, [LIAR, 2], 1000)
         robot.session.answers([(0, LIAR, encode([Offer(LIAR, 0)])), (1, 2, encode([Offer(2, 0)]))])
         before = robot.polygons.get(LIAR)
         words, meant = honest_words()[step - 1]
@@ -236,7 +238,7 @@ def test_hostile_data_never_stops_a_robot_nor_changes_a_saved_state(lies: list[b
         if now is not before:
             assert now is not None
             assert now.inside.sum() == 1
-            assert encode([Save()]) in survey.split(lie)
+            assert encode([Save()]) in packet_index.split(lie)
             assert LIAR not in robot.distrusted
         assert robot.distrusted <= {LIAR}
         assert {fault.peer for fault in robot.faults} == robot.distrusted
@@ -245,13 +247,13 @@ def test_hostile_data_never_stops_a_robot_nor_changes_a_saved_state(lies: list[b
 
 
 def test_who_contradicts_a_lie_that_another_told_of_its_map_is_not_distrusted() -> None:
-    robot = Robot(Settings.from_message(a_small_plan().minds[0]))
+    robot = Robot(Settings.from_message(a_small_plan().robot_settings[0]))
     forged = encode([Emerge(7, 2, 1), Insert(0, 1, 1, 0, 0), Insert(1, 9, 1, 0, 0), Save()])
     maps = [words for words, _ in honest_words()]
 
-    def hear(step: int, peer: int, about: int, data: bytes) -> None:
-        robot.session.offers(0, [LIAR, 2], 1000)
-        robot.session.answers([(0, peer, encode([Offer(about, 0)]))])
+    def hear(step: int, peer: int, map_id: int, data: bytes) -> None:
+        robot.session.dissemination(0, [LIAR, 2], 1000)
+        robot.session.answers([(0, peer, encode([Offer(map_id, 0)]))])
         robot.settle(Outcome(step, 0, [0], [2], [2], [len(data)], [0], False), [(peer, data)])
 
     robot.perceive(sensed(1))
@@ -266,14 +268,16 @@ def test_who_contradicts_a_lie_that_another_told_of_its_map_is_not_distrusted() 
 
 
 def test_who_passes_on_one_of_two_stories_of_a_liar_is_not_distrusted() -> None:
-    honest, deceived = (Robot(Settings.from_message(a_small_plan().minds[number])) for number in (0, 2))
+    honest, deceived = (
+        Robot(Settings.from_message(a_small_plan().robot_settings[number])) for number in (0, 2)
+    )
 
     def outline(corners: int) -> bytes:
         return encode([Emerge(0, corners, 1), *(Insert(i, 3 + i, 3, 0, 0) for i in range(corners)), Save()])
 
-    def hear(robot: Robot, peer: int, about: int, data: bytes) -> None:
-        robot.session.offers(0, [peer], 1000)
-        robot.session.answers([(0, peer, encode([Offer(about, 0)]))])
+    def hear(robot: Robot, peer: int, map_id: int, data: bytes) -> None:
+        robot.session.dissemination(0, [peer], 1000)
+        robot.session.answers([(0, peer, encode([Offer(map_id, 0)]))])
         robot.settle(Outcome(1, 0, [0], [2], [2], [len(data)], [0], False), [(peer, data)])
 
     for robot in (honest, deceived):
@@ -291,12 +295,12 @@ def test_who_passes_on_one_of_two_stories_of_a_liar_is_not_distrusted() -> None:
 
 
 NONSENSE: dict[str, list[Packet]] = {
-    "a unit of noise": [Look(0, bytes(range(1, 60)))],
-    "another unit than its next": [Look(3, b"ab")],
+    "a unit of noise": [Update(0, bytes(range(1, 60)))],
+    "another unit than its next": [Update(3, b"ab")],
     "raw scans": [Fragment(b"noise")],
-    "another's map": [FromEarly(2, 0), Look(0, bytes(range(1, 60)))],
+    "another's map": [FromEarly(2, 0), Update(0, bytes(range(1, 60)))],
     "reports of maps that nobody has": [Held(2, 4000), Held(0, 4000), Gone(0), Gone(2)],
-    "a map from its middle on": [From(1, 4000), Look(0, b"ab")],
+    "a map from its middle on": [From(1, 4000), Update(0, b"ab")],
 }
 
 
@@ -307,10 +311,15 @@ class Gossip(Mind):
         super().__init__(settings)
         self.lie = encode(lie)
 
-    def hear(self, note: Open | Turn | Outcome | Close, heard: Heard) -> tuple[list[Put], Said | None]:
+    def hear(
+        self, note: Open | PhaseDelivery | Outcome | Close, heard: Heard
+    ) -> tuple[list[Put], Said | None]:
         puts, said = super().hear(note, heard)
         if isinstance(note, Open) and note.peers:
-            puts, said = [(EVERYONE, self.lie)], Said(note.step, note.exchange, "offers", [], 10**6)
+            puts, said = (
+                [(EVERYONE, self.lie)],
+                Said(note.step, note.map_encoding, "dissemination", [], 10**6),
+            )
         return puts, said
 
 
@@ -319,11 +328,13 @@ class Gossip(Mind):
 def test_who_lies_to_all_does_not_stop_the_honest_from_sharing_all_they_see(
     lie: str, bandwidth: str | int
 ) -> None:
-    plan = small_plan("office", robots=4, exchange="sight", offers="gossip", bandwidth=bandwidth, seed=2)
-    team = Team(plan, {LIAR: Gossip(Settings.from_message(plan.minds[LIAR]), NONSENSE[lie])})
+    plan = small_plan(
+        "office", robots=4, map_encoding="predictive", dissemination="gossip", bandwidth=bandwidth, seed=2
+    )
+    team = Team(plan, {LIAR: Gossip(Settings.from_message(plan.robot_settings[LIAR]), NONSENSE[lie])})
     team.explore(400)
     assert any(move.explored for move in team.moves.values())
-    honest = [team.minds[number].robot for number in (0, 2, 3)]
+    honest = [team.robot_settings[number].robot for number in (0, 2, 3)]
     if lie != "another's map":
         seen = np.max([robot.own for robot in honest], axis=0)
         for robot in honest:
@@ -337,14 +348,16 @@ def test_who_lies_to_all_does_not_stop_the_honest_from_sharing_all_they_see(
 class Hoarse(Mind):
     """A robot whose news are cut, said twice, or turned round: each time in another way."""
 
-    def hear(self, note: Open | Turn | Outcome | Close, heard: Heard) -> tuple[list[Put], Said | None]:
+    def hear(
+        self, note: Open | PhaseDelivery | Outcome | Close, heard: Heard
+    ) -> tuple[list[Put], Said | None]:
         puts, said = super().hear(note, heard)
         if isinstance(note, Open):
             puts = [(receiver, self._spoilt(frame, note.step % 3)) for receiver, frame in puts]
         return puts, said
 
     def _spoilt(self, frame: bytes, way: int) -> bytes:
-        words = survey.split(frame)
+        words = packet_index.split(frame)
         if any(packets.name(word) in ("targ", "pose") for word in words):
             return frame
         return b"".join((words[::-1], words + words, words[: len(words) // 2 + 1])[way])
@@ -352,8 +365,10 @@ class Hoarse(Mind):
 
 @pytest.mark.parametrize("liar", ["noise", "hoarse"])
 def test_one_liar_among_eight_does_not_stop_the_honest(liar: str) -> None:
-    plan = small_plan("office", robots=8, exchange="sight", offers="gossip", bandwidth=200, seed=4)
-    settings = Settings.from_message(plan.minds[LIAR])
+    plan = small_plan(
+        "office", robots=8, map_encoding="predictive", dissemination="gossip", bandwidth=200, seed=4
+    )
+    settings = Settings.from_message(plan.robot_settings[LIAR])
     mind = Gossip(settings, NONSENSE["a unit of noise"]) if liar == "noise" else Hoarse(settings)
     team = Team(plan, {LIAR: mind})
     team.explore(400)
@@ -366,12 +381,14 @@ def test_one_liar_among_eight_does_not_stop_the_honest(liar: str) -> None:
 
 
 def test_a_unit_of_a_liar_that_makes_no_sense_is_reported_and_no_more_is_taken_from_it() -> None:
-    plan = small_plan("office", robots=3, exchange="sight", offers="gossip", bandwidth="unlimited")
-    liar = Gossip(Settings.from_message(plan.minds[LIAR]), NONSENSE["a unit of noise"])
+    plan = small_plan(
+        "office", robots=3, map_encoding="predictive", dissemination="gossip", bandwidth="unlimited"
+    )
+    liar = Gossip(Settings.from_message(plan.robot_settings[LIAR]), NONSENSE["a unit of noise"])
     team = Team(plan, {LIAR: liar})
     team.explore(10)
     for number in (0, 2):
-        robot = team.minds[number].robot
+        robot = team.robot_settings[number].robot
         assert robot.distrusted == {LIAR}
         assert [fault.peer for fault in robot.faults] == [LIAR]
         assert robot.faults[0].reason
@@ -380,7 +397,9 @@ def test_a_unit_of_a_liar_that_makes_no_sense_is_reported_and_no_more_is_taken_f
 class Decliner(Mind):
     """A robot that wants nothing."""
 
-    def hear(self, note: Open | Turn | Outcome | Close, heard: Heard) -> tuple[list[Put], Said | None]:
+    def hear(
+        self, note: Open | PhaseDelivery | Outcome | Close, heard: Heard
+    ) -> tuple[list[Put], Said | None]:
         puts, said = super().hear(note, heard)
         if said is not None and said.phase == "answers":
             puts = [(receiver, encode([Decline()])) for receiver, _ in puts]
@@ -389,7 +408,7 @@ class Decliner(Mind):
 
 def test_who_wants_nothing_silences_nobody() -> None:
     plan = small_plan("office", robots=3, bandwidth="unlimited")
-    team = Team(plan, {LIAR: Decliner(Settings.from_message(plan.minds[LIAR]))})
+    team = Team(plan, {LIAR: Decliner(Settings.from_message(plan.robot_settings[LIAR]))})
     plain = Team(plan)
     team.explore(400)
     plain.explore(400)
@@ -431,21 +450,21 @@ def test_no_frame_stops_a_robots_process(steps: list[tuple[list[bytes], ...]]) -
             key = keys.body("r0", names.WORLD) if of_world else keys.control("r0", names.RELAY)
             node.handle(Message(key, pack(message)))
 
-    tell(Configure(a_small_plan().minds[0]), [])
-    for step, (broadcasts, offers, answers, more) in enumerate(steps, 1):
+    tell(Configure(a_small_plan().robot_settings[0]), [])
+    for step, (broadcasts, dissemination, answers, more) in enumerate(steps, 1):
         antenna.said.clear()
         tell(sensed(step), [])
         tell(Open(step, 0, [LIAR, 2], 1000), broadcasts)
-        numbers = list(range(len(offers)))
-        tell(Turn(step, 0, "offers", numbers, [LIAR] * len(offers)), offers)
-        tell(Turn(step, 0, "data", list(range(90, 90 + len(answers))), [0] * len(answers)), answers)
-        data = more[: len(offers)]
-        short = [2] * len(offers)
+        numbers = list(range(len(dissemination)))
+        tell(PhaseDelivery(step, 0, "dissemination", numbers, [LIAR] * len(dissemination)), dissemination)
+        tell(PhaseDelivery(step, 0, "data", list(range(90, 90 + len(answers))), [0] * len(answers)), answers)
+        data = more[: len(dissemination)]
+        short = [2] * len(dissemination)
         sizes = [len(data[number]) if number < len(data) else 0 for number in numbers]
         tell(Outcome(step, 0, numbers, short, short, sizes, numbers[: len(data)], False), data)
         tell(Close(step), [])
         assert [said.phase for said in antenna.said if isinstance(said, Said)] == [
-            "offers",
+            "dissemination",
             "answers",
             "data",
         ]

@@ -23,14 +23,14 @@ from deploy.scenario.scenario import parse
 from netshaper.ledger import CAUSES, ROW, balance
 from netshaper.medium import DATA, UNLIMITED
 from netshaper.radio import Frame, Note, Outgoing, Radio, RadioSettings
-from protocol import packets, survey
+from protocol import packet_index, packets
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
-from protocol.messages import Open, Outcome, Said, Turn
+from protocol.messages import Open, Outcome, PhaseDelivery, Said
 from worldsim import generators
 from worldsim.maps import Map
 
 SMALL = {
-    "map": "office", "robots": 3, "exchange": "laser", "bandwidth": "unlimited", "range": "100%", "sensor_range": 4.0,
+    "map": "office", "robots": 3, "map_encoding": "scans", "bandwidth": "unlimited", "range": "100%", "sensor_range": 4.0,
     "bus": "memory", "steps": 3000,
 }  # fmt: skip
 
@@ -105,9 +105,9 @@ RUNS = [
     {"robots": 3, "bandwidth": 0},
     {"robots": 3, "range": "20%", "bandwidth": 1000, "map": "mixed"},
     {"robots": 3, "range": 0},
-    {"robots": 3, "exchange": "none"},
-    {"robots": 2, "exchanges": 1, "bandwidth": 5000},
-    {"robots": 3, "offers": "thesis", "bandwidth": 1000, "map": "leader-rooms", "sensor_range": 2.0},
+    {"robots": 3, "map_encoding": "none"},
+    {"robots": 2, "rounds": 1, "bandwidth": 5000},
+    {"robots": 3, "dissemination": "thesis", "bandwidth": 1000, "map": "leader-rooms", "sensor_range": 2.0},
     {"robots": 2, "field_of_view": 180.0, "map": "leader-rooms"},
     {"robots": 2, "speed": 0.1, "map": "leader-rooms"},
     {"robots": 4, "interference": 1.5, "map": "leader-rooms"},
@@ -153,7 +153,11 @@ def test_without_a_budget_nothing_is_cut() -> None:
 
 
 def test_without_reach_or_bandwidth_nothing_arrives() -> None:
-    for more in ({"robots": 3, "range": 0}, {"robots": 3, "bandwidth": 0}, {"robots": 3, "exchange": "none"}):
+    for more in (
+        {"robots": 3, "range": 0},
+        {"robots": 3, "bandwidth": 0},
+        {"robots": 3, "map_encoding": "none"},
+    ):
         _, records = small_run(**more)
         ledger = records.ledger()
         assert not ((ledger["carried"] == 1) & (ledger["frame"] == DATA)).any()
@@ -169,7 +173,7 @@ def test_two_runs_of_one_scenario_are_equal_in_all_but_the_time_they_took() -> N
     assert first.rows == second.rows
     assert first.world == second.world
     assert first.end == second.end
-    for one, other in zip(first.minds, second.minds, strict=True):
+    for one, other in zip(first.robot_settings, second.robot_settings, strict=True):
         assert [replace(report, work_us=0) for report in one] == [
             replace(report, work_us=0) for report in other
         ]
@@ -238,7 +242,7 @@ def test_any_floor_is_explored_by_any_team(
 ) -> None:
     scenario = parse(SMALL | {
         "robots": robots, "bandwidth": bandwidth, "range": reach, "sensor_range": sensor_range, "seed": seed,
-        "start": [floor.width / 4, floor.height / 4], "apart": 0.5, "steps": 4000,
+        "start": [floor.width / 4, floor.height / 4], "start_spacing": 0.5, "steps": 4000,
     })  # fmt: skip
     reachable = int(np.count_nonzero(floor.cells == FREE))
     if reachable < 9 + robots:
@@ -251,7 +255,7 @@ def test_any_floor_is_explored_by_any_team(
 
 
 def test_more_robots_than_packets_can_name_maps_of_share_none() -> None:
-    records = in_memory.run(small_plan(robots=66, steps=3, exchange="none"))
+    records = in_memory.run(small_plan(robots=66, steps=3, map_encoding="none"))
     assert records.step == 3
     assert not records.lost
 
@@ -280,11 +284,11 @@ class Pair:
     def word(self, robot: int, number: int) -> bytes:
         return packets.encode([packets.Fragment(bytes([robot, number % 256, number // 256]))])
 
-    def holds(self, robot: int, about: int) -> int:
+    def holds(self, robot: int, map_id: int) -> int:
         """How much of a log a robot holds; what it holds is right."""
-        log = self.sessions[robot].logs[about]
+        log = self.sessions[robot].logs[map_id]
         assert log.since(log.oldest, None) == b"".join(
-            self.word(about, n) for n in range(log.oldest, len(log))
+            self.word(map_id, n) for n in range(log.oldest, len(log))
         )
         return len(log)
 
@@ -304,28 +308,29 @@ class Pair:
         if isinstance(message, Open):
             room = None if message.budget == UNLIMITED else message.budget
             said = [
-                (0, peer, frame) for peer, _, frame in session.offers(message.exchange, message.peers, room)
+                (0, peer, frame)
+                for peer, _, frame in session.dissemination(message.map_encoding, message.peers, room)
             ]
-            self._say(robot, message.step, message.exchange, "offers", said)
+            self._say(robot, message.step, message.map_encoding, "dissemination", said)
             return
         self._frames[robot] = []
-        if isinstance(message, Turn) and message.phase == "offers":
-            offers = [(n, *frame) for n, frame in zip(message.connections, heard, strict=True)]
-            self._say(robot, message.step, message.exchange, "answers", session.answers(offers))
-        elif isinstance(message, Turn):
+        if isinstance(message, PhaseDelivery) and message.phase == "dissemination":
+            dissemination = [(n, *frame) for n, frame in zip(message.connections, heard, strict=True)]
+            self._say(robot, message.step, message.map_encoding, "answers", session.answers(dissemination))
+        elif isinstance(message, PhaseDelivery):
             named = zip(message.connections, heard, message.maps, strict=True)
-            answers = [(n, peer, about, frame) for n, (peer, frame), about in named]
-            self._say(robot, message.step, message.exchange, "data", session.data(answers))
+            answers = [(n, peer, map_id, frame) for n, (peer, frame), map_id in named]
+            self._say(robot, message.step, message.map_encoding, "data", session.data(answers))
         elif isinstance(message, Outcome):
-            for peer, about, frame in session.outcome(message, heard):
-                session.accept(peer, about, frame, survey.ends(frame))
+            for peer, map_id, frame in session.outcome(message, heard):
+                session.accept(peer, map_id, frame, packet_index.ends(frame))
 
     def _say(
-        self, robot: int, step: int, exchange: int, phase: str, said: list[tuple[int, int, bytes]]
+        self, robot: int, step: int, map_encoding: int, phase: str, said: list[tuple[int, int, bytes]]
     ) -> None:
-        numbers = [] if phase == "offers" else [number for number, _, _ in said]
+        numbers = [] if phase == "dissemination" else [number for number, _, _ in said]
         receivers, frames = [peer for _, peer, _ in said], [frame for _, _, frame in said]
-        self._deliver(self.radio.said(robot, Said(step, exchange, phase, numbers, 0, receivers, frames)))
+        self._deliver(self.radio.said(robot, Said(step, map_encoding, phase, numbers, 0, receivers, frames)))
 
 
 @pytest.mark.parametrize("budget", [UNLIMITED, 40])
@@ -357,10 +362,10 @@ def test_a_robot_that_says_something_to_one_out_of_range_is_not_heard() -> None:
     pair = Pair(10.0, UNLIMITED)
     opened: list[Any] = pair.radio.begin(1, {0: (0, 0), 1: (11, 0)})
     assert [note.message.peers for note in opened] == [[], []]
-    pair._say(0, 1, 0, "offers", [(0, 1, packets.encode([packets.Offer(0, 0)]))])
-    pair._say(1, 1, 0, "offers", [])
+    pair._say(0, 1, 0, "dissemination", [(0, 1, packets.encode([packets.Offer(0, 0)]))])
+    pair._say(1, 1, 0, "dissemination", [])
     for _ in range(3):
         for robot in pair.radio.waiting_for():
-            pair._say(robot, 1, 1, "offers", [])
+            pair._say(robot, 1, 1, "dissemination", [])
     assert pair._frames == [[], []]
     assert [CAUSES[row["cause"]] for row in pair._rows] == ["range"]

@@ -12,20 +12,25 @@ from deploy.scenario.scenario import load
 from deploy.study.recovery import recovery
 
 
-def line(exchange: str, *, pass_on: bool) -> dict[str, Any]:
+def line(map_encoding: str, *, forward_maps: bool) -> dict[str, Any]:
     return recovery(
         make(
             load(
                 Path("line.toml"),
-                {"exchange": exchange, "offers": "backoff", "pass_on": pass_on, "bus": "memory"},
+                {
+                    "map_encoding": map_encoding,
+                    "dissemination": "backoff",
+                    "forward_maps": forward_maps,
+                    "bus": "memory",
+                },
             )
         )
     )
 
 
-@pytest.mark.parametrize("exchange", ["polygon", "sight"])
-def test_without_passing_on_b_s_part_is_explored_again_and_with_it_it_is_not(exchange: str) -> None:
-    lost, kept = line(exchange, pass_on=False), line(exchange, pass_on=True)
+@pytest.mark.parametrize("map_encoding", ["polygons", "predictive"])
+def test_without_passing_on_b_s_part_is_explored_again_and_with_it_it_is_not(map_encoding: str) -> None:
+    lost, kept = line(map_encoding, forward_maps=False), line(map_encoding, forward_maps=True)
     assert lost["recovery.alone"] == kept["recovery.alone"] > 1000
     assert lost["recovery.again"] > 0.9 * lost["recovery.alone"]
     assert kept["recovery.again"] < 0.05 * kept["recovery.alone"]

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from agent.exchange.polygon_options import THESIS_OPTIONS
+from agent.encodings.polygon_options import THESIS_OPTIONS
 from agent.outline.claims import Drawing
 from agent.outline.merge import rendered
 from agent.robot import SURE_AFTER
@@ -26,7 +26,7 @@ from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packets import ALL_KINDS
 from tests.system.team import Cell, Team, corridor, plan_on, small_plan
 
-THESIS: dict[str, Any] = {"offers": "thesis", "polygon": asdict(THESIS_OPTIONS)}
+THESIS: dict[str, Any] = {"dissemination": "thesis", "polygons": asdict(THESIS_OPTIONS)}
 RULES = {"default": {}, "thesis": THESIS}
 
 TABLE_6_1 = {
@@ -121,7 +121,7 @@ def test_the_error_is_that_of_the_robot_that_finished_first() -> None:
     plan = small_plan("unstructured", robots=4, bandwidth=200)
     records, summary = run("default", robots=4, bandwidth=200)
     first = summary["first_robot"]
-    errors = [np.mean([report.error for report in reports]) for reports in records.minds]
+    errors = [np.mean([report.error for report in reports]) for reports in records.robot_settings]
     shares = errors / np.count_nonzero(plan.make_world().reachable)
     assert first != 0
     assert summary["approximation_error"] == pytest.approx(shares[first])
@@ -130,7 +130,7 @@ def test_the_error_is_that_of_the_robot_that_finished_first() -> None:
 
 @pytest.mark.parametrize("rules", RULES)
 def test_less_what_an_exact_approximation_gets_wrong_the_error_of_an_exact_one_is_none(rules: str) -> None:
-    options = RULES[rules].get("polygon", {}) | {"exact_error": True, "lazy": False}
+    options = RULES[rules].get("polygons", {}) | {"exact_error": True, "lazy": False}
     _, exact = run(rules, robots=2, bandwidth="unlimited", polygon=Options(options))
     assert exact["approximation_error_net"] == 0
     _, coarse = run(rules, robots=2, bandwidth=100, polygon=Options(options))
@@ -159,8 +159,8 @@ def test_with_unlimited_bandwidth_all_hold_at_every_step_what_its_maker_means() 
         team.explore(step)
         if team.step < step:
             break
-        for about in team.minds:
-            assert all(team.held(robot, about) == team.held(about, about) for robot in team.minds)
+        for map_id in team.robot_settings:
+            assert all(team.held(robot, map_id) == team.held(map_id, map_id) for robot in team.robot_settings)
     assert any(move.explored for move in team.moves.values())
 
 
@@ -174,8 +174,8 @@ def test_once_all_stand_still_all_come_to_hold_the_same(rules: str, bandwidth: i
         team.stand(cells)
         if not any(robot.session.undelivered() for robot in team.robots) and team.step > 30:
             break
-    for about in team.minds:
-        assert all(team.held(robot, about) == team.held(about, about) for robot in team.minds)
+    for map_id in team.robot_settings:
+        assert all(team.held(robot, map_id) == team.held(map_id, map_id) for robot in team.robot_settings)
 
 
 @pytest.mark.parametrize("rules", RULES)
@@ -240,16 +240,16 @@ def test_without_a_budget_a_rendering_is_the_teammates_own_grid_as_far_as_algori
         team.explore(step)
         if team.step < step:
             break
-        for about, mind in team.minds.items():
+        for map_id, mind in team.robot_settings.items():
             robot = mind.robot
-            polygons = robot.polygons.get(about)
-            if polygons is not None and described.get(about, (None,))[0] is not polygons:
-                known = what_algorithm_9_can_know(robot.own, team.world.cells[about], drawing)
-                described[about] = polygons, known
-            for other in (other for other in team.minds if other != about):
-                if about in described and team.held(other, about) == team.held(about, about):
-                    theirs = team.minds[other].robot.polygons[about]
-                    assert (rendered(theirs, drawing) == described[about][1]).all()
+            polygons = robot.polygons.get(map_id)
+            if polygons is not None and described.get(map_id, (None,))[0] is not polygons:
+                known = what_algorithm_9_can_know(robot.own, team.world.cells[map_id], drawing)
+                described[map_id] = polygons, known
+            for other in (other for other in team.robot_settings if other != map_id):
+                if map_id in described and team.held(other, map_id) == team.held(map_id, map_id):
+                    theirs = team.robot_settings[other].robot.polygons[map_id]
+                    assert (rendered(theirs, drawing) == described[map_id][1]).all()
                     compared += 1
     assert compared > 3 * team.step
 

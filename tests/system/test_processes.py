@@ -18,7 +18,7 @@ import pytest
 from deploy.record.snapshots import Snapshots
 
 MURMUR = [sys.executable, "-m", "deploy.commands.main"]
-SWARM = ["explore", "--map", "office", "--robots", "3", "--exchange", "laser", "--bandwidth", "2000"]
+SWARM = ["explore", "--map", "office", "--robots", "3", "--map-encoding", "scans", "--bandwidth", "2000"]
 
 SLOW = ["--pace", "20"]
 """For runs that are to be under way when something happens to them."""

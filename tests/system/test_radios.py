@@ -10,8 +10,8 @@ import pytest
 
 from deploy.run.exploration import Result, explore
 from deploy.scenario.scenario import load
+from netshaper.frame_log import BEGIN, END, VERDICT
 from netshaper.ledger import CAUSES, EVERYONE, FIRST_ON_AIR, KIND_NUMBER
-from netshaper.sightings import BEGIN, END, VERDICT
 from protocol.grid import FREE
 from tests.system.team import Cell, Team, small_plan
 
@@ -30,13 +30,17 @@ TROUBLES: dict[str, dict[str, Any]] = {
         "burst_every": 40.0,
     },
 }  # fmt: skip
-WAYS = [(exchange, offers) for exchange in ("laser", "polygon", "sight") for offers in ("backoff", "gossip")]
+WAYS = [
+    (map_encoding, dissemination)
+    for map_encoding in ("scans", "polygons", "predictive")
+    for dissemination in ("backoff", "gossip")
+]
 
 
 @cache
 def tour() -> list[dict[int, Cell]]:
     """Where three robots go on the floor: the same whatever they tell each other."""
-    team = Team(small_plan(side_m=10.0, exchange="laser", robots=3, seed=4))
+    team = Team(small_plan(side_m=10.0, map_encoding="scans", robots=3, seed=4))
     cells: list[dict[int, Cell]] = []
     while len(cells) < 40 and not any(move.explored for move in team.moves.values()):
         team.explore(team.step + 1)
@@ -44,14 +48,14 @@ def tour() -> list[dict[int, Cell]]:
     return cells
 
 
-def walk(exchange: str, offers: str, radio: dict[str, Any], more: int) -> Team:
+def walk(map_encoding: str, dissemination: str, radio: dict[str, Any], more: int) -> Team:
     """Robots that take the tour, and then stand for some steps more."""
-    settings = {"polygon": {"lazy": False}} if exchange == "polygon" else {}
+    settings = {"polygons": {"lazy": False}} if map_encoding == "polygons" else {}
     team = Team(
         small_plan(
             side_m=10.0,
-            exchange=exchange,
-            offers=offers,
+            map_encoding=map_encoding,
+            dissemination=dissemination,
             radio=radio,
             robots=3,
             seed=4,
@@ -64,26 +68,35 @@ def walk(exchange: str, offers: str, radio: dict[str, Any], more: int) -> Team:
     return team
 
 
-@pytest.mark.parametrize(("exchange", "offers"), WAYS)
-def test_all_robots_hold_the_same_maps_in_the_end_as_on_a_perfect_radio(exchange: str, offers: str) -> None:
-    perfect = walk(exchange, offers, {}, 90)
+@pytest.mark.parametrize(("map_encoding", "dissemination"), WAYS)
+def test_all_robots_hold_the_same_maps_in_the_end_as_on_a_perfect_radio(
+    map_encoding: str, dissemination: str
+) -> None:
+    perfect = walk(map_encoding, dissemination, {}, 90)
     for trouble in ("loss", "delay", "partition"):
-        team = walk(exchange, offers, TROUBLES[trouble], 90)
+        team = walk(map_encoding, dissemination, TROUBLES[trouble], 90)
         for robot, other in zip(team.robots, perfect.robots, strict=True):
             assert np.array_equal(robot.planning, other.planning), trouble
-            for about in range(3):
-                held = team.held(robot.settings.robot, about)
-                same = held == perfect.held(robot.settings.robot, about)
+            for map_id in range(3):
+                held = team.held(robot.settings.robot, map_id)
+                same = held == perfect.held(robot.settings.robot, map_id)
                 assert same, trouble
 
 
 @pytest.mark.parametrize("trouble", ["loss", "all at once"])
-@pytest.mark.parametrize(("exchange", "offers"), WAYS)
-def test_a_team_explores_all_there_is_on_any_radio(exchange: str, offers: str, trouble: str) -> None:
+@pytest.mark.parametrize(("map_encoding", "dissemination"), WAYS)
+def test_a_team_explores_all_there_is_on_any_radio(
+    map_encoding: str, dissemination: str, trouble: str
+) -> None:
     result = explore(
-        load(None, FLOOR | {"exchange": exchange, "offers": offers, "radio": TROUBLES[trouble]}), keep=False
+        load(
+            None,
+            FLOOR
+            | {"map_encoding": map_encoding, "dissemination": dissemination, "radio": TROUBLES[trouble]},
+        ),
+        keep=False,
     )
-    perfect = explored(exchange, offers)
+    perfect = explored(map_encoding, dissemination)
     assert result.summary["finished"]
     seen = result.maps["team"] == FREE
     assert (seen == (perfect.maps["team"] == FREE)).all()
@@ -93,8 +106,10 @@ def test_a_team_explores_all_there_is_on_any_radio(exchange: str, offers: str, t
 
 
 @cache
-def explored(exchange: str, offers: str) -> Result:
-    return explore(load(None, FLOOR | {"exchange": exchange, "offers": offers}), keep=False)
+def explored(map_encoding: str, dissemination: str) -> Result:
+    return explore(
+        load(None, FLOOR | {"map_encoding": map_encoding, "dissemination": dissemination}), keep=False
+    )
 
 
 def books_balance(result: Result) -> None:
@@ -113,12 +128,23 @@ def books_balance(result: Result) -> None:
         assert rows["bytes"][carried].sum() <= frames * options.frame_bytes
 
 
-@pytest.mark.parametrize("offers", ["backoff", "thesis", "gossip"])
-@pytest.mark.parametrize("exchange", ["laser", "polygon", "sight", "grid"])
+@pytest.mark.parametrize("dissemination", ["backoff", "thesis", "gossip"])
+@pytest.mark.parametrize("map_encoding", ["scans", "polygons", "predictive", "cells"])
 @pytest.mark.parametrize("loss", [0.0, 0.1])
-def test_no_frame_on_the_air_is_longer_than_a_frame_may_be(exchange: str, offers: str, loss: float) -> None:
+def test_no_frame_on_the_air_is_longer_than_a_frame_may_be(
+    map_encoding: str, dissemination: str, loss: float
+) -> None:
     radio = {"frame_bytes": 20, "loss": loss, "checksums": loss > 0}
-    team = Team(small_plan(side_m=10.0, exchange=exchange, offers=offers, radio=radio, bandwidth=400, seed=1))
+    team = Team(
+        small_plan(
+            side_m=10.0,
+            map_encoding=map_encoding,
+            dissemination=dissemination,
+            radio=radio,
+            bandwidth=400,
+            seed=1,
+        )
+    )
     frames: list[int] = []
 
     def note(rows: Any) -> None:
@@ -137,21 +163,27 @@ def listen(team: Team, note: Any) -> None:
 
     def closing() -> Any:
         out = close()
-        note(out[-1].sightings.columns().rows)  # type: ignore[union-attr]
+        note(out[-1].predictiveings.columns().rows)  # type: ignore[union-attr]
         return out
 
     team._radio._close = closing  # type: ignore[method-assign]
 
 
-@pytest.mark.parametrize("offers", ["backoff", "gossip"])
-def test_the_digest_is_the_same_on_both_buses(offers: str) -> None:
+@pytest.mark.parametrize("dissemination", ["backoff", "gossip"])
+def test_the_digest_is_the_same_on_both_buses(dissemination: str) -> None:
     radio = TROUBLES["all at once"] | {
         "model": "log-distance",
         "shadowing_db": 6.0,
         "partition": APART,
         "delay": 1,
     }
-    scenario = FLOOR | {"exchange": "sight", "offers": offers, "radio": radio, "bandwidth": 200, "steps": 60}
+    scenario = FLOOR | {
+        "map_encoding": "predictive",
+        "dissemination": dissemination,
+        "radio": radio,
+        "bandwidth": 200,
+        "steps": 60,
+    }
     runs = [explore(load(None, scenario | {"bus": bus}), keep=False) for bus in ("memory", "zenoh")]
     assert runs[0].summary["digest"] == runs[1].summary["digest"]
     assert {"loss", "damaged"} <= set(runs[0].summary["undelivered"])
@@ -162,7 +194,7 @@ def test_two_ends_of_a_corridor_speak_at_once_where_air_is_reused() -> None:
     for reuse in (False, True):
         radio = {"reuse": reuse, "checksums": True}
         plan = small_plan(
-            side_m=10.0, exchange="laser", robots=4, range="2", bandwidth=300, seed=1, radio=radio
+            side_m=10.0, map_encoding="scans", robots=4, range="2", bandwidth=300, seed=1, radio=radio
         )
         team = Team(plan)
         free = np.argwhere(team.truth == FREE)[:, ::-1]

@@ -28,17 +28,17 @@ EXAMPLES: tuple[messages.Record, ...] = (
     messages.Move(3, b"", 0, explored=True),
     messages.Positions(3, [0, 1, 2], [4, 4, 4], [4, 4, 4]),
     messages.Open(3, 0, [0, 2], 1000),
-    messages.Turn(3, 0, "offers", [0], [0]),
-    messages.Said(3, 0, "offers", []),
+    messages.PhaseDelivery(3, 0, "dissemination", [0], [0]),
+    messages.Said(3, 0, "dissemination", []),
     messages.Outcome(3, 0, [0], [2], [2], [2], [0], broadcast=True),
     messages.Close(3),
     messages.Heard([0], [b"word"], [messages.Close(3)]),
     messages.Lost(0, "I saw it die"),
     messages.End(3, "explored", 1),
     messages.Stop("enough"),
-    messages.Bye(),
+    messages.Shutdown(),
     messages.WorldReport(3, bytes(48), [1, 2, 3], 90, 90),
-    messages.MindReport(3, 4, 4, 9, 0, -1, 0, "idle", 1),
+    messages.RobotStatus(3, 4, 4, 9, 0, -1, 0, "idle", 1),
     messages.RadioReport(3, bytes(7), 0, b"frames"),
     messages.Maps(0, 1, 1, b"\x01", b"\x01"),
     messages.Fault("r0", "I say so"),
@@ -55,7 +55,7 @@ JUNK = (
     1000 * b"\x91",
     bytes(9_000_000),
     pack(messages.Maps(0, 9, 9, bytes(81), bytes(81))),
-    pack(messages.Said(1, 0, "offers", [1] * 10**6)),
+    pack(messages.Said(1, 0, "dissemination", [1] * 10**6)),
     pack(messages.Move(1, bytes(8 << 20), 0, explored=True)),
 )
 STEPS, OFTEN = 12, 8
@@ -64,7 +64,7 @@ STEPS, OFTEN = 12, 8
 def everywhere(keys: Keys, name: str) -> list[str]:
     """Where somebody speaks who may say nothing: a hub would not let it, memory does."""
     return [keys.control_tx(name), keys.body("*", name)] + [
-        keys.control(receiver, name) for receiver in (names.WORLD, names.LAB, "*")
+        keys.control(receiver, name) for receiver in (names.WORLD, names.RECORDER, "*")
     ]
 
 
@@ -122,7 +122,7 @@ class Listener:
     done = False
 
     def handle(self, message: Message) -> None:
-        self.done = isinstance(messages.unpack(message.payload), messages.Bye)
+        self.done = isinstance(messages.unpack(message.payload), messages.Shutdown)
 
 
 def play(rogue: str = "") -> Records:
@@ -142,7 +142,7 @@ def test_there_is_an_example_of_every_kind() -> None:
     assert {type(each) for each in EXAMPLES} == set(kinds)
 
 
-@pytest.mark.parametrize("rogue", ["r1", names.WORLD, names.LAB, names.RELAY, names.VIEW])
+@pytest.mark.parametrize("rogue", ["r1", names.WORLD, names.RECORDER, names.RELAY, names.VIEW])
 def test_what_is_not_ones_to_say_is_a_fault_with_ones_name_and_changes_nothing(rogue: str) -> None:
     records = play(rogue)
     assert digest(records) == honest_digest()
@@ -159,7 +159,7 @@ def rogue_over_zenoh(rogue: str, name: str, bus: Bus) -> Bus:
     return Rogue(bus, name, 1 << 20) if name == rogue else bus
 
 
-@pytest.mark.parametrize("rogue", ["r1", names.WORLD, names.LAB])
+@pytest.mark.parametrize("rogue", ["r1", names.WORLD, names.RECORDER])
 def test_over_zenoh_what_is_not_ones_to_say_changes_nothing_either(tmp_path: Path, rogue: str) -> None:
     outcome = launch.run(plan(), tmp_path / "logs", wrap=partial(rogue_over_zenoh, rogue))
     assert outcome.deaths == {}
@@ -190,7 +190,7 @@ NOISE = (
             packets.From(63, 4095),
             packets.Held(63, 4095),
             packets.Gone(0),
-            packets.Look(3, b"noise"),
+            packets.Update(3, b"noise"),
         )
     ),
 )
@@ -202,16 +202,16 @@ class Babbler(Rogue):
     def _words(self, keys: Keys) -> list[Message]:
         spoken = [
             pack(messages.Said(1, 0, phase, list(range(-1, 5)), 0, [-1, 0, 1, 2, 9, 9], 6 * [noise]))
-            for phase in ("offers", "answers", "data")
+            for phase in ("dissemination", "answers", "data")
             for noise in NOISE
         ]
         return [Message(keys.radio_tx(self._name), noise) for noise in (*NOISE, *spoken)]
 
 
-@pytest.mark.parametrize("exchange", ["polygon", "laser", "sight"])
-@pytest.mark.parametrize("offers", ["backoff", "gossip"])
-def test_noise_on_the_radio_in_every_phase_stops_nobody(exchange: str, offers: str) -> None:
-    noisy = small_plan(robots=3, steps=STEPS, exchange=exchange, offers=offers)
+@pytest.mark.parametrize("map_encoding", ["polygons", "scans", "predictive"])
+@pytest.mark.parametrize("dissemination", ["backoff", "gossip"])
+def test_noise_on_the_radio_in_every_phase_stops_nobody(map_encoding: str, dissemination: str) -> None:
+    noisy = small_plan(robots=3, steps=STEPS, map_encoding=map_encoding, dissemination=dissemination)
     truth = noisy.map.cells
     records = in_memory.run(noisy, wrap=lambda name, bus: Babbler(bus, name) if name == "r1" else bus)
     assert records.end is not None

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from agent.exchange.catalogue import EXCHANGES
+from agent.encodings.catalog import ENCODINGS
 from deploy import explore
 from deploy.run import in_memory
 from deploy.run.exploration import EXPLORED, NOT_FINISHED, Result
@@ -28,10 +28,12 @@ STALLS = "potential-field"
 
 
 @cache
-def run(strategy: str, bus: str = "memory", exchange: str = "polygon", mission: str | None = None) -> Result:
+def run(
+    strategy: str, bus: str = "memory", map_encoding: str = "polygons", mission: str | None = None
+) -> Result:
     """Three robots with turning scanners in rooms off a hall."""
     scenario: dict[str, Any] = {
-        "map": "leader-trap", "robots": 3, "strategy": strategy, "bus": bus, "exchange": exchange,
+        "map": "leader-trap", "robots": 3, "strategy": strategy, "bus": bus, "map_encoding": map_encoding,
         "bandwidth": "unlimited", "sensor_range": 2.5, "speed": 0.5, "scanner_turn": 120, "seed": 1, "steps": 900,
         "options": {} if mission is None else {"mission": mission},
     }  # fmt: skip
@@ -66,7 +68,7 @@ def test_when_the_leader_breaks_down_another_leads_and_the_team_finishes() -> No
     ends = {}
     for dynamic in (True, False):
         scenario: dict[str, Any] = {
-            "map": "leader-trap", "robots": 3, "strategy": "leaders", "bus": "memory", "exchange": "laser",
+            "map": "leader-trap", "robots": 3, "strategy": "leaders", "bus": "memory", "map_encoding": "scans",
             "bandwidth": "unlimited", "sensor_range": 2.5, "speed": 1.0, "seed": 0, "steps": 500,
             "death": [{"robot": 0, "step": 5}], "options": {"dynamic": dynamic},
         }  # fmt: skip
@@ -81,18 +83,18 @@ def test_a_strategy_gives_the_same_digest_on_both_buses(name: str) -> None:
     assert run(name, "zenoh").summary["digest"] == run(name).summary["digest"]
 
 
-@pytest.mark.parametrize("exchange", [name for name in EXCHANGES if name != "polygon"])
-def test_a_strategy_of_sub_teams_goes_with_every_exchange_alike_on_both_buses(exchange: str) -> None:
-    memory = run("burgard", exchange=exchange)
+@pytest.mark.parametrize("map_encoding", [name for name in ENCODINGS if name != "polygons"])
+def test_a_strategy_of_sub_teams_goes_with_every_exchange_alike_on_both_buses(map_encoding: str) -> None:
+    memory = run("burgard", map_encoding=map_encoding)
     assert memory.summary["coverage"] >= 0.99
-    assert run("burgard", "zenoh", exchange).summary["digest"] == memory.summary["digest"]
+    assert run("burgard", "zenoh", map_encoding).summary["digest"] == memory.summary["digest"]
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("exchange", EXCHANGES)
+@pytest.mark.parametrize("map_encoding", ENCODINGS)
 @pytest.mark.parametrize("name", NAMES)
-def test_every_strategy_goes_with_every_exchange_alike_on_both_buses(name: str, exchange: str) -> None:
-    digests = {run(name, bus, exchange).summary["digest"] for bus in ("memory", "zenoh")}
+def test_every_strategy_goes_with_every_exchange_alike_on_both_buses(name: str, map_encoding: str) -> None:
+    digests = {run(name, bus, map_encoding).summary["digest"] for bus in ("memory", "zenoh")}
     assert len(digests) == 1
 
 
@@ -118,7 +120,7 @@ def test_a_disc_whose_laser_looks_ahead_finds_the_wall_beside_its_way(name: str)
     # With a quarter turn in view it drives into corners that it has not seen.
     office = generators.make("office-obstacles", seed=3, resolution=0.15, width_m=12.0, height_m=10.0)
     scenario: dict[str, Any] = {
-        "map": "office-obstacles", "robots": 1, "strategy": name, "bus": "memory", "exchange": "none",
+        "map": "office-obstacles", "robots": 1, "strategy": name, "bus": "memory", "map_encoding": "none",
         "field_of_view": 90.0, "radius": 0.15, "sensor_range": 3.0, "speed": 0.3, "seed": 3, "steps": 2000,
     }  # fmt: skip
     records = in_memory.run(plan.make(parse(scenario), office))
@@ -131,7 +133,7 @@ def test_a_disc_whose_laser_looks_ahead_finds_the_wall_beside_its_way(name: str)
 def test_a_disc_must_see_all_walls_that_its_next_step_touches(sensor_range: float, sees: bool) -> None:
     # Cells of 0.15 m: a diagonal step touches the cell two to the right and two down, 0.424 m away.
     office = generators.make("office-obstacles", seed=1, resolution=0.15, width_m=12.0, height_m=10.0)
-    scenario = {"map": "office-obstacles", "robots": 1, "radius": 0.15, "speed": 0.15, "exchange": "none"}
+    scenario = {"map": "office-obstacles", "robots": 1, "radius": 0.15, "speed": 0.15, "map_encoding": "none"}
     disc = parse(scenario | {"bus": "memory", "sensor_range": sensor_range, "steps": 10000, "seed": 1})
     if sees:
         assert in_memory.run(plan.make(disc, office)).explored > 0.99
@@ -145,7 +147,7 @@ def test_robots_in_a_doorway_do_not_stand_in_each_others_way_for_good() -> None:
     # Four of the five meet in the first doorway, two going in and two coming out.
     office = generators.make("office-plain", seed=1, resolution=0.25)
     scenario: dict[str, Any] = {
-        "map": "office-plain", "robots": 5, "strategy": "stop-scan-replan", "bus": "memory", "exchange": "laser",
+        "map": "office-plain", "robots": 5, "strategy": "stop-scan-replan", "bus": "memory", "map_encoding": "scans",
         "bandwidth": "unlimited", "sensor_range": 5.0, "speed": 0.25, "scanner_turn": 18, "seed": 1, "steps": 600,
     }  # fmt: skip
     records = in_memory.run(plan.make(parse(scenario), office))

@@ -77,7 +77,7 @@ def assert_is_to_be_read(png: bytes, *, light: bool, kinds: int = 4) -> None:
     assert bars >= kinds
 
 
-OUTLINES = {"exchange": "polygon", "strategy": "meier"}
+OUTLINES = {"map_encoding": "polygons", "strategy": "meier"}
 
 
 @pytest.mark.parametrize(

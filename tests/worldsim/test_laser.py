@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Fan, Grid, fan
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, RayTable, ray_table
 from protocol.scans import HIT, NONE, Readings, check_readings, draw
 from worldsim.laser import cast
 
@@ -33,7 +33,7 @@ def places(draw_: st.DrawFn) -> Place:
     return truth, teammates, x, y
 
 
-fans = st.builds(fan, st.floats(1, 25), st.sampled_from((4, 36, 360)))
+ray_tables = st.builds(ray_table, st.floats(1, 25), st.sampled_from((4, 36, 360)))
 
 
 def reading_by_the_book(place: Place, walk: list[list[int]]) -> int:
@@ -48,11 +48,11 @@ def reading_by_the_book(place: Place, walk: list[list[int]]) -> int:
     return len(walk)
 
 
-def by_the_book(place: Place, laid: Fan) -> list[int]:
+def by_the_book(place: Place, laid: RayTable) -> list[int]:
     return [reading_by_the_book(place, laid.cells[a:b].tolist()) for a, b in pairwise(laid.start.tolist())]
 
 
-def scanned(place: Place, laid: Fan) -> Grid:
+def scanned(place: Place, laid: RayTable) -> Grid:
     """What an empty grid shows after one scan."""
     truth, teammates, x, y = place
     grid = np.full_like(truth, UNKNOWN)
@@ -60,30 +60,30 @@ def scanned(place: Place, laid: Fan) -> Grid:
     return grid
 
 
-@given(places(), fans)
-def test_readings_are_those_of_a_beam_followed_cell_by_cell(place: Place, laid: Fan) -> None:
+@given(places(), ray_tables)
+def test_readings_are_those_of_a_beam_followed_cell_by_cell(place: Place, laid: RayTable) -> None:
     truth, teammates, x, y = place
     readings = cast(truth, teammates, laid, x, y)
     assert readings.dtype == np.uint16
     assert readings.tolist() == by_the_book(place, laid)
 
 
-@given(places(), fans)
-def test_readings_are_such_as_their_beams_can_give(place: Place, laid: Fan) -> None:
+@given(places(), ray_tables)
+def test_readings_are_such_as_their_beams_can_give(place: Place, laid: RayTable) -> None:
     truth, teammates, x, y = place
     check_readings(cast(truth, teammates, laid, x, y), laid)
 
 
-@given(places(), fans)
-def test_a_scan_drawn_claims_nothing_but_the_truth(place: Place, laid: Fan) -> None:
+@given(places(), ray_tables)
+def test_a_scan_drawn_claims_nothing_but_the_truth(place: Place, laid: RayTable) -> None:
     truth, _, _, _ = place
     grid = scanned(place, laid)
     assert (truth[grid == FREE] == FREE).all()
     assert (truth[grid == OCCUPIED] != FREE).all()
 
 
-@given(places(), fans)
-def test_a_teammate_is_never_drawn_as_a_wall_and_hides_what_is_behind(place: Place, laid: Fan) -> None:
+@given(places(), ray_tables)
+def test_a_teammate_is_never_drawn_as_a_wall_and_hides_what_is_behind(place: Place, laid: RayTable) -> None:
     truth, teammates, x, y = place
     grid = scanned(place, laid)
     assert (grid[teammates] != OCCUPIED).all()
@@ -91,8 +91,8 @@ def test_a_teammate_is_never_drawn_as_a_wall_and_hides_what_is_behind(place: Pla
     assert (grid[grid != UNKNOWN] == alone[grid != UNKNOWN]).all()
 
 
-@given(places(), fans)
-def test_a_beam_never_slips_between_walls_that_touch_at_a_corner(place: Place, laid: Fan) -> None:
+@given(places(), ray_tables)
+def test_a_beam_never_slips_between_walls_that_touch_at_a_corner(place: Place, laid: RayTable) -> None:
     truth, _, x, y = place
     areas, _ = ndimage.label(truth == FREE)
     assert (areas[scanned(place, laid) == FREE] == areas[y, x]).all()
@@ -108,7 +108,7 @@ def test_nothing_is_seen_through_a_diagonal_wall(at: int, flip: bool) -> None:
     if flip:
         truth = truth[:, ::-1].copy()
     y, x = at, (size - at if flip else at - 1)
-    grid = scanned((truth, np.zeros_like(truth, np.bool_), x, y), fan(60.0, 720))
+    grid = scanned((truth, np.zeros_like(truth, np.bool_), x, y), ray_table(60.0, 720))
     behind = np.triu(np.ones_like(truth, np.bool_), 1)
     assert not (grid[behind[:, ::-1] if flip else behind] != UNKNOWN).any()
 
@@ -116,15 +116,15 @@ def test_nothing_is_seen_through_a_diagonal_wall(at: int, flip: bool) -> None:
 @given(places(), st.floats(1, 25))
 def test_the_free_neighbours_are_always_seen_free(place: Place, range_cells: float) -> None:
     truth, _, x, y = place
-    grid = scanned(place, fan(range_cells, 4))
+    grid = scanned(place, ray_table(range_cells, 4))
     height, width = truth.shape
     for nx, ny in ((x + 1, y), (x, y + 1), (x - 1, y), (x, y - 1)):
         if 0 <= nx < width and 0 <= ny < height:
             assert grid[ny, nx] == (FREE if truth[ny, nx] == FREE else OCCUPIED)
 
 
-@given(places(), fans)
-def test_nothing_beyond_the_range_is_seen(place: Place, laid: Fan) -> None:
+@given(places(), ray_tables)
+def test_nothing_beyond_the_range_is_seen(place: Place, laid: RayTable) -> None:
     _, _, x, y = place
     far = max(int(dx) ** 2 + int(dy) ** 2 for dx, dy in laid.cells)
     ys, xs = np.nonzero(scanned(place, laid))
@@ -133,20 +133,20 @@ def test_nothing_beyond_the_range_is_seen(place: Place, laid: Fan) -> None:
 
 def test_what_is_unknown_in_the_truth_stops_a_beam_like_a_wall() -> None:
     truth = np.array([[FREE, FREE, UNKNOWN, FREE]], np.uint8)
-    readings = cast(truth, np.zeros_like(truth, np.bool_), fan(3.0, 4), 0, 0)
+    readings = cast(truth, np.zeros_like(truth, np.bool_), ray_table(3.0, 4), 0, 0)
     assert readings[0] == 1 | HIT
 
 
 def test_the_rim_of_the_world_stops_a_beam() -> None:
     truth = np.full((1, 3), FREE, np.uint8)
-    readings = cast(truth, np.zeros_like(truth, np.bool_), fan(9.0, 4), 1, 0)
+    readings = cast(truth, np.zeros_like(truth, np.bool_), ray_table(9.0, 4), 1, 0)
     assert readings.tolist() == [1 | HIT, HIT, 1 | HIT, HIT]
 
 
 def in_view(heading: int, field_of_view: float, beams: int) -> list[int]:
     truth = np.full((3, 3), FREE, np.uint8)
     readings: Readings = cast(
-        truth, np.zeros_like(truth, np.bool_), fan(2.0, beams), 1, 1, heading, field_of_view
+        truth, np.zeros_like(truth, np.bool_), ray_table(2.0, beams), 1, 1, heading, field_of_view
     )
     return np.flatnonzero(readings != NONE).tolist()
 

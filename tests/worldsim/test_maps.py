@@ -95,14 +95,14 @@ def test_negate_swaps_black_and_white(tmp_path: Path, negate: object) -> None:
 
 
 def test_colours_are_averaged(tmp_path: Path) -> None:
-    colours = np.array([[(255, 255, 255), (255, 0, 0), (0, 0, 0), (255, 255, 150)]], np.uint8)
-    world = load(write(tmp_path, save_picture(tmp_path, Image.fromarray(colours))))
+    colors = np.array([[(255, 255, 255), (255, 0, 0), (0, 0, 0), (255, 255, 150)]], np.uint8)
+    world = load(write(tmp_path, save_picture(tmp_path, Image.fromarray(colors))))
     assert world.cells.tolist() == [[FREE, OCCUPIED, OCCUPIED, FREE]]
 
 
 def test_opacity_counts_as_a_fourth_colour_as_it_does_for_map_server(tmp_path: Path) -> None:
-    colours = np.array([[(255, 255, 255, 255), (0, 0, 0, 255), (255, 255, 255, 0), (0, 0, 0, 0)]], np.uint8)
-    world = load(write(tmp_path, save_picture(tmp_path, Image.fromarray(colours))))
+    colors = np.array([[(255, 255, 255, 255), (0, 0, 0, 255), (255, 255, 255, 0), (0, 0, 0, 0)]], np.uint8)
+    world = load(write(tmp_path, save_picture(tmp_path, Image.fromarray(colors))))
     assert world.cells.tolist() == [[FREE, OCCUPIED, UNKNOWN, OCCUPIED]]
 
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, disc, fan
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, disc, ray_table
 from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
 from protocol.scans import HIT, NONE, Readings, check_readings, draw
 from worldsim.cell_motion import INTERFERENCE, NOT_BLOCKED, ROBOT, WALL
@@ -110,7 +110,7 @@ def test_what_a_robot_is_told_of_its_body_is_the_truth(world: World, seed: int) 
             assert all(
                 abs(x0 - x1) + abs(y0 - y1) <= 2 for (x0, y0), (x1, y1) in pairwise([before[robot], *driven])
             )
-            check_readings(readings_of(sense), fan(world.settings.bodies[robot].range_cells, 36))
+            check_readings(readings_of(sense), ray_table(world.settings.bodies[robot].range_cells, 36))
         before = cells
 
 
@@ -124,7 +124,11 @@ def test_what_robots_draw_of_their_scans_is_the_truth_and_what_the_world_counts_
             for x, y in cells_from_bytes(sense.driven):
                 told[y, x] = FREE
             draw(
-                told, fan(world.settings.bodies[robot].range_cells, 36), sense.x, sense.y, readings_of(sense)
+                told,
+                ray_table(world.settings.bodies[robot].range_cells, 36),
+                sense.x,
+                sense.y,
+                readings_of(sense),
             )
         assert (world.truth[told == FREE] == FREE).all()
         assert (world.truth[told == OCCUPIED] != FREE).all()
@@ -435,7 +439,7 @@ def test_the_thinnest_of_those_that_live_say_when_all_is_explored() -> None:
     truth = np.full((9, 9), FREE, np.uint8)
     bodies = tuple(Body(4.0, 360.0, 1.0, 0.0, radius) for radius in (1.0, 0.0, 0.0))
     world = World(truth, WorldSettings(bodies, ((4, 4), (0, 0), (8, 8)), 4))
-    assert world.thinnest() == [1, 2]
+    assert world.smallest_robots() == [1, 2]
     world.lose(1)
     world.lose(2)
-    assert world.thinnest() == [0]
+    assert world.smallest_robots() == [0]

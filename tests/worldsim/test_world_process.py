@@ -17,7 +17,6 @@ from protocol.keys import Keys
 from protocol.memory_bus import MemoryHub
 from protocol.messages import (
     Begin,
-    Bye,
     Configure,
     End,
     Fault,
@@ -25,6 +24,7 @@ from protocol.messages import (
     Move,
     Positions,
     Sense,
+    Shutdown,
     Stop,
     WorldReport,
     cells_to_bytes,
@@ -46,13 +46,13 @@ class Run:
     def __init__(self, robots: int = 2, steps: int = 9, *, begun: bool = True, **settings: Any) -> None:
         hub = MemoryHub(KEYS.run)
         self.ends: dict[str, Bus] = {}
-        for name in (names.RELAY, names.WORLD, names.LAB, *map(names.robot, range(robots))):
+        for name in (names.RELAY, names.WORLD, names.RECORDER, *map(names.robot, range(robots))):
             self.ends[name] = hub.join(name)
         bodies = tuple(Body(3.0, 360.0, 1.0) for _ in range(robots))
         world = World(np.full((5, 9), FREE, np.uint8), WorldSettings(bodies, STARTS[:robots], 4, **settings))
-        minds = {number: {"robot": number} for number in range(robots)}
+        robot_settings = {number: {"robot": number} for number in range(robots)}
         self.world = world
-        self.node = WorldNode(self.ends[names.WORLD], KEYS, world, minds, steps, 100.0)
+        self.node = WorldNode(self.ends[names.WORLD], KEYS, world, robot_settings, steps, 100.0)
         self.heard(names.RELAY)
         if begun:
             self.control(Begin())
@@ -96,7 +96,7 @@ def test_the_world_waits_for_the_beginning_and_then_tells_everyone_what_he_must_
         assert isinstance(sense, Sense)
         assert (sense.step, sense.x, sense.y) == (1, *STARTS[number])
     assert run.heard(names.RELAY) == [Positions(1, [0, 1], [2, 4], [2, 2])]
-    (report,) = run.heard(names.LAB)
+    (report,) = run.heard(names.RECORDER)
     assert isinstance(report, WorldReport)
     assert np.frombuffer(report.poses, "<i4").reshape(-1, 4).tolist() == [[0, 200, 200, 0], [1, 400, 200, 0]]
 
@@ -185,7 +185,7 @@ def test_the_run_ends_when_all_robots_are_lost() -> None:
 def test_the_world_goes_home_when_it_is_told_to() -> None:
     run = Run()
     assert not run.node.done
-    run.control(Bye())
+    run.control(Shutdown())
     assert run.node.done
 
 
@@ -216,7 +216,7 @@ NONSENSE = [
     Sense(1, 0, 0, 0, b"", b"", ""),
     Lost(0, "I say so"),
     End(1, "I say so", 1),
-    Bye(),
+    Shutdown(),
     Stop("I say so"),
     Move(7, b"", 0, explored=False),
     msgspec.msgpack.encode([3, -1, b"", 0, True, True, False, b""]),
@@ -229,9 +229,9 @@ NONSENSE = [
 @pytest.mark.parametrize("lie", NONSENSE, ids=repr)
 def test_what_is_no_move_is_reported_and_the_robots_move_is_waited_for(lie: object) -> None:
     run = Run()
-    run.heard(names.LAB)
+    run.heard(names.RECORDER)
     run.move(1, lie)
-    (fault,) = run.heard(names.LAB)
+    (fault,) = run.heard(names.RECORDER)
     assert isinstance(fault, Fault)
     assert fault.who == "r1"
     assert not run.node.done
@@ -245,10 +245,10 @@ def test_what_is_no_move_is_reported_and_the_robots_move_is_waited_for(lie: obje
 
 def test_a_second_move_in_a_step_is_reported_and_the_first_one_counts() -> None:
     run = Run()
-    run.heard(names.LAB)
+    run.heard(names.RECORDER)
     run.move(1, Move(1, cells_to_bytes(np.array([[4, 3]], np.int32)), 0, explored=False))
     run.move(1, Move(1, b"", 0, explored=True))
-    (fault,) = run.heard(names.LAB)
+    (fault,) = run.heard(names.RECORDER)
     assert fault == Fault("r1", "Move at byte 0: a second one for step 1")
     run.stay(0)
     assert run.world.cells[1] == (4, 3)

@@ -94,9 +94,9 @@ class Builder:
         """Return the builder of the same world with x and y swapped."""
         return Builder(self.cells.T, self.random, self.resolution, self.style)
 
-    def cells_in(self, metres: float) -> int:
+    def cells_in(self, meters: float) -> int:
         """Return a length in cells."""
-        return round(metres / self.resolution)
+        return round(meters / self.resolution)
 
     def offices(self, box: Box, corridors: int) -> tuple[list[Box], list[Box]]:
         """Fill the box with parallel corridors, rooms on both sides of each, and corridors across.

@@ -9,7 +9,7 @@ import numpy as np
 from agent.exchange.confirmed import ConfirmedSession
 from agent.exchange.confirmed_gossip import ConfirmedGossip
 from agent.exchange.gossip import EVERYONE
-from protocol import survey
+from protocol import packet_index
 from protocol.messages import Outcome
 from tests.agent.exchange.session_link import Reach, words
 
@@ -28,7 +28,7 @@ class LossyLink:
     def __init__(
         self, policy: str, robots: int, seed: int, *, loss: float = 0.0, delay: int = 0, twice: float = 0.0
     ) -> None:
-        self.minds = [MAKERS[policy](robot, robots) for robot in range(robots)]
+        self.robot_settings = [MAKERS[policy](robot, robots) for robot in range(robots)]
         self.loss, self.delay, self.twice = loss, delay, twice
         self.carried = 0
         self._recorded = [0] * robots
@@ -39,24 +39,24 @@ class LossyLink:
     def record(self, robot: int, count: int) -> None:
         begin = self._recorded[robot]
         self._recorded[robot] += count
-        self.minds[robot].record(words(robot, begin, begin + count))
+        self.robot_settings[robot].record(words(robot, begin, begin + count))
 
     def recorded(self, robot: int) -> list[bytes]:
         return words(robot, 0, self._recorded[robot])
 
-    def step(self, reach: Reach, budget: int | None = None, exchanges: int = 2) -> None:
+    def step(self, reach: Reach, budget: int | None = None, rounds: int = 2) -> None:
         self._now += 1
         left = budget
-        for exchange in range(exchanges):
+        for round_number in range(rounds):
             sent: dict[int, list[int]] = {robot: [] for robot in reach}
             said = [
                 (robot, to, frame)
                 for robot, peers in sorted(reach.items())
-                for to, _, frame in self.minds[robot].offers(exchange, list(peers), left)
+                for to, _, frame in self.robot_settings[robot].offers(round_number, list(peers), left)
             ]
             for at in self._rng.permutation(len(said)):
                 robot, to, frame = said[at]
-                size = len(frame) if left is None else survey.fitting(frame, left)
+                size = len(frame) if left is None else packet_index.fitting(frame, left)
                 left = None if left is None else left - size
                 said[at] = robot, to, frame[:size]
             for robot, to, frame in said:
@@ -64,7 +64,7 @@ class LossyLink:
                 self.carried += len(frame)
                 self._carry(robot, [*reach[robot]] if to == EVERYONE else [to], frame)
             self._hand_over(reach, sent)
-        for mind in self.minds:
+        for mind in self.robot_settings:
             mind.forget()
 
     def _carry(self, sender: int, hearers: list[int], frame: bytes) -> None:
@@ -79,11 +79,11 @@ class LossyLink:
         self._coming = [each for each in self._coming if each[0] > self._now]
         for robot in sorted(reach):
             heard = [(sender, frame) for _, hearer, sender, frame in now if hearer == robot]
-            own, mind = sent[robot], self.minds[robot]
+            own, mind = sent[robot], self.robot_settings[robot]
             nothing = [0] * len(own)
             outcome = Outcome(self._now, 0, [-1] * len(own), nothing, nothing, own, [-1] * len(heard), False)
-            for peer, about, frame in mind.outcome(outcome, heard):
-                units, held = survey.split(frame), len(mind.logs[about])
-                assert about != robot
-                assert units == self.recorded(about)[held : held + len(units)], "units out of place"
-                mind.accept(peer, about, frame, survey.ends(frame))
+            for peer, map_id, frame in mind.outcome(outcome, heard):
+                units, held = packet_index.split(frame), len(mind.logs[map_id])
+                assert map_id != robot
+                assert units == self.recorded(map_id)[held : held + len(units)], "units out of place"
+                mind.accept(peer, map_id, frame, packet_index.ends(frame))

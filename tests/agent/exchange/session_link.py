@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from agent.exchange.session import Session
-from protocol import survey
+from protocol import packet_index
 from protocol.messages import Outcome
 from protocol.packets import Fragment, encode
 
@@ -21,19 +21,19 @@ Reach = Mapping[int, Sequence[int]]
 """Whom each robot has in range."""
 
 
-def word(about: int, number: int) -> bytes:
-    """Unit `number` of the log of robot `about`: different from all others, and of one of several lengths."""
-    return encode([Fragment(struct.pack(">BI", about, number) + bytes(number % 4))])
+def word(map_id: int, number: int) -> bytes:
+    """Unit `number` of the log of robot `map_id`: different from all others, and of one of several lengths."""
+    return encode([Fragment(struct.pack(">BI", map_id, number) + bytes(number % 4))])
 
 
-def words(about: int, begin: int, end: int) -> list[bytes]:
-    return [word(about, number) for number in range(begin, end)]
+def words(map_id: int, begin: int, end: int) -> list[bytes]:
+    return [word(map_id, number) for number in range(begin, end)]
 
 
-def held(session: Session, about: int) -> list[bytes]:
+def held(session: Session, map_id: int) -> list[bytes]:
     """What a session still holds of a log, the part that was forgotten made up."""
-    log = session.logs[about]
-    return words(about, 0, log.oldest) + survey.split(log.since(log.oldest, None))
+    log = session.logs[map_id]
+    return words(map_id, 0, log.oldest) + packet_index.split(log.since(log.oldest, None))
 
 
 def everyone(robots: int) -> Reach:
@@ -80,21 +80,21 @@ class Link:
         """All that a robot has ever logged."""
         return words(robot, 0, self._recorded[robot])
 
-    def step(self, reach: Reach, budget: int | None = None, exchanges: int = 2) -> list[Played]:
+    def step(self, reach: Reach, budget: int | None = None, rounds: int = 2) -> list[Played]:
         """Open the medium for a step; it closes when the budget is spent."""
         played = []
         left = budget
-        for exchange in range(exchanges):
-            played.append(self.exchange(exchange, reach, left))
+        for round_number in range(rounds):
+            played.append(self.round(round_number, reach, left))
             if left is not None:
                 left = 0 if self._closed else left - played[-1].carried
             if left == 0:
                 break
         return played
 
-    def exchange(self, exchange: int, reach: Reach, budget: int | None = None) -> Played:
+    def round_number(self, round_number: int, reach: Reach, budget: int | None = None) -> Played:
         """One exchange: offers, answers, data, and what of them was put on the air."""
-        frames = self._offers(exchange, reach, budget)
+        frames = self._offers(round_number, reach, budget)
         for robot, peers in sorted(reach.items()):
             heard = [(n, s, f[0]) for n, (s, r, _, f) in enumerate(frames) if r == robot]
             if peers and heard:
@@ -110,13 +110,13 @@ class Link:
         return self._play(frames, reach, budget)
 
     def _offers(
-        self, exchange: int, reach: Reach, room: int | None
+        self, round_number: int, reach: Reach, room: int | None
     ) -> list[tuple[int, int, int, list[bytes]]]:
         frames = []
         for robot, peers in sorted(reach.items()):
-            for peer, about, frame in self.sessions[robot].offers(exchange, list(peers), room):
+            for peer, map_id, frame in self.sessions[robot].offers(round_number, list(peers), room):
                 assert peer in peers
-                frames.append((robot, peer, about, [frame]))
+                frames.append((robot, peer, map_id, [frame]))
         return [frames[at] for at in self._rng.permutation(len(frames))]
 
     def _play(
@@ -124,12 +124,12 @@ class Link:
     ) -> Played:
         left, self._closed = budget, False
         played = Played()
-        for sender, receiver, about, said in frames:
+        for sender, receiver, map_id, said in frames:
             carried = [0, 0, 0]
             for at, frame in enumerate(said):
                 size = len(frame)
                 if left is not None and size > left:
-                    size = survey.fitting(frame, left) if at == 2 else 0
+                    size = packet_index.fitting(frame, left) if at == 2 else 0
                     self._closed = True
                     left = size
                 carried[at] = size
@@ -137,7 +137,7 @@ class Link:
                     left -= size
                 if size < len(frame):
                     break
-            played.connections.append((sender, receiver, about, carried))
+            played.connections.append((sender, receiver, map_id, carried))
         played.offers, played.answers, played.data = (
             sum(carried[at] for *_, carried in played.connections) for at in range(3)
         )
@@ -152,15 +152,15 @@ class Link:
         outcome = Outcome(0, 0, mine, offers, answers, sent, heard, False)
         data = [(frames[n][0], frames[n][3][2][: played.connections[n][3][2]]) for n in heard]
         session = self.sessions[robot]
-        for peer, about, frame in session.outcome(outcome, data):
+        for peer, map_id, frame in session.outcome(outcome, data):
             if peer in self.distrusted[robot]:
                 continue
-            units = survey.split(frame)
-            if self.understands(robot, about, units):
-                session.accept(peer, about, frame, survey.ends(frame))
+            units = packet_index.split(frame)
+            if self.understands(robot, map_id, units):
+                session.accept(peer, map_id, frame, packet_index.ends(frame))
             else:
                 self.distrusted[robot].add(peer)
 
-    def _are_the_next_words(self, robot: int, about: int, units: list[bytes]) -> bool:
-        begin = len(self.sessions[robot].logs[about])
-        return about != robot and units == self.recorded(about)[begin : begin + len(units)]
+    def _are_the_next_words(self, robot: int, map_id: int, units: list[bytes]) -> bool:
+        begin = len(self.sessions[robot].logs[map_id])
+        return map_id != robot and units == self.recorded(map_id)[begin : begin + len(units)]

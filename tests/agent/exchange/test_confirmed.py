@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from agent.exchange.confirmed import ConfirmedSession
 from agent.exchange.confirmed_gossip import ConfirmedGossip
-from protocol import survey
+from protocol import packet_index
 from protocol.errors import ProtocolError
 from protocol.messages import Outcome
 from protocol.packets import From, FromEarly, Held, HeldEarly, Offer, decode, encode
@@ -19,8 +19,10 @@ policies = st.sampled_from(sorted(MAKERS))
 
 
 def level(link: LossyLink) -> bool:
-    robots = range(len(link.minds))
-    return all(held(mind, about) == link.recorded(about) for mind in link.minds for about in robots)  # type: ignore[arg-type]
+    robots = range(len(link.robot_settings))
+    return all(
+        held(mind, map_id) == link.recorded(map_id) for mind in link.robot_settings for map_id in robots
+    )  # type: ignore[arg-type]
 
 
 @settings(max_examples=20)
@@ -63,14 +65,14 @@ def test_what_nobody_heard_is_not_taken_for_heard(policy: str) -> None:
     link.record(0, 30)
     for _ in range(40):
         link.step(everyone(2))
-    assert held(link.minds[0], 0) == link.recorded(0), "nothing may be forgotten"  # type: ignore[arg-type]
-    assert link.minds[0].undelivered() == 30
+    assert held(link.robot_settings[0], 0) == link.recorded(0), "nothing may be forgotten"  # type: ignore[arg-type]
+    assert link.robot_settings[0].undelivered() == 30
     link.loss = 0.0
     for _ in range(80):
         link.step(everyone(2))
     assert level(link)
-    assert link.minds[0].undelivered() == 0
-    assert link.minds[0].logs[0].oldest == 30, "now that it is confirmed it is forgotten"
+    assert link.robot_settings[0].undelivered() == 0
+    assert link.robot_settings[0].logs[0].oldest == 30, "now that it is confirmed it is forgotten"
 
 
 @pytest.mark.parametrize("policy", sorted(MAKERS))
@@ -120,9 +122,9 @@ def test_a_unit_is_not_taken_back_once_it_was_on_the_air() -> None:
         assert mind.retract(1)
         mind.record(words(0, 1, 2))
         outcome = Outcome(1, 0, [-1], [0], [0], [0], [], False)
-        for exchange in range(4):
-            ((_, _, frame),) = mind.offers(exchange, [1], None) or [(0, 0, b"")]
-            outcome = Outcome(1, exchange, [-1], [0], [0], [len(frame)], [-1], False)
+        for round_number in range(4):
+            ((_, _, frame),) = mind.offers(round_number, [1], None) or [(0, 0, b"")]
+            outcome = Outcome(1, round_number, [-1], [0], [0], [len(frame)], [-1], False)
             list(mind.outcome(outcome, [(1, encode([HeldEarly(0, 0)]))]))
         assert not mind.retract(1), "it was lost perhaps, but perhaps not"
 
@@ -131,11 +133,11 @@ def hear(mind: ConfirmedGossip, peer: int, frame: bytes, nonsense: bytes = b"") 
     """Accept all that is news of a frame but `nonsense`; return of whom that came."""
     heard = Outcome(1, 0, [], [], [], [], [-1], False)
     blamed = []
-    for source, about, news in mind.outcome(heard, [(peer, frame)]):
+    for source, map_id, news in mind.outcome(heard, [(peer, frame)]):
         if news == nonsense:
             blamed.append(source)
         else:
-            mind.accept(source, about, news, survey.ends(news))
+            mind.accept(source, map_id, news, packet_index.ends(news))
     return blamed
 
 
@@ -146,7 +148,7 @@ def test_what_came_too_early_is_kept_until_what_was_lost_comes() -> None:
     late = encode([FromEarly(0, 0)]) + b"".join(words(0, 0, 3))
     for frame in (early, late):
         hear(mind, 0, frame)
-    assert survey.split(mind.logs[0].since(0, None)) == words(0, 0, 6)
+    assert packet_index.split(mind.logs[0].since(0, None)) == words(0, 0, 6)
     ((_, _, said),) = mind.offers(1, [0], None)
     assert decode(said) == [HeldEarly(0, 6)], "nobody is to say again what was kept"
 
@@ -159,7 +161,7 @@ def test_of_what_was_kept_for_nothing_the_truth_is_taken_when_it_comes() -> None
     hear(mind, 1, encode([FromEarly(0, 1)]) + lie, lie)
     assert hear(mind, 0, first, lie) == [1]
     hear(mind, 0, second, lie)
-    assert survey.split(mind.logs[0].since(0, None)) == words(0, 0, 2)
+    assert packet_index.split(mind.logs[0].since(0, None)) == words(0, 0, 2)
 
 
 def test_what_was_kept_of_a_peer_is_not_taken_once_nothing_is_taken_from_it() -> None:
@@ -169,19 +171,19 @@ def test_what_was_kept_of_a_peer_is_not_taken_once_nothing_is_taken_from_it() ->
     hear(mind, 1, early)
     mind.refused.add((1, 0))
     hear(mind, 0, encode([FromEarly(0, 0)]) + words(0, 0, 1)[0])
-    assert survey.split(mind.logs[0].since(0, None)) == words(0, 0, 1)
+    assert packet_index.split(mind.logs[0].since(0, None)) == words(0, 0, 1)
 
 
 def test_who_says_to_hold_more_than_there_is_gets_nothing_and_harms_nobody_else() -> None:
     link = LossyLink("backoff", 3, 3)
     link.record(0, 20)
     liar = encode([Held(0, 10_000), HeldEarly(2, 200), Offer(0, 3), From(1, 7), *decode(words(1, 7, 8)[0])])
-    for mind in (link.minds[0], link.minds[2]):
+    for mind in (link.robot_settings[0], link.robot_settings[2]):
         assert list(mind.outcome(Outcome(0, 0, [], [], [], [], [-1], False), [(1, liar)])) == []
     for _ in range(40):
         link.step({0: [2], 2: [0]})
-    assert held(link.minds[2], 0) == link.recorded(0)  # type: ignore[arg-type]
-    assert link.minds[0].undelivered() == 0
+    assert held(link.robot_settings[2], 0) == link.recorded(0)  # type: ignore[arg-type]
+    assert link.robot_settings[0].undelivered() == 0
 
 
 def test_where_only_words_confirm_there_are_no_turns() -> None:

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.exchange.base import Basis
+from agent.encodings.base import Basis
 from agent.exchange.confirmed_gossip import ConfirmedGossip
 from agent.exchange.gossip import EVERYONE, GREETING, PATIENCE, SELDOM, Gossip
-from agent.exchange.urgency import HOLDS, MOST_URGENT
-from protocol import packets, survey
+from agent.exchange.priority import HOLDS, MOST_URGENT
+from protocol import packet_index, packets
 from protocol.errors import ProtocolError
 from protocol.messages import Outcome
 from protocol.packets import (
@@ -41,7 +41,7 @@ class Air:
     """Robots that gossip, and the air between them: broadcasts in a drawn order, cut by a budget."""
 
     def __init__(self, robots: int, seed: int = 0) -> None:
-        self.minds = [Gossip(robot, robots) for robot in range(robots)]
+        self.robot_settings = [Gossip(robot, robots) for robot in range(robots)]
         self.logged = [0] * robots
         self.rng = np.random.default_rng(seed)
         self.carried = 0
@@ -50,21 +50,21 @@ class Air:
 
     def log(self, robot: int, count: int) -> None:
         """Let a robot log so many units of its own map."""
-        self.minds[robot].record(words(robot, self.logged[robot], self.logged[robot] + count))
+        self.robot_settings[robot].record(words(robot, self.logged[robot], self.logged[robot] + count))
         self.logged[robot] += count
 
-    def step(self, reach: Reach, budget: int | None = None, exchanges: int = 1) -> None:
+    def step(self, reach: Reach, budget: int | None = None, rounds: int = 1) -> None:
         """Play a step; `reach` says who is in whose range, those missing are dead."""
-        for exchange in range(exchanges):
-            budget = self._exchange(exchange, reach, budget)
+        for round_number in range(rounds):
+            budget = self._round(round_number, reach, budget)
 
-    def _exchange(self, exchange: int, reach: Reach, budget: int | None) -> int | None:
+    def _round(self, round_number: int, reach: Reach, budget: int | None) -> int | None:
         self.said = []
         spoken: dict[int, bytes] = {}
         for robot, peers in sorted(reach.items()):
-            frames = self.minds[robot].offers(exchange, list(peers), budget)
-            for receiver, about, frame in frames:
-                assert (receiver, about) == (EVERYONE, robot)
+            frames = self.robot_settings[robot].offers(round_number, list(peers), budget)
+            for receiver, map_id, frame in frames:
+                assert (receiver, map_id) == (EVERYONE, robot)
                 assert peers
                 assert budget is None or len(frame) <= budget
                 spoken[robot] = frame
@@ -72,7 +72,7 @@ class Air:
         sent: dict[int, list[int]] = {robot: [] for robot in reach}
         for robot in self.rng.permutation(sorted(spoken)).tolist():
             frame = spoken[robot]
-            size = len(frame) if budget is None else survey.fitting(frame, budget)
+            size = len(frame) if budget is None else packet_index.fitting(frame, budget)
             budget = None if budget is None else budget - size
             sent[robot] = [size]
             self.carried += size
@@ -83,23 +83,23 @@ class Air:
         for robot in reach:
             own, count = sent[robot], len(heard[robot])
             zeros = [0] * len(own)
-            note = Outcome(1, exchange, [-1] * len(own), zeros, zeros, own, [-1] * count, False)
-            for peer, about, data in self.minds[robot].outcome(note, heard[robot]):
-                self.minds[robot].accept(peer, about, data, survey.ends(data))
+            note = Outcome(1, round_number, [-1] * len(own), zeros, zeros, own, [-1] * count, False)
+            for peer, map_id, data in self.robot_settings[robot].outcome(note, heard[robot]):
+                self.robot_settings[robot].accept(peer, map_id, data, packet_index.ends(data))
         for robot in reach:
             self.check(robot)
-            self.minds[robot].forget()
+            self.robot_settings[robot].forget()
         return budget
 
     def check(self, robot: int) -> None:
         """What a robot holds of each map is what its maker logged, from the first unit on, whole and in order."""
-        for about, log in enumerate(self.minds[robot].logs):
-            assert log.since(log.oldest, None) == b"".join(words(about, log.oldest, len(log)))
-            assert len(log) <= self.logged[about]
+        for map_id, log in enumerate(self.robot_settings[robot].logs):
+            assert log.since(log.oldest, None) == b"".join(words(map_id, log.oldest, len(log)))
+            assert len(log) <= self.logged[map_id]
 
     def agree(self, robots: Sequence[int]) -> bool:
         """Whether each of these holds all that any of them holds."""
-        held = [[len(log) for log in self.minds[robot].logs] for robot in robots]
+        held = [[len(log) for log in self.robot_settings[robot].logs] for robot in robots]
         return all(row == np.max(held, axis=0).tolist() for row in held)
 
 
@@ -121,7 +121,9 @@ def test_where_all_hear_each_other_each_unit_is_said_once_and_nothing_else(robot
         air.step(everyone(robots))
         assert air.agree(range(robots))
         assert all(
-            len(mind.logs[robot]) == air.logged[robot] for mind in air.minds for robot in range(robots)
+            len(mind.logs[robot]) == air.logged[robot]
+            for mind in air.robot_settings
+            for robot in range(robots)
         )
     assert air.carried == size
 
@@ -136,17 +138,17 @@ def test_a_word_comes_behind_the_words_that_it_is_built_on(seed: int) -> None:
     bases: dict[int, list[Basis]] = {0: [], 1: []}
     held, words_of = [0, 0], [[*range(0, size, 3)] for size in sizes[:2]]
     order = rng.permutation([0] * len(words_of[0]) + [1] * len(words_of[1])).tolist()
-    for about in order:  # in this order the words were written, each on all others by then
-        first, other = held[about], 1 - about
-        bases[about].append(Basis(first, first + 3, ((other, held[other]),)))
-        held[about] += 3
-    teller, hearer = air.minds[0], air.minds[2]
-    teller.bases = lambda about: bases.get(about, [])
+    for map_id in order:  # in this order the words were written, each on all others by then
+        first, other = held[map_id], 1 - map_id
+        bases[map_id].append(Basis(first, first + 3, ((other, held[other]),)))
+        held[map_id] += 3
+    teller, hearer = air.robot_settings[0], air.robot_settings[2]
+    teller.bases = lambda map_id: bases.get(map_id, [])
     for _ in range(40):
         air.step({0: [2], 1: [], 2: [0]}, 40)
-        for about in (0, 1):
-            for basis in bases[about]:
-                if basis.first < len(hearer.logs[about]):
+        for map_id in (0, 1):
+            for basis in bases[map_id]:
+                if basis.first < len(hearer.logs[map_id]):
                     assert all(len(hearer.logs[other]) >= units for other, units in basis.on)
     assert [len(log) for log in hearer.logs] == list(sizes)
 
@@ -175,13 +177,13 @@ def test_whoever_meets_whom_logs_are_never_wrong_and_agree_once_all_are_together
     for _ in range(12):
         for robot in range(robots):
             air.log(robot, int(air.rng.integers(0, 3)))
-        air.step(drawn_reach(air.rng, robots, chance), budget, exchanges=2)
+        air.step(drawn_reach(air.rng, robots, chance), budget, rounds=2)
     for _ in range(SELDOM * robots * 8):
         air.step(everyone(robots), budget)
         if air.agree(range(robots)):
             break
     assert air.agree(range(robots))
-    assert [len(log) for log in air.minds[0].logs] == air.logged
+    assert [len(log) for log in air.robot_settings[0].logs] == air.logged
 
 
 @given(st.integers(3, 6), seeds)
@@ -194,7 +196,7 @@ def test_along_a_chain_all_reaches_both_ends(robots: int, seed: int) -> None:
     for _ in range(SELDOM * robots * 4):
         air.step(line(robots))
     assert air.agree(range(robots))
-    assert [len(log) for log in air.minds[0].logs] == air.logged
+    assert [len(log) for log in air.robot_settings[0].logs] == air.logged
 
 
 def test_two_halves_that_met_once_know_all_of_both() -> None:
@@ -219,7 +221,7 @@ def test_what_a_dead_robot_told_one_teammate_reaches_the_others() -> None:
     air.step({0: [], 1: [], 2: [3], 3: [2]})
     for _ in range(PATIENCE * 4):
         air.step({0: [1], 1: [0, 2], 2: [1]})
-    assert [len(air.minds[robot].logs[3]) for robot in range(3)] == [5, 5, 5]
+    assert [len(air.robot_settings[robot].logs[3]) for robot in range(3)] == [5, 5, 5]
 
 
 def test_of_several_who_could_pass_a_map_on_one_does() -> None:
@@ -230,7 +232,7 @@ def test_of_several_who_could_pass_a_map_on_one_does() -> None:
     for _ in range(GREETING + 3):
         air.step({1: [2, 3, 4], 2: [1, 3, 4], 3: [1, 2, 4], 4: [1, 2, 3]})
         said += [who for who, frame in air.said if packets.encode([FromEarly(0, 0)]) in frame]
-    assert len(air.minds[4].logs[0]) == 4
+    assert len(air.robot_settings[4].logs[0]) == 4
     assert len(said) == 1
 
 
@@ -251,7 +253,7 @@ def test_who_has_missed_nothing_needs_no_head_and_who_has_gets_one() -> None:
     assert encode([FromEarly(0, 2)]) + word(0, 2) in dict(air.said)[0]
     for _ in range(GREETING + 2):
         air.step(everyone(3))
-    assert len(air.minds[2].logs[0]) == 3
+    assert len(air.robot_settings[2].logs[0]) == 3
 
 
 def test_who_meets_says_what_it_holds_and_only_what_has_changed_since() -> None:
@@ -275,30 +277,30 @@ def test_who_meets_says_what_it_holds_and_only_what_has_changed_since() -> None:
 def test_only_what_has_never_been_on_the_air_is_taken_back() -> None:
     air = Air(2)
     air.log(0, 3)
-    assert air.minds[0].retract(1)
+    assert air.robot_settings[0].retract(1)
     air.logged[0] -= 1
     air.step(everyone(2), len(word(0, 0)))
-    assert not air.minds[0].retract(2)
-    assert air.minds[0].retract(1)
+    assert not air.robot_settings[0].retract(2)
+    assert air.robot_settings[0].retract(1)
     air.logged[0] -= 1
     air.step(everyone(2))
-    assert len(air.minds[1].logs[0]) == 1
-    assert not air.minds[0].retract(1)
+    assert len(air.robot_settings[1].logs[0]) == 1
+    assert not air.robot_settings[0].retract(1)
 
 
 def test_all_is_delivered_once_it_has_been_on_the_air_with_somebody_in_range() -> None:
     air = Air(2)
-    assert not air.minds[0].delivered()
+    assert not air.robot_settings[0].delivered()
     air.step(everyone(2))
-    assert air.minds[0].delivered()
+    assert air.robot_settings[0].delivered()
     air.log(0, 2)
     air.step(everyone(2), len(word(0, 0)))
-    assert not air.minds[0].delivered()
-    assert air.minds[0].undelivered() == 1
+    assert not air.robot_settings[0].delivered()
+    assert air.robot_settings[0].undelivered() == 1
     air.step(everyone(2))
-    assert air.minds[0].delivered()
+    assert air.robot_settings[0].delivered()
     air.step({0: [], 1: []})
-    assert not air.minds[0].delivered()
+    assert not air.robot_settings[0].delivered()
 
 
 def test_who_has_begun_a_unit_is_the_most_urgent_and_who_waits_becomes_more_so() -> None:
@@ -307,15 +309,15 @@ def test_who_has_begun_a_unit_is_the_most_urgent_and_who_waits_becomes_more_so()
     urgent = []
     for step, carried in enumerate((0, 0, len(word(0, 0)))):
         mind.offers(0, [1], 100)
-        urgent.append(mind.urgency)
+        urgent.append(mind.priority)
         assert not list(mind.outcome(Outcome(step, 0, [-1], [0], [0], [carried], [], False), []))
     assert 0 < urgent[0] < urgent[1] < urgent[2] < MOST_URGENT
     mind.offers(0, [1], 100)
-    assert mind.urgency == MOST_URGENT
+    assert mind.priority == MOST_URGENT
 
 
 def test_where_robots_have_been_apart_who_serves_one_that_holds_most_speaks_first() -> None:
-    known, urgency = 400, []
+    known, priority = 400, []
     for held in (known, 0):
         mind = Gossip(0, 3)
         mind.offers(0, [1], 100)  # robot 2 is away
@@ -324,8 +326,8 @@ def test_where_robots_have_been_apart_who_serves_one_that_holds_most_speaks_firs
         mind.record(words(0, 0, 1))
         for _ in range(GREETING + 2):
             mind.offers(0, [2], 100)
-        urgency.append(mind.urgency)
-    assert urgency[0] == urgency[1] + known // HOLDS < MOST_URGENT
+        priority.append(mind.priority)
+    assert priority[0] == priority[1] + known // HOLDS < MOST_URGENT
 
 
 def test_numbers_of_units_are_told_modulo_the_window_and_meant_as_they_are_nearest() -> None:
@@ -351,10 +353,10 @@ def test_who_keeps_up_hears_what_is_new_before_who_was_away_hears_what_is_old() 
         air.step(met)
     air.log(0, 1)
     air.step(met, budget=40)
-    assert len(air.minds[1].logs[0]) == 11
+    assert len(air.robot_settings[1].logs[0]) == 11
     for _ in range(20):
         air.step(met, budget=40)
-    assert len(air.minds[2].logs[0]) == 11
+    assert len(air.robot_settings[2].logs[0]) == 11
 
 
 def test_nothing_is_said_that_all_in_range_lack_the_units_before() -> None:
@@ -366,11 +368,11 @@ def test_nothing_is_said_that_all_in_range_lack_the_units_before() -> None:
         air.step({0: [2], 1: [], 2: [0]}, budget=20)
     air.log(0, 1)
     for _ in range(12):
-        before = len(air.minds[2].logs[0])
+        before = len(air.robot_settings[2].logs[0])
         air.step({0: [2], 1: [], 2: [0]}, budget=20)
         units = [p for _, frame in air.said for p in packets.decode(frame) if isinstance(p, Fragment)]
-        assert not units or len(air.minds[2].logs[0]) > before
-    assert len(air.minds[2].logs[0]) == 9
+        assert not units or len(air.robot_settings[2].logs[0]) > before
+    assert len(air.robot_settings[2].logs[0]) == 9
 
 
 def test_where_maps_travel_by_gossip_nobody_offers_or_answers() -> None:
@@ -403,30 +405,30 @@ def test_a_liar_may_say_anything_and_the_honest_go_on_with_each_other(lies: list
         air.log(0, 1)
         air.log(1, 1)
         for robot in (0, 1):
-            mind = air.minds[robot]
+            mind = air.robot_settings[robot]
             mind.offers(0, list(reach[robot]), None)
             note = Outcome(number, 0, [], [], [], [], [-1], False)
-            for peer, about, data in mind.outcome(note, [(2, lie)]):
+            for peer, map_id, data in mind.outcome(note, [(2, lie)]):
                 assert peer == 2
-                assert about != robot
+                assert map_id != robot
                 assert data
-                mind.refused.add((peer, about))
+                mind.refused.add((peer, map_id))
         air.step(reach)
     for _ in range(2):
         air.step(reach)
-    for about in (0, 1):
-        assert [len(air.minds[robot].logs[about]) for robot in (0, 1)] == 2 * [air.logged[about]]
+    for map_id in (0, 1):
+        assert [len(air.robot_settings[robot].logs[map_id]) for robot in (0, 1)] == 2 * [air.logged[map_id]]
 
 
 @pytest.mark.parametrize("kind", [Gossip, ConfirmedGossip])
 def test_a_liar_who_speaks_of_more_of_a_map_than_there_is_silences_nobody(kind: type[Gossip]) -> None:
     air = Air(3)
-    air.minds = [kind(robot, 3) for robot in range(3)]
+    air.robot_settings = [kind(robot, 3) for robot in range(3)]
     lie = encode([HeldEarly(0, 255), FromEarly(0, 0)]) + b"".join(words(0, 0, 200)) + encode([Held(0, 9999)])
     for number in range(1, 9):
         air.log(0, 1)
-        mind = air.minds[0]
+        mind = air.robot_settings[0]
         assert list(mind.outcome(Outcome(number, 0, [], [], [], [], [-1], False), [(2, lie)])) == []
         assert mind.undelivered() >= 0
         air.step({0: [1, 2], 1: [0, 2]})
-        assert len(air.minds[1].logs[0]) == number
+        assert len(air.robot_settings[1].logs[0]) == number

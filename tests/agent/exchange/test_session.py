@@ -31,12 +31,12 @@ policies = st.sampled_from(POLICIES)
 def check(link: Link) -> None:
     """What must hold at any time: logs are what was recorded, and nobody believes too much of another."""
     for session in link.sessions:
-        for about, log in enumerate(session.logs):
-            assert held(session, about) == link.recorded(about)[: len(log)]
+        for map_id, log in enumerate(session.logs):
+            assert held(session, map_id) == link.recorded(map_id)[: len(log)]
         for peer, other in enumerate(link.sessions):
             if other is not session:
-                for about, log in enumerate(other.logs):
-                    assert session.known[peer][about] <= len(log)
+                for map_id, log in enumerate(other.logs):
+                    assert session.known[peer][map_id] <= len(log)
 
 
 def all_equal(link: Link) -> bool:
@@ -46,12 +46,12 @@ def all_equal(link: Link) -> bool:
     )
 
 
-def settle(link: Link, reach: Any, budget: int | None = None, exchanges: int = 2, most: int = 400) -> int:
+def settle(link: Link, reach: Any, budget: int | None = None, rounds: int = 2, most: int = 400) -> int:
     """Steps until all logs are equal."""
     for step in range(most):
         if all_equal(link):
             return step
-        link.step(reach, budget, exchanges)
+        link.step(reach, budget, rounds)
         check(link)
     raise AssertionError(f"not all logs are equal after {most} steps")
 
@@ -59,7 +59,7 @@ def settle(link: Link, reach: Any, budget: int | None = None, exchanges: int = 2
 @given(st.integers(2, 6), policies, seeds, st.integers(1, 3), st.sampled_from((None, 30, 100, 1000)))
 @example(3, "backoff", 0, 1, None)
 def test_in_the_end_everyone_holds_everything(
-    robots: int, policy: str, seed: int, exchanges: int, budget: int | None
+    robots: int, policy: str, seed: int, rounds: int, budget: int | None
 ) -> None:
     link = Link(robots, policy, seed)
     rng = np.random.default_rng(seed)
@@ -69,35 +69,35 @@ def test_in_the_end_everyone_holds_everything(
             link.record(robot, int(rng.integers(0, 5)))
         near = np.triu(rng.random((robots, robots)) < 0.4, 1)
         near = near | near.T
-        link.step({r: np.flatnonzero(near[r]).tolist() for r in range(robots)}, budget, exchanges)
+        link.step({r: np.flatnonzero(near[r]).tolist() for r in range(robots)}, budget, rounds)
         check(link)
         if rng.random() < 0.3:
             for session in link.sessions:
                 session.forget()
     order = rng.permutation(robots).tolist()
     reach = {order[r]: [order[p] for p in peers] for r, peers in line(robots).items()}
-    settle(link, reach, budget and max(budget, 100), exchanges, most=2000)
+    settle(link, reach, budget and max(budget, 100), rounds, most=2000)
 
 
 @pytest.mark.parametrize("policy", POLICIES)
-@pytest.mark.parametrize("exchanges", [1, 2, 3])
-def test_a_map_reaches_robots_out_of_its_makers_range_through_others(policy: str, exchanges: int) -> None:
+@pytest.mark.parametrize("rounds", [1, 2, 3])
+def test_a_map_reaches_robots_out_of_its_makers_range_through_others(policy: str, rounds: int) -> None:
     link = Link(4, policy)
     link.record(0, 30)
-    assert settle(link, line(4), None, exchanges, most=20) <= 8
+    assert settle(link, line(4), None, rounds, most=20) <= 8
     assert held(link.sessions[3], 0) == link.recorded(0)
     assert all(
         offer[0] != 3 for played in link.step(line(4)) for offer in played.connections if offer[2] == 0
     )
 
 
-@pytest.mark.parametrize("exchanges", [1, 2])
-def test_maps_of_others_get_through_while_everyone_keeps_logging(exchanges: int) -> None:
+@pytest.mark.parametrize("rounds", [1, 2])
+def test_maps_of_others_get_through_while_everyone_keeps_logging(rounds: int) -> None:
     link = Link(3)
     for _ in range(20):
         for robot in range(3):
             link.record(robot, 2)
-        link.step(line(3), None, exchanges)
+        link.step(line(3), None, rounds)
         check(link)
     assert len(link.sessions[2].logs[0]) >= 30
     assert len(link.sessions[0].logs[2]) >= 30
@@ -123,10 +123,10 @@ def test_every_cut_between_two_packets_is_a_place_to_go_on() -> None:
         for more in range(sizes[count] if count < 6 else 1):
             link = Link(2)
             link.record(0, 6)
-            link.exchange(0, everyone(2), 4 + sum(sizes[:count]) + more)
+            link.round(0, everyone(2), 4 + sum(sizes[:count]) + more)
             assert len(link.sessions[1].logs[0]) == count
             assert link.sessions[0].known[1][0] == count
-            link.exchange(1, everyone(2))
+            link.round(1, everyone(2))
             assert held(link.sessions[1], 0) == words(0, 0, 6)
 
 
@@ -134,7 +134,7 @@ def test_what_was_not_put_on_the_air_did_not_happen() -> None:
     for budget in (0, 1, 2, 3, 4):
         link = Link(2)
         link.record(0, 3)
-        link.exchange(0, everyone(2), budget)
+        link.round(0, everyone(2), budget)
         assert len(link.sessions[1].logs[0]) == 0
         assert link.sessions[0].known[1][0] == 0
 
@@ -152,29 +152,29 @@ def test_an_answer_that_was_not_put_on_the_air_moves_nothing() -> None:
 def test_who_declines_is_not_forgotten_to_hold_what_he_was_sent() -> None:
     link = Link(2, "thesis")
     link.record(0, 4)
-    link.exchange(0, everyone(2))
+    link.round(0, everyone(2))
     session: Any = link.sessions[1]
     session.answers = lambda heard: [(number, peer, encode([Decline()])) for number, peer, _ in heard]
     link.record(0, 1)
-    link.exchange(0, everyone(2))
+    link.round(0, everyone(2))
     assert link.sessions[0].known[1][0] == 4
 
 
 def test_only_what_the_other_lacks_is_sent() -> None:
     link = Link(2, "thesis")
     link.record(0, 10)
-    link.exchange(0, everyone(2))
+    link.round(0, everyone(2))
     link.record(0, 2)
-    played = link.exchange(0, everyone(2))
+    played = link.round(0, everyone(2))
     assert played.data == len(word(0, 10) + word(0, 11))
-    assert link.exchange(0, everyone(2)).carried == 0
+    assert link.round(0, everyone(2)).carried == 0
 
 
 def test_of_two_who_offer_one_map_the_first_sends_and_the_other_is_declined() -> None:
     link = Link(3, "thesis", seed=4)
     link.record(0, 5)
-    link.exchange(0, {0: [1], 1: [0], 2: []})
-    played = link.exchange(1, {0: [2], 1: [2], 2: [0, 1]})
+    link.round(0, {0: [1], 1: [0], 2: []})
+    played = link.round(1, {0: [2], 1: [2], 2: [0, 1]})
     assert sorted(carried[2] > 0 for *_, carried in played.connections) == [False, True]
     assert [carried[:2] for *_, carried in played.connections] == [[2, 2], [2, 2]]
     assert held(link.sessions[2], 0) == words(0, 0, 5)
@@ -185,10 +185,10 @@ def test_nobody_is_offered_his_own_map_or_what_he_is_known_to_hold() -> None:
     for robot in range(3):
         link.record(robot, 4)
     for _ in range(4):
-        for sender, receiver, about, _ in link.exchange(1, everyone(3)).connections:
-            assert about != receiver
+        for sender, receiver, map_id, _ in link.round(1, everyone(3)).connections:
+            assert map_id != receiver
             assert sender != receiver
-    assert link.exchange(1, everyone(3)).carried == 0
+    assert link.round(1, everyone(3)).carried == 0
 
 
 @given(st.integers(2, 5), seeds)
@@ -207,11 +207,11 @@ def test_who_backs_off_wastes_fewer_handshakes_than_the_thesis(robots: int, seed
     assert spent["backoff"] <= spent["thesis"]
 
 
-def refusals(link: Link, exchanges: int) -> list[int]:
+def refusals(link: Link, rounds: int) -> list[int]:
     """Exchanges in which robot 0 offers robot 1 the map of robot 2, and is refused."""
     found = []
-    for number in range(exchanges):
-        played = link.exchange(1, {0: [1], 1: [0]})
+    for number in range(rounds):
+        played = link.round(1, {0: [1], 1: [0]})
         if any(connection[:3] == (0, 1, 2) for connection in played.connections):
             found.append(number)
     return found
@@ -220,7 +220,7 @@ def refusals(link: Link, exchanges: int) -> list[int]:
 def test_after_each_refusal_the_next_offer_waits_twice_as_long() -> None:
     link = Link(3)
     link.record(2, 1)
-    link.exchange(1, {0: [2], 2: [0]})
+    link.round(1, {0: [2], 2: [0]})
     # Robot 1 takes part, but somebody else is always sending this map to it.
     session: Any = link.sessions[1]
     session.answers = lambda heard: [(number, peer, encode([Decline()])) for number, peer, _ in heard]
@@ -233,7 +233,7 @@ def test_after_each_refusal_the_next_offer_waits_twice_as_long() -> None:
 def test_who_was_taken_up_again_no_longer_waits() -> None:
     link = Link(3)
     link.record(2, 1)
-    link.exchange(1, {0: [2], 2: [0]})
+    link.round(1, {0: [2], 2: [0]})
     session: Any = link.sessions[1]
     answers = session.answers
     session.answers = lambda heard: [(number, peer, encode([Decline()])) for number, peer, _ in heard]
@@ -243,11 +243,11 @@ def test_who_was_taken_up_again_no_longer_waits() -> None:
     assert len(link.sessions[1].logs[2]) == 1
     for count in range(2, 6):
         link.record(2, 1)
-        link.exchange(1, {0: [2], 2: [0]})
-        link.exchange(1, {0: [1], 1: [0]})
+        link.round(1, {0: [2], 2: [0]})
+        link.round(1, {0: [1], 1: [0]})
         assert len(link.sessions[1].logs[2]) == count
     link.record(2, 1)
-    link.exchange(1, {0: [2], 2: [0]})
+    link.round(1, {0: [2], 2: [0]})
     session.answers = lambda heard: [(number, peer, encode([Decline()])) for number, peer, _ in heard]
     offered = refusals(link, 8)
     assert [b - a for a, b in pairwise(offered)][:3] == [1, 2, 4]
@@ -275,7 +275,7 @@ PLACES = [0, 1, INDEX_WINDOW - 1, INDEX_WINDOW, INDEX_WINDOW + 1, 3 * INDEX_WIND
 def test_an_index_in_another_block_is_understood(mine: int, theirs: int, table: int) -> None:
     link = with_logs(mine, theirs)
     link.sessions[0].known[1][0] = min(table, mine, theirs)
-    link.exchange(0, everyone(2))
+    link.round(0, everyone(2))
     assert len(link.sessions[1].logs[0]) == max(mine, theirs)
     assert link.sessions[0].known[1][0] == mine
     assert held(link.sessions[1], 0)[-3:] == words(0, 0, max(mine, theirs))[-3:]
@@ -424,32 +424,36 @@ def tables(draw: st.DrawFn) -> tuple[int, np.random.Generator, Any, Any, Any]:
 
 
 def offered_by_the_rule(
-    robot: int, peer: int, known: Any, due: Any, held: Any, now: int, exchange: int, only_first: bool
+    robot: int, peer: int, known: Any, due: Any, held: Any, now: int, round_number: int, only_first: bool
 ) -> int:
     own = held[robot] > known[peer][robot] and now >= due[peer][robot]
     if own and not only_first:
         return robot
-    if exchange == 0 and not (only_first and now % 2 == 0):
+    if round_number == 0 and not (only_first and now % 2 == 0):
         return robot if own else -1
     others = [
-        about
-        for about in range(len(held))
-        if about not in (robot, peer) and held[about] > known[peer][about] and now >= due[peer][about]
+        map_id
+        for map_id in range(len(held))
+        if map_id not in (robot, peer) and held[map_id] > known[peer][map_id] and now >= due[peer][map_id]
     ]
     if others:
-        return max(others, key=lambda about: held[about] - known[peer][about])
+        return max(others, key=lambda map_id: held[map_id] - known[peer][map_id])
     return robot if own else -1
 
 
 @given(tables(), st.integers(0, 1), st.integers(1, 6), st.booleans())
-def test_what_is_offered_is_what_the_rule_says(team: Any, exchange: int, now: int, only_first: bool) -> None:
+def test_what_is_offered_is_what_the_rule_says(
+    team: Any, round_number: int, now: int, only_first: bool
+) -> None:
     robots, rng, known, due, held = team
     robot = int(rng.integers(robots))
     peers = np.array([peer for peer in range(robots) if peer != robot], np.int64)
     chosen = np.empty(len(peers), np.int64)
-    choose_offers(known, due, held, peers, np.arange(len(known)), robot, now, exchange, only_first, chosen)
+    choose_offers(
+        known, due, held, peers, np.arange(len(known)), robot, now, round_number, only_first, chosen
+    )
     wanted = [
-        offered_by_the_rule(robot, peer, known, due, held, now, exchange, only_first)
+        offered_by_the_rule(robot, peer, known, due, held, now, round_number, only_first)
         for peer in peers.tolist()
     ]
     assert chosen.tolist() == wanted
@@ -461,9 +465,9 @@ def test_what_all_hold_is_the_least_that_any_other_holds(team: Any) -> None:
     robot = int(rng.integers(robots))
     reached = np.empty(robots, np.int64)
     reached_by_all(known, robot, reached)
-    for about in range(robots):
-        others = [known[peer][about] for peer in range(robots) if peer not in (robot, about)]
-        assert reached[about] == min(others, default=np.iinfo(np.int64).max)
+    for map_id in range(robots):
+        others = [known[peer][map_id] for peer in range(robots) if peer not in (robot, map_id)]
+        assert reached[map_id] == min(others, default=np.iinfo(np.int64).max)
 
 
 # Crowds: handshakes grow with the square of the team, the medium does not.
@@ -507,7 +511,9 @@ def test_a_crowd_s_maps_reach_everyone_all_the_same() -> None:
         if all(len(log) == 3 for session in link.sessions for log in session.logs):
             break
     assert all(
-        held(session, about) == link.recorded(about) for session in link.sessions for about in range(robots)
+        held(session, map_id) == link.recorded(map_id)
+        for session in link.sessions
+        for map_id in range(robots)
     )
 
 
@@ -522,11 +528,11 @@ class Liar(Session):
         self._rng = np.random.default_rng([seed, robot])
         self._me = robot
 
-    def offers(self, _exchange: int, peers: list[int], _room: int | None) -> list[tuple[int, int, bytes]]:
+    def offers(self, _round: int, peers: list[int], _room: int | None) -> list[tuple[int, int, bytes]]:
         return [
-            (peer, about, encode([Offer(about, int(self._rng.integers(BLOCKS)))]))
+            (peer, map_id, encode([Offer(map_id, int(self._rng.integers(BLOCKS)))]))
             for peer in peers
-            for about in self._rng.integers(0, len(self.logs), self._rng.integers(0, 3)).tolist()
+            for map_id in self._rng.integers(0, len(self.logs), self._rng.integers(0, 3)).tolist()
         ]
 
     def answers(self, heard: list[tuple[int, int, bytes]]) -> list[tuple[int, int, bytes]]:
@@ -547,7 +553,7 @@ class Liar(Session):
         return said
 
     def data(self, heard: list[tuple[int, int, int, bytes]]) -> list[tuple[int, int, bytes]]:
-        noise = [words(about, int(self._rng.integers(9)), 9) for _, _, about, _ in heard]
+        noise = [words(map_id, int(self._rng.integers(9)), 9) for _, _, map_id, _ in heard]
         return [
             (n, peer, b"".join(said) + encode([Save()]))
             for (n, peer, *_), said in zip(heard, noise, strict=True)
@@ -578,13 +584,13 @@ def test_who_lies_neither_spoils_a_log_nor_keeps_others_from_theirs(
         link.step(everyone(robots), 500)
         for robot in honest:
             link.sessions[robot].forget()
-            for about in honest:
-                log = held(link.sessions[robot], about)
-                assert log == link.recorded(about)[: len(log)]
+            for map_id in honest:
+                log = held(link.sessions[robot], map_id)
+                assert log == link.recorded(map_id)[: len(log)]
             assert held(link.sessions[robot], robot) == link.recorded(robot)
     for robot in honest:
-        for about in honest:
-            assert held(link.sessions[robot], about) == link.recorded(about)
+        for map_id in honest:
+            assert held(link.sessions[robot], map_id) == link.recorded(map_id)
 
 
 def test_nobody_takes_news_of_himself() -> None:
@@ -640,9 +646,9 @@ def test_an_answer_to_an_offer_that_was_not_made_is_refused() -> None:
     session = Session(0, 3)
     session.record(words(0, 0, 2))
     session.offers(0, [1], None)
-    for peer, about in ((2, 0), (1, 1)):
+    for peer, map_id in ((2, 0), (1, 1)):
         with pytest.raises(ProtocolError, match=f"robot {peer} answers an offer that was not made"):
-            session.data([(0, peer, about, encode([Answer(0)]))])
+            session.data([(0, peer, map_id, encode([Answer(0)]))])
 
 
 @pytest.mark.parametrize("index", [2, 3, 4095])
@@ -659,12 +665,12 @@ def test_a_peer_that_says_to_hold_as_much_or_more_is_sent_nothing(index: int) ->
 def test_a_peer_that_says_to_hold_less_than_it_was_sent_is_not_sent_it_again() -> None:
     link = Link(2, "thesis")
     link.record(0, 9)
-    link.exchange(0, everyone(2))
+    link.round(0, everyone(2))
     session: Any = link.sessions[1]
     session.answers = lambda heard: [(number, peer, encode([Answer(0)])) for number, peer, _ in heard]
     link.record(0, 1)
-    assert link.exchange(0, everyone(2)).data == 0
-    assert link.exchange(0, everyone(2)).carried == 0
+    assert link.round(0, everyone(2)).data == 0
+    assert link.round(0, everyone(2)).carried == 0
 
 
 # Small print.
@@ -713,12 +719,12 @@ def test_who_refuses_again_and_again_is_not_waited_for() -> None:
 def test_offers_of_who_is_refused_leave_the_place_to_others() -> None:
     link = Link(3)
     link.record(2, 1)
-    link.exchange(1, {0: [2], 2: [0]})
+    link.round(1, {0: [2], 2: [0]})
     link.sessions[1].refused.add((0, 2))
     for _ in range(4):
-        link.exchange(1, {0: [1], 1: [0]})
+        link.round(1, {0: [1], 1: [0]})
     assert len(link.sessions[1].logs[2]) == 0
-    link.exchange(1, everyone(3))
+    link.round(1, everyone(3))
     assert len(link.sessions[1].logs[2]) == 1
 
 
@@ -745,6 +751,6 @@ def test_a_robot_offers_at_most_one_map_to_each_teammate_and_exchange() -> None:
     for robot in range(4):
         link.record(robot, 3)
     for number in range(6):
-        played: Played = link.exchange(number % 2, everyone(4))
+        played: Played = link.round(number % 2, everyone(4))
         pairs = [connection[:2] for connection in played.connections]
         assert len(set(pairs)) == len(pairs)

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.once import Once
+from agent.memo_cache import MemoCache
 from agent.outline.approximation import approximation, repair
 from agent.outline.claims import THESIS, Drawing, Drawn, draw_anew, layer
 from agent.outline.contour import contours
@@ -306,7 +306,7 @@ def growth(rng: np.random.Generator, vertices: int, steps: int) -> list[Packet]:
 
 
 def test_those_who_read_together_hold_and_draw_what_each_would_alone() -> None:
-    rng, once = np.random.default_rng(1), Once()
+    rng, once = np.random.default_rng(1), MemoCache()
     common = growth(rng, 4, 1)
     vertices = 4 + sum(isinstance(packet, Insert) for packet in common)
     stories = []

@@ -113,7 +113,7 @@ def settings_for(grid: Grid, robot: int = 0, robots: int = 2, **others: object) 
     """A robot's task on a small grid."""
     given: dict[str, object] = {
         "robot": robot, "robots": robots, "width": grid.shape[1], "height": grid.shape[0],
-        "ranges_cells": [5.0] * robots, "beams": 360, "speed_cells": 3.0, "seed": 0, "exchange": "none",
-        "strategy": "meier", "offers": "backoff", "bandwidth": None, "reach_cells": 100.0,
+        "ranges_cells": [5.0] * robots, "beams": 360, "speed_cells": 3.0, "seed": 0, "map_encoding": "none",
+        "strategy": "meier", "dissemination": "backoff", "bandwidth": None, "reach_cells": 100.0,
     }  # fmt: skip
     return Settings(**(given | others))  # type: ignore[arg-type]

@@ -22,7 +22,7 @@ from agent.planning.clusters import k_means, medoids
 from agent.planning.frontier import is_frontier
 from agent.planning.gain import information_gain
 from agent.planning.path_planner import PathPlanner
-from agent.planning.utility import in_sight
+from agent.planning.utility import in_predictive
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from tests.agent.planning.planning_references import drawn, grids
 
@@ -136,7 +136,7 @@ def test_thinned_out_nobody_is_near_one_that_stays_and_all_others_are_near_a_lon
 
     def near(one: int, other: int) -> bool:
         (x0, y0), (x1, y1) = cells[one].tolist(), cells[other].tolist()
-        return (x0 - x1) ** 2 + (y0 - y1) ** 2 < gap**2 and in_sight(grid, x0, y0, x1, y1)
+        return (x0 - x1) ** 2 + (y0 - y1) ** 2 < gap**2 and in_predictive(grid, x0, y0, x1, y1)
 
     assert not any(near(one, other) for one in stay for other in stay if one != other)
     for number in set(range(len(cells))) - set(stay):

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.once import Once
+from agent.memo_cache import MemoCache
 from agent.planning.cost_field import costs
 from agent.planning.occupancy import Terrain, weighted_costs
 from agent.planning.path_planner import PathPlanner
@@ -44,7 +44,7 @@ def test_weighted_costs_are_those_of_a_plain_search(case: tuple[Grid, int, int])
 def test_planners_that_share_searches_find_what_each_would_alone(
     one: tuple[Grid, int, int], other: tuple[Grid, int, int], kind: str
 ) -> None:
-    once = Once()
+    once = MemoCache()
     for grid, x, y in (one, other, one):
         start, goals = np.array([[x, y]], np.int32), np.argwhere(grid.T == FREE).astype(np.int32)[::5]
         shared, alone = PathPlanner(grid, kind, once=once), PathPlanner(grid, kind)

@@ -12,14 +12,18 @@ from agent.planning.team_tours import ROUNDS, Task, team_tours, tours_cost
 
 
 def on_a_line(
-    robots: list[float], goals: list[float], weights: list[float], lateness: float = 0.0, way: float = 0.0
+    robots: list[float],
+    goals: list[float],
+    weights: list[float],
+    latency_weight: float = 0.0,
+    way: float = 0.0,
 ) -> Task:
     at = np.array(goals, np.float64)
     return Task(
         np.abs(np.array(robots, np.float64)[:, None] - at),
         np.abs(at[:, None] - at),
         np.array(weights),
-        np.full(len(goals), lateness),
+        np.full(len(goals), latency_weight),
         0.0,
         way,
         np.zeros(len(goals)),
@@ -31,10 +35,12 @@ def test_a_crumb_on_the_way_is_fetched_and_one_behind_is_not() -> None:
     assert team_tours(on_a_line([0], [10, -3], [1.0, 0.1])) == [[0, 1]]
 
 
-@pytest.mark.parametrize(("lateness", "tour"), [(0.0, [0, 1]), (0.010, [0, 1]), (0.012, [1, 0])])
-def test_a_crumb_behind_is_fetched_first_where_lateness_counts(lateness: float, tour: list[int]) -> None:
+@pytest.mark.parametrize(("latency_weight", "tour"), [(0.0, [0, 1]), (0.010, [0, 1]), (0.012, [1, 0])])
+def test_a_crumb_behind_is_fetched_first_where_lateness_counts(
+    latency_weight: float, tour: list[int]
+) -> None:
     # There and on: 0.1 x 3 + 16 + (9 + 256) l. On and back: 10 + 0.1 x 23 + (100 + 529) l. Alike at l = 1 / 91.
-    assert team_tours(on_a_line([0], [10, -3], [1.0, 0.1], lateness)) == [tour]
+    assert team_tours(on_a_line([0], [10, -3], [1.0, 0.1], latency_weight)) == [tour]
 
 
 @pytest.mark.parametrize(("way", "tour"), [(0.0, [0, 1]), (0.56, [0, 1]), (0.58, [1, 0])])

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from agent.strategies.catalogue import COMBINING, catalogue
+from agent.strategies.catalog import COMBINING, catalog
 from agent.strategies.registry import strategies, strategy
 from agent.strategies.targets import Parts
 
@@ -19,7 +19,7 @@ NAMES = [
 
 
 def test_all_strategies_of_the_papers_are_there_with_a_line_and_a_source() -> None:
-    entries = {entry.name: entry for entry in catalogue()}
+    entries = {entry.name: entry for entry in catalog()}
     assert set(NAMES) <= set(entries)
     for name in NAMES:
         assert entries[name].summary
@@ -89,7 +89,7 @@ def test_what_does_not_fit_is_refused_and_the_reason_said(
 
 
 def test_every_number_among_the_options_has_a_bound_or_a_place_in_an_order() -> None:
-    for entry in catalogue():
+    for entry in catalog():
         for line in entry.options:
             if type(line.default) in (int, float) and not line.name.startswith("rho_"):
                 assert line.least == 0

@@ -42,15 +42,18 @@ def test_what_promises_much_comes_first_and_a_crumb_where_it_is_near() -> None:
     assert target(35) == END
 
 
-@pytest.mark.parametrize(("crumb", "first"), [(0.0, END), (1.0, GAP)])
-def test_the_weight_of_crumbs_says_how_near(crumb: float, first: tuple[int, int]) -> None:
-    assert target(15, {"crumb": crumb, "lateness": 0.0, "last": 0.0, "total": 0.0}) == first
+@pytest.mark.parametrize(("small_frontier", "first"), [(0.0, END), (1.0, GAP)])
+def test_the_weight_of_crumbs_says_how_near(small_frontier: float, first: tuple[int, int]) -> None:
+    assert (
+        target(15, {"small_frontier": small_frontier, "latency_weight": 0.0, "last": 0.0, "total": 0.0})
+        == first
+    )
 
 
 def test_a_crumb_is_not_left_behind_where_lateness_the_last_robots_end_or_the_way_counts() -> None:
-    alone = {"crumb": 0.01, "lateness": 0.0, "last": 0.0, "total": 0.0}
+    alone = {"small_frontier": 0.01, "latency_weight": 0.0, "last": 0.0, "total": 0.0}
     assert target(12, alone) == END
-    assert target(12, alone | {"lateness": 1.0}) == GAP
+    assert target(12, alone | {"latency_weight": 1.0}) == GAP
     assert target(12, alone | {"last": 5.0}) == GAP
     assert target(12, alone | {"total": 5.0}) == GAP
 
@@ -59,9 +62,9 @@ def test_a_crumb_is_not_left_behind_where_lateness_the_last_robots_end_or_the_wa
 def test_a_robot_without_teammates_drives_the_shortest_tour_whatever_goals_promise(
     x: int, first: tuple[int, int]
 ) -> None:
-    robot = Repairmen({"crumb": 0.0}, settings_for(HALL, 0, 1, ranges_cells=[10.0]))
+    robot = Repairmen({"small_frontier": 0.0}, settings_for(HALL, 0, 1, ranges_cells=[10.0]))
     assert robot.decide(robot_at(x, 4)).target == first
-    assert target(23, {"crumb": 0.0, "last": 0.0, "total": 0.0}) == END
+    assert target(23, {"small_frontier": 0.0, "last": 0.0, "total": 0.0}) == END
 
 
 def both(situations: list[Situation]) -> list[Decision]:
@@ -155,8 +158,12 @@ def test_a_robot_does_not_turn_for_little_and_never_without_news_of_the_map() ->
     grid[0, 0] = grid[0, 10] = grid[0, 31] = UNKNOWN
     news = grid.copy()
     news[0, 0] = OCCUPIED
-    for loyalty, later, expected in ((0.0, news, (10, 1)), (0.5, news, (31, 1)), (0.0, grid, (31, 1))):
-        robot = mind(options={"loyalty": loyalty}, grid=grid)
+    for target_hysteresis, later, expected in (
+        (0.0, news, (10, 1)),
+        (0.5, news, (31, 1)),
+        (0.0, grid, (31, 1)),
+    ):
+        robot = mind(options={"loyalty": target_hysteresis}, grid=grid)
         assert robot.decide(robot_at(22, 1, grid)).target == (31, 1)
         assert robot.decide(replace(robot_at(20, 1, later), step=2)).target == expected
 

@@ -10,7 +10,7 @@ import pytest
 from agent.robot import REPEAT_POSE, SURE_AFTER, Robot
 from agent.strategies.base import Decision, Pose, Situation, Strategy
 from protocol import packets
-from protocol.grid import fan
+from protocol.grid import ray_table
 from protocol.messages import Outcome, Sense
 from protocol.scans import NONE
 from tests.agent.planning.planning_references import drawn, settings_for
@@ -19,11 +19,11 @@ GRID = drawn(*["." * 30] * 30)
 
 
 def robot(strategy: str, number: int = 0, **others: Any) -> Robot:
-    return Robot(settings_for(GRID, robot=number, strategy=strategy, exchange="laser", **others))
+    return Robot(settings_for(GRID, robot=number, strategy=strategy, map_encoding="scans", **others))
 
 
 def sense(step: int, x: int = 10, y: int = 10, *, look: bool = True) -> Sense:
-    lengths = np.diff(fan(5.0, 360).start).astype(np.uint16)
+    lengths = np.diff(ray_table(5.0, 360).start).astype(np.uint16)
     readings = lengths if look else np.full(360, NONE, np.uint16)
     return Sense(step, x, y, 0, b"", readings.tobytes(), "")
 
@@ -151,12 +151,15 @@ def test_a_scanner_that_rests_has_nothing_to_tell() -> None:
 
 
 @pytest.mark.parametrize(
-    ("robots", "exchange", "first"), [(2, "laser", 1), (2, "polygon", 1 + SURE_AFTER), (1, "polygon", 1)]
+    ("robots", "map_encoding", "first"),
+    [(2, "scans", 1), (2, "polygons", 1 + SURE_AFTER), (1, "polygons", 1)],
 )
 def test_on_a_map_that_holds_guesses_nothing_must_be_left_for_a_while(
-    robots: int, exchange: str, first: int
+    robots: int, map_encoding: str, first: int
 ) -> None:
-    mind = Robot(settings_for(drawn(*["." * 5] * 5), robots=robots, exchange=exchange, strategy="meier"))
+    mind = Robot(
+        settings_for(drawn(*["." * 5] * 5), robots=robots, map_encoding=map_encoding, strategy="meier")
+    )
     explored = []
     for step in range(1, SURE_AFTER + 3):
         mind.perceive(sense(step, 2, 2))

@@ -17,7 +17,7 @@ from deploy.after.recast_scans import Lasers
 from deploy.record.colors import GROUPS
 from deploy.record.snapshots import Snapshots
 from deploy.run import in_memory
-from protocol.grid import fan
+from protocol.grid import ray_table
 from protocol.messages import Sense, unpack
 from protocol.scans import HIT, NONE
 from tests.deploy.small_run import small_directory, small_plan
@@ -87,13 +87,13 @@ def test_a_scan_drawn_in_the_maps_frame_hits_walls_of_the_truth() -> None:
         assert second == 20
         place = places[scan.header.frame_id]
         hits = 0
-        for beam, metres in enumerate(scan.ranges):
-            if math.isfinite(metres):
+        for beam, meters in enumerate(scan.ranges):
+            if math.isfinite(meters):
                 angle = scan.angle_min + beam * scan.angle_increment
-                x, y = to_cell(world, place.x + metres * math.cos(angle), place.y + metres * math.sin(angle))
+                x, y = to_cell(world, place.x + meters * math.cos(angle), place.y + meters * math.sin(angle))
                 near = world.cells[round(y) - 1 : round(y) + 2, round(x) - 1 : round(x) + 2]
                 assert (near == 2).any()
-                assert scan.range_min <= metres <= scan.range_max
+                assert scan.range_min <= meters <= scan.range_max
                 hits += 1
         assert hits > 50
 
@@ -135,7 +135,7 @@ def test_the_radios_frames_are_those_of_the_ledger() -> None:
         np.column_stack(
             [
                 ledger[name]
-                for name in ("step", "exchange", "connection", "frame", "sender", "receiver", "map")
+                for name in ("step", "map_encoding", "connection", "frame", "sender", "receiver", "map")
             ]
         ),
         axis=0,
@@ -211,7 +211,7 @@ def test_scans_cast_again_are_those_of_the_run_bit_for_bit() -> None:
 
 
 def test_ranges_turn_with_y_up_and_tell_nothing_from_far() -> None:
-    beams = fan(10, 4)  # +x, down, -x, up on the picture
+    beams = ray_table(10, 4)  # +x, down, -x, up on the picture
     readings = np.array([3 | HIT, 9, NONE, 0 | HIT], np.uint16)
     ranges = ranges_of(readings, beams, 0.5)
     assert ranges[0] == 2.0

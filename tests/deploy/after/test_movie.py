@@ -61,7 +61,7 @@ def test_a_team_of_many_and_a_flat_building_fit_as_well(tmp_path: Path) -> None:
     from deploy.run.exploration import explore
     from deploy.scenario.scenario import parse
 
-    crowd = {"map": "burgard-corridor", "robots": 23, "steps": 6, "bus": "memory", "exchange": "none"}
+    crowd = {"map": "burgard-corridor", "robots": 23, "steps": 6, "bus": "memory", "map_encoding": "none"}
     explore(parse(crowd), out=tmp_path / "run", snapshots=True)
     run = archive.read(tmp_path / "run")
     shown = Frames(run, run.snapshots(), 641)
@@ -83,8 +83,8 @@ def test_a_film_has_a_picture_for_each_step(runs: int, tmp_path: Path) -> None:
     assert number == 40 + 2 * 20
     assert seconds == pytest.approx(80 / 20)
     reader = ffmpeg.read_frames(path)
-    about = next(reader)
-    wide, tall = about["size"]
+    map_id = next(reader)
+    wide, tall = map_id["size"]
     shown = np.frombuffer(next(reader), np.uint8).reshape(tall, wide, 3).astype(int)
     reader.close()
     if runs == 1:

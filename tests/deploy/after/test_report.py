@@ -115,7 +115,9 @@ def test_a_slider_has_the_pictures_of_its_steps_within_a_bound(
 
 
 def test_two_runs_are_compared_on_a_page(directory: Path, tmp_path: Path) -> None:
-    other = explore(parse(SETTINGS | {"exchange": "laser", "steps": 30}), out=tmp_path / "scans").directory
+    other = explore(
+        parse(SETTINGS | {"map_encoding": "scans", "steps": 30}), out=tmp_path / "scans"
+    ).directory
     assert other is not None
     done = CliRunner().invoke(app, ["report", str(directory), str(other)])
     assert done.exit_code == 0, done.output
@@ -197,7 +199,7 @@ def test_the_command_names_the_page(directory: Path) -> None:
 
 
 def test_many_robots_share_a_median_and_bands_few_have_a_curve_each(tmp_path: Path) -> None:
-    crowd = parse({"bus": "memory", "robots": 11, "steps": 6, "exchange": "none"})
+    crowd = parse({"bus": "memory", "robots": 11, "steps": 6, "map_encoding": "none"})
     explore(crowd, out=tmp_path / "run")
     wait = channel_load(archive.read(tmp_path / "run"), None).axes[2]
     assert words_of(wait) == [

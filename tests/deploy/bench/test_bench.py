@@ -17,11 +17,11 @@ from typer.testing import CliRunner
 from agent.outline.contour import contours
 from agent.planning.cost_field import costs
 from agent.strategies.registry import strategies
-from deploy.bench import cold, hosts, kernels, ratios, relay, replanning, scale, swarm, yardsticks
-from deploy.bench.ear import overheard
+from deploy.bench import cold_cache, hosts, kernels, ratios, relay, replanning, scale, swarm, yardsticks
 from deploy.bench.ratios import Figure, compare, run_benches
+from deploy.bench.recording_bus import recorded_for
 from deploy.commands.main import app
-from protocol.grid import FREE, OCCUPIED, Grid, fan
+from protocol.grid import FREE, OCCUPIED, Grid, ray_table
 from protocol.scans import draw
 from worldsim import generators
 from worldsim.laser import cast
@@ -139,7 +139,9 @@ def test_every_strategy_is_measured_when_it_replans_and_is_itself_again_afterwar
 def test_the_relay_s_work_is_measured_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(relay, "STEPS", 5)
     monkeypatch.setattr(relay, "SIDE_M", 10.0)
-    monkeypatch.setattr(relay, "CASES", (relay.Case(3, "polygon", 1000), relay.Case(2, "laser", "unlimited")))
+    monkeypatch.setattr(
+        relay, "CASES", (relay.Case(3, "polygons", 1000), relay.Case(2, "scans", "unlimited"))
+    )
     figures = list(relay.relay())
     assert [figure.name for figure in figures] == [
         "relay, 3 robots, polygon, 1000: work a frame",
@@ -154,13 +156,13 @@ def test_a_robot_hears_a_run_again_and_says_as_much_and_cold_memory_is_compared_
 ) -> None:
     monkeypatch.setattr(swarm, "STEPS", 12)
     monkeypatch.setattr(swarm, "SIDE_M", 10.0)
-    monkeypatch.setattr(cold, "REPEATS", 1)
-    for case in cold.CASES:
-        ear, steps = overheard(swarm.plan_of(case), "r0")
-        seconds, said = cold.hear_again(ear.heard)
-        assert (steps, said) == (12, ear.said)
+    monkeypatch.setattr(cold_cache, "REPEATS", 1)
+    for case in cold_cache.CASES:
+        recording_bus, steps = recorded_for(swarm.plan_of(case), "r0")
+        seconds, said = cold_cache.hear_again(recording_bus.heard)
+        assert (steps, said) == (12, recording_bus.said)
         assert seconds > 0
-    figures = list(cold.cold())
+    figures = list(cold_cache.cold_cache())
     assert [figure.name for figure in figures][:2] == [
         "a robot's work a step, laser, warm",
         "a robot's work a step, laser, cold",
@@ -225,7 +227,7 @@ def test_skimage_finds_the_same_ways_if_it_may_not_cut_corners(seed: int) -> Non
 @pytest.mark.parametrize("seed", range(4))
 def test_numpy_sees_the_same_cells(seed: int) -> None:
     grid, cell = some_floor(seed)
-    nobody, beams = np.zeros(grid.shape, np.bool_), fan(25.0)
+    nobody, beams = np.zeros(grid.shape, np.bool_), ray_table(25.0)
     mine, theirs = np.zeros_like(grid), np.zeros_like(grid)
     draw(mine, beams, *cell, cast(grid, nobody, beams, *cell))
     yardsticks.look_in_numpy(grid, nobody, beams, cell, theirs)
@@ -261,8 +263,8 @@ def test_links_are_measured_and_delay_costs_steps(monkeypatch: pytest.MonkeyPatc
     for name, value in {"ROBOTS": 2, "LINK_STEPS": 160, "REPEATS": 1, "ROUND_TRIPS_MS": (0, 20)}.items():
         monkeypatch.setattr(hosts, name, value)
     by_name = {figure.name: figure for figure in hosts.link()}
-    for exchange in ("polygon", "laser"):
-        what = f"2 robots, {exchange}"
+    for map_encoding in ("polygons", "scans"):
+        what = f"2 robots, {map_encoding}"
         assert by_name[f"{what}: from the hub, a robot and step"].value > 100
         assert by_name[f"{what}: to the hub, a robot and step"].value > 100
         assert by_name[f"{what}: round trips, a robot and step"].value >= 1

@@ -10,10 +10,10 @@ from typer.testing import CliRunner
 
 from agent.exchange.log import Log
 from deploy.chaos import runs
+from deploy.chaos.byzantine import Lies
+from deploy.chaos.case import CALM, ChaosCase, case
 from deploy.chaos.invariants import Violation, Watcher
-from deploy.chaos.liars import Lies
 from deploy.chaos.runs import Verdict, shrink, weather
-from deploy.chaos.storm import CALM, Storm, storm
 from deploy.commands.main import app
 from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
@@ -27,12 +27,12 @@ SMALL = [6, 11, 15]
 
 
 def test_a_storm_follows_from_its_seed() -> None:
-    drawn = [storm(seed) for seed in range(60)]
-    assert drawn == [storm(seed) for seed in range(60)]
+    drawn = [case(seed) for seed in range(60)]
+    assert drawn == [case(seed) for seed in range(60)]
     assert len({each.scenario.to_toml() for each in drawn}) == 60
     kinds = {fault.kind for each in drawn for fault in each.scenario.fault}
     assert kinds == {"kill", "restart", "stop", "mute", "deaf"}
-    assert any(each.liars for each in drawn)
+    assert any(each.byzantine for each in drawn)
     assert any(each.scenario.change for each in drawn)
     for each in drawn:
         assert all(fault.step + fault.steps <= CALM for fault in each.scenario.fault)
@@ -40,13 +40,13 @@ def test_a_storm_follows_from_its_seed() -> None:
 
 @pytest.mark.parametrize("seed", SMALL)
 def test_storms_hold_and_repeat_byte_for_byte(seed: int) -> None:
-    once, twice = (weather(storm(seed), again=number and seed == SMALL[0]) for number in range(2))
+    once, twice = (weather(case(seed), again=number and seed == SMALL[0]) for number in range(2))
     assert once.failure == twice.failure == ""
     assert once.digest == twice.digest
     assert once.known >= 0.97
 
 
-def sabotaged(drawn: Storm, wrong: str) -> None:
+def sabotaged(drawn: ChaosCase, wrong: str) -> None:
     """Run a storm in which robots go wrong after step 25."""
     plan = plans.make(drawn.scenario)
     watcher = Watcher(plan, ())
@@ -81,19 +81,19 @@ def sabotaged(drawn: Storm, wrong: str) -> None:
 )
 def test_a_robot_that_goes_wrong_is_found_out(wrong: str, words: str) -> None:
     with pytest.raises(Violation, match=words):
-        sabotaged(storm(SMALL[1]), wrong)
+        sabotaged(case(SMALL[1]), wrong)
 
 
 def test_what_a_failure_does_not_need_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails_with_a_kill(drawn: Storm, *, again: bool = False) -> Verdict:
+    def fails_with_a_kill(drawn: ChaosCase, *, again: bool = False) -> Verdict:
         killed = [fault for fault in drawn.scenario.fault if fault.kind == "kill"]
         return Verdict(drawn, f"{len(killed)} killed" if killed else "", again=again)
 
     monkeypatch.setattr(runs, "weather", fails_with_a_kill)
-    full = next(each for each in map(storm, range(99)) if each.liars and fails_with_a_kill(each).failure)
-    least = shrink(fails_with_a_kill(full)).storm
+    full = next(each for each in map(case, range(99)) if each.byzantine and fails_with_a_kill(each).failure)
+    least = shrink(fails_with_a_kill(full)).case
     assert [fault.kind for fault in least.scenario.fault] == ["kill"]
-    assert least.liars == ()
+    assert least.byzantine == ()
 
 
 def test_liars_lie_on_the_radio_alone_and_by_their_seed() -> None:
@@ -102,7 +102,7 @@ def test_liars_lie_on_the_radio_alone_and_by_their_seed() -> None:
         relay, bus = hub.join("relay"), Lies(seed, (1,))("r1", hub.join("r1"))
         relay.receive()
         for number in range(99):
-            said = Said(1, 0, "offers", [], 0, [EVERYONE], [bytes([0xF0, number])])
+            said = Said(1, 0, "dissemination", [], 0, [EVERYONE], [bytes([0xF0, number])])
             bus.put(hub.keys.radio_tx("r1"), pack(said))
             bus.put(hub.keys.control_tx("r1"), bytes([number]))
         return [message.payload for message in iter(relay.receive, None)]

@@ -123,14 +123,14 @@ EXPLORE = {
     "--range -5%": "range = '-5%': must be a distance",
     "--range far": "range = 'far': must be a distance",
     "--robots 0": "robots = 0: must be greater than or equal to 1",
-    "--robots 65 --exchange polygon": "robots = 65: packets can name the maps of 64 robots",
+    "--robots 65 --map-encoding polygons": "robots = 65: packets can name the maps of 64 robots",
     "--robots three": "Invalid value for '--robots'",
     "--robots 30 --map small.yaml": "30 robots do not fit: 16 free cells lie 3 cells apart",
     "--strategy best": "no strategy is called 'best'; there are: burgard,",
     "robots=3": "no such file, and none of the shipped ones",
     "--strategy agent.strategies.meier:Meyer": "agent.strategies.meier has no Meyer; did you mean Meier?",
-    "--exchange radio": "exchange = 'radio': no exchange is called 'radio'; there are: polygon, laser, grid, sight",
-    "--offers never": "offers = 'never': must be 'backoff', 'thesis' or 'gossip'",
+    "--map-encoding radio": "map_encoding = 'radio': no exchange is called 'radio'; there are: polygon, laser, grid, predictive",
+    "--dissemination never": "dissemination = 'never': must be 'backoff', 'thesis' or 'gossip'",
     "--bus can": "bus = 'can': must be 'zenoh' or 'memory'",
     "--option beta": "option = 'beta': must be NAME=VALUE, as beta=0.5",
     "--option gamma=3": "repairmen has no option 'gamma'; there are: candidates,",
@@ -233,7 +233,7 @@ OTHERS = {
     "run netshaper --listen 127.0.0.1:٣": "with a port from 1 to 65535",
     "run agent --credential bob.json": "'bob' is not a robot's name",
     "run worldsim --credential r0.json": "credential r0.json is that of r0; world.json is needed here",
-    "run lab --credential r0.json": "credential r0.json is that of r0; lab.json is needed here",
+    "run lab --credential r0.json": "credential r0.json is that of r0; recorder.json is needed here",
     "run view --credential r0.json": "credential r0.json is that of r0; view.json is needed here",
     "run netshaper --listen here": "listen = 'here': must be HOST:PORT, as 127.0.0.1:7447 or [::1]:7447, with",
     "run netshaper --listen 127.0.0.1:0": "listen = '127.0.0.1:0': must be HOST:PORT, as 127.0.0.1:7447",
@@ -274,10 +274,10 @@ def test_a_scenario_may_begin_with_a_byte_order_mark(desk: Path) -> None:
 
 
 def test_several_things_that_are_wrong_are_all_named(desk: Path) -> None:
-    result = murmur("explore", "--robots", "0", "--speed", "-1", "--exchange", "x")
+    result = murmur("explore", "--robots", "0", "--speed", "-1", "--map-encoding", "x")
     assert result.exit_code == BAD_INPUT
     assert [line.split(" = ")[0] for line in result.stderr.splitlines()] == [
-        f"murmur: scenario: {key}" for key in ("robots", "exchange", "speed")
+        f"murmur: scenario: {key}" for key in ("robots", "map_encoding", "speed")
     ]
 
 

@@ -16,10 +16,10 @@ def test_a_run_tells_people_how_it_went_and_where_everything_is(floor: str) -> N
     lines = result.stdout.splitlines()
     assert lines[0].startswith("Explored in ")
     assert "100.00 % of what can be reached" in lines[1]
-    directory = Path("runs/floor-sight-2robots-seed0")
+    directory = Path("runs/floor-predictive-2robots-seed0")
     assert f"Everything is in {directory}; look at {directory / 'maps.png'}." in lines[-1]
     assert (directory / "summary.json").exists()
-    assert "runs/floor-sight-2robots-seed0-2" in explore(floor, "--steps", "3").stdout
+    assert "runs/floor-predictive-2robots-seed0-2" in explore(floor, "--steps", "3").stdout
 
 
 def test_machines_get_one_json_object_and_nothing_else(floor: str) -> None:
@@ -47,13 +47,18 @@ def test_flags_override_the_scenario(floor: str) -> None:
 def test_the_thesis_plain_rules_are_one_flag(floor: str) -> None:
     explore(floor, "--thesis", "--steps", "2", "--out", "run")
     written = Path("run/scenario.toml").read_text()
-    for line in ('offers = "thesis"', "lazy = false", "mixed_first = false", "free_inside_edges = true"):
+    for line in (
+        'dissemination = "thesis"',
+        "lazy = false",
+        "mixed_first = false",
+        "free_inside_edges = true",
+    ):
         assert line in written
     assert "herding = false" in written
 
 
 def test_what_a_flag_says_goes_before_the_thesis(floor: str) -> None:
-    flags = ("--set", "polygon.lazy=true", "--option", "herding=true", "--steps", "2")
+    flags = ("--set", "polygons.lazy=true", "--option", "herding=true", "--steps", "2")
     explore(floor, "--thesis", *flags, "--out", "one")
     assert "lazy = true" in Path("one/scenario.toml").read_text()
     assert "herding = true" in Path("one/scenario.toml").read_text()
@@ -76,13 +81,13 @@ def test_any_setting_can_be_set_and_tables_keep_their_other_keys(floor: str) -> 
         "--out",
         "run",
         "--set",
-        "polygon.medium_use=0.25",
+        "polygons.medium_use=0.25",
         "--set",
         "radius=0.1",
     )
     assert result.exit_code == 1, result.stderr
     written = tomllib.loads(Path("run/scenario.toml").read_text())
-    assert (written["radius"], written["polygon"]["medium_use"], written["polygon"]["lazy"]) == (
+    assert (written["radius"], written["polygons"]["medium_use"], written["polygons"]["lazy"]) == (
         0.1,
         0.25,
         False,

@@ -16,7 +16,7 @@ from deploy.scenario.scenario import ScenarioError, parse
 from protocol import keys as names
 from protocol.bus import Bus
 from protocol.keys import Keys
-from protocol.messages import Bye, pack
+from protocol.messages import Shutdown, pack
 from protocol.zenoh_bus import Credential, join
 from tests.deploy.commands.office_floor import murmur
 
@@ -64,16 +64,16 @@ def started(tmp_path: Path) -> Iterator[Callable[..., str]]:
         assert not thread.is_alive()
 
 
-def end_run(lab: Bus, run: str) -> None:
-    lab.put(Keys(run).control_tx(names.LAB), pack(Bye()))
-    lab.close()
+def end_run(recorder: Bus, run: str) -> None:
+    recorder.put(Keys(run).control_tx(names.RECORDER), pack(Shutdown()))
+    recorder.close()
 
 
 def test_a_hub_by_hand_asks_for_the_keys_that_were_made(tmp_path: Path, started: Callable[..., str]) -> None:
     murmur("keys", str(tmp_path / "keys"), "--robots", "1")
     folder = tmp_path / "credentials"
     listen = started(serve_netshaper, parse({"map": "em", "robots": 1}), folder, tmp_path / "keys")
-    credential = Credential.read(folder / "lab.json")
+    credential = Credential.read(folder / "recorder.json")
     assert credential.hub == f"tls/{listen}"
     end_run(join(credential), credential.run)
 
@@ -89,14 +89,14 @@ def test_robots_join_through_a_router_that_was_started_by_hand(
     assert [path.name for path in routed.iterdir()] == ["r0.json"]
     credential = Credential.read(routed / "r0.json")
     assert credential.hub == f"tcp/{listen}"
-    robot, lab = join(credential), join(Credential.read(hub / "lab.json"))
+    robot, recorder = join(credential), join(Credential.read(hub / "recorder.json"))
     heard = None
     while heard is None:  # until it is known at the router that the laboratory has come
-        robot.put(Keys(credential.run).control(names.LAB, "r0"), b"through")
-        heard = lab.receive(0.25)
+        robot.put(Keys(credential.run).control(names.RECORDER, "r0"), b"through")
+        heard = recorder.receive(0.25)
     assert heard.payload == b"through"
     robot.close()
-    end_run(lab, credential.run)
+    end_run(recorder, credential.run)
     with pytest.raises(ScenarioError, match=r"world\.json is that of world; a router's is needed here"):
         serve_routing(hub / "world.json", listen, tmp_path / "other", lambda _: None)
 
@@ -107,8 +107,8 @@ def test_robots_join_through_a_router_that_was_started_by_hand(
         ("", "credential on standard input: not JSON"),
         ("{}", "credential on standard input: needs the texts run, name, hub, password"),
         (
-            '{"run": "a", "name": "lab", "hub": "tcp/127.0.0.1:1", "password": "x"}',
-            "'lab' is not a robot's name",
+            '{"run": "a", "name": "recorder", "hub": "tcp/127.0.0.1:1", "password": "x"}',
+            "'recorder' is not a robot's name",
         ),
     ],
 )

@@ -66,7 +66,7 @@ def test_help_of_explore_names_defaults_and_choices() -> None:
     said = " ".join(murmur("explore", "--help").stdout.split())
     for words in (
         "how many robots explore (default 3)",
-        "how maps are shared: polygon, laser, grid, sight, none (default sight)",
+        "how maps are shared: polygon, laser, grid, predictive, none (default predictive)",
         "bytes per step for the whole team (default 1000)",
         "communication range: metres, or % of the map's diagonal (default 100%)",
     ):

@@ -8,7 +8,7 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
-from agent.strategies.catalogue import COMBINING, catalogue, entry
+from agent.strategies.catalog import COMBINING, catalog, entry
 from agent.strategies.registry import strategies
 from agent.strategies.targets import Parts
 from deploy.commands.main import app
@@ -21,10 +21,10 @@ def murmur(*arguments: str) -> Result:
 
 def test_the_list_has_each_strategy_with_what_it_does_and_where_its_paper_says_so() -> None:
     lines = murmur("strategies").stdout.splitlines()
-    for known in catalogue():
+    for known in catalog():
         at = lines.index(f"  {known.name}  {known.section}")
         assert lines[at + 1].strip() == known.summary
-    assert {known.paper for known in catalogue()} <= set(lines)
+    assert {known.paper for known in catalog()} <= set(lines)
     assert any("The default is repairmen." in line for line in lines)
     assert max(map(len, lines)) <= WIDTH
 

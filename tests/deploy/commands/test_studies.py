@@ -136,7 +136,7 @@ def test_a_sweep_that_is_killed_goes_on_to_the_same_table_and_nothing_outlives_i
 
 def test_teams_are_compared_by_the_command(tmp_path: Path) -> None:
     words = ["--strategies", "leaders,potential-field", "--map", "leader-rooms", "--seeds", 3, "--jobs", 1]
-    for setting in ("sensor_range=2.5", "speed=1.0", "exchange=laser", "bandwidth=unlimited"):
+    for setting in ("sensor_range=2.5", "speed=1.0", "map_encoding=scans", "bandwidth=unlimited"):
         words += ["--set", setting]
     code, text, _ = command(*words, "--out", tmp_path / "c", of="compare")
     assert code == 0 and "leaders" in text and "of the steps of " in text
@@ -147,7 +147,7 @@ def test_teams_are_compared_by_the_command(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["compare"], "give scenario files, --strategies or --exchanges: one of them"),
+        (["compare"], "give scenario files, --strategies or --map-encodings: one of them"),
         (["compare", "--strategies", "meier,meyer"], "did you mean meier"),
         (["compare", "--strategies", "meier"], "nothing to compare"),
         (["size", "--robots", "two"], "robots = 'two': must be whole numbers, as 2..8 or 2,4,8"),

@@ -14,7 +14,7 @@ from deploy.record.snapshots import Snapshots
 from deploy.run.exploration import explore
 from deploy.scenario.scenario import parse
 from protocol.grid import FREE
-from protocol.messages import Bye, MindReport, Outlines, RadioReport, Snapshot, WorldReport
+from protocol.messages import Outlines, RadioReport, RobotStatus, Shutdown, Snapshot, WorldReport
 from tests.deploy.small_run import SETTINGS, small_plan, small_run, told
 
 rerun = pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'murmur-robots[view]'")
@@ -121,7 +121,7 @@ def test_being_watched_drawn_and_recorded_changes_no_digest(tmp_path: Path) -> N
 
 def test_a_viewer_that_nobody_asked_for_costs_no_word() -> None:
     kinds = {type(said) for _, said in told()}
-    assert {WorldReport, MindReport, RadioReport, Snapshot, Outlines, Bye} <= kinds
+    assert {WorldReport, RobotStatus, RadioReport, Snapshot, Outlines, Shutdown} <= kinds
     assert all(said.frames == b"" for _, said in told() if isinstance(said, RadioReport))
 
 

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy.dashboard.explanation import about
+from deploy.dashboard.explanation import map_id
 from deploy.dashboard.run_events import RunEvents
 from netshaper.ledger import CAUSES, KIND_NUMBER, ROW
-from protocol.messages import End, Fault, Lost, MindReport, RadioReport, WorldReport
+from protocol.messages import End, Fault, Lost, RadioReport, RobotStatus, WorldReport
 from tests.deploy.small_run import small_plan, told
 from worldsim.maps import to_world
 
@@ -20,8 +20,8 @@ def where(step: int, *cells: tuple[int, int] | None, seen: int = 50) -> WorldRep
     return WorldReport(step, np.array(poses, "<i4").tobytes(), [0] * len(cells), seen, 100)
 
 
-def mind(step: int, x: int, y: int, status: str = "drives to its target") -> MindReport:
-    return MindReport(step, x, y, known=100, error=0, exact_error=-1, backlog=7, status=status, work_us=0)
+def mind(step: int, x: int, y: int, status: str = "drives to its target") -> RobotStatus:
+    return RobotStatus(step, x, y, known=100, error=0, exact_error=-1, backlog=7, status=status, work_us=0)
 
 
 def air(step: int, *rows: dict[str, Any]) -> RadioReport:
@@ -135,12 +135,12 @@ def test_a_viewer_that_comes_late_can_make_sense_of_any_first_word() -> None:
 
 
 def test_the_words_that_explain_speak_of_this_run() -> None:
-    words = about(small_plan())
+    words = map_id(small_plan())
     assert "3 robots" in words
     assert "1000 bytes a step" in words
     assert "Faint outlines" in words
     assert "Red:" in words
-    words = about(small_plan(exchange="laser", bandwidth="unlimited", range="100%"))
+    words = map_id(small_plan(map_encoding="scans", bandwidth="unlimited", range="100%"))
     assert "unlimited bandwidth" in words
     assert "outlines" not in words
     assert "Red:" not in words

@@ -70,7 +70,7 @@ class Chatterbox:
 
     def put(self, key: str, payload: bytes) -> None:
         if names.parts(key)[0] == "body":
-            said = pack(Said(1, 0, "offers", [], 0, 10 * [0], 10 * [b"\x80\x00"]))
+            said = pack(Said(1, 0, "dissemination", [], 0, 10 * [0], 10 * [b"\x80\x00"]))
             self._inner.put(key.replace("body/rx/world/r1", "radio/tx/r1"), said)
         self._inner.put(key, payload)
 

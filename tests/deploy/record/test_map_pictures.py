@@ -53,7 +53,7 @@ def test_each_cell_of_a_map_is_right_or_wrong_in_one_way(
 
 
 def drawn(robots: int) -> tuple[Figure, Records]:
-    plan = small_plan(robots=robots, exchange="none", steps=4)
+    plan = small_plan(robots=robots, map_encoding="none", steps=4)
     records = in_memory.run(plan)
     return maps_figure(plan, records, summarise(plan, records, 1.0)), records
 

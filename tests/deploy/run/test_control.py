@@ -53,7 +53,7 @@ def test_what_was_done_takes_effect_and_is_in_the_scenario_with_its_steps() -> N
     assert 1 not in result.records.planning
 
 
-@pytest.mark.parametrize("more", [{}, {"offers": "gossip"}, {"radio": {"loss": 0.1}}])
+@pytest.mark.parametrize("more", [{}, {"dissemination": "gossip"}, {"radio": {"loss": 0.1}}])
 def test_a_run_that_was_meddled_with_repeats_from_its_scenario(more: dict[str, Any]) -> None:
     result = meddled(**more)
     again = explore(parse(result.plan.scenario.model_dump()), keep=False)
@@ -66,7 +66,7 @@ def test_a_run_that_was_meddled_with_repeats_from_its_scenario(more: dict[str, A
 @pytest.mark.parametrize("wider", ["unlimited", 5000])
 def test_a_radio_that_becomes_wider_is_used_and_nobody_is_lost_for_it(wider: str | int) -> None:
     change = [{"step": 20, "bandwidth": wider}]
-    settings = {"exchange": "laser", "offers": "gossip", "bandwidth": 6, "change": change}
+    settings = {"map_encoding": "scans", "dissemination": "gossip", "bandwidth": 6, "change": change}
     result = explore(parse(SETTINGS | settings), keep=False)
     assert result.summary["lost"] == {}
     assert carried(result)[:20].max() <= 6 and carried(result)[20:].max() > 200

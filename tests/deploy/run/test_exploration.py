@@ -35,14 +35,14 @@ from worldsim import generators, maps
 
 CONTRACT = {
     "finished", "steps", "first_robot", "coverage", "map_agreement", "t50", "t90", "t99", "overlap", "path_length",
-    "robots", "seed", "bus", "strategy", "exchange", "bandwidth", "range_m", "bytes", "packets", "wire_bytes",
+    "robots", "seed", "bus", "strategy", "map_encoding", "bandwidth", "range_m", "bytes", "packets", "wire_bytes",
     "raw_scan_bytes", "over_budget_steps", "undelivered",
     "approximation_error", "approximation_error_net", "explored_at", "digest", "wall_s", "steps_per_s", "versions",
 }  # fmt: skip
 """What scripts may look for in a summary."""
 
 LEDGER = {
-    "step": "int32", "exchange": "int16", "connection": "int32", "frame": "int16", "sender": "int16",
+    "step": "int32", "map_encoding": "int16", "connection": "int32", "frame": "int16", "sender": "int16",
     "receiver": "int16", "map": "int16", "kind": "string", "packets": "int32", "bytes": "int32",
     "carried": "bool", "cause": "string", "heard": "int16",
 }  # fmt: skip
@@ -166,8 +166,8 @@ def test_the_scenario_is_written_with_every_setting_and_its_own_map(floor: str, 
         "fault",
         "map_options",
         "options",
-        "polygon",
-        "sight",
+        "polygons",
+        "predictive",
     }:
         assert f"\n{name} = " in text
 
@@ -188,7 +188,7 @@ def test_runs_that_begin_at_once_take_directories_of_their_own(
     with ThreadPoolExecutor(8) as pool:
         made = list(pool.map(lambda _: run_directory.create(None, plan), range(16)))
     assert len(set(made)) == 16
-    assert min(made, key=lambda path: len(path.name)) == Path("runs/office-sight-3robots-seed0")
+    assert min(made, key=lambda path: len(path.name)) == Path("runs/office-predictive-3robots-seed0")
     assert {path.parent for path in made} == {Path("runs")}
 
 

@@ -35,7 +35,7 @@ def run(floor: str, *faults: tuple[Any, ...], out: Path | None = None, **setting
 
 def said(result: Result, robot: int) -> list[int]:
     """Steps in which a robot reported."""
-    return [report.step for report in result.records.minds[robot]]
+    return [report.step for report in result.records.robot_settings[robot]]
 
 
 EVERYTHING = (
@@ -43,13 +43,20 @@ EVERYTHING = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("exchange", ["polygon", "laser", "sight"])
-@pytest.mark.parametrize("offers", ["backoff", "gossip"])
+@pytest.mark.parametrize("map_encoding", ["polygons", "scans", "predictive"])
+@pytest.mark.parametrize("dissemination", ["backoff", "gossip"])
 def test_a_run_with_all_kinds_of_faults_ends_explored_and_repeats(
-    floor: str, exchange: str, offers: str
+    floor: str, map_encoding: str, dissemination: str
 ) -> None:
     runs = [
-        run(floor, *EVERYTHING, exchange=exchange, offers=offers, bandwidth=20000, steps=400)
+        run(
+            floor,
+            *EVERYTHING,
+            map_encoding=map_encoding,
+            dissemination=dissemination,
+            bandwidth=20000,
+            steps=400,
+        )
         for _ in range(2)
     ]
     assert runs[0].exit_code == EXPLORED
@@ -59,8 +66,15 @@ def test_a_run_with_all_kinds_of_faults_ends_explored_and_repeats(
 
 
 def test_processes_with_all_kinds_of_faults_give_the_digest_of_memory(floor: str, tmp_path: Path) -> None:
-    memory = run(floor, *EVERYTHING, exchange="sight", offers="gossip")
-    zenoh = run(floor, *EVERYTHING, exchange="sight", offers="gossip", bus="zenoh", out=tmp_path / "run")
+    memory = run(floor, *EVERYTHING, map_encoding="predictive", dissemination="gossip")
+    zenoh = run(
+        floor,
+        *EVERYTHING,
+        map_encoding="predictive",
+        dissemination="gossip",
+        bus="zenoh",
+        out=tmp_path / "run",
+    )
     assert zenoh.summary["digest"] == memory.summary["digest"]
     assert (zenoh.exit_code, zenoh.deaths, zenoh.records.lost) == (memory.exit_code, {}, {})
     assert {path.name for path in (tmp_path / "run" / "journals").iterdir()} == {
@@ -76,12 +90,12 @@ def test_a_killed_robot_says_nothing_more_and_hands_in_nothing(floor: str) -> No
     assert result.records.killed == {1}
 
 
-@pytest.mark.parametrize("offers", ["backoff", "thesis", "gossip"])
-@pytest.mark.parametrize("exchange", ["polygon", "laser", "sight"])
+@pytest.mark.parametrize("dissemination", ["backoff", "thesis", "gossip"])
+@pytest.mark.parametrize("map_encoding", ["polygons", "scans", "predictive"])
 def test_a_restarted_robot_gets_back_from_teammates_what_it_had_told(
-    floor: str, exchange: str, offers: str
+    floor: str, map_encoding: str, dissemination: str
 ) -> None:
-    settings = {"exchange": exchange, "offers": offers, "bandwidth": "unlimited"}
+    settings = {"map_encoding": map_encoding, "dissemination": dissemination, "bandwidth": "unlimited"}
     before = run(floor, steps=20, **settings).records
     after = run(floor, (20, 1, "restart"), steps=30, **settings).records
     told = (before.planning[0] == FREE) & (before.own[1] == FREE) & (before.own[0] != FREE)
@@ -91,14 +105,16 @@ def test_a_restarted_robot_gets_back_from_teammates_what_it_had_told(
 
 
 def test_restarts_cost_no_byte_before_they_come(floor: str) -> None:
-    def carried(*faults: tuple[Any, ...], offers: str, exchange: str) -> list[tuple[int, int]]:
-        ledger = run(floor, *faults, steps=20, offers=offers, exchange=exchange).ledger
+    def carried(*faults: tuple[Any, ...], dissemination: str, map_encoding: str) -> list[tuple[int, int]]:
+        ledger = run(floor, *faults, steps=20, dissemination=dissemination, map_encoding=map_encoding).ledger
         return ledger.filter(ledger["step"] < 20).select("step", "bytes").rows()
 
-    for offers in ("backoff", "gossip"):
-        for exchange in ("polygon", "sight"):
-            plain = carried(offers=offers, exchange=exchange)
-            assert carried((20, 1, "restart"), offers=offers, exchange=exchange) == plain
+    for dissemination in ("backoff", "gossip"):
+        for map_encoding in ("polygons", "predictive"):
+            plain = carried(dissemination=dissemination, map_encoding=map_encoding)
+            assert (
+                carried((20, 1, "restart"), dissemination=dissemination, map_encoding=map_encoding) == plain
+            )
 
 
 def test_a_stopped_robot_goes_on_where_it_was_as_if_nothing_had_been(floor: str) -> None:
@@ -121,10 +137,15 @@ def test_a_mute_robot_s_words_are_booked_as_mute_and_a_deaf_one_hears_nothing(fl
     assert others.filter(others["sender"] == 1)["carried"].any()
 
 
-@pytest.mark.parametrize("offers", ["backoff", "gossip"])
-def test_who_was_deaf_for_a_while_hears_then_what_the_others_said(floor: str, offers: str) -> None:
+@pytest.mark.parametrize("dissemination", ["backoff", "gossip"])
+def test_who_was_deaf_for_a_while_hears_then_what_the_others_said(floor: str, dissemination: str) -> None:
     records = run(
-        floor, (5, 2, "deaf", 20), exchange="sight", offers=offers, bandwidth=20000, steps=40
+        floor,
+        (5, 2, "deaf", 20),
+        map_encoding="predictive",
+        dissemination=dissemination,
+        bandwidth=20000,
+        steps=40,
     ).records
     others = (records.own[0] == FREE) | (records.own[1] == FREE)
     assert (records.planning[2] == FREE)[others].mean() > 0.97

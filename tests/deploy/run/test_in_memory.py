@@ -13,13 +13,22 @@ from deploy.scenario import plan as plans
 
 
 @pytest.mark.parametrize(
-    ("exchange", "offers", "strategy"),
-    [("polygon", "backoff", "meier"), ("laser", "gossip", "burgard"), ("sight", "gossip", "repairmen")],
+    ("map_encoding", "dissemination", "strategy"),
+    [("polygons", "backoff", "meier"), ("scans", "gossip", "burgard"), ("predictive", "gossip", "repairmen")],
 )
-def test_a_run_that_nobody_holds_is_gone_at_once(exchange: str, offers: str, strategy: str) -> None:
+def test_a_run_that_nobody_holds_is_gone_at_once(
+    map_encoding: str, dissemination: str, strategy: str
+) -> None:
     # A sweep makes thousands of them in one process, and memory of cycles is given back late.
     fault = [{"kind": "restart", "robot": 1, "step": 3}]
-    scenario = Scenario(robots=2, exchange=exchange, offers=offers, strategy=strategy, steps=12, fault=fault)
+    scenario = Scenario(
+        robots=2,
+        map_encoding=map_encoding,
+        dissemination=dissemination,
+        strategy=strategy,
+        steps=12,
+        fault=fault,
+    )
     under_way = MemoryRun(plans.make(scenario))
     list(under_way.steps())
     gone = weakref.ref(under_way), weakref.ref(under_way.agents[0].robot)

@@ -19,7 +19,9 @@ from deploy.scenario.scenario import ScenarioError, parse
 
 
 def scenario(**settings: Any) -> Any:
-    return parse({"map": "leader-rooms", "robots": 2, "sensor_range": 2.5, "offers": "gossip"} | settings)
+    return parse(
+        {"map": "leader-rooms", "robots": 2, "sensor_range": 2.5, "dissemination": "gossip"} | settings
+    )
 
 
 def killing(name: str, step: int, number: signal.Signals = signal.SIGKILL) -> Callable[[Plan, Records], None]:
@@ -59,7 +61,7 @@ def test_a_robot_that_is_killed_comes_back_and_the_run_ends_explored(tmp_path: P
     assert step >= 5
     assert "robot 1 was lost at step" in why_unrepeatable(result.summary)
     assert sorted(result.records.own) == [0, 1]
-    assert {report.step for report in result.records.minds[1]} >= {1, result.summary["steps"]}
+    assert {report.step for report in result.records.robot_settings[1]} >= {1, result.summary["steps"]}
 
 
 def test_the_only_robot_is_waited_for(tmp_path: Path) -> None:
@@ -72,4 +74,4 @@ def test_what_cannot_be_restarted_is_said_before_anything_starts() -> None:
     with pytest.raises(ScenarioError, match="has no processes that could die"):
         explore(scenario(bus="memory"), keep=False, restart=True)
     with pytest.raises(ScenarioError, match="40 robots can begin 1 times each, not 2 times"):
-        explore(scenario(robots=40, offers="backoff"), keep=False, restart=True)
+        explore(scenario(robots=40, dissemination="backoff"), keep=False, restart=True)

@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 from deploy.run.exploration import explore
-from deploy.run.far_end import hello
 from deploy.run.hosts import Hosts, parse
+from deploy.run.remote_agents import hello
 from deploy.run.ssh import Fleet, HostError
 from deploy.scenario import scenario as scenarios
 from deploy.scenario.scenario import ScenarioError
@@ -102,11 +102,11 @@ def test_what_far_robots_print_and_how_they_end_comes_back(tmp_path: Path) -> No
     logs.mkdir()
     both = parse({"address": "127.0.0.1", "host": [{"name": "h0", "robots": 2, "command": MURMUR}]})
     with Fleet(both, 2) as fleet:
-        meeting = fleet.meeting
-        hub = open_hub(meeting.run, meeting.endpoint, meeting.credentials, meeting.certificate)
+        rendezvous = fleet.rendezvous
+        hub = open_hub(rendezvous.run, rendezvous.endpoint, rendezvous.credentials, rendezvous.certificate)
         try:
-            with fleet.running(meeting.credentials, logs):
-                presence = {Keys(meeting.run).presence(names.robot(n)) for n in range(2)}
+            with fleet.running(rendezvous.credentials, logs):
+                presence = {Keys(rendezvous.run).presence(names.robot(n)) for n in range(2)}
                 heard = [hub.receive(PATIENCE_S), hub.receive(PATIENCE_S)]
                 assert {message.key for message in heard if isinstance(message, Message)} == presence
                 hub.close()
@@ -125,15 +125,17 @@ def test_what_far_robots_print_and_how_they_end_comes_back(tmp_path: Path) -> No
 def test_far_robots_die_with_a_far_end_that_is_killed(tmp_path: Path) -> None:
     one = parse({"address": "127.0.0.1", "host": [{"name": "h0", "robots": 1, "command": MURMUR}]})
     with Fleet(one, 1) as fleet:
-        meeting = fleet.meeting
-        presence = Keys(meeting.run).presence("r0")
+        rendezvous = fleet.rendezvous
+        presence = Keys(rendezvous.run).presence("r0")
         with (
-            closing(open_hub(meeting.run, meeting.endpoint, meeting.credentials, meeting.certificate)) as hub,
-            fleet.running(meeting.credentials, tmp_path),
+            closing(
+                open_hub(rendezvous.run, rendezvous.endpoint, rendezvous.credentials, rendezvous.certificate)
+            ) as hub,
+            fleet.running(rendezvous.credentials, tmp_path),
         ):
             assert hub.receive(PATIENCE_S) == Message(presence, b"1")
-            (far_end,) = (pid for pid in children() if title(pid) == "murmur robots")
-            os.kill(far_end, signal.SIGKILL)
+            (remote_agents,) = (pid for pid in children() if title(pid) == "murmur robots")
+            os.kill(remote_agents, signal.SIGKILL)
             assert hub.receive(PATIENCE_S) == Message(presence, b"0")
             deaths: dict[str, str] = {}
             wait_until(lambda: fleet.look(deaths) or deaths)
@@ -146,12 +148,14 @@ def test_a_router_that_dies_is_named_with_the_robots_that_went_with_it(tmp_path:
     host = {"name": "h0", "robots": 2, "command": MURMUR, "router": True}
     routed = parse({"address": "127.0.0.1", "host": [host]})
     with Fleet(routed, 3) as fleet:
-        meeting = fleet.meeting
-        assert not {"r0", "r1"} & meeting.credentials.keys(), "they cannot pass the router by"
-        presences = {Keys(meeting.run).presence(name) for name in ("r0", "r1")}
+        rendezvous = fleet.rendezvous
+        assert not {"r0", "r1"} & rendezvous.credentials.keys(), "they cannot pass the router by"
+        presences = {Keys(rendezvous.run).presence(name) for name in ("r0", "r1")}
         with (
-            closing(open_hub(meeting.run, meeting.endpoint, meeting.credentials, meeting.certificate)) as hub,
-            fleet.running(meeting.credentials, tmp_path),
+            closing(
+                open_hub(rendezvous.run, rendezvous.endpoint, rendezvous.credentials, rendezvous.certificate)
+            ) as hub,
+            fleet.running(rendezvous.credentials, tmp_path),
         ):
             assert heard(hub, 2) == {(presence, b"1") for presence in presences}
             (victim,) = (pid for pid in all_pids() if title(pid) == "murmur router@h0" and is_ours(pid))

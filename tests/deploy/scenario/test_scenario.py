@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.exchange.catalogue import EXCHANGES, OFFERS
-from agent.exchange.polygon_options import PolygonOptions
+from agent.encodings.catalog import ENCODINGS
+from agent.encodings.polygon_options import PolygonOptions
+from agent.exchange.distribution import DISSEMINATIONS
 from agent.strategies.meier import Meier
 from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load, parse
 from deploy.scenario.tables import UNLIMITED
@@ -21,44 +22,48 @@ from protocol.packets import MAX_MAPS
 
 MOST = 2**31 - 1
 
-metres = st.floats(0.001, 1e6)
+meters = st.floats(0.001, 1e6)
 
 
 @st.composite
 def scenarios(draw: st.DrawFn) -> dict[str, Any]:
     """Any settings that make sense, with some of them left out."""
-    exchange = draw(st.sampled_from(sorted(EXCHANGES)))
-    robots = draw(st.integers(1, MAX_ROBOTS if exchange == "none" else MAX_MAPS))
+    map_encoding = draw(st.sampled_from(sorted(ENCODINGS)))
+    robots = draw(st.integers(1, MAX_ROBOTS if map_encoding == "none" else MAX_MAPS))
     number = st.integers(0, robots - 1)
     override = st.fixed_dictionaries(
         {"robot": number},
-        optional={"sensor_range": metres, "field_of_view": st.floats(0.1, 360), "speed": metres},
+        optional={"sensor_range": meters, "field_of_view": st.floats(0.1, 360), "speed": meters},
     )
     death = st.fixed_dictionaries({"robot": number, "step": st.integers(1, MOST)})
     whole = st.integers(0, MOST)
     settings: dict[str, st.SearchStrategy[Any]] = {
         "map": st.text(st.characters(codec="utf-8", exclude_characters="\x00"), max_size=20),
         "map_seed": whole,
-        "range": metres.map(str) | metres.map(lambda share: f"{share}%") | metres | st.integers(0, 10**6),
+        "range": meters.map(str) | meters.map(lambda share: f"{share}%") | meters | st.integers(0, 10**6),
         "bandwidth": whole | st.just(UNLIMITED),
-        "sensor_range": metres,
+        "sensor_range": meters,
         "field_of_view": st.floats(0.1, 360),
         "beams": st.integers(1, 900).map(lambda quarter: 4 * quarter),
-        "speed": metres,
+        "speed": meters,
         "seed": whole,
         "bus": st.sampled_from(("zenoh", "memory")),
         "steps": st.integers(1, MOST),
         "start": st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6)).map(list),
         "radius": st.floats(0, 1e6),
-        "apart": metres,
-        "exchanges": st.integers(1, 16),
-        "offers": st.sampled_from(("backoff", "thesis")),
+        "start_spacing": meters,
+        "rounds": st.integers(1, 16),
+        "dissemination": st.sampled_from(("backoff", "thesis")),
         "interference": st.floats(0, 1e6),
         "options": st.fixed_dictionaries({}, optional={"crumb": st.floats(0, 100)}),
         "robot": st.lists(override, max_size=3, unique_by=lambda entry: entry["robot"]),
         "death": st.lists(death, max_size=3, unique_by=lambda entry: entry["robot"]),
     }
-    return {"robots": robots, "exchange": exchange, **draw(st.fixed_dictionaries({}, optional=settings))}
+    return {
+        "robots": robots,
+        "map_encoding": map_encoding,
+        **draw(st.fixed_dictionaries({}, optional=settings)),
+    }
 
 
 @given(scenarios())
@@ -86,8 +91,8 @@ WRONG = [
     ({"robots": 0}, "robots = 0: .*greater than or equal to 1"),
     ({"robots": 257}, "robots = 257: .*less than or equal to 256"),
     (
-        {"robots": 65, "exchange": "polygon"},
-        "robots = 65: packets can name the maps of 64 robots; more need offers = 'gossip', or exchange = 'none'",
+        {"robots": 65, "map_encoding": "polygons"},
+        "robots = 65: packets can name the maps of 64 robots; more need dissemination = 'gossip', or map_encoding = 'none'",
     ),
     ({"robots": True}, "robots = True: must be a whole number"),
     ({"robots": 2.5}, "robots = 2.5: must be a whole number"),
@@ -101,8 +106,8 @@ WRONG = [
     ({"beams": 6}, "beams = 6: .*multiple of 4"),
     ({"beams": 0}, "beams = 0: "),
     ({"beams": 3604}, "beams = 3604: .*less than or equal to 3600"),
-    ({"exchanges": 0}, "exchanges = 0: "),
-    ({"exchanges": 17}, "exchanges = 17: "),
+    ({"rounds": 0}, "rounds = 0: "),
+    ({"rounds": 17}, "rounds = 17: "),
     ({"speed": 0}, "speed = 0: .*greater than 0"),
     ({"speed": math.nan}, "speed = nan: "),
     ({"speed": math.inf}, "speed = inf: "),
@@ -112,7 +117,7 @@ WRONG = [
     ({"sensor_range": -1.0}, "sensor_range = -1.0: "),
     ({"field_of_view": 361}, "field_of_view = 361: .*360"),
     ({"field_of_view": 0}, "field_of_view = 0: "),
-    ({"apart": 0}, "apart = 0: "),
+    ({"start_spacing": 0}, "start_spacing = 0: "),
     ({"radius": -0.1}, "radius = -0.1: "),
     ({"radius": math.nan}, "radius = nan: "),
     ({"interference": math.inf}, "interference = inf: "),
@@ -134,9 +139,9 @@ WRONG = [
     ({"range": "inf"}, "range = 'inf': must be"),
     ({"range": math.inf}, "range = inf: must be"),
     ({"range": True}, "range = True: "),
-    ({"exchange": "smoke"}, "exchange = 'smoke': no exchange is called 'smoke'; there are: .*laser"),
+    ({"map_encoding": "smoke"}, "map_encoding = 'smoke': no exchange is called 'smoke'; there are: .*laser"),
     ({"strategy": "best"}, "no strategy is called 'best'; there are: .*meier"),
-    ({"offers": "never"}, "offers = 'never': .*'backoff', 'thesis' or 'gossip'"),
+    ({"dissemination": "never"}, "dissemination = 'never': .*'backoff', 'thesis' or 'gossip'"),
     ({"bus": "tram"}, "bus = 'tram': .*'zenoh' or 'memory'"),
     ({"map": 3}, "map = 3: must be text"),
     ({"options": {"gamma": 1.0}}, "repairmen has no option 'gamma'; there are: .*crumb"),
@@ -144,7 +149,7 @@ WRONG = [
     ({"options": {"beta": math.nan}}, "options = .*beta must lie between"),
     ({"options": 3}, "options = 3: "),
     ({"colour": "red"}, "colour is no setting; there are: map, .*death"),
-    ({"polygon": {"colour": "red"}}, "polygon.colour is no setting; there are: medium_use"),
+    ({"polygons": {"colour": "red"}}, "polygons.colour is no setting; there are: medium_use"),
     ({"robot": [{"robot": 3}]}, r"\[\[robot\]\] speaks of robot 3; the last one is 2"),
     ({"robot": [{"robot": 1}, {"robot": 1}]}, r"\[\[robot\]\] speaks of a robot twice"),
     ({"robot": [{"robot": 1, "colour": "red"}]}, "robot.0.colour is no setting; there are: robot, "),
@@ -291,23 +296,23 @@ def test_wrong_flags_without_a_file_are_explained_as_well() -> None:
 
 def test_help_names_every_exchange_and_every_policy_of_offers() -> None:
     fields = Scenario.model_fields
-    assert str(fields["exchange"].description).endswith(": " + ", ".join(EXCHANGES))
-    assert str(fields["offers"].description).endswith(": " + ", ".join(OFFERS))
-    for policy in OFFERS:
-        assert parse({"offers": policy}).offers == policy
+    assert str(fields["map_encoding"].description).endswith(": " + ", ".join(ENCODINGS))
+    assert str(fields["dissemination"].description).endswith(": " + ", ".join(DISSEMINATIONS))
+    for policy in DISSEMINATIONS:
+        assert parse({"dissemination": policy}).dissemination == policy
 
 
 def test_who_looks_at_crumbs_from_afar_takes_no_opening_for_a_wall_unless_told_to(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def wide(**settings: Any) -> bool:
-        return parse({"exchange": "polygon"} | settings).polygon.wide_seen_walls
+        return parse({"map_encoding": "polygons"} | settings).polygons.wide_seen_walls
 
     assert not wide()
     assert not wide(strategy="repairmen", polygon={"lazy": False})
     assert wide(polygon={"wide_seen_walls": True})
     assert wide(strategy="meier")
     assert not wide(strategy="meier", polygon={"wide_seen_walls": False})
-    assert Scenario(exchange="polygon", polygon=PolygonOptions()).polygon.wide_seen_walls
+    assert Scenario(map_encoding="polygons", polygon=PolygonOptions()).polygons.wide_seen_walls
     monkeypatch.setattr(Meier, "looks_from_afar", True)
     assert not wide(strategy="meier")

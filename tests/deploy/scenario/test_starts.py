@@ -53,14 +53,14 @@ def test_a_start_that_cannot_be_is_refused(settings: dict[str, Any], said: str) 
 
 
 def test_without_bodies_robots_may_start_in_one_place() -> None:
-    assert starts(robots=2, starts=[(1.0, 1.0), (1.0, 1.0)], bodies=False)[0] == (10, 90)
+    assert starts(robots=2, starts=[(1.0, 1.0), (1.0, 1.0)], robots_collide=False)[0] == (10, 90)
 
 
 def test_a_robot_has_a_radius_and_a_scanner_of_its_own() -> None:
     own = [{"robot": 1, "radius": 0.2, "scanner_turn": 72.0}]
-    plan = make(Scenario(robots=2, robot=own, scanner_turn=18.0, motion="cells", bodies=False), HALL)
+    plan = make(Scenario(robots=2, robot=own, scanner_turn=18.0, motion="cells", robots_collide=False), HALL)
     assert [body.radius_cells for body in plan.world.bodies] == [0.0, 2.0]
     assert [body.scanner_turn for body in plan.world.bodies] == [18.0, 72.0]
-    assert plan.minds[0]["radii_cells"] == [0.0, 2.0]
+    assert plan.robot_settings[0]["radii_cells"] == [0.0, 2.0]
     assert plan.world.cell_steps
     assert not plan.world.solid

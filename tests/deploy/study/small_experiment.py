@@ -8,7 +8,7 @@ EXPERIMENT = """
 name = "small"
 [base]
 map = "em"
-exchange = "polygon"
+map_encoding = "polygons"
 strategy = "meier"
 steps = 6
 [grid]
@@ -18,7 +18,7 @@ seed = [0, 1]
 name = "polygons"
 [[variant]]
 name = "scans"
-exchange = "laser"
+map_encoding = "scans"
 [table]
 rows = ["robots"]
 columns = ["variant"]

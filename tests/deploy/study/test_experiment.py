@@ -81,10 +81,10 @@ name = "ours"
 thesis = false
 """
     plain, ours = (case.scenario for case in runs.cases(experiments.read(write(tmp_path, text))))
-    assert plain.offers == "thesis" and plain.options == {"herding": False}
-    wanted = load(None, {**thesis_settings("meier"), "polygon.lazy": True, "polygon.exact_error": True})
+    assert plain.dissemination == "thesis" and plain.options == {"herding": False}
+    wanted = load(None, {**thesis_settings("meier"), "polygons.lazy": True, "polygon.exact_error": True})
     assert plain.polygon == wanted.polygon
-    assert (ours.offers, ours.options, ours.polygon.mixed_first) == ("gossip", {}, True)
+    assert (ours.dissemination, ours.options, ours.polygon.mixed_first) == ("gossip", {}, True)
     with pytest.raises(ScenarioError, match="thesis = 1: must be true or false"):
         runs.cases(experiments.read(write(tmp_path, "[base]\nthesis = 1\n")))
 
@@ -168,9 +168,9 @@ def test_an_experiment_that_makes_no_sense_is_refused_by_name(tmp_path: Path, te
 
 def test_a_setting_that_every_variant_has_its_own_of_is_refused(tmp_path: Path) -> None:
     experiment = experiments.read(write(tmp_path, EXPERIMENT))
-    experiments.override(experiment, {"exchange": "laser"})
+    experiments.override(experiment, {"map_encoding": "scans"})
     with pytest.raises(ScenarioError, match="--set exchange: without effect"):
-        experiments.override(experiments.choose(experiment, ["scans"]), {"exchange": "polygon"})
+        experiments.override(experiments.choose(experiment, ["scans"]), {"map_encoding": "polygons"})
 
 
 def test_a_table_in_the_grid_sets_all_its_keys_and_goes_by_its_own(tmp_path: Path) -> None:

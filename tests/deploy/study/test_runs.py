@@ -25,7 +25,7 @@ def test_every_combination_of_grid_and_variants_is_run_once(tmp_path: Path) -> N
     assert len(todo) == len(places) == 8
     assert len({c.key for c in todo}) == 8
     assert all(c.scenario.bus == "memory" and c.scenario.map == "em" for c in todo)
-    assert {c.scenario.exchange for c in todo if c.place["variant"] == "scans"} == {"laser"}
+    assert {c.scenario.map_encoding for c in todo if c.place["variant"] == "scans"} == {"scans"}
 
 
 class Ourselves:
@@ -60,7 +60,9 @@ def test_finished_runs_are_kept_and_not_made_again(tmp_path: Path) -> None:
 
 def test_equal_runs_are_made_once(tmp_path: Path) -> None:
     us = Ourselves()
-    todo = small(tmp_path, EXPERIMENT.replace('exchange = "laser"', 'exchange = "polygon"'), robots=1, seed=0)
+    todo = small(
+        tmp_path, EXPERIMENT.replace('map_encoding = "scans"', 'map_encoding = "polygons"'), robots=1, seed=0
+    )
     with Results(None) as results:
         runs.make(todo, results, us)
         found = runs.looked_up(todo, results)
@@ -107,14 +109,14 @@ def test_an_exchange_of_one_s_own_is_part_of_the_code(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     silent = (
-        "from agent.exchange.none import NoExchange\n\n\nclass Silent(NoExchange):\n    name = 'silent'\n"
+        "from agent.encodings.none import NoExchange\n\n\nclass Silent(NoExchange):\n    name = 'silent'\n"
     )
     for module, more in (("first_silent", ""), ("second_silent", "    loud = False\n")):
         (tmp_path / f"{module}.py").write_text(silent + more)
     monkeypatch.syspath_prepend(tmp_path)
     codes = {
-        runs.code_of(parse({"exchange": exchange}))
-        for exchange in ("none", "first_silent:Silent", "second_silent:Silent")
+        runs.code_of(parse({"map_encoding": map_encoding}))
+        for map_encoding in ("none", "first_silent:Silent", "second_silent:Silent")
     }
     assert len(codes) == 3
 
@@ -126,8 +128,8 @@ def test_runs_of_other_code_are_taken_by_their_settings_where_there_are_more_of_
     todo = small(tmp_path, robots=1, seed=0, start=[10.0, 10.0])
     with Results(keep) as results:
         runs.make(todo, results, us)
-    old = pl.read_parquet(keep).drop("pass_on")
-    old = old.with_columns(key=pl.lit("older ") + pl.col("exchange"), code=pl.lit("older"))
+    old = pl.read_parquet(keep).drop("forward_maps")
+    old = old.with_columns(key=pl.lit("older ") + pl.col("map_encoding"), code=pl.lit("older"))
     old.write_parquet(keep)
     with Results(keep) as results:
         runs.make(todo, results, us, any_code=True)

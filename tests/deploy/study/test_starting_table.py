@@ -1,14 +1,14 @@
-"""The table with which sight's streams begin is learnt from what robots truly sense."""
+"""The table with which predictive's streams begin is learnt from what robots truly sense."""
 
 from __future__ import annotations
 
-from agent.sight import contexts
+from agent.predictive import contexts
 from deploy.study.starting_table import counted, explored
 from tests.system.team import small_plan
 
 
 def test_counts_are_learnt_from_an_exploration() -> None:
-    plan = small_plan("office", robots=2, exchange="laser", bandwidth="unlimited", steps=20)
+    plan = small_plan("office", robots=2, map_encoding="scans", bandwidth="unlimited", steps=20)
     senses = explored(plan)
     assert [len(steps) for steps in senses] == [20, 20]
     counts = list(counted(plan, senses))

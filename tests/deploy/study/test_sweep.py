@@ -14,7 +14,7 @@ from deploy.scenario.scenario import ScenarioError
 from tests.deploy.study.small_experiment import EXPERIMENT, write
 
 ROOMS: dict[str, Any] = {
-    "map": "leader-rooms", "robots": 3, "sensor_range": 2.5, "speed": 1.0, "exchange": "laser",
+    "map": "leader-rooms", "robots": 3, "sensor_range": 2.5, "speed": 1.0, "map_encoding": "scans",
     "bandwidth": "unlimited", "strategy": "leaders",
 }  # fmt: skip
 QUIET: dict[str, Any] = {"progress": False, "jobs": 1}
@@ -61,8 +61,8 @@ def test_scenarios_of_files_and_objects_are_compared_by_their_names(tmp_path: Pa
     (tmp_path / "fast.toml").write_text('map = "em"\nspeed = 1.0\nsteps = 3\n')
     done = compare([tmp_path / "slow.toml", tmp_path / "fast.toml"], seeds=2, robots=1, **QUIET)
     assert done.verdicts == ["slow and fast: no two runs to compare"]
-    objects = [Scenario(map="em", steps=2, robots=1, exchange=name) for name in ("none", "sight")]
-    assert "none and sight" in compare(objects, seeds=2, **QUIET).verdicts[0]
+    objects = [Scenario(map="em", steps=2, robots=1, map_encoding=name) for name in ("none", "predictive")]
+    assert "none and predictive" in compare(objects, seeds=2, **QUIET).verdicts[0]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,36 @@
+"""All map encodings by name, those of installed packages included."""
+
+from __future__ import annotations
+
+from agent.encodings.base import MapEncoding
+from agent.encodings.cells import CellEncoding
+from agent.encodings.none import NoEncoding
+from agent.encodings.polygons import PolygonEncoding
+from agent.encodings.predictive import PredictiveEncoding
+from agent.encodings.scans import ScanEncoding
+from agent.plugins import Plugins
+from agent.settings import Settings
+
+ENCODINGS: dict[str, type[MapEncoding]] = {
+    kind.name: kind for kind in (PolygonEncoding, ScanEncoding, CellEncoding, PredictiveEncoding, NoEncoding)
+}
+
+
+PLUGINS: Plugins[MapEncoding] = Plugins("map_encoding", "murmur.map_encodings", MapEncoding)  # type: ignore[type-abstract]
+"""Those that are not ours."""
+
+
+def encoding_class(name: str) -> type[MapEncoding]:
+    """Return the exchange called `name`: one of ours, of an installed package, or ``package.module:Class``.
+
+    Raises
+    ------
+    ValueError
+        There is none of that name (near names and those there are follow), or the class cannot be imported.
+    """
+    return PLUGINS.find(name, ENCODINGS)
+
+
+def make_encoding(settings: Settings) -> MapEncoding:
+    """Return the exchange that the settings name; ValueError lists the names there are."""
+    return encoding_class(settings.map_encoding)(settings)

@@ -1,0 +1,115 @@
+"""The tour of a robot that has nobody to share with: the travelling salesman's open path through many goals.
+
+Nobody else passes what it leaves behind, so only the way counts, not when which goal is reached. The tour begins
+as the nearest neighbour's; then parts of it are turned around (2-opt), and up to three goals on end moved
+elsewhere, either way round (Or-opt), for as long as that makes it shorter.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.kernels import kernel
+
+ROUNDS = 100
+"""The search ends when nothing makes the tour shorter, or after so many rounds."""
+
+MOST_MOVED = 3
+"""Goals on end that are moved together."""
+
+Numbers = NDArray[np.float64]
+Tour = NDArray[np.int64]
+
+_LEAST = 1e-7
+"""What a change must gain: less is rounding."""
+
+
+def single_robot_tour(starts: Numbers, between: Numbers) -> list[int]:
+    """Order goals by a short path from a start through all of them.
+
+    Parameters
+    ----------
+    starts : float64 array, shape (n,)
+        Way from the robot to each goal; infinite where none leads.
+    between : float64 array, shape (n, n)
+        Way from goal to goal, symmetric.
+
+    Returns
+    -------
+    list of int
+        The numbers of the goals, in their order; goals that cannot be reached are left out.
+    """
+    goals = np.flatnonzero(np.isfinite(starts))
+    count = len(goals)
+    ways = np.zeros((count + 1, count + 1))
+    ways[0, 1:] = ways[1:, 0] = starts[goals]
+    ways[1:, 1:] = between[np.ix_(goals, goals)]
+    tour = np.arange(count + 1)
+    _shorten(tour, ways)
+    order: list[int] = goals[tour[1:] - 1].tolist()
+    return order
+
+
+@kernel("float64(int64[::1], int64, int64, float64[:,::1])")
+def _step(tour: Tour, place: int, after: int, ways: Numbers) -> float:
+    """Way from the goal at one place to that at another; none to beyond the end of the tour."""
+    return float(ways[tour[place], tour[after]]) if after < len(tour) else 0.0
+
+
+@kernel("boolean(int64[::1], float64[:,::1])")
+def _turn_around(tour: Tour, ways: Numbers) -> bool:
+    """Turn each part of the tour around which is better driven the other way; whether there was one."""
+    improved = False
+    for first in range(1, len(tour) - 1):
+        for end in range(first + 1, len(tour)):
+            before = _step(tour, first - 1, first, ways) + _step(tour, end, end + 1, ways)
+            then = _step(tour, first - 1, end, ways) + _step(tour, first, end + 1, ways)
+            if then < before - _LEAST:
+                tour[first : end + 1] = tour[first : end + 1][::-1].copy()
+                improved = True
+    return improved
+
+
+@kernel("boolean(int64[::1], int64, int64, float64[:,::1])")
+def _move(tour: Tour, first: int, length: int, ways: Numbers) -> bool:
+    """Put some goals on end where they make the tour shortest, either way round; whether that is elsewhere."""
+    part = tour[first : first + length].copy()
+    rest = np.concatenate((tour[:first], tour[first + length :]))
+    gain = _step(tour, first - 1, first, ways) + _step(tour, first + length - 1, first + length, ways)
+    least, best = gain - _step(rest, first - 1, first, ways) - _LEAST, 0
+    turned = False
+    for place in range(1, len(rest) + 1):
+        if place == first:
+            continue
+        before = rest[place - 1]
+        for turn in (False, True):
+            head, tail = (part[-1], part[0]) if turn else (part[0], part[-1])
+            cost = ways[before, head] - _step(rest, place - 1, place, ways)
+            if place < len(rest):
+                cost += ways[tail, rest[place]]
+            if cost < least:
+                least, best, turned = cost, place, turn
+    if best:
+        tour[:best] = rest[:best]
+        tour[best : best + length] = part[::-1] if turned else part
+        tour[best + length :] = rest[best:]
+    return best > 0
+
+
+@kernel("void(int64[::1], float64[:,::1])")
+def _shorten(tour: Tour, ways: Numbers) -> None:
+    """Order a tour by the nearest neighbour, then improve it; its first place is the robot's own."""
+    for place in range(1, len(tour) - 1):
+        nearest = place
+        for other in range(place + 1, len(tour)):
+            if ways[tour[place - 1], tour[other]] < ways[tour[place - 1], tour[nearest]]:
+                nearest = other
+        tour[place], tour[nearest] = tour[nearest], tour[place]
+    for _ in range(ROUNDS):
+        improved = _turn_around(tour, ways)
+        for length in range(1, MOST_MOVED + 1):
+            for first in range(1, len(tour) - length + 1):
+                improved |= _move(tour, first, length, ways)
+        if not improved:
+            break

@@ -1,0 +1,139 @@
+"""Where to look from: a cell from which what is unknown beside a goal comes into predictive, and the tour's way on is short.
+
+Who wants to know a nook need not drive into it. From where a beam reaches it over cells that are known to be free
+is certain, for beams of all scanners have the same directions; so one look from any such cell settles it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.planning.path_planner import PathPlanner
+from protocol.grid import FREE, UNKNOWN, Grid, RayTable
+from protocol.kernels import kernel
+
+Cells = NDArray[np.int32]
+
+_BEGUN = 1 / 2
+"""A way that is longer than whole steps by so many cells still takes no step more: lengths are rounded."""
+
+_DIGITS = 6
+"""Ways that are equal to so many decimals are equally long."""
+
+
+def vantage_cells(grid: Grid, goal: tuple[int, int], around: RayTable, reach: float) -> Cells:
+    """Find all cells from which a beam reaches an unknown 4-neighbour of a goal over free cells.
+
+    Parameters
+    ----------
+    grid : uint8 array, shape (h, w)
+        The planning grid.
+    goal : (x, y)
+        A frontier cell.
+    around : Fan
+        The beams of the scanner.
+    reach : float
+        How long the beam may be, in cells.
+
+    Returns
+    -------
+    int32 array, shape (n, 2)
+        Free cells (x, y), row by row, the goal itself among them.
+    """
+    x0, y0 = max(0, goal[0] - int(reach) - 1), max(0, goal[1] - int(reach) - 1)
+    x1, y1 = goal[0] + int(reach) + 2, goal[1] + int(reach) + 2
+    part = np.ascontiguousarray(grid[y0:y1, x0:x1])
+    found = np.zeros(part.shape, np.bool_)
+    found[goal[1] - y0, goal[0] - x0] = True
+    _look_back(part, goal[0] - x0, goal[1] - y0, around.cells, around.start, reach, found)
+    y, x = np.nonzero(found)
+    return np.stack([x + x0, y + y0], axis=1).astype(np.int32)
+
+
+def best_vantage(
+    planner: PathPlanner, here: tuple[int, int], views: Iterable[Cells | None], goals: Cells, step: float
+) -> tuple[int, int] | None:
+    """Choose the cell to look from for the first goal of a tour, such that the way through it and on is short.
+
+    Goals that are seen from there as well need no way of their own. The robot looks at the end of each step: the way
+    to the cell counts in whole steps.
+
+    Parameters
+    ----------
+    here : (x, y)
+        Where the robot is.
+    views : iterable of int32 arrays, shape (n, 2)
+        For each of the goals the cells from which it may be looked at; None for one that has to be driven to.
+        The first has some.
+    goals : int32 array, shape (m, 2)
+        The beginning of the tour.
+    step : float
+        Way of the robot in a step, in cells.
+
+    Returns
+    -------
+    (x, y)
+        None if the robot is at one of these cells, and has looked, or cannot get to any.
+    """
+    more = iter(views)
+    cells = next(more)
+    assert cells is not None
+    ways = planner.costs_to(*here, cells)
+    if not ways.all():
+        return None
+    cost = np.ceil((ways - _BEGUN) / step) * step
+    # Where the ways through each cell have come to.
+    places = cells.copy()
+    for goal, seen_from in zip(goals[1:], more, strict=False):
+        missed = np.ones(len(cost), np.bool_) if seen_from is None else ~_are_among(cells, seen_from)
+        if missed.any():
+            cost[missed] += planner.costs_to(int(goal[0]), int(goal[1]), places[missed])
+            places[missed] = goal
+        if (places == goal).all():
+            break
+    best = int(np.lexsort((ways, np.round(cost, _DIGITS)))[0])
+    return (int(cells[best, 0]), int(cells[best, 1])) if np.isfinite(cost[best]) else None
+
+
+def _are_among(cells: Cells, others: Cells) -> NDArray[np.bool_]:
+    """For each cell whether it is one of the others."""
+    width = 1 + max(int(cells[:, 0].max()), int(others[:, 0].max()))
+    return np.isin(cells @ (1, width), others @ (1, width))
+
+
+@kernel("void(uint8[:,::1], int64, int64, int32[:,::1], int32[::1], float64, boolean[:,::1])")
+def _look_back(
+    part: Grid,
+    x: int,
+    y: int,
+    fan_cells: Cells,
+    start: NDArray[np.int32],
+    reach: float,
+    found: NDArray[np.bool_],
+) -> None:
+    """Mark the cells from which a beam reaches an unknown neighbour of (x, y): back along each beam, then checked."""
+    height, width = part.shape
+    for side_x, side_y in ((x + 1, y), (x, y + 1), (x - 1, y), (x, y - 1)):
+        if side_x < 0 or side_y < 0 or side_x >= width or side_y >= height:
+            continue
+        if part[side_y, side_x] != UNKNOWN:
+            continue
+        for beam in range(len(start) - 1):
+            for at in range(start[beam], start[beam + 1]):
+                dx, dy = fan_cells[at, 0], fan_cells[at, 1]
+                from_x, from_y = side_x - dx, side_y - dy
+                if dx * dx + dy * dy > reach * reach or from_x < 0 or from_y < 0:
+                    break
+                if from_x >= width or from_y >= height:
+                    break
+                if part[from_y, from_x] != FREE or found[from_y, from_x]:
+                    continue
+                clear = True
+                for before in range(at - 1, start[beam] - 1, -1):
+                    if part[from_y + fan_cells[before, 1], from_x + fan_cells[before, 0]] != FREE:
+                        clear = False
+                        break
+                found[from_y, from_x] = clear

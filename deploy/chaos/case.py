@@ -1,0 +1,146 @@
+"""A storm: a scenario, faults and liars, all drawn from one seed.
+
+First comes the safety phase, in which robots are killed, restarted and stopped, radios go mute and deaf, and teams are
+parted. By `CALM` all of that has healed, but for robots that stay dead; at least one lives. Then the rest must finish:
+the liveness phase. A medium that loses, delays, repeats or damages what is said does so all the time, one that becomes
+wider or narrower stays so, and liars lie all the time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from deploy.scenario.scenario import Scenario, parse
+from protocol.keyed_random import keyed_random
+
+CALM = 120
+"""The step by which faults have healed."""
+
+STEPS = 3000
+"""Steps in which a team must have finished."""
+
+MAPS = (
+    "leader-rooms",
+    "leader-trap",
+    "office-plain",
+    "office-obstacles",
+    "hilbert-1",
+    "unstructured",
+    "mixed",
+    "office",
+)
+STRATEGIES = ("meier", "meier", "burgard", "greedy", "nearest", "repairmen")
+BANDWIDTHS = (500, 2000, 10000, "unlimited")
+RANGES = ("25%", "50%", "100%")
+LASTING = ("stop", "mute", "deaf")
+
+
+@dataclass(frozen=True)
+class ChaosCase:
+    """One run of chaos.
+
+    Attributes
+    ----------
+    seed : int
+        What all was drawn from.
+    scenario : Scenario
+        What is run, with its faults.
+    liars : tuple of int
+        Robots whose radios say what is hostile (`deploy.chaos.byzantine`).
+    """
+
+    seed: int
+    scenario: Scenario
+    byzantine: tuple[int, ...] = ()
+
+    def smaller(self) -> list[ChaosCase]:
+        """Storms with one thing less each, for finding what a failure needs."""
+        base = self.scenario.model_dump()
+        faults = base["fault"]
+        kept = [faults[:at] + faults[at + 1 :] for at in range(len(faults))]
+        changes = [{"fault": fault} for fault in kept]
+        changes += [{key: _PLAIN[key]} for key in ("radio", "change") if base[key] != _PLAIN[key]]
+        less: list[ChaosCase] = [replace(self, byzantine=()) for _ in range(1 if self.byzantine else 0)]
+        for change in changes:
+            try:
+                less.append(replace(self, scenario=parse(base | change)))
+            except ValueError:
+                continue  # a restart of a robot that is not killed any more may be one too many
+        return less
+
+
+_PLAIN = Scenario().model_dump()
+
+
+def case(seed: int) -> ChaosCase:
+    """Draw a storm."""
+    draw = keyed_random(seed, "storm")
+    robots = int(draw.integers(2, 6))
+    map_encoding = str(draw.choice(["polygons", "polygons", "scans", "predictive"]))
+    bandwidths = BANDWIDTHS[2:] if map_encoding == "scans" else BANDWIDTHS
+    settings: dict[str, Any] = {
+        "map": str(draw.choice(MAPS)),
+        "map_seed": int(draw.integers(100)),
+        "robots": robots,
+        "map_encoding": map_encoding,
+        "dissemination": str(draw.choice(["backoff", "thesis", "gossip"])),
+        "strategy": str(draw.choice(STRATEGIES)),
+        "bandwidth": bandwidths[int(draw.integers(len(bandwidths)))],
+        "range": str(draw.choice(RANGES)),
+        "sensor_range": float(draw.choice([2.5, 4.0])),
+        "seed": seed,
+        "steps": STEPS,
+        "bus": "memory",
+    }
+    settings["fault"] = _faults(draw, robots)
+    if draw.random() < 0.5:
+        settings["radio"] = _radio(draw, robots)
+    byzantine = (int(draw.integers(robots)),) if robots > 2 and draw.random() < 0.3 else ()
+    if draw.random() < 0.25:
+        step, bandwidth = int(draw.integers(1, CALM)), bandwidths[int(draw.integers(len(bandwidths)))]
+        settings["change"] = [{"step": step, "bandwidth": bandwidth, "range": str(draw.choice(RANGES))}]
+    return ChaosCase(seed, parse(settings), byzantine)
+
+
+def _faults(draw: np.random.Generator, robots: int) -> list[dict[str, Any]]:
+    """What befalls each robot, in its order; one of them lives at the end, or is restarted."""
+    faults: list[dict[str, Any]] = []
+    spared = int(draw.integers(robots))
+    for robot in range(robots):
+        step, alive = 1, True
+        for _ in range(int(draw.integers(4))):
+            step += int(draw.integers(1, CALM // 3))
+            if step > CALM // 2:
+                break
+            kind = str(draw.choice(["kill", "restart", *LASTING] if alive else ["restart"]))
+            fault: dict[str, Any] = {"step": step, "robot": robot, "kind": kind}
+            if kind in LASTING:
+                fault["steps"] = int(draw.integers(1, CALM // 4))
+                step += fault["steps"]
+            alive = kind != "kill"
+            faults.append(fault)
+        if not alive and (robot == spared or draw.random() < 0.5):
+            faults.append({"step": step + int(draw.integers(1, 10)), "robot": robot, "kind": "restart"})
+    return faults
+
+
+def _radio(draw: np.random.Generator, robots: int) -> dict[str, Any]:
+    """A medium that loses, delays, repeats and damages what is said, or parts the team for a while."""
+    radio: dict[str, Any] = {}
+    if draw.random() < 0.5:
+        radio["loss"] = float(draw.choice([0.05, 0.2]))
+    if draw.random() < 0.3:
+        radio["delay"] = int(draw.integers(1, 4))
+    if draw.random() < 0.2:
+        radio["duplication"] = 0.1
+    if draw.random() < 0.2:
+        radio["bit_errors"] = 1e-4
+    if draw.random() < 0.6:
+        first = int(draw.integers(1, CALM // 2))
+        last = first + int(draw.integers(1, CALM // 2))
+        group = draw.permutation(robots)[: int(draw.integers(1, robots))]
+        radio["partition"] = [{"first": first, "last": last, "groups": [sorted(group.tolist())]}]
+    return radio

@@ -1,0 +1,149 @@
+"""The grid exchange: patches say what has changed, packed the shorter way, and nonsense changes nothing."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.encodings.cells import RUNS, SAME, ZSTD, CellEncoding, pack, pack_runs, unpack, unpack_runs
+from agent.settings import Settings
+from protocol.errors import ProtocolError
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from protocol.packets import Fragment, Save, encode
+from protocol.scans import Change, Scan
+
+WIDTH, HEIGHT = 40, 30
+seeds = st.integers(0, 2**32 - 1)
+
+
+def settings_of(robot: int) -> Settings:
+    return Settings(
+        robot=robot, robots=3, width=WIDTH, height=HEIGHT, ranges_cells=[6.0] * 3, beams=36, speed_cells=1.0,
+        seed=0, map_encoding="cells", strategy="meier", dissemination="gossip", bandwidth=None, reach_cells=math.inf,
+    )  # fmt: skip
+
+
+def changed(rng: np.random.Generator, own: Grid) -> Change:
+    """Change a box of a grid at random, back to unknown too."""
+    x0, y0 = int(rng.integers(WIDTH - 1)), int(rng.integers(HEIGHT - 1))
+    x1, y1 = int(rng.integers(x0 + 1, WIDTH + 1)), int(rng.integers(y0 + 1, HEIGHT + 1))
+    box = own[y0:y1, x0:x1]
+    which = rng.random(box.shape) < rng.choice([0.02, 0.9])
+    box[which] = rng.integers(0, 3) if rng.random() < 0.5 else rng.integers(0, 3, box.shape)[which]
+    return Change(box.size, x0, y0, x1, y1)
+
+
+NO_SCAN = Scan(0, 0, np.zeros(36, np.uint16))
+
+
+@given(seeds)
+def test_what_one_tells_is_what_the_others_know_whenever_all_has_been_delivered(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    maker, hearer = CellEncoding(settings_of(0)), CellEncoding(settings_of(1))
+    own = np.zeros((HEIGHT, WIDTH), np.uint8)
+    nothing = np.zeros_like(own)
+    for _ in range(6):
+        delivered = bool(rng.random() < 0.6)
+        units = maker.record(own, NO_SCAN, changed(rng, own), delivered=delivered)
+        cut = int(rng.integers(0, len(units) + 1))
+        hearer.take(0, b"".join(units[:cut]))
+        hearer.take(0, b"".join(units[cut:]))
+        if delivered:
+            assert (hearer.merge(nothing) == own).all()
+        else:
+            assert not units
+
+
+def test_what_has_not_changed_is_not_told_and_ones_own_word_counts_more() -> None:
+    maker, hearer = CellEncoding(settings_of(0)), CellEncoding(settings_of(1))
+    own = np.zeros((HEIGHT, WIDTH), np.uint8)
+    own[3, 4:9] = OCCUPIED
+    change = Change(5, 4, 3, 9, 4)
+    units = maker.record(own, NO_SCAN, change, delivered=True)
+    assert units
+    assert maker.record(own, NO_SCAN, change, delivered=True) == []
+    hearer.take(0, b"".join(units))
+    mine = np.zeros_like(own)
+    mine[3, 4] = FREE
+    assert hearer.merge(mine)[3, 3:7].tolist() == [UNKNOWN, FREE, OCCUPIED, OCCUPIED]
+
+
+@given(seeds, st.sampled_from((0.01, 0.3, 1.0)))
+def test_a_patch_is_read_as_it_was_written_in_the_shorter_way(seed: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    patch = np.where(rng.random((9, 17)) < share, rng.integers(1, 4, (9, 17)), SAME).astype(np.uint8)
+    if rng.random() < 0.5:
+        patch = np.tile(patch[:3], (3, 1))
+    data = pack(5, 6, patch)
+    x0, y0, read, rest = unpack(data + b"more", (HEIGHT, WIDTH)) or (0, 0, patch, b"")
+    assert (x0, y0, rest) == (5, 6, b"more")
+    assert (read == patch).all()
+    assert data[0] in (RUNS, ZSTD)
+    assert len(data) <= len(pack_runs(patch)) + 8
+    for cut in range(len(data)):
+        assert unpack(data[:cut], (HEIGHT, WIDTH)) is None
+
+
+def test_the_patch_in_the_document_is_the_codes() -> None:
+    text = (Path(__file__).parents[3] / "docs" / "protocol.md").read_text(encoding="utf-8")
+    said = text.partition("```patch\n")[2].partition("   ")[0]
+    patch = np.array([[OCCUPIED] * 3, [FREE] * 3], np.uint8) + np.uint8(1)
+    assert encode([Fragment(pack(5, 2, patch))]) == bytes.fromhex(said)
+
+
+def test_both_ways_of_packing_are_used() -> None:
+    few = np.zeros((20, 20), np.uint8)
+    few[3, 4] = 2
+    comb = np.tile(np.array([1, 2], np.uint8), (20, 10))
+    assert [pack(0, 0, patch)[0] for patch in (few, comb)] == [RUNS, ZSTD]
+
+
+LIES = {
+    "another way": bytes([7, 0, 0, 1, 1, 1, 1]),
+    "cells outside": bytes([RUNS, WIDTH - 1, 0, 2, 1, 1, 2]),
+    "no cells": bytes([RUNS, 0, 0, 0, 1, 0]),
+    "more bytes than cells": bytes([RUNS, 0, 0, 2, 1, 3, 1, 1, 1]),
+    "a number without end": bytes([RUNS, 255, 255, 255, 255, 255]),
+    "too few cells": bytes([RUNS, 0, 0, 4, 1, 1, 3]),
+    "too many cells": bytes([RUNS, 0, 0, 4, 1, 1, 63]),
+    "no zstd": bytes([ZSTD, 0, 0, 9, 9, 4]) + b"nope",
+}
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_what_is_no_patch_is_refused_and_changes_nothing(lie: str) -> None:
+    hearer, nothing = CellEncoding(settings_of(1)), np.zeros((HEIGHT, WIDTH), np.uint8)
+    patch = pack(0, 0, np.full((2, 2), OCCUPIED + 1, np.uint8))
+    with pytest.raises(ProtocolError):
+        hearer.take(0, b"".join([encode([Fragment(patch + LIES[lie])])]))
+    assert not hearer.merge(nothing).any()
+    with pytest.raises(ProtocolError):
+        hearer.take(0, encode([Save()]))
+    hearer.take(0, encode([Fragment(patch)]))
+    assert hearer.merge(nothing)[:2, :2].all()
+
+
+@given(st.binary(max_size=40))
+def test_any_bytes_are_a_patch_inside_the_grid_or_none(data: bytes) -> None:
+    try:
+        read = unpack(data, (HEIGHT, WIDTH))
+    except ProtocolError:
+        return
+    if read is not None:
+        x0, y0, patch, rest = read
+        assert x0 + patch.shape[1] <= WIDTH
+        assert y0 + patch.shape[0] <= HEIGHT
+        assert patch.max() <= OCCUPIED + 1
+        assert data.endswith(rest)
+
+
+@given(seeds)
+def test_runs_of_any_length_come_back(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    patch = np.repeat(rng.integers(0, 4, 6), rng.choice([1, 63, 64, 127, 128, 5000], 6)).astype(np.uint8)
+    assert (unpack_runs(pack_runs(patch), len(patch)) == patch).all()

@@ -1,0 +1,113 @@
+"""Planning grids and errors brought up to date where something has changed are those made anew."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from agent.encodings.base import MapEncoding
+from agent.encodings.catalog import make_encoding
+from agent.encodings.changed_cells import ChangedCells
+from agent.settings import Settings
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
+from protocol.scans import Change, Scan, draw
+from tests.agent.explorations import Cell
+from worldsim.laser import cast
+
+BEAMS, RANGE, ROBOTS = 120, 14.0, 3
+
+
+def house() -> Grid:
+    grid = np.full((48, 70), FREE, np.uint8)
+    grid[0] = grid[-1] = grid[:, 0] = grid[:, -1] = OCCUPIED
+    grid[22, :50] = grid[1:22, 33] = OCCUPIED
+    grid[8:11, 33] = grid[22, 12:15] = FREE
+    rng = np.random.default_rng(5)
+    for y, x in rng.integers((2, 2), (45, 67), (20, 2)).tolist():
+        grid[y : y + 2, x] = OCCUPIED
+    return grid
+
+
+def settings_of(kind: str, robot: int, bandwidth: float | None) -> Settings:
+    world = house()
+    return Settings(
+        robot=robot, robots=ROBOTS, width=world.shape[1], height=world.shape[0], ranges_cells=[RANGE] * ROBOTS,
+        beams=BEAMS, speed_cells=3.0, seed=0, map_encoding=kind, strategy="meier", dissemination="backoff",
+        bandwidth=bandwidth, reach_cells=math.inf,
+    )  # fmt: skip
+
+
+def next_cell(world: Grid, cell: Cell, rng: np.random.Generator) -> Cell:
+    """A free cell near by in a straight line, so that what lies between is free as well."""
+    for _ in range(100):
+        dx, dy = ((1, 0), (-1, 0), (0, 1), (0, -1))[rng.integers(4)]
+        way = [(cell[0] + i * dx, cell[1] + i * dy) for i in range(1, 5)]
+        if all(world[y, x] == FREE for x, y in way):
+            return way[-1]
+    return cell
+
+
+class Looker:
+    """A robot that drives about, sees, and keeps one grid for good; and a mind that sees copies of it."""
+
+    def __init__(self, kind: str, robot: int, bandwidth: float | None) -> None:
+        self.robot = robot
+        self.own = np.full(house().shape, UNKNOWN, np.uint8)
+        self.encoding: MapEncoding = make_encoding(settings_of(kind, robot, bandwidth))
+        self.forgetful: MapEncoding = make_encoding(settings_of(kind, robot, bandwidth))
+        self.cell: Cell = (5 + 20 * robot, 30)
+
+    def look(self, rng: np.random.Generator) -> list[bytes]:
+        world = house()
+        before, self.cell = self.cell, next_cell(world, self.cell, rng)
+        xs, ys = (sorted((one, other)) for one, other in zip(before, self.cell, strict=True))
+        between = [(x, y) for x in range(xs[0], xs[1] + 1) for y in range(ys[0], ys[1] + 1)]
+        laser = ray_table(RANGE, BEAMS)
+        readings = cast(world, np.zeros(world.shape, np.bool_), laser, *self.cell)
+        change = draw(self.own, laser, *self.cell, readings, np.array(between, np.int32))
+        scan = Scan(*self.cell, readings)
+        delivered = bool(rng.random() < 0.6)
+        units = self.encoding.record(self.own, scan, change, delivered=delivered)
+        assert self.forgetful.record(self.own.copy(), scan, change, delivered=delivered) == units
+        return units
+
+    def check(self, peers: tuple[int, ...]) -> None:
+        plan = self.encoding.merge(self.own, peers)
+        assert plan.tolist() == self.forgetful.merge(self.own.copy(), peers).tolist()
+        assert self.encoding.error(self.own) == self.forgetful.error(self.own.copy())
+
+
+@pytest.mark.parametrize("kind", ["polygons", "scans", "none"])
+@pytest.mark.parametrize("bandwidth", [60.0, None])
+def test_step_by_step_it_is_what_one_without_memory_has(kind: str, bandwidth: float | None) -> None:
+    rng = np.random.default_rng(1)
+    team = [Looker(kind, robot, bandwidth) for robot in range(ROBOTS)]
+    for _ in range(40):
+        told = [robot.look(rng) for robot in team]
+        for listener in team:
+            for teller, units in zip(team, told, strict=True):
+                if teller is not listener and units:
+                    for mind in (listener.encoding, listener.forgetful):
+                        mind.take(teller.robot, b"".join(units))
+            peers = tuple(other for other in range(ROBOTS) if rng.random() < 0.7)
+            listener.check(tuple(peer for peer in peers if peer != listener.robot))
+
+
+def boxes_of(news: ChangedCells, grid: NDArray[Any]) -> list[list[int]] | None:
+    found = news.take(grid)
+    return None if found is None else found.tolist()
+
+
+def test_of_another_grid_than_the_last_time_all_is_news() -> None:
+    one, other, news = np.zeros((9, 9), np.uint8), np.zeros((9, 9), np.uint8), ChangedCells()
+    assert boxes_of(news, one) is None
+    assert boxes_of(news, one) == []
+    news.add(one, Change(3, 1, 2, 4, 5))
+    news.add(other, Change(1, 7, 7, 8, 8))
+    assert boxes_of(news, one) == [[1, 2, 4, 5]]
+    assert boxes_of(news, other) is None
+    assert boxes_of(news, one) is None

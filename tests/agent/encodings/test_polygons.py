@@ -1,0 +1,374 @@
+"""The polygon exchange: what is told of a map, when, and what teammates make of it; its options one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.encodings.catalog import make_encoding
+from agent.encodings.polygon_options import THESIS_OPTIONS, PolygonOptions
+from agent.encodings.polygons import PolygonEncoding
+from agent.outline.approximation import repair
+from agent.outline.claims import Drawing
+from agent.outline.contour import contours
+from agent.outline.merge import TeamMap, approximation_error
+from agent.outline.objects import Objects
+from agent.outline.polygons import Polygons
+from agent.outline.simplify import refine
+from agent.settings import Settings
+from protocol import packets
+from protocol.errors import ProtocolError
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from protocol.packets import Change as Changed
+from protocol.packets import Delete, Fragment, Save, encode
+from protocol.scans import Change, Scan
+from tests.agent.explorations import Cell, exploration, growing_maps
+
+EXACT: dict[str, Any] = {"bandwidth": None}
+NO_NEWS = Change(0, 0, 0, 0, 0)
+WORLD_SEED, STEPS = 4, 25
+
+
+def settings_of(shape: tuple[int, int], robot: int = 0, robots: int = 3, **more: Any) -> Settings:
+    known: dict[str, Any] = {
+        "ranges_cells": [20.0] * robots, "beams": 360, "speed_cells": 5.0, "seed": 0, "map_encoding": "polygons",
+        "strategy": "meier", "dissemination": "backoff", "bandwidth": 1000.0, "reach_cells": 1000.0,
+    }  # fmt: skip
+    return Settings(robot, robots, shape[1], shape[0], **(known | more))
+
+
+def maker(shape: tuple[int, int], robot: int = 0, **more: Any) -> PolygonEncoding:
+    return PolygonEncoding(settings_of(shape, robot, **more))
+
+
+def record(
+    exchange_: PolygonEncoding, grid: Grid, cell: Cell, *, news: bool = True, delivered: bool = True
+) -> list[bytes]:
+    height, width = grid.shape
+    change = Change(1, 0, 0, width, height) if news else NO_NEWS
+    return exchange_.record(grid, Scan(*cell, np.empty(0, np.uint16)), change, delivered=delivered)
+
+
+def house() -> Grid:
+    """Rooms, and pillars of one to four cells."""
+    grid = np.full((60, 80), FREE, np.uint8)
+    grid[0] = grid[-1] = grid[:, 0] = grid[:, -1] = OCCUPIED
+    grid[20, :60] = grid[40, 25:] = OCCUPIED
+    grid[1:40, 40] = OCCUPIED
+    grid[8:12, 40] = grid[20, 10:14] = grid[30:33, 40] = FREE
+    rng = np.random.default_rng(WORLD_SEED)
+    for y, x in rng.integers((2, 2), (57, 77), (25, 2)).tolist():
+        grid[y : y + 1 + x % 2, x : x + 1 + y % 2] = OCCUPIED
+    return grid
+
+
+def walk(steps: int = STEPS) -> list[tuple[Grid, Cell]]:
+    return list(exploration(house(), np.random.default_rng(WORLD_SEED), steps, 20.0))
+
+
+def is_exact(polygons: Polygons, grid: Grid, cell: Cell) -> bool:
+    """Whether no edge can be split any further."""
+    traced = contours(grid, cell)
+    return len(refine(traced, repair(polygons, traced))) == len(polygons.x)
+
+
+def told(exchange_: PolygonEncoding, steps: Sequence[tuple[Grid, Cell]]) -> list[list[bytes]]:
+    return [record(exchange_, grid, cell) for grid, cell in steps]
+
+
+# --- telling and taking --------------------------------------------------------------------------------
+
+
+@given(growing_maps(), st.sampled_from([None, 50.0, 2000.0]))
+def test_what_one_tells_is_what_the_other_holds_step_by_step(
+    steps: list[tuple[Grid, Cell]], bandwidth: float | None
+) -> None:
+    shape = steps[0][0].shape
+    one, other = maker(shape, 0, bandwidth=bandwidth), maker(shape, 1, bandwidth=bandwidth)
+    for grid, cell in steps:
+        units = record(one, grid, cell)
+        other.take(0, b"".join(units))
+        assert other.polygons[0].canonical() == one.polygons[0].canonical()
+
+
+def test_units_are_one_packet_each_and_a_step_ends_with_a_save_point() -> None:
+    for units in told(maker((60, 80)), walk()):
+        said = [packets.decode(unit) for unit in units]
+        assert [len(packet) for packet in said] == [1] * len(units)
+        assert [isinstance(packet, Save) for (packet,) in said] == [False] * (len(said) - 1) + [True] * bool(
+            said
+        )
+
+
+def test_units_taken_in_pieces_count_from_the_save_point_on() -> None:
+    one, other = maker((60, 80), 0), maker((60, 80), 1)
+    for units in told(one, walk(6)):
+        before = other.polygons.get(0)
+        for unit in units[:-1]:
+            other.take(0, unit)
+            assert other.polygons.get(0) is before
+        other.take(0, b"".join(units[-1:]))
+    assert other.polygons[0].canonical() == one.polygons[0].canonical()
+
+
+def test_with_unlimited_bandwidth_and_alone_the_approximation_is_exact() -> None:
+    alone: dict[str, Any] = {"robots": 1}
+    for more, delivered in ((EXACT, True), (alone, False)):
+        one = maker((60, 80), **more)
+        for grid, cell in walk():
+            record(one, grid, cell, delivered=delivered)
+            assert is_exact(one.polygons[0], grid, cell)
+
+
+@pytest.mark.parametrize(
+    "option",
+    [{"medium_use": 0.0}, {"medium_use": 1e18}, {"bytes_per_split": 1e-18}, {"bytes_per_split": -1.0}],
+)
+def test_an_option_that_would_break_the_splitting_frequency_is_refused(option: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=f"{next(iter(option))} = .*must be"):
+        PolygonOptions(**option)
+
+
+def test_a_step_without_news_tells_nothing_more_once_all_is_exact() -> None:
+    one = maker((60, 80), **EXACT)
+    grid, cell = walk()[-1]
+    assert record(one, grid, cell)
+    assert record(one, grid, cell, news=False) == []
+    assert record(one, grid, cell) == []
+
+
+def test_a_step_without_news_refines_on_at_the_splitting_frequency() -> None:
+    one = maker((60, 80), bandwidth=300.0)
+    grid, cell = walk()[-1]
+    sizes = []
+    for _ in range(200):
+        record(one, grid, cell, news=not sizes)
+        sizes.append(len(one.polygons[0].x))
+    assert sizes[0] < sizes[5] < sizes[-1]
+    assert sizes == sorted(sizes)
+    assert is_exact(one.polygons[0], grid, cell)
+
+
+def test_who_may_say_nothing_still_repairs() -> None:
+    one = maker((60, 80), bandwidth=0.0, **with_options(unknown_pairs=True))
+    for grid, cell in walk():
+        record(one, grid, cell)
+    assert not is_exact(one.polygons[0], grid, cell)
+    assert one.polygons[0].objects == contours(grid, cell).objects
+
+
+def test_the_more_may_be_said_the_smaller_is_the_error() -> None:
+    grid = house()
+    errors = []
+    for bandwidth in (20.0, 200.0, 1000.0, None):
+        one = maker((60, 80), bandwidth=bandwidth)
+        for grid, cell in walk():
+            record(one, grid, cell)
+        errors.append(one.error(grid))
+    assert errors == sorted(errors, reverse=True)
+    assert errors[0] > 2 * errors[-1]
+
+
+def test_bytes_a_split_are_measured_unless_they_are_given() -> None:
+    fixed = {"bytes_per_split": 1000.0}
+    measured, given_ = maker((60, 80), bandwidth=600.0), maker((60, 80), bandwidth=600.0, polygon=fixed)
+    for grid, cell in walk():
+        record(measured, grid, cell)
+        record(given_, grid, cell)
+    assert len(given_.polygons[0].x) < len(measured.polygons[0].x)
+
+
+# --- merging -------------------------------------------------------------------------------------------
+
+
+def test_the_plan_is_all_approximations_merged_with_ones_own_grid() -> None:
+    shape = (60, 80)
+    listener = maker(shape, 2)
+    team = TeamMap(Drawing(False, False, wide_walls=True, close_slivers=True))
+    own, _ = walk(8)[-1]
+    assert (listener.merge(own) == own).all()
+    for robot in (0, 1):
+        steps = list(exploration(house(), np.random.default_rng(robot), 15, 20.0))
+        teller = maker(shape, robot)
+        for units in told(teller, steps):
+            listener.take(robot, b"".join(units))
+        team.update(robot, Objects.of(teller.polygons[robot]))
+        assert (listener.merge(own, (0, 1)) == team.merged(own)).all()
+    assert (listener.merge(own) == FREE).sum() > (own == FREE).sum()
+    assert (listener.merge(own)[own != UNKNOWN] == own[own != UNKNOWN]).all()
+
+
+def test_robots_of_one_process_plan_as_if_each_were_alone() -> None:
+    common: dict[str, Any] = {}
+    alone, together = ([maker((60, 80), robot) for robot in range(3)] for _ in range(2))
+    for each in together:
+        each.share(common)
+    for grid, cell in walk(12):
+        for team in (alone, together):
+            units = record(team[0], grid, cell)
+            team[1].take(0, b"".join(units))
+            for unit in units:
+                team[2].take(0, unit)
+        for one, other in zip(alone, together, strict=True):
+            assert one.merge(grid).tolist() == other.merge(grid).tolist()
+            assert one.error(grid) == other.error(grid)
+
+
+def test_the_error_counts_what_has_not_been_told_yet() -> None:
+    one = maker((60, 80))
+    (first, cell), *_, (last, _) = walk()
+    assert one.error(first) == (first != UNKNOWN).sum()
+    record(one, first, cell)
+    drawing = Drawing(free_inside_edges=False, unknown_pairs=False)
+    assert one.error(first) == approximation_error(first, one.polygons[0], drawing)
+    assert one.error(last) > one.error(first)
+
+
+# --- nonsense ------------------------------------------------------------------------------------------
+
+NONSENSE = {
+    "an object that is not there": [encode([Changed(99, 2, 0)])],
+    "a vertex of no object": [encode([Delete(0)])],
+    "a second save point": [encode([Save()])],
+    "a raw scan": [encode([Fragment(b"scan")])],
+    "no packet": [6 * b"\xff"],
+}
+
+
+@pytest.mark.parametrize("units", NONSENSE.values(), ids=NONSENSE)
+def test_nonsense_is_refused_and_changes_nothing(units: list[bytes]) -> None:
+    one, other = maker((60, 80), 0), maker((60, 80), 1)
+    *before, last = told(one, walk(5))
+    for said in before:
+        other.take(0, b"".join(said))
+    held, plan = other.polygons[0], other.merge(house())
+    with pytest.raises(ProtocolError):
+        other.take(0, b"".join(units))
+    assert other.polygons[0] is held
+    assert (other.merge(house()) == plan).all()
+    other.take(0, b"".join(last))
+    assert other.polygons[0].canonical() == one.polygons[0].canonical()
+
+
+# --- options -------------------------------------------------------------------------------------------
+
+
+def with_options(**changed: Any) -> dict[str, Any]:
+    return {"polygons": asdict(replace(PolygonOptions(), **changed))}
+
+
+def test_a_lazy_robot_waits_until_its_last_words_were_heard_and_then_says_it_once() -> None:
+    first, *between, last = walk(6)
+    lazy, eager = maker((60, 80)), maker((60, 80), **with_options(lazy=False))
+    for one in (lazy, eager):
+        record(one, *first)
+    waited = [record(lazy, *step, delivered=False) for step in between]
+    hurried = [record(eager, *step, delivered=False) for step in between]
+    assert waited == [[]] * len(between)
+    assert all(hurried)
+    at_once = record(lazy, *last)
+    assert sum(map(len, at_once)) < sum(map(len, sum(hurried, record(eager, *last))))
+    assert lazy.polygons[0].objects == contours(*last).objects
+
+
+def test_edges_that_stand_for_walls_and_for_nothing_known_come_first_if_wished() -> None:
+    grid, cell = walk()[-1]
+    walls = {}
+    for wished in (True, False):
+        options = with_options(mixed_first=wished)
+        one, other = maker((60, 80), 0, bandwidth=200.0, **options), maker((60, 80), 1, **options)
+        for _ in range(6):
+            other.take(0, b"".join(record(one, grid, cell)))
+        walls[wished] = ((other.merge(np.zeros_like(grid)) == OCCUPIED) & (grid == OCCUPIED)).sum()
+    assert walls[True] > walls[False]
+
+
+def test_free_inside_edges_are_drawn_if_wished() -> None:
+    grid, cell = walk(3)[-1]
+    claims = {}
+    for wished in (True, False):
+        options = with_options(free_inside_edges=wished)
+        one, other = maker((60, 80), 0, bandwidth=100.0, **options), maker((60, 80), 1, **options)
+        other.take(0, b"".join(record(one, grid, cell)))
+        claims[wished] = other.merge(np.zeros_like(grid)) == FREE
+    assert claims[True].sum() > claims[False].sum()
+
+
+def test_unknown_pairs_are_told_and_drawn_if_wished() -> None:
+    grid = np.full((30, 30), FREE, np.uint8)
+    grid[10, 10] = grid[20, 15] = UNKNOWN
+    grid[5, 20] = OCCUPIED
+    objects, free = {}, {}
+    for wished in (True, False):
+        options = with_options(unknown_pairs=wished, bytes_per_split=10.0, close_slivers=False)
+        six_splits = options | {"bandwidth": 3 * 2 * 10.0 * 6}
+        one, other = maker((30, 30), 0, **six_splits), maker((30, 30), 1, **six_splits)
+        other.take(0, b"".join(record(one, grid, (1, 1))))
+        objects[wished] = other.polygons[0].objects
+        free[wished] = other.merge(np.zeros_like(grid))[10, 10]
+    assert objects == {True: 4, False: 2}
+    assert free == {True: UNKNOWN, False: FREE}
+
+
+def test_walls_are_wide_if_wished_while_their_robot_is_in_range() -> None:
+    grid, cell = walk()[-1]
+    nothing = np.zeros_like(grid)
+    walls = {}
+    for wished in (True, False):
+        options = with_options(wide_walls=wished)
+        one, other = maker((60, 80), 0, **options), maker((60, 80), 1, **options)
+        other.take(0, b"".join(record(one, grid, cell)))
+        near, far = (int((other.merge(nothing, peers) == OCCUPIED).sum()) for peers in ((0,), (2,)))
+        walls[wished] = near, far
+    assert walls[True][0] > walls[True][1] == walls[False][0] == walls[False][1]
+
+
+def test_slivers_are_closed_if_wished() -> None:
+    grid = np.full((20, 20), UNKNOWN, np.uint8)
+    left, right = grid.copy(), grid.copy()
+    left[1:10, 1:8] = right[1:10, 9:16] = FREE
+    free = {}
+    for wished in (True, False):
+        options = with_options(close_slivers=wished, wide_walls=False)
+        one, other = maker((20, 20), 0, **options), maker((20, 20), 1, **options)
+        other.take(0, b"".join(record(one, left, (2, 2))))
+        free[wished] = other.merge(right)[1:10, 8].tolist()
+    assert free == {True: [FREE] * 9, False: [UNKNOWN] * 9}
+
+
+def test_the_thesis_plain_rules_are_a_set_of_options() -> None:
+    assert asdict(THESIS_OPTIONS) == {
+        "medium_use": 0.5, "bytes_per_split": 0.0, "lazy": False, "mixed_first": False,
+        "free_inside_edges": True, "unknown_pairs": True, "wide_walls": False, "wide_seen_walls": True,
+        "close_slivers": False, "splits_per_step": 0.0, "exact_error": False,
+    }  # fmt: skip
+    shape = (60, 80)
+    one, other = (maker(shape, robot, polygon=asdict(THESIS_OPTIONS)) for robot in (0, 1))
+    for grid, cell in walk():
+        other.take(0, b"".join(record(one, grid, cell, delivered=False)))
+        assert other.polygons[0].canonical() == one.polygons[0].canonical()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"medium_use": 0.0},
+        {"medium_use": float("nan")},
+        {"medium_use": float("inf")},
+        {"bytes_per_split": -1.0},
+    ],
+)
+def test_options_without_meaning_are_refused(wrong: dict[str, float]) -> None:
+    (name,) = wrong
+    with pytest.raises(ValueError, match=f"{name} = .*: must be "):
+        PolygonOptions(**wrong)
+
+
+def test_the_exchange_is_found_by_its_name() -> None:
+    assert isinstance(make_encoding(settings_of((9, 9))), PolygonEncoding)

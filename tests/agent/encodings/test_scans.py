@@ -1,0 +1,196 @@
+"""The raw-laser exchange: what one robot saw is what the others draw, and nonsense changes nothing."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.encodings.catalog import ENCODINGS, make_encoding
+from agent.encodings.none import NoEncoding
+from agent.encodings.scans import ScanEncoding
+from agent.settings import Settings
+from protocol.errors import ProtocolError
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
+from protocol.packets import Delete, Fragment, Save, encode
+from protocol.scans import HIT, NONE, Change, Scan, draw, encode_scan, fragments, scan_size
+
+BEAMS = 36
+RANGES = [6.0, 3.5, 9.0]
+WIDTH, HEIGHT = 20, 14
+NOTHING = Change(0, WIDTH, HEIGHT, 0, 0)
+seeds = st.integers(0, 2**32 - 1)
+
+
+def settings_of(robot: int, **more: Any) -> Settings:
+    return Settings(
+        robot=robot, robots=3, width=WIDTH, height=HEIGHT, ranges_cells=RANGES, beams=BEAMS, speed_cells=1.0,
+        seed=0, map_encoding="scans", strategy="meier", dissemination="backoff", bandwidth=None, reach_cells=math.inf,
+        **more,
+    )  # fmt: skip
+
+
+def random_scan(rng: np.random.Generator, robot: int) -> Scan:
+    lengths = np.diff(ray_table(RANGES[robot], BEAMS).start)
+    crossed = rng.integers(0, lengths + 1)
+    readings = (crossed | np.where((rng.random(BEAMS) < 0.5) & (crossed < lengths), HIT, 0)).astype(np.uint16)
+    readings[rng.random(BEAMS) < 0.2] = NONE
+    return Scan(int(rng.integers(WIDTH)), int(rng.integers(HEIGHT)), readings)
+
+
+def record(maker: ScanEncoding, scan: Scan) -> list[bytes]:
+    return maker.record(empty(), scan, NOTHING, delivered=True)
+
+
+def empty() -> Grid:
+    return np.zeros((HEIGHT, WIDTH), np.uint8)
+
+
+def scans(seed: int, robot: int, count: int = 4) -> list[Scan]:
+    rng = np.random.default_rng(seed)
+    return [random_scan(rng, robot) for _ in range(count)]
+
+
+def drawn(seen: list[tuple[int, Scan]]) -> Grid:
+    grid = empty()
+    for robot, scan in seen:
+        draw(grid, ray_table(RANGES[robot], BEAMS), scan.x, scan.y, scan.readings)
+    return grid
+
+
+@given(seeds, st.integers(0, 2))
+def test_what_a_robot_logged_is_what_the_others_draw(seed: int, robot: int) -> None:
+    maker, hearer = ScanEncoding(settings_of(robot)), ScanEncoding(settings_of((robot + 1) % 3))
+    seen = scans(seed, robot)
+    for scan in seen:
+        hearer.take(robot, b"".join(record(maker, scan)))
+    assert hearer.merge(empty()).tolist() == drawn([(robot, scan) for scan in seen]).tolist()
+
+
+@given(seeds, st.lists(st.integers(0, 8), max_size=30))
+def test_a_log_taken_in_pieces_says_the_same_once_all_is_there(seed: int, pieces: list[int]) -> None:
+    maker, hearer = ScanEncoding(settings_of(0)), ScanEncoding(settings_of(1))
+    seen = scans(seed, 0)
+    units = [unit for scan in seen for unit in record(maker, scan)]
+    whole = len(fragments(bytes(scan_size(BEAMS))))
+    taken = 0
+    for piece in [*pieces, len(units)]:
+        hearer.take(0, b"".join(units[taken : taken + piece]))
+        taken = min(taken + piece, len(units))
+        complete = [(0, scan) for scan in seen[: taken // whole]]
+        assert hearer.merge(empty()).tolist() == drawn(complete).tolist()
+
+
+@given(seeds)
+def test_logs_of_several_robots_do_not_mix(seed: int) -> None:
+    makers = [ScanEncoding(settings_of(robot)) for robot in (0, 2)]
+    hearer = ScanEncoding(settings_of(1))
+    seen = {robot: scans(seed + robot, robot) for robot in (0, 2)}
+    logs = {
+        robot: [unit for scan in seen[robot] for unit in record(maker, scan)]
+        for robot, maker in zip((0, 2), makers, strict=True)
+    }
+    for number in range(max(map(len, logs.values()))):
+        for robot, units in logs.items():
+            hearer.take(robot, b"".join(units[number : number + 1]))
+    told = hearer.merge(empty())
+    assert ((told != UNKNOWN) == (drawn([(r, s) for r in seen for s in seen[r]]) != UNKNOWN)).all()
+
+
+def test_a_scan_that_says_nothing_new_is_not_logged() -> None:
+    maker = ScanEncoding(settings_of(0))
+    one, other = scans(1, 0, 2)
+    assert record(maker, one)
+    assert record(maker, one) == []
+    assert record(maker, other)
+    assert record(maker, one)
+
+
+def test_a_scanner_that_is_off_has_nothing_to_log() -> None:
+    maker = ScanEncoding(settings_of(0))
+    assert record(maker, Scan(1, 1, np.full(BEAMS, NONE, np.uint16))) == []
+
+
+def test_a_log_is_made_of_units_of_one_packet() -> None:
+    units = record(ScanEncoding(settings_of(0)), scans(1, 0, 1)[0])
+    assert sum(len(unit) for unit in units) == scan_size(BEAMS) + 3
+    assert all(len(unit) <= 64 for unit in units)
+
+
+@given(seeds)
+def test_a_robots_own_grid_counts_more_than_what_it_heard(seed: int) -> None:
+    maker, hearer = ScanEncoding(settings_of(0)), ScanEncoding(settings_of(1))
+    for scan in scans(seed, 0):
+        hearer.take(0, b"".join(record(maker, scan)))
+    rng = np.random.default_rng(seed)
+    own = rng.choice(np.array([UNKNOWN, FREE, OCCUPIED], np.uint8), (HEIGHT, WIDTH))
+    heard, before = hearer.merge(empty()), own.copy()
+    merged = hearer.merge(own)
+    assert (merged[own != UNKNOWN] == own[own != UNKNOWN]).all()
+    assert (merged[own == UNKNOWN] == heard[own == UNKNOWN]).all()
+    assert (own == before).all()
+    merged[:] = OCCUPIED
+    assert hearer.merge(empty()).tolist() == heard.tolist()
+
+
+def whole(x: int, y: int, reading: int) -> list[bytes]:
+    return fragments(encode_scan(Scan(x, y, np.full(BEAMS, reading, np.uint16))))
+
+
+NONSENSE = {
+    "another packet": [encode([Save()])],
+    "another packet behind a fragment": [*whole(1, 1, 0)[:1], encode([Delete(3)])],
+    "bytes that are no packet": [b"\xff"],
+    "a fragment cut off": [whole(1, 1, 0)[0][:-1]],
+    "a reading beyond its beam": whole(1, 1, 10),
+    "a cell beyond the grid": whole(WIDTH, 1, 0),
+    "a cell below the grid": whole(1, HEIGHT, 0),
+    "a cell beyond any grid": whole(60000, 1, 0),
+    "more than a scan": [*whole(1, 1, 0)[:-1], encode([Fragment(bytes(63))])],
+}
+
+
+@pytest.mark.parametrize("units", NONSENSE.values(), ids=list(NONSENSE))
+def test_nonsense_is_refused_and_changes_nothing(units: list[bytes]) -> None:
+    maker, hearer = ScanEncoding(settings_of(0)), ScanEncoding(settings_of(1))
+    first, second = scans(3, 0, 2)
+    log = record(maker, first) + record(maker, second)
+    hearer.take(0, b"".join(log[:3]))
+    before = hearer.merge(empty()).tolist()
+    for _ in range(2):
+        with pytest.raises(ProtocolError):
+            hearer.take(0, b"".join([*log[3:], *units]))
+        assert hearer.merge(empty()).tolist() == before
+    hearer.take(0, b"".join(log[3:]))
+    assert hearer.merge(empty()).tolist() == drawn([(0, first), (0, second)]).tolist()
+
+
+@given(st.lists(st.binary(min_size=1, max_size=63), max_size=12))
+def test_fragments_of_noise_are_refused_or_stay_within_a_laser_of_their_place(noise: list[bytes]) -> None:
+    hearer = ScanEncoding(settings_of(1))
+    try:
+        hearer.take(0, b"".join([encode([Fragment(data)]) for data in noise]))
+    except ProtocolError:
+        assert not hearer.merge(empty()).any()
+
+
+def test_a_robot_without_an_exchange_tells_nothing_and_plans_on_its_own_map() -> None:
+    alone = NoEncoding(settings_of(0))
+    own = drawn([(0, scans(1, 0, 1)[0])])
+    assert alone.record(own, scans(1, 0, 1)[0], NOTHING, delivered=True) == []
+    merged = alone.merge(own)
+    assert merged.tolist() == own.tolist()
+    assert merged is not own
+    with pytest.raises(ProtocolError, match="where none are exchanged"):
+        alone.take(1, encode([Save()]))
+
+
+def test_exchanges_are_found_by_name() -> None:
+    assert {"scans", "none"} <= set(ENCODINGS)
+    assert isinstance(make_encoding(settings_of(0)), ScanEncoding)
+    with pytest.raises(ValueError, match=r"no exchange is called 'smoke'; there are: .*laser"):
+        make_encoding(Settings(**(settings_of(0).to_message() | {"map_encoding": "smoke"})))

@@ -1,0 +1,161 @@
+"""Sub-teams are all that are connected, where those between pass on what they have heard."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from agent.robot import Robot
+from agent.strategies.base import Cell, Pose, Situation
+from agent.strategies.burgard import Burgard
+from agent.strategies.relayed_state import RelayedState
+from netshaper.frames import is_broadcast
+from protocol import packets
+from protocol.grid import ray_table
+from protocol.messages import Outcome, Sense
+from protocol.packets import Passed, Target
+from tests.agent.planning.planning_references import drawn, settings_for
+
+GRID = drawn(*["." * 60] * 20)
+READINGS = (ray_table(5.0, 360).start[1:] - ray_table(5.0, 360).start[:-1]).astype("<u2").tobytes()
+
+
+class Watched(Burgard):
+    """Burgard's, remembering whom it decided with, and what it was told."""
+
+    name = "watched"
+
+    def decide(self, situation: Situation) -> Any:
+        """Decide, and remember."""
+        self.told, self.members = situation, tuple(self.team(situation))
+        return super().decide(situation)
+
+
+class Line:
+    """Robots in a row, each of which hears those beside it, if there is nothing between."""
+
+    def __init__(self, robots: int, sub_team: str, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("agent.robot.strategy", lambda name: Watched)
+        options = {"sub_team": sub_team}
+        self.robot_settings = [
+            Robot(
+                settings_for(
+                    GRID,
+                    robot=robot,
+                    robots=robots,
+                    strategy="burgard",
+                    map_encoding="scans",
+                    options=options,
+                )
+            )
+            for robot in range(robots)
+        ]
+        self.step_number, self.broken = 0, False
+
+    def step(self, columns: list[int]) -> None:
+        """One step, with the robots in these columns; what they broadcast is heard beside them."""
+        self.step_number += 1
+        for mind, x in zip(self.robot_settings, columns, strict=True):
+            mind.perceive(Sense(self.step_number, x, 10, 0, b"", READINGS, ""))
+        beside = {
+            one: [two for two in (one - 1, one + 1) if self.hears(one, two)]
+            for one in range(len(self.robot_settings))
+        }
+        frames = {one: self.robot_settings[one].announce(peers) for one, peers in beside.items()}
+        for one, frame in frames.items():
+            assert frame is None or is_broadcast(frame)
+            for other in beside[one] if frame is not None else ():
+                assert frame is not None
+                self.robot_settings[other].hear_broadcast(one, frame)
+            self.robot_settings[one].settle(
+                Outcome(self.step_number, 0, [], [], [], [], [], frame is not None), []
+            )
+        for mind in self.robot_settings:
+            mind.decide()
+            assert not mind.faults
+
+    def hears(self, one: int, two: int) -> bool:
+        return 0 <= two < len(self.robot_settings) and not (self.broken and {one, two} == {0, 1})
+
+    @property
+    def teams(self) -> list[tuple[int, ...]]:
+        return [mind._strategy.members for mind in self.robot_settings]  # type: ignore[attr-defined]
+
+
+def test_in_a_chain_of_three_all_plan_for_three_where_poses_are_passed_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for sub_team, ends in (("in-range", [(0, 1), (1, 2)]), ("connected", [(0, 1, 2), (0, 1, 2)])):
+        line = Line(3, sub_team, monkeypatch)
+        targets = set()
+        for step in range(3):
+            line.step([5 + step, 20, 35])
+            targets.add(line.robot_settings[0].target)
+        first, last = line.teams[0], line.teams[2]
+        assert [first, last] == ends
+        assert line.teams[1] == (0, 1, 2)
+    told = line.robot_settings[2]._strategy.told  # type: ignore[attr-defined]
+    assert told.connected == (0,)
+    assert told.poses[0] == Pose(6, 10, leads=False), "where it was a step ago"
+    assert told.targets[0] in targets
+    assert told.travelled[0] == 1.0
+
+
+def test_who_is_cut_off_is_no_member_any_more_as_soon_as_its_word_is_too_old(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    line = Line(4, "connected", monkeypatch)
+    for _ in range(4):
+        line.step([5, 20, 35, 50])
+    assert line.teams == 4 * [(0, 1, 2, 3)]
+    line.broken = True
+    for _ in range(4):
+        line.step([5, 20, 35, 50])
+    assert line.teams == [(0,), *3 * [(1, 2, 3)]]
+
+
+def test_word_of_a_robot_goes_round_no_longer_than_a_chain_of_all_would_take() -> None:
+    one, two = (RelayedState(settings_for(GRID, robot=robot, robots=5)) for robot in (1, 2))
+    poses: dict[int, Pose] = {0: Pose(3, 4, leads=False)}
+    targets: dict[int, Cell] = {0: (8, 9)}
+    said = {1: one.passed_on(1, [0], [2], poses, targets), 2: two.passed_on(1, [], [1], poses, targets)}
+    assert said == {1: [Passed(0, 1, 3, 4), Target(8, 9)], 2: []}
+    lasted = 0
+    for step in range(1, 9):
+        for mind, other in ((one, 2), (two, 1)):
+            news = [mind.take(packet, step) for packet in said[other] if isinstance(packet, Passed)]
+            assert news == ([True] if (step, other) == (1, 1) else [False] * len(news)), (
+                "nobody's own word is news"
+            )
+        lasted += bool(two.connected(step, [1]))
+        said = {
+            1: one.passed_on(step + 1, [2], [2], poses, targets),
+            2: two.passed_on(step + 1, [1], [1], poses, targets),
+        }
+    assert lasted == 3 and said == {1: [], 2: []}
+
+
+@pytest.mark.parametrize("frame", [
+    [Passed(9, 1, 3, 4)], [Passed(0, 1, 500, 4)], [Passed(0, 1, 3, 4), Target(900, 9)],
+])  # fmt: skip
+def test_hearsay_of_no_robot_or_cell_is_a_fault(frame: list[packets.AnyPacket]) -> None:
+    mind = Robot(settings_for(GRID, robot=2, robots=3, strategy="burgard", map_encoding="scans"))
+    mind.hear_broadcast(1, packets.encode(frame))
+    assert len(mind.faults) == 1
+
+
+@pytest.mark.parametrize("frame", [
+    [Passed(1, 1, 3, 4), Passed(1, 1, 3, 4)], [Passed(2, 1, 3, 4), Passed(1, 1, 3, 4)],
+    [Passed(1, 1, 3, 4), packets.Pose(1, 1, 0)],
+    [Target(1, 1), packets.Pose(1, 1, 0)], [Target(1, 1), Target(1, 1)], [],
+])  # fmt: skip
+def test_the_radio_puts_no_frame_on_the_air_that_says_a_thing_twice_or_out_of_order(
+    frame: list[packets.AnyPacket],
+) -> None:
+    assert not is_broadcast(packets.encode(frame))
+    assert is_broadcast(
+        packets.encode(
+            [packets.Pose(1, 1, 0), Target(1, 1), Passed(1, 1, 3, 4), Target(5, 5), Passed(2, 1, 3, 4)]
+        )
+    )

@@ -1,0 +1,87 @@
+"""The survey of a frame sees what the decoder reads, packet by packet, and refuses what it refuses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from protocol.errors import ProtocolError
+from protocol.packet_index import contents, fitting, kinds, split
+from protocol.packets import ALL_KINDS, AnyPacket, Fragment, decode, encode
+from tests.protocol.test_packets import EXAMPLES, streams
+
+noisy = st.binary(max_size=100) | st.builds(
+    lambda said, at, more: encode(said)[:at] + more, streams, st.integers(0, 80), st.binary(max_size=3)
+)
+
+
+@given(noisy)
+@example(b"\xf2\x00")
+@example(b"\xf2\x3f" + bytes(63))
+@example(b"\xf2\xff")
+@example(b"\xfc\x01")
+@example(b"\xf8\x40")
+@example(b"\x80\x01")
+def test_a_survey_accepts_what_reading_accepts_and_gives_its_reasons(noise: bytes) -> None:
+    surveys: list[Any] = [split, kinds]
+    try:
+        heard = decode(noise)
+    except ProtocolError as error:
+        for packet_index in surveys:
+            with pytest.raises(ProtocolError) as caught:
+                packet_index(noise)
+            assert str(caught.value) == str(error)
+    else:
+        assert split(noise) == [encode([packet]) for packet in heard]
+        assert {kind for bit, kind in enumerate(ALL_KINDS) if kinds(noise) >> bit & 1} == {
+            packet.name for packet in heard
+        }
+
+
+sizes = st.lists(st.integers(1, 63), max_size=6)
+
+
+@given(sizes, st.integers(1, 70), st.integers(0, 70), streams)
+def test_fragments_carry_what_was_cut_and_end_where_it_ends(
+    parts: list[int], size: int, held: int, others: list[AnyPacket]
+) -> None:
+    held %= size
+    pieces = [bytes([number]) * part for number, part in enumerate(parts)]
+    frame = encode(map(Fragment, pieces))
+    assert contents(frame) == b"".join(pieces)
+    at, fits = held, True
+    for part in parts:
+        at += part
+        fits = fits and at <= size
+        at %= size
+    if fits:
+        assert contents(frame, size, held) == b"".join(pieces)
+    else:
+        with pytest.raises(ProtocolError, match=f"the {size} bytes"):
+            contents(frame, size, held)
+    if not all(isinstance(other, Fragment) for other in others):
+        with pytest.raises(ProtocolError, match="only fragments"):
+            contents(frame + encode(others))
+
+
+@pytest.mark.parametrize("packet", EXAMPLES, ids=repr)
+def test_every_bit_that_is_wrong_is_found(packet: AnyPacket) -> None:
+    whole = encode([packet])
+    for bit in range(8 * len(whole)):
+        broken = (int.from_bytes(whole, "big") ^ 1 << bit).to_bytes(len(whole), "big")
+        try:
+            decode(broken)
+        except ProtocolError:
+            with pytest.raises(ProtocolError):
+                kinds(broken)
+        else:
+            assert split(broken)
+
+
+@given(streams, st.integers(-1, 300))
+def test_what_fits_is_the_longest_run_of_whole_packets(said: list[AnyPacket], room: int) -> None:
+    ends = [len(encode(said[:count])) for count in range(len(said) + 1)]
+    assert fitting(encode(said), room) == max((end for end in ends if end <= room), default=0)

@@ -1,0 +1,125 @@
+"""Whole runs with predictive and gossip: nothing is lost, little is said, and the books are right."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from netshaper.ledger import KIND_NUMBER, balance
+from netshaper.medium import NEWS
+from protocol.grid import UNKNOWN
+from tests.system.team import Team, small_plan
+
+
+def explored(**settings: Any) -> Team:
+    team = Team(
+        small_plan(
+            "office", **({"map_encoding": "predictive", "dissemination": "gossip", "seed": 3} | settings)
+        )
+    )
+    team.explore(600)
+    assert any(move.explored for move in team.moves.values())
+    assert not [fault for robot in team.robots for fault in robot.faults]
+    return team
+
+
+def bytes_of(team: Team, kind: str) -> int:
+    rows = team.ledger()
+    return int(rows["bytes"][(rows["kind"] == KIND_NUMBER[kind]) & (rows["carried"] == 1)].sum())
+
+
+@pytest.mark.parametrize("bandwidth", [20, 50, "unlimited"])
+@pytest.mark.parametrize("base", ["team", "own"])
+def test_all_that_is_said_of_maps_is_true_however_narrow_the_medium(bandwidth: int | str, base: str) -> None:
+    team = explored(robots=4, bandwidth=bandwidth, predictive={"base": base})
+    for robot in team.robots:
+        known = robot.planning != UNKNOWN
+        assert (robot.planning == team.truth)[known].all()
+    assert bytes_of(team, "conn") == 0, "all hear each other, so nobody needs to report anything"
+
+
+def test_without_a_limit_every_robot_knows_all_but_what_waits_for_the_next_step() -> None:
+    team = explored(robots=4, bandwidth="unlimited")
+    seen = np.max([robot.own for robot in team.robots], axis=0)
+    for robot in team.robots:
+        assert ((robot.planning != seen) & (seen != UNKNOWN)).mean() < 0.01
+
+
+@pytest.mark.parametrize("map_encoding", ["predictive", "scans", "polygons", "cells"])
+@pytest.mark.parametrize("reach", ["25%", "100%"])
+def test_what_is_said_is_carried_or_cut_to_the_byte_and_never_beyond_the_budget(
+    map_encoding: str, reach: str
+) -> None:
+    team = Team(
+        small_plan(
+            "office", robots=5, map_encoding=map_encoding, dissemination="gossip", bandwidth=150, range=reach
+        )
+    )
+    team.explore(60)
+    rows = team.ledger()
+    for step, (said, carried, cut, _) in balance(rows).items():
+        assert said == carried + cut == team.said[step]
+        assert carried <= 150
+    assert (rows["frame"] == NEWS).any()
+    assert not [fault for robot in team.robots for fault in robot.faults]
+
+
+@pytest.mark.parametrize("map_encoding", ["predictive", "scans", "cells"])
+def test_robots_that_part_and_meet_know_all_in_the_end(map_encoding: str) -> None:
+    team = explored(robots=5, map_encoding=map_encoding, bandwidth="unlimited", range="30%")
+    together = dict(enumerate(team.plan.world.starts))
+    for _ in range(40):
+        team.stand(together)
+    seen = np.max([robot.own for robot in team.robots], axis=0)
+    for robot in team.robots:
+        assert (robot.planning == seen).all()
+
+
+def test_by_gossip_more_maps_travel_than_offers_can_name() -> None:
+    team = Team(
+        small_plan(
+            "office",
+            robots=66,
+            map_encoding="predictive",
+            dissemination="gossip",
+            bandwidth="unlimited",
+            seed=3,
+        )
+    )
+    team.explore(2)
+    assert all(len(robot.session.logs[65]) for robot in team.robots)
+    assert not [fault for robot in team.robots for fault in robot.faults]
+
+
+def test_looks_tell_where_robots_are_so_that_fewer_poses_are_told() -> None:
+    plans = [
+        small_plan(
+            "office",
+            robots=4,
+            map_encoding=map_encoding,
+            dissemination="gossip",
+            strategy="repairmen",
+            seed=3,
+        )
+        for map_encoding in ("predictive", "scans")
+    ]
+    predictive, laser = (Team(plan) for plan in plans)
+    for team in (predictive, laser):
+        team.explore(60)
+    assert 0 < bytes_of(predictive, "pose") < 0.7 * bytes_of(laser, "pose")
+
+
+def test_predictive_by_gossip_takes_a_hundredth_of_raw_scans() -> None:
+    predictive = explored(robots=3, bandwidth="unlimited")
+    laser = explored(robots=3, bandwidth="unlimited", map_encoding="scans", dissemination="backoff")
+    assert 100 * bytes_of(predictive, "look") < bytes_of(laser, "scan")
+
+
+def test_targets_that_hardly_moved_are_not_told_by_gossip() -> None:
+    told, all_told = (
+        explored(robots=3, bandwidth="unlimited", map_encoding="scans", dissemination=dissemination)
+        for dissemination in ("gossip", "backoff")
+    )
+    assert bytes_of(told, "targ") / told.step < bytes_of(all_told, "targ") / all_told.step
