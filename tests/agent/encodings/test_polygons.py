@@ -31,7 +31,7 @@ from protocol.scans import Change, Scan
 from tests.agent.explorations import Cell, exploration, growing_maps
 
 EXACT: dict[str, Any] = {"bandwidth": None}
-NO_NEWS = Change(0, 0, 0, 0, 0)
+NO_NEWS = Change(0, (0, 0, 0, 0))
 WORLD_SEED, STEPS = 4, 25
 
 
@@ -51,7 +51,7 @@ def record(
     exchange_: PolygonEncoding, grid: Grid, cell: Cell, *, news: bool = True, delivered: bool = True
 ) -> list[bytes]:
     height, width = grid.shape
-    change = Change(1, 0, 0, width, height) if news else NO_NEWS
+    change = Change(1, (0, 0, width, height)) if news else NO_NEWS
     return exchange_.record(grid, Scan(*cell, np.empty(0, np.uint16)), change, delivered=delivered)
 
 
