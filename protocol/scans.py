@@ -137,8 +137,8 @@ def draw(
         driven,
         out,
     )
-    cells, *box = out.tolist()
-    return Change(cells, tuple(box))
+    cells, x0, y0, x1, y1 = out.tolist()
+    return Change(cells, (x0, y0, x1, y1))
 
 
 @kernel(
