@@ -34,7 +34,7 @@ from protocol.packets import ALL_KINDS
 from worldsim import generators, maps
 
 CONTRACT = {
-    "finished", "steps", "first_robot", "coverage", "map_agreement", "t50", "t90", "t99", "overlap", "path_length",
+    "finished", "steps", "first_robot", "coverage", "map_accuracy", "t50", "t90", "t99", "overlap", "path_length",
     "robots", "seed", "bus", "strategy", "map_encoding", "bandwidth", "range_m", "bytes", "packets", "wire_bytes",
     "raw_scan_bytes", "over_budget_steps", "undelivered",
     "approximation_error", "approximation_error_net", "explored_at", "digest", "wall_s", "steps_per_s", "versions",
@@ -98,7 +98,7 @@ def test_the_summary_has_every_name_of_the_contract(run: Result, out: Path) -> N
     assert set(summary) >= CONTRACT
     assert summary["finished"]
     assert summary["steps"] == run.records.step
-    assert summary["coverage"] == summary["map_agreement"] == 1
+    assert summary["coverage"] == summary["map_accuracy"] == 1
     assert summary["t50"] <= summary["t90"] <= summary["t99"] <= summary["steps"]
     assert summary["over_budget_steps"] == 0
     assert summary["wire_bytes"] is None
