@@ -158,7 +158,7 @@ def _alarmed(processes: ProcessTable) -> Callable[[], None]:
 
 def _median_work(records: Records) -> float:
     """Median computing time per robot and step in milliseconds, of a run in one process, on one core."""
-    return float(np.median([m.work_us for reports in records.robot_settings for m in reports])) / 1000
+    return float(np.median([m.work_us for reports in records.statuses for m in reports])) / 1000
 
 
 def memory_of_robots() -> float:

@@ -66,7 +66,7 @@ def explored(plan: Plan) -> list[list[Sense]]:
     senses: list[list[Sense]] = [[] for _ in range(plan.scenario.robots)]
 
     def wrap(name: str, bus: Bus) -> Bus:
-        return _Listener(bus, senses[names.number(name)]) if name[:1] == "r" and name != names.RELAY else bus
+        return _Listener(bus, senses[names.number(name)]) if names.is_robot(name) else bus
 
     in_memory.run(plan, wrap=wrap)
     return senses

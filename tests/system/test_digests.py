@@ -43,7 +43,7 @@ def check_both_buses(**settings: Any) -> None:
     """Run a scenario on both buses; whatever is a result must be the same."""
     memory, zenoh = (explore(bus, **settings) for bus in ("memory", "zenoh"))
     assert zenoh["digest"] == memory["digest"]
-    for name in ("steps", "first_robot", "coverage", "map_agreement", "path_length", "bytes", "undelivered"):
+    for name in ("steps", "first_robot", "coverage", "map_accuracy", "path_length", "bytes", "undelivered"):
         assert zenoh[name] == memory[name], name
 
 

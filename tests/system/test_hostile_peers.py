@@ -142,7 +142,7 @@ def test_a_liar_is_named_in_the_laboratorys_records() -> None:
         return _Forger(bus) if name == names.robot(LIAR) else bus
 
     records = in_memory.run(small_plan(robots=3, steps=30), wrap=wrap)
-    assert set(records.faults) >= {
+    assert set(records.protocol_errors) >= {
         f"{names.robot(honest)}: heard nonsense from {names.robot(LIAR)}: "
         "save at byte 0: nothing has changed since the last one"
         for honest in (0, 2)

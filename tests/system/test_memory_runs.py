@@ -67,7 +67,7 @@ def check_finished(plan: Plan, records: Records) -> None:
     for grid in (*records.own.values(), *records.planning.values()):
         assert (plan.map.cells[grid == FREE] == FREE).all()
         assert (plan.map.cells[grid == OCCUPIED] != FREE).all()
-    assert records.faults == []
+    assert records.protocol_errors == []
     assert records.lost == {}
 
 
