@@ -177,7 +177,7 @@ def test_the_more_may_be_said_the_smaller_is_the_error() -> None:
 
 def test_bytes_a_split_are_measured_unless_they_are_given() -> None:
     fixed = {"bytes_per_split": 1000.0}
-    measured, given_ = maker((60, 80), bandwidth=600.0), maker((60, 80), bandwidth=600.0, polygon=fixed)
+    measured, given_ = maker((60, 80), bandwidth=600.0), maker((60, 80), bandwidth=600.0, polygons=fixed)
     for grid, cell in walk():
         record(measured, grid, cell)
         record(given_, grid, cell)
@@ -349,7 +349,7 @@ def test_the_thesis_plain_rules_are_a_set_of_options() -> None:
         "close_slivers": False, "splits_per_step": 0.0, "exact_error": False,
     }  # fmt: skip
     shape = (60, 80)
-    one, other = (maker(shape, robot, polygon=asdict(THESIS_OPTIONS)) for robot in (0, 1))
+    one, other = (maker(shape, robot, polygons=asdict(THESIS_OPTIONS)) for robot in (0, 1))
     for grid, cell in walk():
         other.take(0, b"".join(record(one, grid, cell, delivered=False)))
         assert other.polygons[0].canonical() == one.polygons[0].canonical()
