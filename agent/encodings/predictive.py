@@ -29,7 +29,15 @@ from protocol.boxes import Box, bounding_box
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
 from protocol.kernels import kernel
-from protocol.packets import LAST_UPDATE_DATA, SHORT_HEAD, UPDATE_DATA, UPDATE_NUMBERS, Update, encode, look
+from protocol.packets import (
+    LAST_UPDATE_DATA,
+    SHORT_HEAD,
+    UPDATE_DATA,
+    UPDATE_NUMBERS,
+    Update,
+    encode,
+    update_fragment,
+)
 from protocol.scans import Change, Scan
 
 ENOUGH_CELLS = 14
@@ -219,7 +227,7 @@ class PredictiveEncoding(MapEncoding):
         rest, whole = coming.pieces, []
         ends: list[int] = []
         for count, unit in enumerate(units, coming.packets + 1):
-            said, data = look(unit)
+            said, data = update_fragment(unit)
             rest += data
             if said is not None:
                 number = (len(coming.ends) + len(ends)) % UPDATE_NUMBERS
