@@ -54,10 +54,10 @@ Object = Annotated[int, Bits(12, "n", "number of the object")]
 Count = Annotated[int, Bits(13, "c", "vertices of the object after the vertex packets that follow")]
 Inside = Annotated[int, Bits(1, "e", "1: the object encloses the free space")]
 OfferedMap = Annotated[
-    int, Bits(6, "m", "map: its robot, plus the number of robots times the robot's incarnation")
+    int, Bits(6, "m", "number of the map's robot, plus the team size times the robot's incarnation")
 ]
 GossipMap = Annotated[
-    int, Bits(8, "m", "map: its robot, plus the number of robots times the robot's incarnation")
+    int, Bits(8, "m", "number of the map's robot, plus the team size times the robot's incarnation")
 ]
 BlockNumber = Annotated[int, Bits(6, "b", "block of 4096 log entries, modulo 64")]
 BlockOffset = Annotated[int, Bits(12, "i", "number of log entries held, within the block")]

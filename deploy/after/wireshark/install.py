@@ -58,7 +58,10 @@ def dissector() -> str:
 
 def _tables() -> list[str]:
     """The Lua tables that the template describes."""
-    lines = [f"local {name} = {{ {_names(texts)} }}" for name, texts in (("FRAMES", FRAMES), ("VERDICTS", VERDICTS))]
+    lines = [
+        f"local {name} = {{ {_names(texts)} }}"
+        for name, texts in (("FRAMES", FRAMES), ("VERDICTS", VERDICTS))
+    ]
     lines += [f"local FIRST_ON_AIR = {FIRST_ON_AIR}", "local LAYOUTS = {"]
     lines += [f"  {_layout(layout)}," for layout in LAYOUTS]
     lines += ["}", "local FIELDS = {"]
@@ -66,7 +69,9 @@ def _tables() -> list[str]:
     for name, bits in (field for layout in LAYOUTS for field in layout.fields if field[0] != LENGTH):
         if name not in encodings or bits.width > encodings[name].width:
             encodings[name] = bits
-    lines += [f'  {{ "{name}", "{_type(bits)}", "{name.capitalize()}" }},' for name, bits in encodings.items()]
+    lines += [
+        f'  {{ "{name}", "{_type(bits)}", "{name.capitalize()}" }},' for name, bits in encodings.items()
+    ]
     return [*lines, "}"]
 
 
