@@ -96,7 +96,7 @@ class Burgard(TeamStrategy):
             self.options.costs,
             self.settings.radius_cells,
             occ_max=self.options.occ_max,
-            once=self._once,
+            cache=self._cache,
         )
 
     def select(self, situation: Situation, planner: PathPlanner) -> tuple[Cell | None, bool]:

@@ -21,7 +21,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.memo_cache import ALONE, MemoCache
+from agent.memo_cache import NO_CACHE, MemoCache
 from agent.planning.breadth_first import is_wide_frontier
 from agent.planning.candidates import CANDIDATES, SEARCHED, goal_candidates, searched_candidate
 from agent.planning.frontier import is_frontier
@@ -89,12 +89,12 @@ class TargetStrategy(Strategy):
         self._turned = 0
         self._at: Cell | None = None
         self._looked = True
-        self._once = ALONE
+        self._cache = NO_CACHE
 
     def share(self, common: dict[str, Any]) -> None:
         """Search for ways once for all robots of this process that have the same planning grid."""
         if self.settings.robots > 1:
-            self._once = common.setdefault("ways", MemoCache(MOST_WAYS))
+            self._cache = common.setdefault("ways", MemoCache(MOST_WAYS))
 
     @classmethod
     def check(cls, options: Mapping[str, Any]) -> Any:
@@ -199,7 +199,7 @@ class TargetStrategy(Strategy):
 
     def planner(self, situation: Situation) -> PathPlanner:
         """The ways that the robot may take."""
-        return PathPlanner(situation.grid, self.options.costs, self.settings.radius_cells, once=self._once)
+        return PathPlanner(situation.grid, self.options.costs, self.settings.radius_cells, cache=self._cache)
 
     def goals(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:
         """The cells that are worth going to, shape (n, 2)."""
