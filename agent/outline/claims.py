@@ -144,8 +144,8 @@ class Drawn:
         Rows and columns.
     drawing : Drawing
         What is drawn.
-    once : Once
-        Where it is worked out what changes.
+    cache : MemoCache
+        Cache of intermediate results, shared by the robots of this process.
     """
 
     def __init__(self, shape: tuple[int, int], drawing: Drawing, cache: MemoCache = NO_CACHE) -> None:

@@ -61,8 +61,8 @@ class TeamMap:
     ----------
     drawing : Drawing
         What of the teammates' approximations is drawn.
-    once : Once
-        Where it is worked out what changes in their drawings.
+    cache : MemoCache
+        Cache of intermediate results, shared by the robots of this process.
     """
 
     def __init__(self, drawing: Drawing = THESIS, cache: MemoCache = NO_CACHE) -> None:
@@ -148,8 +148,8 @@ class ErrorCount:
     ----------
     drawing : Drawing
         What is drawn; without guesses.
-    once : Once
-        Where it is worked out what changes in the drawing.
+    cache : MemoCache
+        Cache of intermediate results, shared by the robots of this process.
     """
 
     def __init__(self, drawing: Drawing = THESIS, cache: MemoCache = NO_CACHE) -> None:

@@ -24,8 +24,8 @@ class Receiver:
     ----------
     shape : (int, int)
         Height and width of the grid, in cells; no vertex may lie beyond the rim of one cell around it.
-    once : Once
-        Where the stream is read.
+    cache : MemoCache
+        Cache of intermediate results, shared by the robots of this process.
     """
 
     def __init__(self, shape: tuple[int, int], cache: MemoCache = NO_CACHE) -> None:

@@ -46,8 +46,8 @@ class PathPlanner:
         The grid with obstacles enlarged, if that has been done.
     occ_max : float
         Cells whose occupancy on a smoothed map is more are barred (`agent.planning.occupancy.barred`).
-    once : Once
-        Shared with other robots, which may have the same floor.
+    cache : MemoCache
+        Cache of intermediate results, shared by the robots of this process.
 
     Attributes
     ----------

@@ -79,7 +79,7 @@ class TargetStrategy(Strategy):
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)
-        self.withholds = self.options.share == "at-target"
+        self.defers_publication = self.options.share == "at-target"
         self.target: Cell | None = None
         self._route = Route()
         self._goal: Cell | None = None
@@ -91,10 +91,10 @@ class TargetStrategy(Strategy):
         self._looked = True
         self._cache = NO_CACHE
 
-    def share(self, common: dict[str, Any]) -> None:
+    def use_shared_cache(self, cache: dict[str, Any]) -> None:
         """Search for ways once for all robots of this process that have the same planning grid."""
         if self.settings.robots > 1:
-            self._cache = common.setdefault("ways", MemoCache(MOST_WAYS))
+            self._cache = cache.setdefault("ways", MemoCache(MOST_WAYS))
 
     @classmethod
     def check(cls, options: Mapping[str, Any]) -> Any:
@@ -155,7 +155,7 @@ class TargetStrategy(Strategy):
             other < self.settings.robot
             and (x - own_x) ** 2 + (y - own_y) ** 2 < self.settings.ranges_cells[other] ** 2
             and in_predictive(situation.grid, x, y, own_x, own_y)
-            for other, (x, y) in situation.news.items()
+            for other, (x, y) in situation.new_targets.items()
         )
 
     def team_size(self, situation: Situation) -> int:

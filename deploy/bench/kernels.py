@@ -145,7 +145,7 @@ class _Telling:
         self.units.append([])
         self.polygons.append([])
         for moment in walk:
-            record = partial(map_encoding.record, moment.grid, moment.scan, moment.change, delivered=True)
+            record = partial(map_encoding.encode_changes, moment.grid, moment.scan, moment.change, delivered=True)
             units, spent = timed(record)
             told = map_encoding.polygons[robot]
             self.units[-1].append(units)

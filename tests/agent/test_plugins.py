@@ -20,7 +20,7 @@ INFO = {
 }
 MODULE = '''
 import numpy as np
-from agent.encodings.none import NoExchange
+from agent.encodings.none import NoEncoding
 from agent.strategies.targets import TargetStrategy
 
 class Farthest(TargetStrategy):
@@ -32,7 +32,7 @@ class Farthest(TargetStrategy):
         x, y = goals[np.argmax(costs)]
         return int(x), int(y)
 
-class Quiet(NoExchange):
+class Quiet(NoEncoding):
     """Tells nothing."""
     name = "quiet"
 '''

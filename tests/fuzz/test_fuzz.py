@@ -87,7 +87,7 @@ def take_units(data: bytes) -> None:
     for name in ENCODINGS:
         mind = make_encoding(Settings(**(SETTINGS.to_message() | {"map_encoding": name})))
         try:
-            mind.take(0, data)
+            mind.apply(0, data, step=1000, sender=0)
         except ProtocolError:
             continue
 
