@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from agent.encodings.base import MapEncoding
 from agent.encodings.received_grid import ReceivedGrid
-from agent.outline.boxes import NO_BOXES, box_of, united
 from agent.settings import Settings
 from protocol import packet_index, packets
+from protocol.boxes import NO_BOXES, union
 from protocol.errors import ProtocolError
 from protocol.grid import OCCUPIED, Grid
 from protocol.scans import Change, Scan, fragments
@@ -76,7 +76,7 @@ class CellEncoding(MapEncoding):
         """Encode a patch of all changed cells, once all teammates in range hold the patches before."""
         del scan
         self._received.own_changed(own, change)
-        self._pending = united(self._pending, box_of(change))
+        self._pending = union(self._pending, change.boxes)
         if not delivered or not len(self._pending):
             return []
         x0, y0 = self._pending[:, :2].min(axis=0).tolist()

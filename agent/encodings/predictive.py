@@ -22,12 +22,13 @@ from numpy.typing import NDArray
 from agent.encodings.base import Dependency, MapEncoding
 from agent.encodings.predictive_options import PredictiveOptions
 from agent.encodings.received_grid import ReceivedGrid
-from agent.predictive.history import Box, DecodedUpdate, History, around
+from agent.predictive.history import DecodedUpdate, History
 from agent.predictive.scan_updates import TOLD
 from agent.predictive.shared_decoder import CachedReader, SharedDecoderCache
 from agent.predictive.stream import Stream
 from agent.settings import Settings
 from protocol import packet_index
+from protocol.boxes import Box, bounding_box
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
 from protocol.kernels import kernel
@@ -150,14 +151,14 @@ class PredictiveEncoding(MapEncoding):
         pending = self._pending
         if change.cells:
             pending.poses.append((scan.x, scan.y))
-            pending.boxes.append((change.x0, change.y0, change.x1, change.y1))
+            pending.boxes.append(change.box)
         if not pending.boxes:
             return []
         pending.steps += 1
         self.retractable = 0
         if not delivered:
             return []
-        new_cells = int(_unreported(self._received.grid, self._own.grid, own, *around(pending.boxes)))
+        new_cells = int(_unreported(self._received.grid, self._own.grid, own, *bounding_box(pending.boxes)))
         if 0 < new_cells < ENOUGH_CELLS and pending.steps < self._wait_steps:
             return []
         if not new_cells:
@@ -173,7 +174,7 @@ class PredictiveEncoding(MapEncoding):
         size = updates = 0
         while self._pending.poses and size < self._enough:
             pending, number = self._pending, len(history)
-            box = around(pending.boxes)
+            box = bounding_box(pending.boxes)
             update = stream.encode(own, pending.poses, box, most=self._enough - size)
             self._pending = _Pending()
             if update is None:

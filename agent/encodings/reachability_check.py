@@ -12,10 +12,8 @@ that the author itself sent: a robot that forwards a map cannot know the poses t
 from __future__ import annotations
 
 from agent.settings import Settings
+from protocol.boxes import Box, bounding_box
 from protocol.errors import ProtocolError
-
-Box = tuple[int, int, int, int]
-"""Columns x0 to x1 - 1 and rows y0 to y1 - 1, as (x0, y0, x1, y1)."""
 
 SLACK = 8
 """Cells of tolerance: contours lie beside observed cells, and a robot may make up a step's remaining way later."""
@@ -68,12 +66,7 @@ class ReachabilityCheck:
             growth = max(box[2] - box[0], box[3] - box[1])
         else:
             growth = max(before[0] - box[0], before[1] - box[1], box[2] - before[2], box[3] - before[3])
-            box = (
-                min(before[0], box[0]),
-                min(before[1], box[1]),
-                max(before[2], box[2]),
-                max(before[3], box[3]),
-            )
+            box = bounding_box((before, box))
         if growth > limit:
             reason = f"map {map_id} grows by {growth} cells; its author can have observed {limit:.0f} at most"
             raise ProtocolError("map update", 0, reason)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from agent.encodings.changed_cells import ChangedCells
-from agent.outline.boxes import Boxes, whole
+from protocol.boxes import Box, Boxes, whole_grid
 from protocol.grid import UNKNOWN, Grid
 from protocol.kernels import kernel
 from protocol.scans import Change
@@ -27,7 +27,7 @@ class ReceivedGrid:
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.grid: Grid = np.zeros(shape, np.uint8)
-        self._boxes: list[tuple[int, int, int, int]] = []
+        self._boxes: list[Box] = []
         self._own_changes = ChangedCells()
         self._planning: Grid | None = None
 
@@ -35,7 +35,7 @@ class ReceivedGrid:
         """Note a change of the self-explored grid."""
         self._own_changes.add(own, change)
 
-    def changed(self, box: tuple[int, int, int, int]) -> None:
+    def changed(self, box: Box) -> None:
         """Note that the caller has written to `grid` in a box (x0, y0, x1, y1)."""
         self._boxes.append(box)
 
@@ -43,7 +43,7 @@ class ReceivedGrid:
         """Return the planning grid: `own` where it is known, else `grid`. The next call overwrites it."""
         changed = self._own_changes.take(own)
         if self._planning is None or changed is None:
-            self._planning, changed = np.empty_like(own), whole(own.shape)
+            self._planning, changed = np.empty_like(own), whole_grid(own.shape)
         boxes = np.array([*changed.tolist(), *self._boxes], np.int32).reshape(-1, 4)
         overlay(self.grid, own, boxes, self._planning)
         self._boxes.clear()

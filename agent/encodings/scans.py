@@ -55,7 +55,7 @@ class ScanEncoding(MapEncoding):
         for scan in scans:
             change = draw(self._received.grid, self._ray_table_of(map_id), scan.x, scan.y, scan.readings)
             if change.cells:
-                self._received.changed(change[1:])
+                self._received.changed(change.box)
 
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
         """Overlay the received cells with the self-explored grid."""

@@ -60,7 +60,7 @@ def python(installed: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_strategies_and_exchanges_of_a_package_are_run_by_their_names(installed: Path) -> None:
-    run = "from deploy import explore; print(explore(map='em', robots=2, steps=4, bus='memory', keep=False, "
+    run = "from murmur import explore; print(explore(map='em', robots=2, steps=4, bus='memory', keep=False, "
     done = python(
         installed, "-c", run + "strategy='farthest', map_encoding='quiet').summary['map_encoding'])"
     )
@@ -68,8 +68,8 @@ def test_strategies_and_exchanges_of_a_package_are_run_by_their_names(installed:
     torn = python(installed, "-c", run + "strategy='torn'))")
     assert "strategy 'torn' of package farthest-first cannot be imported:" in torn.stderr
     assert torn.stderr.endswith("RuntimeError: torn\n")
-    wrong = python(installed, "-c", run + "strategy='fartest', exchange='quite'))")
-    assert "no exchange is called 'quite'; did you mean quiet? There are: polygon," in wrong.stderr
+    wrong = python(installed, "-c", run + "strategy='fartest', map_encoding='quite'))")
+    assert "no map encoding is called 'quite'; did you mean quiet? There are: polygons," in wrong.stderr
 
 
 def test_strategies_of_a_package_are_listed_those_that_are_broken_too(installed: Path) -> None:

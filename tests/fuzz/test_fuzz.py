@@ -94,7 +94,7 @@ def take_units(data: bytes) -> None:
 
 def hear_in_session(data: bytes) -> None:
     session = Session(1, 3, incarnations=2)
-    session.dissemination(0, [0, 2], None)
+    session.offers(0, [0, 2], None)
     answered = session.answers([(0, 0, data)])
     assert len(answered) == 1
     session.outcome(Outcome(1, 0, [0], [2], [2], [0], [], broadcast=False), [])
@@ -102,7 +102,7 @@ def hear_in_session(data: bytes) -> None:
 
 def hear_gossip(data: bytes) -> None:
     gossip = Gossip(1, 3, incarnations=2)
-    gossip.dissemination(0, [0, 2], None)
+    gossip.offers(0, [0, 2], None)
     for peer, map_id, frame in gossip.outcome(
         Outcome(1, 0, [], [], [], [], [-1], broadcast=False), [(0, data)]
     ):

@@ -23,7 +23,7 @@ from tests.agent.encodings.arrival import LATE
 BEAMS = 36
 RANGES = [6.0, 3.5, 9.0]
 WIDTH, HEIGHT = 20, 14
-NOTHING = Change(0, WIDTH, HEIGHT, 0, 0)
+NOTHING = Change(0, (WIDTH, HEIGHT, 0, 0))
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -179,19 +179,19 @@ def test_fragments_of_noise_are_refused_or_stay_within_a_laser_of_their_place(no
         assert not hearer.merge(empty()).any()
 
 
-def test_a_robot_without_an_exchange_tells_nothing_and_plans_on_its_own_map() -> None:
+def test_without_map_exchange_a_robot_sends_nothing_and_plans_on_its_self_explored_grid() -> None:
     alone = NoEncoding(settings_of(0))
     own = drawn([(0, scans(1, 0, 1)[0])])
     assert alone.encode_changes(own, scans(1, 0, 1)[0], NOTHING, delivered=True) == []
     merged = alone.merge(own)
     assert merged.tolist() == own.tolist()
     assert merged is not own
-    with pytest.raises(ProtocolError, match="where none are exchanged"):
+    with pytest.raises(ProtocolError, match="this team exchanges no maps"):
         alone.apply(1, encode([Save()]), **LATE)
 
 
-def test_exchanges_are_found_by_name() -> None:
+def test_map_encodings_are_found_by_name() -> None:
     assert {"scans", "none"} <= set(ENCODINGS)
     assert isinstance(make_encoding(settings_of(0)), ScanEncoding)
-    with pytest.raises(ValueError, match=r"no exchange is called 'smoke'; there are: .*laser"):
+    with pytest.raises(ValueError, match=r"no map encoding is called 'smoke'; there are: .*scans"):
         make_encoding(Settings(**(settings_of(0).to_message() | {"map_encoding": "smoke"})))

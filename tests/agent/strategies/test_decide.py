@@ -209,7 +209,7 @@ def test_a_member_that_is_done_makes_the_others_choose_again_once() -> None:
     opened = CORRIDOR.copy()
     opened[0, 14] = 2
     opened[2, 14] = UNKNOWN
-    told: dict[str, Any] = {"targets": {1: (12, 1)}, "heard": {1: 2}, "peers": (1,)}
+    told: dict[str, Any] = {"targets": {1: (12, 1)}, "target_steps": {1: 2}, "peers": (1,)}
     told["poses"] = {1: Pose(12, 1, leads=False)}
     member = mind("iterative")
     assert member.decide(robot_at(4, grid=opened)).target == (0, 1)
@@ -257,7 +257,7 @@ def test_at_goal_a_team_replans_when_a_member_arrives_and_not_when_a_goal_is_ope
     assert first.target == (0, 1)
     opened = CORRIDOR.copy()
     opened[0, 0] = 2
-    told: dict[str, Any] = {"targets": {1: (14, 1)}, "heard": {1: 2}, "peers": (1,)}
+    told: dict[str, Any] = {"targets": {1: (14, 1)}, "target_steps": {1: 2}, "peers": (1,)}
     assert team.decide(robot_at(3, grid=opened, poses=there, **told)).target == (0, 1)
     arrived = {1: Pose(14, 1, False)}
     assert team.decide(robot_at(3, grid=opened, poses=arrived, **told)).target != (0, 1)
