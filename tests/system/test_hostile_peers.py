@@ -464,7 +464,7 @@ def test_no_frame_stops_a_robots_process(steps: list[tuple[list[bytes], ...]]) -
         tell(Outcome(step, 0, numbers, short, short, sizes, numbers[: len(data)], False), data)
         tell(Close(step), [])
         assert [said.phase for said in antenna.said if isinstance(said, Said)] == [
-            "dissemination",
+            "offers",
             "answers",
             "data",
         ]
