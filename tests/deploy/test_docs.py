@@ -184,11 +184,11 @@ def looks_example() -> str:
     for x, peers in ((1, [1]), (3, [1]), (6, [1, 2])):
         readings = cast(truth, nobody, beams, x, 2)
         change = draw(own, beams, x, 2, readings)
-        units = maker.record(own, Scan(x, 2, readings), change, delivered=True)
+        units = maker.encode_changes(own, Scan(x, 2, readings), change, delivered=True)
         gossip.record(units)
         ((_, _, frame),) = gossip.offers(0, peers, None)
         assert not list(gossip.outcome(Outcome(1, 0, [-1], [0], [0], [len(frame)], [], False), []))
-        hearer.take(0, b"".join(units))
+        hearer.apply(0, b"".join(units), step=1000, sender=0)
         assert (hearer.merge(np.zeros_like(own)) == own).all()
         known = int((own != UNKNOWN).sum())
         lines += [
