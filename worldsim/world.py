@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.grid import FREE, Grid, areas, disc, enlarge, ray_table
+from protocol.grid import FREE, Grid, disc, enlarge, ray_table
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 from protocol.messages import FaultEvent, Move, Sense, cells_from_bytes, cells_to_bytes, points_from_bytes
@@ -371,7 +371,9 @@ def reachable_by(truth: Grid, start: tuple[int, int], radius_cells: float) -> ND
 
 def reachable_from(truth: Grid, start: tuple[int, int]) -> NDArray[np.bool_]:
     """Free cells that a robot can reach from `start`: without cutting corners, this is its 4-connected component."""
-    labels, _ = areas(truth == FREE)
+    from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
+
+    labels, _ = ndimage.label(truth == FREE)
     found: NDArray[np.bool_] = labels == labels[start[1], start[0]]
     found &= truth == FREE
     return found

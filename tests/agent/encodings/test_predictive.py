@@ -15,7 +15,7 @@ from agent.encodings.predictive import ENOUGH_STEPS, PredictiveEncoding, fragmen
 from agent.settings import Settings
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
-from protocol.packets import LAST_UPDATE_DATA, UPDATE_DATA, Delete, Fragment, Update, encode, look
+from protocol.packets import LAST_UPDATE_DATA, UPDATE_DATA, Delete, Fragment, Update, encode, update_fragment
 from protocol.scans import Change, Scan, draw
 from tests.agent.encodings.arrival import LATE
 from worldsim.laser import cast
@@ -136,7 +136,7 @@ def test_what_waited_for_the_medium_is_told_in_one_unit_later(seed: int) -> None
     for _ in range(5):
         assert maker.look(truth, delivered=False) == []
     units = maker.look(truth)
-    assert sum(look(unit)[0] is not None for unit in units) == 1
+    assert sum(update_fragment(unit)[0] is not None for unit in units) == 1
     hearer.apply(0, b"".join(units), **LATE)
     assert (hearer.merge(unknown()) == maker.own).all()
 
@@ -150,7 +150,7 @@ def test_on_a_narrow_medium_it_is_told_in_several_units_one_a_step(seed: int) ->
     units = 0
     while said := flush(maker):
         hearer.apply(0, b"".join(said), **LATE)
-        units += sum(look(unit)[0] is not None for unit in said)
+        units += sum(update_fragment(unit)[0] is not None for unit in said)
     assert (hearer.merge(unknown()) == maker.own).all()
     assert units > 1 or np.count_nonzero(maker.own) < 100
 
@@ -251,7 +251,7 @@ def test_robots_that_read_together_know_what_each_would_know_alone(seed: int, ba
             continue
         told[hearer][map_id] += len(heard)
         if lies and map_id == 2 and wrong:
-            number, data = look(heard[0])
+            number, data = update_fragment(heard[0])
             heard[0] = encode([Update(number, bytes(byte ^ hearer + 1 for byte in data))])
         said = []
         for team in teams:
@@ -290,7 +290,7 @@ WRONG = {
 def test_nonsense_is_refused_and_changes_nothing(wrong: str, behind: bool) -> None:
     hearer = PredictiveEncoding(settings_of(1))
     units = units_of(5)
-    head = units[:1] if behind and look(units[0])[0] is None else []
+    head = units[:1] if behind and update_fragment(units[0])[0] is None else []
     hearer.apply(0, b"".join(head), **LATE)
     before = hearer.merge(unknown())
     with pytest.raises(ProtocolError):
@@ -322,7 +322,7 @@ def test_a_liar_changes_no_other_map_whatever_it_says(lies: list[tuple[int, byte
 
 @given(st.binary(max_size=300), st.integers(0, 100), st.integers(UPDATE_DATA, LAST_UPDATE_DATA))
 def test_pieces_give_back_the_unit(message: bytes, number: int, most: int) -> None:
-    cut = [look(piece) for piece in fragments(message, number, most)]
+    cut = [update_fragment(piece) for piece in fragments(message, number, most)]
     assert b"".join(data for _, data in cut) == message
     assert [said for said, _ in cut] == [None] * (len(cut) - 1) + [number % 4]
     assert len(cut[-1][1]) <= most
