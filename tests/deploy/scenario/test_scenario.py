@@ -160,7 +160,10 @@ WRONG = [
     ({"robot": [{"robot": 0, "speed": -1.0}]}, "robot.0.speed = -1.0: "),
     ({"robot": {"robot": 0}}, "robot = "),
     ({"fault": [{"robot": 0, "step": 0, "kind": "death"}]}, "fault.0.step = 0: .*greater than or equal to 1"),
-    ({"fault": [{"robot": 9, "step": 1, "kind": "death"}]}, "fault at step 1: death of robot 9: the last robot is 2"),
+    (
+        {"fault": [{"robot": 9, "step": 1, "kind": "death"}]},
+        "fault at step 1: death of robot 9: the last robot is 2",
+    ),
     ({"fault": [{"robot": 0, "kind": "death"}]}, "fault.0.step is missing"),
     ({"fault": 3}, "fault = 3: "),
 ]
