@@ -382,7 +382,9 @@ def test_links_between_documents_lead_somewhere(document: Path) -> None:
         assert is_generated or path.exists(), f"{document.name} links to {target}"
 
 
-@pytest.mark.parametrize("document", ["architecture.md", "bus.md", "protocol.md", "radios.md", "several-terminals.md"])
+@pytest.mark.parametrize(
+    "document", ["architecture.md", "bus.md", "protocol.md", "radios.md", "several-terminals.md"]
+)
 def test_files_that_documents_name_are_there(document: str) -> None:
     text = (DOCS / document).read_text(encoding="utf-8")
     rooms = "agent|deploy|netshaper|protocol|tests|worldsim"
