@@ -32,7 +32,7 @@ from deploy.run.exploration import explore
 from deploy.run.in_memory import run as run_in_memory
 from deploy.scenario.plan import make
 from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load
-from deploy.scenario.tables import ChangeTable, Death, FaultTable, RobotOverride
+from deploy.scenario.tables import ChangeTable, FaultTable, RobotOverride
 from docs import packet_tables
 from netshaper import access
 from netshaper.ledger import CAUSES, ROW
@@ -198,7 +198,7 @@ def defaults(kind: Any, prefix: str = "") -> dict[str, tuple[str, str]]:
     found: dict[str, tuple[str, str]] = {}
     said: dict[str, Any] = {}
     for name, info in kind.model_fields.items():
-        if name in ("robot", "death", "fault", "change") and not prefix:
+        if name in ("robot", "fault", "change") and not prefix:
             continue
         if name == "polygons":
             found |= {f"polygons.{n}": (plain(value), "") for n, value in asdict(PolygonOptions()).items()}
@@ -360,7 +360,7 @@ def test_every_setting_stands_in_the_table_with_its_default() -> None:
     table = {
         name: (default, map_id) for name, default, map_id in rows("settings.md", "Settings and defaults")
     }
-    wanted = defaults(Scenario) | defaults(RobotOverride, "robot.") | defaults(Death, "death.")
+    wanted = defaults(Scenario) | defaults(RobotOverride, "robot.")
     wanted |= defaults(FaultTable, "fault.")
     wanted |= defaults(ChangeTable, "change.")
     assert list(table) == list(wanted)
