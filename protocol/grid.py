@@ -140,7 +140,7 @@ def _walk(directions: NDArray[np.int64], range_cells: float) -> tuple[NDArray[np
         x = y = 0
         end = start[beam]
         while True:
-    """Walk from cell (0, 0) along each direction; return the crossed cells, and the start of those of each direction."""
+            # The beam crosses the next border in x at (2 |x| + 1) / (2 along_x), in y likewise: cross-multiplied.
             if along_y == 0 or (along_x > 0 and (2 * abs(x) + 1) * along_y <= (2 * abs(y) + 1) * along_x):
                 x += step_x
             else:
