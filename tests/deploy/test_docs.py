@@ -318,9 +318,8 @@ def test_keys_and_rights_are_what_participants_put_hear_and_say() -> None:
 
 def test_settings_are_listed_with_default_and_meaning() -> None:
     listed = [tuple(row) for row in rows("settings.md", "Settings and defaults")]
-    assert listed == [
-        (name, default, meaning.replace("`", "")) for name, default, meaning in code_tables.settings()
-    ]
+    wanted = [(name, default, meaning.replace("`", "")) for name, default, meaning in code_tables.settings()]
+    assert listed == wanted, "run python -m docs.code_tables"
     thesis, defaults = asdict(THESIS_OPTIONS), asdict(PolygonOptions())
     meanings = {name: meaning for name, _, meaning in listed}
     for name in thesis:
