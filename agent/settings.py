@@ -71,6 +71,8 @@ class Settings:
         Cell where its first life began; None: here and now.
     fastest_cells : float
         Cells that the fastest robot of the team can drive in a step.
+    record_maps : bool
+        Whether to report changes of its maps to the recorder.
     """
 
     robot: int
@@ -100,6 +102,7 @@ class Settings:
     incarnation: int = 0
     home: tuple[int, int] | None = None
     fastest_cells: float = 0.0
+    record_maps: bool = False
 
     @property
     def maps(self) -> int:

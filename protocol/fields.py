@@ -58,6 +58,7 @@ WayPoints = Annotated[bytes, Meta(max_length=8 * MOST_ON_THE_WAY)]
 Readings = Annotated[bytes, Meta(max_length=2 * MOST_BEAMS)]
 Poses = Annotated[bytes, Meta(max_length=16 * MAX_ROBOTS)]
 Cells = Annotated[bytes, Meta(max_length=MOST_CELLS)]
+CellIndices = Annotated[bytes, Meta(max_length=4 * MOST_CELLS)]
 Vertices = Annotated[bytes, Meta(max_length=1 << 24)]
 Books = Annotated[bytes, Meta(max_length=1 << 30)]
 

@@ -31,9 +31,9 @@ MAP_ERRORS: tuple[Color, ...] = ((222, 225, 229), PAPER, (84, 90, 98), FALSE_WAL
 
 @dataclass(frozen=True)
 class Group:
-    """Packet kinds with one purpose: its description, the kinds, their colour."""
+    """A traffic type: its label, its packet kinds, its color."""
 
-    words: str
+    label: str
     kinds: tuple[str, ...]
     color: Color
 
@@ -42,13 +42,13 @@ GROUPS: dict[str, Group] = {
     "vertices": Group("corners of outlines", ("ins", "rep", "del"), (60, 130, 250)),
     "objects": Group("new and removed outlines", ("em", "chg", "rm"), (240, 140, 20)),
     "scans": Group("raw laser scans", ("scan",), (45, 165, 220)),
-    "looks": Group("looks and surprises", ("look",), (20, 165, 175)),
+    "map_updates": Group("map updates", ("look",), (20, 165, 175)),
     "handshakes": Group("handshakes", ("conn",), (195, 90, 220)),
     "targets": Group("targets, poses", ("targ", "pose"), (45, 180, 95)),
     "saves": Group("ends of updates", ("save",), (135, 141, 150)),
     "sums": Group("checksums", ("sum",), (150, 120, 90)),
 }
-"""Purposes of the bytes on the air."""
+"""Traffic types, by name."""
 
 assert sorted(kind for group in GROUPS.values() for kind in group.kinds) == sorted(ALL_KINDS)
 

@@ -130,7 +130,7 @@ def _is_everywhere(host: str) -> bool:
 def serve_worldsim(scenario: Scenario, credential: Path) -> None:
     """Serve as the world of the run that the credential belongs to."""
     _check_same(scenario, credential)
-    plan = plans.make(scenario)
+    plan = plans.make(scenario, record_maps=True)
     task = WorldTask(
         plan.make_world(),
         plan.robot_settings,
