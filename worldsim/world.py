@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.grid import FREE, Grid, areas, disc, enlarge, ray_table
+from protocol.grid import FREE, Grid, disc, enlarge, ray_table
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes, points_from_bytes
@@ -310,7 +310,7 @@ class World:
         driven_over = np.array(entered, np.int32).reshape(-1, 2)
         news = draw(self.seen, self._ray_tables[robot], x, y, readings, driven_over)
         if news.cells:
-            self.seen_cells += int(_count_seen(self.seen, self.reachable, *news[1:], self._counted))
+            self.seen_cells += int(_count_seen(self.seen, self.reachable, *news.box, self._counted))
         driven = cells_to_bytes(driven_over)
         offset_x, offset_y = self.offsets[robot]
         return Sense(self.step, x, y, heading, driven, readings.tobytes(), blocked, offset_x, offset_y)
@@ -372,7 +372,9 @@ def reachable_by(truth: Grid, start: tuple[int, int], radius_cells: float) -> ND
 
 def reachable_from(truth: Grid, start: tuple[int, int]) -> NDArray[np.bool_]:
     """Free cells that a robot can reach from `start`: without cutting corners, this is its 4-connected component."""
-    labels, _ = areas(truth == FREE)
+    from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
+
+    labels, _ = ndimage.label(truth == FREE)
     found: NDArray[np.bool_] = labels == labels[start[1], start[0]]
     found &= truth == FREE
     return found

@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.memo_cache import ALONE, MemoCache
-from agent.outline.boxes import NO_BOXES, Boxes, clip, whole
+from agent.memo_cache import NO_CACHE, MemoCache
 from agent.outline.objects import (
     BOTTOM,
     FIRST,
@@ -28,6 +27,7 @@ from agent.outline.objects import (
 )
 from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
 from agent.outline.raster import Edges, draw, fill
+from protocol.boxes import NO_BOXES, Boxes, clip, whole_grid
 from protocol.kernels import kernel
 
 NEAR_WALL, FREE_AREA, OUTSIDE_OCCUPIED, INSIDE_FREE, INSIDE_OCCUPIED = 1, 2, 4, 8, 16
@@ -125,7 +125,7 @@ THESIS = Drawing()
 def layer(polygons: Polygons, drawing: Drawing = THESIS) -> Layer:
     """Render an approximation into the claims that it makes, a byte of bits a cell."""
     out = np.zeros(polygons.shape, np.uint8)
-    draw_anew(out, Objects.of(polygons), drawing, whole(polygons.shape))
+    draw_anew(out, Objects.of(polygons), drawing, whole_grid(polygons.shape))
     return out
 
 
@@ -144,23 +144,23 @@ class Drawn:
         Rows and columns.
     drawing : Drawing
         What is drawn.
-    once : Once
-        Where it is worked out what changes.
+    cache : MemoCache
+        Cache of intermediate results, shared by the robots of this process.
     """
 
-    def __init__(self, shape: tuple[int, int], drawing: Drawing, once: MemoCache = ALONE) -> None:
+    def __init__(self, shape: tuple[int, int], drawing: Drawing, cache: MemoCache = NO_CACHE) -> None:
         self.layer: Layer = np.zeros(shape, np.uint8)
         self._cells = self.layer.reshape(-1)
         self._drawing = drawing
-        self._once = once
+        self._cache = cache
         self._objects: Objects | None = None
 
     def follow(self, objects: Objects, changed: Boxes | None = None) -> Difference:
         """Draw what has taken the place of what was drawn last; it differs in the boxes at most (None: anywhere)."""
         drawing = self._drawing
-        boxes = whole(objects.shape) if changed is None or self._objects is None else changed
+        boxes = whole_grid(objects.shape) if changed is None or self._objects is None else changed
         change = self._objects, objects, drawing.free_inside_edges, drawing.unknown_pairs
-        news = self._once.get(change, lambda: draw_anew(self.layer, objects, drawing, boxes))
+        news = self._cache.get(change, lambda: draw_anew(self.layer, objects, drawing, boxes))
         self._cells[news.cells] = news.after
         self._objects = objects
         return news

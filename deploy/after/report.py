@@ -39,7 +39,7 @@ KINDS = {
     "targ": "a robot's target",
     "save": "end of an update",
     "scan": "part of a raw laser scan",
-    "look": "part of a map update",
+    "update": "part of a map update",
     "pose": "a robot's position",
     "sum": "checksum of a frame",
 }

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from deploy.bench.ratios import Figure, compare
-from deploy.bench.transcript import Script, play, play_hub, play_lab, record
+from deploy.bench.transcript import Script, play, play_hub, play_recorder, record
 from deploy.record.records import Records
 from deploy.run import launch
 from deploy.run.process_table import ProcessTable
@@ -140,7 +140,7 @@ def _floor(plan: Plan, scripts: dict[str, Script], steps: int) -> float:
         for name, script in scripts.items():
             if name not in (names.RELAY, names.RECORDER):
                 processes.start(name, play, rendezvous.credentials[name], script)
-        seconds = play_lab(
+        seconds = play_recorder(
             rendezvous.credentials[names.RECORDER], scripts[names.RECORDER], _alarmed(processes)
         )
     return steps / seconds

@@ -130,10 +130,9 @@ def _is_everywhere(host: str) -> bool:
 def serve_worldsim(scenario: Scenario, credential: Path) -> None:
     """Serve as the world of the run that the credential belongs to."""
     _check_same(scenario, credential)
-    plan = plans.make(scenario, record_maps=True)
+    plan = plans.make(scenario)
     task = WorldTask(
         plan.make_world(),
-        plan.robot_settings,
         scenario.steps,
         1000 * plan.map.resolution,
         reply_timeout_s=scenario.reply_timeout_s,
@@ -151,7 +150,7 @@ def serve_robot(credential: Path) -> None:
     serve_agent(read)
 
 
-def serve_lab(
+def serve_recorder(
     scenario: Scenario,
     credential: Path,
     out: Path | None,
@@ -160,7 +159,7 @@ def serve_lab(
 ) -> Result:
     """Serve as the laboratory: record the run and write its directory; `tell` is called once Ctrl-C takes effect."""
     _check_same(scenario, credential)
-    plan = plans.make(scenario)
+    plan = plans.make(scenario, record_maps=True)
     read = _credential(credential, names.RECORDER)
     run_directory.check_free(out)
     bus = join(read)
@@ -174,6 +173,7 @@ def serve_lab(
                 recorder = RecorderNode(
                     bus, Keys(read.run), scenario.robots, plan.map.cells.shape, capture, Meter(read.hub)
                 )
+                recorder.configure(plan.robot_settings)
 
                 def look() -> bool:
                     if watch is not None:

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import array_shapes, arrays
-from scipy.ndimage import binary_dilation, label
+from scipy.ndimage import binary_dilation
 
-from protocol.grid import FREE, MAX_ROBOTS, MAX_SIDE, OCCUPIED, RayTable, areas, disc, enlarge, ray_table
+from protocol.grid import FREE, MAX_ROBOTS, MAX_SIDE, OCCUPIED, RayTable, disc, enlarge, ray_table
 
 ranges = st.floats(1, 40) | st.integers(1, 40).map(float)
 beam_counts = st.integers(1, 30).map(lambda quarters: 4 * quarters)
@@ -156,20 +155,3 @@ def test_obstacles_grow_by_the_disc_of_a_robot(seed: int, radius: float, density
     grown = enlarge(grid, radius)
     covered = binary_dilation(grid == OCCUPIED, disc(radius)) & (grid == FREE)
     assert np.array_equal(grown, np.where(covered, OCCUPIED, grid))
-
-
-@given(arrays(bool, array_shapes(min_dims=2, max_dims=2, max_side=12)))
-def test_areas_are_numbered_as_by_scipy(cells: np.ndarray) -> None:
-    numbers, count = areas(cells)
-    expected, parts = label(cells)
-    assert count == parts
-    assert (numbers == expected).all()
-
-
-def test_an_area_that_winds_is_one() -> None:
-    side = 41
-    rows = np.arange(side)
-    cells = (rows[:, None] % 2 == 0) | ((rows[None, :] == 0) & (rows[:, None] % 4 == 1))
-    cells |= (rows[None, :] == side - 1) & (rows[:, None] % 4 == 3)
-    assert areas(cells)[1] == 1
-    assert areas(~cells)[1] == label(~cells)[1]

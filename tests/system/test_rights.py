@@ -23,7 +23,7 @@ from tests.system.team import small_plan
 
 EXAMPLES: tuple[messages.Record, ...] = (
     messages.Begin(),
-    messages.Configure({"robots": 9}),
+    messages.Configure(0, b"settings"),
     messages.Sense(3, 4, 4, 0, b"", bytes(720), ""),
     messages.Move(3, b"", 0, explored=True),
     messages.Positions(3, [0, 1, 2], [4, 4, 4], [4, 4, 4]),
@@ -47,6 +47,7 @@ EXAMPLES: tuple[messages.Record, ...] = (
     messages.Strike(3, 0, "kill"),
     messages.Change(3, 100, 5000),
     messages.Snapshot(3, 1, 1, b"\x00"),
+    messages.MapChanges(3, b"\x01\x00\x00\x00", b"\x0a"),
     messages.Outlines(3, 0, bytes(16)),
 )
 JUNK = (
