@@ -231,7 +231,7 @@ OTHERS = {
     "run agent --credential star.json": "a run cannot be called 'a*': use letters, digits",
     "run agent --credential port.json": "hub = 'tcp/127.0.0.1:99999': must be as tcp/127.0.0.1:7447",
     "run netshaper --listen 127.0.0.1:٣": "with a port from 1 to 65535",
-    "run agent --credential bob.json": "'bob' is not a robot's name",
+    "run agent --credential bob.json": "'bob' is not the name of a robot",
     "run worldsim --credential r0.json": "credential r0.json is that of r0; world.json is needed here",
     "run recorder --credential r0.json": "credential r0.json is that of r0; recorder.json is needed here",
     "run view --credential r0.json": "credential r0.json is that of r0; view.json is needed here",
