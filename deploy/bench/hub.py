@@ -110,9 +110,7 @@ def _run(plan: Plan, rendezvous: Rendezvous) -> dict[str, float]:
 
 
 def _plan(robots: int) -> Plan:
-    scenario = Scenario(
-        robots=robots, steps=STEPS, strategy="meier", map_encoding="polygons", bandwidth=1000
-    )
+    scenario = Scenario(robots=robots, steps=STEPS, strategy="meier", map_encoding="polygons", bandwidth=1000)
     return plans.make(scenario, generators.make("office", width_m=SIDE_M, height_m=SIDE_M))
 
 

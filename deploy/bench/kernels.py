@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 
 from agent.encodings.polygons import PolygonEncoding
 from agent.encodings.predictive import PredictiveEncoding
@@ -28,7 +28,6 @@ from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
 from agent.outline.simplify import mixed_first, refine
 from agent.planning.cost_field import costs
-from agent.settings import Settings
 from deploy.bench import baselines
 from deploy.bench.explorations import SAMPLES, Moment, beams, explore, samples
 from deploy.bench.measurement import Measurement, compare, timed
@@ -114,9 +113,7 @@ def _contours(explorations: Sequence[Sequence[Moment]], cv2: Any) -> Measurement
         baseline.append(spent)
         if len(kernel) % SAMPLES == 0 and baselines.cells_along(found) != baselines.without_frame(traced):
             raise AssertionError("contours: OpenCV finds different contours")
-    return compare(
-        "contours of a robot's map", "ms", kernel, "OpenCV's findContours", baseline, "no slower"
-    )
+    return compare("contours of a robot's map", "ms", kernel, "OpenCV's findContours", baseline, "no slower")
 
 
 class _PolygonUpdates:
@@ -136,7 +133,7 @@ class _PolygonUpdates:
 
     def encode(self, robot: int, moments: Sequence[Moment]) -> None:
         """Encode the updates of one robot."""
-        encoding = PolygonEncoding(Settings.from_message(self._plan.robot_settings[robot]))
+        encoding = PolygonEncoding(self._plan.robot_settings[robot])
         self.polygons.append([])
         for moment in moments:
             record = partial(encoding.record, moment.grid, moment.scan, moment.change, delivered=True)
@@ -218,7 +215,7 @@ def _cost_field(moments: Sequence[Moment], graph: Any) -> Measurement:
 def _predictive(plan: Plan, moments: Sequence[Moment]) -> Iterator[Measurement]:
     """Encode and decode scans with the predictive encoding; baseline: drawing the scans."""
     settings = replace(
-        Settings.from_message(plan.robot_settings[0]),
+        plan.robot_settings[0],
         map_encoding="predictive",
         dissemination="gossip",
         bandwidth=None,

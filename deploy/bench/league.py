@@ -37,8 +37,8 @@ DEFAULTS = {
 """Settings of all scenarios, unless the contest overrides them."""
 
 Run = dict[str, Any]
-"""One run: strategy, map, robots, seed, steps. Strategies also have finished, t90, t99, coverage, driven (meters of each
-robot) and replan_ms, the mean processor time of a decision in which a robot chooses a target."""
+"""One run: strategy, map, robots, seed, steps. Strategies also have finished, t90, t99, coverage, driven (meters of
+each robot) and replan_ms, the mean processor time of a decision in which a robot chooses a target."""
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 The league table gives each strategy's time as a multiple of the offline plan's. Two numbers enclose the optimum:
 
-- `offline_steps` is an upper bound: a plan that such a team can drive. It chooses viewpoints that together see everything,
+- `offline_steps` is an upper bound: a plan that such a team can drive. It chooses viewpoints that together see all,
   tours of all robots through them, and then drops or moves viewpoints as long as the tours become shorter.
 - `min_steps` is a lower bound. Some cells, the witnesses, are far from each other. A robot must see each of them, and
   no path from a place that sees one to a place that sees another is shorter than the shortest.
@@ -123,11 +123,12 @@ class KnownBuilding:
         x, y = cell
         readings = cast(self._truth, self._no_robots, self._ray_table, x, y)
         change = draw(self._scratch, self._ray_table, x, y, readings)
-        inside = np.s_[change.y0 : change.y1, change.x0 : change.x1]
+        x0, y0, x1, y1 = change.box
+        inside = np.s_[y0:y1, x0:x1]
         box = self._scratch[inside]
         ys, xs = np.nonzero((box != UNKNOWN) & self._required[inside])
         box[:] = UNKNOWN
-        seen: Indices = (ys + change.y0) * self._scratch.shape[1] + xs + change.x0
+        seen: Indices = (ys + y0) * self._scratch.shape[1] + xs + x0
         return seen
 
     def reaches(self, cell: Cell) -> bool:
@@ -403,9 +404,9 @@ def min_steps(building: KnownBuilding, starts: Sequence[Cell]) -> int:
     Notes
     -----
     All tours together connect the starts with a place that sees each witness, and the longest tour is not shorter than
-    their mean. The cheapest connection is a spanning tree over the witnesses and one node for all starts. No tour leaves
-    a witness more than once, so a price on each edge at a witness, paid back twice, raises the tree but never the tours
-    (Held and Karp, 1970).
+    their mean. The cheapest connection is a spanning tree over the witnesses and one node for all starts. No tour
+    leaves a witness more than once. So a price on each edge at a witness, paid back twice, raises the tree but not
+    the tours (Held and Karp, 1970).
     """
     fields = [np.min([building.field(start) for start in starts], axis=0)]
     lengths = np.zeros((1, 1))

@@ -64,8 +64,8 @@ def _measurements(name: str, timer: DecisionTimer, graph: Any) -> Iterator[Measu
         ("mean", float(np.mean(timer.spent_ms)), MEAN_TARGET),
         ("95th percentile", float(np.percentile(timer.spent_ms, 95)), P95_TARGET),
     ):
-        target = "" if name in WITHOUT_TARGET else target
-        yield Measurement(f"{name}, {what}", "ms", value, baseline, value / field, target=target)
+        shown = "" if name in WITHOUT_TARGET else target
+        yield Measurement(f"{name}, {what}", "ms", value, baseline, value / field, target=shown)
 
 
 def _cost_field_ms(graph: Any, grid: Grid, cell: Cell) -> float:

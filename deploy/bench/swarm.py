@@ -47,7 +47,7 @@ CASES = (
 def swarm() -> Iterator[Measurement]:
     """Alternate swarm and replay; measure speed, computing time, memory and start-up."""
     for case in CASES:
-        plan = _plan(case)
+        plan = plan_of(case)
         scripts, records = record(plan)
         replays, speeds, starts, memories = [], [], [], []
         for _ in range(REPEATS):
@@ -65,9 +65,7 @@ def swarm() -> Iterator[Measurement]:
         yield Measurement(
             f"{name}: work per robot and step", "ms", _median_work_ms(records), target=case.target_work
         )
-        yield Measurement(
-            f"{name}: start to first step", "s", float(np.median(starts)), target="at most 2"
-        )
+        yield Measurement(f"{name}: start to first step", "s", float(np.median(starts)), target="at most 2")
         if any(memories):
             megabytes = float(np.median(memories))
             yield Measurement(
@@ -75,7 +73,8 @@ def swarm() -> Iterator[Measurement]:
             )
 
 
-def _plan(case: Case) -> Plan:
+def plan_of(case: Case) -> Plan:
+    """The run of a case: an office of 300 x 300 cells."""
     scenario = Scenario(
         robots=ROBOTS,
         steps=STEPS,

@@ -9,6 +9,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,7 +62,8 @@ def replay(plan: Plan, scripts: dict[str, Script]) -> float:
             if processes.look():
                 raise ConnectionError(f"the benchmark's replay failed: {processes.deaths}")
 
-        return _replay_client(rendezvous.credentials[names.RECORDER], scripts[names.RECORDER], check)
+        with closing(join(rendezvous.credentials[names.RECORDER])) as bus:
+            return _replay(bus, Keys(rendezvous.run), scripts[names.RECORDER], check)
 
 
 def _script(bus: RecordingBus) -> Script:
@@ -81,40 +83,36 @@ def _replay_hub(
     run: str, endpoint: str, credentials: dict[str, Credential], clients: int, script: Script
 ) -> None:
     """Replay the relay's script once the given number of clients has joined."""
-    bus = open_hub(run, endpoint, credentials)
-    try:
+    with closing(open_hub(run, endpoint, credentials)) as bus:
         present: set[str] = set()
+        received = 0
         while len(present) < clients:
             message = bus.receive()
-            if message is not None and not _counts(message):
+            if message is not None and _counts(message):
+                received += 1
+            elif message is not None:
                 present.add(message.key)
-        _replay(bus, Keys(run), script)
+        _replay(bus, Keys(run), script, received=received)
         deadline = time.monotonic() + FAREWELL_S
         while time.monotonic() < deadline and present:
             message = bus.receive(0.5)
             if message is not None and message.payload == b"0":
                 present.discard(message.key)
-    finally:
-        bus.close()
 
 
-def _replay_client(
-    credential: Credential, script: Script, check: Callable[[], object] = lambda: None
-) -> float:
-    """Replay the script of another participant; return the seconds that it takes."""
+def _replay_client(credential: Credential, script: Script) -> None:
+    """Replay the script of a robot or the world."""
     if names.is_robot(credential.name):
         wait_for_a_turn()
-    if credential.name != names.RECORDER:
-        send_along()
-    bus = join(credential)
-    try:
-        return _replay(bus, Keys(credential.run), script, check)
-    finally:
-        bus.close()
+    send_along()
+    with closing(join(credential)) as bus:
+        _replay(bus, Keys(credential.run), script)
 
 
-def _replay(bus: Bus, keys: Keys, script: Script, check: Callable[[], object] = lambda: None) -> float:
-    received = 0
+def _replay(
+    bus: Bus, keys: Keys, script: Script, check: Callable[[], object] = lambda: None, *, received: int = 0
+) -> float:
+    """Replay a script of which `received` messages have arrived; return the seconds from the next one on."""
     began = 0.0
     sends = [(after, _with_run(key, keys), bytes(size)) for after, key, size in script.sends]
     for after, key, payload in [*sends, (script.total, "", b"")]:

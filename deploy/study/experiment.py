@@ -20,7 +20,7 @@ from typing import Any
 from deploy.scenario.scenario import SHIPPED as SCENARIOS
 from deploy.scenario.scenario import ScenarioError, beside, read_toml
 from deploy.study.claims import Claim, read_claim
-from deploy.study.measures import EXPLORATION, METRICS, MEASURES
+from deploy.study.measures import EXPLORATION, MEASURES, METRICS
 from deploy.study.plots import Plot, read_plots
 from deploy.study.tables import RELATIVE, VARIANT, Table, check
 from protocol.errors import there_are

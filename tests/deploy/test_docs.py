@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from agent.encodings.catalog import ENCODINGS
 from agent.encodings.polygon_options import THESIS_OPTIONS, PolygonOptions
@@ -214,7 +215,7 @@ def defaults(kind: Any, prefix: str = "") -> dict[str, tuple[str, str]]:
         if name in ("robot", "death", "fault", "change") and not prefix:
             continue
         if name == "polygons":
-            found |= {f"polygon.{n}": (plain(value), "") for n, value in asdict(PolygonOptions()).items()}
+            found |= {f"polygons.{n}": (plain(value), "") for n, value in asdict(PolygonOptions()).items()}
             continue
         if name == "predictive":
             found |= {
@@ -397,7 +398,7 @@ def test_every_setting_stands_in_the_table_with_its_default() -> None:
         assert map_id in table[name][1], name
     for name, value in asdict(THESIS_OPTIONS).items():
         if value != asdict(PolygonOptions())[name]:
-            assert f"thesis: {plain(value)}" in table[f"polygon.{name}"][1]
+            assert f"thesis: {plain(value)}" in table[f"polygons.{name}"][1]
     for choice in (*ENCODINGS, *get_args(Scenario.model_fields["bus"].annotation)):
         assert choice in (DOCS / "protocol.md").read_text(encoding="utf-8")
 

@@ -131,9 +131,9 @@ def test_the_error_is_that_of_the_robot_that_finished_first() -> None:
 @pytest.mark.parametrize("rules", RULES)
 def test_less_what_an_exact_approximation_gets_wrong_the_error_of_an_exact_one_is_none(rules: str) -> None:
     options = RULES[rules].get("polygons", {}) | {"exact_error": True, "lazy": False}
-    _, exact = run(rules, robots=2, bandwidth="unlimited", polygon=Options(options))
+    _, exact = run(rules, robots=2, bandwidth="unlimited", polygons=Options(options))
     assert exact["approximation_error_net"] == 0
-    _, coarse = run(rules, robots=2, bandwidth=100, polygon=Options(options))
+    _, coarse = run(rules, robots=2, bandwidth=100, polygons=Options(options))
     assert 0 < coarse["approximation_error_net"] <= coarse["approximation_error"]
     assert (coarse["approximation_error_net"] < coarse["approximation_error"]) == (rules == "thesis")
     assert run(rules, robots=4, bandwidth=200)[1]["approximation_error_net"] is None

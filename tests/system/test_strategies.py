@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from agent.encodings.catalog import ENCODINGS
-from deploy import explore
 from deploy.run import in_memory
 from deploy.run.exploration import EXPLORED, NOT_FINISHED, Result
 from deploy.scenario import plan
 from deploy.scenario.scenario import ScenarioError, parse
+from murmur import explore
 from worldsim import generators
 from worldsim.process import EXPLORED as EXPLORED_ALL
 from worldsim.process import STALLED

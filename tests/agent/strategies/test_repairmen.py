@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from agent.planning.path_planner import PathPlanner
 from agent.settings import Settings
@@ -163,7 +164,7 @@ def test_a_robot_does_not_turn_for_little_and_never_without_news_of_the_map() ->
         (0.5, news, (31, 1)),
         (0.0, grid, (31, 1)),
     ):
-        robot = mind(options={"loyalty": target_hysteresis}, grid=grid)
+        robot = mind(options={"target_hysteresis": target_hysteresis}, grid=grid)
         assert robot.decide(robot_at(22, 1, grid)).target == (31, 1)
         assert robot.decide(replace(robot_at(20, 1, later), step=2)).target == expected
 
@@ -187,7 +188,7 @@ def test_a_crumb_is_looked_at_from_afar_a_long_edge_and_one_looked_at_in_vain_fr
     assert decided.target == (20, 2)
     assert (x, y) in {(19, 9), (20, 9)}
     assert ends(Repairmen({"look": 0.0}, alone), here) == (20, 2)
-    assert ends(Repairmen({}, replace(alone, field_of_view=90.0)), here) == (20, 2)
+    assert ends(Repairmen({}, structs.replace(alone, field_of_view=90.0)), here) == (20, 2)
     # A teammate stood before it: no news of the map, and the robot drives in, whatever it learns on the way.
     assert ends(robot, replace(robot_at(x, y, grid), step=2)) == (20, 2)
     grid[9, 1] = OCCUPIED

@@ -8,9 +8,9 @@ from typing import Any
 import polars as pl
 import pytest
 
-import deploy
-from deploy import Scenario, compare, size, sweep
+import murmur
 from deploy.scenario.scenario import ScenarioError
+from murmur import Scenario, compare, size, sweep
 from tests.deploy.study.small_experiment import EXPERIMENT, write
 
 ROOMS: dict[str, Any] = {
@@ -123,4 +123,4 @@ def test_ranges_are_tried_from_the_shortest_and_the_nearest_team_is_one_that_has
 
 
 def test_all_of_it_is_exported() -> None:
-    assert {"compare", "explore", "size", "sweep"} <= set(deploy.__all__)
+    assert {"compare", "explore", "size", "sweep"} <= set(murmur.__all__)
