@@ -136,7 +136,7 @@ class _PolygonUpdates:
         encoding = PolygonEncoding(self._plan.robot_settings[robot])
         self.polygons.append([])
         for moment in moments:
-            record = partial(encoding.record, moment.grid, moment.scan, moment.change, delivered=True)
+            record = partial(encoding.encode_changes, moment.grid, moment.scan, moment.change, delivered=True)
             packets, spent = timed(record)
             polygons = encoding.polygons[robot]
             self.polygons[-1].append(polygons)
@@ -225,12 +225,12 @@ def _predictive(plan: Plan, moments: Sequence[Moment]) -> Iterator[Measurement]:
     cells = size = 0
     encoded, decoded, scans = [], [], []
     for moment in moments:
-        record = partial(encoder.record, moment.grid, moment.scan, moment.change, delivered=True)
+        record = partial(encoder.encode_changes, moment.grid, moment.scan, moment.change, delivered=True)
         packets, spent = timed(record)
         scan = moment.scan
         scans.append(timed(partial(draw, drawn, rays, scan.x, scan.y, scan.readings))[1])
         encoded.append(spent)
-        decoded.append(timed(partial(decoder.take, 0, b"".join(packets)))[1])
+        decoded.append(timed(partial(decoder.apply, 0, b"".join(packets), step=1000, sender=0))[1])
         cells += moment.change.cells
         size += sum(map(len, packets))
     _check_same(decoder.merge(np.zeros_like(drawn)), moments[-1].grid, "predictive encoding")
