@@ -45,33 +45,33 @@ NO_SCAN = Scan(0, 0, np.zeros(36, np.uint16))
 @given(seeds)
 def test_what_one_tells_is_what_the_others_know_whenever_all_has_been_delivered(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    maker, hearer = CellEncoding(settings_of(0)), CellEncoding(settings_of(1))
+    maker, receiver = CellEncoding(settings_of(0)), CellEncoding(settings_of(1))
     own = np.zeros((HEIGHT, WIDTH), np.uint8)
     nothing = np.zeros_like(own)
     for _ in range(6):
         delivered = bool(rng.random() < 0.6)
         units = maker.encode_changes(own, NO_SCAN, changed(rng, own), delivered=delivered)
         cut = int(rng.integers(0, len(units) + 1))
-        hearer.apply(0, b"".join(units[:cut]), **LATE)
-        hearer.apply(0, b"".join(units[cut:]), **LATE)
+        receiver.apply(0, b"".join(units[:cut]), **LATE)
+        receiver.apply(0, b"".join(units[cut:]), **LATE)
         if delivered:
-            assert (hearer.merge(nothing) == own).all()
+            assert (receiver.merge(nothing) == own).all()
         else:
             assert not units
 
 
 def test_what_has_not_changed_is_not_told_and_ones_own_word_counts_more() -> None:
-    maker, hearer = CellEncoding(settings_of(0)), CellEncoding(settings_of(1))
+    maker, receiver = CellEncoding(settings_of(0)), CellEncoding(settings_of(1))
     own = np.zeros((HEIGHT, WIDTH), np.uint8)
     own[3, 4:9] = OCCUPIED
     change = Change(5, (4, 3, 9, 4))
     units = maker.encode_changes(own, NO_SCAN, change, delivered=True)
     assert units
     assert maker.encode_changes(own, NO_SCAN, change, delivered=True) == []
-    hearer.apply(0, b"".join(units), **LATE)
+    receiver.apply(0, b"".join(units), **LATE)
     mine = np.zeros_like(own)
     mine[3, 4] = FREE
-    assert hearer.merge(mine)[3, 3:7].tolist() == [UNKNOWN, FREE, OCCUPIED, OCCUPIED]
+    assert receiver.merge(mine)[3, 3:7].tolist() == [UNKNOWN, FREE, OCCUPIED, OCCUPIED]
 
 
 @given(seeds, st.sampled_from((0.01, 0.3, 1.0)))
@@ -118,15 +118,15 @@ LIES = {
 
 @pytest.mark.parametrize("lie", LIES)
 def test_what_is_no_patch_is_refused_and_changes_nothing(lie: str) -> None:
-    hearer, nothing = CellEncoding(settings_of(1)), np.zeros((HEIGHT, WIDTH), np.uint8)
+    receiver, nothing = CellEncoding(settings_of(1)), np.zeros((HEIGHT, WIDTH), np.uint8)
     patch = pack(0, 0, np.full((2, 2), OCCUPIED + 1, np.uint8))
     with pytest.raises(ProtocolError):
-        hearer.apply(0, b"".join([encode([Fragment(patch + LIES[lie])])]), **LATE)
-    assert not hearer.merge(nothing).any()
+        receiver.apply(0, b"".join([encode([Fragment(patch + LIES[lie])])]), **LATE)
+    assert not receiver.merge(nothing).any()
     with pytest.raises(ProtocolError):
-        hearer.apply(0, encode([Save()]), **LATE)
-    hearer.apply(0, encode([Fragment(patch)]), **LATE)
-    assert hearer.merge(nothing)[:2, :2].all()
+        receiver.apply(0, encode([Save()]), **LATE)
+    receiver.apply(0, encode([Fragment(patch)]), **LATE)
+    assert receiver.merge(nothing)[:2, :2].all()
 
 
 @given(st.binary(max_size=40))

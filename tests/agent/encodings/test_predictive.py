@@ -35,7 +35,7 @@ def settings_of(robot: int, **more: Any) -> Settings:
 
 
 class Explorer:
-    """A robot that looks around from anywhere, and its exchange."""
+    """A robot that scans around from anywhere, and its exchange."""
 
     def __init__(self, robot: int, seed: int, common: dict[str, Any] | None = None, **more: Any) -> None:
         self.robot = robot
@@ -119,39 +119,39 @@ def test_units_in_pieces_and_in_any_order_of_maps_say_the_same(seed: int, order:
             other.map_encoding.apply(maker.robot, b"".join(maker.look(truth)), **LATE)
     for maker, other in (makers, makers[::-1]):
         other.map_encoding.apply(maker.robot, b"".join(flush(maker)), **LATE)
-    hearer, rng = PredictiveEncoding(settings_of(2)), np.random.default_rng(order)
+    receiver, rng = PredictiveEncoding(settings_of(2)), np.random.default_rng(order)
     logs = [list(maker.log) for maker in makers]
     while any(logs):
         robot = int(rng.integers(2))
         count = int(rng.integers(1, 4))
-        hearer.apply(robot, b"".join(logs[robot][:count]), **LATE)
+        receiver.apply(robot, b"".join(logs[robot][:count]), **LATE)
         del logs[robot][:count]
-    assert (hearer.merge(unknown()) == np.max([maker.own for maker in makers], axis=0)).all()
+    assert (receiver.merge(unknown()) == np.max([maker.own for maker in makers], axis=0)).all()
 
 
 @given(seeds)
 def test_what_waited_for_the_medium_is_told_in_one_unit_later(seed: int) -> None:
     truth = world(seed)
-    maker, hearer = Explorer(0, seed), PredictiveEncoding(settings_of(1))
+    maker, receiver = Explorer(0, seed), PredictiveEncoding(settings_of(1))
     for _ in range(5):
         assert maker.look(truth, delivered=False) == []
     units = maker.look(truth)
     assert sum(look(unit)[0] is not None for unit in units) == 1
-    hearer.apply(0, b"".join(units), **LATE)
-    assert (hearer.merge(unknown()) == maker.own).all()
+    receiver.apply(0, b"".join(units), **LATE)
+    assert (receiver.merge(unknown()) == maker.own).all()
 
 
 @given(seeds)
 def test_on_a_narrow_medium_it_is_told_in_several_units_one_a_step(seed: int) -> None:
     truth = world(seed)
-    maker, hearer = Explorer(0, seed, bandwidth=6), PredictiveEncoding(settings_of(1))
+    maker, receiver = Explorer(0, seed, bandwidth=6), PredictiveEncoding(settings_of(1))
     for _ in range(5):
         assert maker.look(truth, delivered=False) == []
     units = 0
     while said := flush(maker):
-        hearer.apply(0, b"".join(said), **LATE)
+        receiver.apply(0, b"".join(said), **LATE)
         units += sum(look(unit)[0] is not None for unit in said)
-    assert (hearer.merge(unknown()) == maker.own).all()
+    assert (receiver.merge(unknown()) == maker.own).all()
     assert units > 1 or np.count_nonzero(maker.own) < 100
 
 
@@ -160,7 +160,7 @@ def test_what_a_unit_is_built_on_is_known_to_its_maker_and_to_all_who_have_read_
     seed: int, taken_back: bool
 ) -> None:
     truth = world(seed)
-    first, second, hearer = Explorer(0, seed), Explorer(1, seed), PredictiveEncoding(settings_of(2))
+    first, second, receiver = Explorer(0, seed), Explorer(1, seed), PredictiveEncoding(settings_of(2))
     for _ in range(6):
         second.map_encoding.apply(0, b"".join(first.look(truth)), **LATE)
         units = second.look(truth)
@@ -175,22 +175,22 @@ def test_what_a_unit_is_built_on_is_known_to_its_maker_and_to_all_who_have_read_
     for first_unit, end, on in bases:  # with what they say, and no more, each unit can be read
         assert read[1] <= first_unit < end <= len(second.log)
         for map_id, log, units in (*((0, first.log, units) for _, units in on), (1, second.log, end)):
-            hearer.apply(map_id, b"".join(log[read[map_id] : units]), **LATE)
+            receiver.apply(map_id, b"".join(log[read[map_id] : units]), **LATE)
             read[map_id] = max(read[map_id], units)
-        assert hearer.dependencies(1)[-1].end == end
+        assert receiver.dependencies(1)[-1].end == end
 
 
 @given(seeds)
 def test_a_unit_that_nobody_has_heard_is_taken_back_and_what_it_said_is_in_the_next(seed: int) -> None:
     truth = world(seed)
-    maker, hearer = Explorer(0, seed), PredictiveEncoding(settings_of(1))
+    maker, receiver = Explorer(0, seed), PredictiveEncoding(settings_of(1))
     units = maker.look(truth)
     assume(units)
     assert maker.map_encoding.retractable == len(units)
     maker.map_encoding.retract_last()
     assert not maker.map_encoding.merge(unknown()).any()
-    hearer.apply(0, b"".join(maker.look(truth)), **LATE)
-    assert (hearer.merge(unknown()) == maker.own).all()
+    receiver.apply(0, b"".join(maker.look(truth)), **LATE)
+    assert (receiver.merge(unknown()) == maker.own).all()
 
 
 def test_a_look_that_shows_nothing_new_to_all_is_not_told() -> None:
@@ -245,18 +245,18 @@ def test_robots_that_read_together_know_what_each_would_know_alone(seed: int, ba
                 maker.map_encoding.retract_last()
             maker.look(truth, noise=noise)
         assert teams[0][speaker].log == teams[1][speaker].log
-        hearer, map_id = int(rng.integers(3)), int(rng.integers(3))
-        heard = teams[0][map_id].log[told[hearer][map_id] :][: int(rng.integers(4))]
-        if hearer == map_id or not heard:
+        receiver, map_id = int(rng.integers(3)), int(rng.integers(3))
+        heard = teams[0][map_id].log[told[receiver][map_id] :][: int(rng.integers(4))]
+        if receiver == map_id or not heard:
             continue
-        told[hearer][map_id] += len(heard)
+        told[receiver][map_id] += len(heard)
         if lies and map_id == 2 and wrong:
             number, data = look(heard[0])
-            heard[0] = encode([Update(number, bytes(byte ^ hearer + 1 for byte in data))])
+            heard[0] = encode([Update(number, bytes(byte ^ receiver + 1 for byte in data))])
         said = []
         for team in teams:
             try:
-                team[hearer].map_encoding.apply(map_id, b"".join(heard), **LATE)
+                team[receiver].map_encoding.apply(map_id, b"".join(heard), **LATE)
             except ProtocolError as error:
                 said.append(str(error))
             else:
@@ -288,36 +288,36 @@ WRONG = {
 @pytest.mark.parametrize("wrong", WRONG)
 @pytest.mark.parametrize("behind", [False, True])
 def test_nonsense_is_refused_and_changes_nothing(wrong: str, behind: bool) -> None:
-    hearer = PredictiveEncoding(settings_of(1))
+    receiver = PredictiveEncoding(settings_of(1))
     units = units_of(5)
     head = units[:1] if behind and look(units[0])[0] is None else []
-    hearer.apply(0, b"".join(head), **LATE)
-    before = hearer.merge(unknown())
+    receiver.apply(0, b"".join(head), **LATE)
+    before = receiver.merge(unknown())
     with pytest.raises(ProtocolError):
-        hearer.apply(
+        receiver.apply(
             0,
             b"".join([*head, *WRONG[wrong]] if wrong == "bytes that are no unit" and head else WRONG[wrong]),
             **LATE,
         )
-    assert (hearer.merge(unknown()) == before).all()
-    hearer.apply(0, b"".join(units[len(head) :]), **LATE)
-    assert hearer.merge(unknown()).any()
+    assert (receiver.merge(unknown()) == before).all()
+    receiver.apply(0, b"".join(units[len(head) :]), **LATE)
+    assert receiver.merge(unknown()).any()
 
 
 @given(st.lists(st.tuples(st.integers(0, 1), st.binary(max_size=LAST_UPDATE_DATA)), max_size=12), seeds)
 def test_a_liar_changes_no_other_map_whatever_it_says(lies: list[tuple[int, bytes]], seed: int) -> None:
     truth = world(seed)
-    maker, hearer = Explorer(0, seed), PredictiveEncoding(settings_of(1))
+    maker, receiver = Explorer(0, seed), PredictiveEncoding(settings_of(1))
     plain = PredictiveEncoding(settings_of(1))
     for number, (_, data) in enumerate(lies):
         units = maker.look(truth)
         with contextlib.suppress(ProtocolError):
-            hearer.apply(2, encode([Update(number % 4, data)]), **LATE)
-        hearer.apply(0, b"".join(units), **LATE)
+            receiver.apply(2, encode([Update(number % 4, data)]), **LATE)
+        receiver.apply(0, b"".join(units), **LATE)
         plain.apply(0, b"".join(units), **LATE)
     known = plain.merge(unknown())
-    assert (hearer.merge(unknown())[known == OCCUPIED] == OCCUPIED).all()
-    assert (hearer.merge(unknown())[known == FREE] != UNKNOWN).all()
+    assert (receiver.merge(unknown())[known == OCCUPIED] == OCCUPIED).all()
+    assert (receiver.merge(unknown())[known == FREE] != UNKNOWN).all()
 
 
 @given(st.binary(max_size=300), st.integers(0, 100), st.integers(UPDATE_DATA, LAST_UPDATE_DATA))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from agent.predictive.coder import (
     AHEAD,
-    BROKEN,
+    FAILED,
     NUMBER,
     check_end,
     code_bit,
@@ -39,7 +39,7 @@ def write(said: list[tuple[int, int]], most: int = MOST) -> bytes:
     table = counts()
     for context, bit in said:
         code_bit(state, data, table, context, bit, most)
-    assert not state[BROKEN]
+    assert not state[FAILED]
     return written(state, data)
 
 
@@ -132,4 +132,4 @@ def test_a_writer_without_room_says_so_and_writes_nowhere_else() -> None:
     table = counts()
     for bit in np.random.default_rng(1).integers(0, 2, 400).tolist():
         code_bit(state, data, table, 0, bit, MOST)
-    assert state[BROKEN]
+    assert state[FAILED]

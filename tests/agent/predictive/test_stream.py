@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from agent.predictive import contexts
 from agent.predictive.history import DecodedUpdate, History
-from agent.predictive.scan_updates import MAX_LOOKS, STATE, TOLD
+from agent.predictive.scan_updates import MAX_SCANS, REPORTED, STATE
 from agent.predictive.stream import Stream
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
@@ -46,12 +46,12 @@ class Group:
         """Whether a self-explored grid follows from the robot's stream."""
         grid = self.grids[robot]
         known = own != UNKNOWN
-        return bool(((grid & STATE) == own)[known].all() and not (grid[~known] & TOLD).any())
+        return bool(((grid & STATE) == own)[known].all() and not (grid[~known] & REPORTED).any())
 
 
 @dataclass
 class Scene:
-    """Robots whose grids change in any way, and where they say they looked from."""
+    """Robots whose grids change in any motion, and where they say they looked from."""
 
     rng: np.random.Generator
     own: list[Grid]
@@ -91,88 +91,88 @@ class Scene:
 @given(seeds, st.booleans())
 def test_any_change_of_a_grid_is_told_without_loss(seed: int, team: bool) -> None:
     scene = Scene.drawn(seed)
-    maker, hearer = Group(scene.shape, team=team), Group(scene.shape, team=team)
+    author, receiver = Group(scene.shape, team=team), Group(scene.shape, team=team)
     for _ in range(12):
         robot = int(scene.rng.integers(len(RANGES)))
-        unit = scene.tell(maker, robot)
+        unit = scene.tell(author, robot)
         if unit is None:
             continue
         message, told = unit
-        heard = hearer.streams[robot].decode(message)
+        heard = receiver.streams[robot].decode(message)
         assert heard is not None
         assert heard.places.tolist() == told.places.tolist()
         assert heard.states.tolist() == told.states.tolist()
-        assert hearer.follows(robot, scene.own[robot])
-        assert (hearer.grids == maker.grids).all()
+        assert receiver.follows(robot, scene.own[robot])
+        assert (receiver.grids == author.grids).all()
 
 
 @given(seeds)
 def test_with_base_own_a_stream_alone_tells_the_whole_grid(seed: int) -> None:
     scene = Scene.drawn(seed)
-    maker, hearer = Group(scene.shape, team=False), Group(scene.shape, team=False)
+    author, receiver = Group(scene.shape, team=False), Group(scene.shape, team=False)
     for _ in range(6):
-        if (unit := scene.tell(maker, 0)) is not None:
-            hearer.streams[0].decode(unit[0])
-        assert (hearer.grids[0] & STATE).tolist() == scene.own[0].tolist()
+        if (unit := scene.tell(author, 0)) is not None:
+            receiver.streams[0].decode(unit[0])
+        assert (receiver.grids[0] & STATE).tolist() == scene.own[0].tolist()
 
 
 @given(seeds)
 def test_a_unit_waits_for_what_it_is_built_on_and_nothing_changes_until_then(seed: int) -> None:
     scene = Scene.drawn(seed)
-    maker, hearer = Group(scene.shape), Group(scene.shape)
+    author, receiver = Group(scene.shape), Group(scene.shape)
     said: list[list[bytes]] = [[] for _ in RANGES]
     for _ in range(15):
         robot = int(scene.rng.integers(len(RANGES)))
-        if (unit := scene.tell(maker, robot)) is not None:
+        if (unit := scene.tell(author, robot)) is not None:
             said[robot].append(unit[0])
     while any(said):
         waits = True
         for robot in scene.rng.permutation(len(RANGES)).tolist():
-            before = hearer.grids.copy()
+            before = receiver.grids.copy()
             if said[robot]:
-                if hearer.streams[robot].decode(said[robot][0]) is None:
-                    assert (hearer.grids == before).all()
+                if receiver.streams[robot].decode(said[robot][0]) is None:
+                    assert (receiver.grids == before).all()
                 else:
                     del said[robot][0]
                     waits = False
         assert not waits, "units wait for each other"
-    assert (hearer.grids == maker.grids).all()
+    assert (receiver.grids == author.grids).all()
 
 
 @given(seeds)
 def test_a_unit_that_is_taken_back_leaves_no_trace(seed: int) -> None:
     scene = Scene.drawn(seed)
-    maker, other = Group(scene.shape), Group(scene.shape)
+    author, other = Group(scene.shape), Group(scene.shape)
     for _ in range(8):
         robot = int(scene.rng.integers(len(RANGES)))
         height, width = scene.shape
         whole = 0, 0, width, height
         poses = scene.change(robot)
-        if maker.streams[robot].encode(scene.own[robot], poses, whole) is not None:
-            maker.streams[robot].undo()
-            maker.histories[robot].pop()
+        if author.streams[robot].encode(scene.own[robot], poses, whole) is not None:
+            author.streams[robot].rollback()
+            author.histories[robot].pop()
         poses += scene.change(robot)
         once, again = (
-            group.streams[robot].encode(scene.own[robot], poses, whole) for group in (maker, other)
+            group.streams[robot].encode(scene.own[robot], poses, whole) for group in (author, other)
         )
         assert (once is None) == (again is None)
         if once is not None and again is not None:
             assert once[0] == again[0]
-        assert (maker.grids == other.grids).all()
+        assert (author.grids == other.grids).all()
 
 
 @given(seeds)
 def test_a_unit_is_the_plain_writer_s_to_the_byte(seed: int) -> None:
     scene = Scene.drawn(seed)
-    maker = Group(scene.shape, team=False)
+    author = Group(scene.shape, team=False)
     plain = PlainStream(scene.shape, ray_table(RANGES[0], BEAMS))
     height, width = scene.shape
     for _ in range(5):
         poses = scene.change(0)
-        unit = maker.streams[0].encode(scene.own[0], poses, (0, 0, width, height))
+        unit = author.streams[0].encode(scene.own[0], poses, (0, 0, width, height))
         if unit is not None:
             assert unit[0] == plain.unit(scene.own[0], poses)[0]
-            assert (maker.grids[0] & STATE).tolist() == plain.known.tolist()
+            assert (author.grids[0] & STATE).tolist() == plain.known.tolist()
 
 
 def exploration(steps: int = 25) -> tuple[Grid, list[tuple[Grid, Cell]]]:
@@ -234,31 +234,31 @@ def test_noise_and_garbled_units_change_nothing_or_are_read_whole(
     seed: int, noise: bytes, flips: list[tuple[int, int]]
 ) -> None:
     scene = Scene.drawn(seed)
-    maker, hearer = Group(scene.shape), Group(scene.shape)
+    author, receiver = Group(scene.shape), Group(scene.shape)
     for _ in range(4):
         robot = int(scene.rng.integers(len(RANGES)))
-        unit = scene.tell(maker, robot)
+        unit = scene.tell(author, robot)
         if unit is None:
             continue
         garbled = bytearray(unit[0])
         for place, byte in flips:
             if garbled:
                 garbled[place % len(garbled)] ^= byte
-        stream, history = hearer.streams[robot], hearer.histories[robot]
+        stream, history = receiver.streams[robot], receiver.histories[robot]
         for wrong in (noise, bytes(garbled), unit[0][: len(unit[0]) // 2]):
-            before, units = hearer.grids.copy(), len(history)
+            before, units = receiver.grids.copy(), len(history)
             try:
                 heard = stream.decode(wrong)
             except ProtocolError as error:
                 assert error.packet == "look"
                 heard = None
             if heard is not None:
-                stream.undo()
+                stream.rollback()
                 history.pop()
             assert len(history) == units
-            assert (hearer.grids == before).all()
+            assert (receiver.grids == before).all()
         assert stream.decode(unit[0]) is not None
-        assert (hearer.grids == maker.grids).all()
+        assert (receiver.grids == author.grids).all()
 
 
 @pytest.mark.parametrize("size", [0, 1, 4, 16, 64, 1000])
@@ -272,7 +272,7 @@ def test_hostile_bytes_cost_bounded_time(size: int) -> None:
         began = time.process_time()
         try:
             stream.decode(message)
-            stream.undo()
+            stream.rollback()
         except ProtocolError:
             pass
         worst = max(worst, time.process_time() - began)
@@ -282,31 +282,31 @@ def test_hostile_bytes_cost_bounded_time(size: int) -> None:
 
 def test_a_unit_has_so_many_looks_at_most_and_what_is_left_can_be_told_in_the_next() -> None:
     shape = 3, 400
-    maker, hearer = (Group(shape, team=False, ranges=(1.0,)) for _ in range(2))
+    author, receiver = (Group(shape, team=False, ranges=(1.0,)) for _ in range(2))
     own = np.zeros(shape, np.uint8)
     own[1] = FREE
     poses = [(x, 1) for x in range(0, 400, 3)]
     while poses:
-        unit = maker.streams[0].encode(own, poses, (0, 0, 400, 3))
+        unit = author.streams[0].encode(own, poses, (0, 0, 400, 3))
         assert unit is not None
-        message, _, looks = unit
-        assert looks == min(MAX_LOOKS, len(poses))
-        assert hearer.streams[0].decode(message) is not None
-        poses = poses[looks:]
-    assert (hearer.grids[0] & STATE).tolist() == own.tolist()
+        message, _, scans = unit
+        assert scans == min(MAX_SCANS, len(poses))
+        assert receiver.streams[0].decode(message) is not None
+        poses = poses[scans:]
+    assert (receiver.grids[0] & STATE).tolist() == own.tolist()
 
 
 def test_where_nothing_is_left_to_tell_the_unit_before_can_still_be_taken_back() -> None:
     own = np.full((1, 500), FREE, np.uint8)
     stream = Group((1, 500), team=False, ranges=(3.0,)).streams[0]
-    poses = [(x, 0) for x in (3, 7, *range(12, 7 * MAX_LOOKS, 7))][:MAX_LOOKS]
+    poses = [(x, 0) for x in (3, 7, *range(12, 7 * MAX_SCANS, 7))][:MAX_SCANS]
     poses.append((4, 0))  # from there nothing is to be seen that is not from one of the others
     own[0, poses[-2][0] + 4 :] = UNKNOWN
     unit = stream.encode(own, poses, (0, 0, 500, 1))
     assert unit is not None
-    assert unit[2] == MAX_LOOKS
-    assert stream.encode(own, poses[MAX_LOOKS:], (0, 0, 500, 1)) is None
-    stream.undo()
+    assert unit[2] == MAX_SCANS
+    assert stream.encode(own, poses[MAX_SCANS:], (0, 0, 500, 1)) is None
+    stream.rollback()
     assert not stream.grid.any()
     stream.histories[0].pop()
     again = stream.encode(own, poses, (0, 0, 500, 1))
@@ -317,28 +317,28 @@ def test_where_nothing_is_left_to_tell_the_unit_before_can_still_be_taken_back()
 @given(seeds, st.integers(1, 40))
 def test_what_a_short_unit_has_no_room_for_is_told_in_the_next_ones(seed: int, most: int) -> None:
     scene = Scene.drawn(seed)
-    maker, hearer = Group(scene.shape), Group(scene.shape)
+    author, receiver = Group(scene.shape), Group(scene.shape)
     height, width = scene.shape
     for _ in range(4):
         robot = int(scene.rng.integers(len(RANGES)))
         poses = scene.change(robot)
-        looks = -1
-        while looks < len(poses):
-            poses = poses[max(looks, 0) :]
-            unit = maker.streams[robot].encode(scene.own[robot], poses, (0, 0, width, height), most=most)
+        scans = -1
+        while scans < len(poses):
+            poses = poses[max(scans, 0) :]
+            unit = author.streams[robot].encode(scene.own[robot], poses, (0, 0, width, height), most=most)
             if unit is None:
                 break
-            message, _, looks = unit
-            assert hearer.streams[robot].decode(message) is not None
+            message, _, scans = unit
+            assert receiver.streams[robot].decode(message) is not None
         else:
-            assert hearer.follows(robot, scene.own[robot])
-        assert (hearer.grids == maker.grids).all()
+            assert receiver.follows(robot, scene.own[robot])
+        assert (receiver.grids == author.grids).all()
 
 
 def test_the_shipped_table_speaks_of_contexts_that_there_are() -> None:
     counts = contexts.start()
     assert counts.shape == (contexts.CONTEXTS, 2)
-    assert counts[: contexts.SEEN].sum(axis=1).max() < contexts.CELLS_MOST
+    assert counts[: contexts.OBSERVED].sum(axis=1).max() < contexts.CELLS_MOST
     assert counts.sum(axis=1).max() < contexts.REST_MOST
     counts[:] = 0
     assert contexts.start().any(), "each stream has counts of its own"
