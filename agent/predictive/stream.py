@@ -116,7 +116,7 @@ class Stream:
         self._ray_table = ray_table
         self._scratch = scratch
         bases = range(len(histories) if base_maps is None else base_maps) if team else ()
-        self._others = np.array([robot for other in bases if other != map_id], np.int64)
+        self._others = np.array([other for other in bases if other != map_id], np.int64)
         self._bases_grew = np.zeros(len(histories), np.bool_)
         self._counts = contexts.start() if counts is None else counts
         self._motion: Motion = np.zeros(SCANS + 1, np.int64)
@@ -199,7 +199,7 @@ class Stream:
         """Make the last update final, so that it cannot be rolled back."""
         self._before, self._overwritten = None, []
 
-    def builds_from(self) -> NDArray[np.int64]:
+    def first_needed(self) -> NDArray[np.int64]:
         """Return for each map its first update that a later update of this map may depend on, even after `rollback`."""
         return self.depends_on if self._before is None else self._before.depends_on
 
@@ -238,7 +238,7 @@ class Stream:
     def _write(
         self, state: State, data: Data, own: Grid, poses: Sequence[tuple[int, int]], box: Box, most: float
     ) -> tuple[DecodedUpdate | None, int]:
-        """Encode an update and apply it to the grid; return it (None if it is empty) and the number of covered poses."""
+        """Encode an update and apply it to the grid; return it, None if empty, and the number of covered poses."""
         counts, motion, grid, scratch = self._counts, self._motion, self.grid, self._scratch
         cells, start = self._ray_table.cells, self._ray_table.start
         contradicted = self._choose_bases(state, data, own, poses, box)

@@ -72,7 +72,7 @@ class Writer:
 
 @dataclass
 class PlainStream:
-    """One author's stream: what it is built on, who told each cell of it, and where the author looked from last."""
+    """The log of one map without dependencies: known cells, cells reported by the author, and the last scan."""
 
     shape: tuple[int, int]
     ray_table: RayTable
@@ -82,10 +82,10 @@ class PlainStream:
 
     def __post_init__(self) -> None:
         self.known: Grid = np.zeros(self.shape, np.uint8)
-        self.told: NDArray[np.bool_] = np.zeros(self.shape, np.bool_)
+        self.reported: NDArray[np.bool_] = np.zeros(self.shape, np.bool_)
 
-    def unit(self, own: Grid, poses: Sequence[Cell]) -> tuple[bytes, float]:
-        """Write the unit that tells `own`, built on nothing else, and its ideal length in bits."""
+    def update(self, own: Grid, poses: Sequence[Cell]) -> tuple[bytes, float]:
+        """Encode an update that describes `own` without dependencies; return it and its entropy in bits."""
         writer = Writer(self.counts)
         scans = 0
         for pose in self._needed(own, poses):
@@ -188,7 +188,7 @@ class PlainStream:
         return int("".join(str(state) for state in block[:4] + block[5:]), 3)
 
     def _exceptions(self, writer: Writer, own: Grid) -> None:
-        differs = np.where(own == UNKNOWN, self.told, self.known != own)
+        differs = np.where(own == UNKNOWN, self.reported, self.known != own)
         cells = np.argwhere(differs).tolist()
         writer.number(contexts.CORRECTIONS, len(cells))
         x, y = self.last or (0, 0)
@@ -208,4 +208,4 @@ class PlainStream:
             self._set((row, column), int(own[row, column]))
 
     def _set(self, cell: Cell, state: int) -> None:
-        self.known[cell], self.told[cell] = state, state != UNKNOWN
+        self.known[cell], self.reported[cell] = state, state != UNKNOWN

@@ -18,14 +18,14 @@ BEAMS = ray_table(3.0, 12)
 class Caches:
     """A cache per map, and the number of decoders made."""
 
-    def __init__(self, makers: int) -> None:
+    def __init__(self, maps: int) -> None:
         self.made = 0
-        self._caches = [SharedDecoderCache(author, self.stream) for author in range(makers)]
+        self._caches = [SharedDecoderCache(map_id, self.stream) for map_id in range(maps)]
 
-    def stream(self, author: int, histories: Sequence[History]) -> Stream:
+    def stream(self, map_id: int, histories: Sequence[History]) -> Stream:
         self.made += 1
         scratch = np.empty((2 * SIDE * SIDE, 2), np.int32)
-        return Stream(author, np.zeros((SIDE, SIDE), np.uint8), BEAMS, histories, scratch, team=True)
+        return Stream(map_id, np.zeros((SIDE, SIDE), np.uint8), BEAMS, histories, scratch, team=True)
 
     def robot(self) -> tuple[list[CachedReader], list[History]]:
         histories = [History() for _ in self._caches]
@@ -53,15 +53,15 @@ def updates(seed: int, count: int) -> list[bytes]:
 def test_a_log_is_decoded_once_for_all_robots_each_at_its_own_pace() -> None:
     caches, sent = Caches(2), updates(1, 5)
     robots = [caches.robot() for _ in range(20)]
-    for followers, _ in robots:
+    for readers, _ in robots:
         for update in sent:
-            assert followers[0].decode(update) is not None
+            assert readers[0].decode(update) is not None
     first = robots[0][1][0]
     assert caches.made == 1
-    for followers, histories in robots:
+    for readers, histories in robots:
         assert len(histories[0]) == len(sent)
         assert all(histories[0].between(n, n + 1)[0] is first.between(n, n + 1)[0] for n in range(len(sent)))
-        assert followers[0].pose == robots[0][0][0].pose is not None
+        assert readers[0].pose == robots[0][0][0].pose is not None
 
 
 def test_other_updates_of_a_byzantine_robot_are_decoded_apart() -> None:
@@ -70,8 +70,8 @@ def test_other_updates_of_a_byzantine_robot_are_decoded_apart() -> None:
     caches.made = 0
     robots = [caches.robot() for _ in range(2)]
     for pair in zip(one, other, strict=True):
-        for (followers, _), stream, update in zip(robots, plain, pair, strict=True):
-            received, alone = followers[0].decode(update), stream.decode(update)
+        for (readers, _), stream, update in zip(robots, plain, pair, strict=True):
+            received, alone = readers[0].decode(update), stream.decode(update)
             assert received is not None
             assert alone is not None
             assert received.places.tolist() == alone.places.tolist()
@@ -85,7 +85,7 @@ def test_many_variants_of_a_log_need_bounded_memory() -> None:
     sent = {seed: updates(seed, 2) for seed in range(3 * MAX_DECODERS)}
     robots = {seed: caches.robot() for seed in sent}
     for number in range(2):
-        for seed, (followers, histories) in robots.items():
-            assert followers[0].decode(sent[seed][number]) is not None
+        for seed, (readers, histories) in robots.items():
+            assert readers[0].decode(sent[seed][number]) is not None
             assert len(histories[0]) == number + 1
     assert caches.made > 3 * MAX_DECODERS, "some decoders were dropped and made again"

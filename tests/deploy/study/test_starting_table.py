@@ -15,4 +15,4 @@ def test_counts_are_learnt_from_an_exploration() -> None:
     assert [table.shape for table in counts] == 2 * [(contexts.CONTEXTS, 2)]
     for table in counts:
         assert table[: contexts.OBSERVED].sum() > 50
-        assert table[contexts.MORE_SCANS : contexts.PLACED].any()
+        assert table[contexts.MORE_SCANS : contexts.FIRST_POSE].any()
