@@ -32,7 +32,15 @@ from protocol.boxes import Box, bounding_box
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
 from protocol.kernels import kernel
-from protocol.packets import LAST_UPDATE_DATA, SHORT_HEAD, UPDATE_DATA, UPDATE_NUMBERS, Update, encode, look
+from protocol.packets import (
+    LAST_UPDATE_DATA,
+    SHORT_HEAD,
+    UPDATE_DATA,
+    UPDATE_NUMBERS,
+    Update,
+    encode,
+    update_fragment,
+)
 from protocol.scans import Change, Scan
 
 ENOUGH_CELLS = 14
@@ -221,7 +229,7 @@ class PredictiveEncoding(MapEncoding):
         rest, complete = incoming.fragments, []
         ends: list[int] = []
         for count, packet in enumerate(packets, incoming.packets + 1):
-            number, data = look(packet)
+            number, data = update_fragment(packet)
             rest += data
             if number is not None:
                 expected = (len(incoming.ends) + len(ends)) % UPDATE_NUMBERS

@@ -250,7 +250,7 @@ def test_noise_and_damaged_updates_change_nothing_or_decode_fully(
             try:
                 received = stream.decode(wrong)
             except ProtocolError as error:
-                assert error.packet == "look"
+                assert error.packet == "update"
                 received = None
             if received is not None:
                 stream.rollback()
