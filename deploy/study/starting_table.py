@@ -87,8 +87,8 @@ def train() -> NDArray[np.uint16]:
             total += counts
         print(f"{number + 1:3} {name} {robots} {speed}", flush=True)
     most = np.full(contexts.CONTEXTS, REST_WEIGHT)
-    most[: contexts.SEEN] = CELLS_WEIGHT
-    most[contexts.SEEN : contexts.MORE] = contexts.REST_MOST // 2
+    most[: contexts.OBSERVED] = CELLS_WEIGHT
+    most[contexts.OBSERVED : contexts.MORE_SCANS] = contexts.REST_MOST // 2
     weight = np.minimum(1, most / np.maximum(total.sum(axis=1), 1))
     trained: NDArray[np.uint16] = np.rint(total * weight[:, None]).astype(np.uint16)
     return trained

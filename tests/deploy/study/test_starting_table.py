@@ -15,5 +15,5 @@ def test_counts_are_trained_on_an_exploration() -> None:
     counts = list(counted(plan, senses))
     assert [table.shape for table in counts] == 2 * [(contexts.CONTEXTS, 2)]
     for table in counts:
-        assert table[: contexts.SEEN].sum() > 50
-        assert table[contexts.MORE : contexts.PLACED].any()
+        assert table[: contexts.OBSERVED].sum() > 50
+        assert table[contexts.MORE_SCANS : contexts.FIRST_POSE].any()
