@@ -99,7 +99,7 @@ class Drawing:
         Take the eight neighbours of a wall's cells for wall where nothing else is claimed of them.
     close_slivers : bool
         Take an unknown cell for free if its neighbours on the left and right or above and below are free, and
-        not both by the robot's own predictive.
+        not both by the robot's own observations.
     wide_seen_walls : bool
         Let walls be wide that the robot has seen itself as well.
     """
