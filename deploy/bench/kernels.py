@@ -22,7 +22,7 @@ from agent.encodings.predictive import PredictiveEncoding
 from agent.outline.approximation import approximation, repair
 from agent.outline.claims import Drawing
 from agent.outline.contour import contours
-from agent.outline.edits import Held, edit_script
+from agent.outline.edits import NumberedPolygons, edit_script
 from agent.outline.five_stages import five_stages
 from agent.outline.merge import TeamMap
 from agent.outline.objects import Objects
@@ -169,7 +169,7 @@ class _Telling:
 
 def _say_anew(moment: Moment, vertices: int) -> None:
     """Approximate a map by the given number of vertices, and send all of them."""
-    nothing = Held.nothing(moment.grid.shape)
+    nothing = NumberedPolygons.empty(moment.grid.shape)
     exact = contours(moment.grid, moment.cell)
     marks = repair(nothing.polygons, exact)
     marks = refine(exact, marks, max(0, vertices - len(marks)), mixed_first)
