@@ -20,7 +20,6 @@ from protocol.messages import (
     Configure,
     End,
     Fault,
-    Heard,
     Lost,
     Maps,
     Move,
@@ -28,8 +27,9 @@ from protocol.messages import (
     Positions,
     RadioReport,
     Record,
+    RelayUpdate,
+    RobotFrames,
     RobotStatus,
-    Said,
     Sense,
     Shutdown,
     Snapshot,
@@ -45,7 +45,7 @@ ROBOT = "robot"
 
 RIGHTS: dict[tuple[str, str], tuple[type[Record], ...]] = {
     (RELAY, WORLD): (Begin, Close, Lost, Back, Stop, Strike, Shutdown, Watched),
-    (RELAY, ROBOT): (Heard, End, Shutdown, Watched),
+    (RELAY, ROBOT): (RelayUpdate, End, Shutdown, Watched),
     (RELAY, RECORDER): (Lost, Back, End, Shutdown, RadioReport, Fault, Change),
     (RELAY, VIEW): (Lost, Back, End, Shutdown, RadioReport, Fault, Change),
     (WORLD, RELAY): (Positions, Lost, End),
@@ -53,14 +53,14 @@ RIGHTS: dict[tuple[str, str], tuple[type[Record], ...]] = {
     (WORLD, RECORDER): (WorldReport, Strike, Fault),
     (WORLD, VIEW): (WorldReport, Strike, Fault),
     (RECORDER, RELAY): (Lost, Stop, Strike, Change, Shutdown),
-    (ROBOT, RELAY): (Said,),
+    (ROBOT, RELAY): (RobotFrames,),
     (ROBOT, WORLD): (Move,),
     (ROBOT, RECORDER): (RobotStatus, Maps, Fault),
     (ROBOT, VIEW): (RobotStatus, Fault, Snapshot, Outlines),
 }
 """What who says (first) may say to whom (second); a viewer says nothing."""
 
-RADIO = (Said, Heard)
+RADIO = (RobotFrames, RelayUpdate)
 """What goes on the radio plane: the packets of robots, and what the relay makes of them."""
 
 BODY = {(WORLD, ROBOT), (ROBOT, WORLD)}
