@@ -22,9 +22,9 @@ from tests.netshaper import plain_books
 from tests.netshaper.scripted_robots import Air, Liar, Robot
 
 small = st.integers(-1, 63)
-predictiveings = st.builds(
+logged_frames = st.builds(
     LoggedFrame,
-    round_number=st.integers(0, 15),
+    round=st.integers(0, 15),
     connection=st.integers(-1, 2**31 - 1),
     frame=st.integers(0, 3),
     sender=st.integers(0, 63),
@@ -35,7 +35,7 @@ predictiveings = st.builds(
     payload=st.binary(max_size=200),
     reason=st.text(max_size=30),
 )
-steps = st.lists(st.tuples(st.integers(0, 2**32 - 1), st.lists(predictiveings, max_size=5)), max_size=5)
+steps = st.lists(st.tuples(st.integers(0, 2**32 - 1), st.lists(logged_frames, max_size=5)), max_size=5)
 
 
 class Listening(Air):
@@ -87,9 +87,9 @@ def test_what_is_written_is_read(said: list[tuple[int, list[LoggedFrame]]]) -> N
 
 
 large = st.integers(-1, 255)
-wide_predictiveings = st.builds(
+wide_frames = st.builds(
     LoggedFrame,
-    round_number=st.integers(0, 15),
+    round=st.integers(0, 15),
     connection=st.integers(-1, 2**31 - 1),
     frame=st.integers(0, 3),
     sender=large,
@@ -102,12 +102,12 @@ wide_predictiveings = st.builds(
 )
 
 
-@given(st.integers(0, 2**32 - 1), st.lists(predictiveings | wide_predictiveings, max_size=8))
+@given(st.integers(0, 2**32 - 1), st.lists(logged_frames | wide_frames, max_size=8))
 def test_the_kernel_writes_what_is_written_block_by_block(step: int, seen: list[LoggedFrame]) -> None:
     assert capture.encode(step, FrameLog.of(seen).columns()) == plain_books.blocks(step, seen)
 
 
-@given(st.lists(wide_predictiveings, max_size=5))
+@given(st.lists(wide_frames, max_size=5))
 def test_robots_beyond_the_plain_head_are_read_back(seen: list[LoggedFrame]) -> None:
     for wanted, found in zip(seen, read(write([(1, seen)])), strict=True):
         kept = wanted.payload if wanted.verdict == 0 else wanted.payload[:KEPT]

@@ -14,9 +14,9 @@ from tests.netshaper import plain_books
 from tests.protocol.test_packets import streams
 
 small = st.integers(-1, 255)
-predictiveings = st.builds(
+logged_frames = st.builds(
     LoggedFrame,
-    round_number=st.integers(0, 15),
+    round=st.integers(0, 15),
     connection=st.integers(-1, 2**31 - 1),
     frame=st.integers(0, 3),
     sender=small,
@@ -29,7 +29,7 @@ predictiveings = st.builds(
 )
 
 
-@given(st.integers(0, 2**31 - 1), st.lists(predictiveings, max_size=8))
+@given(st.integers(0, 2**31 - 1), st.lists(logged_frames, max_size=8))
 def test_rows_are_those_of_reading_every_packet(step: int, seen: list[LoggedFrame]) -> None:
     rows = np.frombuffer(book(step, FrameLog.of(seen).columns()), ROW)
     assert rows.tolist() == plain_books.rows(step, seen)
