@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from netshaper.frame_log import FrameLog, LoggedFrame
 from netshaper.ledger import CAUSES, ROW
-from netshaper.ledger_rows import book
+from netshaper.ledger_rows import ledger_rows
 from protocol.packets import encode
 from tests.netshaper import plain_books
 from tests.protocol.test_packets import streams
@@ -23,7 +23,7 @@ logged_frames = st.builds(
     receiver=small | st.just(-99),
     map=small,
     verdict=st.integers(0, len(CAUSES) - 1),
-    hearers=st.integers(0, 2**256 - 1),
+    receivers=st.integers(0, 2**256 - 1),
     payload=streams.map(encode) | st.binary(max_size=40),
     reason=st.text(max_size=30),
 )
@@ -31,5 +31,5 @@ logged_frames = st.builds(
 
 @given(st.integers(0, 2**31 - 1), st.lists(logged_frames, max_size=8))
 def test_rows_are_those_of_reading_every_packet(step: int, seen: list[LoggedFrame]) -> None:
-    rows = np.frombuffer(book(step, FrameLog.of(seen).columns()), ROW)
+    rows = np.frombuffer(ledger_rows(step, FrameLog.of(seen).columns()), ROW)
     assert rows.tolist() == plain_books.rows(step, seen)
