@@ -37,6 +37,7 @@ from protocol.fields import (
     Count,
     Distances,
     Eighths,
+    EncodedSettings,
     Frame,
     FrameNumber,
     Frames,
@@ -59,8 +60,6 @@ from protocol.fields import (
 )
 from protocol.grid import Grid
 
-MOST_SETTINGS = 1 << 20
-"""Bytes of a robot's settings, as a message."""
 MAX_EVENTS = 8
 """Events that the relay sends a robot at once."""
 
@@ -77,9 +76,10 @@ class Begin(Record, tag=0, frozen=True):
 
 
 class Configure(Record, tag=1, frozen=True):
-    """World to robot, before its first `Sense`: all that a robot is told of its task (`agent.settings`)."""
+    """Recorder to relay, and relay to that robot when it joins: the robot's encoded `agent.settings.Settings`."""
 
-    settings: dict[str, Any]
+    robot: RobotNumber
+    settings: EncodedSettings
 
 
 class Sense(Record, tag=2, frozen=True):
@@ -533,8 +533,6 @@ def _most_bytes(kind: inspect.Type) -> int:
             frames = _frames_in(item)
             item_bytes = _most_bytes(item) - frames * MOST_FRAME
             return HEAD_BYTES + most * item_bytes + (MOST_FRAMES if frames else 0)
-        case inspect.DictType():
-            return MOST_SETTINGS
         case inspect.UnionType(types=kinds):
             return max(map(_most_bytes, kinds))
         case inspect.StructType(fields=parts):

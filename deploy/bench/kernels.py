@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from agent.encodings.polygons import PolygonEncoding
@@ -29,7 +29,6 @@ from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
 from agent.outline.simplify import mixed_first, refine
 from agent.planning.cost_field import costs
-from agent.settings import Settings
 from deploy.bench.explorations import SAMPLES, Cell, Moment, beams, explore, samples
 from deploy.bench.handshakes import Handshakes, timed
 from deploy.bench.ratios import Figure, compare
@@ -141,7 +140,7 @@ class _Telling:
 
     def follow(self, robot: int, walk: Sequence[Moment]) -> None:
         """Let one robot send its updates."""
-        map_encoding = PolygonEncoding(Settings.from_message(self._plan.robot_settings[robot]))
+        map_encoding = PolygonEncoding(self._plan.robot_settings[robot])
         self.units.append([])
         self.polygons.append([])
         for moment in walk:
@@ -225,7 +224,7 @@ def _ways(walk: Sequence[Moment], graph: Any) -> Figure:
 def _looks(plan: Plan, walk: Sequence[Moment]) -> Iterator[Figure]:
     """Tell a walk in looks and read them, against drawing its scans."""
     settings = replace(
-        Settings.from_message(plan.robot_settings[0]),
+        plan.robot_settings[0],
         map_encoding="predictive",
         dissemination="gossip",
         bandwidth=None,

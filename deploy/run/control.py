@@ -9,7 +9,6 @@ import multiprocessing
 import queue
 from dataclasses import replace
 from typing import Literal
-from typing import Literal
 
 from deploy.record.records import RecorderNode, Records
 from deploy.run.gate import Gate

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from agent.encodings.catalog import ENCODINGS, make_encoding
 from agent.exchange.gossip import Gossip
@@ -85,7 +86,7 @@ def read_polygons(data: bytes) -> None:
 
 def take_units(data: bytes) -> None:
     for name in ENCODINGS:
-        mind = make_encoding(Settings(**(SETTINGS.to_message() | {"map_encoding": name})))
+        mind = make_encoding(replace(SETTINGS, map_encoding=name))
         try:
             mind.take(0, data)
         except ProtocolError:

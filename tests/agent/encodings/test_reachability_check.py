@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from agent.encodings.reachability_check import ReachabilityCheck
-from agent.settings import Settings
 from protocol.errors import ProtocolError
 from tests.system.team import small_plan
 
 RANGE, SPEED = 30, 5.0
-SETTINGS = replace(Settings.from_message(small_plan(robots=3).robot_settings[0]), fastest_cells=SPEED)
+SETTINGS = replace(small_plan(robots=3).robot_settings[0], fastest_cells=SPEED)
 
 
 def seen_from(x: int, y: int) -> tuple[int, int, int, int]:

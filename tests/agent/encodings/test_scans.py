@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from agent.encodings.catalog import ENCODINGS, make_encoding
 from agent.encodings.none import NoEncoding
@@ -193,4 +194,4 @@ def test_exchanges_are_found_by_name() -> None:
     assert {"scans", "none"} <= set(ENCODINGS)
     assert isinstance(make_encoding(settings_of(0)), ScanEncoding)
     with pytest.raises(ValueError, match=r"no exchange is called 'smoke'; there are: .*laser"):
-        make_encoding(Settings(**(settings_of(0).to_message() | {"map_encoding": "smoke"})))
+        make_encoding(replace(settings_of(0), map_encoding="smoke"))

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from agent.planning.path_planner import PathPlanner
 from agent.settings import Settings
@@ -187,7 +188,7 @@ def test_a_crumb_is_looked_at_from_afar_a_long_edge_and_one_looked_at_in_vain_fr
     assert decided.target == (20, 2)
     assert (x, y) in {(19, 9), (20, 9)}
     assert ends(Repairmen({"look": 0.0}, alone), here) == (20, 2)
-    assert ends(Repairmen({}, replace(alone, field_of_view=90.0)), here) == (20, 2)
+    assert ends(Repairmen({}, structs.replace(alone, field_of_view=90.0)), here) == (20, 2)
     # A teammate stood before it: no news of the map, and the robot drives in, whatever it learns on the way.
     assert ends(robot, replace(robot_at(x, y, grid), step=2)) == (20, 2)
     grid[9, 1] = OCCUPIED
