@@ -33,9 +33,9 @@ Begins = Offer | From | FromEarly
 
 
 class Content(NamedTuple):
-    """What a payload holds: its packets, the kind of frame, its map (-1: none), and the protocol error in it if any."""
+    """What a payload holds: the index of its packets, the kind of frame, its map (-1: none), and a protocol error."""
 
-    index: PacketIndex
+    packets: PacketIndex
     kind: int
     map_id: int = -1
     problem: str = ""

@@ -37,7 +37,7 @@ Rows = NDArray[np.int64]
 class Frame(NamedTuple):
     """A frame that a robot sends.
 
-    `kind`: as in `netshaper.ledger.FRAMES`. `index`: its packets, `NO_PACKETS` if the bytes are none. `map_id`: -1 if
+    `kind`: as in `netshaper.ledger.FRAMES`. `packets`: their index, `NO_PACKETS` if the bytes are none. `map_id`: -1 if
     it is of no map. `number`: its position among the frames that the sender submitted, its broadcast included.
     """
 
@@ -45,7 +45,7 @@ class Frame(NamedTuple):
     sender: int
     receiver: int
     payload: bytes
-    index: PacketIndex
+    packets: PacketIndex
     map_id: int = -1
     number: int = 0
 

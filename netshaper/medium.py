@@ -126,7 +126,7 @@ class Medium:
 
         Data and news are cut at a packet boundary, other frames go whole or not at all.
         """
-        sender, index = frame.sender, frame.index
+        sender, index = frame.sender, frame.packets
         shared = self.airtime.shared(sender)
         room = shared.least(self.airtime.own(sender))
         limit = self._frame_limit
@@ -139,7 +139,7 @@ class Medium:
         if sent < len(index.kinds):
             rest = index.bytes_of(sent, len(index.kinds))
             cause = _BUDGET if room == shared else _LIMIT
-            cut = frame._replace(payload=frame.payload[rest], index=index.part(sent, len(index.kinds)))
+            cut = frame._replace(payload=frame.payload[rest], packets=index.part(sent, len(index.kinds)))
             self._log.add(self._round, cut, cause)
         return index.ends[sent - 1] if sent else 0
 
@@ -159,8 +159,8 @@ class Medium:
         frames = [frame for three in zip(*connections.frames, strict=True) for frame in three]
         there = [frame for frame in frames if frame is not None]
         sizes = np.array([-1 if frame is None else len(frame.payload) for frame in frames], np.int64)
-        counts = np.array([0 if frame is None else len(frame.index.sizes) for frame in frames], np.int64)
-        packets = np.frombuffer(b"".join([frame.index.sizes for frame in there]), np.int32)
+        counts = np.array([0 if frame is None else len(frame.packets.sizes) for frame in frames], np.int64)
+        packets = np.frombuffer(b"".join([frame.packets.sizes for frame in there]), np.int32)
         ends = np.array([connections.senders, connections.receivers, connections.maps, connections.lost])
         parts = len(packets) if not self._frame_limit.unlimited else 0
         rows = np.empty((6 * len(connections) + parts, COLUMNS), np.int64)
@@ -173,7 +173,7 @@ class Medium:
         if left is not None:
             self.airtime.set_left(Budget(rest))
         self.carried += int(carried.sum())
-        payloads, packet_indexes = [frame.payload for frame in there], [frame.index for frame in there]
+        payloads, packet_indexes = [frame.payload for frame in there], [frame.packets for frame in there]
         self._log.extend(rows[:written], receivers[:received], payloads, packet_indexes)
         return carried
 
@@ -191,8 +191,8 @@ class Medium:
         pieces = []
         first = 0
         for stop in stops:
-            payload = frame.payload[frame.index.bytes_of(first, stop)]
-            pieces.append(frame._replace(payload=payload, index=frame.index.part(first, stop)))
+            payload = frame.payload[frame.packets.bytes_of(first, stop)]
+            pieces.append(frame._replace(payload=payload, packets=frame.packets.part(first, stop)))
             first = stop
         return pieces
 
@@ -219,8 +219,8 @@ class Medium:
 
     def _with_checksum(self, piece: Frame) -> Frame:
         payload = with_checksum(piece.payload)
-        index = piece.index.followed_by(index_of(payload[len(piece.payload) :]))
-        return piece._replace(payload=payload, index=index)
+        index = piece.packets.followed_by(index_of(payload[len(piece.payload) :]))
+        return piece._replace(payload=payload, packets=index)
 
     def _accept(self, receiver: int, reception: Reception) -> Reception:
         """Return what a robot receives if it can receive only so many bytes in a step."""
@@ -259,8 +259,8 @@ class Medium:
 
 
 @kernel(
-    "UniTuple(int64, 3)(int64, int64, int64[:,::1], int64[::1], int64[::1], Array(int32, 1, 'C', readonly=True), int64, "
-    "int64, int64[:,::1], int64[:,::1], int64[::1])"
+    "UniTuple(int64, 3)(int64, int64, int64[:,::1], int64[::1], int64[::1], Array(int32, 1, 'C', readonly=True), "
+    "int64, int64, int64[:,::1], int64[:,::1], int64[::1])"
 )
 def _play(
     round_number: int,

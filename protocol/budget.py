@@ -19,7 +19,7 @@ class Budget(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields
         How many bytes; None if there is no limit.
     """
 
-    limit: Annotated[int, msgspec.Meta(ge=0, lt=2**53)] | None = None
+    limit: Annotated[int, msgspec.Meta(ge=0, lt=2**53)] | None
 
     @classmethod
     def parse(cls, value: int | str) -> Budget:

@@ -128,7 +128,8 @@ def ends(frame: bytes) -> Sequence[int]:
 def fitting(frame: bytes, room: int) -> int:
     """Return how many bytes of a frame of whole packets fit into `room` bytes without cutting a packet."""
     index = index_of(frame)
-    return index.bytes_of(0, index.count_fitting(room)).stop
+    count = index.count_fitting(room)
+    return index.ends[count - 1] if count else 0
 
 
 def split(frame: bytes) -> list[bytes]:

@@ -7,12 +7,19 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TypeVar
 
+from agent.exchange.outcome import Outcome
 from agent.exchange.session import Session
 from deploy.scenario.plan import Plan
-from netshaper.medium import UNLIMITED
-from netshaper.radio import Frame, Note, Outgoing, Radio
+from netshaper.radio import Outgoing, Radio, ToRobot
 from protocol import packet_index
-from protocol.messages import Open, Outcome, PhaseDelivery, Said
+from protocol.messages import (
+    MediumEvent,
+    Open,
+    OutgoingFrame,
+    PhaseDelivery,
+    RobotFrames,
+    RoundReport,
+)
 
 Result = TypeVar("Result")
 
@@ -45,55 +52,47 @@ class Handshakes:
 
     def play(self, step: int) -> None:
         """Play one step of the radio."""
-        frames: list[list[tuple[int, bytes]]] = [[] for _ in self.sessions]
         out, in_relay = timed(lambda: self._radio.begin(step, self._cells))
         in_sessions = 0.0
         while out:
-            said: list[tuple[int, Said]] = []
+            sent: list[tuple[int, RobotFrames]] = []
             for item in out:
-                if isinstance(item, Frame):
-                    for receiver in item.receivers:
-                        frames[receiver].append((item.sender, item.payload))
-                elif isinstance(item, Note):
-                    frames[item.receiver] += zip(item.senders, item.frames, strict=True)
-                    heard, frames[item.receiver] = frames[item.receiver], []
-                    session = self.sessions[item.receiver]
-                    answer, spent = timed(partial(_speak, session, item.message, heard))
+                if isinstance(item, ToRobot):
+                    frames, spent = timed(partial(_respond, self.sessions[item.robot], item.event))
                     in_sessions += spent
-                    if answer is not None:
-                        said.append((item.receiver, answer))
-            out, spent = timed(partial(self._hear, said))
+                    if frames is not None:
+                        sent.append((item.robot, frames))
+            out, spent = timed(partial(self._submit, sent))
             in_relay += spent
         self.in_sessions.append(in_sessions)
         self.in_relay.append(in_relay)
 
-    def _hear(self, said: Sequence[tuple[int, Said]]) -> list[Outgoing]:
-        return [item for sender, words in said for item in self._radio.said(sender, words)]
+    def _submit(self, sent: Sequence[tuple[int, RobotFrames]]) -> list[Outgoing]:
+        return [item for sender, frames in sent for item in self._radio.submit(sender, frames)]
 
 
-def _speak(session: Session, note: object, heard: list[tuple[int, bytes]]) -> Said | None:
-    """What a session sends in response to a notification of the relay and the frames before it."""
-    match note:
+def _respond(session: Session, event: MediumEvent) -> RobotFrames | None:
+    """Return the frames that a session sends after an event of the relay."""
+    match event:
         case Open():
-            room = None if note.budget == UNLIMITED else note.budget
-            offers = session.offers(note.round, note.peers, room)
-            receivers, said = [peer for peer, _, _ in offers], [frame for _, _, frame in offers]
-            return Said(note.step, note.round, "offers", [], 0, receivers, said, session.replies())
+            offers = session.offers(event.round, event.peers, event.budget.limit)
+            frames = [OutgoingFrame(peer, frame) for peer, _, frame in offers]
+            return RobotFrames(event.step, event.round, "offers", b"", frames, 0, session.replies())
         case PhaseDelivery(phase="offers"):
-            offered = [(n, *frame) for n, frame in zip(note.connections, heard, strict=True)]
-            frames, phase = session.answers(offered), "answers"
+            arrived = [(each.connection, each.sender, each.payload) for each in event.deliveries]
+            sent, phase = session.answers(arrived), "answers"
         case PhaseDelivery():
-            named = zip(note.connections, heard, note.maps, strict=True)
-            answers = [(n, peer, map_id, load) for n, (peer, load), map_id in named]
-            frames, phase = session.data(answers), "data"
-        case Outcome():
-            for peer, map_id, frame in session.outcome(note, heard):
+            answers = [(each.connection, each.sender, each.map_id, each.payload) for each in event.deliveries]
+            sent, phase = session.data(answers), "data"
+        case RoundReport():
+            data = [(each.sender, each.payload) for each in event.deliveries]
+            for peer, map_id, frame in session.outcome(Outcome.of(event), data):
                 session.accept(peer, map_id, frame, packet_index.ends(frame))
             return None
         case _:
             session.forget()
             return None
-    if note.spoken:
+    if event.answered_by_relay:
         return None
-    numbers, receivers = [number for number, _, _ in frames], [peer for _, peer, _ in frames]
-    return Said(note.step, note.round, phase, numbers, 0, receivers, [frame for _, _, frame in frames])
+    frames = [OutgoingFrame(peer, frame, number) for number, peer, frame in sent]
+    return RobotFrames(event.step, event.round, phase, frames=frames)
