@@ -22,6 +22,7 @@ from protocol.messages import (
     Configure,
     End,
     Fault,
+    FaultEvent,
     Maps,
     MediumEvent,
     Record,
@@ -29,7 +30,6 @@ from protocol.messages import (
     RobotStatus,
     Sense,
     Shutdown,
-    Strike,
     Watched,
     pack,
 )
@@ -89,7 +89,7 @@ class AgentNode:
                 self._take(message)
         elif isinstance(said, Shutdown):
             self.done = True
-        elif isinstance(said, Strike):
+        elif isinstance(said, FaultEvent):
             self.killed = self.done = True
         elif isinstance(said, Watched):
             self._viewer_feed = ViewerFeed() if said.here else None

@@ -53,7 +53,7 @@ def sure_after(settings: Settings) -> int:
 
     Twice as many where words may be late, or lost and said again.
     """
-    if not ENCODINGS[settings.map_encoding].guesses(settings):
+    if not ENCODINGS[settings.map_encoding].infers_cells(settings):
         return 0
     return 2 * SURE_AFTER if settings.requires_acks else SURE_AFTER
 
@@ -111,7 +111,7 @@ class Robot:
         self._poses: dict[int, Pose] = {}
         self._moved: dict[int, int] = {}
         """The step in which each teammate was last heard to be elsewhere than before."""
-        self._travelled: dict[int, float] = {}
+        self._traveled: dict[int, float] = {}
         self._relayed_state = RelayedState(settings)
         self._pose_is_said = True
         """Whether its pose is in this step's broadcast, as it is in all where nothing is passed on."""
@@ -119,9 +119,9 @@ class Robot:
         self._sure_after = sure_after(settings)
 
     def share(self, common: dict[str, Any]) -> None:
-        """Share memory with the other robots of this process (`agent.encodings.base.MapEncoding.share`)."""
-        self._encoding.share(common)
-        self._strategy.share(common)
+        """Share memory with the other robots of this process (`agent.encodings.base.MapEncoding.use_shared_cache`)."""
+        self._encoding.use_shared_cache(common)
+        self._strategy.use_shared_cache(common)
 
     @property
     def polygons(self) -> Mapping[int, Polygons]:
@@ -130,7 +130,7 @@ class Robot:
 
     def error(self) -> int:
         """Cells in which its map and the approximation that it has logged differ (thesis, Eq. 6.1)."""
-        return self._encoding.error(self.own)
+        return self._encoding.approximation_error(self.own)
 
     def exact_error(self) -> int | None:
         """What that would be if the approximation were exact; None if it is not measured."""
@@ -155,15 +155,19 @@ class Robot:
             self._travel(self.settings.robot, (self._sense.x, self._sense.y), (sense.x, sense.y))
         self._sense = sense
         scan = Scan(sense.x, sense.y, readings)
-        if self._encoding.revisable and not self._withheld and self.session.retract(self._encoding.revisable):
-            self._encoding.retract()
+        if (
+            self._encoding.retractable
+            and not self._withheld
+            and self.session.retract(self._encoding.retractable)
+        ):
+            self._encoding.retract_last()
         delivered = self.session.delivered() and not self._withheld
         if delivered:
-            self._looked = self._encoding.pose(self.session.own), self._peers
-        self._withheld += self._encoding.record(self.own, scan, change, delivered=delivered)
-        if not self._strategy.withholds:
+            self._looked = self._encoding.scan_cell(self.session.own), self._peers
+        self._withheld += self._encoding.encode_changes(self.own, scan, change, delivered=delivered)
+        if not self._strategy.defers_publication:
             self._publish()
-        if self._strategy.tells_pose:
+        if self._strategy.publishes_pose:
             self._pose_news = packets.Pose(sense.x, sense.y, int(self._strategy.leads))
 
     def announce(self, peers: list[int]) -> bytes | None:
@@ -216,7 +220,7 @@ class Robot:
                 self._heard_pose[peer] = self._sense.step if self._sense is not None else 0
                 self._note_pose(peer, Pose(packet.x, packet.y, bool(packet.leads)))
                 if self._sense is not None:
-                    self._encoding.reachability_check.place(peer, self._sense.step, packet.x, packet.y)
+                    self._encoding.note_pose(peer, self._sense.step, packet.x, packet.y)
             else:
                 reason = f"{packet} is no target or pose on a {width} x {height} grid"
                 self.faults.append(Fault(peer, reason))
@@ -245,7 +249,7 @@ class Robot:
     def _note_look(self, map_id: int) -> None:
         """Take where a teammate is from its looks, if it has told its pose before, but not in this step."""
         assert self._sense is not None
-        peer, cell = map_id % self.settings.robots, self._encoding.pose(map_id)
+        peer, cell = map_id % self.settings.robots, self._encoding.scan_cell(map_id)
         before = self._poses.get(peer)
         if cell is None or before is None or before[:2] == cell:
             return
@@ -264,8 +268,7 @@ class Robot:
             told_by = self._told_by.setdefault(map_id, set())
             try:
                 ends = packet_index.ends(frame)
-                self._encoding.reachability_check.listen(outcome.step, peer)
-                self._encoding.take(map_id, frame)
+                self._encoding.apply(map_id, frame, step=outcome.step, sender=peer)
             except ProtocolError as error:
                 self.faults.append(Fault(peer, str(error)))
                 self.session.refused.add((peer, map_id))
@@ -303,7 +306,7 @@ class Robot:
 
     def _take(self, decision: Decision) -> None:
         """Record what the strategy decided, and what of it is to be sent to teammates."""
-        if self._strategy.tells_target and decision.target is not None and decision.target != self.target:
+        if self._strategy.publishes_target and decision.target is not None and decision.target != self.target:
             known = (
                 self._told_target is not None and math.dist(self._told_target, decision.target) < self._slack
             )
@@ -336,16 +339,16 @@ class Robot:
             peers=self._peers,
             connected=self._relayed_state.connected(sense.step, self._peers),
             poses=_ascending(self._poses),
-            moved=_ascending(self._moved),
-            travelled=_ascending(self._travelled),
+            last_moved=_ascending(self._moved),
+            traveled=_ascending(self._traveled),
             targets=_ascending(self._targets),
-            heard=_ascending(self._heard),
-            news=news,
+            target_steps=_ascending(self._heard),
+            new_targets=news,
         )
 
     def _travel(self, robot: int, start: Cell, end: Cell) -> None:
         way = math.hypot(end[0] - start[0], end[1] - start[1])
-        self._travelled[robot] = self._travelled.get(robot, 0.0) + way
+        self._traveled[robot] = self._traveled.get(robot, 0.0) + way
 
 
 def _ascending(of_robots: dict[int, _Value]) -> dict[int, _Value]:

@@ -27,6 +27,7 @@ from protocol.messages import (
     Configure,
     End,
     Fault,
+    FaultEvent,
     Lost,
     MediumEvent,
     PhaseDelivery,
@@ -37,7 +38,6 @@ from protocol.messages import (
     RobotFrames,
     Shutdown,
     Stop,
-    Strike,
     Watched,
     pack,
 )
@@ -187,7 +187,7 @@ class RelayNode:
             self._end(said)
         elif isinstance(said, Lost):
             self.give_up_on(said.robot, said.cause)
-        elif isinstance(said, Stop | Strike):
+        elif isinstance(said, Stop | FaultEvent):
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), payload)
         elif isinstance(said, Change):
             self._radio.change(said)

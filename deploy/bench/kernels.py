@@ -144,7 +144,9 @@ class _Telling:
         self.units.append([])
         self.polygons.append([])
         for moment in walk:
-            record = partial(map_encoding.record, moment.grid, moment.scan, moment.change, delivered=True)
+            record = partial(
+                map_encoding.encode_changes, moment.grid, moment.scan, moment.change, delivered=True
+            )
             units, spent = timed(record)
             told = map_encoding.polygons[robot]
             self.units[-1].append(units)
@@ -234,12 +236,12 @@ def _looks(plan: Plan, walk: Sequence[Moment]) -> Iterator[Figure]:
     cells = size = 0
     written, read, scans = [], [], []
     for moment in walk:
-        record = partial(maker.record, moment.grid, moment.scan, moment.change, delivered=True)
+        record = partial(maker.encode_changes, moment.grid, moment.scan, moment.change, delivered=True)
         units, spent = timed(record)
         scan = moment.scan
         scans.append(timed(partial(draw, drawn, ray_table, scan.x, scan.y, scan.readings))[1])
         written.append(spent)
-        read.append(timed(partial(hearer.take, 0, b"".join(units)))[1])
+        read.append(timed(partial(hearer.apply, 0, b"".join(units), step=1000, sender=0))[1])
         cells += moment.change.cells
         size += sum(map(len, units))
     _check_same(hearer.merge(np.zeros_like(drawn)), walk[-1].grid, "looks")

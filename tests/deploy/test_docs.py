@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, get_args
 
@@ -33,7 +33,8 @@ from deploy.run.exploration import explore
 from deploy.run.in_memory import run as run_in_memory
 from deploy.scenario.plan import make
 from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load
-from deploy.scenario.tables import ChangeTable, Death, FaultTable, RobotOverride
+from deploy.scenario.tables import ChangeTable, FaultTable, RobotOverride
+from docs import packet_tables
 from netshaper import access
 from netshaper.ledger import CAUSES, ROW
 from netshaper.presets import PRESETS
@@ -47,12 +48,6 @@ from worldsim.laser import cast
 
 DOCS = Path(__file__).parents[2] / "docs"
 GOLDEN = Path(__file__).parents[1] / "protocol" / "golden"
-
-LETTERS = {
-    "index": "i", "x": "x", "y": "y", "side": "s", "occupied": "o", "object": "n", "count": "c",
-    "inside": "e", "map": "m", "block": "b", "leads": "l", "robot": "r",
-    "sum": "q", "age": "a",
-}  # fmt: skip
 
 ROOM = """
     ######     ######     ######
@@ -80,15 +75,6 @@ def rows(document: str, heading: str) -> list[list[str]]:
         elif table:
             break
     return [[cell.replace("`", "") for cell in row] for row in table[2:]]
-
-
-def drawn(kind: type[packets.Packet]) -> str:
-    names = [field.name for field in fields(kind)]
-    groups = [f"{kind.code:0{kind.code_bits}b}"]
-    groups += [LETTERS[name] * width for name, width in zip(names, kind.bits, strict=True)]
-    spare = 8 * kind.size - kind.code_bits - sum(kind.bits)
-    groups += ["0" * spare] if spare else []
-    return f"{kind.__name__:8}  {kind.name:4}  {kind.size}  {' '.join(groups)}"
 
 
 def knowledge() -> Iterator[Grid]:
@@ -184,11 +170,11 @@ def looks_example() -> str:
     for x, peers in ((1, [1]), (3, [1]), (6, [1, 2])):
         readings = cast(truth, nobody, beams, x, 2)
         change = draw(own, beams, x, 2, readings)
-        units = maker.record(own, Scan(x, 2, readings), change, delivered=True)
+        units = maker.encode_changes(own, Scan(x, 2, readings), change, delivered=True)
         gossip.record(units)
         ((_, _, frame),) = gossip.offers(0, peers, None)
         assert not list(gossip.outcome(Outcome(1, 0, [-1], [0], [0], [len(frame)], [], False), []))
-        hearer.take(0, b"".join(units))
+        hearer.apply(0, b"".join(units), step=1000, sender=0)
         assert (hearer.merge(np.zeros_like(own)) == own).all()
         known = int((own != UNKNOWN).sum())
         lines += [
@@ -212,7 +198,7 @@ def defaults(kind: Any, prefix: str = "") -> dict[str, tuple[str, str]]:
     found: dict[str, tuple[str, str]] = {}
     said: dict[str, Any] = {}
     for name, info in kind.model_fields.items():
-        if name in ("robot", "death", "fault", "change") and not prefix:
+        if name in ("robot", "fault", "change") and not prefix:
             continue
         if name == "polygons":
             found |= {f"polygons.{n}": (plain(value), "") for n, value in asdict(PolygonOptions()).items()}
@@ -235,47 +221,32 @@ def defaults(kind: Any, prefix: str = "") -> dict[str, tuple[str, str]]:
     return found
 
 
-def test_every_packet_is_drawn_as_it_is_written() -> None:
-    kinds = [
-        kind
-        for kind in vars(packets).values()
-        if isinstance(kind, type) and issubclass(kind, packets.Packet) and kind is not packets.Packet
-    ]
-    fixed = [kind for kind in kinds if kind not in (packets.Fragment, packets.Update)]
-    lines = fences("protocol.md")["packets"].splitlines()
-    assert sorted(lines) == sorted(
-        [
-            *map(drawn, fixed),
-            "Fragment  scan  64  11110001 63 bytes of content",
-            "Fragment  scan  3 to 64  11110010 nnnnnnnn n bytes of content, 1 to 62",
-            "Look      look  9  11110100 8 bytes of content",
-            "Look      look  2 to 65  11110101 nnnnnn uu n bytes of content, 0 to 63; unit u",
-        ]
-    )
-
-
-def test_every_letter_of_the_drawings_is_explained() -> None:
-    text = (DOCS / "protocol.md").read_text(encoding="utf-8")
-    for name, letter in LETTERS.items():
-        assert f"\n| `{letter}` | {name} |" in text
+def test_packet_layouts_and_fields_are_those_of_the_code() -> None:
+    page = (DOCS / "protocol.md").read_text(encoding="utf-8")
+    drawings = [layout.drawing() for layout in packets.LAYOUTS]
+    assert fences("protocol.md")["packets"].splitlines() == drawings
+    assert packet_tables.updated(page) == page, "run python -m docs.packet_tables"
+    for layout in packets.LAYOUTS:
+        for name, bits in layout.fields:
+            row = rf"^\| `{bits.letter}` \| {name} \| {bits.width} \| [^|]*`{layout.packet}`"
+            assert re.search(row, page, re.M)
 
 
 def test_limits_are_those_of_the_code() -> None:
     limits = {name: value for name, value, *_ in rows("protocol.md", "Limits")}
     assert limits == {
-        "cells a side of the grid": str(MAX_SIDE),
+        "cells per side of the grid": str(MAX_SIDE),
         "robots": str(MAX_ROBOTS),
-        "robots whose maps travel by offers": str(packets.MAX_MAPS),
-        "robots whose maps travel by gossip": str(packets.MAX_GOSSIP_MAPS),
-        "robots times lives": str(packets.MAX_MAPS),
-        "objects an approximation": str(packets.MAX_OBJECTS),
-        "vertices an object": str(packets.MAX_VERTICES),
-        "units of a log in a block": str(packets.INDEX_WINDOW),
-        "blocks in a round": str(packets.BLOCKS),
-        "rounds": str(packets.BLOCKS),
+        "maps with handshakes": str(packets.MAX_MAPS),
+        "maps with gossip": str(packets.MAX_GOSSIP_MAPS),
+        "objects per approximation": str(packets.MAX_OBJECTS),
+        "vertices per object": str(packets.MAX_VERTICES),
+        "log entries per block": str(packets.INDEX_WINDOW),
+        "blocks per cycle": str(packets.BLOCKS),
+        "cycles": str(packets.BLOCKS),
         "bytes of a fragment's content": str(packets.FRAGMENT_DATA),
-        "looks of a unit": str(MAX_LOOKS),
-        "units of a log that gossip tells apart": str(packets.GOSSIP_WINDOW),
+        "scans per log entry": str(MAX_LOOKS),
+        "log offsets with gossip": str(packets.GOSSIP_WINDOW),
     }
 
 
@@ -323,7 +294,7 @@ def test_the_rooms_of_the_worked_example_are_drawn() -> None:
 def test_the_table_of_states_and_events_is_the_session_s() -> None:
     told_of = {
         (state, event, after)
-        for _, state, event, after, *_ in rows("protocol.md", "The session: states and events")
+        for _, state, event, after, *_ in rows("replication.md", "The session: states and events")
     }
     assert told_of == {
         (state.value, event.name.lower().replace("_", " "), after.value)
@@ -333,15 +304,15 @@ def test_the_table_of_states_and_events_is_the_session_s() -> None:
 
 
 def test_offer_policies_are_all_described() -> None:
-    assert {row[0] for row in rows("protocol.md", "When maps are offered")} == set(DISSEMINATIONS)
+    assert {row[0] for row in rows("replication.md", "When maps are offered")} == set(DISSEMINATIONS)
 
 
 def test_messages_and_their_fields_are_all_there_in_their_order() -> None:
-    told_of = [(name, made_of) for _, name, _, made_of, *_ in rows("protocol.md", "Body and control")]
+    told_of = [(name, made_of) for _, name, _, made_of, *_ in rows("bus.md", "Messages")]
     kinds = messages._TYPES
     assert told_of == [(kind.__name__, ", ".join(kind.__struct_fields__)) for kind in kinds]
     assert [kind.__struct_config__.tag for kind in kinds] == list(range(len(kinds)))
-    assert [int(row[0]) for row in rows("protocol.md", "Body and control")] == list(range(len(kinds)))
+    assert [int(row[0]) for row in rows("bus.md", "Messages")] == list(range(len(kinds)))
     assert set(messages.Record.__subclasses__()) == set(kinds)
 
 
@@ -349,7 +320,7 @@ def test_the_ledger_s_columns_and_causes_are_all_there() -> None:
     assert [row[0] for row in rows("protocol.md", "The ledger")] == list(ROW.names or ())
     text = (DOCS / "protocol.md").read_text(encoding="utf-8")
     for cause in CAUSES[1:]:
-        assert f"\n- `{cause}`: " in text
+        assert f"\n| `{cause}` | " in text
 
 
 def test_the_table_of_radios_is_that_of_the_code() -> None:
@@ -369,7 +340,7 @@ def test_the_table_of_radios_is_that_of_the_code() -> None:
 
 def test_keys_and_rights_are_what_participants_put_hear_and_say() -> None:
     keys = Keys("RUN")
-    there_are = {row[0] for row in rows("protocol.md", "Keys")}
+    there_are = {row[0] for row in rows("bus.md", "Keys")}
     assert there_are == {
         keys.radio_tx("FROM"),
         keys.radio_rx("TO", "FROM"),
@@ -379,17 +350,17 @@ def test_keys_and_rights_are_what_participants_put_hear_and_say() -> None:
         keys.alive("NAME"),
         keys.presence("NAME"),
     }
-    told_of = {(who, to): tuple(may.split(", ")) for who, to, may in rows("protocol.md", "Rights")}
+    told_of = {(who, to): tuple(may.split(", ")) for who, to, may in rows("bus.md", "Rights")}
     assert told_of == {ends: tuple(kind.__name__ for kind in kinds) for ends, kinds in RIGHTS.items()}
-    names = {row[0] for row in rows("protocol.md", "Participants")}
+    names = {row[0] for row in rows("bus.md", "Participants")}
     assert names == {"relay", *access.participants(0), "r0, r1, ..."}
 
 
 def test_every_setting_stands_in_the_table_with_its_default() -> None:
     table = {
-        name: (default, map_id) for name, default, map_id in rows("protocol.md", "Settings and defaults")
+        name: (default, map_id) for name, default, map_id in rows("settings.md", "Settings and defaults")
     }
-    wanted = defaults(Scenario) | defaults(RobotOverride, "robot.") | defaults(Death, "death.")
+    wanted = defaults(Scenario) | defaults(RobotOverride, "robot.")
     wanted |= defaults(FaultTable, "fault.")
     wanted |= defaults(ChangeTable, "change.")
     assert list(table) == list(wanted)
@@ -400,17 +371,20 @@ def test_every_setting_stands_in_the_table_with_its_default() -> None:
         if value != asdict(PolygonOptions())[name]:
             assert f"thesis: {plain(value)}" in table[f"polygons.{name}"][1]
     for choice in (*ENCODINGS, *get_args(Scenario.model_fields["bus"].annotation)):
-        assert choice in (DOCS / "protocol.md").read_text(encoding="utf-8")
+        assert f"`{choice}`" in (DOCS / "settings.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("document", sorted(DOCS.glob("*.md")), ids=lambda path: path.name)
+@pytest.mark.parametrize("document", sorted(DOCS.rglob("*.md")), ids=lambda path: str(path.relative_to(DOCS)))
 def test_links_between_documents_lead_somewhere(document: Path) -> None:
     for target in re.findall(r"\]\((?!https?://)([^)#]+)\)", document.read_text(encoding="utf-8")):
-        is_made = target == "reference/files.md" or (DOCS / target).with_suffix(".ipynb").exists()
-        assert is_made or (DOCS / target).exists(), f"{document.name} links to {target}"
+        path = document.parent / target
+        is_generated = target.endswith("reference/files.md") or path.with_suffix(".ipynb").exists()
+        assert is_generated or path.exists(), f"{document.name} links to {target}"
 
 
-@pytest.mark.parametrize("document", ["architecture.md", "protocol.md", "radios.md", "several-terminals.md"])
+@pytest.mark.parametrize(
+    "document", ["architecture.md", "bus.md", "protocol.md", "radios.md", "several-terminals.md"]
+)
 def test_files_that_documents_name_are_there(document: str) -> None:
     text = (DOCS / document).read_text(encoding="utf-8")
     rooms = "agent|deploy|netshaper|protocol|tests|worldsim"

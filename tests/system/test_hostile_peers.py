@@ -221,7 +221,7 @@ def honest_words() -> list[tuple[bytes, object]]:
         sense = sensed(step)
         scan = Scan(sense.x, sense.y, np.frombuffer(sense.readings, np.uint16).copy())
         change = draw(own, ray_table(settings.range_cells), scan.x, scan.y, scan.readings)
-        units = map_encoding.record(own, scan, change, delivered=True)
+        units = map_encoding.encode_changes(own, scan, change, delivered=True)
         said.append((b"".join(units), map_encoding.polygons[2].canonical()))
     return said
 

@@ -82,7 +82,7 @@ def test_two_that_hear_each_other_share_what_there_is() -> None:
 
 
 def test_a_teammate_out_of_range_is_believed_to_be_where_it_was_headed_but_not_for_long() -> None:
-    away = robot_at(35, 4, targets={1: (45, 4)}, heard={1: 1})
+    away = robot_at(35, 4, targets={1: (45, 4)}, target_steps={1: 1})
     assert mind().decide(away).target == GAP
     assert mind().decide(replace(away, step=1 + RECALL)).target == GAP
     assert mind().decide(replace(away, step=2 + RECALL)).target == END
@@ -101,8 +101,8 @@ def test_a_robot_that_waits_does_not_leave_anything_to_a_teammate_that_stands_st
                 peers=(1,),
                 poses={1: Pose(5, 4, leads=False)},
                 targets={1: (30, 4)},
-                heard={1: 1},
-                moved={1: 1},
+                target_steps={1: 1},
+                last_moved={1: 1},
             )
         ).target
         for step in range(1, STILL + 3)
