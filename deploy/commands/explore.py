@@ -211,7 +211,6 @@ def _explore(
                 watch=watch,
                 tell=errors.print,
                 window=window,
-                snapshots=pictures,
                 pace=pace,
                 hosts=placed,
                 control=control,
@@ -237,4 +236,4 @@ def _draw(directory: Path) -> None:
 
     with Interrupt().caught():
         run = archive.read(directory)
-        figures.write_figures(run, directory / PICTURES, run.snapshots())
+        figures.write_figures(run, directory / PICTURES)

@@ -27,7 +27,7 @@ from agent.outline.contour import contours
 from agent.outline.edits import Held, edit_script
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
-from agent.predictive.scan_updates import MAX_LOOKS
+from agent.predictive.scan_updates import MAX_SCANS
 from agent.settings import Settings
 from deploy.run.exploration import explore
 from deploy.run.in_memory import run as run_in_memory
@@ -245,7 +245,7 @@ def test_limits_are_those_of_the_code() -> None:
         "blocks per cycle": str(packets.BLOCKS),
         "cycles": str(packets.BLOCKS),
         "bytes of a fragment's content": str(packets.FRAGMENT_DATA),
-        "scans per log entry": str(MAX_LOOKS),
+        "scans per log entry": str(MAX_SCANS),
         "log offsets with gossip": str(packets.GOSSIP_WINDOW),
     }
 
