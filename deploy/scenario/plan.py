@@ -50,7 +50,9 @@ class Plan:
         return World(self.map.cells, self.world)
 
 
-def make(scenario: Scenario, world_map: Map | None = None, *, incarnations: int = 1) -> Plan:
+def make(
+    scenario: Scenario, world_map: Map | None = None, *, incarnations: int = 1, record_maps: bool = False
+) -> Plan:
     """Derive the plan of a scenario.
 
     Parameters
@@ -59,6 +61,8 @@ def make(scenario: Scenario, world_map: Map | None = None, *, incarnations: int 
         Replaces the map that the scenario names.
     incarnations : int
         How often each robot may start at least; the scenario's faults may require more.
+    record_maps : bool
+        Whether robots report the changes of their maps to the recorder.
 
     Raises
     ------
@@ -89,7 +93,7 @@ def make(scenario: Scenario, world_map: Map | None = None, *, incarnations: int 
         robots_collide=scenario.robots_collide,
     )
     radio = _radio_settings(scenario, world_map, range_m, incarnations)
-    robot_settings = _robot_settings(scenario, world_map, bodies, radio)
+    robot_settings = _robot_settings(scenario, world_map, bodies, radio, record_maps=record_maps)
     return Plan(scenario, world_map, world, radio, robot_settings, range_m, incarnations)
 
 
@@ -134,7 +138,7 @@ def _radio_settings(scenario: Scenario, world_map: Map, range_m: float, incarnat
 
 
 def _robot_settings(
-    scenario: Scenario, world_map: Map, bodies: list[Body], radio: RadioSettings
+    scenario: Scenario, world_map: Map, bodies: list[Body], radio: RadioSettings, *, record_maps: bool
 ) -> dict[int, Settings]:
     return {
         number: Settings(
@@ -163,6 +167,7 @@ def _robot_settings(
             fastest_cells=max(body.speed for body in bodies),
             frame_bytes=radio.packet_bytes,
             incarnations=radio.incarnations,
+            record_maps=record_maps,
         )
         for number, body in enumerate(bodies)
     }

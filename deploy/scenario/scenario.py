@@ -111,7 +111,7 @@ class Scenario(Table):
     rounds: Whole = Field(2, ge=1, le=16, description="rounds of the medium per step (R)")
     dissemination: Literal["backoff", "thesis", "gossip"] = Field(
         default_factory=lambda given: "gossip" if given.get("map_encoding") == "predictive" else "backoff",
-        description="when maps are offered: backoff, thesis, gossip (default with predictive, else backoff)",
+        description="when maps are offered (default gossip with predictive, else backoff): backoff, thesis, gossip",
     )
     forward_maps: bool = Field(True, description="whether robots also offer the maps of others", strict=True)
     interference: NotNegative = Field(0.0, description="robots closer than this hinder each other, meters")

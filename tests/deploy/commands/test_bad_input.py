@@ -220,7 +220,7 @@ OTHERS = {
     "sweep broken.toml": "experiment broken.toml: not TOML",
     "strategy": "no command is called 'strategy'; did you mean strategies? There are: explore, watch",
     "strategies burgart": "no strategy is called 'burgart'; did you mean burgard or burgard-optimal?",
-    "bench speed": "no bench is called 'speed'; there are: kernels, bus, swarm",
+    "bench speed": "no benchmark is called 'speed'; there are: kernels, swarm, replanning",
     "run agent": "Missing option '--credential'",
     "run agent --credential missing.json": "credential missing.json: No such file or directory",
     "run agent --credential broken.json": "credential broken.json: not JSON",

@@ -191,7 +191,7 @@ def test_nonsense_of_any_kind_is_a_scenario_error(settings: dict[str, Any]) -> N
 def test_all_that_is_wrong_is_said_at_once() -> None:
     with pytest.raises(ScenarioError) as caught:
         parse({"robots": 0, "speed": -1.0, "colour": "red"})
-    assert [line.split()[1] for line in str(caught.value).splitlines()] == ["robots", "speed", "colour"]
+    assert [line.split()[1].rstrip(":") for line in str(caught.value).splitlines()] == ["robots", "speed", "colour"]
 
 
 @pytest.mark.parametrize(
@@ -279,7 +279,7 @@ def test_a_file_that_makes_no_sense_is_named(tmp_path: Path, text: str, complain
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     with pytest.raises(
         ScenarioError,
-        match=r"none.toml: no such file, and none of the shipped ones; there are: .*office.toml",
+        match=r"none.toml: no such file, and no shipped scenario; there are: .*office.toml",
     ):
         load(tmp_path / "none.toml", {})
     with pytest.raises(ScenarioError, match=rf"scenario {tmp_path}: "):
