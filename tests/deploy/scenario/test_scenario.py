@@ -191,7 +191,11 @@ def test_nonsense_of_any_kind_is_a_scenario_error(settings: dict[str, Any]) -> N
 def test_all_that_is_wrong_is_said_at_once() -> None:
     with pytest.raises(ScenarioError) as caught:
         parse({"robots": 0, "speed": -1.0, "colour": "red"})
-    assert [line.split()[1].rstrip(":") for line in str(caught.value).splitlines()] == ["robots", "speed", "colour"]
+    assert [line.split()[1].rstrip(":") for line in str(caught.value).splitlines()] == [
+        "robots",
+        "speed",
+        "colour",
+    ]
 
 
 @pytest.mark.parametrize(
