@@ -58,7 +58,7 @@ def is_wide_frontier(grid: Grid, x: int, y: int) -> bool:
 
 @kernel("boolean(uint8[:,::1], int64, int64)")
 def _wide_frontier_at(grid: Grid, x: int, y: int) -> bool:
-    """`is_wide_frontier` for kernels; a cell behind the corner of two occupied cells is never visible and does not count."""
+    """`is_wide_frontier` for kernels, without cells behind the corner of two occupied cells: they are never visible."""
     height, width = grid.shape
     if grid[y, x] != FREE:
         return False
