@@ -77,7 +77,7 @@ uint32 heard
             "uint32 carried",
             "# Bytes that did not fit.",
             "uint32 waiting",
-            *(line for name, group in GROUPS.items() for line in (f"# {group.words}", f"uint32 {name}")),
+            *(line for name, group in GROUPS.items() for line in (f"# {group.title}", f"uint32 {name}")),
             "",
         ]
     ),
@@ -231,7 +231,7 @@ class _Messages:
             carried=int(sizes[carried].sum()),
             refused=int(sizes[~carried].sum()),
             cause=next((cause for cause in here["cause"][rows].tolist() if cause), ""),
-            heard=int(here["heard"][rows].max()),
+            heard=int(here["received_by"][rows].max()),
         )
 
     def _shown(self) -> dict[int, list[tuple[int, Snapshot | Outlines]]]:

@@ -193,7 +193,7 @@ def draw_load(panel: Axes, archive: Archive) -> None:
     shown = {name: values for name, values in carried.items() if values.any()}
     if shown:
         panel.stackplot(
-            steps, *shown.values(), labels=[GROUPS[name].words for name in shown],
+            steps, *shown.values(), labels=[GROUPS[name].title for name in shown],
             colors=[rgb(GROUPS[name].color) for name in shown], step="mid", linewidth=0,
         )  # fmt: skip
     budgets = archive.budgets[1:]

@@ -298,7 +298,7 @@ def _robots(archive: Archive) -> list[list[str]]:
         mine = archive.of_robot(robot)
         said = int(ledger["bytes"][carried & (ledger["sender"] == robot)].sum())
         unicast = carried & (ledger["receiver"] == robot) & (ledger["receiver"] != EVERYONE)
-        heard = int((ledger["bytes"] * ledger["heard"])[unicast].sum())
+        heard = int((ledger["bytes"] * ledger["received_by"])[unicast].sum())
         seen = mine["known_cells"][~np.isnan(mine["known_cells"])]
         status = summary["lost"].get(str(robot)) or next((s for s in mine["status"][::-1] if s), "-")
         driven = f"{mine['driven'][-1]:.1f}" if len(mine["driven"]) else "-"

@@ -20,7 +20,7 @@ SNAPSHOTS = "snapshots.parquet"
 PLANNING = -1
 """The value of `map_id` in a row with a planning grid."""
 
-COLUMNS = ("step", "robot", "about", "width", "height", "data")
+COLUMNS = ("step", "robot", "map_id", "width", "height", "data")
 
 
 @dataclass

@@ -42,9 +42,9 @@ CONTRACT = {
 """What scripts may look for in a summary."""
 
 LEDGER = {
-    "step": "int32", "map_encoding": "int16", "connection": "int32", "frame": "int16", "sender": "int16",
+    "step": "int32", "round": "int16", "connection": "int32", "frame": "int16", "sender": "int16",
     "receiver": "int16", "map": "int16", "kind": "string", "packets": "int32", "bytes": "int32",
-    "carried": "bool", "cause": "string", "heard": "int16",
+    "carried": "bool", "cause": "string", "received_by": "int16",
 }  # fmt: skip
 
 
