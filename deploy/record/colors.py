@@ -33,7 +33,7 @@ MAP_ERRORS: tuple[Color, ...] = ((222, 225, 229), PAPER, (84, 90, 98), FALSE_WAL
 class Group:
     """Packet types of one purpose, with a description and a color."""
 
-    title: str
+    label: str
     kinds: tuple[str, ...]
     color: Color
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.settings import Settings
+from deploy.record.map_history import MapHistory
 from deploy.record.wire_bytes import Meter
 from netshaper.ledger import ROW
 from protocol import keys as names
@@ -27,7 +28,9 @@ from protocol.messages import (
     Fault,
     FaultEvent,
     Lost,
+    MapChanges,
     Maps,
+    Outlines,
     RadioReport,
     Record,
     RobotStatus,
@@ -50,6 +53,8 @@ class Records:
     ----------
     robots : int
         Number of robots.
+    maps : MapHistory
+        The robots' maps over time, if the run records them.
     world : list of WorldReport
         The world's report of each step.
     statuses : list of list of RobotStatus
@@ -81,6 +86,7 @@ class Records:
     """
 
     robots: int
+    maps: MapHistory
     world: list[WorldReport] = field(default_factory=list)
     statuses: list[list[RobotStatus]] = field(default_factory=list)
     rows: list[bytes] = field(default_factory=list)
@@ -169,7 +175,7 @@ class RecorderNode:
         on_fault: Callable[[FaultEvent], object] = lambda _: None,
     ) -> None:
         self.done = False
-        self.records = Records(robots)
+        self.records = Records(robots, MapHistory(shape))
         self._shape = shape
         self._capture = capture
         self._meter = meter
@@ -229,6 +235,8 @@ class RecorderNode:
                 records.end = message
             case Maps():
                 self._record_maps(self._number(sender), message)
+            case MapChanges() | Outlines():
+                self._record_map_changes(self._number(sender), message)
 
     def _record_radio(self, report: RadioReport) -> None:
         if len(report.rows) % ROW.itemsize:
@@ -257,6 +265,13 @@ class RecorderNode:
         if max(int(grid.max()) for grid in grids) > OCCUPIED:
             raise ProtocolError("Maps", 0, "a cell that is not free, occupied or unknown")
         self.records.own[robot], self.records.planning[robot] = grids
+
+    def _record_map_changes(self, robot: int, changes: MapChanges | Outlines) -> None:
+        """Record changes of a robot's maps, of a step that has begun."""
+        if changes.step > self.records.step + 1:
+            name = type(changes).__name__
+            raise ProtocolError(name, 0, f"of step {changes.step}, after step {self.records.step}")
+        self.records.maps.take(robot, changes)
 
     def _number(self, sender: str) -> int:
         """The number of the sending robot; ProtocolError if the run has no such robot."""

@@ -41,10 +41,13 @@ class Plan:
         return World(self.map.cells, self.world)
 
 
-def make(scenario: Scenario, world_map: Map | None = None, *, incarnations: int = 1) -> Plan:
+def make(
+    scenario: Scenario, world_map: Map | None = None, *, incarnations: int = 1, record_maps: bool = False
+) -> Plan:
     """Derive the plan of a scenario, on `world_map` instead of the map that it names if one is given.
 
-    Robots may begin as often as `incarnations` says, or more often if the scenario restarts them more often.
+    Robots may begin as often as `incarnations` says, or more often if the scenario restarts them more often. With
+    `record_maps` they report changes of their maps to the recorder.
 
     Raises
     ------
@@ -144,6 +147,7 @@ def make(scenario: Scenario, world_map: Map | None = None, *, incarnations: int 
             fastest_cells=max(body.speed for body in bodies),
             frame_bytes=radio.packet_bytes,
             incarnations=incarnations,
+            record_maps=record_maps,
         )
         for number in range(scenario.robots)
     }

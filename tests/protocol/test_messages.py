@@ -92,6 +92,8 @@ def a_message(draw: st.DrawFn, *kinds: type[messages.Record]) -> messages.Record
         drawn[name] = row * drawn[name]
     if kind is messages.Maps:
         drawn |= {"width": 2, "height": 3, "own": bytes(6), "planning": bytes(6)}
+    if kind is messages.MapChanges:
+        drawn["cells"] = 4 * drawn["values"]
     return kind(**drawn)
 
 
@@ -112,8 +114,8 @@ said = a_message()
 
 
 def test_every_message_is_known() -> None:
-    assert len(KINDS) == 26
-    assert [kind.__struct_config__.tag for kind in KINDS_IN_ORDER] == list(range(26))
+    assert len(KINDS) == 27
+    assert [kind.__struct_config__.tag for kind in KINDS_IN_ORDER] == list(range(27))
 
 
 @given(said)
@@ -193,10 +195,11 @@ def test_arrays_that_belong_together_are_refused_where_they_are_not_as_many() ->
         [3, 1, b"abc", 0, True, True, False, b""],
         [14, 1, bytes(15), [], 1, 1],
         [21, 1, 0, bytes(5)],
+        [26, 1, bytes(5), bytes(1)],
     ):
         with pytest.raises(ProtocolError, match="bytes"):
             unpack(msgpack.packb(items))
-    with pytest.raises(ProtocolError, match="notes must be list of Open or Turn or Outcome or Close"):
+    with pytest.raises(ProtocolError, match="notes must be list of Open or PhaseDelivery or Outcome or Close"):
         unpack(msgpack.packb([25, [], [], [[6, 1, 0, "offers", [1], []]]]))
     with pytest.raises(ProtocolError, match="not 3 x 2 cells"):
         unpack(msgpack.packb([17, 0, 3, 2, bytes(6), bytes(5)]))

@@ -47,6 +47,7 @@ EXAMPLES: tuple[messages.Record, ...] = (
     messages.FaultEvent(3, 0, "kill"),
     messages.Change(3, 100, 5000),
     messages.Snapshot(3, 1, 1, b"\x00"),
+    messages.MapChanges(3, b"\x01\x00\x00\x00", b"\x0a"),
     messages.Outlines(3, 0, bytes(16)),
 )
 JUNK = (

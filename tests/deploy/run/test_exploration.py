@@ -78,7 +78,7 @@ def out(run: Result) -> Path:
 def test_a_run_leaves_the_files_of_the_contract_and_nothing_else(out: Path) -> None:
     planning = {f"planning-r{robot}.{suffix}" for robot in range(3) for suffix in ("yaml", "png")}
     assert {path.name for path in out.iterdir()} == planning | {
-        "scenario.toml", "summary.json", "steps.parquet", "ledger.parquet", "radio.pcapng", "maps.png",
+        "scenario.toml", "summary.json", "steps.parquet", "ledger.parquet", "map_changes.parquet", "radio.pcapng",
         "map.yaml", "map.png", "team.yaml", "team.png",
     }  # fmt: skip
 
