@@ -65,7 +65,9 @@ class ByzantineBus:
         """Send a message, possibly with other frames."""
         if names.parts(key)[0] == "radio":
             message = unpack(payload)
-            payload = pack(replace(message, frames=[self._transmitted(frame) for frame in message.frames]))
+            broadcast = self._transmitted(message.broadcast) if message.broadcast else b""
+            frames = [replace(each, payload=self._transmitted(each.payload)) for each in message.frames]
+            payload = pack(replace(message, broadcast=broadcast, frames=frames))
         self._bus.put(key, payload)
 
     def receive(self, timeout_s: float | None = None) -> Message | None:

@@ -19,6 +19,7 @@ from agent.encodings.predictive import PredictiveEncoding
 from agent.exchange.connection import TRANSITIONS, State
 from agent.exchange.distribution import DISSEMINATIONS
 from agent.exchange.gossip import Gossip
+from agent.exchange.outcome import Outcome
 from agent.exchange.session import Session
 from agent.outline.approximation import approximation, repair
 from agent.outline.contour import contours
@@ -38,7 +39,6 @@ from netshaper.presets import PRESETS
 from protocol import messages, packet_index, packets
 from protocol.grid import MAX_ROBOTS, MAX_SIDE, UNKNOWN, Grid, ray_table
 from protocol.keys import Keys
-from protocol.messages import Outcome
 from protocol.rights import RIGHTS
 from protocol.scans import Scan, draw, encode_scan, fragments
 from worldsim.laser import cast

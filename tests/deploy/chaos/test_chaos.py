@@ -17,10 +17,9 @@ from deploy.chaos.runs import Verdict, run_case, shrink
 from deploy.commands.main import app
 from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
-from netshaper.ledger import EVERYONE
 from protocol.grid import UNKNOWN
 from protocol.memory_bus import MemoryHub
-from protocol.messages import Said, pack, unpack
+from protocol.messages import OutgoingFrame, RobotFrames, pack, unpack
 
 SMALL = [6, 11, 15]
 """Seeds of small and short cases."""
@@ -104,7 +103,7 @@ def test_byzantine_robots_change_only_radio_frames_and_follow_their_seed() -> No
         relay, bus = hub.join("relay"), ByzantineRadios(seed, (1,))("r1", hub.join("r1"))
         relay.receive()
         for number in range(99):
-            message = Said(1, 0, "dissemination", [], 0, [EVERYONE], [bytes([0xF0, number])])
+            message = RobotFrames(1, 0, "offers", frames=[OutgoingFrame(0, bytes([0xF0, number]))])
             bus.put(hub.keys.radio_tx("r1"), pack(message))
             bus.put(hub.keys.control_tx("r1"), bytes([number]))
         return [message.payload for message in iter(relay.receive, None)]
@@ -113,7 +112,7 @@ def test_byzantine_robots_change_only_radio_frames_and_follow_their_seed() -> No
     assert messages == received(1) != received(2)
     assert messages[1::2] == [bytes([number]) for number in range(99)]
     frames = [unpack(payload).frames for payload in messages[::2]]
-    replaced = sum(frame != bytes([0xF0, number]) for number, (frame,) in enumerate(frames))
+    replaced = sum(frame.payload != bytes([0xF0, number]) for number, (frame,) in enumerate(frames))
     assert 10 < replaced < 40
 
 

@@ -79,7 +79,7 @@ def test_a_run_leaves_the_files_of_the_contract_and_nothing_else(out: Path) -> N
     planning = {f"planning-r{robot}.{suffix}" for robot in range(3) for suffix in ("yaml", "png")}
     assert {path.name for path in out.iterdir()} == planning | {
         "scenario.toml", "summary.json", "steps.parquet", "ledger.parquet", "map_changes.parquet", "radio.pcapng",
-        "map.yaml", "map.png", "team.yaml", "team.png",
+        "maps.png", "map.yaml", "map.png", "team.yaml", "team.png",
     }  # fmt: skip
 
 
