@@ -23,7 +23,7 @@ from agent.exchange.outcome import Outcome
 from agent.exchange.session import Session
 from agent.outline.approximation import approximation, repair
 from agent.outline.contour import contours
-from agent.outline.edits import Held, edit_script
+from agent.outline.edits import NumberedPolygons, edit_script
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
 from agent.predictive.scan_updates import MAX_SCANS
@@ -80,9 +80,9 @@ def knowledge() -> Iterator[Grid]:
         yield np.array([["?.#".index(cell) for cell in line] for line in column], np.uint8)
 
 
-def scripts() -> Iterator[tuple[list[packets.Edit], Held]]:
+def scripts() -> Iterator[tuple[list[packets.Edit], NumberedPolygons]]:
     """The edit scripts of the worked example, and what is held after each."""
-    held = Held.nothing((5, 6))
+    held = NumberedPolygons.empty((5, 6))
     for grid in knowledge():
         exact = contours(grid, (1, 1))
         marks = refine(exact, repair(held.polygons, exact))
