@@ -17,6 +17,7 @@ import numpy as np
 from agent.encodings.catalog import ENCODINGS, make_encoding
 from agent.exchange import gossip
 from agent.exchange.distribution import distribution
+from agent.exchange.outcome import Outcome
 from agent.outline.polygons import Polygons
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Pose, Situation
@@ -26,7 +27,7 @@ from protocol import packet_index, packets
 from protocol.errors import ProtocolError
 from protocol.fields import MOST_ON_THE_WAY
 from protocol.grid import UNKNOWN, Grid, ray_table
-from protocol.messages import Move, Outcome, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
+from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
 from protocol.scans import Scan, check_readings, draw
 
 _Value = TypeVar("_Value")
@@ -188,7 +189,7 @@ class Robot:
             said.append(packets.Target(*self._target_news))
         if self._strategy.forwards_state:
             self._pose_is_said = any(isinstance(packet, packets.Pose) for packet in said)
-            said += self._relayed_state.passed_on(self._sense.step, heard, peers, self._poses, self._targets)
+            said += self._relayed_state.forward(self._sense.step, heard, peers, self._poses, self._targets)
         return packets.encode(said) if said else None
 
     def _looks_tell(self, pose: packets.Pose, peers: list[int]) -> bool:

@@ -19,10 +19,11 @@ from agent.encodings.predictive import PredictiveEncoding
 from agent.exchange.connection import TRANSITIONS, State
 from agent.exchange.distribution import DISSEMINATIONS
 from agent.exchange.gossip import Gossip
+from agent.exchange.outcome import Outcome
 from agent.exchange.session import Session
 from agent.outline.approximation import approximation, repair
 from agent.outline.contour import contours
-from agent.outline.edits import Held, edit_script
+from agent.outline.edits import NumberedPolygons
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
 from agent.predictive.scan_updates import MAX_SCANS
@@ -38,9 +39,9 @@ from netshaper.presets import PRESETS
 from protocol import messages, packet_index, packets
 from protocol.grid import MAX_ROBOTS, MAX_SIDE, UNKNOWN, Grid, ray_table
 from protocol.keys import Keys
-from protocol.messages import Outcome
 from protocol.rights import RIGHTS
 from protocol.scans import Scan, draw, encode_scan, fragments
+from tests.agent.outline.edit_scripts import edit_script
 from worldsim.laser import cast
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -80,9 +81,9 @@ def knowledge() -> Iterator[Grid]:
         yield np.array([["?.#".index(cell) for cell in line] for line in column], np.uint8)
 
 
-def scripts() -> Iterator[tuple[list[packets.Edit], Held]]:
+def scripts() -> Iterator[tuple[list[packets.Edit], NumberedPolygons]]:
     """The edit scripts of the worked example, and what is held after each."""
-    held = Held.nothing((5, 6))
+    held = NumberedPolygons.empty((5, 6))
     for grid in knowledge():
         exact = contours(grid, (1, 1))
         marks = refine(exact, repair(held.polygons, exact))
