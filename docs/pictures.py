@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from agent.outline.contour import contours
 from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
-from deploy import Step, steps
 from deploy.record.colors import ALARM, CELLS, GROUPS, Color, robot_color
+from murmur import Step, steps
 
 AFTER = 80
 """The step that is shown."""

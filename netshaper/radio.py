@@ -232,7 +232,7 @@ class Radio:
         robots, places = sorted(cells), connectivity.places_of(cells)
         if options.model == "disc" or settings.walls is None:
             hears = connectivity.disc(places, settings.range_cells)
-        elif options.model == "line-of-predictive":
+        elif options.model == "line-of-sight":
             hears = connectivity.line_of_predictive(places, settings.range_cells, settings.walls)
         else:
             extra = connectivity.shadowing(

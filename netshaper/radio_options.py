@@ -55,7 +55,7 @@ class RadioOptions:
     frame_bytes : int
         Bytes of packets that a frame holds at most; what is longer goes on the air as several. 0: no limit.
     model : str
-        Who hears whom within the communication range: ``disc``, all; ``line-of-predictive``, those between whom there is
+        Who hears whom within the communication range: ``disc``, all; ``line-of-sight``, those between whom there is
         no wall; ``log-distance``, those whose link has not lost more than a link as long as the range.
     exponent, db_per_metre, db_per_wall, shadowing_db, shadowing_m : float
         Of ``log-distance``: how the loss grows by the distance's logarithm and by the distance, what each wall adds,
@@ -86,7 +86,7 @@ class RadioOptions:
 
     preset: str = ""
     frame_bytes: int = 0
-    model: Literal["disc", "line-of-predictive", "log-distance"] = "disc"
+    model: Literal["disc", "line-of-sight", "log-distance"] = "disc"
     exponent: float = 2.0
     db_per_metre: float = 0.0
     db_per_wall: float = 6.9

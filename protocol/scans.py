@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.boxes import NO_BOXES, Box, Boxes
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid, RayTable
 from protocol.kernels import kernel
@@ -96,13 +97,17 @@ def fragments(data: bytes, most: int = Fragment.size) -> list[bytes]:
 
 
 class Change(NamedTuple):
-    """Changes made by drawing: the number of cells, all within columns x0 to x1 - 1 and rows y0 to y1 - 1."""
+    """Cells that `draw` has changed."""
 
     cells: int
-    x0: int
-    y0: int
-    x1: int
-    y1: int
+    """Number of changed cells."""
+    box: Box
+    """A box that contains them; empty if there are none."""
+
+    @property
+    def boxes(self) -> Boxes:
+        """The box as an array of one row; no row if nothing changed."""
+        return np.array([self.box], np.int32) if self.cells else NO_BOXES
 
 
 _NO_CELLS = np.empty((0, 2), np.int32)
@@ -132,7 +137,8 @@ def draw(
         driven,
         out,
     )
-    return Change(*out.tolist())
+    cells, x0, y0, x1, y1 = out.tolist()
+    return Change(cells, (x0, y0, x1, y1))
 
 
 @kernel(

@@ -310,7 +310,7 @@ class World:
         driven_over = np.array(entered, np.int32).reshape(-1, 2)
         news = draw(self.seen, self._ray_tables[robot], x, y, readings, driven_over)
         if news.cells:
-            self.seen_cells += int(_count_seen(self.seen, self.reachable, *news[1:], self._counted))
+            self.seen_cells += int(_count_seen(self.seen, self.reachable, *news.box, self._counted))
         driven = cells_to_bytes(driven_over)
         offset_x, offset_y = self.offsets[robot]
         return Sense(self.step, x, y, heading, driven, readings.tobytes(), blocked, offset_x, offset_y)

@@ -16,12 +16,12 @@ ENCODINGS: dict[str, type[MapEncoding]] = {
 }
 
 
-PLUGINS: Plugins[MapEncoding] = Plugins("map_encoding", "murmur.map_encodings", MapEncoding)  # type: ignore[type-abstract]
+PLUGINS: Plugins[MapEncoding] = Plugins("map encoding", "murmur.map_encodings", MapEncoding)  # type: ignore[type-abstract]
 """Those that are not ours."""
 
 
 def encoding_class(name: str) -> type[MapEncoding]:
-    """Return the exchange called `name`: one of ours, of an installed package, or ``package.module:Class``.
+    """Return the map encoding called `name`: one of ours, of an installed package, or ``package.module:Class``.
 
     Raises
     ------
@@ -32,5 +32,5 @@ def encoding_class(name: str) -> type[MapEncoding]:
 
 
 def make_encoding(settings: Settings) -> MapEncoding:
-    """Return the exchange that the settings name; ValueError lists the names there are."""
+    """Return the map encoding that the settings name; ValueError lists the names there are."""
     return encoding_class(settings.map_encoding)(settings)

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from agent.encodings.base import MapEncoding
 from agent.encodings.received_grid import Heard
-from agent.outline.boxes import NO_BOXES, box_of, united
 from agent.settings import Settings
 from protocol import packet_index, packets
+from protocol.boxes import NO_BOXES, union
 from protocol.errors import ProtocolError
 from protocol.grid import OCCUPIED, Grid
 from protocol.scans import Change, Scan, fragments
@@ -74,7 +74,7 @@ class CellEncoding(MapEncoding):
         """Tell what has changed, once all in range have heard what was told before."""
         del scan
         self._heard.seen(own, change)
-        self._untold = united(self._untold, box_of(change))
+        self._untold = union(self._untold, change.boxes)
         if not delivered or not len(self._untold):
             return []
         x0, y0 = self._untold[:, :2].min(axis=0).tolist()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from agent.outline.boxes import NO_BOXES, Boxes, box_of, united
+from protocol.boxes import NO_BOXES, Boxes, union
 from protocol.grid import Grid
 from protocol.scans import Change
 
@@ -17,7 +17,7 @@ class ChangedCells:
     def add(self, own: Grid, change: Change) -> None:
         """Something has been drawn on the grid."""
         if own is self._seen:
-            self._boxes = united(self._boxes, box_of(change))
+            self._boxes = union(self._boxes, change.boxes)
 
     def take(self, own: Grid) -> Boxes | None:
         """Return boxes that cover all changes, and begin anew; None if another grid was seen the last time, or none."""

@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from agent.encodings.base import Basis, MapEncoding
 from agent.encodings.predictive_options import PredictiveOptions
 from agent.encodings.received_grid import Heard
-from agent.predictive.history import Box, DecodedUpdate, History, around
+from agent.predictive.history import DecodedUpdate, History
 from agent.predictive.scan_updates import TOLD
 from agent.predictive.shared_decoder import CachedReader, SharedDecoderCache
 from agent.predictive.stream import Stream
 from agent.settings import Settings
 from protocol import packet_index
+from protocol.boxes import Box, bounding_box
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
 from protocol.kernels import kernel
@@ -148,14 +149,14 @@ class PredictiveEncoding(MapEncoding):
         waiting = self._waiting
         if change.cells:
             waiting.poses.append((scan.x, scan.y))
-            waiting.boxes.append((change.x0, change.y0, change.x1, change.y1))
+            waiting.boxes.append(change.box)
         if not waiting.boxes:
             return []
         waiting.steps += 1
         self.revisable = 0
         if not delivered:
             return []
-        news = int(_news(self._heard.grid, self._own.grid, own, *around(waiting.boxes)))
+        news = int(_news(self._heard.grid, self._own.grid, own, *bounding_box(waiting.boxes)))
         if 0 < news < ENOUGH_CELLS and waiting.steps < self._patience:
             return []
         if not news:
@@ -171,7 +172,7 @@ class PredictiveEncoding(MapEncoding):
         size = units = 0
         while self._waiting.poses and size < self._enough:
             waiting, number = self._waiting, len(history)
-            box = around(waiting.boxes)
+            box = bounding_box(waiting.boxes)
             unit = stream.encode(own, waiting.poses, box, most=self._enough - size)
             self._waiting = _Waiting()
             if unit is None:

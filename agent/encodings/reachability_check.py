@@ -12,10 +12,8 @@ who passes on a map cannot know what its maker has said of itself to others.
 from __future__ import annotations
 
 from agent.settings import Settings
+from protocol.boxes import Box, bounding_box
 from protocol.errors import ProtocolError
-
-Box = tuple[int, int, int, int]
-"""Columns x0 to x1 - 1 and rows y0 to y1 - 1, as (x0, y0, x1, y1)."""
 
 SLACK = 8
 """Cells: contours lie beside what was seen, and what is left of a step's way is driven in the next one."""
@@ -61,12 +59,7 @@ class ReachabilityCheck:
             grown = max(box[2] - box[0], box[3] - box[1])
         else:
             grown = max(before[0] - box[0], before[1] - box[1], box[2] - before[2], box[3] - before[3])
-            box = (
-                min(before[0], box[0]),
-                min(before[1], box[1]),
-                max(before[2], box[2]),
-                max(before[3], box[3]),
-            )
+            box = bounding_box((before, box))
         if grown > far:
             raise ProtocolError(
                 "claim",

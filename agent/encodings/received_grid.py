@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from agent.encodings.changed_cells import ChangedCells
-from agent.outline.boxes import Boxes, whole
+from protocol.boxes import Boxes, whole_grid
 from protocol.grid import UNKNOWN, Grid
 from protocol.kernels import kernel
 from protocol.scans import Change
@@ -43,7 +43,7 @@ class Heard:
         """Return the planning grid; it is written over by the next call."""
         changed = self._own_news.take(own)
         if self._planning is None or changed is None:
-            self._planning, changed = np.empty_like(own), whole(own.shape)
+            self._planning, changed = np.empty_like(own), whole_grid(own.shape)
         boxes = np.array([*changed.tolist(), *self._boxes], np.int32).reshape(-1, 4)
         lay_over(self.grid, own, boxes, self._planning)
         self._boxes.clear()

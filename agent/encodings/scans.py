@@ -54,7 +54,7 @@ class ScanEncoding(MapEncoding):
         for scan in scans:
             change = draw(self._heard.grid, self._ray_table_of(map_id), scan.x, scan.y, scan.readings)
             if change.cells:
-                self._heard.told(change[1:])
+                self._heard.told(change.box)
 
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
         """Lay the robot's own grid over what it heard, where either has changed."""

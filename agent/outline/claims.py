@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.memo_cache import ALONE, MemoCache
-from agent.outline.boxes import NO_BOXES, Boxes, clip, whole
 from agent.outline.objects import (
     BOTTOM,
     FIRST,
@@ -28,6 +27,7 @@ from agent.outline.objects import (
 )
 from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
 from agent.outline.raster import Edges, draw, fill
+from protocol.boxes import NO_BOXES, Boxes, clip, whole_grid
 from protocol.kernels import kernel
 
 NEAR_WALL, FREE_AREA, OUTSIDE_OCCUPIED, INSIDE_FREE, INSIDE_OCCUPIED = 1, 2, 4, 8, 16
@@ -125,7 +125,7 @@ THESIS = Drawing()
 def layer(polygons: Polygons, drawing: Drawing = THESIS) -> Layer:
     """Render an approximation into the claims that it makes, a byte of bits a cell."""
     out = np.zeros(polygons.shape, np.uint8)
-    draw_anew(out, Objects.of(polygons), drawing, whole(polygons.shape))
+    draw_anew(out, Objects.of(polygons), drawing, whole_grid(polygons.shape))
     return out
 
 
@@ -158,7 +158,7 @@ class Drawn:
     def follow(self, objects: Objects, changed: Boxes | None = None) -> Difference:
         """Draw what has taken the place of what was drawn last; it differs in the boxes at most (None: anywhere)."""
         drawing = self._drawing
-        boxes = whole(objects.shape) if changed is None or self._objects is None else changed
+        boxes = whole_grid(objects.shape) if changed is None or self._objects is None else changed
         change = self._objects, objects, drawing.free_inside_edges, drawing.unknown_pairs
         news = self._once.get(change, lambda: draw_anew(self.layer, objects, drawing, boxes))
         self._cells[news.cells] = news.after

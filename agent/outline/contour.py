@@ -19,9 +19,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.outline.boxes import Boxes, clip, whole
 from agent.outline.objects import Symbols, unpack
 from agent.outline.polygons import LEFT, RIGHT, SIDE_X, SIDE_Y, Polygons
+from protocol.boxes import Boxes, clip, whole_grid
 from protocol.grid import FREE, OCCUPIED, Grid
 from protocol.kernels import kernel
 
@@ -81,7 +81,7 @@ class Tracer:
             )
         if not grid.flags.writeable:
             grid = grid.copy()
-        boxes = whole(self._shape) if changed is None else changed
+        boxes = whole_grid(self._shape) if changed is None else changed
         _lay_out(grid, boxes, self._cells, self._ends, self._counts)
         point_x, point_y, side, occupied, start = _trace(
             self._cells, width + 2, self._ends, self._counts, x, y, *_workspace(len(self._cells))

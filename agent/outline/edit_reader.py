@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.outline.boxes import MOST, NO_BOXES, Boxes, add_box, around
 from agent.outline.objects import (
     BOTTOM,
     FIRST,
@@ -26,6 +25,7 @@ from agent.outline.objects import (
     Table,
     enter,
 )
+from protocol.boxes import MAX_BOXES, NO_BOXES, Boxes, add_box, bounding_box
 from protocol.kernels import kernel
 from protocol.packets import MAX_VERTICES
 
@@ -115,7 +115,7 @@ def read(before: Reading, piece: bytes) -> tuple[int, Reading, Saved | None] | N
         return None
     saved = None
     if saves:
-        box = around(saved_boxes) if len(saved_boxes) else None
+        box = bounding_box(saved_boxes.tolist()) if len(saved_boxes) else None
         saved = Saved(Objects(shape, saved_table, pool), saved_boxes, box, saves, end)
     return used, Reading(Objects(shape, table, pool), vertices, boxes, numbers), saved
 
@@ -365,7 +365,7 @@ def _read(
     told = np.empty(_ROOM, np.int32)
     told[: len(vertices)] = vertices
     n[_GAP] = n[_TOLD]
-    boxes = np.empty((MOST, 4), np.int32)
+    boxes = np.empty((MAX_BOXES, 4), np.int32)
     boxes[: len(unsaved)] = unsaved
 
     saved = max(last_save, 0)

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from agent.outline.approximation import approximation
-from agent.outline.boxes import NO_BOXES, Boxes, box_of, united
 from agent.outline.claims import Drawing
 from agent.outline.contour import Tracer
 from agent.outline.merge import approximation_error
+from protocol.boxes import NO_BOXES, Boxes, union
 from protocol.grid import Grid
 from protocol.scans import Change, Scan
 
@@ -37,7 +37,7 @@ class ExactError:
         """A scan has been drawn on the grid."""
         self._at = scan.x, scan.y
         if change.cells:
-            self._news = united(self._news, box_of(change))
+            self._news = union(self._news, change.boxes)
 
     def count(self, own: Grid) -> int:
         """Cells in which the grid and the drawing of all its contour points differ."""

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
-from agent.outline.boxes import whole
 from agent.outline.claims import THESIS, Drawing
 from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
 from agent.outline.raster import draw, fill
+from protocol.boxes import whole_grid
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 
 UNDEFINED = 3
@@ -104,7 +104,7 @@ def _objects(polygons: Polygons, drawing: Drawing) -> list[_Object]:
         if not (inside or drawing.unknown_pairs or end - first > 2 or occupied[first:end].any()):
             continue
         area, edges = np.zeros(polygons.shape, np.uint8), np.zeros(polygons.shape, np.uint8)
-        outline, everywhere = places[first:end], whole(polygons.shape)[0]
+        outline, everywhere = places[first:end], whole_grid(polygons.shape)[0]
         all_edges = np.column_stack([outline, np.roll(outline, -1, axis=0), occupied[first:end]]).astype(
             np.int32
         )

@@ -32,7 +32,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.memo_cache import ALONE, MemoCache
-from agent.outline.boxes import NO_BOXES, Boxes, clip, united, whole
 from agent.outline.claims import (
     FREE_AREA,
     INSIDE_FREE,
@@ -50,6 +49,7 @@ from agent.outline.claims import (
 )
 from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
+from protocol.boxes import NO_BOXES, Boxes, clip, union, whole_grid
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 
@@ -106,7 +106,7 @@ class TeamMap:
         if self._resolved is None or self._plan is None or changed is None:
             self._resolved = np.zeros_like(own)
             self._plan = np.zeros_like(own) if self._drawing.close_slivers else self._resolved
-            self._changed, changed = [whole(own.shape)], NO_BOXES
+            self._changed, changed = [whole_grid(own.shape)], NO_BOXES
         if self._changed or len(changed):
             claims_changed = np.concatenate([NO_BOXES, *self._changed])
             guesses = self._drawing.wide, self._drawing.close_slivers
@@ -173,10 +173,10 @@ class ErrorCount:
             self._drawn = Drawn(approximation.shape, self._drawing, self._once)
             self._wrong = np.zeros(own.shape, np.bool_)
             self._count = 0
-            own_changed = changed = whole(approximation.shape)
+            own_changed = changed = whole_grid(approximation.shape)
         boxes = own_changed
         if len(changed):
-            boxes = united(boxes, self._drawn.follow(approximation, changed).boxes)
+            boxes = union(boxes, self._drawn.follow(approximation, changed).boxes)
         if len(boxes):
             self._count += int(_count_wrong(own, self._drawn.layer, boxes, self._wrong))
         return self._count

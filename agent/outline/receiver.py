@@ -10,11 +10,11 @@ from collections.abc import Callable
 from hashlib import blake2b
 
 from agent.memo_cache import ALONE, MemoCache
-from agent.outline.boxes import NO_BOXES, Boxes, united
 from agent.outline.draft import Draft
 from agent.outline.edit_reader import Reading, Saved, read
 from agent.outline.edits import Held
 from agent.outline.objects import FIRST, INSIDE, LENGTH, Objects
+from protocol.boxes import NO_BOXES, Boxes, union
 
 
 class Receiver:
@@ -77,7 +77,7 @@ class Receiver:
         self._heard.update(data[:behind])
         if saved is not None:
             self.objects, self._held = self._once.get(self._heard.digest(), lambda: saved.objects), None
-            self._changed = united(self._changed, saved.boxes)
+            self._changed = union(self._changed, saved.boxes)
         self._heard.update(data[behind:])
         return saved is not None
 

@@ -13,18 +13,8 @@ from hashlib import blake2b
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.boxes import Box
 from protocol.kernels import kernel
-
-Box = tuple[int, int, int, int]
-"""Columns x0 to x1 - 1 and rows y0 to y1 - 1, as (x0, y0, x1, y1)."""
-
-NO_BOX: Box = (1 << 30, 1 << 30, 0, 0)
-
-
-def around(boxes: Sequence[Box]) -> Box:
-    """Return the smallest box around boxes."""
-    x0, y0, x1, y1 = zip(NO_BOX, *boxes, strict=True)
-    return min(x0), min(y0), max(x1), max(y1)
 
 
 @dataclass(frozen=True)

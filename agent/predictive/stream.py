@@ -31,7 +31,7 @@ from agent.predictive.coder import (
     written,
 )
 from agent.predictive.contexts import BUILT_ON, REST_MOST
-from agent.predictive.history import NO_BOX, Base, Box, DecodedUpdate, History, around, key_of
+from agent.predictive.history import Base, DecodedUpdate, History, key_of
 from agent.predictive.scan_updates import (
     MAX_LOOKS,
     PLACES,
@@ -47,6 +47,7 @@ from agent.predictive.scan_updates import (
     code_pose,
     differing,
 )
+from protocol.boxes import NO_BOX, Box, bounding_box
 from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Grid, RayTable
 from protocol.kernels import kernel
@@ -237,8 +238,8 @@ class Stream:
         counts, way, grid, scratch = self._counts, self._way, self.grid, self._scratch
         cells, start = self._ray_table.cells, self._ray_table.start
         contradicted = self._build(state, data, own, poses, box)
-        owed = around([self._owed, *contradicted, *((x, y, x + 1, y + 1) for x, y in poses)])
-        box = around([box, owed])
+        owed = bounding_box([self._owed, *contradicted, *((x, y, x + 1, y + 1) for x, y in poses)])
+        box = bounding_box([box, owed])
         changed = looks = done = 0
         claimed = np.zeros(grid.shape, np.bool_)
         needed = [claims(grid, own, claimed, cells, start, x, y) for x, y in reversed(poses)]
@@ -312,7 +313,7 @@ class Stream:
         Returns boxes in which others contradict the robot's own grid.
         """
         reach = int(np.abs(self._ray_table.cells).max()) + 1
-        near = around([box, *((x - reach, y - reach, x + reach + 1, y + reach + 1) for x, y in poses)])
+        near = bounding_box([box, *((x - reach, y - reach, x + reach + 1, y + reach + 1) for x, y in poses)])
         contradicted = []
         more = np.zeros(len(self.built), np.int64)
         for robot in self._others.tolist():

@@ -273,7 +273,7 @@ def _in_words(summary: dict[str, Any]) -> str:
 
 
 def _figures(summary: dict[str, Any]) -> list[list[str]]:
-    agreement = summary["map_agreement"]
+    agreement = summary["map_accuracy"]
     rows = [
         ["reachable cells seen by the team", _percent(summary["coverage"])],
         ["correct on the planning map of the first robot", "-" if agreement is None else _percent(agreement)],

@@ -115,11 +115,12 @@ class OfflineBound:
         change = draw(
             self._paper, self._ray_table, x, y, cast(self._truth, self._nobody, self._ray_table, x, y)
         )
-        inside = np.s_[change.y0 : change.y1, change.x0 : change.x1]
+        x0, y0, x1, y1 = change.box
+        inside = np.s_[y0:y1, x0:x1]
         box = self._paper[inside]
         ys, xs = np.nonzero((box != UNKNOWN) & self._asked[inside])
         box[:] = UNKNOWN
-        seen: Indices = (ys + change.y0) * self._paper.shape[1] + xs + change.x0
+        seen: Indices = (ys + y0) * self._paper.shape[1] + xs + x0
         return seen
 
     def is_reached_from(self, start: Cell) -> bool:

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from deploy.bench.ratios import Figure, compare
-from deploy.bench.transcript import Script, play, play_hub, play_lab, record
+from deploy.bench.transcript import Script, play, play_hub, play_recorder, record
 from deploy.record.records import Records
 from deploy.run import launch
 from deploy.run.process_table import ProcessTable
@@ -140,7 +140,7 @@ def _floor(plan: Plan, scripts: dict[str, Script], steps: int) -> float:
         for name, script in scripts.items():
             if name not in (names.RELAY, names.RECORDER):
                 processes.start(name, play, rendezvous.credentials[name], script)
-        seconds = play_lab(
+        seconds = play_recorder(
             rendezvous.credentials[names.RECORDER], scripts[names.RECORDER], _alarmed(processes)
         )
     return steps / seconds
@@ -158,7 +158,7 @@ def _alarmed(processes: ProcessTable) -> Callable[[], None]:
 
 def _median_work(records: Records) -> float:
     """Median computing time per robot and step in milliseconds, of a run in one process, on one core."""
-    return float(np.median([m.work_us for reports in records.robot_settings for m in reports])) / 1000
+    return float(np.median([m.work_us for reports in records.statuses for m in reports])) / 1000
 
 
 def memory_of_robots() -> float:

@@ -99,7 +99,7 @@ def play(credential: Credential, script: Script) -> None:
         bus.close()
 
 
-def play_lab(credential: Credential, script: Script, check: Callable[[], object]) -> float:
+def play_recorder(credential: Credential, script: Script, check: Callable[[], object]) -> float:
     """Play the laboratory's script; return the seconds from the first to the last message."""
     bus = join(credential)
     try:

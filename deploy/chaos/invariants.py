@@ -21,7 +21,7 @@ import numpy as np
 
 from agent.robot import Robot
 from deploy.record.records import Records
-from deploy.record.summary import summarise
+from deploy.record.summary import summarize
 from deploy.scenario.plan import Plan
 from netshaper.ledger import balance
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
@@ -87,7 +87,7 @@ class Watcher:
 
     def conclude(self, records: Records) -> None:
         """Check the end of a run; Violation if something does not hold."""
-        summary = summarise(self._plan, records, 1.0)
+        summary = summarize(self._plan, records, 1.0)
         if not summary["finished"]:
             raise Violation(f"nobody was done: the run ended because of: {summary['reason']}")
         if records.lost:

@@ -125,7 +125,7 @@ def run_view(
 
 
 @run_app.command("recorder")
-def run_lab(
+def run_recorder(
     credential: Annotated[
         Path, typer.Option(metavar="FILE", help="recorder.json of the netshaper's credentials")
     ],
@@ -134,9 +134,9 @@ def run_lab(
     as_json: JsonFlag = False,
 ) -> None:
     """Start the laboratory: it records the run and writes its directory at the end."""
-    from deploy.run.by_hand import serve_lab  # noqa: PLC0415
+    from deploy.run.by_hand import serve_recorder  # noqa: PLC0415
 
     with report_user_errors():
         with progress(shown=not as_json) as watch:
-            result = serve_lab(load(scenario, {}), credential, out, watch, errors.print)
+            result = serve_recorder(load(scenario, {}), credential, out, watch, errors.print)
         raise typer.Exit(report_result(result, as_json=as_json))

@@ -31,7 +31,7 @@ def report_result(result: Any, *, as_json: bool) -> int:
         errors.print(f"the viewer failed, the run was not affected: {result.view_fault}")
     for robot, cause in sorted(result.records.lost.items()):
         errors.print(f"robot {robot} was lost: {cause}")
-    for fault in result.records.faults[:5]:
+    for fault in result.records.protocol_errors[:5]:
         errors.print(f"malformed message: {fault}")
     if as_json:
         print(json.dumps(result.summary))
@@ -59,7 +59,7 @@ def explain_difference(before: dict[str, Any], now: dict[str, Any]) -> None:
 
     errors.print("Replay differs: the digest has changed.")
     settings = ("robots", "seed", "map", "strategy", "map_encoding", "bandwidth", "range_m")
-    for key in (*settings, "steps", "coverage", "map_agreement", "bytes", "versions"):
+    for key in (*settings, "steps", "coverage", "map_accuracy", "bytes", "versions"):
         is_copy = key == "map" and now[key] == Path(MAP).stem
         if before[key] != now[key] and not is_copy:
             errors.print(f"  {key}: {before[key]} then, {now[key]} now")

@@ -50,19 +50,19 @@ class {kind}(TargetStrategy):
 
 TEST = '''"""Strategy {name} explores all there is, and in the same way each time. Run it: python -m pytest {test}"""
 
-from deploy import Scenario, explore
+import murmur
 
-SCENARIO = Scenario(map="jh-like", robots=2, strategy="{module}:{kind}", bandwidth="unlimited", bus="memory")
+SCENARIO = murmur.Scenario(map="jh-like", robots=2, strategy="{module}:{kind}", bandwidth="unlimited", bus="memory")
 
 
 def test_it_explores_all_there_is():
-    result = explore(SCENARIO, keep=False)
+    result = murmur.explore(SCENARIO, keep=False)
     assert result.summary["finished"], result.summary["reason"]
     assert result.summary["coverage"] > 0.99
 
 
 def test_equal_runs_are_equal():
-    first, second = (explore(SCENARIO, keep=False).summary["digest"] for _ in range(2))
+    first, second = (murmur.explore(SCENARIO, keep=False).summary["digest"] for _ in range(2))
     assert first == second
 '''
 

@@ -158,7 +158,7 @@ def reproduce(
         lines = [["claim", "", "verdict", "tests", "runs"]]
         for each in done.claims:
             counts = each.verdict.counts
-            lines.append([each.claim.id, each.claim.says, each.verdict.word, counts, str(each.runs)])
+            lines.append([each.claim.id, each.claim.statement, each.verdict.word, counts, str(each.runs)])
             for part in each.parts:
                 report_failures(part.failures)
         lines += [[name, "", "no experiment", "", "0"] for name in done.unasked]
@@ -182,7 +182,7 @@ def compare(
         list[str] | None, typer.Option("--map", metavar="FILE|NAME", help="on this map; repeatable")
     ] = None,
     seeds: Annotated[int, typer.Option(min=2, metavar="N", help="run the seeds 0 to N - 1")] = 10,
-    figure: Annotated[
+    metric: Annotated[
         str, typer.Option(metavar="NAME", help="what is compared (docs/experiments.md)")
     ] = "steps",
     set_: SetOption = None,
@@ -207,7 +207,7 @@ def compare(
         runs = out / "runs.parquet"
         with stopping(runs):
             done = comparison.compare(
-                compared, seeds=seeds, figure=figure, jobs=jobs, scheduler=scheduler, out=runs, **settings
+                compared, seeds=seeds, metric=metric, jobs=jobs, scheduler=scheduler, out=runs, **settings
             )
         report_failures(done.sweep.failures)
         if not done.sweep.rows:
@@ -229,10 +229,10 @@ def size(
     range_: Annotated[
         str, typer.Option("--range", metavar="METRES|P%,...", help="communication ranges to try")
     ] = "30%,100%",
-    within: Annotated[
+    deadline: Annotated[
         int | None, typer.Option(min=1, metavar="STEPS", help="an exploration may take so long")
     ] = None,
-    agreement: Annotated[
+    min_map_accuracy: Annotated[
         float, typer.Option(min=0, max=1, metavar="SHARE", help="of the building that a map must have right")
     ] = 0.95,
     seeds: Annotated[int, typer.Option(min=1, metavar="N", help="runs of each combination")] = 5,
@@ -247,7 +247,7 @@ def size(
     from deploy.study import sizing  # noqa: PLC0415
 
     with report_user_errors():
-        settings = other_settings(set_ or [], sizing.size, "exchange=predictive")
+        settings = other_settings(set_ or [], sizing.size, "map_encoding=predictive")
         runs = out / "runs.parquet"
         with stopping(runs):
             done = sizing.size(
@@ -255,7 +255,7 @@ def size(
                 robots=whole_numbers(robots, "robots"),
                 bandwidth=[int(word) if word.isdecimal() else word for word in words(bandwidth)],
                 range=words(range_),
-                within=within, agreement=agreement, seeds=seeds, jobs=jobs, scheduler=scheduler, out=runs,
+                deadline=deadline, min_map_accuracy=min_map_accuracy, seeds=seeds, jobs=jobs, scheduler=scheduler, out=runs,
                 **settings,
             )  # fmt: skip
         report_failures(done.sweep.failures)

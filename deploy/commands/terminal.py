@@ -96,7 +96,7 @@ def summary_lines(summary: dict[str, Any], directory: Path | None) -> list[str]:
         lines.append(f"Explored in {summary['steps']} steps; robot {summary['first_robot']} finished first.")
     else:
         lines.append(f"Not finished after {summary['steps']} steps: {summary['reason']}.")
-    agreement = summary["map_agreement"]
+    agreement = summary["map_accuracy"]
     lines.append(
         f"The team saw {100 * summary['coverage']:.2f} % of what can be reached"
         + (f"; the planning map has {100 * agreement:.2f} % of it right." if agreement is not None else ".")

@@ -35,7 +35,7 @@ from protocol.messages import (
 )
 from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_ERRORS
 
-MOST_FAULTS = 1000
+MAX_PROTOCOL_ERROR_TEXTS = 1000
 """Faults that are kept in words; more are counted."""
 
 
@@ -45,7 +45,7 @@ class Records:
 
     robots: int
     world: list[WorldReport] = field(default_factory=list)
-    robot_settings: list[list[RobotStatus]] = field(default_factory=list)
+    statuses: list[list[RobotStatus]] = field(default_factory=list)
     rows: list[bytes] = field(default_factory=list)
     own: dict[int, Grid] = field(default_factory=dict)
     """Self-explored grids, by robot, at the end."""
@@ -60,9 +60,9 @@ class Records:
     """Robots that were killed as asked for, and have not been restarted."""
     returned: list[tuple[int, int]] = field(default_factory=list)
     """(step, robot): robots that had been lost unasked, and came back."""
-    faults: list[str] = field(default_factory=list)
-    """Who said what that made no sense: the first `MOST_FAULTS` of them."""
-    fault_count: int = 0
+    protocol_errors: list[str] = field(default_factory=list)
+    """Who said what that made no sense: the first `MAX_PROTOCOL_ERROR_TEXTS` of them."""
+    protocol_error_count: int = 0
     """How many faults there were."""
     end: End | None = None
     carried: int = 0
@@ -71,7 +71,7 @@ class Records:
     """Bytes that the bus has moved (`deploy.record.wire_bytes`); None if it is not available."""
 
     def __post_init__(self) -> None:
-        self.robot_settings = [[] for _ in range(self.robots)]
+        self.statuses = [[] for _ in range(self.robots)]
 
     def __repr__(self) -> str:
         return f"<records of {self.robots} robots, up to step {self.step}>"
@@ -87,15 +87,15 @@ class Records:
         return self.world[-1].seen / self.world[-1].reachable if self.world else 0.0
 
     @property
-    def is_whole(self) -> bool:
+    def has_all_grids(self) -> bool:
         """Whether what every robot has seen is among the grids: no life has ended without handing them in."""
         return not (self.lost or self.returned or {s.kind for s in self.strikes} & {"kill", "restart"})
 
-    def note_fault(self, who: str, what: str) -> None:
+    def note_protocol_error(self, who: str, what: str) -> None:
         """Record that `who` said what made no sense."""
-        self.fault_count += 1
-        if len(self.faults) < MOST_FAULTS:
-            self.faults.append(f"{who}: {what}")
+        self.protocol_error_count += 1
+        if len(self.protocol_errors) < MAX_PROTOCOL_ERROR_TEXTS:
+            self.protocol_errors.append(f"{who}: {what}")
 
     def ledger(self) -> NDArray[np.void]:
         """All rows of the ledger so far (`netshaper.ledger.ROW`), in the order in which they were recorded."""
@@ -140,11 +140,11 @@ class RecorderNode:
         except ProtocolError as error:
             self._note_nonsense(sender, str(error))
         if self.records.end is not None and not self.done and not self.missing():
-            self.send_home()
+            self.shut_down()
 
     def _note_nonsense(self, sender: str, what: str) -> None:
         """Record what made no sense; who says too much of it is given up."""
-        self.records.note_fault(sender, what)
+        self.records.note_protocol_error(sender, what)
         self._protocol_errors[sender] += 1
         if self._protocol_errors[sender] == MAX_PROTOCOL_ERRORS + 1 and names.is_robot(sender):
             self._bus.put(
@@ -173,7 +173,7 @@ class RecorderNode:
             records.changes.append(said)
         elif isinstance(said, Fault):
             who = said.who if sender in (names.RELAY, names.WORLD) else sender
-            records.note_fault(who, said.what)
+            records.note_protocol_error(who, said.what)
         elif isinstance(said, End):
             records.end = said
         elif isinstance(said, Maps):
@@ -189,7 +189,7 @@ class RecorderNode:
 
     def _take_thoughts(self, robot: int, said: RobotStatus) -> None:
         """Take a robot's report, one a step at most."""
-        told = self.records.robot_settings[robot]
+        told = self.records.statuses[robot]
         after, last = (told[-1].step if told else 0), self.records.step + 1
         if not after < said.step <= last:
             raise ProtocolError(
@@ -234,12 +234,12 @@ class RecorderNode:
         gone = records.own.keys() | records.lost.keys() | records.killed
         return [robot for robot in range(records.robots) if robot not in gone]
 
-    def give_up_waiting(self) -> None:
+    def finish_without_missing(self) -> None:
         """Send all home without what some still owe; a robot that owes its maps is lost with them."""
         if self.records.end is not None:
             for robot in self.missing():
                 self.records.lost[robot] = "it did not hand in its maps"
-        self.send_home()
+        self.shut_down()
 
     def ask(self, wish: Strike | Change) -> None:
         """Ask for something that the scenario does not have: with the next step."""
@@ -258,7 +258,7 @@ class RecorderNode:
         if self._meter is not None:
             self.records.wire_bytes = self._meter.read()
 
-    def send_home(self) -> None:
+    def shut_down(self) -> None:
         """Tell all participants that everything is recorded and that they can shut down."""
         self.read_meter()
         self.done = True

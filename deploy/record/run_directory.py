@@ -40,7 +40,7 @@ RUNS = Path("runs")
 """The directory for runs without `--out`."""
 
 FIGURES = (
-    "finished", "reason", "steps", "first_robot", "coverage", "map_agreement", "t90", "t99", "robots", "seed",
+    "finished", "reason", "steps", "first_robot", "coverage", "map_accuracy", "t90", "t99", "robots", "seed",
     "map", "bus", "strategy", "map_encoding", "bandwidth", "range_m", "bytes", "packets", "over_budget_steps",
     "undelivered", "lost", "digest", "steps_per_s", "versions",
 )  # fmt: skip
@@ -160,7 +160,7 @@ def steps_table(plan: Plan, records: Records) -> Any:
 
     cell = plan.map.resolution
     robot_settings = {
-        (r, report.step): report for r, reports in enumerate(records.robot_settings) for report in reports
+        (r, report.step): report for r, reports in enumerate(records.statuses) for report in reports
     }
     rows: list[dict[str, Any]] = []
     for report in records.world:

@@ -27,12 +27,12 @@ SCAN_VALUES, VALUE_BYTES = 362, 2
 Mask = NDArray[np.bool_]
 
 
-def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
+def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
     """Compute ``summary.json`` from the records; figures that an aborted run does not have are null."""
     scenario = plan.scenario
     end = records.end
     done = end is not None and end.first >= 0
-    finished = done and records.explored >= scenario.least_coverage
+    finished = done and records.explored >= scenario.min_coverage
     ledger = records.ledger()
     reachable = plan.make_world().reachable
     kinds, packets = _per_kind(ledger)
@@ -46,7 +46,7 @@ def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "explored_at": _explored_at(plan, steps) if finished else None,
         "first_robot": end.first if done and end is not None else None,
         "coverage": _coverage(records, reachable),
-        "map_agreement": _share_free(records.planning[wanted], reachable)
+        "map_accuracy": _share_free(records.planning[wanted], reachable)
         if wanted in records.planning
         else None,
         **_wall_quality(records, wanted, plan.map.cells, reachable),
@@ -73,7 +73,7 @@ def summarise(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "undelivered": _undelivered(ledger),
         "lost": {str(robot): cause for robot, cause in sorted(records.lost.items())},
         "returned": [list(each) for each in records.returned],
-        "faults": records.fault_count,
+        "protocol_errors": records.protocol_error_count,
         "digest": digest(records),
         "wall_s": round(wall_s, 3),
         "steps_per_s": round(records.step / wall_s, 1) if wall_s else None,
@@ -110,7 +110,7 @@ def digest(records: Records) -> str:
 
 def _coverage(records: Records, reachable: Mask) -> float:
     """What the team has seen, by its own grids; if a robot was lost with its grid, by the world's report."""
-    if not records.own or not records.is_whole:
+    if not records.own or not records.has_all_grids:
         return records.explored
     team = np.zeros(reachable.shape, np.bool_)
     for grid in records.own.values():
@@ -120,7 +120,7 @@ def _coverage(records: Records, reachable: Mask) -> float:
 
 def _overlap(records: Records, reachable: Mask) -> float | None:
     """Cells that more than one robot has seen itself, over cells seen; None where not all have told their grids."""
-    if not records.own or not records.is_whole:
+    if not records.own or not records.has_all_grids:
         return None
     seen = np.zeros(reachable.shape, np.int64)
     for grid in records.own.values():
@@ -182,16 +182,16 @@ def _per_kind(ledger: NDArray[np.void]) -> tuple[dict[str, int], dict[str, int]]
 
 def _approximation_error(records: Records, robot: int, cells: int) -> float | None:
     """Mean over the steps of one robot's d(t), as a share of the cells to explore (thesis, Eq. 6.1)."""
-    if not 0 <= robot < len(records.robot_settings) or not records.robot_settings[robot]:
+    if not 0 <= robot < len(records.statuses) or not records.statuses[robot]:
         return None
-    return float(np.mean([report.error for report in records.robot_settings[robot]]) / cells)
+    return float(np.mean([report.error for report in records.statuses[robot]]) / cells)
 
 
 def _net_error(records: Records, robot: int, cells: int) -> float | None:
     """The same less what an exact approximation would have wrong; None where that was not measured."""
-    if not 0 <= robot < len(records.robot_settings) or not records.robot_settings[robot]:
+    if not 0 <= robot < len(records.statuses) or not records.statuses[robot]:
         return None
-    reports = records.robot_settings[robot]
+    reports = records.statuses[robot]
     if any(report.exact_error < 0 for report in reports):
         return None
     return float(np.mean([report.error - report.exact_error for report in reports]) / cells)
@@ -252,5 +252,5 @@ def _differs(columns: NDArray[np.int64]) -> Mask:
 
 def _median_work(records: Records) -> float | None:
     """Median computing time of a robot per step, in microseconds."""
-    work = [report.work_us for reports in records.robot_settings for report in reports]
+    work = [report.work_us for reports in records.statuses for report in reports]
     return float(np.median(work)) if work else None

@@ -151,7 +151,7 @@ def serve_robot(credential: Path) -> None:
     serve_agent(read)
 
 
-def serve_lab(
+def serve_recorder(
     scenario: Scenario,
     credential: Path,
     out: Path | None,

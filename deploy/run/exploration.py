@@ -20,7 +20,7 @@ from deploy.dashboard.process import RECORDING, ViewTask, watching
 from deploy.dashboard.windows import Window, optimise
 from deploy.record import run_directory
 from deploy.record.records import RecorderNode, Records
-from deploy.record.summary import summarise
+from deploy.record.summary import summarize
 from deploy.run import in_memory, launch
 from deploy.run.control import Control, as_it_went
 from deploy.run.crash_report import traceback_of
@@ -142,7 +142,7 @@ class Result:
 _SHOWN = (
     "steps",
     "coverage",
-    "map_agreement",
+    "map_accuracy",
     "t90",
     "t99",
     "strategy",
@@ -358,7 +358,7 @@ class _Fallen:
 
 def conclude(plan: Plan, outcome: launch.Outcome, directory: Path | None, wall_s: float) -> Result:
     """Summarise a run and write its results; what was done to it becomes a part of its scenario."""
-    summary = summarise(plan, outcome.records, wall_s)
+    summary = summarize(plan, outcome.records, wall_s)
     done = as_it_went(plan, outcome.records)
     if directory is not None and done is not plan:
         run_directory.write_inputs(directory, done)

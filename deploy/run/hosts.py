@@ -40,7 +40,7 @@ class Host(_Table):
     def _name_does_for_a_file(cls, value: str) -> str:
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", value):
             raise ValueError("must be letters, digits, '-', '_' and dots")
-        if re.fullmatch(r"relay|world|lab|view|r[0-9]+", value):
+        if re.fullmatch(r"relay|world|recorder|view|r[0-9]+", value):
             raise ValueError("is the name of a process of the run; call the host something else")
         return value
 

@@ -150,7 +150,7 @@ class MemoryRun:
         for robot, node in late.items():
             node.give_up_on(robot, "kept the others waiting")
         if not late and self._lab.records.end is not None and not self._lab.done:
-            self._lab.give_up_waiting()
+            self._lab.finish_without_missing()
         elif not late:
             raise RuntimeError("the run stands still: everyone waits for someone")
 

@@ -250,7 +250,7 @@ def _attend(
             watch(recorder.records)
         end_the_lost(recorder.records)
         if look_after_all() and not recorder.records.world:
-            recorder.send_home()  # no first step can come
+            recorder.shut_down()  # no first step can come
         return bool({names.WORLD, FORK_SERVER} & deaths.keys())
 
     with contextlib.closing(bus):
@@ -304,4 +304,4 @@ def attend(bus: Bus, recorder: RecorderNode, heed: Heed, look: Callable[[], bool
         if (broken or wished or is_over) and (ending is None or owed != len(recorder.missing())):
             ending, owed = now, len(recorder.missing())
         if ending is not None and now - ending > WRAP_UP_S:
-            recorder.give_up_waiting()
+            recorder.finish_without_missing()

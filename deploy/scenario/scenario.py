@@ -130,7 +130,7 @@ class Scenario(Table):
     reply_timeout_s: Positive = Field(
         60.0, description="seconds of wall clock in which a robot must be done with a phase or a move"
     )
-    least_coverage: float = Field(
+    min_coverage: float = Field(
         0.9,
         ge=0,
         le=1,

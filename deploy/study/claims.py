@@ -4,8 +4,8 @@ A rule is data, in the experiment's file. It names a figure and what is expected
 combination of the keys ``by`` (all runs together without), on the runs that ``where`` leaves::
 
     [[claim.rule]]
-    says = "coordinated robots are faster"
-    figure = "steps"
+    statement = "coordinated robots are faster"
+    metric = "steps"
     compare = { variant = "burgard" }
     to = { variant = "nearest" }
     expect = "ratio < 1"
@@ -19,7 +19,7 @@ expect                                test
 ``difference > 0``                    mean difference of paired runs, t test; sign test if all figures are 0 or 1
 ``value < 0.5``, ``value in 0..0.1``  mean, t test; exact binomial test if all figures are 0 or 1
 ``falls over KEY``, ``grows over KEY``  trend over the key's values in the grid's order, Page's test
-``order of KEY``                      the same order as ``like = { value = number, ... }``, Kendall's tau, exact
+``order of KEY``                      the same order as ``ranks = { value = number, ... }``, Kendall's tau, exact
 ====================================  =========================================================================
 
 Paired runs are equal in all but the keys of ``compare``. ``spread of`` before a figure means its distance from the
@@ -64,14 +64,14 @@ FORMS = "'ratio < 1', 'difference > 0', 'value in 0..0.1', 'falls over robots', 
 class Rule:
     """What a claim expects of a figure; see the file's head."""
 
-    says: str
-    figure: str
+    statement: str
+    metric: str
     expect: str
     compare: dict[str, Any]
     to: dict[str, Any]
     by: list[str]
     where: dict[str, list[Any]]
-    like: dict[str, float]
+    ranks: dict[str, float]
     all_runs: bool
     exact: bool
 
@@ -86,11 +86,11 @@ class Claim:
         As ``B1``; several experiments may bring rules for a claim.
     paper, figure : str
         Where it stands.
-    says : str
+    statement : str
         The claim in a sentence.
-    found : str
+    reported : str
         The paper's own figures.
-    because : str
+    explanation : str
         Why it comes out differently here, where it does; found by experiment. Not the verdict: that is computed.
     rules : tuple of Rule
     """
@@ -98,9 +98,9 @@ class Claim:
     id: str
     paper: str
     figure: str
-    says: str
-    found: str
-    because: str
+    statement: str
+    reported: str
+    explanation: str
     rules: tuple[Rule, ...]
 
 
@@ -150,7 +150,7 @@ class Verdict(NamedTuple):
 
 def read_claim(data: Any, grid: dict[str, Any], variants: Iterable[str], names: Iterable[str]) -> Claim:
     """Check a claim as read from a file; ValueError says what is wrong. `names` are figures besides a summary's."""
-    texts = ("id", "paper", "figure", "says", "found", "because")
+    texts = ("id", "paper", "figure", "statement", "reported", "explanation")
     if not isinstance(data, dict):
         raise ValueError(f"claim = {data!r}: must be a table, [claim]")
     for key, value in data.items():
@@ -158,7 +158,7 @@ def read_claim(data: Any, grid: dict[str, Any], variants: Iterable[str], names: 
             raise ValueError(f"claim.{key} is no part of a claim; there are: {', '.join((*texts, 'rule'))}")
         if key in texts and not isinstance(value, str):
             raise ValueError(f"claim.{key} = {value!r}: must be text")
-    for key in ("id", "paper", "says"):
+    for key in ("id", "paper", "statement"):
         if not data.get(key):
             raise ValueError(f"claim.{key} is missing")
     entries = data.get("rule", [])
@@ -272,7 +272,7 @@ def _trend(rule: Rule, rows: Sequence[Row], key: str, sign: int) -> tuple[Eviden
 
 def _order(rule: Rule, rows: Sequence[Row], key: str) -> tuple[Evidence, int]:
     found, wanted = [], []
-    for level, rank in rule.like.items():
+    for level, rank in rule.ranks.items():
         of_level = [
             row for row in rows if level in (str(row["place"][key]), Path(str(row["place"][key])).stem)
         ]
@@ -281,8 +281,8 @@ def _order(rule: Rule, rows: Sequence[Row], key: str) -> tuple[Evidence, int]:
             found.append(float(np.mean(values)))
             wanted.append(rank)
     if len(found) < 2:
-        return Evidence(statistics.interval([]), math.nan, 1.0, 1.0), len(rule.like) - len(found)
-    return statistics.same_order(found, wanted), len(rule.like) - len(found)
+        return Evidence(statistics.interval([]), math.nan, 1.0, 1.0), len(rule.ranks) - len(found)
+    return statistics.same_order(found, wanted), len(rule.ranks) - len(found)
 
 
 def _exactly(figures: Sequence[float], least: float, most: float) -> Evidence:
@@ -304,13 +304,13 @@ def _values(
     apart: set[str] = frozenset(),  # type: ignore[assignment]
 ) -> dict[Any, float | None]:
     """The figure of each run, by its place without the keys `apart`; None where the run does not count."""
-    name = rule.figure.removeprefix(SPREAD)
+    name = rule.metric.removeprefix(SPREAD)
     values: dict[Any, float | None] = {}
     for row in rows:
         place = {key: value for key, value in row["place"].items() if key not in apart}
         counts = rule.all_runs or has_finished(row)
         values[key_of(place)] = figure(row, name) if counts else None
-    if name != rule.figure:
+    if name != rule.metric:
         there = [value for value in values.values() if value is not None]
         middle = float(np.median(there)) if there else math.nan
         return {key: None if value is None else abs(value - middle) for key, value in values.items()}
@@ -322,11 +322,11 @@ def _rule(entry: Any, keys: set[str], variants: list[str], names: list[str]) -> 
     rule = replace(
         Rule("", "", "", {}, {}, [], {}, {}, all_runs=False, exact=False), **_known(entry, keys, variants)
     )
-    where = f"claim.rule {rule.says!r}"
-    for key in ("says", "figure", "expect"):
+    where = f"claim.rule {rule.statement!r}"
+    for key in ("statement", "metric", "expect"):
         if not getattr(rule, key):
             raise ValueError(f"{where}: {key} is missing")
-    check(rule.figure.removeprefix(SPREAD), (), names)
+    check(rule.metric.removeprefix(SPREAD), (), names)
     bound, trend, order = (form.fullmatch(rule.expect) for form in (BOUND, TREND, ORDER))
     if not (bound or trend or order):
         raise ValueError(f"{where}: expect = {rule.expect!r}: must be one of {FORMS}")
@@ -338,8 +338,8 @@ def _rule(entry: Any, keys: set[str], variants: list[str], names: list[str]) -> 
     over = trend[2] if trend else order[1] if order else None
     if over is not None and over not in keys:
         raise ValueError(f"{where}: {over!r} is not in the grid; there are: {', '.join(sorted(keys))}")
-    if bool(order) != bool(rule.like):
-        raise ValueError(f"{where}: like says which order is expected, as {{ a = 1, b = 2 }}")
+    if bool(order) != bool(rule.ranks):
+        raise ValueError(f"{where}: ranks says which order is expected, as {{ a = 1, b = 2 }}")
     return rule
 
 

@@ -35,20 +35,20 @@ class Comparison:
     ----------
     sweep : Sweep
         The runs.
-    figure : str
+    metric : str
         What is compared.
     findings : list of Finding
         A paired test for each two, corrected for how many there are (Holm).
     """
 
     sweep: Sweep
-    figure: str
+    metric: str
     findings: list[Finding]
 
     @property
     def verdicts(self) -> list[str]:
         """A sentence for each two."""
-        return [_sentence(self.figure, finding) for finding in self.findings]
+        return [_sentence(self.metric, finding) for finding in self.findings]
 
     @property
     def table(self) -> pl.DataFrame:
@@ -84,7 +84,7 @@ def compare(
     scenarios: Sequence[Scenario | dict[str, Any] | Path | str] | dict[str, dict[str, Any]],
     *,
     seeds: int = SEEDS,
-    figure: str = "steps",
+    metric: str = "steps",
     jobs: int | None = None,
     scheduler: str | None = None,
     out: Path | None = None,
@@ -99,7 +99,7 @@ def compare(
         Two or more. Their seeds are replaced.
     seeds : int
         Runs of each, on each map.
-    figure : str
+    metric : str
         What is compared, as in tables (docs/experiments.md).
     **settings
         Settings of all of them; lists are run through: ``map=["office", "mixed"], robots=4``.
@@ -116,30 +116,30 @@ def compare(
     variants = _named(scenarios)
     if len(variants) < 2:
         raise ScenarioError("there is nothing to compare: give two scenarios or more")
-    check(figure, ())
+    check(metric, ())
     taken = [key for key in settings if any(key in keys for keys in variants.values())]
     variants = {name: {k: v for k, v in keys.items() if k not in taken} for name, keys in variants.items()}
     if len({repr(keys) for keys in variants.values()}) < len(variants):
         raise ScenarioError("two of the scenarios are the same")
-    figures = list(
-        dict.fromkeys([figure, "steps", "t90", "map_agreement", "worst_wall_precision", "bytes.total"])
+    metrics = list(
+        dict.fromkeys([metric, "steps", "t90", "map_accuracy", "worst_wall_precision", "bytes.total"])
     )
-    made = of_settings("compare", {}, {**settings, "seed": range(seeds)}, variants, figures)
+    made = of_settings("compare", {}, {**settings, "seed": range(seeds)}, variants, metrics)
     panels = "map" if "map" in made.grid else ""
     made = made.with_plots(
         (
-            Plot(figure, kind=BOXES, panels=panels, finished_only=True),
+            Plot(metric, kind=BOXES, panels=panels, finished_only=True),
             Plot("explored", kind=CURVES, panels=panels, xlabel="step", ylabel="explored"),
         )
     )
     done = run(made, jobs=jobs, scheduler=scheduler, out=out, progress=progress)
     rules = [
         Rule(
-            "", figure, "ratio < 1", {VARIANT: one}, {VARIANT: other}, [], {}, {}, all_runs=False, exact=False
+            "", metric, "ratio < 1", {VARIANT: one}, {VARIANT: other}, [], {}, {}, all_runs=False, exact=False
         )
         for one, other in combinations(variants, 2)
     ]
-    return Comparison(done, figure, judge([(rules, done.rows)]).findings)
+    return Comparison(done, metric, judge([(rules, done.rows)]).findings)
 
 
 def _named(
@@ -181,7 +181,7 @@ def _settings(scenario: Scenario | dict[str, Any] | Path | str) -> dict[str, Any
     return read.model_dump(mode="json", exclude_unset=True, exclude=set(OWN))
 
 
-def _sentence(figure: str, finding: Finding) -> str:
+def _sentence(metric: str, finding: Finding) -> str:
     """What was found of two, in a sentence."""
     one, other = finding.rule.compare[VARIANT], finding.rule.to[VARIANT]
     effect = finding.effect
@@ -191,7 +191,7 @@ def _sentence(figure: str, finding: Finding) -> str:
     pairs = f"{effect.n} pairs" + (
         f", {finding.left_out} left out as unfinished or 0" if finding.left_out else ""
     )
-    told = f"{effect.mean:.2f}{bounds} of the {figure} of {other} (p = {finding.p:.3g}, {pairs})"
+    text = f"{effect.mean:.2f}{bounds} of the {metric} of {other} (p = {finding.p:.3g}, {pairs})"
     if finding.verdict == UNDECIDED:
-        return f"{one} and {other} cannot be told apart: {one} has {told}"
-    return f"{one} has {'less' if finding.verdict == HOLDS else 'more'} than {other}: {told}"
+        return f"{one} and {other} show no significant difference: {one} has {text}"
+    return f"{one} has {'less' if finding.verdict == HOLDS else 'more'} than {other}: {text}"

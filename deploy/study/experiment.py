@@ -20,7 +20,7 @@ from typing import Any
 from deploy.scenario.scenario import SHIPPED as SCENARIOS
 from deploy.scenario.scenario import ScenarioError, beside, read_toml
 from deploy.study.claims import Claim, read_claim
-from deploy.study.measures import EXPLORATION, FIGURES, MEASURES
+from deploy.study.measures import EXPLORATION, MEASURES, METRICS
 from deploy.study.plots import Plot, read_plots
 from deploy.study.tables import RELATIVE, VARIANT, Table, check
 from protocol.errors import there_are
@@ -111,7 +111,7 @@ def read(path: Path) -> Experiment:
         measure = data.get("measure", EXPLORATION)
         if measure not in MEASURES:
             raise ValueError(f"measure = {measure!r}: {there_are(MEASURES, str(measure))}")
-        names = FIGURES.get(measure, ())
+        names = METRICS.get(measure, ())
         follow = _follow(data.get("follow", {}), grid)
         variants = _variants(data.get(VARIANT, [{"name": "plain"}]), grid)
         for settings in (base, *variants.values()):
@@ -287,7 +287,7 @@ def _table(
     data: dict[str, Any], grid: dict[str, Any], variants: dict[str, Any], names: Iterable[str]
 ) -> Table:
     """What to print; ValueError if it is unknown."""
-    usual = {"rows": list(grid), "columns": [VARIANT], "values": ["steps", "coverage", "map_agreement"]}
+    usual = {"rows": list(grid), "columns": [VARIANT], "values": ["steps", "coverage", "map_accuracy"]}
     flags = {"interval": False, "finished_only": False}
     whole: dict[str, Any] = usual | flags | data
     for key, said in whole.items():

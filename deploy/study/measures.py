@@ -2,7 +2,7 @@
 
 An experiment names one of `MEASURES`; ``exploration``, the default, runs the scenario on the memory bus. A measure
 takes a plan and returns figures by name, which become columns of the table of runs. A new one is a function in this
-file, its line in `MEASURES`, and the names of its figures in `FIGURES`.
+file, its line in `MEASURES`, and the names of its figures in `METRICS`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from agent.planning.assignment import Assignment, best_of_all, in_turn, total_value
 from agent.planning.frontier import frontier_cells
 from deploy.record.records import Records
-from deploy.record.summary import summarise
+from deploy.record.summary import summarize
 from deploy.run import in_memory
 from deploy.scenario.plan import Plan
 from deploy.scenario.tables import UNLIMITED
@@ -47,7 +47,7 @@ def exploration(plan: Plan) -> Figures:
     began = time.perf_counter()
     records = in_memory.run(plan)
     figures: Figures = {}
-    for name, value in summarise(plan, records, time.perf_counter() - began).items():
+    for name, value in summarize(plan, records, time.perf_counter() - began).items():
         if name in ("lost", "returned", "versions"):
             figures[name] = json.dumps(value, sort_keys=True)
         elif isinstance(value, dict):
@@ -122,7 +122,7 @@ MEASURES: dict[str, Measure] = {
     "recovery": recovery,
 }
 
-FIGURES: dict[str, tuple[str, ...]] = {
+METRICS: dict[str, tuple[str, ...]] = {
     EXPLORATION: ("load.first_quarter", "load.last_quarter", "load.emerging", "load.meeting"),
     "assignment": (
         "assignment.greedy_ms", "assignment.optimal_ms", "assignment.greedy_value", "assignment.optimal_value",
@@ -151,7 +151,7 @@ def _load(plan: Plan, records: Records, carried: NDArray[np.int64]) -> Figures:
     """
     quarter = max(1, len(carried) // 4)
     budget = plan.scenario.bandwidth
-    shares: Figures = dict.fromkeys(FIGURES[EXPLORATION])
+    shares: Figures = dict.fromkeys(METRICS[EXPLORATION])
     if budget != UNLIMITED and budget and len(carried):
         shares["load.first_quarter"] = float(carried[:quarter].mean() / int(budget))
         shares["load.last_quarter"] = float(carried[-quarter:].mean() / int(budget))

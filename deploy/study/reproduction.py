@@ -89,9 +89,9 @@ class Judged:
         return len({row["key"] for part in self.parts for row in part.rows})
 
     @property
-    def because(self) -> str:
+    def explanation(self) -> str:
         """The remarks of its experiments."""
-        return " ".join(part.experiment.claim.because for part in self.parts if part.experiment.claim)
+        return " ".join(part.experiment.claim.explanation for part in self.parts if part.experiment.claim)
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 KEYS = ("robots", "bandwidth", "range")
 
-AGREEMENT = 0.95
+MIN_MAP_ACCURACY = 0.95
 SEEDS = 5
 
 
@@ -60,16 +60,16 @@ class Sizing:
         The runs.
     options : list of Option
         By robots, bandwidth and range, ascending.
-    within : int or None
+    deadline : int or None
         Steps that an exploration may take.
-    agreement : float
+    min_map_accuracy : float
         Share of the building that the first robot's map must have right.
     """
 
     sweep: Sweep
     options: list[Option]
-    within: int | None
-    agreement: float
+    deadline: int | None
+    min_map_accuracy: float
 
     @property
     def enough(self) -> Option | None:
@@ -79,9 +79,9 @@ class Sizing:
     @property
     def sentence(self) -> str:
         """The answer."""
-        asked = f"with at least {100 * self.agreement:g} % of the map right"
-        if self.within is not None:
-            asked = f"within {self.within} steps and {asked}"
+        asked = f"with at least {100 * self.min_map_accuracy:g} % of the map right"
+        if self.deadline is not None:
+            asked = f"within {self.deadline} steps and {asked}"
         best = self.enough
         if best is not None:
             n = best.met.n
@@ -118,9 +118,9 @@ class Sizing:
     def plot(self) -> Figure:
         """Steps by number of robots, a curve a bandwidth, a panel a range, with 95 % intervals."""
         canvas = self.sweep.plot(0)
-        if self.within is not None:
+        if self.deadline is not None:
             for panel in canvas.axes:
-                panel.axhline(self.within, color="#555555", linewidth=1, linestyle="--")
+                panel.axhline(self.deadline, color="#555555", linewidth=1, linestyle="--")
         return canvas
 
     def write(self, folder: Path) -> list[Path]:
@@ -147,8 +147,8 @@ def size(
     robots: Sequence[int] = range(2, 9),
     bandwidth: Sequence[int | str] = (100, 1000, 10000),
     range: Sequence[str] = ("30%", "100%"),
-    within: int | None = None,
-    agreement: float = AGREEMENT,
+    deadline: int | None = None,
+    min_map_accuracy: float = MIN_MAP_ACCURACY,
     seeds: int = SEEDS,
     jobs: int | None = None,
     scheduler: str | None = None,
@@ -164,14 +164,14 @@ def size(
         A map's file, or the name of a generator.
     robots, bandwidth, range : sequences
         What is tried, in all combinations.
-    within : int, optional
+    deadline : int, optional
         Steps that an exploration may take.
-    agreement : float
+    min_map_accuracy : float
         Share of the building that the first robot's map must have right at the end.
     seeds : int
         Runs of each combination.
     **settings
-        Other settings of all runs: ``exchange="predictive", dissemination="gossip"``.
+        Other settings of all runs: ``map_encoding="predictive", dissemination="gossip"``.
 
     Raises
     ------
@@ -188,7 +188,7 @@ def size(
         "range": list(range),
         "seed": list(_counted(seeds)),
     }
-    made = of_settings("size", {"map": map, **settings}, grid, {"plain": {}}, ("steps", "map_agreement"))
+    made = of_settings("size", {"map": map, **settings}, grid, {"plain": {}}, ("steps", "map_accuracy"))
     plot = Plot(
         "steps",
         x="robots",
@@ -198,14 +198,14 @@ def size(
         ylabel="exploration time (steps)",
     )
     done = run(made.with_plots((plot,)), jobs=jobs, scheduler=scheduler, out=out, progress=progress)
-    return Sizing(done, _options(done, within, agreement), within, agreement)
+    return Sizing(done, _options(done, deadline, min_map_accuracy), deadline, min_map_accuracy)
 
 
 _counted = range
 """Python's own; `size` has a setting of that name."""
 
 
-def _options(done: Sweep, within: int | None, agreement: float) -> list[Option]:
+def _options(done: Sweep, deadline: int | None, min_map_accuracy: float) -> list[Option]:
     """What came of each team that was tried, in their order."""
     diagonal_m = load_map(done.cases[0].scenario).diagonal_m
     teams: dict[tuple[int, float, float], list[Case]] = {}
@@ -221,15 +221,15 @@ def _options(done: Sweep, within: int | None, agreement: float) -> list[Option]:
     for _, cases in sorted(teams.items()):
         team = {key: cases[0].place[key] for key in KEYS}
         runs = [row for row in done.rows if team.items() <= row["place"].items()]
-        met = sum(_meets(row, within, agreement) for row in runs)
+        met = sum(_meets(row, deadline, min_map_accuracy) for row in runs)
         steps = interval([row["steps"] for row in runs if has_finished(row)])
         options.append(Option(**team, met=share(met, len(cases)), steps=steps))
     return options
 
 
-def _meets(row: Row, within: int | None, agreement: float) -> bool:
-    in_time = within is None or row["steps"] <= within
-    return has_finished(row) and in_time and (row["map_agreement"] or 0) >= agreement
+def _meets(row: Row, deadline: int | None, min_map_accuracy: float) -> bool:
+    in_time = deadline is None or row["steps"] <= deadline
+    return has_finished(row) and in_time and (row["map_accuracy"] or 0) >= min_map_accuracy
 
 
 def _count(robots: int) -> str:

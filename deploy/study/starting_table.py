@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 
 from agent.encodings.predictive import ENOUGH_STEPS
 from agent.predictive import contexts
-from agent.predictive.history import Box, History, around
+from agent.predictive.history import History
 from agent.predictive.stream import Stream
 from deploy.run import in_memory
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import parse
 from protocol import keys as names
+from protocol.boxes import Box, bounding_box
 from protocol.bus import Bus, Message
 from protocol.grid import UNKNOWN, ray_table
 from protocol.messages import Sense, cells_from_bytes, unpack
@@ -65,7 +66,7 @@ def explored(plan: Plan) -> list[list[Sense]]:
     senses: list[list[Sense]] = [[] for _ in range(plan.scenario.robots)]
 
     def wrap(name: str, bus: Bus) -> Bus:
-        return _Listener(bus, senses[names.number(name)]) if name[:1] == "r" and name != names.RELAY else bus
+        return _Listener(bus, senses[names.number(name)]) if names.is_robot(name) else bus
 
     in_memory.run(plan, wrap=wrap)
     return senses
@@ -94,9 +95,9 @@ def counted(plan: Plan, senses: list[list[Sense]]) -> Iterator[NDArray[np.uint16
             change = draw(own[robot], ray_tables[robot], sense.x, sense.y, readings, driven)
             if change.cells:
                 poses[robot].append((sense.x, sense.y))
-                boxes[robot].append((change.x0, change.y0, change.x1, change.y1))
+                boxes[robot].append(change.box)
             if poses[robot] and (step + robot) % ENOUGH_STEPS == 0:
-                streams[robot].encode(own[robot], poses[robot], around(boxes[robot]))
+                streams[robot].encode(own[robot], poses[robot], bounding_box(boxes[robot]))
                 poses[robot], boxes[robot] = [], []
     for stream in streams:
         yield stream.counts

@@ -23,7 +23,7 @@ from deploy.study.tables import VARIANT, Table, described
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-USUAL = ("steps", "coverage", "map_agreement")
+USUAL = ("steps", "coverage", "map_accuracy")
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -2,7 +2,7 @@
 
 A figure is a name in a row of the table of runs (``steps``), dotted for a value in a table (``bytes.total``), a sum
 of names (``bytes.ins + bytes.del``), or a quotient of two of these (``bytes.conn / bytes.total``). It may be
-followed by ``relative to`` and a variant, by whose figure of the same run it is divided. ``least`` before it means
+followed by ``relative to`` and a variant, by whose figure of the same run it is divided. ``min`` before it means
 the minimum over all runs instead of their mean.
 """
 
@@ -25,19 +25,19 @@ VARIANT = "variant"
 RELATIVE = " relative to "
 """Between a figure and the variant whose figure of the same run it is divided by."""
 
-LEAST = "least "
+MIN = "min "
 """Before a figure of which the minimum is wanted."""
 
-LEAST_COVERAGE = 0.99
+MIN_COVERAGE = 0.99
 """Coverage that a run needs to count as finished, besides reporting so."""
 
-FIGURES = (
-    "steps", "coverage", "map_agreement", "t50", "t90", "t99", "overlap", "finished", "first_robot",
+METRICS = (
+    "steps", "coverage", "map_accuracy", "t50", "t90", "t99", "overlap", "finished", "first_robot",
     "wall_precision", "wall_recall", "worst_wall_precision", "worst_wall_recall",
     "approximation_error", "approximation_error_net", "explored_at", "robots", "seed", "range_m", "raw_scan_bytes",
-    "wire_bytes", "over_budget_steps", "faults", "wall_s", "steps_per_s", "work_us_median",
+    "wire_bytes", "over_budget_steps", "protocol_errors", "wall_s", "steps_per_s", "work_us_median",
 )  # fmt: skip
-"""Numbers of a summary (`deploy.record.summary.summarise`)."""
+"""Numbers of a summary (`deploy.record.summary.summarize`)."""
 
 TABLES = {
     "bytes": (*ALL_KINDS, "total"),
@@ -73,7 +73,7 @@ class Table:
 
 def check(text: str, variants: Iterable[str], names: Iterable[str] = ()) -> None:
     """Raise ValueError if `text` is no figure, nor one of `names`, or is relative to none of the variants."""
-    name, relative, against = text.removeprefix(LEAST).partition(RELATIVE)
+    name, relative, against = text.removeprefix(MIN).partition(RELATIVE)
     if relative and against not in variants:
         raise ValueError(f"{text!r}: no variant is called {against!r}; there are: {', '.join(variants)}")
     parts = name.split(" / ")
@@ -81,9 +81,9 @@ def check(text: str, variants: Iterable[str], names: Iterable[str] = ()) -> None
         raise ValueError(f"{text!r}: must be sums of figures with at most one ' / ' between")
     for one in (one for part in parts for one in part.split(" + ")):
         table, _, number = one.rpartition(".")
-        if one not in names and number not in (TABLES.get(table, ()) if table else FIGURES):
+        if one not in names and number not in (TABLES.get(table, ()) if table else METRICS):
             tables = (f"{table}.{'|'.join(numbers)}" for table, numbers in TABLES.items())
-            raise ValueError(f"{one!r} is no figure; there are: {', '.join([*FIGURES, *names, *tables])}")
+            raise ValueError(f"{one!r} is no figure; there are: {', '.join([*METRICS, *names, *tables])}")
 
 
 def figure(row: Row, text: str) -> float | None:
@@ -135,15 +135,15 @@ def described(table: Table, rows: Sequence[Row], keys: Sequence[str] | None = No
         counted = [row for row in members if has_finished(row)] if table.finished_only else members
         finished = share(sum(has_finished(row) for row in members), len(members))
         for name in table.values:
-            values = [v for row in counted if (v := _value(row, name.removeprefix(LEAST), twins)) is not None]
+            values = [v for row in counted if (v := _value(row, name.removeprefix(MIN), twins)) is not None]
             mean = interval(values)
             least, first, median, third, largest = five_numbers(values)
             lines.append(
                 {key: _short(value) for key, value in zip(keys, cell, strict=True)}
                 | {
-                    "figure": name, "runs": len(members), "finished": finished.mean, "finished_low": finished.low,
+                    "metric": name, "runs": len(members), "finished": finished.mean, "finished_low": finished.low,
                     "finished_high": finished.high, "n": mean.n, "mean": mean.mean, "low": mean.low, "high": mean.high,
-                    "least": least, "quartile_1": first, "median": median, "quartile_3": third, "largest": largest,
+                    "min": least, "quartile_1": first, "median": median, "quartile_3": third, "max": largest,
                 }
             )  # fmt: skip
     return pl.DataFrame(lines, infer_schema_length=None)
@@ -151,7 +151,7 @@ def described(table: Table, rows: Sequence[Row], keys: Sequence[str] | None = No
 
 def has_finished(row: Row) -> bool:
     """Whether a run ended as explored, with sufficient coverage; what is no exploration always has."""
-    return row.get("finished") is None or (bool(row["finished"]) and row["coverage"] >= LEAST_COVERAGE)
+    return row.get("finished") is None or (bool(row["finished"]) and row["coverage"] >= MIN_COVERAGE)
 
 
 def key_of(place: dict[str, Any]) -> tuple[tuple[str, str], ...]:
@@ -161,7 +161,7 @@ def key_of(place: dict[str, Any]) -> tuple[tuple[str, str], ...]:
 
 def _cell(table: Table, runs: Sequence[Row], value: str, twins: dict[Any, Row]) -> str:
     """One figure of some runs: its mean, or the minimum."""
-    name = value.removeprefix(LEAST)
+    name = value.removeprefix(MIN)
     if name != value:
         found = [one for run in runs if (one := _value(run, name, twins)) is not None]
         return f"{min(found):.4f}" if found else "-"

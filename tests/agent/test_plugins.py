@@ -60,7 +60,7 @@ def python(installed: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_strategies_and_exchanges_of_a_package_are_run_by_their_names(installed: Path) -> None:
-    run = "from deploy import explore; print(explore(map='em', robots=2, steps=4, bus='memory', keep=False, "
+    run = "from murmur import explore; print(explore(map='em', robots=2, steps=4, bus='memory', keep=False, "
     done = python(
         installed, "-c", run + "strategy='farthest', map_encoding='quiet').summary['map_encoding'])"
     )

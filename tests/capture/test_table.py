@@ -24,7 +24,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Result:
         "bandwidth": 900,
         "range": "40%",
         "steps": 30,
-        "round": "scans",
+        "map_encoding": "scans",
         "strategy": "meier",
     }
     scenario = parse({**settings, "bus": "memory"})

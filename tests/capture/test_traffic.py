@@ -28,9 +28,9 @@ HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 
 SWARMS = {
-    "cut by the budget": {"robots": 4, "round": "polygons", "bandwidth": 300, "range": "40%", "steps": 50},
+    "cut by the budget": {"robots": 4, "map_encoding": "polygons", "bandwidth": 300, "range": "40%", "steps": 50},
     "long frames": {
-        "robots": 3, "round": "scans", "bandwidth": "unlimited", "beams": 3600, "range": "10%", "seed": 2,
+        "robots": 3, "map_encoding": "scans", "bandwidth": "unlimited", "beams": 3600, "range": "10%", "seed": 2,
         "steps": 40,
     },
 }  # fmt: skip
@@ -108,7 +108,7 @@ def test_no_connection_carries_what_is_not_its_owners(traffic: Traffic) -> None:
         is_robot = me in others
         said_of = {key for key, _ in connection.puts[UP]}
         heard_of = {key for key, _ in connection.puts[DOWN]}
-        allowed_up = {f"control/tx/{me}", f"control/rx/lab/{me}"}
+        allowed_up = {f"control/tx/{me}", f"control/rx/recorder/{me}"}
         allowed_down = {f"control/rx/{me}/relay"}
         if is_robot:
             allowed_up |= {f"radio/tx/{me}", f"body/rx/world/{me}"}
@@ -117,12 +117,12 @@ def test_no_connection_carries_what_is_not_its_owners(traffic: Traffic) -> None:
             allowed_up |= {f"body/rx/{robot}/world" for robot in others}
             allowed_down |= {f"body/rx/world/{robot}" for robot in others}
         else:
-            allowed_down |= {f"control/rx/lab/{name}" for name in {*others, "world", "relay"}}
+            allowed_down |= {f"control/rx/recorder/{name}" for name in {*others, "world", "relay"}}
         assert said_of <= allowed_up
         assert heard_of <= allowed_down
         if is_robot:
             listens = {key for kind, key in connection.told[DOWN] if kind == "subscriber"}
-            assert listens == {"*/tx/**", "*/rx/world/**", "*/rx/lab/**"}, "it learns who else listens"
+            assert listens == {"*/tx/**", "*/rx/world/**", "*/rx/recorder/**"}, "it learns who else listens"
 
 
 def test_the_relay_got_what_each_robot_said_in_order_and_booked_every_byte(

@@ -214,7 +214,7 @@ def defaults(kind: Any, prefix: str = "") -> dict[str, tuple[str, str]]:
         if name in ("robot", "death", "fault", "change") and not prefix:
             continue
         if name == "polygons":
-            found |= {f"polygon.{n}": (plain(value), "") for n, value in asdict(PolygonOptions()).items()}
+            found |= {f"polygons.{n}": (plain(value), "") for n, value in asdict(PolygonOptions()).items()}
             continue
         if name == "predictive":
             found |= {
@@ -397,7 +397,7 @@ def test_every_setting_stands_in_the_table_with_its_default() -> None:
         assert map_id in table[name][1], name
     for name, value in asdict(THESIS_OPTIONS).items():
         if value != asdict(PolygonOptions())[name]:
-            assert f"thesis: {plain(value)}" in table[f"polygon.{name}"][1]
+            assert f"thesis: {plain(value)}" in table[f"polygons.{name}"][1]
     for choice in (*ENCODINGS, *get_args(Scenario.model_fields["bus"].annotation)):
         assert choice in (DOCS / "protocol.md").read_text(encoding="utf-8")
 
@@ -436,7 +436,7 @@ def test_a_shipped_scenario_runs(name: str) -> None:
     assert records.end is not None
     assert records.end.step == 70
     assert not records.lost
-    assert not records.faults
+    assert not records.protocol_errors
     alive = {len(np.frombuffer(report.poses, "<i4")) // 4 for report in records.world}
     assert alive == ({4, 3} if name == "breakdown.toml" else {4})
 

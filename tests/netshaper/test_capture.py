@@ -24,7 +24,7 @@ from tests.netshaper.scripted_robots import Air, Liar, Robot
 small = st.integers(-1, 63)
 predictiveings = st.builds(
     LoggedFrame,
-    round_number=st.integers(0, 15),
+    round=st.integers(0, 15),
     connection=st.integers(-1, 2**31 - 1),
     frame=st.integers(0, 3),
     sender=st.integers(0, 63),
@@ -89,7 +89,7 @@ def test_what_is_written_is_read(said: list[tuple[int, list[LoggedFrame]]]) -> N
 large = st.integers(-1, 255)
 wide_predictiveings = st.builds(
     LoggedFrame,
-    round_number=st.integers(0, 15),
+    round=st.integers(0, 15),
     connection=st.integers(-1, 2**31 - 1),
     frame=st.integers(0, 3),
     sender=large,

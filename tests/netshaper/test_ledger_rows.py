@@ -16,7 +16,7 @@ from tests.protocol.test_packets import streams
 small = st.integers(-1, 255)
 predictiveings = st.builds(
     LoggedFrame,
-    round_number=st.integers(0, 15),
+    round=st.integers(0, 15),
     connection=st.integers(-1, 2**31 - 1),
     frame=st.integers(0, 3),
     sender=small,

@@ -66,9 +66,9 @@ def drawn_by_the_book(grid: Grid, laid: RayTable, x: int, y: int, readings: Read
             result[cy, cx] = state
             changed.append((cx, cy))
     if not changed:
-        return result, Change(0, width, height, 0, 0)
+        return result, Change(0, (width, height, 0, 0))
     xs, ys = zip(*changed, strict=True)
-    return result, Change(len(changed), min(xs), min(ys), max(xs) + 1, max(ys) + 1)
+    return result, Change(len(changed), (min(xs), min(ys), max(xs) + 1, max(ys) + 1))
 
 
 def test_a_scan_of_360_beams_is_724_bytes_on_the_air() -> None:
@@ -182,7 +182,7 @@ def test_a_reading_counts_the_cells_crossed_and_says_whether_the_next_one_stoppe
 def test_a_change_tells_the_box_that_it_lies_in() -> None:
     grid = np.zeros((9, 9), np.uint8)
     change = draw(grid, ray_table(2.0, 4), 4, 5, np.array([2, 1 | HIT, HIT, 0], np.uint16))
-    assert change == Change(6, 3, 5, 7, 8)
+    assert change == Change(6, (3, 5, 7, 8))
 
 
 @given(st.binary(min_size=1, max_size=800))
@@ -215,5 +215,5 @@ def test_cells_driven_over_become_free_and_nothing_that_is_known_changes() -> No
     driven = np.array([[1, 1], [2, 1], [3, 2], [3, 2], [1, 0], [4, 1], [1, -1]], np.int32)
     change = draw(grid, FAN, 1, 1, blind, driven)
     assert grid.tolist() == [[0, 1, 0, 0], [0, 1, 2, 0], [0, 0, 0, 1]]
-    assert change == Change(2, 1, 0, 4, 3)
+    assert change == Change(2, (1, 0, 4, 3))
     assert draw(grid, FAN, 1, 1, blind, driven).cells == 0

@@ -76,13 +76,13 @@ class Mind:
         frames = heard[len(heard) - count :]
         match note:
             case Open():
-                said = robot.announce(note.peers) if note.map_encoding == 0 else None
+                said = robot.announce(note.peers) if note.round == 0 else None
                 puts = [(EVERYONE, said)] if said is not None and note.peers else []
                 room = None if note.budget == UNLIMITED else note.budget
-                dissemination = session.dissemination(note.map_encoding, note.peers, room)
+                dissemination = session.offers(note.round, note.peers, room)
                 puts += [(peer, frame) for peer, _, frame in dissemination]
-                return puts, Said(note.step, note.map_encoding, "dissemination", [], session.priority)
-            case PhaseDelivery(phase="dissemination"):
+                return puts, Said(note.step, note.round, "offers", [], session.priority)
+            case PhaseDelivery(phase="offers"):
                 offered = [(n, *frame) for n, frame in zip(note.connections, frames, strict=True)]
                 return self._put(note, "answers", session.answers(offered))
             case PhaseDelivery():
@@ -100,7 +100,7 @@ class Mind:
         self, note: PhaseDelivery, phase: str, said: list[tuple[int, int, bytes]]
     ) -> tuple[list[Put], Said | None]:
         puts = [(peer, frame) for _, peer, frame in said]
-        return puts, Said(note.step, note.map_encoding, phase, [number for number, _, _ in said])
+        return puts, Said(note.step, note.round, phase, [number for number, _, _ in said])
 
 
 class Team:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy import explore
+from murmur import explore
 
 STRATEGY = """from agent.strategies.targets import TargetStrategy
 

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.run.by_hand import serve_lab, serve_netshaper, serve_worldsim
+from deploy.run.by_hand import serve_netshaper, serve_recorder, serve_worldsim
 from deploy.scenario.scenario import ScenarioError, parse
 from netshaper import access
 
@@ -93,9 +93,9 @@ def test_the_commands_of_the_document_make_the_run_that_explore_makes(tmp_path: 
         assert set(codes.values()) == {0}, said
         relay, world, *agents, recorder = (said[command][0] for command in by_hand)
         assert re.match(
-            rf"run \w+ at tcp/{address}; credentials in credentials: world, lab, view, r0, r1\n", relay
+            rf"run \w+ at tcp/{address}; credentials in credentials: world, recorder, view, r0, r1\n", relay
         )
-        assert "\nwaiting for lab, r0, r1, world\n" in relay
+        assert "\nwaiting for r0, r1, recorder, world\n" in relay
         assert relay.endswith("\nall are here\n")
         assert not world
         assert agents == ["", ""]
@@ -144,7 +144,7 @@ def test_a_scenario_that_is_not_the_relay_s_is_refused_by_name(tmp_path: Path) -
     with pytest.raises(
         ScenarioError, match=r"^robots = 3 here, but 2 in .*scenario\.toml: give all the same"
     ):
-        serve_lab(ours, tmp_path / "recorder.json", tmp_path / "run", None)
+        serve_recorder(ours, tmp_path / "recorder.json", tmp_path / "run", None)
     assert not (tmp_path / "run").exists()
 
 
@@ -169,6 +169,6 @@ def test_a_laboratory_that_is_not_let_in_leaves_no_directory(
     monkeypatch.setattr("protocol.zenoh_bus.CONNECT_S", 0.5)
     access.issue("run", "tcp/127.0.0.1:1", robots=2)["recorder"].write(tmp_path / "recorder.json")
     scenario = parse(tomllib.loads(SCENARIO))
-    with pytest.raises(ConnectionError, match=r"lab: no hub let us in"):
-        serve_lab(scenario, tmp_path / "recorder.json", tmp_path / "run", None)
+    with pytest.raises(ConnectionError, match=r"recorder: no hub let us in"):
+        serve_recorder(scenario, tmp_path / "recorder.json", tmp_path / "run", None)
     assert not (tmp_path / "run").exists()

@@ -43,7 +43,7 @@ def check_both_buses(**settings: Any) -> None:
     """Run a scenario on both buses; whatever is a result must be the same."""
     memory, zenoh = (explore(bus, **settings) for bus in ("memory", "zenoh"))
     assert zenoh["digest"] == memory["digest"]
-    for name in ("steps", "first_robot", "coverage", "map_agreement", "path_length", "bytes", "undelivered"):
+    for name in ("steps", "first_robot", "coverage", "map_accuracy", "path_length", "bytes", "undelivered"):
         assert zenoh[name] == memory[name], name
 
 
@@ -73,8 +73,8 @@ QUICK = [
 
 @pytest.mark.parametrize("settings", QUICK, ids=lambda case: "-".join(str(value) for value in case.values()))
 def test_the_digest_is_the_same_on_both_buses(floor: str, settings: dict[str, Any]) -> None:
-    polygon = asdict(THESIS_OPTIONS) if settings.get("dissemination") == "thesis" else {}
-    check_both_buses(map=floor, steps=40, seed=7, polygon=polygon, **settings)
+    polygons = asdict(THESIS_OPTIONS) if settings.get("dissemination") == "thesis" else {}
+    check_both_buses(map=floor, steps=40, seed=7, polygons=polygons, **settings)
 
 
 @contextmanager

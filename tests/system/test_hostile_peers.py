@@ -142,7 +142,7 @@ def test_a_liar_is_named_in_the_laboratorys_records() -> None:
         return _Forger(bus) if name == names.robot(LIAR) else bus
 
     records = in_memory.run(small_plan(robots=3, steps=30), wrap=wrap)
-    assert set(records.faults) >= {
+    assert set(records.protocol_errors) >= {
         f"{names.robot(honest)}: heard nonsense from {names.robot(LIAR)}: "
         "save at byte 0: nothing has changed since the last one"
         for honest in (0, 2)
@@ -226,7 +226,7 @@ def test_hostile_data_never_stops_a_robot_nor_changes_a_saved_state(lies: list[b
     robot = Robot(Settings.from_message(a_small_plan().robot_settings[0]))
     for step, lie in enumerate(lies, 1):
         robot.perceive(sensed(step))
-        robot.session.dissemination(0, [LIAR, 2], 1000)
+        robot.session.offers(0, [LIAR, 2], 1000)
         robot.session.answers([(0, LIAR, encode([Offer(LIAR, 0)])), (1, 2, encode([Offer(2, 0)]))])
         before = robot.polygons.get(LIAR)
         words, meant = honest_words()[step - 1]
@@ -252,7 +252,7 @@ def test_who_contradicts_a_lie_that_another_told_of_its_map_is_not_distrusted() 
     maps = [words for words, _ in honest_words()]
 
     def hear(step: int, peer: int, map_id: int, data: bytes) -> None:
-        robot.session.dissemination(0, [LIAR, 2], 1000)
+        robot.session.offers(0, [LIAR, 2], 1000)
         robot.session.answers([(0, peer, encode([Offer(map_id, 0)]))])
         robot.settle(Outcome(step, 0, [0], [2], [2], [len(data)], [0], False), [(peer, data)])
 
@@ -276,7 +276,7 @@ def test_who_passes_on_one_of_two_stories_of_a_liar_is_not_distrusted() -> None:
         return encode([Emerge(0, corners, 1), *(Insert(i, 3 + i, 3, 0, 0) for i in range(corners)), Save()])
 
     def hear(robot: Robot, peer: int, map_id: int, data: bytes) -> None:
-        robot.session.dissemination(0, [peer], 1000)
+        robot.session.offers(0, [peer], 1000)
         robot.session.answers([(0, peer, encode([Offer(map_id, 0)]))])
         robot.settle(Outcome(1, 0, [0], [2], [2], [len(data)], [0], False), [(peer, data)])
 
@@ -318,7 +318,7 @@ class Gossip(Mind):
         if isinstance(note, Open) and note.peers:
             puts, said = (
                 [(EVERYONE, self.lie)],
-                Said(note.step, note.map_encoding, "dissemination", [], 10**6),
+                Said(note.step, note.round, "offers", [], 10**6),
             )
         return puts, said
 
@@ -456,7 +456,7 @@ def test_no_frame_stops_a_robots_process(steps: list[tuple[list[bytes], ...]]) -
         tell(sensed(step), [])
         tell(Open(step, 0, [LIAR, 2], 1000), broadcasts)
         numbers = list(range(len(dissemination)))
-        tell(PhaseDelivery(step, 0, "dissemination", numbers, [LIAR] * len(dissemination)), dissemination)
+        tell(PhaseDelivery(step, 0, "offers", numbers, [LIAR] * len(dissemination)), dissemination)
         tell(PhaseDelivery(step, 0, "data", list(range(90, 90 + len(answers))), [0] * len(answers)), answers)
         data = more[: len(dissemination)]
         short = [2] * len(dissemination)

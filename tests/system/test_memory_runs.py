@@ -67,7 +67,7 @@ def check_finished(plan: Plan, records: Records) -> None:
     for grid in (*records.own.values(), *records.planning.values()):
         assert (plan.map.cells[grid == FREE] == FREE).all()
         assert (plan.map.cells[grid == OCCUPIED] != FREE).all()
-    assert records.faults == []
+    assert records.protocol_errors == []
     assert records.lost == {}
 
 
@@ -307,20 +307,17 @@ class Pair:
         session, heard = self.sessions[robot], self._frames[robot]
         if isinstance(message, Open):
             room = None if message.budget == UNLIMITED else message.budget
-            said = [
-                (0, peer, frame)
-                for peer, _, frame in session.dissemination(message.map_encoding, message.peers, room)
-            ]
-            self._say(robot, message.step, message.map_encoding, "dissemination", said)
+            said = [(0, peer, frame) for peer, _, frame in session.offers(message.round, message.peers, room)]
+            self._say(robot, message.step, message.round, "offers", said)
             return
         self._frames[robot] = []
-        if isinstance(message, PhaseDelivery) and message.phase == "dissemination":
+        if isinstance(message, PhaseDelivery) and message.phase == "offers":
             dissemination = [(n, *frame) for n, frame in zip(message.connections, heard, strict=True)]
-            self._say(robot, message.step, message.map_encoding, "answers", session.answers(dissemination))
+            self._say(robot, message.step, message.round, "answers", session.answers(dissemination))
         elif isinstance(message, PhaseDelivery):
             named = zip(message.connections, heard, message.maps, strict=True)
             answers = [(n, peer, map_id, frame) for n, (peer, frame), map_id in named]
-            self._say(robot, message.step, message.map_encoding, "data", session.data(answers))
+            self._say(robot, message.step, message.round, "data", session.data(answers))
         elif isinstance(message, Outcome):
             for peer, map_id, frame in session.outcome(message, heard):
                 session.accept(peer, map_id, frame, packet_index.ends(frame))
@@ -328,7 +325,7 @@ class Pair:
     def _say(
         self, robot: int, step: int, map_encoding: int, phase: str, said: list[tuple[int, int, bytes]]
     ) -> None:
-        numbers = [] if phase == "dissemination" else [number for number, _, _ in said]
+        numbers = [] if phase == "offers" else [number for number, _, _ in said]
         receivers, frames = [peer for _, peer, _ in said], [frame for _, _, frame in said]
         self._deliver(self.radio.said(robot, Said(step, map_encoding, phase, numbers, 0, receivers, frames)))
 
@@ -362,10 +359,10 @@ def test_a_robot_that_says_something_to_one_out_of_range_is_not_heard() -> None:
     pair = Pair(10.0, UNLIMITED)
     opened: list[Any] = pair.radio.begin(1, {0: (0, 0), 1: (11, 0)})
     assert [note.message.peers for note in opened] == [[], []]
-    pair._say(0, 1, 0, "dissemination", [(0, 1, packets.encode([packets.Offer(0, 0)]))])
-    pair._say(1, 1, 0, "dissemination", [])
+    pair._say(0, 1, 0, "offers", [(0, 1, packets.encode([packets.Offer(0, 0)]))])
+    pair._say(1, 1, 0, "offers", [])
     for _ in range(3):
         for robot in pair.radio.waiting_for():
-            pair._say(robot, 1, 1, "dissemination", [])
+            pair._say(robot, 1, 1, "offers", [])
     assert pair._frames == [[], []]
     assert [CAUSES[row["cause"]] for row in pair._rows] == ["range"]

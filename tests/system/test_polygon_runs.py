@@ -16,7 +16,7 @@ from agent.outline.claims import Drawing
 from agent.outline.merge import rendered
 from agent.robot import SURE_AFTER
 from deploy.record.records import Records
-from deploy.record.summary import summarise
+from deploy.record.summary import summarize
 from deploy.run import in_memory
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import parse
@@ -46,7 +46,7 @@ def run(rules: str, name: str = "unstructured", **settings: Any) -> tuple[Record
     """A whole run in memory, and its summary."""
     plan = small_plan(name, **(RULES[rules] | settings))
     records = in_memory.run(plan)
-    return records, summarise(plan, records, 1.0)
+    return records, summarize(plan, records, 1.0)
 
 
 # --- the air -------------------------------------------------------------------------------------------
@@ -121,7 +121,7 @@ def test_the_error_is_that_of_the_robot_that_finished_first() -> None:
     plan = small_plan("unstructured", robots=4, bandwidth=200)
     records, summary = run("default", robots=4, bandwidth=200)
     first = summary["first_robot"]
-    errors = [np.mean([report.error for report in reports]) for reports in records.robot_settings]
+    errors = [np.mean([report.error for report in reports]) for reports in records.statuses]
     shares = errors / np.count_nonzero(plan.make_world().reachable)
     assert first != 0
     assert summary["approximation_error"] == pytest.approx(shares[first])
@@ -131,9 +131,9 @@ def test_the_error_is_that_of_the_robot_that_finished_first() -> None:
 @pytest.mark.parametrize("rules", RULES)
 def test_less_what_an_exact_approximation_gets_wrong_the_error_of_an_exact_one_is_none(rules: str) -> None:
     options = RULES[rules].get("polygons", {}) | {"exact_error": True, "lazy": False}
-    _, exact = run(rules, robots=2, bandwidth="unlimited", polygon=Options(options))
+    _, exact = run(rules, robots=2, bandwidth="unlimited", polygons=Options(options))
     assert exact["approximation_error_net"] == 0
-    _, coarse = run(rules, robots=2, bandwidth=100, polygon=Options(options))
+    _, coarse = run(rules, robots=2, bandwidth=100, polygons=Options(options))
     assert 0 < coarse["approximation_error_net"] <= coarse["approximation_error"]
     assert (coarse["approximation_error_net"] < coarse["approximation_error"]) == (rules == "thesis")
     assert run(rules, robots=4, bandwidth=200)[1]["approximation_error_net"] is None
@@ -184,7 +184,7 @@ def test_with_unlimited_bandwidth_the_plan_of_the_first_to_end_is_the_truth(rule
     _, summary = run(rules, name, robots=3, bandwidth="unlimited")
     assert summary["finished"]
     assert summary["coverage"] == 1
-    assert summary["map_agreement"] == 1
+    assert summary["map_accuracy"] == 1
 
 
 @pytest.mark.parametrize("rules", RULES)
@@ -192,7 +192,7 @@ def test_at_a_kilobyte_a_step_the_team_sees_all_and_the_plan_is_nearly_right(rul
     _, summary = run(rules, robots=3, bandwidth=1000)
     assert summary["finished"]
     assert summary["coverage"] > 0.99
-    assert summary["map_agreement"] > 0.99
+    assert summary["map_accuracy"] > 0.99
 
 
 @pytest.mark.parametrize(
@@ -208,7 +208,7 @@ def test_an_opening_that_looks_closed_at_first_does_not_end_a_run(
             | {"bus": "memory", "sensor_range": 5.0}
         )
     )
-    summary = summarise(plan, in_memory.run(plan), 1.0)
+    summary = summarize(plan, in_memory.run(plan), 1.0)
     assert summary["finished"]
     assert summary["coverage"] > 0.99
 
@@ -322,7 +322,7 @@ def test_from_the_dead_one_keeps_what_they_had_passed_on_and_gets_no_more(rules:
 def test_a_robot_that_a_scenario_kills_is_not_heard_of_again_and_the_others_finish() -> None:
     plan = small_plan("office", robots=3, death=[{"robot": 1, "step": 12}])
     records = in_memory.run(plan)
-    summary = summarise(plan, records, 1.0)
+    summary = summarize(plan, records, 1.0)
     ledger = records.ledger()
     assert ledger["step"][(ledger["sender"] == 1) | (ledger["receiver"] == 1)].max() == 11
     assert ledger["step"].max() > 20

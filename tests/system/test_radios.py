@@ -101,7 +101,7 @@ def test_a_team_explores_all_there_is_on_any_radio(
     seen = result.maps["team"] == FREE
     assert (seen == (perfect.maps["team"] == FREE)).all()
     assert result.summary["coverage"] == perfect.summary["coverage"]
-    assert result.summary["over_budget_steps"] == result.summary["faults"] == 0
+    assert result.summary["over_budget_steps"] == result.summary["protocol_errors"] == 0
     books_balance(result)
 
 

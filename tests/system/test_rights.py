@@ -149,10 +149,10 @@ def test_what_is_not_ones_to_say_is_a_fault_with_ones_name_and_changes_nothing(r
     assert records.end is not None
     assert records.end.step == STEPS
     assert records.lost == {}
-    assert records.fault_count > 100
-    assert {fault.split(":")[0] for fault in records.faults} <= {rogue, "r0", "r2"}
+    assert records.protocol_error_count > 100
+    assert {fault.split(":")[0] for fault in records.protocol_errors} <= {rogue, "r0", "r2"}
     reason = f"{'nothing is' if rogue == names.VIEW else 'not'} for {rogue} to say"
-    assert any(fault.startswith(f"{rogue}: ") and reason in fault for fault in records.faults)
+    assert any(fault.startswith(f"{rogue}: ") and reason in fault for fault in records.protocol_errors)
 
 
 def rogue_over_zenoh(rogue: str, name: str, bus: Bus) -> Bus:
@@ -166,9 +166,9 @@ def test_over_zenoh_what_is_not_ones_to_say_changes_nothing_either(tmp_path: Pat
     records = outcome.records
     assert digest(records) == honest_digest()
     assert records.lost == {}
-    assert records.fault_count > 100
-    assert {fault.split(":")[0] for fault in records.faults} <= {rogue, "r0", "r2"}
-    assert any(f"not for {rogue} to say" in fault for fault in records.faults)
+    assert records.protocol_error_count > 100
+    assert {fault.split(":")[0] for fault in records.protocol_errors} <= {rogue, "r0", "r2"}
+    assert any(f"not for {rogue} to say" in fault for fault in records.protocol_errors)
 
 
 NOISE = (
@@ -217,7 +217,7 @@ def test_noise_on_the_radio_in_every_phase_stops_nobody(map_encoding: str, disse
     assert records.end is not None
     assert records.end.step == STEPS
     assert records.lost.keys() <= {1}
-    assert records.fault_count > 100
+    assert records.protocol_error_count > 100
     for robot in (0, 2):
         known = records.own[robot] != UNKNOWN
         assert known.sum() > 100

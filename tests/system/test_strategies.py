@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from agent.encodings.catalog import ENCODINGS
-from deploy import explore
 from deploy.run import in_memory
 from deploy.run.exploration import EXPLORED, NOT_FINISHED, Result
 from deploy.scenario import plan
 from deploy.scenario.scenario import ScenarioError, parse
+from murmur import explore
 from worldsim import generators
 from worldsim.process import EXPLORED as EXPLORED_ALL
 from worldsim.process import STALLED
@@ -43,7 +43,7 @@ def run(
 @pytest.mark.parametrize("name", NAMES)
 def test_every_strategy_sees_all_there_is_or_says_that_it_has_stalled(name: str) -> None:
     result = run(name)
-    assert not result.records.faults
+    assert not result.records.protocol_errors
     if name == STALLS:
         assert result.exit_code == NOT_FINISHED
         assert result.summary["reason"] == STALLED

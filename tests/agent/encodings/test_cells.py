@@ -35,7 +35,7 @@ def changed(rng: np.random.Generator, own: Grid) -> Change:
     box = own[y0:y1, x0:x1]
     which = rng.random(box.shape) < rng.choice([0.02, 0.9])
     box[which] = rng.integers(0, 3) if rng.random() < 0.5 else rng.integers(0, 3, box.shape)[which]
-    return Change(box.size, x0, y0, x1, y1)
+    return Change(box.size, (x0, y0, x1, y1))
 
 
 NO_SCAN = Scan(0, 0, np.zeros(36, np.uint16))
@@ -63,7 +63,7 @@ def test_what_has_not_changed_is_not_told_and_ones_own_word_counts_more() -> Non
     maker, hearer = CellEncoding(settings_of(0)), CellEncoding(settings_of(1))
     own = np.zeros((HEIGHT, WIDTH), np.uint8)
     own[3, 4:9] = OCCUPIED
-    change = Change(5, 4, 3, 9, 4)
+    change = Change(5, (4, 3, 9, 4))
     units = maker.record(own, NO_SCAN, change, delivered=True)
     assert units
     assert maker.record(own, NO_SCAN, change, delivered=True) == []

@@ -106,8 +106,8 @@ def test_of_another_grid_than_the_last_time_all_is_news() -> None:
     one, other, news = np.zeros((9, 9), np.uint8), np.zeros((9, 9), np.uint8), ChangedCells()
     assert boxes_of(news, one) is None
     assert boxes_of(news, one) == []
-    news.add(one, Change(3, 1, 2, 4, 5))
-    news.add(other, Change(1, 7, 7, 8, 8))
+    news.add(one, Change(3, (1, 2, 4, 5)))
+    news.add(other, Change(1, (7, 7, 8, 8)))
     assert boxes_of(news, one) == [[1, 2, 4, 5]]
     assert boxes_of(news, other) is None
     assert boxes_of(news, one) is None

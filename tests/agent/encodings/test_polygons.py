@@ -31,7 +31,7 @@ from protocol.scans import Change, Scan
 from tests.agent.explorations import Cell, exploration, growing_maps
 
 EXACT: dict[str, Any] = {"bandwidth": None}
-NO_NEWS = Change(0, 0, 0, 0, 0)
+NO_NEWS = Change(0, (0, 0, 0, 0))
 WORLD_SEED, STEPS = 4, 25
 
 
@@ -51,7 +51,7 @@ def record(
     exchange_: PolygonEncoding, grid: Grid, cell: Cell, *, news: bool = True, delivered: bool = True
 ) -> list[bytes]:
     height, width = grid.shape
-    change = Change(1, 0, 0, width, height) if news else NO_NEWS
+    change = Change(1, (0, 0, width, height)) if news else NO_NEWS
     return exchange_.record(grid, Scan(*cell, np.empty(0, np.uint16)), change, delivered=delivered)
 
 
@@ -177,7 +177,7 @@ def test_the_more_may_be_said_the_smaller_is_the_error() -> None:
 
 def test_bytes_a_split_are_measured_unless_they_are_given() -> None:
     fixed = {"bytes_per_split": 1000.0}
-    measured, given_ = maker((60, 80), bandwidth=600.0), maker((60, 80), bandwidth=600.0, polygon=fixed)
+    measured, given_ = maker((60, 80), bandwidth=600.0), maker((60, 80), bandwidth=600.0, polygons=fixed)
     for grid, cell in walk():
         record(measured, grid, cell)
         record(given_, grid, cell)
@@ -349,7 +349,7 @@ def test_the_thesis_plain_rules_are_a_set_of_options() -> None:
         "close_slivers": False, "splits_per_step": 0.0, "exact_error": False,
     }  # fmt: skip
     shape = (60, 80)
-    one, other = (maker(shape, robot, polygon=asdict(THESIS_OPTIONS)) for robot in (0, 1))
+    one, other = (maker(shape, robot, polygons=asdict(THESIS_OPTIONS)) for robot in (0, 1))
     for grid, cell in walk():
         other.take(0, b"".join(record(one, grid, cell, delivered=False)))
         assert other.polygons[0].canonical() == one.polygons[0].canonical()

@@ -54,9 +54,9 @@ class Explorer:
         for _ in range(noise):
             at_x, at_y = int(self.rng.integers(WIDTH)), int(self.rng.integers(HEIGHT))
             self.own[at_y, at_x] = self.rng.choice((FREE, OCCUPIED))
-            cells, x0, y0, x1, y1 = change
+            cells, (x0, y0, x1, y1) = change
             far = max(x1, at_x + 1), max(y1, at_y + 1)
-            change = Change(cells + 1, min(x0, at_x), min(y0, at_y), *far)
+            change = Change(cells + 1, (min(x0, at_x), min(y0, at_y), *far))
         units = self.map_encoding.record(self.own, Scan(x, y, readings), change, delivered=delivered)
         self.log += units
         return units
@@ -70,7 +70,7 @@ def world(seed: int) -> Grid:
 def flush(explorer: Explorer) -> list[bytes]:
     """Let a robot stand still until it has told all."""
     said: list[bytes] = []
-    nothing = Change(0, WIDTH, HEIGHT, 0, 0)
+    nothing = Change(0, (WIDTH, HEIGHT, 0, 0))
     for _ in range(ENOUGH_STEPS):
         scan = Scan(0, 0, np.full(BEAMS, 0, np.uint16))
         said += explorer.map_encoding.record(explorer.own, scan, nothing, delivered=True)
@@ -215,7 +215,7 @@ def test_few_new_cells_wait_for_a_few_steps_where_bytes_are_scarce(
     own = unknown()
     own[5, 5] = FREE
     said = [
-        explorer.map_encoding.record(own, scan, Change(1, 5, 5, 6, 6), delivered=True)
+        explorer.map_encoding.record(own, scan, Change(1, (5, 5, 6, 6)), delivered=True)
         for _ in range(ENOUGH_STEPS)
     ]
     assert [bool(units) for units in said].index(True) == steps

@@ -22,7 +22,7 @@ from protocol.scans import HIT, NONE, Change, Scan, draw, encode_scan, fragments
 BEAMS = 36
 RANGES = [6.0, 3.5, 9.0]
 WIDTH, HEIGHT = 20, 14
-NOTHING = Change(0, WIDTH, HEIGHT, 0, 0)
+NOTHING = Change(0, (WIDTH, HEIGHT, 0, 0))
 seeds = st.integers(0, 2**32 - 1)
 
 

@@ -92,7 +92,7 @@ class Link:
                 break
         return played
 
-    def round_number(self, round_number: int, reach: Reach, budget: int | None = None) -> Played:
+    def round(self, round_number: int, reach: Reach, budget: int | None = None) -> Played:
         """One exchange: offers, answers, data, and what of them was put on the air."""
         frames = self._offers(round_number, reach, budget)
         for robot, peers in sorted(reach.items()):

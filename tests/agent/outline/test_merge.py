@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from agent.outline.approximation import approximation, repair
-from agent.outline.boxes import NO_BOXES, Boxes
 from agent.outline.claims import THESIS, Drawing, layer
 from agent.outline.contour import contours
 from agent.outline.edits import Held, edit_script
@@ -20,6 +19,7 @@ from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
+from protocol.boxes import NO_BOXES, Boxes
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packets import encode
 from tests.agent.explorations import Cell, exploration, grids, growing_maps, real_map

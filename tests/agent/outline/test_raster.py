@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from agent.outline.boxes import whole
 from agent.outline.polygons import SIDE_X, SIDE_Y
 from agent.outline.raster import Edges, draw, fill
+from protocol.boxes import whole_grid
 
 quick = settings(deadline=None)
 
@@ -33,13 +33,13 @@ def edges(polygon: list[Vertex], occupied: list[int] | None = None) -> Edges:
 
 def filled(polygon: list[Vertex], shape: tuple[int, int] = SHAPE) -> NDArray[np.bool_]:
     layer = np.zeros(shape, np.uint8)
-    fill(layer, edges(polygon), 1, 0, whole(shape)[0])
+    fill(layer, edges(polygon), 1, 0, whole_grid(shape)[0])
     return layer.astype(np.bool_)
 
 
 def drawn(polygon: list[Vertex], shape: tuple[int, int] = SHAPE) -> NDArray[np.bool_]:
     layer = np.zeros(shape, np.uint8)
-    draw(layer, edges(polygon), 1, 0, 0, whole(shape)[0])
+    draw(layer, edges(polygon), 1, 0, 0, whole_grid(shape)[0])
     return layer.astype(np.bool_)
 
 
@@ -89,7 +89,7 @@ def test_an_edge_is_drawn_in_the_cell_nearest_to_it_in_each_column_or_row(one: V
                 expected.add((int((ax + (bx - ax) * (y - ay) / (by - ay) + Fraction(1, 2)) // 1), y))
     layer = np.zeros(SHAPE, np.uint8)
     # Only the first of the two edges is occupied.
-    draw(layer, edges([one, other], [1, 0]), 1, 0, 0, whole(SHAPE)[0])
+    draw(layer, edges([one, other], [1, 0]), 1, 0, 0, whole_grid(SHAPE)[0])
     cells = {(int(x), int(y)) for y, x in np.argwhere(layer)}
     assert cells == {(x, y) for x, y in expected if 0 <= x < SHAPE[1] and 0 <= y < SHAPE[0]}
 
@@ -108,7 +108,7 @@ def test_an_exact_edge_is_drawn_in_the_cells_of_its_points_but_the_last(
     one: Vertex, other: Vertex, cells: list[tuple[int, int]]
 ) -> None:
     layer = np.zeros(SHAPE, np.uint8)
-    draw(layer, edges([one, other], [1, 0]), 1, 0, 0, whole(SHAPE)[0])
+    draw(layer, edges([one, other], [1, 0]), 1, 0, 0, whole_grid(SHAPE)[0])
     assert sorted((int(x), int(y)) for y, x in np.argwhere(layer)) == cells
 
 
@@ -126,9 +126,9 @@ def test_vertices_far_outside_the_grid_are_clipped(polygon: list[Vertex]) -> Non
 def test_bits_are_set_and_cleared_where_they_should_be() -> None:
     square = [(1, 1, 3), (1, 5, 0), (5, 5, 1), (5, 1, 2)]
     layer = np.full(SHAPE, 0b101, np.uint8)
-    fill(layer, edges(square), 0b010, 0b100, whole(layer.shape)[0])
+    fill(layer, edges(square), 0b010, 0b100, whole_grid(layer.shape)[0])
     assert (layer == np.where(filled(square), 0b011, 0b101)).all()
-    draw(layer, edges(square, [1, 0, 1, 0]), 0b1000, 0b10000, 0b1, whole(layer.shape)[0])
+    draw(layer, edges(square, [1, 0, 1, 0]), 0b1000, 0b10000, 0b1, whole_grid(layer.shape)[0])
     assert layer[3, 1] == 0b1010, "an occupied edge"
     assert layer[5, 3] == 0b10010, "another edge"
     assert layer[3, 3] == 0b011

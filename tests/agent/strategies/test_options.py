@@ -65,7 +65,7 @@ def test_an_unknown_strategy_is_refused_with_the_list_of_those_there_are() -> No
         ("greedy", {"candidates": "breadth-first"}, r"one robot's goal, not a team's"),
         ("mtsp", {"candidates": "cells"}, r"a tour needs the way between every two goals"),
         ("repairmen", {"candidates": "cells"}, r"candidates of repairmen is one of edges; not 'cells'"),
-        ("repairmen", {"lateness": -1.0}, r"option lateness of repairmen must be 0 or more"),
+        ("repairmen", {"latency_weight": -1.0}, r"option latency_weight of repairmen must be 0 or more"),
         ("hungarian-depot", {"mission": "open"}, r"count the way back to the depot"),
         ("mtsp-depot", {"mission": "open"}, r"count the way back to the depot"),
         (

@@ -163,7 +163,7 @@ def test_a_robot_does_not_turn_for_little_and_never_without_news_of_the_map() ->
         (0.5, news, (31, 1)),
         (0.0, grid, (31, 1)),
     ):
-        robot = mind(options={"loyalty": target_hysteresis}, grid=grid)
+        robot = mind(options={"target_hysteresis": target_hysteresis}, grid=grid)
         assert robot.decide(robot_at(22, 1, grid)).target == (31, 1)
         assert robot.decide(replace(robot_at(20, 1, later), step=2)).target == expected
 

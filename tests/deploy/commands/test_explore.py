@@ -37,10 +37,12 @@ def test_a_run_that_does_not_finish_ends_with_1(floor: str) -> None:
 
 def test_flags_override_the_scenario(floor: str) -> None:
     Path("s.toml").write_text(f'map = "{floor}"\nrobots = 2\nsteps = 3\nbus = "memory"\nseed = 5\n')
-    result = murmur("explore", "s.toml", "--seed", "6", "--option", "crumb=2", "--json", "--out", "run")
+    result = murmur(
+        "explore", "s.toml", "--seed", "6", "--option", "small_frontier=2", "--json", "--out", "run"
+    )
     assert json.loads(result.stdout)["seed"] == 6
     written = Path("run/scenario.toml").read_text()
-    assert "crumb = 2" in written
+    assert "small_frontier = 2" in written
     assert "robots = 2" in written
 
 
@@ -72,7 +74,7 @@ def test_a_run_says_where_its_pictures_are(floor: str) -> None:
 
 
 def test_any_setting_can_be_set_and_tables_keep_their_other_keys(floor: str) -> None:
-    Path("mine.toml").write_text(f'map = "{floor}"\nrobots = 2\nbus = "memory"\n[polygon]\nlazy = false\n')
+    Path("mine.toml").write_text(f'map = "{floor}"\nrobots = 2\nbus = "memory"\n[polygons]\nlazy = false\n')
     result = murmur(
         "explore",
         "mine.toml",

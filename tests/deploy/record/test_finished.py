@@ -6,7 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from deploy.record.records import Records
-from deploy.record.summary import summarise
+from deploy.record.summary import summarize
 from deploy.run import in_memory
 from deploy.run.exploration import NOT_FINISHED, conclude
 from deploy.run.launch import Outcome
@@ -39,7 +39,7 @@ def boasted(**settings: object) -> tuple[Plan, Records]:
 
 @pytest.mark.parametrize("least", [0.0, 0.9])
 def test_a_robot_that_believes_itself_done_has_not_finished_what_the_team_has_not_seen(least: float) -> None:
-    plan, records = boasted(least_coverage=least)
+    plan, records = boasted(min_coverage=least)
     assert records.end == End(1, "explored", 1)
     assert 0 < records.explored < 0.9
     result = conclude(plan, Outcome(records, {}), None, 1.0)
@@ -58,7 +58,7 @@ def test_a_robots_own_maps_do_not_count_for_what_has_been_seen() -> None:
     for grid in records.own.values():
         assert grid.shape == plan.map.cells.shape
     records.own = dict.fromkeys(records.own, plan.map.cells)
-    assert not summarise(plan, records, 1.0)["finished"]
+    assert not summarize(plan, records, 1.0)["finished"]
 
 
 class Chatterbox:
@@ -78,4 +78,4 @@ class Chatterbox:
 def test_equal_frames_that_were_not_delivered_are_counted_one_by_one() -> None:
     plan = small_plan(robots=2, steps=3)
     records = in_memory.run(plan, wrap=lambda name, bus: Chatterbox(bus) if name == "r1" else bus)
-    assert summarise(plan, records, 1.0)["undelivered"]["protocol"] >= 20
+    assert summarize(plan, records, 1.0)["undelivered"]["protocol"] >= 20

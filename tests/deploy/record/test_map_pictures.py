@@ -26,7 +26,7 @@ from deploy.record.map_errors import (
 )
 from deploy.record.map_pictures import PAGE_SHAPE, maps_figure, mark_steps
 from deploy.record.records import Records
-from deploy.record.summary import summarise
+from deploy.record.summary import summarize
 from deploy.run import in_memory
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from tests.deploy.small_run import small_plan, small_run
@@ -55,7 +55,7 @@ def test_each_cell_of_a_map_is_right_or_wrong_in_one_way(
 def drawn(robots: int) -> tuple[Figure, Records]:
     plan = small_plan(robots=robots, map_encoding="none", steps=4)
     records = in_memory.run(plan)
-    return maps_figure(plan, records, summarise(plan, records, 1.0)), records
+    return maps_figure(plan, records, summarize(plan, records, 1.0)), records
 
 
 @pytest.mark.parametrize("robots", [1, 7, 40])

@@ -35,7 +35,7 @@ def run(floor: str, *faults: tuple[Any, ...], out: Path | None = None, **setting
 
 def said(result: Result, robot: int) -> list[int]:
     """Steps in which a robot reported."""
-    return [report.step for report in result.records.robot_settings[robot]]
+    return [report.step for report in result.records.statuses[robot]]
 
 
 EVERYTHING = (
@@ -61,7 +61,7 @@ def test_a_run_with_all_kinds_of_faults_ends_explored_and_repeats(
     ]
     assert runs[0].exit_code == EXPLORED
     assert runs[0].summary["coverage"] > 0.97
-    assert not runs[0].records.faults
+    assert not runs[0].records.protocol_errors
     assert runs[0].summary["digest"] == runs[1].summary["digest"]
 
 

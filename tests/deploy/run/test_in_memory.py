@@ -7,9 +7,9 @@ import weakref
 
 import pytest
 
-from deploy import Scenario
 from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
+from murmur import Scenario
 
 
 @pytest.mark.parametrize(

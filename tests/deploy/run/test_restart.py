@@ -61,7 +61,7 @@ def test_a_robot_that_is_killed_comes_back_and_the_run_ends_explored(tmp_path: P
     assert step >= 5
     assert "robot 1 was lost at step" in why_unrepeatable(result.summary)
     assert sorted(result.records.own) == [0, 1]
-    assert {report.step for report in result.records.robot_settings[1]} >= {1, result.summary["steps"]}
+    assert {report.step for report in result.records.statuses[1]} >= {1, result.summary["steps"]}
 
 
 def test_the_only_robot_is_waited_for(tmp_path: Path) -> None:

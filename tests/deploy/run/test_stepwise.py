@@ -9,8 +9,8 @@ import numpy as np
 import polars
 import pytest
 
-from deploy import Step, explore, steps
 from deploy.scenario.scenario import ScenarioError
+from murmur import Step, explore, steps
 from protocol.grid import FREE, UNKNOWN
 
 SMALL = {"map": "em", "robots": 2, "steps": 12, "death": [{"robot": 1, "step": 8}]}

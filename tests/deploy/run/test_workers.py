@@ -97,7 +97,7 @@ def test_ctrl_c_ends_the_wait_for_a_long_run_at_once() -> None:
 
 
 def test_a_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Cluster, "PATIENCE_S", 1)
+    monkeypatch.setattr(Cluster, "REPLY_TIMEOUT_S", 1)
     with pytest.raises(ValueError, match=r"scheduler = 'tcp://127.0.0.1:9': .*give its address"):
         Cluster("tcp://127.0.0.1:9")
 

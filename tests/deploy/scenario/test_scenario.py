@@ -55,7 +55,7 @@ def scenarios(draw: st.DrawFn) -> dict[str, Any]:
         "rounds": st.integers(1, 16),
         "dissemination": st.sampled_from(("backoff", "thesis")),
         "interference": st.floats(0, 1e6),
-        "options": st.fixed_dictionaries({}, optional={"crumb": st.floats(0, 100)}),
+        "options": st.fixed_dictionaries({}, optional={"small_frontier": st.floats(0, 100)}),
         "robot": st.lists(override, max_size=3, unique_by=lambda entry: entry["robot"]),
         "death": st.lists(death, max_size=3, unique_by=lambda entry: entry["robot"]),
     }
@@ -139,13 +139,16 @@ WRONG = [
     ({"range": "inf"}, "range = 'inf': must be"),
     ({"range": math.inf}, "range = inf: must be"),
     ({"range": True}, "range = True: "),
-    ({"map_encoding": "smoke"}, "map_encoding = 'smoke': no exchange is called 'smoke'; there are: .*laser"),
+    (
+        {"map_encoding": "smoke"},
+        "map_encoding = 'smoke': no map encoding is called 'smoke'; there are: .*scans",
+    ),
     ({"strategy": "best"}, "no strategy is called 'best'; there are: .*meier"),
     ({"dissemination": "never"}, "dissemination = 'never': .*'backoff', 'thesis' or 'gossip'"),
     ({"bus": "tram"}, "bus = 'tram': .*'zenoh' or 'memory'"),
     ({"map": 3}, "map = 3: must be text"),
-    ({"options": {"gamma": 1.0}}, "repairmen has no option 'gamma'; there are: .*crumb"),
-    ({"options": {"crumb": "big"}}, "option crumb of repairmen must be float, not 'big'"),
+    ({"options": {"gamma": 1.0}}, "repairmen has no option 'gamma'; there are: .*small_frontier"),
+    ({"options": {"small_frontier": "big"}}, "option small_frontier of repairmen must be float, not 'big'"),
     ({"options": {"beta": math.nan}}, "options = .*beta must lie between"),
     ({"options": 3}, "options = 3: "),
     ({"colour": "red"}, "colour is no setting; there are: map, .*death"),
@@ -309,10 +312,10 @@ def test_who_looks_at_crumbs_from_afar_takes_no_opening_for_a_wall_unless_told_t
         return parse({"map_encoding": "polygons"} | settings).polygons.wide_seen_walls
 
     assert not wide()
-    assert not wide(strategy="repairmen", polygon={"lazy": False})
-    assert wide(polygon={"wide_seen_walls": True})
+    assert not wide(strategy="repairmen", polygons={"lazy": False})
+    assert wide(polygons={"wide_seen_walls": True})
     assert wide(strategy="meier")
-    assert not wide(strategy="meier", polygon={"wide_seen_walls": False})
-    assert Scenario(map_encoding="polygons", polygon=PolygonOptions()).polygons.wide_seen_walls
+    assert not wide(strategy="meier", polygons={"wide_seen_walls": False})
+    assert Scenario(map_encoding="polygons", polygons=PolygonOptions()).polygons.wide_seen_walls
     monkeypatch.setattr(Meier, "looks_from_afar", True)
     assert not wide(strategy="meier")

@@ -13,11 +13,11 @@ from deploy.study import experiment as experiments
 from deploy.study.claims import HOLDS, IN_PART, NOT, UNDECIDED, judge
 from tests.deploy.study.small_experiment import EXPERIMENT, write
 
-HEAD = '[claim]\nid = "B1"\npaper = "a paper"\nsays = "scans are faster"\n'
+HEAD = '[claim]\nid = "B1"\npaper = "a paper"\nstatement = "scans are faster"\n'
 FASTER = """
 [[claim.rule]]
-says = "scans are faster"
-figure = "steps"
+statement = "scans are faster"
+metric = "steps"
 compare = { variant = "scans" }
 to = { variant = "polygons" }
 expect = "ratio < 1"
@@ -90,47 +90,47 @@ def test_many_tests_need_more_evidence_than_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("rule", "word"),
     [
-        ('figure = "steps"\nexpect = "grows over seed"', HOLDS),
-        ('figure = "steps"\nexpect = "falls over seed"', NOT),
-        ('figure = "steps"\nexpect = "grows over robots"', UNDECIDED),
-        ('figure = "steps"\nexpect = "value in 50..1000"', HOLDS),
-        ('figure = "steps"\nexpect = "value < 20"', NOT),
-        ('figure = "finished"\nexpect = "value > 0.5"', HOLDS),
-        ('figure = "coverage"\nexpect = "value > 0.999"\nexact = true', HOLDS),
-        ('figure = "steps"\nexpect = "order of seed"\nlike = { 0 = 1, 1 = 2, 2 = 3, 3 = 4, 4 = 5 }', HOLDS),
-        ('figure = "steps"\nexpect = "ratio > 1.2"\ncompare = { seed = 4 }\nto = { seed = 0 }', HOLDS),
-        ('figure = "spread of steps"\nexpect = "difference < 0"\ncompare = { variant = "scans" }\n'
+        ('metric = "steps"\nexpect = "grows over seed"', HOLDS),
+        ('metric = "steps"\nexpect = "falls over seed"', NOT),
+        ('metric = "steps"\nexpect = "grows over robots"', UNDECIDED),
+        ('metric = "steps"\nexpect = "value in 50..1000"', HOLDS),
+        ('metric = "steps"\nexpect = "value < 20"', NOT),
+        ('metric = "finished"\nexpect = "value > 0.5"', HOLDS),
+        ('metric = "coverage"\nexpect = "value > 0.999"\nexact = true', HOLDS),
+        ('metric = "steps"\nexpect = "order of seed"\nranks = { 0 = 1, 1 = 2, 2 = 3, 3 = 4, 4 = 5 }', HOLDS),
+        ('metric = "steps"\nexpect = "ratio > 1.2"\ncompare = { seed = 4 }\nto = { seed = 0 }', HOLDS),
+        ('metric = "spread of steps"\nexpect = "difference < 0"\ncompare = { variant = "scans" }\n'
          'to = { variant = "polygons" }', HOLDS),
-        ('figure = "steps"\nexpect = "grows over seed"\nwhere = { robots = [7] }', UNDECIDED),
+        ('metric = "steps"\nexpect = "grows over seed"\nwhere = { robots = [7] }', UNDECIDED),
     ],
 )  # fmt: skip
 def test_every_form_of_expectation(tmp_path: Path, rule: str, word: str) -> None:
     runs = rows(factors={1: 0.3, 2: 0.3})
-    assert verdict(tmp_path, f'[[claim.rule]]\nsays = "so"\n{rule}\n', runs).word == word
+    assert verdict(tmp_path, f'[[claim.rule]]\nstatement = "so"\n{rule}\n', runs).word == word
 
 
 @pytest.mark.parametrize(
     ("rule", "said"),
     [
-        ('figure = "stepz"\nexpect = "value < 3"', "'stepz' is no figure"),
-        ('figure = "steps"\nexpect = "is less"', "expect = 'is less': must be one of 'ratio < 1'"),
-        ('figure = "steps"\nexpect = "ratio < 1"', "compare and to say what a ratio"),
-        ('figure = "steps"\nexpect = "value < 1"\ncompare = { seed = 1 }\nto = { seed = 0 }', "compare and to say"),
-        ('figure = "steps"\nexpect = "ratio < 1"\ncompare = { seed = 1 }\nto = { robots = 1 }', "the same keys"),
-        ('figure = "steps"\nexpect = "falls over range"', "'range' is not in the grid; there are: robots, seed"),
-        ('figure = "steps"\nexpect = "value < 1"\nby = ["range"]', "speaks of 'range', which is not in the grid"),
-        ('figure = "steps"\nexpect = "value < 1"\nwhere = { seed = 1 }', "must be a list of values"),
-        ('figure = "steps"\nexpect = "order of seed"', "like says which order"),
-        ('figure = "steps"', "expect is missing"),
-        ('figure = 3', "figure = 3: must be of kind str"),
+        ('metric = "stepz"\nexpect = "value < 3"', "'stepz' is no figure"),
+        ('metric = "steps"\nexpect = "is less"', "expect = 'is less': must be one of 'ratio < 1'"),
+        ('metric = "steps"\nexpect = "ratio < 1"', "compare and to say what a ratio"),
+        ('metric = "steps"\nexpect = "value < 1"\ncompare = { seed = 1 }\nto = { seed = 0 }', "compare and to say"),
+        ('metric = "steps"\nexpect = "ratio < 1"\ncompare = { seed = 1 }\nto = { robots = 1 }', "the same keys"),
+        ('metric = "steps"\nexpect = "falls over range"', "'range' is not in the grid; there are: robots, seed"),
+        ('metric = "steps"\nexpect = "value < 1"\nby = ["range"]', "speaks of 'range', which is not in the grid"),
+        ('metric = "steps"\nexpect = "value < 1"\nwhere = { seed = 1 }', "must be a list of values"),
+        ('metric = "steps"\nexpect = "order of seed"', "ranks says which order"),
+        ('metric = "steps"', "expect is missing"),
+        ('metric = 3', "metric = 3: must be of kind str"),
         ('fig = "steps"', "fig is no part of a rule"),
-        ('figure = "steps"\nexpect = "ratio < 1"\ncompare = { variant = "x" }\nto = { variant = "scans" }',
+        ('metric = "steps"\nexpect = "ratio < 1"\ncompare = { variant = "x" }\nto = { variant = "scans" }',
          "no variant is called 'x'; there are: polygons, scans"),
     ],
 )  # fmt: skip
 def test_a_rule_that_makes_no_sense_is_refused(tmp_path: Path, rule: str, said: str) -> None:
     with pytest.raises(ScenarioError, match=r"small\.toml") as caught:
-        verdict(tmp_path, f'[[claim.rule]]\nsays = "so"\n{rule}\n', [])
+        verdict(tmp_path, f'[[claim.rule]]\nstatement = "so"\n{rule}\n', [])
     assert said in str(caught.value)
 
 

@@ -73,7 +73,7 @@ def test_an_experiment_can_rest_on_a_scenario(tmp_path: Path) -> None:
 def test_an_experiment_can_ask_for_the_thesis_plain_rules_and_still_say_otherwise(tmp_path: Path) -> None:
     text = """[base]
 thesis = true
-polygon = { lazy = true, exact_error = true }
+polygons = { lazy = true, exact_error = true }
 [[variant]]
 name = "thesis"
 [[variant]]
@@ -82,9 +82,9 @@ thesis = false
 """
     plain, ours = (case.scenario for case in runs.cases(experiments.read(write(tmp_path, text))))
     assert plain.dissemination == "thesis" and plain.options == {"herding": False}
-    wanted = load(None, {**thesis_settings("meier"), "polygons.lazy": True, "polygon.exact_error": True})
-    assert plain.polygon == wanted.polygon
-    assert (ours.dissemination, ours.options, ours.polygon.mixed_first) == ("gossip", {}, True)
+    wanted = load(None, {**thesis_settings("meier"), "polygons.lazy": True, "polygons.exact_error": True})
+    assert plain.polygons == wanted.polygons
+    assert (ours.dissemination, ours.options, ours.polygons.mixed_first) == ("gossip", {}, True)
     with pytest.raises(ScenarioError, match="thesis = 1: must be true or false"):
         runs.cases(experiments.read(write(tmp_path, "[base]\nthesis = 1\n")))
 
@@ -169,7 +169,7 @@ def test_an_experiment_that_makes_no_sense_is_refused_by_name(tmp_path: Path, te
 def test_a_setting_that_every_variant_has_its_own_of_is_refused(tmp_path: Path) -> None:
     experiment = experiments.read(write(tmp_path, EXPERIMENT))
     experiments.override(experiment, {"map_encoding": "scans"})
-    with pytest.raises(ScenarioError, match="--set exchange: without effect"):
+    with pytest.raises(ScenarioError, match="--set map_encoding: without effect"):
         experiments.override(experiments.choose(experiment, ["scans"]), {"map_encoding": "polygons"})
 
 

@@ -65,6 +65,6 @@ def test_an_assignment_by_algorithm_2_takes_longer_and_is_worth_more() -> None:
     ((experiment,),) = asked(["B3"], quick=True, settings={"robots": [8], "seed": 0}).values()
     (case,) = runs.cases(experiment)
     row = runs.run_case(case)
-    assert set(measures.FIGURES["assignment"]) <= set(row)
+    assert set(measures.METRICS["assignment"]) <= set(row)
     assert row["assignment.optimal_ms"] > row["assignment.greedy_ms"]
     assert row["assignment.optimal_value"] >= row["assignment.greedy_value"]

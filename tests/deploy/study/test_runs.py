@@ -105,11 +105,11 @@ def test_runs_of_other_code_are_made_again_unless_they_are_taken(
         assert len(us.made) == 4 and len(results.frame) == 2
 
 
-def test_an_exchange_of_one_s_own_is_part_of_the_code(
+def test_the_code_hash_covers_user_defined_map_encodings(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     silent = (
-        "from agent.encodings.none import NoExchange\n\n\nclass Silent(NoExchange):\n    name = 'silent'\n"
+        "from agent.encodings.none import NoEncoding\n\n\nclass Silent(NoEncoding):\n    name = 'silent'\n"
     )
     for module, more in (("first_silent", ""), ("second_silent", "    loud = False\n")):
         (tmp_path / f"{module}.py").write_text(silent + more)

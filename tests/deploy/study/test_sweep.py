@@ -8,9 +8,9 @@ from typing import Any
 import polars as pl
 import pytest
 
-import deploy
-from deploy import Scenario, compare, size, sweep
+import murmur
 from deploy.scenario.scenario import ScenarioError
+from murmur import Scenario, compare, size, sweep
 from tests.deploy.study.small_experiment import EXPERIMENT, write
 
 ROOMS: dict[str, Any] = {
@@ -50,7 +50,7 @@ def test_scenarios_are_compared_in_pairs_with_a_verdict_and_pictures(tmp_path: P
     (sentence,) = done.verdicts
     assert sentence.startswith("speed 1.0 has less than speed 0.3: 0.")
     assert "of the steps of " in sentence and sentence.endswith("4 pairs)")
-    assert done.table.filter(pl.col("figure") == "steps")["variant"].to_list() == ["speed 1.0", "speed 0.3"]
+    assert done.table.filter(pl.col("metric") == "steps")["variant"].to_list() == ["speed 1.0", "speed 0.3"]
     for file in done.write(tmp_path):
         assert file.stat().st_size > 100
     assert done._repr_html_().count("<img") == 2
@@ -72,7 +72,7 @@ def test_scenarios_of_files_and_objects_are_compared_by_their_names(tmp_path: Pa
         ([ROOMS, ROOMS], {}, "two of the scenarios are the same: map = "),
         ({"a": ROOMS, "b": ROOMS}, {}, "two of the scenarios are the same"),
         ([ROOMS, ROOMS | {"robots": 0}], {}, "robots = 0"),
-        ([ROOMS, ROOMS | {"speed": 2.0}], {"figure": "stepz"}, "'stepz' is no figure"),
+        ([ROOMS, ROOMS | {"speed": 2.0}], {"metric": "stepz"}, "'stepz' is no figure"),
     ],
 )
 def test_comparisons_that_make_no_sense_are_refused(scenarios: Any, settings: Any, said: str) -> None:
@@ -84,7 +84,7 @@ def test_the_smallest_team_that_is_enough_is_named(tmp_path: Path) -> None:
     settings = {name: value for name, value in ROOMS.items() if name not in ("map", "robots", "bandwidth")}
     tried = {"robots": [3, 1], "bandwidth": ["unlimited", 100], "range": ["100%"], "seeds": 2}
     out = tmp_path / "runs.parquet"
-    done = size("leader-rooms", within=45, out=out, **tried, **settings, **QUIET)
+    done = size("leader-rooms", deadline=45, out=out, **tried, **settings, **QUIET)
     assert [(o.robots, o.bandwidth) for o in done.options] == [
         (1, 100),
         (1, "unlimited"),
@@ -98,21 +98,21 @@ def test_the_smallest_team_that_is_enough_is_named(tmp_path: Path) -> None:
     )
     assert [file.name for file in done.write(tmp_path)] == ["size.png", "size.csv"]
     assert "<img" in done._repr_html_()
-    never = size("leader-rooms", within=3, out=out, **tried, **settings, **QUIET)
+    never = size("leader-rooms", deadline=3, out=out, **tried, **settings, **QUIET)
     assert never.enough is None and never.sentence.startswith(
         "None of these teams always explores leader-rooms"
     )
     is_one_of_three = (pl.col("robots") == 3) & (pl.col("seed") == 1)
     spoilt = pl.when(is_one_of_three).then(pl.lit("it broke")).otherwise(pl.col("error")).alias("error")
     pl.read_parquet(out).with_columns(spoilt).write_parquet(out)
-    broken = size("leader-rooms", within=45, out=out, **tried, **settings, **QUIET)
+    broken = size("leader-rooms", deadline=45, out=out, **tried, **settings, **QUIET)
     assert broken.enough is None and ": 1 of 2 runs, in " in broken.sentence
 
 
 def test_ranges_are_tried_from_the_shortest_and_the_nearest_team_is_one_that_has_finished() -> None:
     settings = {name: value for name, value in ROOMS.items() if name not in ("map", "robots", "bandwidth")}
     tried = {"robots": [1, 3], "bandwidth": ["unlimited"], "range": ["100%", "9"], "seeds": 1, "steps": 36}
-    done = size("leader-rooms", within=3, **tried, **settings, **QUIET)
+    done = size("leader-rooms", deadline=3, **tried, **settings, **QUIET)
     assert [(o.robots, o.range, o.steps.n) for o in done.options] == [
         (1, "9", 0),
         (1, "100%", 0),
@@ -123,4 +123,4 @@ def test_ranges_are_tried_from_the_shortest_and_the_nearest_team_is_one_that_has
 
 
 def test_all_of_it_is_exported() -> None:
-    assert {"compare", "explore", "size", "sweep"} <= set(deploy.__all__)
+    assert {"compare", "explore", "size", "sweep"} <= set(murmur.__all__)

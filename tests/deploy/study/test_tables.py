@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from deploy.study.tables import FIGURES, TABLES, Table, check, described, figure, has_finished, tabulate
+from deploy.study.tables import METRICS, TABLES, Table, check, described, figure, has_finished, tabulate
 from tests.deploy.small_run import small_run
 
 VARIANTS = ["polygons", "scans"]
@@ -32,11 +32,11 @@ def test_figures_are_all_numbers_of_a_summary_and_no_others() -> None:
     summary = small_run().summary
     row = {**summary} | {f"{table}.{name}": n for table in TABLES for name, n in summary[table].items()}
     assert {name for name, value in summary.items() if isinstance(value, int | float)} <= {
-        *FIGURES,
+        *METRICS,
         "bandwidth",
     }
-    assert {*FIGURES, *TABLES} <= set(summary)
-    for name in (*FIGURES, *(f"{table}.{number}" for table, numbers in TABLES.items() for number in numbers)):
+    assert {*METRICS, *TABLES} <= set(summary)
+    for name in (*METRICS, *(f"{table}.{number}" for table, numbers in TABLES.items() for number in numbers)):
         check(name, [])
         assert figure(row, name) is None or isinstance(figure(row, name), float)
     assert set(summary["bytes"]) <= set(TABLES["bytes"]) and set(summary["undelivered"]) <= set(
@@ -104,7 +104,7 @@ def test_means_of_what_finished_come_with_their_interval_and_how_many_did() -> N
          "coverage": 0.5 if name == "alone" and seed == 0 else 1.0}
         for name, many in counts.items() for seed, steps in enumerate(many)
     ]  # fmt: skip
-    table = Table(["map"], ["variant"], ["steps", "least coverage"], interval=True, finished_only=True)
+    table = Table(["map"], ["variant"], ["steps", "min coverage"], interval=True, finished_only=True)
     # Student's t for two degrees of freedom is 4.303: 4.303 * 10 / sqrt 3; for one it is 12.706.
     assert tabulate(table, done)[1] == ["m", "50 ± 25 1.0000", "85 ± 64 (2 of 3) 0.5000"]
     assert tabulate(table, [done[3]])[1] == ["m", "none (0 of 1) 0.5000"]
@@ -121,7 +121,7 @@ def test_a_described_table_has_a_row_a_cell_with_interval_and_five_numbers() -> 
     assert table.shape == (4, 16)
     over_all = described(Table([], ["variant"], ["bytes.total"]), runs())
     (polygons, _) = over_all.iter_rows(named=True)
-    assert (polygons["n"], polygons["mean"], polygons["median"], polygons["largest"]) == (2, 20, 20, 30)
+    assert (polygons["n"], polygons["mean"], polygons["median"], polygons["max"]) == (2, 20, 20, 30)
     assert polygons["low"] == pytest.approx(20 - 12.706 * 10, rel=1e-3)
 
 

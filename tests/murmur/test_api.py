@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
@@ -10,9 +12,9 @@ import numpy as np
 import polars
 import pytest
 
-import deploy
-from deploy import Result, Scenario, explore
+import murmur
 from deploy.scenario.scenario import ScenarioError
+from murmur import Result, Scenario, explore
 from protocol.grid import FREE
 
 SMALL = {"map": "em", "robots": 2, "bus": "memory", "steps": 12}
@@ -87,19 +89,25 @@ def test_maps_are_grids_by_name_and_robot() -> None:
     assert np.count_nonzero(seen) == np.count_nonzero(maps["team"] == FREE) > 0
 
 
-def test_the_plot_has_a_panel_a_map() -> None:
-    titles = [axes.get_title() for axes in small().plot().axes]
-    assert len([title for title in titles if title]) == 4
+def test_each_public_name_exists_and_is_documented() -> None:
+    for name in murmur.__all__:
+        assert getattr(murmur, name).__doc__, name
+
+
+def test_the_import_loads_nothing_that_the_program_does_not_use() -> None:
+    loaded = "import sys, murmur; print('numba' in sys.modules, 'matplotlib' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "False"]
 
 
 def test_a_typing_error_in_a_name_of_the_package_is_one() -> None:
     with pytest.raises(AttributeError, match="exlpore"):
-        deploy.exlpore  # noqa: B018
+        murmur.exlpore  # noqa: B018
 
 
 @pytest.mark.parametrize("given", ["office", {"robots": 3}, 3])
 def test_what_is_no_scenario_is_told_how_settings_are_given(given: object) -> None:
-    for call in (explore, deploy.steps):
+    for call in (explore, murmur.steps):
         with pytest.raises(
             TypeError, match=r"must be a Scenario; settings are given by name, as in explore\(map="
         ):

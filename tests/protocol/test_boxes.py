@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from agent.outline.boxes import MOST, NO_BOXES, Boxes, around, box_of, united, whole
+from protocol.boxes import MAX_BOXES, NO_BOXES, Boxes, bounding_box, union, whole_grid
 from protocol.scans import Change
 
 SIDE = 60
@@ -26,22 +26,22 @@ def test_boxes_put_together_cover_all_and_stay_few(lots: list[list[tuple[int, in
     together, wanted = NO_BOXES, covered(NO_BOXES)
     for lot in lots:
         boxes = np.array([(x, y, x + w, y + h) for x, y, w, h in lot], np.int32).reshape(-1, 4)
-        together, wanted = united(together, boxes), wanted | covered(boxes)
-        assert len(together) <= MOST
+        together, wanted = union(together, boxes), wanted | covered(boxes)
+        assert len(together) <= MAX_BOXES
         assert (covered(together) | ~wanted).all()
 
 
 def test_boxes_far_apart_stay_apart() -> None:
     one, other = np.array([(0, 0, 3, 3)], np.int32), np.array([(50, 50, 53, 53)], np.int32)
-    assert united(one, other).tolist() == [[0, 0, 3, 3], [50, 50, 53, 53]]
-    assert united(one, one + 2).tolist() == [[0, 0, 5, 5]]
+    assert union(one, other).tolist() == [[0, 0, 3, 3], [50, 50, 53, 53]]
+    assert union(one, one + 2).tolist() == [[0, 0, 5, 5]]
 
 
-def test_one_box_goes_around_all_others() -> None:
-    assert around(np.array([(3, 0, 5, 2), (-1, 4, 4, 9)], np.int32)) == (-1, 0, 5, 9)
+def test_the_bounding_box_contains_all_boxes() -> None:
+    assert bounding_box(np.array([(3, 0, 5, 2), (-1, 4, 4, 9)], np.int32)) == (-1, 0, 5, 9)
 
 
 def test_a_change_of_no_cell_has_no_box() -> None:
-    assert box_of(Change(0, 9, 9, 0, 0)).tolist() == []
-    assert box_of(Change(2, 3, 4, 5, 6)).tolist() == [[3, 4, 5, 6]]
-    assert whole((4, 7)).tolist() == [[0, 0, 7, 4]]
+    assert Change(0, (9, 9, 0, 0)).boxes.tolist() == []
+    assert Change(2, (3, 4, 5, 6)).boxes.tolist() == [[3, 4, 5, 6]]
+    assert whole_grid((4, 7)).tolist() == [[0, 0, 7, 4]]

@@ -1,0 +1,45 @@
+"""Murmur from Python: run a swarm of exploring robots, step through a run, compare runs.
+
+``murmur.explore(robots=5)`` runs a scenario to its end, ``for step in murmur.steps(robots=5): ...`` one step at a time.
+``sweep``, ``compare`` and ``size`` repeat runs over seeds and settings. Everything else is in the packages `deploy`
+(running and recording), `agent` (the robot), `worldsim` (the world), `netshaper` (the radio) and `protocol`.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from deploy.run.exploration import Result, explore
+    from deploy.run.stepwise import Step, Steps, steps
+    from deploy.scenario.scenario import Scenario, ScenarioError, load
+    from deploy.study.comparison import compare
+    from deploy.study.sizing import size
+    from deploy.study.sweep import sweep
+
+__all__ = [
+    "Result", "Scenario", "ScenarioError", "Step", "Steps", "compare", "explore", "load", "size", "steps", "sweep",
+]  # fmt: skip
+
+_MODULES = {
+    "Result": "deploy.run.exploration",
+    "Scenario": "deploy.scenario.scenario",
+    "ScenarioError": "deploy.scenario.scenario",
+    "Step": "deploy.run.stepwise",
+    "Steps": "deploy.run.stepwise",
+    "compare": "deploy.study.comparison",
+    "explore": "deploy.run.exploration",
+    "load": "deploy.scenario.scenario",
+    "size": "deploy.study.sizing",
+    "steps": "deploy.run.stepwise",
+    "sweep": "deploy.study.sweep",
+}
+"""The module that defines each public name."""
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name on first access, so that `import murmur` takes milliseconds rather than seconds."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(_MODULES[name]), name)
