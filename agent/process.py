@@ -5,9 +5,16 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from agent.exchange.gossip import EVERYONE
 from agent.identity import Identity
 from agent.journal import Journal
+from agent.replication.frames import (
+    EVERYONE,
+    ConnectionReport,
+    Delivery,
+    OutgoingFrame,
+    RoundReport,
+    SendReport,
+)
 from agent.robot import Robot
 from agent.settings import Settings
 from agent.viewer_feed import SHOWN_EVERY, ViewerFeed
@@ -138,7 +145,8 @@ class AgentNode:
             elif isinstance(note, PhaseDelivery):
                 self._take_turn(robot, note, self._take_frames(robot, len(note.connections), behind))
             elif isinstance(note, Outcome):
-                robot.settle(note, self._take_frames(robot, len(note.heard), behind))
+                heard = self._take_frames(robot, len(note.heard), behind)
+                robot.close_round(round_report(note, heard))
             else:
                 self._decide(robot, began)
             self._work += time.perf_counter() - began
@@ -146,8 +154,8 @@ class AgentNode:
     def _offer(self, robot: Robot, medium: Open) -> None:
         said = robot.announce(medium.peers) if medium.round == 0 else None
         room = None if medium.budget == UNLIMITED else medium.budget
-        offers = robot.session.offers(medium.round, medium.peers, room)
-        receivers, frames = [peer for peer, _, _ in offers], [frame for _, _, frame in offers]
+        offers = robot.replication.open_round(medium.round, medium.peers, room)
+        receivers, frames = [each.receiver for each in offers], [each.payload for each in offers]
         if said is not None and medium.peers:
             receivers.insert(0, EVERYONE)
             frames.insert(0, said)
@@ -156,31 +164,29 @@ class AgentNode:
             medium.round,
             "offers",
             [],
-            robot.session.priority,
+            robot.replication.priority,
             receivers,
             frames,
-            robot.session.replies(),
+            robot.replication.speculative(),
         )
         self._say(words)
 
     def _take_turn(self, robot: Robot, turn: PhaseDelivery, heard: list[tuple[int, bytes]]) -> None:
         """Answer the offers, or send data for the answers, that were delivered in this phase."""
         phase = "answers" if turn.phase == "offers" else "data"
-        said: list[tuple[int, int, bytes]] = []
+        frames: list[OutgoingFrame] = []
         try:
-            if turn.phase == "offers":
-                offers = [(n, *frame) for n, frame in zip(turn.connections, heard, strict=True)]
-                said = robot.session.answers(offers)
-            else:
-                named = zip(turn.connections, heard, turn.maps, strict=True)
-                said = robot.session.data([(n, peer, map_id, load) for n, (peer, load), map_id in named])
+            named = zip(heard, turn.connections, turn.maps, strict=True)
+            arrived = [Delivery(*frame, number, map_id) for frame, number, map_id in named]
+            react = robot.replication.answer if turn.phase == "offers" else robot.replication.send_data
+            frames = react(arrived)
         except ProtocolError as error:
             self._fault(str(error))
         if turn.spoken:
             return
-        numbers, receivers = [number for number, _, _ in said], [peer for _, peer, _ in said]
-        frames = [frame for _, _, frame in said]
-        self._say(Said(turn.step, turn.round, phase, numbers, 0, receivers, frames))
+        numbers, receivers = [each.connection for each in frames], [each.receiver for each in frames]
+        payloads = [each.payload for each in frames]
+        self._say(Said(turn.step, turn.round, phase, numbers, 0, receivers, payloads))
 
     def _decide(self, robot: Robot, began: float) -> None:
         self._take_frames(robot, 0)
@@ -191,7 +197,7 @@ class AgentNode:
             self._fault(f"heard nonsense from {names.robot(fault.peer)}: {fault.reason}")
         robot.faults.clear()
         x, y = robot.target or (-1, -1)
-        backlog = robot.session.undelivered()
+        backlog = robot.replication.undelivered()
         exact = robot.exact_error()
         errors = robot.error(), -1 if exact is None else exact
         report = RobotStatus(self._step, x, y, robot.known_cells, *errors, backlog, robot.status, work)
@@ -208,7 +214,7 @@ class AgentNode:
         broadcasts, frames = self._frames[: end - count], self._frames[end - count : end]
         del self._frames[:end]
         for peer, payload in broadcasts:
-            robot.hear_broadcast(peer, payload)
+            robot.receive_broadcast(peer, payload)
         return frames
 
     def _hand_in_maps(self) -> None:
@@ -243,3 +249,12 @@ def _frames_of(note: MediumNote) -> int:
     if isinstance(note, PhaseDelivery):
         return len(note.connections)
     return len(note.heard) if isinstance(note, Outcome) else 0
+
+
+def round_report(note: Outcome, heard: list[tuple[int, bytes]]) -> RoundReport:
+    """Return what the relay reports of a round."""
+    carried = zip(note.connections, note.offers, note.answers, note.data, strict=True)
+    deliveries = [Delivery(*frame, number) for number, frame in zip(note.heard, heard, strict=True)]
+    connections = [ConnectionReport(*each) for each in carried]
+    sent = [SendReport(*each) for each in enumerate(note.data)]
+    return RoundReport(note.step, note.round, connections, sent, deliveries, note.broadcast)

@@ -4,22 +4,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
-from agent.encodings.reachability_check import ReachabilityCheck
+from agent.encodings.reachability_check import ReachabilityCheck, Reception
 from agent.outline.polygons import Polygons
+from agent.replication.log import Dependency
+from agent.replication.map_ids import MapId, map_ids
 from agent.settings import Settings
 from protocol.grid import Grid
 from protocol.scans import Change, Scan
-
-
-class Basis(NamedTuple):
-    """A word of a map, units `first` to `end` - 1 of its log, that can only be read behind others' words."""
-
-    first: int
-    end: int
-    on: tuple[tuple[int, int], ...]
-    """Maps, and how many units of each must have been read."""
 
 
 class MapEncoding(ABC):
@@ -31,6 +24,8 @@ class MapEncoding(ABC):
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
+        self.maps = map_ids(settings.robots, settings.incarnations)
+        """All maps of the team, by number."""
         self.reachability_check = ReachabilityCheck(settings)
         """What teammates can have seen by now."""
 
@@ -65,14 +60,14 @@ class MapEncoding(ABC):
         self.revisable = 0
 
     @abstractmethod
-    def take(self, map_id: int, frame: bytes) -> None:
-        """Take the next units of robot `map_id`'s log, in their order, one behind the other.
+    def take(self, map_id: MapId, frame: bytes, reception: Reception) -> None:
+        """Decode the next entries of a map's log, in order.
 
         Raises
         ------
         ProtocolError
-            They make no sense, or tell of more than their maker can have seen (`agent.encodings.reachability_check`); nothing has
-            changed.
+            They are malformed, or describe more than their author can have observed
+            (`agent.encodings.reachability_check`); nothing has changed.
         """
 
     @abstractmethod
@@ -83,14 +78,14 @@ class MapEncoding(ABC):
         `peers` are the teammates in range: what they have told so far they can still correct.
         """
 
-    def pose(self, map_id: int) -> tuple[int, int] | None:
-        """From which cell (x, y) the maker of a map looked last, if what it tells of the map says so."""
+    def pose(self, map_id: MapId) -> tuple[int, int] | None:
+        """Return the cell (x, y) of the author's last scan, if the entries of its map contain it."""
         del map_id
         return None
 
-    def bases(self, map_id: int) -> Sequence[Basis]:
-        """Of the words of a map that one has read, in their order, those that are built on others' words."""
-        del map_id
+    def dependencies(self, number: int) -> Sequence[Dependency]:
+        """Return the decoded log ranges of a map, by its number, that depend on entries of other logs; in order."""
+        del number
         return ()
 
     def error(self, own: Grid) -> int:

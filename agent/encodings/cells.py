@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.encodings.base import MapEncoding
+from agent.encodings.reachability_check import Reception
 from agent.encodings.received_grid import Heard
+from agent.replication.map_ids import MapId
 from agent.settings import Settings
 from protocol import packet_index, packets
 from protocol.boxes import NO_BOXES, union
@@ -68,7 +70,7 @@ class CellEncoding(MapEncoding):
         self._untold = NO_BOXES
         """Where the robot's own grid has changed since the last patch."""
         self._heard = Heard(shape)
-        self._partial: dict[int, bytes] = {}
+        self._partial: dict[MapId, bytes] = {}
 
     def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
         """Tell what has changed, once all in range have heard what was told before."""
@@ -85,7 +87,7 @@ class CellEncoding(MapEncoding):
         before[:] = now
         return fragments(pack(x0, y0, patch), self._most) if patch.any() else []
 
-    def take(self, map_id: int, frame: bytes) -> None:
+    def take(self, map_id: MapId, frame: bytes, reception: Reception) -> None:
         """Put fragments together, and write the patches that are complete."""
         data = self._partial.get(map_id, b"") + packet_index.contents(frame)
         patches = []
@@ -93,7 +95,9 @@ class CellEncoding(MapEncoding):
             x0, y0, patch, data = read
             patches.append((x0, y0, patch))
         for x0, y0, patch in patches:
-            self.reachability_check.claim(map_id, (x0, y0, x0 + patch.shape[1], y0 + patch.shape[0]))
+            self.reachability_check.claim(
+                map_id, (x0, y0, x0 + patch.shape[1], y0 + patch.shape[0]), reception
+            )
         self._partial[map_id] = data
         for x0, y0, patch in patches:
             height, width = patch.shape

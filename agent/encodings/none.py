@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from agent.encodings.base import MapEncoding
+from agent.encodings.reachability_check import Reception
 from agent.encodings.received_grid import Heard
+from agent.replication.map_ids import MapId
 from agent.settings import Settings
 from protocol.errors import ProtocolError
 from protocol.grid import Grid
@@ -27,9 +29,12 @@ class NoEncoding(MapEncoding):
         self._heard.seen(own, change)
         return []
 
-    def take(self, map_id: int, frame: bytes) -> None:
+    def take(self, map_id: MapId, frame: bytes, reception: Reception) -> None:
         """Refuse what nobody should have sent."""
-        raise ProtocolError("data", 0, f"{len(frame)} bytes of robot {map_id}'s map where none are exchanged")
+        del reception
+        raise ProtocolError(
+            "data", 0, f"{len(frame)} bytes of robot {map_id.robot}'s map where none are exchanged"
+        )
 
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
         """Plan on the robot's own grid, of which nothing is known otherwise."""

@@ -14,6 +14,7 @@ from typing import Any
 from agent.encodings.base import MapEncoding
 from agent.encodings.changed_cells import ChangedCells
 from agent.encodings.polygon_options import PolygonOptions
+from agent.encodings.reachability_check import Reception
 from agent.memo_cache import ALONE, MemoCache
 from agent.outline.approximation import Marks, approximation, repair
 from agent.outline.claims import Drawing
@@ -26,6 +27,7 @@ from agent.outline.polygons import Polygons
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import by_distance, mixed_first, refine
 from agent.outline.splitting import SplitAllowance, Splitting
+from agent.replication.map_ids import MapId
 from agent.settings import Settings
 from protocol.grid import Grid
 from protocol.scans import Change, Scan
@@ -131,15 +133,15 @@ class PolygonEncoding(MapEncoding):
         """
         return approximation(exact, marks, unknown_pairs=self._options.unknown_pairs)
 
-    def take(self, map_id: int, frame: bytes) -> None:
+    def take(self, map_id: MapId, frame: bytes, reception: Reception) -> None:
         """Rebuild a teammate's approximation."""
 
         def check(saved: Saved) -> None:
             if saved.box is not None:
-                self.reachability_check.claim(map_id, saved.box, saved.saves)
+                self.reachability_check.claim(map_id, saved.box, reception, saved.saves)
 
-        if self._receivers[map_id].feed(frame, check):
-            self._news.add(map_id)
+        if self._receivers[map_id.number].feed(frame, check):
+            self._news.add(map_id.number)
 
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
         """Merge all approximations with the robot's own grid (Algorithm 9); draw those anew that have changed."""
@@ -147,8 +149,7 @@ class PolygonEncoding(MapEncoding):
             receiver = self._receivers[map_id]
             self._team.update(map_id, receiver.objects, receiver.changed())
         self._news.clear()
-        robots = self.settings.robots
-        near = [map_id for map_id in self._receivers if map_id % robots in peers]
+        near = [number for number in self._receivers if self.maps[number].robot in peers]
         return self._team.merged(own, near, self._unmerged.take(own))
 
     def error(self, own: Grid) -> int:

@@ -16,13 +16,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.encodings.base import Basis, MapEncoding
+from agent.encodings.base import MapEncoding
 from agent.encodings.predictive_options import PredictiveOptions
+from agent.encodings.reachability_check import Reception
 from agent.encodings.received_grid import Heard
 from agent.predictive.history import DecodedUpdate, History
 from agent.predictive.scan_updates import TOLD
 from agent.predictive.shared_decoder import CachedReader, SharedDecoderCache
 from agent.predictive.stream import Stream
+from agent.replication.log import Dependency
+from agent.replication.map_ids import MapId
 from agent.settings import Settings
 from protocol import packet_index
 from protocol.boxes import Box, bounding_box
@@ -112,7 +115,7 @@ class PredictiveEncoding(MapEncoding):
         """Packets of one's own log."""
         self._coming = [_Coming() for _ in range(settings.maps)]
         """Of one's own map what has been written."""
-        self._bases: list[list[Basis]] = [[] for _ in range(settings.maps)]
+        self._bases: list[list[Dependency]] = [[] for _ in range(settings.maps)]
         self._unread: set[int] = set()
         """Makers of which whole units have come that have not been read."""
 
@@ -126,7 +129,7 @@ class PredictiveEncoding(MapEncoding):
         return Stream(
             maker,
             np.zeros((settings.height, settings.width), np.uint8),
-            ray_table(settings.ranges_cells[maker % settings.robots], settings.beams),
+            ray_table(settings.ranges_cells[self.maps[maker].robot], settings.beams),
             histories,
             self._scratch,
             team=self._options.base == "team",
@@ -210,9 +213,10 @@ class PredictiveEncoding(MapEncoding):
         self._last = None
         super().retract()
 
-    def take(self, map_id: int, frame: bytes) -> None:
+    def take(self, map_id: MapId, frame: bytes, reception: Reception) -> None:
         """Put pieces together, and read the units that can be read by now, of all maps."""
-        coming = self._coming[map_id]
+        maker = map_id.number
+        coming = self._coming[maker]
         if coming.broken:
             raise ProtocolError(Update.name, 0, coming.broken)
         units = packet_index.split(frame)
@@ -232,7 +236,7 @@ class PredictiveEncoding(MapEncoding):
         coming.ends += ends
         if whole and not coming.whole:
             try:
-                first = self._decode(map_id, whole[0])
+                first = self._decode(maker, whole[0], reception)
             except ProtocolError:
                 del coming.ends[before:]
                 raise
@@ -242,11 +246,11 @@ class PredictiveEncoding(MapEncoding):
         coming.pieces, coming.packets = rest, coming.packets + len(units)
         coming.whole += whole
         if coming.whole:
-            self._unread.add(map_id)
+            self._unread.add(maker)
         if self._unread:
-            self._read_on()
+            self._read_on(reception)
 
-    def _read_on(self) -> None:
+    def _read_on(self, reception: Reception) -> None:
         """Read all units for which what they are built on is there; one that makes no sense ends its stream."""
         progress = True
         while progress:
@@ -255,7 +259,7 @@ class PredictiveEncoding(MapEncoding):
                 coming = self._coming[maker]
                 while coming.whole:
                     try:
-                        told = self._decode(maker, coming.whole[0])
+                        told = self._decode(maker, coming.whole[0], reception)
                     except ProtocolError as error:
                         coming.broken = error.reason
                         coming.whole.clear()
@@ -268,14 +272,15 @@ class PredictiveEncoding(MapEncoding):
                 if not coming.whole:
                     self._unread.discard(maker)
 
-    def _decode(self, maker: int, unit: bytes) -> DecodedUpdate | None:
-        """Read a unit that tells of no more than its maker can have seen."""
+    def _decode(self, maker: int, unit: bytes, reception: Reception) -> DecodedUpdate | None:
+        """Decode an update of map `maker`; reject one that describes, or builds on, what its author cannot know."""
         stream = self._follow(maker)
         told = stream.decode(unit)
         if told is None:
             return None
         try:
-            self.reachability_check.claim(maker, told.box)
+            self._check_bases(told, reception)
+            self.reachability_check.claim(self.maps[maker], told.box, reception)
         except ProtocolError:
             stream.undo()
             self._histories[maker].pop()
@@ -286,16 +291,28 @@ class PredictiveEncoding(MapEncoding):
             self._needed[maker] = stream.builds_from()
         return told
 
+    def _check_bases(self, update: DecodedUpdate, reception: Reception) -> None:
+        """Raise ProtocolError if an update builds on entries of this robot's log that no other robot can hold yet.
+
+        This robot may still retract them.
+        """
+        own = self.settings.own_map
+        for base in update.bases:
+            end = self._coming[base.robot].ends[base.end - 1]
+            if base.robot == own and end > reception.shared:
+                reason = f"builds on {end} entries of map {own}, of which {reception.shared} were shared"
+                raise ProtocolError(Update.name, 0, reason)
+
     def _note_basis(self, maker: int, told: DecodedUpdate) -> None:
         """Note what the last unit of a stream is built on."""
         ends, number = self._coming[maker].ends, len(self._histories[maker]) - 1
         on = tuple((base.robot, self._coming[base.robot].ends[base.end - 1]) for base in told.bases)
         if on:
-            self._bases[maker].append(Basis(ends[number - 1] if number else 0, ends[number], on))
+            self._bases[maker].append(Dependency(ends[number - 1] if number else 0, ends[number], on))
 
-    def bases(self, map_id: int) -> Sequence[Basis]:
-        """Of the units of a map that one has read those that are built on more of others than the ones before."""
-        return self._bases[map_id]
+    def dependencies(self, number: int) -> Sequence[Dependency]:
+        """Return the log ranges of decoded updates that build on more of other logs than the ones before."""
+        return self._bases[number]
 
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
         """Lay the robot's own grid over what all have told."""
@@ -307,9 +324,9 @@ class PredictiveEncoding(MapEncoding):
                 history.forget(needed)
         return self._heard.under(own)
 
-    def pose(self, map_id: int) -> tuple[int, int] | None:
+    def pose(self, map_id: MapId) -> tuple[int, int] | None:
         """From where the last look of a map's units was taken."""
-        return self._streams[map_id].pose if map_id in self._streams else None
+        return self._streams[map_id.number].pose if map_id.number in self._streams else None
 
     def _lay(self, told: DecodedUpdate) -> None:
         """Write what a unit tells: a wall if anybody tells so, else free if anybody does."""

@@ -11,6 +11,9 @@ who passes on a map cannot know what its maker has said of itself to others.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+from agent.replication.map_ids import MapId
 from agent.settings import Settings
 from protocol.boxes import Box, bounding_box
 from protocol.errors import ProtocolError
@@ -19,64 +22,66 @@ SLACK = 8
 """Cells: contours lie beside what was seen, and what is left of a step's way is driven in the next one."""
 
 
+class Reception(NamedTuple):
+    """The circumstances in which a robot received entries."""
+
+    step: int
+    sender: int
+    shared: int
+    """Offset in the receiver's own log before which other robots may hold entries."""
+
+
 class ReachabilityCheck:
-    """What has been claimed so far, by map, and how far a further claim may go."""
+    """The area that each map covers so far, and how far another update may extend it."""
 
     def __init__(self, settings: Settings) -> None:
-        self._robots = settings.robots
         self._speed = max(settings.fastest_cells, settings.speed_cells)
         self._ranges = settings.ranges_cells
         self._perfect = not settings.requires_acks
-        self._step: int | None = None
-        self._teller = -1
-        self._claimed: dict[int, Box] = {}
-        self._words: dict[int, int] = {}
+        self._covered: dict[MapId, Box] = {}
+        self._updates: dict[MapId, int] = {}
         self._places: dict[int, tuple[int, int, int]] = {}
 
-    def listen(self, step: int, teller: int) -> None:
-        """What is claimed from now on is heard in this step, from `teller`."""
-        self._step, self._teller = step, teller
-
     def place(self, robot: int, step: int, x: int, y: int) -> None:
-        """A robot was heard from a cell in a step, by its own words."""
+        """Note the cell that a robot broadcast as its own in a step."""
         if self._perfect:
             self._places[robot] = step, x, y
 
-    def claim(self, map_id: int, box: Box, words: int = 1) -> None:
-        """Take a claim: so many `words` more of map `map_id` tell of cells in `box`, and of none beyond.
+    def claim(self, map_id: MapId, box: Box, reception: Reception, updates: int = 1) -> None:
+        """Note that so many more updates of a map describe cells in `box`, and none beyond.
 
         Raises
         ------
         ProtocolError
-            That cannot be; nothing has changed.
+            The author cannot have observed that; nothing has changed.
         """
-        if self._step is None or box[0] >= box[2] or box[1] >= box[3]:
+        if box[0] >= box[2] or box[1] >= box[3]:
             return
-        told, before = self._words.get(map_id, 0), self._claimed.get(map_id)
-        predictive = 2 * self._ranges[map_id % self._robots] + SLACK
-        far = predictive + self._speed * max(0, self._step - told)
-        if before is None:
+        before, covered = self._updates.get(map_id, 0), self._covered.get(map_id)
+        reach = 2 * self._ranges[map_id.robot] + SLACK
+        far = reach + self._speed * max(0, reception.step - before)
+        if covered is None:
             grown = max(box[2] - box[0], box[3] - box[1])
         else:
-            grown = max(before[0] - box[0], before[1] - box[1], box[2] - before[2], box[3] - before[3])
-            box = bounding_box((before, box))
+            grown = max(covered[0] - box[0], covered[1] - box[1], box[2] - covered[2], box[3] - covered[3])
+            box = bounding_box((covered, box))
         if grown > far:
-            raise ProtocolError(
-                "claim",
-                0,
-                f"map {map_id} grows by {grown} cells, where {far:.0f} can have been seen since its last word",
+            reason = (
+                f"map {map_id.number} grows by {grown} cells; since its last update {far:.0f} are possible"
             )
-        self._check_place(map_id, box, told + words, predictive)
-        self._claimed[map_id], self._words[map_id] = box, told + words
+            raise ProtocolError("claim", 0, reason)
+        self._check_place(map_id, box, before + updates, reach, reception)
+        self._covered[map_id], self._updates[map_id] = box, before + updates
 
-    def _check_place(self, map_id: int, box: Box, words: int, predictive: float) -> None:
-        """Compare what a robot tells of its own map with where it was heard from."""
-        maker = map_id % self._robots
-        if self._step is None or maker != self._teller or maker not in self._places:
+    def _check_place(self, map_id: MapId, box: Box, updates: int, reach: float, reception: Reception) -> None:
+        """Compare what a robot describes of its own map with the cell that it broadcast."""
+        author = map_id.robot
+        if author != reception.sender or author not in self._places:
             return
-        step, x, y = self._places[maker]
+        step, x, y = self._places[author]
         off = max(box[0] - x, x - box[2] + 1, box[1] - y, y - box[3] + 1)
-        far = predictive + self._speed * max(abs(step - words), self._step - step)
-        if off > far:
-            reason = f"map {map_id} lies {off} cells from ({x}, {y}), where its maker was heard from"
+        if off > reach + self._speed * max(abs(step - updates), reception.step - step):
+            reason = (
+                f"map {map_id.number} lies {off} cells from ({x}, {y}), the pose that its author broadcast"
+            )
             raise ProtocolError("claim", 0, reason)

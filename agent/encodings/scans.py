@@ -9,7 +9,9 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from agent.encodings.base import MapEncoding
+from agent.encodings.reachability_check import Reception
 from agent.encodings.received_grid import Heard
+from agent.replication.map_ids import MapId
 from agent.settings import Settings
 from protocol import packet_index, packets
 from protocol.errors import ProtocolError
@@ -28,7 +30,7 @@ class ScanEncoding(MapEncoding):
         self._size = scan_size(settings.beams)
         self._most = settings.frame_bytes or packets.Fragment.size
         self._heard = Heard((settings.height, settings.width))
-        self._partial: dict[int, bytes] = {}
+        self._partial: dict[MapId, bytes] = {}
         self._last = b""
 
     def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
@@ -41,7 +43,7 @@ class ScanEncoding(MapEncoding):
         self._last = data
         return fragments(data, self._most)
 
-    def take(self, map_id: int, frame: bytes) -> None:
+    def take(self, map_id: MapId, frame: bytes, reception: Reception) -> None:
         """Put fragments together and draw the scans that are complete."""
         held, size = self._partial.get(map_id, b""), self._size
         data = held + packet_index.contents(frame, size, len(held))
@@ -49,7 +51,9 @@ class ScanEncoding(MapEncoding):
         scans = [self._read(map_id, data[at : at + size]) for at in range(0, end, size)]
         if scans:
             x, y = [scan.x for scan in scans], [scan.y for scan in scans]
-            self.reachability_check.claim(map_id, (min(x), min(y), max(x) + 1, max(y) + 1), len(scans))
+            self.reachability_check.claim(
+                map_id, (min(x), min(y), max(x) + 1, max(y) + 1), reception, len(scans)
+            )
         self._partial[map_id] = data[end:]
         for scan in scans:
             change = draw(self._heard.grid, self._ray_table_of(map_id), scan.x, scan.y, scan.readings)
@@ -61,11 +65,11 @@ class ScanEncoding(MapEncoding):
         del peers
         return self._heard.under(own)
 
-    def _ray_table_of(self, map_id: int) -> RayTable:
+    def _ray_table_of(self, map_id: MapId) -> RayTable:
         """The beams of the robot whose map it is."""
-        return self._ray_tables[map_id % self.settings.robots]
+        return self._ray_tables[map_id.robot]
 
-    def _read(self, map_id: int, data: bytes) -> Scan:
+    def _read(self, map_id: MapId, data: bytes) -> Scan:
         scan = decode_scan(data, self._ray_table_of(map_id))
         height, width = self._heard.grid.shape
         if scan.x >= width or scan.y >= height:

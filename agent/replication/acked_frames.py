@@ -22,7 +22,7 @@ from functools import partial
 
 from agent.replication.control_packets import from_packet, held_packet, offset, parse
 from agent.replication.frame_builder import FrameBuilder
-from agent.replication.frames import NO_CONNECTION, Delivery, OutgoingFrame, SendReport
+from agent.replication.frames import Delivery, OutgoingFrame, RoundReport
 from agent.replication.handshake_packets import offer
 from agent.replication.policies import LogRange, Policy, Round, offerable
 from agent.replication.replica import Replica
@@ -97,7 +97,7 @@ class AckedFrames:
             self._fill(builder, peer, [each for each in due if each.receiver == peer])
             if builder.payload:
                 self._builders.append(builder)
-                frames.append(OutgoingFrame(peer, NO_CONNECTION, builder.payload))
+                frames.append(OutgoingFrame(peer, builder.payload))
                 budget = None if budget is None else max(0, budget - len(builder.payload))
         return frames
 
@@ -113,12 +113,13 @@ class AckedFrames:
         """Reject the phase: entries are sent when the next round opens."""
         raise ProtocolError("conn", 0, f"{len(answers)} answers out of turn")
 
-    def close_round(self, reports: Sequence[SendReport], received: Sequence[Delivery]) -> None:
+    def close_round(self, report: RoundReport) -> None:
         """Note what was on the air, and process the received frames."""
-        for builder, report in zip(self._builders, reports, strict=False):
-            builder.sent(report.data)
+        sent = {each.frame: each.sent for each in report.sent}
+        for frame, builder in enumerate(self._builders):
+            builder.sent(sent.get(frame, 0))
         self._builders = []
-        for delivery in received:
+        for delivery in report.deliveries:
             self._receive(delivery.sender, delivery.payload)
 
     def delivered(self) -> bool:

@@ -22,7 +22,7 @@ from collections.abc import Sequence
 
 from agent.replication.acked_frames import AckedFrames
 from agent.replication.delivery import MediumAcks, PeerAcks
-from agent.replication.frames import Delivery, OutgoingFrame, SendReport
+from agent.replication.frames import Delivery, OutgoingFrame, RoundReport
 from agent.replication.gossip import Gossip
 from agent.replication.gossip_policy import Dependencies, no_dependencies
 from agent.replication.handshakes import Handshakes
@@ -159,9 +159,9 @@ class Replication:
         """Send the entries that answers ask for; ProtocolError if there cannot be any, or one is malformed."""
         return self._dissemination.send_data(answers)
 
-    def close_round(self, reports: Sequence[SendReport], received: Sequence[Delivery]) -> list[Rejected]:
-        """Take the send reports of this robot's frames and the frames that arrived; return rejections."""
-        self._dissemination.close_round(reports, received)
+    def close_round(self, report: RoundReport) -> list[Rejected]:
+        """Take what was on the air of this robot's frames, and the frames that arrived; return rejections."""
+        self._dissemination.close_round(report)
         return self.replica.take_rejected()
 
     def delivered(self) -> bool:

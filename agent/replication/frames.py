@@ -7,31 +7,36 @@ from typing import NamedTuple
 EVERYONE = -1
 """Receiver of a broadcast."""
 
-NO_CONNECTION = -1
-"""Connection of frames outside a handshake."""
-
 
 class OutgoingFrame(NamedTuple):
-    """A frame to send: to one robot or to `EVERYONE`, on a connection that the relay numbered."""
-
     receiver: int
-    connection: int
     payload: bytes
+    connection: int = -1
 
 
 class Delivery(NamedTuple):
-    """A received frame; `map` is the map number that its connection is about."""
-
     sender: int
-    connection: int
-    map: int
     payload: bytes
+    connection: int = -1
+    map_id: int = -1
 
 
-class SendReport(NamedTuple):
-    """Bytes on the air of each frame of a connection."""
-
+class ConnectionReport(NamedTuple):
     connection: int
     offer: int
     answer: int
     data: int
+
+
+class SendReport(NamedTuple):
+    frame: int
+    sent: int
+
+
+class RoundReport(NamedTuple):
+    step: int
+    round: int
+    connections: list[ConnectionReport]
+    sent: list[SendReport]
+    deliveries: list[Delivery]
+    broadcast_sent: bool

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from agent.replication.control_packets import Entries, ParsedFrame, from_packet, held_packet, offset, parse
 from agent.replication.delivery import PATIENCE, MediumAcks, PeerAcks
 from agent.replication.frame_builder import FrameBuilder
-from agent.replication.frames import EVERYONE, NO_CONNECTION, Delivery, OutgoingFrame, SendReport
+from agent.replication.frames import EVERYONE, Delivery, OutgoingFrame, RoundReport
 from agent.replication.gossip_policy import Dependencies, GossipPolicy
 from agent.replication.meetings import Event, Meetings
 from agent.replication.neighbors import BroadcastCursors, Neighbors
@@ -89,7 +89,7 @@ class Gossip:
         served = self._policy.serve(self._in_range, self._step, self._delivery.turn)
         self._set_priority(served)
         payload = self._builder.payload
-        return [OutgoingFrame(EVERYONE, NO_CONNECTION, payload)] if payload else []
+        return [OutgoingFrame(EVERYONE, payload)] if payload else []
 
     def speculative(self) -> Replies:
         """Return nothing: there are no further phases."""
@@ -103,10 +103,10 @@ class Gossip:
         """Reject the phase: gossip has no answers."""
         raise ProtocolError("conn", 0, f"{len(answers)} answers, but maps travel by gossip")
 
-    def close_round(self, reports: Sequence[SendReport], received: Sequence[Delivery]) -> None:
+    def close_round(self, report: RoundReport) -> None:
         """Update the tables by what was on the air, and accept the entries that arrived."""
         frames: list[tuple[int, ParsedFrame]] = []
-        for delivery in received:
+        for delivery in report.deliveries:
             try:
                 frames.append((delivery.sender, parse(delivery.payload)))
             except ProtocolError as error:
@@ -115,9 +115,10 @@ class Gossip:
             self._note_restart(peer, frame)
         for peer, frame in frames:  # reports describe the state before this round
             self._read_reports(peer, frame)
-        for report in reports:
-            self._builder.sent(report.data)
-            if report.data:
+        if self._builder.payload:
+            sent = max((each.sent for each in report.sent), default=0)
+            self._builder.sent(sent)
+            if sent:
                 self._idle_since = self._step
         for peer, frame in frames:
             for header, entries in frame.sections:

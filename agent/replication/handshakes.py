@@ -15,7 +15,7 @@ import numpy as np
 
 from agent.replication.connection import Connection, Event, State
 from agent.replication.frame_builder import FrameBuilder
-from agent.replication.frames import NO_CONNECTION, Delivery, OutgoingFrame, SendReport
+from agent.replication.frames import Delivery, OutgoingFrame, RoundReport
 from agent.replication.handshake_packets import DECLINE, answer, block_of, offer, read_answer, read_offer
 from agent.replication.policies import Policy, Round, backoff, offerable
 from agent.replication.replica import Replica
@@ -70,7 +70,7 @@ class Handshakes:
         for receiver, number, first, _ in self._policy(self._peers, self._round, lengths):
             connection = self._offered[receiver, number] = Connection(receiver, number, length=first)
             connection.on(Event.NEWS)
-            frames.append(OutgoingFrame(receiver, NO_CONNECTION, offer(number, first)))
+            frames.append(OutgoingFrame(receiver, offer(number, first)))
         return frames
 
     def speculative(self) -> Replies:
@@ -120,7 +120,7 @@ class Handshakes:
             if connection.on(Event.UNWANTED_OFFER if unwanted else Event.FIRST_OFFER) is State.TAKING:
                 self._taking.add(offered.map)
                 reply = answer(len(self._replica.logs[offered.map]), offered.block)
-            frames.append(OutgoingFrame(sender, delivery.connection, reply))
+            frames.append(OutgoingFrame(sender, reply, delivery.connection))
         return frames
 
     def send_data(self, answers: Sequence[Delivery]) -> list[OutgoingFrame]:
@@ -136,7 +136,7 @@ class Handshakes:
         frames = []
         left = self._round.budget
         for delivery in answers:
-            sender, number = delivery.sender, delivery.map
+            sender, number = delivery.sender, delivery.map_id
             connection = self._offered.get((sender, number))
             if connection is None or connection.state is not State.OFFERED:
                 raise ProtocolError("conn", 0, f"robot {sender} answers an offer that was not made")
@@ -146,23 +146,23 @@ class Handshakes:
                 connection.frame = builder
                 builder.add_entries(log, connection.length, len(log), b"", partial(self._arrived, connection))
                 if builder.payload:
-                    frames.append(OutgoingFrame(sender, delivery.connection, builder.payload))
+                    frames.append(OutgoingFrame(sender, builder.payload, delivery.connection))
                 if left is not None:
                     left -= len(builder.payload)
         return frames
 
-    def close_round(self, reports: Sequence[SendReport], data: Sequence[Delivery]) -> None:
+    def close_round(self, report: RoundReport) -> None:
         """Update the peer table by what was carried, and accept the data that arrived."""
-        for report in reports:
-            connection = self._answered.get(report.connection)
-            if connection is not None and report.answer:
-                self._settle(connection, report.data)
+        for carried in report.connections:
+            connection = self._answered.get(carried.connection)
+            if connection is not None and carried.answer:
+                self._settle(connection, carried.data)
         if len(self._replica.logs) > self._peers.robots:
-            for report in reports:
-                connection = self._received.get(report.connection)
-                if connection is not None and report.offer:
+            for carried in report.connections:
+                connection = self._received.get(carried.connection)
+                if connection is not None and carried.offer:
                     self._note_restart(connection.peer, connection.number)
-        for delivery in data:
+        for delivery in report.deliveries:
             connection = self._received.get(delivery.connection)
             if connection is None or connection.state is not State.TAKING:
                 continue

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.exchange import gossip
+from agent.replication.policies import GOSSIP
 from agent.settings import Settings
 from agent.strategies.registry import strategy
 from deploy.scenario.finding_maps import find_map
@@ -109,7 +109,7 @@ def make(scenario: Scenario, world_map: Map | None = None, *, incarnations: int 
         range_m / cell,
         budget,
         scenario.rounds,
-        scenario.dissemination == gossip.POLICY,
+        scenario.dissemination == GOSSIP,
         incarnations,
         scenario.radio,
         cell,
