@@ -63,7 +63,7 @@ class Gossip:
         self._cursors = BroadcastCursors(robot, robots, known=first_incarnation, reliable=delivery.reliable)
         self._policy = GossipPolicy(peers, replica.logs, self._neighbors, dependencies, self._add_range)
         self._step = 0
-        self._in_range = [peer for peer in range(robots) if first_incarnation and peer != robot]
+        self._in_range: list[int] = []
         self._parted = False
         """Whether any robot has ever been out of range."""
         self._gaps: set[int] = set()
@@ -133,9 +133,7 @@ class Gossip:
     def _begin_step(self, in_range: list[int]) -> None:
         """Note which peers are in range in this step."""
         self._step += 1
-        now, before = set(in_range), set(self._in_range)
-        out_of_range = [peer for peer in range(self._peers.robots) if peer not in now]
-        self._meetings.begin_step(self._step, in_range, out_of_range, now - before)
+        self._meetings.begin_step(self._step, in_range)
         self._cursors.begin_step(in_range)
         self._in_range = in_range
         self._parted = self._parted or len(in_range) < self._peers.robots - 1

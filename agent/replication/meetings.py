@@ -20,7 +20,7 @@ by then. `TRANSITIONS` is the table that the code runs by; an event without an e
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from enum import StrEnum
 
 GREETING = 1
@@ -83,6 +83,7 @@ class Meetings:
 
     def __init__(self, robots: int, *, settled: bool) -> None:
         self._states = [State.SETTLED if settled else State.AWAY] * robots
+        self._in_range = set(range(robots)) if settled else set[int]()
         self._arrived: dict[int, int] = {}
         """The step in which each peer came into range last."""
 
@@ -90,17 +91,17 @@ class Meetings:
         """Follow the transition table."""
         self._states[peer] = TRANSITIONS.get((self._states[peer], event), self._states[peer])
 
-    def begin_step(
-        self, step: int, in_range: Iterable[int], left: Iterable[int], arrived: Iterable[int]
-    ) -> None:
+    def begin_step(self, step: int, in_range: Sequence[int]) -> None:
         """Note which peers have left the range and which have come, and time out greetings."""
-        for peer in left:
-            self.on(peer, Event.LEFT)
-        for peer in arrived:
-            self.on(peer, Event.ARRIVED)
-            self._arrived[peer] = step
+        before, self._in_range = self._in_range, set(in_range)
+        for peer in range(len(self._states)):
+            if peer not in self._in_range:
+                self.on(peer, Event.LEFT)
         for peer in in_range:
-            if self._states[peer] in _AWAITS_REPORT and step > self._arrived[peer] + GREETING:
+            if peer not in before:
+                self.on(peer, Event.ARRIVED)
+                self._arrived[peer] = step
+            elif self._states[peer] in _AWAITS_REPORT and step > self._arrived[peer] + GREETING:
                 self.on(peer, Event.TIMED_OUT)
 
     def owed(self) -> list[int]:
