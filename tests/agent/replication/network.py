@@ -14,7 +14,14 @@ from functools import partial
 import numpy as np
 
 from agent.replication.engine import Replication
-from agent.replication.frames import EVERYONE, ConnectionReport, Delivery, OutgoingFrame, RoundReport, SendReport
+from agent.replication.frames import (
+    EVERYONE,
+    ConnectionReport,
+    Delivery,
+    OutgoingFrame,
+    RoundReport,
+    SendReport,
+)
 from agent.replication.map_ids import MapId
 from agent.replication.policies import DISSEMINATIONS
 from protocol import packet_index
@@ -161,13 +168,17 @@ class Network:
         for robot, frames in sent.items():
             assert all(frame.receiver == EVERYONE or frame.receiver in reach[robot] for frame in frames)
         self._closed = False
-        self.last = self._connections(sent, reach, budget) if self._handshakes else self._frames(sent, reach, budget)
+        self.last = (
+            self._connections(sent, reach, budget) if self._handshakes else self._frames(sent, reach, budget)
+        )
         self.carried += sum(sum(each.carried) for each in self.last)
         return self.last
 
     # --- handshakes
 
-    def _connections(self, sent: dict[int, list[OutgoingFrame]], reach: Reach, budget: int | None) -> list[Transmission]:
+    def _connections(
+        self, sent: dict[int, list[OutgoingFrame]], reach: Reach, budget: int | None
+    ) -> list[Transmission]:
         offers = [
             Transmission(robot, each.receiver, packet_map(each.payload), [each.payload])
             for robot, frames in sent.items()
@@ -228,9 +239,13 @@ class Network:
 
     # --- frames without connections
 
-    def _frames(self, sent: dict[int, list[OutgoingFrame]], reach: Reach, left: int | None) -> list[Transmission]:
+    def _frames(
+        self, sent: dict[int, list[OutgoingFrame]], reach: Reach, left: int | None
+    ) -> list[Transmission]:
         frames = [
-            Transmission(robot, each.receiver, -1, [each.payload]) for robot, these in sent.items() for each in these
+            Transmission(robot, each.receiver, -1, [each.payload])
+            for robot, these in sent.items()
+            for each in these
         ]
         for at in self.rng.permutation(len(frames)):
             frame = frames[at].frames[0]
