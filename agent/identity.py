@@ -13,9 +13,8 @@ Packets can name so many maps (`protocol.packets.MAX_MAPS`); that bounds robots 
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import msgspec
+from msgspec.structs import replace
 
 from agent.journal import Journal, JournalError
 from agent.settings import Settings

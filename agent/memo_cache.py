@@ -35,5 +35,5 @@ class MemoCache:
         return result
 
 
-ALONE = MemoCache(0)
+NO_CACHE = MemoCache(0)
 """For a robot that has a process of its own."""

@@ -75,6 +75,8 @@ class AgentNode:
         self._to_lab = keys.control(names.RECORDER, self._name)
         self._to_viewer = keys.control(names.VIEW, self._name)
         self.robot: Robot | None = None
+        self._unconfigured: list[object] = []
+        """Messages that arrived before this robot's settings."""
         self._frames: list[tuple[int, bytes]] = []
         self._early: list[MediumNote] = []
         """What the relay says of a step of which the world's message has not arrived yet."""
@@ -93,22 +95,27 @@ class AgentNode:
 
     def _take(self, said: object) -> None:
         """Take what relay or world says."""
-        if self.robot is not None and isinstance(said, Heard):
-            self._frames += zip(said.senders, said.frames, strict=True)
-            self._heed(self.robot, said.notes)
-        elif self.robot is not None and isinstance(said, Sense):
-            self._sense(self.robot, said)
-        elif isinstance(said, Configure):
-            self._begin(Settings.from_message(said.settings))
+        if isinstance(said, Configure):
+            self._begin(Settings.decode(said.settings))
+            waiting, self._unconfigured = self._unconfigured, []
+            for message in waiting:
+                self._take(message)
+        elif isinstance(said, Shutdown):
+            self.done = True
         elif isinstance(said, Strike):
             self.killed = self.done = True
         elif isinstance(said, Watched):
             self._viewer_feed = ViewerFeed() if said.here else None
+        elif self.robot is None:
+            self._unconfigured.append(said)
+        elif isinstance(said, Heard):
+            self._frames += zip(said.senders, said.frames, strict=True)
+            self._heed(self.robot, said.notes)
+        elif isinstance(said, Sense):
+            self._sense(self.robot, said)
         elif isinstance(said, End):
             self._show(said.step)
             self._hand_in_maps()
-        elif isinstance(said, Shutdown):
-            self.done = True
 
     def _begin(self, settings: Settings) -> None:
         """Begin a life; if there was one before, all of it but the journal is gone."""

@@ -15,7 +15,6 @@ import numpy as np
 
 from agent.announcements import Announcements
 from agent.encodings.catalog import ENCODINGS, make_encoding
-from agent.encodings.reachability_check import Reception
 from agent.outline.polygons import Polygons
 from agent.replication.engine import Replication
 from agent.replication.frames import RoundReport
@@ -40,7 +39,7 @@ def sure_after(settings: Settings) -> int:
 
     Twice as many on a medium that may lose or delay frames.
     """
-    if not ENCODINGS[settings.map_encoding].guesses(settings):
+    if not ENCODINGS[settings.map_encoding].infers_cells(settings):
         return 0
     return 2 * SURE_AFTER if settings.requires_acks else SURE_AFTER
 
@@ -81,9 +80,9 @@ class Robot:
         self._sure_after = sure_after(settings)
 
     def share(self, common: dict[str, Any]) -> None:
-        """Share memory with the other robots of this process (`agent.encodings.base.MapEncoding.share`)."""
-        self._encoding.share(common)
-        self._strategy.share(common)
+        """Share memory with the other robots of this process (`agent.encodings.base.MapEncoding.use_shared_cache`)."""
+        self._encoding.use_shared_cache(common)
+        self._strategy.use_shared_cache(common)
 
     @property
     def polygons(self) -> Mapping[int, Polygons]:
@@ -97,7 +96,7 @@ class Robot:
 
     def error(self) -> int:
         """Count the cells in which its map and the approximation in its log differ (thesis, Eq. 6.1)."""
-        return self._encoding.error(self.own)
+        return self._encoding.approximation_error(self.own)
 
     def exact_error(self) -> int | None:
         """Count the same as if the approximation were exact; None if that is not measured."""
@@ -119,16 +118,16 @@ class Robot:
         self._sense = sense
         self._team.perceive(sense)
         encoding, replication = self._encoding, self.replication
-        if encoding.revisable and not self._withheld and replication.retract(encoding.revisable):
-            encoding.retract()
+        if encoding.retractable and not self._withheld and replication.retract(encoding.retractable):
+            encoding.retract_last()
         delivered = replication.delivered() and not self._withheld
         if delivered:
-            self._announcements.scans_received(encoding.pose(replication.own), self._team.in_range)
+            self._announcements.scans_received(encoding.scan_cell(replication.own.number), self._team.in_range)
         scan = Scan(sense.x, sense.y, readings)
-        self._withheld += encoding.record(self.own, scan, change, delivered=delivered)
-        if not self._strategy.withholds:
+        self._withheld += encoding.encode_changes(self.own, scan, change, delivered=delivered)
+        if not self._strategy.defers_publication:
             self._publish()
-        if self._strategy.tells_pose:
+        if self._strategy.publishes_pose:
             self._announcements.set_pose(sense.x, sense.y, leads=self._strategy.leads)
 
     def announce(self, in_range: Sequence[int]) -> bytes | None:
@@ -149,7 +148,7 @@ class Robot:
         self.faults += [Fault(peer, reason) for reason in team.receive_broadcast(peer, payload)]
         pose = team.broadcast_pose(peer)
         if pose is not None and self._sense is not None:
-            self._encoding.reachability_check.place(peer, team.step, pose.x, pose.y)
+            self._encoding.note_pose(peer, team.step, pose.x, pose.y)
 
     def close_round(self, report: RoundReport) -> None:
         """Process the end of a round: what was on the air, and the frames that arrived."""
@@ -161,8 +160,8 @@ class Robot:
     def _consume(self, peer: int, map_id: MapId, frame: bytes) -> Sequence[int]:
         """Decode entries of a map that a teammate sent; return where in the frame each one ends."""
         ends = packet_index.ends(frame)
-        self._encoding.take(map_id, frame, Reception(self._team.step, peer, self.replication.shared))
-        self._team.infer_pose(map_id.robot, self._encoding.pose(map_id))
+        self._encoding.apply(map_id.number, frame, step=self._team.step, sender=peer)
+        self._team.infer_pose(map_id.robot, self._encoding.scan_cell(map_id.number))
         return ends
 
     def decide(self) -> Move:
@@ -187,7 +186,7 @@ class Robot:
 
     def _apply(self, decision: Decision) -> None:
         """Take over a decision, and prepare what teammates are sent of it."""
-        if self._strategy.tells_target and decision.target is not None and decision.target != self.target:
+        if self._strategy.publishes_target and decision.target is not None and decision.target != self.target:
             self._announcements.set_target(decision.target)
         self.target = decision.target
         self.status = decision.status

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import ProtocolError
 
 
-@dataclass(frozen=True)
-class Settings:
+class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One robot's task.
 
     Attributes
@@ -86,11 +85,11 @@ class Settings:
     dissemination: str
     bandwidth: float | None
     reach_cells: float
-    polygons: dict[str, Any] = field(default_factory=dict)
-    predictive: dict[str, Any] = field(default_factory=dict)
-    options: dict[str, Any] = field(default_factory=dict)
+    polygons: dict[str, Any] = {}
+    predictive: dict[str, Any] = {}
+    options: dict[str, Any] = {}
     resolution: float = 0.1
-    radii_cells: list[float] = field(default_factory=list)
+    radii_cells: list[float] = []
     field_of_view: float = 360.0
     scanner_turn: float = 0.0
     forward_maps: bool = True
@@ -139,15 +138,18 @@ class Settings:
         """Steps in which the scanner makes a full turn."""
         return math.ceil(360 / self.scanner_turn) if self.scanner_turn else 1
 
-    def to_message(self) -> dict[str, Any]:
-        """Return the form that `from_message` reads."""
-        return asdict(self)
+    def encode(self) -> bytes:
+        """Return these settings in msgpack, for `decode`."""
+        return _encode(self)
 
     @classmethod
-    def from_message(cls, settings: dict[str, Any]) -> Settings:
-        """Read the form sent over the bus; ProtocolError if keys are missing or unknown."""
-        wanted = {item.name for item in fields(cls)}
-        if set(settings) != wanted:
-            odd = ", ".join(sorted(wanted ^ set(settings)))
-            raise ProtocolError("Configure", 0, f"settings are missing or unknown: {odd}")
-        return cls(**settings)
+    def decode(cls, data: bytes) -> Settings:
+        """Read encoded settings; ProtocolError if a setting is missing, unknown or of the wrong type."""
+        try:
+            return _decode(data)
+        except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
+            raise ProtocolError("Configure", 0, f"not a robot's settings: {error}") from None
+
+
+_encode = msgspec.msgpack.Encoder().encode
+_decode = msgspec.msgpack.Decoder(Settings).decode

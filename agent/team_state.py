@@ -114,7 +114,7 @@ class TeamState:
             connected=self.relayed.connected(sense.step, self.in_range),
             poses=_ascending(self.poses),
             moved=_ascending(self._moved),
-            travelled=_ascending(self._traveled),
+            traveled=_ascending(self._traveled),
             targets=_ascending(self.targets),
             heard=_ascending(self._target_steps),
             news=new_targets,

@@ -24,6 +24,7 @@ from protocol.messages import (
     Begin,
     Change,
     Close,
+    Configure,
     End,
     Fault,
     Heard,
@@ -74,6 +75,8 @@ class RelayNode:
         self._watched = False
         self._begun = False
         self._ended = False
+        self._settings: dict[int, bytes] = {}
+        """Each robot's `Configure` message, for when it joins."""
         self._for_robots: defaultdict[int, Heard] = defaultdict(lambda: Heard([], [], []))
         """What each robot is going to be told."""
         self._protocol_errors: Counter[str] = Counter()
@@ -132,6 +135,8 @@ class RelayNode:
             self._present.add(who)
             if self._watched and who != names.RECORDER:
                 self._bus.put(self._keys.control(who, names.RELAY), pack(Watched(here=True)))
+            if names.is_robot(who):
+                self._configure(names.number(who))
             if not self._begun and self._expected <= self._present:
                 self._begun = True
                 self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Begin()))
@@ -148,6 +153,12 @@ class RelayNode:
             self._go_home()
         else:
             self.give_up_on(names.number(who), ENDED)
+
+    def _configure(self, robot: int) -> None:
+        """Send a robot its settings once both are here: the robot and its settings."""
+        name = names.robot(robot)
+        if name in self._present and robot in self._settings:
+            self._bus.put(self._keys.control(name, names.RELAY), self._settings[robot])
 
     def _come_back(self, robot: int) -> None:
         """A robot that was gone has joined again; it takes part from the next step on."""
@@ -175,6 +186,9 @@ class RelayNode:
                 self._report(change)
             self._radio.changed.clear()
             self._send(opening)
+        elif isinstance(said, Configure):
+            self._settings[said.robot] = payload
+            self._configure(said.robot)
         elif isinstance(said, End):
             self._end(said)
         elif isinstance(said, Lost):

@@ -59,7 +59,7 @@ def clip(box: NDArray[np.int32], margin: int, shape: tuple[int, int], out: NDArr
 
 @kernel("int64(int32[:,::1], int64, int64, int64, int64, int64)")
 def add_box(boxes: Boxes, count: int, x0: int, y0: int, x1: int, y1: int) -> int:
-    """Add a box behind the first `count` of `boxes`, shape (`MAX_BOXES`, 4), or enlarge one of them; return the new count."""
+    """Add a box behind the first `count` of `boxes`, shape (`MAX_BOXES`, 4), or enlarge one; return the new count."""
     fewest, best = np.int64(1) << 60, -1
     for at in range(count):
         b0, b1, b2, b3 = boxes[at, 0], boxes[at, 1], boxes[at, 2], boxes[at, 3]

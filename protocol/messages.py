@@ -38,6 +38,7 @@ from protocol.fields import (
     CountOrNone,
     Distances,
     Eighths,
+    EncodedSettings,
     Ends,
     Frame,
     Frames,
@@ -60,8 +61,6 @@ from protocol.fields import (
 )
 from protocol.grid import Grid
 
-MOST_SETTINGS = 1 << 20
-"""Bytes of a robot's settings, as a message."""
 MOST_NOTES = 4
 """Notes of the relay that a robot is given at one go."""
 
@@ -75,9 +74,10 @@ class Begin(Record, tag=0, frozen=True):
 
 
 class Configure(Record, tag=1, frozen=True):
-    """World to robot, before its first `Sense`: all that a robot is told of its task (`agent.settings`)."""
+    """Recorder to relay, and relay to that robot when it joins: the robot's encoded `agent.settings.Settings`."""
 
-    settings: dict[str, Any]
+    robot: RobotNumber
+    settings: EncodedSettings
 
 
 class Sense(Record, tag=2, frozen=True):
@@ -498,8 +498,6 @@ def _most_bytes(kind: inspect.Type) -> int:
             return HEAD_BYTES + most * HEAD_BYTES + MOST_FRAMES
         case inspect.ListType(item_type=item, max_length=int(most)):
             return HEAD_BYTES + most * _most_bytes(item)
-        case inspect.DictType():
-            return MOST_SETTINGS
         case inspect.UnionType(types=kinds):
             return max(map(_most_bytes, kinds))
         case inspect.StructType(fields=parts):

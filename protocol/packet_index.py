@@ -1,6 +1,6 @@
-"""A frame's packets surveyed in one pass over its bytes: where each ends and of which kind it is, no object a packet.
+"""Packet boundaries and kinds of a frame, found in one pass over its bytes without an object per packet.
 
-What a survey accepts is what `protocol.packets.decode` reads. Where it stumbles, the decoder is asked for the reason.
+These kernels accept exactly what `protocol.packets.decode` reads. Where they fail, `decode` gives the error.
 """
 
 from __future__ import annotations
@@ -13,34 +13,24 @@ from numpy.typing import NDArray
 
 from protocol.errors import ProtocolError
 from protocol.kernels import kernel
-from protocol.packets import (
-    ALL_KINDS,
-    FRAGMENT_DATA,
-    LAYOUT_BY_BYTE,
-    SHORT_HEAD,
-    Fragment,
-    Update,
-    content,
-    decode,
-)
+from protocol.packets import ALL_KINDS, LAYOUT_BY_BYTE, SHORT_HEAD, Fragment, content, decode
 
 Bytes = NDArray[np.uint8]
 Table = NDArray[np.int64]
 
 TABLE: Table = np.array(LAYOUT_BY_BYTE, np.int64)
-"""Of each possible first byte: its kind in `ALL_KINDS` (-1: no packet), the packet's bytes (0: the next byte tells),
-which of its bits are the same in all packets, and what they are."""
+"""Layout of the packets that start with each byte, shape (256, 7); columns as in `LAYOUT_BY_BYTE`."""
 
 KINDS = len(ALL_KINDS)
 
-_UPDATE, _FRAGMENT = ALL_KINDS.index(Update.name), ALL_KINDS.index(Fragment.name)
+_FRAGMENT = ALL_KINDS.index(Fragment.name)
 
 FRAME = "Array(uint8, 1, 'C', readonly=True)"
-"""Bytes as kernels take them: what is read from `bytes` cannot be written to."""
+"""Type of a frame in the signature of a kernel; arrays over `bytes` are read-only."""
 
 
 def kinds(frame: bytes) -> int:
-    """Return which kinds of packets a frame holds: bit k is set for kind k of `ALL_KINDS`.
+    """Return the kinds of packets in a frame: bit k is set for kind k of `ALL_KINDS`.
 
     Raises
     ------
@@ -53,19 +43,19 @@ def kinds(frame: bytes) -> int:
     return found
 
 
-def fitting(frame: bytes, room: int) -> int:
-    """Return how many bytes of a frame of whole packets fit into `room` bytes without cutting a packet."""
-    return int(fitting_part(np.frombuffer(frame, np.uint8), 0, len(frame), room, TABLE))
+def fitting(frame: bytes, limit: int) -> int:
+    """Return the size of the longest prefix of a frame that has whole packets and at most `limit` bytes."""
+    return int(fitting_part(np.frombuffer(frame, np.uint8), 0, len(frame), limit, TABLE))
 
 
 def longest(frame: bytes) -> int:
-    """Return the bytes of the longest of a frame's whole packets."""
+    """Return the bytes of the longest packet of a frame; ProtocolError as `ends`."""
     return max(map(len, split(frame)), default=0)
 
 
 @lru_cache(maxsize=64)
 def ends(frame: bytes) -> Sequence[int]:
-    """Return where each packet of a frame ends; several may hear the same frame, and get the same answer.
+    """Return the end of each packet of a frame, as offsets; cached, because a frame can have many receivers.
 
     Raises
     ------
@@ -81,7 +71,7 @@ def ends(frame: bytes) -> Sequence[int]:
 
 
 def split(frame: bytes) -> list[bytes]:
-    """Cut a frame into one piece a packet; ProtocolError as `ends`."""
+    """Split a frame into its packets; ProtocolError as `ends`."""
     begin = 0
     pieces = []
     for end in ends(frame):
@@ -91,35 +81,35 @@ def split(frame: bytes) -> list[bytes]:
 
 
 def contents(frame: bytes, size: int = 0, held: int = 0) -> bytes:
-    """Return what the fragments of a frame carry, one behind the other.
+    """Return the joined content of a frame of fragments.
 
     Parameters
     ----------
     frame : bytes
         Whole packets.
     size : int
-        Bytes of what is sent in fragments, each time; 0: any number.
+        Bytes of each message that was split into fragments; 0: not known.
     held : int
-        Bytes of it that have come before.
+        Bytes of the first message that have arrived before this frame.
 
     Raises
     ------
     ProtocolError
-        There is another packet, or a fragment runs beyond the end of what it is a part of.
+        The frame holds another packet, or a fragment extends beyond the end of its message.
     """
-    carried = np.empty(len(frame), np.uint8)
-    count = int(_contents(np.frombuffer(frame, np.uint8), TABLE, size, held, carried))
+    joined = np.empty(len(frame), np.uint8)
+    count = int(_contents(np.frombuffer(frame, np.uint8), TABLE, size, held, joined))
     if count == _NO_FRAGMENT:
         for piece in split(frame):
             content(piece)
     if count == _TOO_LONG:
-        raise ProtocolError(Fragment.name, 0, f"a fragment runs beyond the {size} bytes that it is a part of")
-    return carried[:count].tobytes()
+        raise ProtocolError(Fragment.name, 0, f"a fragment extends beyond the {size} bytes of its message")
+    return joined[:count].tobytes()
 
 
 @kernel(f"int64({FRAME}, int64, int64, int64[:,::1])")
 def packet_end(data: Bytes, at: int, end: int, table: Table) -> int:
-    """Return where the packet that begins at `at` ends; -1 if it does not end by `end`, or is none."""
+    """Return the end of the packet that starts at `at`; -1 if it is malformed or does not end by `end`."""
     first = data[at]
     size = table[first, 1]
     if table[first, 0] < 0:
@@ -127,20 +117,18 @@ def packet_end(data: Bytes, at: int, end: int, table: Table) -> int:
     if size == 0:
         if at + 1 >= end:
             return -1
-        size = np.int64(data[at + 1])
-        if table[first, 0] == _UPDATE:
-            size >>= 2
-        elif size < 1 or size >= FRAGMENT_DATA:
+        size = np.int64(data[at + 1]) >> table[first, 4]
+        if size < table[first, 5] or size > table[first, 6]:
             return -1
-        size += 2
+        size += SHORT_HEAD
     if at + size > end:
         return -1
     mask = table[first, 2]
     if mask:
-        word = np.int64(0)
+        number = np.int64(0)
         for byte in range(at, at + size):
-            word = word << 8 | np.int64(data[byte])
-        if word & mask != table[first, 3]:
+            number = number << 8 | np.int64(data[byte])
+        if number & mask != table[first, 3]:
             return -1
     return int(at + size)
 
@@ -174,8 +162,8 @@ _NO_FRAGMENT, _TOO_LONG = -1, -2
 
 
 @kernel(f"int64({FRAME}, int64[:,::1], int64, int64, uint8[::1])")
-def _contents(data: Bytes, table: Table, size: int, held: int, carried: Bytes) -> int:
-    """Write what fragments carry, and return how much that is; or what is wrong."""
+def _contents(data: Bytes, table: Table, size: int, held: int, joined: Bytes) -> int:
+    """Write the content of all fragments to `joined`, and return its size; or `_NO_FRAGMENT` or `_TOO_LONG`."""
     at = count = 0
     while at < len(data):
         if table[data[at], 0] != _FRAGMENT:
@@ -185,7 +173,7 @@ def _contents(data: Bytes, table: Table, size: int, held: int, carried: Bytes) -
         if end < 0:
             return _NO_FRAGMENT
         for byte in range(at + head, end):
-            carried[count] = data[byte]
+            joined[count] = data[byte]
             count += 1
         held += end - at - head
         if 0 < size < held:
@@ -197,12 +185,12 @@ def _contents(data: Bytes, table: Table, size: int, held: int, carried: Bytes) -
 
 
 @kernel(f"int64({FRAME}, int64, int64, int64, int64[:,::1])")
-def fitting_part(data: Bytes, begin: int, end: int, room: int, table: Table) -> int:
-    """Return how many of the bytes `begin` to `end`, which are whole packets, fit into `room` bytes."""
+def fitting_part(data: Bytes, begin: int, end: int, limit: int, table: Table) -> int:
+    """Return how many bytes of the whole packets in ``data[begin:end]`` fit into `limit` bytes."""
     at = begin
     while at < end:
         behind = packet_end(data, at, end, table)
-        if behind < 0 or behind - begin > room:
+        if behind < 0 or behind - begin > limit:
             break
         at = behind
     return at - begin
@@ -210,7 +198,7 @@ def fitting_part(data: Bytes, begin: int, end: int, room: int, table: Table) -> 
 
 @kernel(f"int64({FRAME}, int64, int64, int64[:,::1], int64[:,::1])")
 def count_part(data: Bytes, begin: int, end: int, table: Table, counts: Table) -> int:
-    """Count packets and bytes of each kind in the bytes `begin` to `end`; -1 if they are not whole packets.
+    """Count the packets and bytes of each kind in ``data[begin:end]``; return -1 if these are not whole packets.
 
     `counts`, shape (kinds, 2), is overwritten.
     """

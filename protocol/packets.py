@@ -1,8 +1,7 @@
-"""The packets of the radio, bit for bit (thesis, Table 6.1; docs/protocol.md draws them).
+"""The packets of the radio: their layouts (thesis, Table 6.1; docs/protocol.md), and how they are written and read.
 
-Every packet opens with a code that no other begins with; fields follow, most significant bit first; what is
-left of the last byte is zero. The code alone tells a packet's length, so packets need no framing: a stream
-of them may be cut anywhere and taken up again (`Decoder`).
+The layout of a packet is declared once, by the annotations of its class; `LAYOUTS` lists all of them. The code alone
+determines a packet's length, so packets need no framing: a stream of them can be cut anywhere and resumed (`Decoder`).
 """
 
 from __future__ import annotations
@@ -10,296 +9,367 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from functools import lru_cache
-from typing import ClassVar
+from typing import Annotated, ClassVar, get_type_hints
 
 from protocol.errors import ProtocolError
+from protocol.packet_layout import LENGTH, Bits, Layout
 
 MAX_VERTICES = 4096
-"""Vertices an object may have; `Insert`, `Replace` and `Delete` count them from 0."""
+"""The most vertices of an object; `Insert`, `Replace` and `Delete` index them from 0."""
 
 MAX_OBJECTS = 4096
-"""Objects an approximation may have."""
+"""The most objects of an approximation."""
 
 GOSSIP_WINDOW = 1 << 24
-"""Units of a log that `From` and `Held` can tell apart."""
+"""Log offsets in `From` and `Held` are modulo this number."""
 EARLY = 1 << 8
-"""The first units of a log, of which `FromEarly` and `HeldEarly` speak."""
+"""`FromEarly` and `HeldEarly` can give log offsets below this number."""
 MAX_GOSSIP_MAPS = 1 << 8
-"""Maps that gossip can name."""
+"""The most maps that gossip can name."""
 
 INDEX_WINDOW = 4096
-"""Units of a log that one `Answer` can tell apart; the block says which window is meant."""
+"""Entries of a log in a block; an `Answer` gives an offset within one."""
 
 MAX_MAPS = 64
-"""Robots whose maps an `Offer` can tell apart: the largest team that exchanges maps by packets."""
+"""The most maps that an `Offer` can name: the largest team that exchanges maps by offers."""
 
 BLOCKS = 64
-"""Blocks that an `Offer` can tell apart; in a longer log they begin again at block 0, in the next round."""
+"""Blocks in a round; in a longer log, `Offer` and `Block` count again from block 0."""
+
+VertexIndex = Annotated[int, Bits(12, "i", "position of the vertex in its object, from 0")]
+VertexX = Annotated[
+    int, Bits(12, "x", "column of the vertex' cell, from -1 (the unknown border); sent plus 1", 1)
+]
+VertexY = Annotated[int, Bits(12, "y", "row of the vertex' cell, from -1; sent plus 1", 1)]
+Side = Annotated[
+    int, Bits(2, "s", "side of its cell on which the vertex lies: 0 below, 1 right, 2 above, 3 left")
+]
+Occupied = Annotated[
+    int,
+    Bits(
+        1, "o", "1: the edge from this vertex to the next is a wall; 0: it is unknown (inside object: free)"
+    ),
+]
+Object = Annotated[int, Bits(12, "n", "number of the object")]
+Count = Annotated[int, Bits(13, "c", "vertices of the object after the vertex packets that follow")]
+Inside = Annotated[int, Bits(1, "e", "1: the object encloses the free space")]
+OfferedMap = Annotated[
+    int, Bits(6, "m", "number of the map's robot, plus the team size times the robot's incarnation")
+]
+GossipMap = Annotated[
+    int, Bits(8, "m", "number of the map's robot, plus the team size times the robot's incarnation")
+]
+BlockNumber = Annotated[int, Bits(6, "b", "block of 4096 log entries, modulo 64")]
+BlockOffset = Annotated[int, Bits(12, "i", "number of log entries held, within the block")]
+Offset = Annotated[int, Bits(24, "i", "offset of a log entry, modulo 16777216")]
+EarlyOffset = Annotated[int, Bits(8, "i", "offset of a log entry, below 256")]
+Robot = Annotated[int, Bits(8, "r", "number of the robot")]
+CellX = Annotated[int, Bits(11, "x", "column of a cell")]
+CellY = Annotated[int, Bits(11, "y", "row of a cell")]
+Leads = Annotated[int, Bits(1, "l", "1: the sender leads a sub-team")]
+Age = Annotated[int, Bits(6, "a", "steps since the robot was in that cell")]
+Checksum = Annotated[int, Bits(16, "q", "checksum of all preceding bytes of the frame")]
 
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """What all packets share: a code, and fields in the order in which they are sent."""
+    """Base class of all packets: its fields are sent in the order of their declaration."""
 
     name: ClassVar[str]
+    """Kind: of the packets in Table 6.1, their name there."""
     size: ClassVar[int]
-    """Bytes on the air (Table 6.1)."""
-    code: ClassVar[int]
-    code_bits: ClassVar[int]
-    bits: ClassVar[tuple[int, ...]]
-    """Width of each field, in bits, in the order of the dataclass."""
+    """Bytes (Table 6.1); of packets with content, those of a full one."""
+    code: ClassVar[str]
+    """Binary digits with which the packet starts; of packets with content, with which a full one starts."""
 
 
 @dataclass(frozen=True, slots=True)
 class Insert(Packet):
-    """A vertex enters the current object before the one that has `index` now.
+    """Insert a vertex into the current object, before the vertex that now has `index`.
 
-    The vertex is the contour point of cell (x, y) on its side `side` (`agent.outline.contour`); cells run from -1,
-    the unknown rim around the grid. `occupied` speaks of the edge from this vertex to the next.
+    The vertex is the contour point of cell (x, y) on its side `side` (`agent.outline.contour`).
     """
 
-    name, size, code, code_bits, bits = "ins", 6, 0b010, 3, (12, 12, 12, 2, 1)
-    index: int
-    x: int
-    y: int
-    side: int
-    occupied: int
+    name, size, code = "ins", 6, "010"
+    index: VertexIndex
+    x: VertexX
+    y: VertexY
+    side: Side
+    occupied: Occupied
 
 
 @dataclass(frozen=True, slots=True)
 class Replace(Packet):
-    """The vertex at `index` of the current object becomes another."""
+    """Replace the vertex at `index` of the current object."""
 
-    name, size, code, code_bits, bits = "rep", 6, 0b011, 3, (12, 12, 12, 2, 1)
-    index: int
-    x: int
-    y: int
-    side: int
-    occupied: int
+    name, size, code = "rep", 6, "011"
+    index: VertexIndex
+    x: VertexX
+    y: VertexY
+    side: Side
+    occupied: Occupied
 
 
 @dataclass(frozen=True, slots=True)
 class Delete(Packet):
-    """The vertex at `index` of the current object goes."""
+    """Delete the vertex at `index` of the current object."""
 
-    name, size, code, code_bits, bits = "del", 2, 0b100, 3, (12,)
-    index: int
+    name, size, code = "del", 2, "100"
+    index: VertexIndex
 
 
 @dataclass(frozen=True, slots=True)
 class Emerge(Packet):
-    """A new object takes the free number `object`; `count` inserts follow.
+    """Create an object under the unused number `object`, and make it the current one; `count` inserts follow."""
 
-    `inside`: it encloses the free space.
-    """
-
-    name, size, code, code_bits, bits = "em", 5, 0b1101, 4, (12, 13, 1)
-    object: int
-    count: int
-    inside: int
+    name, size, code = "em", 5, "1101"
+    object: Object
+    count: Count
+    inside: Inside
 
 
 @dataclass(frozen=True, slots=True)
 class Change(Packet):
-    """The vertex packets that follow speak of `object`, which will have `count` vertices after them."""
+    """Make `object` the current one; it has `count` vertices after the vertex packets that follow."""
 
-    name, size, code, code_bits, bits = "chg", 5, 0b1110, 4, (12, 13, 1)
-    object: int
-    count: int
-    inside: int
+    name, size, code = "chg", 5, "1110"
+    object: Object
+    count: Count
+    inside: Inside
 
 
 @dataclass(frozen=True, slots=True)
 class Remove(Packet):
-    """`object` is gone; its number may be given again."""
+    """Remove `object`; its number may be used again."""
 
-    name, size, code, code_bits, bits = "rm", 2, 0b1010, 4, (12,)
-    object: int
+    name, size, code = "rm", 2, "1010"
+    object: Object
 
 
 @dataclass(frozen=True, slots=True)
 class Offer(Packet):
-    """Handshake: the sender has news of robot `map`, from `block` of its log on."""
+    """Handshake: offer log entries of a map; the receiver is believed to hold its log up to `block`."""
 
-    name, size, code, code_bits, bits = "conn", 2, 0b1100, 4, (6, 6)
-    map: int
-    block: int
+    name, size, code = "conn", 2, "1100"
+    map: OfferedMap
+    block: BlockNumber
 
 
 @dataclass(frozen=True, slots=True)
 class Answer(Packet):
-    """Handshake: the receiver holds the units before `index` (within the block) of the map offered."""
+    """Handshake: answer an offer with the number of log entries held of that map, within the block."""
 
-    name, size, code, code_bits, bits = "conn", 2, 0b1011, 4, (12,)
-    index: int
+    name, size, code = "conn", 2, "1011"
+    index: BlockOffset
 
 
 @dataclass(frozen=True, slots=True)
 class Block(Packet):
-    """Handshake: the answer that follows counts from `block`, not from the one that the offer assumed.
+    """Handshake: the answer that follows refers to `block` instead of the block of the offer.
 
-    Before another block it counts rounds of `BLOCKS` blocks.
+    Before another `Block` it gives the round, which counts `BLOCKS` blocks.
     """
 
-    name, size, code, code_bits, bits = "conn", 2, 0b1111100000, 10, (6,)
-    block: int
+    name, size, code = "conn", 2, "1111100000"
+    block: BlockNumber
 
 
 @dataclass(frozen=True, slots=True)
 class Decline(Packet):
-    """Handshake: nothing is wanted, for another robot is sending this map in the same exchange."""
+    """Handshake: decline an offer, because another robot sends this map in the same round."""
 
-    name, size, code, code_bits, bits = "conn", 2, 0b1111110000000000, 16, ()
+    name, size, code = "conn", 2, "1111110000000000"
 
 
 @dataclass(frozen=True, slots=True)
 class From(Packet):
-    """Gossip: what follows are units of robot `map`'s log, the first of them number `index`, modulo `GOSSIP_WINDOW`."""
+    """Gossip: entries of a map's log follow, the first of them at offset `index`, modulo `GOSSIP_WINDOW`."""
 
-    name, size, code, code_bits, bits = "conn", 5, 0xF6, 8, (8, 24)
-    map: int
-    index: int
+    name, size, code = "conn", 5, "11110110"
+    map: GossipMap
+    index: Offset
 
 
 @dataclass(frozen=True, slots=True)
 class FromEarly(Packet):
-    """Gossip: as `From`, with one of the first `EARLY` units."""
+    """Gossip: a shorter `From` for offsets below `EARLY`."""
 
-    name, size, code, code_bits, bits = "conn", 3, 0xFB, 8, (8, 8)
-    map: int
-    index: int
+    name, size, code = "conn", 3, "11111011"
+    map: GossipMap
+    index: EarlyOffset
 
 
 @dataclass(frozen=True, slots=True)
 class Held(Packet):
-    """Gossip: the sender holds `index` units of robot `map`'s log, modulo `GOSSIP_WINDOW`."""
+    """Gossip: the sender holds `index` entries of a map's log, modulo `GOSSIP_WINDOW`."""
 
-    name, size, code, code_bits, bits = "conn", 5, 0xF7, 8, (8, 24)
-    map: int
-    index: int
+    name, size, code = "conn", 5, "11110111"
+    map: GossipMap
+    index: Offset
 
 
 @dataclass(frozen=True, slots=True)
 class HeldEarly(Packet):
-    """Gossip: as `Held`, where they are fewer than `EARLY`."""
+    """Gossip: a shorter `Held` for fewer than `EARLY` entries."""
 
-    name, size, code, code_bits, bits = "conn", 3, 0xFD, 8, (8, 8)
-    map: int
-    index: int
+    name, size, code = "conn", 3, "11111101"
+    map: GossipMap
+    index: EarlyOffset
 
 
 @dataclass(frozen=True, slots=True)
 class Near(Packet):
-    """Gossip: `robot` has come into the sender's range."""
+    """Gossip: `robot` has entered the sender's range."""
 
-    name, size, code, code_bits, bits = "conn", 2, 0xF9, 8, (8,)
-    robot: int
+    name, size, code = "conn", 2, "11111001"
+    robot: Robot
 
 
 @dataclass(frozen=True, slots=True)
 class Gone(Packet):
     """Gossip: `robot` has left the sender's range."""
 
-    name, size, code, code_bits, bits = "conn", 2, 0xFE, 8, (8,)
-    robot: int
+    name, size, code = "conn", 2, "11111110"
+    robot: Robot
 
 
 @dataclass(frozen=True, slots=True)
 class Check(Packet):
-    """The checksum at the end of a frame, over all before it; put there by radios whose frames can be damaged."""
+    """Checksum at the end of a frame; added and removed by radios that damage frames, never seen by robots."""
 
-    name, size, code, code_bits, bits = "sum", 3, 0xFA, 8, (16,)
-    sum: int
+    name, size, code = "sum", 3, "11111010"
+    sum: Checksum
 
 
 @dataclass(frozen=True, slots=True)
 class Target(Packet):
     """Broadcast: the sender moves to cell (x, y) next."""
 
-    name, size, code, code_bits, bits = "targ", 3, 0b00, 2, (11, 11)
-    x: int
-    y: int
+    name, size, code = "targ", 3, "00"
+    x: CellX
+    y: CellY
 
 
 @dataclass(frozen=True, slots=True)
 class Pose(Packet):
-    """Broadcast: the sender is in cell (x, y), and leads if `leads` is 1.
+    """Broadcast: the sender is in cell (x, y), and whether it leads a sub-team.
 
-    It is not in Table 6.1: strategies need it whose robots assign targets together, or follow leaders.
+    It is not in Table 6.1. Strategies need it whose robots assign targets together, or follow leaders.
     """
 
-    name, size, code, code_bits, bits = "pose", 4, 0xF3, 8, (11, 11, 1)
-    x: int
-    y: int
-    leads: int
+    name, size, code = "pose", 4, "11110011"
+    x: CellX
+    y: CellY
+    leads: Leads
 
 
 @dataclass(frozen=True, slots=True)
 class Passed(Packet):
-    """Broadcast: `robot` was in cell (x, y) `age` steps ago; a `Target` behind it is that robot's.
+    """Broadcast: relay the pose of another robot, which was in cell (x, y) `age` steps ago.
 
-    Its own words, passed on to those who do not hear it (`agent.strategies.relayed_state`).
+    A `Target` that follows is that robot's (`agent.strategies.relayed_state`).
     """
 
-    name, size, code, code_bits, bits = "pose", 6, 0xFF0, 12, (8, 6, 11, 11)
-    robot: int
-    age: int
-    x: int
-    y: int
+    name, size, code = "pose", 6, "111111110000"
+    robot: Robot
+    age: Age
+    x: CellX
+    y: CellY
 
 
 @dataclass(frozen=True, slots=True)
 class Save(Packet):
-    """A step's edits are complete: what was said up to here may be drawn."""
+    """Save point: a step's edits are complete, and receivers may draw them."""
 
-    name, size, code, code_bits, bits = "save", 1, 0b11110000, 8, ()
+    name, size, code = "save", 1, "11110000"
 
 
 @dataclass(frozen=True, slots=True)
 class Fragment(Packet):
-    """A piece of a raw scan (`protocol.scans`), at most `FRAGMENT_DATA` bytes; a full one needs no length."""
+    """Fragment of a raw scan (`protocol.scans`) or a patch: 1 to `FRAGMENT_DATA` bytes."""
 
-    name, size, code, code_bits, bits = "scan", 64, 0xF1, 8, ()
+    name, size, code = "scan", 64, "11110001"
     data: bytes
 
 
 @dataclass(frozen=True, slots=True)
 class Update(Packet):
-    """A piece of a unit of the predictive exchange (`agent.predictive`).
+    """Fragment of a map update of the predictive scan encoding (`agent.predictive`).
 
-    Pieces of `UPDATE_DATA` bytes, which need no length, and then one that ends the unit: up to `LAST_UPDATE_DATA` bytes,
-    and the number of the unit in its maker's stream, modulo `UPDATE_NUMBERS`. `number` is None where it is not the last.
+    Fragments of `UPDATE_DATA` bytes, and a last one of up to `LAST_UPDATE_DATA`, make up an update. The last one has
+    the update's `number` in its map's log, modulo `UPDATE_NUMBERS`; in the others `number` is None.
     """
 
-    name, size, code, code_bits, bits = "look", 9, 0xF4, 8, ()
+    name, size, code = "update", 9, "11110100"
     number: int | None
     data: bytes
 
 
 SHORT_HEAD = 2
-"""Bytes before the content of packets that say how long they are."""
+"""Bytes before the content of packets that have a length field."""
 
 FRAGMENT_DATA = Fragment.size - 1
-"""Bytes of content in a full fragment."""
-_FULL, _SHORT = 0xF1, 0xF2
+"""Bytes of content of a full fragment."""
 
 UPDATE_DATA = Update.size - 1
-"""Bytes of content in a piece of a unit behind which there are more."""
+"""Bytes of content of each fragment of an update but the last."""
 LAST_UPDATE_DATA = 63
-"""Bytes of content in the last piece, at most."""
+"""The most bytes of content of an update's last fragment."""
 UPDATE_NUMBERS = 4
-"""Units that the last piece can tell apart."""
-_UPDATE, _LAST_UPDATE = 0xF4, 0xF5
+"""Numbers of updates are sent modulo this one."""
+_NUMBER_BITS = 2
 
 Edit = Insert | Replace | Delete | Emerge | Change | Remove | Save
 Handshake = Offer | Answer | Block | Decline
 Gossip = From | FromEarly | Held | HeldEarly | Near | Gone
 AnyPacket = Edit | Handshake | Gossip | Check | Target | Pose | Passed | Fragment | Update
 
-_TYPES: tuple[type[Packet], ...] = (
+_FIXED_KINDS: tuple[type[Packet], ...] = (
     Insert, Replace, Delete, Emerge, Change, Remove, Offer, Answer, Block, Decline, Target, Save, Pose,
     From, FromEarly, Held, HeldEarly, Near, Gone, Check, Passed,
 )  # fmt: skip
+
+
+def _declared(kind: type[Packet]) -> Layout:
+    """Read the layout of a packet without content from the annotations of its class."""
+    hints = get_type_hints(kind, include_extras=True)
+    declared = tuple((field.name, hints[field.name].__metadata__[0]) for field in fields(kind))
+    return Layout(kind.__name__, kind.name, kind.size, kind.code, declared)
+
+
+_LAYOUT = {kind: _declared(kind) for kind in _FIXED_KINDS}
+
+_SHORT_FRAGMENT = Layout(
+    "Fragment",
+    Fragment.name,
+    SHORT_HEAD,
+    "11110010",
+    ((LENGTH, Bits(8, "n", "bytes of content")),),
+    (1, FRAGMENT_DATA - 1),
+)
+_LAST_UPDATE = Layout(
+    "Update",
+    Update.name,
+    SHORT_HEAD,
+    "11110101",
+    (
+        (LENGTH, Bits(6, "n", "bytes of content")),
+        ("number", Bits(_NUMBER_BITS, "u", "number of the update, modulo 4")),
+    ),
+    (0, LAST_UPDATE_DATA),
+)
+
+LAYOUTS: tuple[Layout, ...] = (
+    *_LAYOUT.values(),
+    Layout("Fragment", Fragment.name, Fragment.size, Fragment.code, (), (FRAGMENT_DATA, FRAGMENT_DATA)),
+    _SHORT_FRAGMENT,
+    Layout("Update", Update.name, Update.size, Update.code, (), (UPDATE_DATA, UPDATE_DATA)),
+    _LAST_UPDATE,
+)
+"""All layouts: one for each packet without content, two for each with."""
+
+MAX_AGE = (1 << dict(_LAYOUT[Passed].fields)["age"].width) - 1
+"""The greatest age that `Passed` can give, in steps."""
 
 HANDSHAKE_SIZE = 3 * Answer.size
 """Bytes of the longest frame of a handshake: two blocks and an answer."""
@@ -308,71 +378,49 @@ KINDS = ("ins", "rep", "del", "em", "chg", "rm", "conn", "targ", "save")
 """The nine kinds of Table 6.1."""
 
 ALL_KINDS = (*KINDS, Fragment.name, Pose.name, Update.name, Check.name)
-"""All kinds that may be on the air, in the order of reports."""
+"""All kinds of packets, in the order of reports."""
 
-_RIM = 1
-"""Vertex cells are sent with this added, for the rim of the grid lies at -1."""
+_PACKETS: dict[str, type[Packet]] = {kind.__name__: kind for kind in (*_FIXED_KINDS, Fragment, Update)}
 
-
-def _by_first_byte() -> list[type[Packet] | None]:
-    """For each possible first byte, the packet that begins with it."""
-    table: list[type[Packet] | None] = []
-    for byte in range(256):
-        fits = [kind for kind in _TYPES if byte >> max(8 - kind.code_bits, 0) == _first_bits(kind)]
-        table.append(fits[0] if fits else None)
-    table[_FULL] = table[_SHORT] = Fragment
-    table[_UPDATE] = table[_LAST_UPDATE] = Update
-    return table
-
-
-def _first_bits(kind: type[Packet]) -> int:
-    """Return as much of a packet's code as lies in its first byte."""
-    return kind.code >> max(kind.code_bits - 8, 0)
-
-
-def _fixed(kind: type[Packet]) -> tuple[int, int]:
-    """Return what is the same in all packets of a kind, its code and the zeros at its end: (mask, bits)."""
-    behind = 8 * kind.size - kind.code_bits
-    code_mask = (1 << kind.code_bits) - 1 << behind
-    return code_mask | (1 << behind - sum(kind.bits)) - 1, kind.code << behind
-
-
-def _layout(kind: type[Packet]) -> tuple[tuple[str, int, int, int], ...]:
-    """Return of each field its name, how far it is shifted up, its mask, and what is added before it is sent."""
-    end = 8 * kind.size - kind.code_bits
-    layout = []
-    for field, width in zip(fields(kind), kind.bits, strict=True):
-        end -= width
-        rim = _RIM if field.name in "xy" and kind not in (Target, Pose, Passed) else 0
-        layout.append((field.name, end, (1 << width) - 1, rim))
-    return tuple(layout)
-
-
-_FIRST_BYTE = _by_first_byte()
-_SIZE = [
-    0 if kind is None or byte in (_SHORT, _LAST_UPDATE) else kind.size
-    for byte, kind in enumerate(_FIRST_BYTE)
+_BY_FIRST_BYTE = [
+    next((layout for layout in LAYOUTS if layout.starts_with(byte)), None) for byte in range(256)
 ]
-"""For each possible first byte the size of the packet, 0 where it does not tell."""
-_FIXED = {kind: _fixed(kind) for kind in _TYPES}
-_LAYOUT = {kind: _layout(kind) for kind in _TYPES}
+_KIND = [None if layout is None else _PACKETS[layout.packet] for layout in _BY_FIRST_BYTE]
+"""For each first byte the class of the packet; None: no packet starts with it."""
+_SIZE = [0 if layout is None or layout.has_length else layout.size for layout in _BY_FIRST_BYTE]
+"""For each first byte the bytes of the packet; 0: the second byte has its length, or there is no such packet."""
+_FIXED = {kind: layout.fixed for kind, layout in _LAYOUT.items()}
+_PLACES = {kind: layout.places for kind, layout in _LAYOUT.items()}
 
-LAYOUT_BY_BYTE = [
-    (ALL_KINDS.index(kind.name) if kind else -1, size, *(_FIXED.get(kind, (0, 0)) if kind else (0, 0)))
-    for kind, size in zip(_FIRST_BYTE, _SIZE, strict=True)
-]
-"""For each possible first byte the number of the packet's kind (-1: none), its size (0: the next byte tells, for a
-scan or a look as in `length`), which of its bits are the same in all such packets, and what they are
-(`protocol.packet_index`)."""
+_FULL, _SHORT = int(Fragment.code, 2), int(_SHORT_FRAGMENT.code, 2)
+_UPDATE, _LAST = int(Update.code, 2), int(_LAST_UPDATE.code, 2)
+
+
+def _index_row(layout: Layout | None) -> tuple[int, ...]:
+    if layout is None:
+        return (-1, 0, 0, 0, 0, 0, 0)
+    kind = ALL_KINDS.index(layout.kind)
+    if layout.content is None:
+        return (kind, layout.size, *layout.fixed, 0, 0, 0)
+    if not layout.has_length:
+        return (kind, layout.size, 0, 0, 0, 0, 0)
+    (_, shift, _, _), *_ = layout.places
+    return (kind, 0, 0, 0, shift, *layout.content)
+
+
+LAYOUT_BY_BYTE = [_index_row(layout) for layout in _BY_FIRST_BYTE]
+"""For each first byte: number of the kind in `ALL_KINDS` (-1: no packet); bytes of the packet (0: it has a length
+field); mask of the bits that are equal in all such packets, and their value; shift of the length within the second
+byte, and the least and the most bytes of content (`protocol.packet_index`)."""
 
 
 def encode(packets: Iterable[Packet]) -> bytes:
-    """Write packets behind each other.
+    """Write packets one after the other.
 
     Raises
     ------
     ProtocolError
-        A field does not fit its bits.
+        The value of a field does not fit its bits.
     """
     out = bytearray()
     for packet in packets:
@@ -383,76 +431,70 @@ def encode(packets: Iterable[Packet]) -> bytes:
             out += _write_update(packet, len(out))
             continue
         kind = type(packet)
-        word = _FIXED[kind][1]
-        for name, shift, mask, rim in _LAYOUT[kind]:
-            value = getattr(packet, name) + rim
+        number = _FIXED[kind][1]
+        for name, shift, mask, bias in _PLACES[kind]:
+            value = getattr(packet, name) + bias
             if not 0 <= value <= mask:
-                reason = f"{name} {value - rim} is outside {-rim} to {mask - rim}"
+                reason = f"{name} {value - bias} is outside {-bias} to {mask - bias}"
                 raise ProtocolError(packet.name, len(out), reason)
-            word |= value << shift
-        out += word.to_bytes(packet.size, "big")
+            number |= value << shift
+        out += number.to_bytes(packet.size, "big")
     return bytes(out)
 
 
 def length(buffer: bytes, offset: int = 0) -> int:
-    """Return the length of the packet that begins at `offset`, in bytes.
+    """Return the bytes of the packet that starts at `offset`.
 
     Raises
     ------
     ProtocolError
-        No packet begins like this.
+        No packet starts with that byte, or its length field is out of range.
     """
-    kind = _kind(buffer, offset)
-    if buffer[offset] not in (_SHORT, _LAST_UPDATE):
-        return kind.size
+    layout = _layout(buffer, offset)
+    if not layout.has_length or layout.content is None:
+        return layout.size
     if offset + 1 == len(buffer):
-        return 2
-    if kind is Update:
-        return 2 + (buffer[offset + 1] >> 2)
-    size = buffer[offset + 1]
-    if not 1 <= size < FRAGMENT_DATA:
-        reason = f"a short fragment of {size} bytes is outside 1 to {FRAGMENT_DATA - 1}"
-        raise ProtocolError(kind.name, offset, reason)
-    return 2 + size
+        return SHORT_HEAD
+    least, most = layout.content
+    size = buffer[offset + 1] >> layout.places[0][1]
+    if not least <= size <= most:
+        raise ProtocolError(layout.kind, offset, f"{size} bytes of content are outside {least} to {most}")
+    return SHORT_HEAD + size
 
 
 def name(buffer: bytes, offset: int = 0) -> str:
-    """Return the kind, as Table 6.1 names it, of the packet that begins at `offset`."""
-    return _kind(buffer, offset).name
+    """Return the kind of the packet that starts at `offset`."""
+    return _layout(buffer, offset).kind
 
 
 def content(packet: bytes) -> bytes:
-    """Return what one fragment of a scan carries.
+    """Return the content of a `Fragment`.
 
     Raises
     ------
     ProtocolError
-        It is another packet, or cut off.
+        It is another packet, or it is cut off.
     """
     if packet[0] == _FULL and len(packet) == Fragment.size:
         return packet[1:]
     if packet[0] == _SHORT and len(packet) == length(packet):
-        return packet[2:]
-    if _kind(packet, 0) is Fragment:
-        raise _cut_off(packet, 0)
-    raise ProtocolError(name(packet), 0, "only fragments of scans travel in this exchange")
+        return packet[SHORT_HEAD:]
+    raise _not_whole(packet, Fragment)
 
 
-def look(packet: bytes) -> tuple[int | None, bytes]:
-    """Return the fields of one piece of a unit of the predictive exchange: `Update.number` and `Update.data`.
+def update_fragment(packet: bytes) -> tuple[int | None, bytes]:
+    """Return `number` and `data` of an `Update`.
 
     Raises
     ------
     ProtocolError
-        It is another packet, or cut off.
+        It is another packet, or it is cut off.
     """
     if packet[0] == _UPDATE and len(packet) == Update.size:
         return None, packet[1:]
-    if packet[0] == _LAST_UPDATE and len(packet) == length(packet):
-        return packet[1] & UPDATE_NUMBERS - 1, packet[2:]
-    if _kind(packet, 0) is Update:
-        raise _cut_off(packet, 0)
-    raise ProtocolError(name(packet), 0, "only looks travel in this exchange")
+    if packet[0] == _LAST and len(packet) == length(packet):
+        return packet[1] & UPDATE_NUMBERS - 1, packet[SHORT_HEAD:]
+    raise _not_whole(packet, Update)
 
 
 def decode(buffer: bytes) -> list[AnyPacket]:
@@ -461,7 +503,7 @@ def decode(buffer: bytes) -> list[AnyPacket]:
     Raises
     ------
     ProtocolError
-        A packet is unknown, cut off, or has bits set that must be zero.
+        A packet is unknown or cut off, or a spare bit is set.
     """
     decoder = Decoder()
     packets = list(decoder.feed(buffer))
@@ -471,7 +513,7 @@ def decode(buffer: bytes) -> list[AnyPacket]:
 
 
 def handshake(frame: bytes) -> tuple[AnyPacket, ...]:
-    """Read a frame of `conn` packets, of which the same few come again and again.
+    """Read a frame of `conn` packets; cached, because few different ones are sent.
 
     Raises
     ------
@@ -480,25 +522,16 @@ def handshake(frame: bytes) -> tuple[AnyPacket, ...]:
     """
     if len(frame) > HANDSHAKE_SIZE:
         raise ProtocolError(Offer.name, 0, f"{len(frame)} bytes instead of {HANDSHAKE_SIZE} at most")
-    return _read_handshake(frame)
-
-
-BROADCAST_SIZE = Pose.size + Target.size
-"""Bytes of the longest broadcast in which nothing is passed on."""
+    return _read_cached(frame)
 
 
 def broadcast(frame: bytes) -> tuple[AnyPacket, ...]:
-    """Read a frame that many hear, as `decode` does; what has the size of a broadcast is read only once."""
-    return _read_broadcast(frame) if len(frame) <= BROADCAST_SIZE else tuple(decode(frame))
-
-
-@lru_cache(maxsize=1 << 12)
-def _read_broadcast(frame: bytes) -> tuple[AnyPacket, ...]:
-    return tuple(decode(frame))
+    """Read a frame with many receivers, as `decode` does; cached, unless poses of other robots make it longer."""
+    return _read_cached(frame) if len(frame) <= Pose.size + Target.size else tuple(decode(frame))
 
 
 @lru_cache(maxsize=1 << 14)
-def _read_handshake(frame: bytes) -> tuple[AnyPacket, ...]:
+def _read_cached(frame: bytes) -> tuple[AnyPacket, ...]:
     return tuple(decode(frame))
 
 
@@ -507,16 +540,16 @@ class Decoder:
 
     def __init__(self) -> None:
         self.pending = b""
-        """The beginning of a packet whose end has not come yet."""
+        """The beginning of a packet whose end has not arrived yet."""
         self._read = 0
 
     def feed(self, data: bytes) -> Iterator[AnyPacket]:
-        """Yield the packets that `data` completes, as they are read.
+        """Yield the packets that `data` completes.
 
         Raises
         ------
         ProtocolError
-            The stream is broken here; packets before this one have been yielded.
+            The stream is malformed here; the packets before have been yielded.
         """
         buffer = self.pending + data
         offset = 0
@@ -551,40 +584,48 @@ def _write_update(packet: Update, offset: int) -> bytes:
             raise ProtocolError(packet.name, offset, reason)
         return bytes([_UPDATE]) + packet.data
     if size > LAST_UPDATE_DATA or not 0 <= number < UPDATE_NUMBERS:
-        reason = f"unit {number} of {size} bytes is outside 0 to {UPDATE_NUMBERS - 1} or {LAST_UPDATE_DATA}"
-        raise ProtocolError(packet.name, offset, reason)
-    return bytes([_LAST_UPDATE, size << 2 | number]) + packet.data
+        limits = f"0 to {UPDATE_NUMBERS - 1} or 0 to {LAST_UPDATE_DATA}"
+        raise ProtocolError(packet.name, offset, f"number {number} or size {size} is outside {limits}")
+    return bytes([_LAST, size << _NUMBER_BITS | number]) + packet.data
 
 
-def _kind(buffer: bytes, offset: int) -> type[Packet]:
-    kind = _FIRST_BYTE[buffer[offset]]
-    if kind is None:
+def _layout(buffer: bytes, offset: int) -> Layout:
+    layout = _BY_FIRST_BYTE[buffer[offset]]
+    if layout is None:
         raise ProtocolError("packet", offset, f"no packet begins with {buffer[offset]:#04x}")
-    return kind
-
-
-def _misfit(kind: type[Packet], word: int, offset: int) -> ProtocolError:
-    """Say which is not as it must be in a packet, its code or its spare bits."""
-    mask, bits = _FIXED[kind]
-    spare = 8 * kind.size - kind.code_bits - sum(kind.bits)
-    if (word & mask ^ bits) >> spare:
-        begin = word >> 8 * kind.size - 16
-        return ProtocolError("packet", offset, f"no packet begins with {begin:#06x}")
-    return ProtocolError(kind.name, offset, f"the last {spare} bits must be zero")
+    return layout
 
 
 def _read(buffer: bytes, offset: int, size: int) -> AnyPacket:
-    if buffer[offset] in (_FULL, _SHORT):
+    """Read the whole packet of `size` bytes that starts at `offset`."""
+    kind = _KIND[buffer[offset]]
+    if kind is Fragment:
         return Fragment(content(buffer[offset : offset + size]))
-    if buffer[offset] in (_UPDATE, _LAST_UPDATE):
-        return Update(*look(buffer[offset : offset + size]))
-    kind = _kind(buffer, offset)
-    word = int.from_bytes(buffer[offset : offset + size], "big")
-    mask, bits = _FIXED[kind]
-    if word & mask != bits:
-        raise _misfit(kind, word, offset)
-    values = [(word >> shift & mask) - rim for _, shift, mask, rim in _LAYOUT[kind]]
+    if kind is Update:
+        return Update(*update_fragment(buffer[offset : offset + size]))
+    assert kind is not None
+    number = int.from_bytes(buffer[offset : offset + size], "big")
+    mask, fixed = _FIXED[kind]
+    if number & mask != fixed:
+        raise _malformed(_LAYOUT[kind], number, offset)
+    values = [(number >> shift & mask) - bias for _, shift, mask, bias in _PLACES[kind]]
     return kind(*values)  # type: ignore[return-value]
+
+
+def _malformed(layout: Layout, number: int, offset: int) -> ProtocolError:
+    """Return the error of a packet, read as one number, whose code or spare bits are wrong."""
+    mask, fixed = layout.fixed
+    if (number & mask ^ fixed) >> layout.spare:
+        begin = number >> 8 * layout.size - 16
+        return ProtocolError("packet", offset, f"no packet begins with {begin:#06x}")
+    return ProtocolError(layout.kind, offset, f"the last {layout.spare} bits must be zero")
+
+
+def _not_whole(packet: bytes, kind: type[Packet]) -> ProtocolError:
+    """Return the error of bytes that are not one whole packet of a kind."""
+    if _KIND[packet[0]] is kind:
+        return _cut_off(packet, 0)
+    return ProtocolError(name(packet), 0, f"expected a packet of kind {kind.name}")
 
 
 def _cut_off(buffer: bytes, offset: int) -> ProtocolError:

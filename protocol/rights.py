@@ -45,14 +45,14 @@ ROBOT = "robot"
 
 RIGHTS: dict[tuple[str, str], tuple[type[Record], ...]] = {
     (RELAY, WORLD): (Begin, Close, Lost, Back, Stop, Strike, Shutdown, Watched),
-    (RELAY, ROBOT): (Heard, End, Shutdown, Watched),
+    (RELAY, ROBOT): (Configure, Heard, End, Shutdown, Watched),
     (RELAY, RECORDER): (Lost, Back, End, Shutdown, RadioReport, Fault, Change),
     (RELAY, VIEW): (Lost, Back, End, Shutdown, RadioReport, Fault, Change),
     (WORLD, RELAY): (Positions, Lost, End),
-    (WORLD, ROBOT): (Configure, Sense, End, Strike),
+    (WORLD, ROBOT): (Sense, End, Strike),
     (WORLD, RECORDER): (WorldReport, Strike, Fault),
     (WORLD, VIEW): (WorldReport, Strike, Fault),
-    (RECORDER, RELAY): (Lost, Stop, Strike, Change, Shutdown),
+    (RECORDER, RELAY): (Configure, Lost, Stop, Strike, Change, Shutdown),
     (ROBOT, RELAY): (Said,),
     (ROBOT, WORLD): (Move,),
     (ROBOT, RECORDER): (RobotStatus, Maps, Fault),

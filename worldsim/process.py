@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 
@@ -18,7 +17,6 @@ from protocol.messages import (
     Back,
     Begin,
     Close,
-    Configure,
     End,
     Lost,
     Move,
@@ -45,8 +43,6 @@ class WorldNode:
 
     Parameters
     ----------
-    minds : mapping
-        The settings that each robot receives before its first step (`Configure.settings`).
     steps : int
         The last step.
     cell_mm : float
@@ -54,7 +50,9 @@ class WorldNode:
     wait : callable, optional
         Called before each step is opened: it may delay the step, so that people can watch (`worldsim.pace`).
     revive : bool
-        Whether robots that are lost unasked are to be started again, as often as they have lives.
+        Whether to restart robots whose processes die unexpectedly.
+    incarnations : int
+        How often each robot may start: once, and once more for each restart.
     """
 
     def __init__(
@@ -62,26 +60,23 @@ class WorldNode:
         bus: Bus,
         keys: Keys,
         world: World,
-        robot_settings: Mapping[int, Mapping[str, Any]],
         steps: int,
         cell_mm: float,
         *,
         wait: Callable[[], object] = lambda: None,
         revive: bool = False,
+        incarnations: int = 1,
     ) -> None:
         self.done = False
         self._bus = bus
         self._keys = keys
         self._world = world
-        self._minds = robot_settings
-        self._to = {robot: keys.body(names.robot(robot), names.WORLD) for robot in robot_settings}
+        self._to = {robot: keys.body(names.robot(robot), names.WORLD) for robot in world.cells}
         self._steps = steps
         self._cell_mm = cell_mm
         self._wait = wait
         self._revive = revive
-        self._left = {
-            robot: settings.get("incarnations", 1) - 1 for robot, settings in robot_settings.items()
-        }
+        self._left = dict.fromkeys(world.cells, incarnations - 1)
         """How often each robot may still be started again."""
         self._coming: set[int] = set()
         """Robots that were lost unasked, and are being started again."""
@@ -161,8 +156,6 @@ class WorldNode:
             self.done = True
 
     def _begin(self) -> None:
-        for robot, settings in sorted(self._minds.items()):
-            self._tell(robot, Configure(dict(settings)))
         self._running = True
         self._open_step({})
 
@@ -214,7 +207,7 @@ class WorldNode:
     def _add(self, strike: Strike) -> None:
         """Have a fault that was thought of during the run."""
         world = self._world
-        known = strike.kind in KINDS and 0 <= strike.robot < len(self._minds) and strike.steps >= 0
+        known = strike.kind in KINDS and 0 <= strike.robot < len(self._to) and strike.steps >= 0
         if not known:
             self._report(messages.Fault(names.RECORDER, f"{strike} is no fault of a robot of this run"))
         elif strike.kind == "restart" and not self._left[strike.robot]:
@@ -275,7 +268,6 @@ class WorldNode:
         world = self._world
         for robot in sorted(self._back):
             world.revive(robot)
-            self._tell(robot, Configure(dict(self._minds[robot])))
         self._back.clear()
         moves, self._held = self._held, {}
         senses = world.drive(moves)

@@ -1,4 +1,5 @@
-"""How a robot's map is encoded for teammates: `polygons`, `scans`, `cells`, `predictive`, `none`.
+"""Map encodings: how a robot's map becomes log entries, and entries become a map again.
 
-Begin with `base.py`, the interface of all encodings; `catalog.py` has all by name.
+There are five: `polygons`, `scans`, `cells`, `predictive` and `none`. Begin with `base.py`, their interface;
+`catalog.py` finds an encoding by its name.
 """

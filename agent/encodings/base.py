@@ -1,99 +1,135 @@
-"""The interface of all exchanges."""
+"""The interface of all map encodings."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
-from agent.encodings.reachability_check import ReachabilityCheck, Reception
+from agent.encodings.reachability_check import ReachabilityCheck
 from agent.outline.polygons import Polygons
-from agent.replication.log import Dependency
-from agent.replication.map_ids import MapId, map_ids
 from agent.settings import Settings
 from protocol.grid import Grid
 from protocol.scans import Change, Scan
 
 
+class Dependency(NamedTuple):
+    """Packets `first` to `end` - 1 of a log can be decoded only after packets of other logs."""
+
+    first: int
+    end: int
+    requires: tuple[tuple[int, int], ...]
+    """Pairs (map_id, count): the first `count` packets of that log must have been decoded."""
+
+
 class MapEncoding(ABC):
-    """What a robot tells of its own map, and what it makes of what others tell."""
+    """Encoder of this robot's map and decoder of its teammates' maps.
+
+    A map travels as a log of packets. `encode_changes` appends to this robot's log; `apply` decodes packets of the
+    logs of others.
+
+    Parameters
+    ----------
+    settings : Settings
+        The robot's task.
+    """
 
     name: ClassVar[str]
-    revisable: int = 0
-    """Packets of the last unit that would be told otherwise by now (`retract`); 0: what is logged stands."""
+    retractable: int = 0
+    """Packets at the end of this robot's log that `retract_last` may still remove; 0: the log is final."""
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
-        self.maps = map_ids(settings.robots, settings.incarnations)
-        """All maps of the team, by number."""
-        self.reachability_check = ReachabilityCheck(settings)
-        """What teammates can have seen by now."""
+        self._reachability = ReachabilityCheck(settings)
 
     @classmethod
-    def guesses(cls, settings: Settings) -> bool:
-        """Whether planning grids hold more than was told: then "nothing is left" must hold for a while."""
+    def infers_cells(cls, settings: Settings) -> bool:
+        """Whether planning grids hold cells that no robot reported, so that the frontier may open again."""
         del settings
         return False
 
     @property
     def polygons(self) -> Mapping[int, Polygons]:
-        """What is held of each robot's approximation, one's own too; a new object whenever it changes."""
+        """The polygons of each map, by map ID, this robot's included; a new object after each change."""
         return {}
 
-    def share(self, common: dict[str, Any]) -> None:
-        """Hold what follows from what was heard, and from nothing else, together with the other robots of this process.
+    def use_shared_cache(self, cache: dict[str, Any]) -> None:
+        """Share decoded state with the other robots of this process; results do not change.
 
-        `common` is theirs; called before the first step, if at all. Nothing that is told or held is any different.
+        The caller passes the same `cache` to all robots, before the first step.
         """
-        del common
+        del cache
 
     @abstractmethod
-    def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
-        """Return the units (one packet each) that tell of this step's news of the robot's own map.
+    def encode_changes(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
+        """Return the packets to append to this robot's log for this step; none if nothing is to be sent.
 
-        `own` is the self-explored grid with `scan` drawn on it; `change` says where it changed.
-        `delivered` tells whether there are teammates in range who all hold what was logged before.
+        Parameters
+        ----------
+        own : uint8 array, shape (h, w)
+            The self-explored grid, `scan` drawn on it.
+        scan : Scan
+            This step's readings.
+        change : Change
+            Where the scan has changed the grid.
+        delivered : bool
+            Whether teammates are in range and all of them hold the whole log.
         """
 
-    def retract(self) -> None:
-        """Take the last unit back, of which nobody has heard anything: its `revisable` packets leave the log."""
-        self.revisable = 0
+    def retract_last(self) -> None:
+        """Remove the last `retractable` packets from the log; the caller vouches that no teammate received them."""
+        self.retractable = 0
 
     @abstractmethod
-    def take(self, map_id: MapId, frame: bytes, reception: Reception) -> None:
-        """Decode the next entries of a map's log, in order.
+    def apply(self, map_id: int, frame: bytes, *, step: int, sender: int) -> None:
+        """Decode the next packets of a log, in the order of the log.
+
+        Parameters
+        ----------
+        map_id : int
+            The map that the log describes.
+        frame : bytes
+            Whole packets, one after the other.
+        step : int
+            The step in which the frame arrived.
+        sender : int
+            The robot that sent the frame: the map's author, or a robot that forwards the map.
 
         Raises
         ------
         ProtocolError
-            They are malformed, or describe more than their author can have observed
+            The packets are malformed, or report more than the author can have observed
             (`agent.encodings.reachability_check`); nothing has changed.
         """
 
+    def note_pose(self, robot: int, step: int, x: int, y: int) -> None:
+        """Take a pose that a robot itself broadcast: its map must lie around it."""
+        self._reachability.note_pose(robot, step, x, y)
+
     @abstractmethod
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
-        """Return the planning grid: what all have told, and the robot's own grid, which counts most.
+        """Return the planning grid: all decoded maps, overlaid by the self-explored grid.
 
-        It is written over by the next call. All that changes `own` in between has been recorded.
-        `peers` are the teammates in range: what they have told so far they can still correct.
+        The next call overwrites it. The caller has passed all changes of `own` to `encode_changes`.
+        `peers` are the teammates in range: their reports can still be corrected by them.
         """
 
-    def pose(self, map_id: MapId) -> tuple[int, int] | None:
-        """Return the cell (x, y) of the author's last scan, if the entries of its map contain it."""
+    def scan_cell(self, map_id: int) -> tuple[int, int] | None:
+        """Cell (x, y) of the last scan that a map's log reports; None if logs do not report where scans were taken."""
         del map_id
         return None
 
-    def dependencies(self, number: int) -> Sequence[Dependency]:
-        """Return the decoded log ranges of a map, by its number, that depend on entries of other logs; in order."""
-        del number
+    def dependencies(self, map_id: int) -> Sequence[Dependency]:
+        """Dependencies of the decoded packets of a log on other logs, in the order of the log."""
+        del map_id
         return ()
 
-    def error(self, own: Grid) -> int:
-        """Cells in which `own` and what one has told of it differ (d(t) of Eq. 6.1); none where scans travel."""
+    def approximation_error(self, own: Grid) -> int:
+        """Count the cells in which `own` differs from its logged approximation: d(t) of Eq. 6.1 in the thesis."""
         del own
         return 0
 
     def exact_error(self, own: Grid) -> int | None:
-        """What `error` would be if what was told were exact; None if that is not measured."""
+        """Count what `approximation_error` would be for exact contours; None if that is not measured."""
         del own
         return None

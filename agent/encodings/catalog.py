@@ -14,23 +14,23 @@ from agent.settings import Settings
 ENCODINGS: dict[str, type[MapEncoding]] = {
     kind.name: kind for kind in (PolygonEncoding, ScanEncoding, CellEncoding, PredictiveEncoding, NoEncoding)
 }
-
+"""The encodings of this package."""
 
 PLUGINS: Plugins[MapEncoding] = Plugins("map encoding", "murmur.map_encodings", MapEncoding)  # type: ignore[type-abstract]
-"""Those that are not ours."""
+"""The encodings of installed packages."""
 
 
 def encoding_class(name: str) -> type[MapEncoding]:
-    """Return the map encoding called `name`: one of ours, of an installed package, or ``package.module:Class``.
+    """Return the map encoding with this name, of this or an installed package, or given as ``package.module:Class``.
 
     Raises
     ------
     ValueError
-        There is none of that name (near names and those there are follow), or the class cannot be imported.
+        The name is unknown (the message lists similar names), or the class cannot be imported.
     """
     return PLUGINS.find(name, ENCODINGS)
 
 
 def make_encoding(settings: Settings) -> MapEncoding:
-    """Return the map encoding that the settings name; ValueError lists the names there are."""
+    """Make the encoding that the settings name; ValueError lists the known names."""
     return encoding_class(settings.map_encoding)(settings)

@@ -1,13 +1,11 @@
-"""No exchange: each robot plans on what it has seen itself."""
+"""No map exchange: each robot plans on its self-explored grid."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
 
 from agent.encodings.base import MapEncoding
-from agent.encodings.reachability_check import Reception
-from agent.encodings.received_grid import Heard
-from agent.replication.map_ids import MapId
+from agent.encodings.received_grid import ReceivedGrid
 from agent.settings import Settings
 from protocol.errors import ProtocolError
 from protocol.grid import Grid
@@ -15,28 +13,26 @@ from protocol.scans import Change, Scan
 
 
 class NoEncoding(MapEncoding):
-    """Robots tell each other their targets and nothing else."""
+    """Encodes nothing: robots send each other targets and poses alone."""
 
     name = "none"
 
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
-        self._heard = Heard((settings.height, settings.width))
+        self._received = ReceivedGrid((settings.height, settings.width))
 
-    def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
-        """Tell nothing."""
+    def encode_changes(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
+        """Return no packets."""
         del scan, delivered
-        self._heard.seen(own, change)
+        self._received.own_changed(own, change)
         return []
 
-    def take(self, map_id: MapId, frame: bytes, reception: Reception) -> None:
-        """Refuse what nobody should have sent."""
-        del reception
-        raise ProtocolError(
-            "data", 0, f"{len(frame)} bytes of robot {map_id.robot}'s map where none are exchanged"
-        )
+    def apply(self, map_id: int, frame: bytes, *, step: int, sender: int) -> None:
+        """Reject map data: in this team no robot sends any."""
+        del step, sender
+        raise ProtocolError("data", 0, f"{len(frame)} bytes of map {map_id}, but this team exchanges no maps")
 
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
-        """Plan on the robot's own grid, of which nothing is known otherwise."""
+        """Return the self-explored grid as the planning grid."""
         del peers
-        return self._heard.under(own)
+        return self._received.overlaid(own)

@@ -1,4 +1,4 @@
-"""What of the polygon exchange can be chosen, and which choices are the thesis' plain rules."""
+"""Options of the `polygons` encoding, and the thesis' own choice of them."""
 
 from __future__ import annotations
 
@@ -7,45 +7,44 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 MAX_USE = 100
-"""So many times the medium may be planned with at most."""
+"""Largest `medium_use`."""
 
 
 @dataclass(frozen=True)
 class PolygonOptions:
-    """Options of the polygon exchange; `THESIS_OPTIONS` are the thesis' plain rules.
+    """Options of the `polygons` encoding; `THESIS_OPTIONS` are the rules of the thesis.
 
     Attributes
     ----------
     medium_use : float
-        Part u of the medium that the splitting frequency plans with (Eq. 5.5); it stands for a customised p of
-        Eq. 5.6 as well, since only their product counts.
+        Share u of the medium that the splitting frequency plans with (Eq. 5.5). It also replaces the factor p of
+        Eq. 5.6, since only the product of the two counts.
     bytes_per_split : float
-        Mean bytes d that a split causes; 0: measured as the run goes.
+        Mean bytes d that a split causes; 0: measured during the run.
     splits_per_step : float
-        Splits a step, s, for one robot and without a budget too; 0: by Eq. 5.5.
+        Splits s per step, also for a single robot and for an unlimited budget; 0: from Eq. 5.5.
     lazy : bool
-        Log an edit script only once the teammates in range hold the one before, so that what changes twice
-        is sent once. Splits of the steps between lapse: s of Eq. 5.5 is then a number per logged script. And
-        while nobody is in range, what is told, and with it Eq. 6.1, stays as it was.
+        Log an edit script only when the teammates in range hold the script before, so that a vertex that changes
+        twice is sent once. Splits of the steps between lapse: s of Eq. 5.5 then counts per logged script. While no
+        teammate is in range, the logged approximation, and with it Eq. 6.1, does not change.
     mixed_first : bool
-        Refine edges of mixed occupancy before all others: they send teammates to walls that are known.
+        Refine edges of mixed occupancy before all others: such edges draw teammates to walls that are known.
     free_inside_edges : bool
-        Draw inside edges that are labelled free. They claim cells free which nobody has seen.
+        Draw inside edges that are labeled free. They mark cells free that no robot has seen.
     unknown_pairs : bool
-        Tell of and draw outside objects that are approximated by two vertices and no occupied edge: unseen
-        specks between beams, and small things whose walls are not told.
+        Send and draw outside objects that are approximated by two vertices and no occupied edge: unseen specks
+        between beams, and small obstacles whose walls are not sent.
     wide_walls : bool
-        Take what is unknown beside the wall of a teammate in range for wall: coarse walls run beside the true
-        ones.
+        Treat unknown cells beside the wall of a teammate in range as wall: coarse walls run beside the true ones.
     wide_seen_walls : bool
-        Also beside a wall that the robot has seen itself. Without it no small opening is taken for wall, so maps are
-        complete; specks in walls must be looked at, which takes some steps more. Scenarios with `repairmen` leave it
-        out unless they say otherwise.
+        Do so also beside walls that the robot has seen itself. Without it no small opening is taken for a wall, so
+        maps are complete, but robots visit unknown specks in walls, which takes some steps more. Scenarios with
+        `repairmen` turn it off by default.
     close_slivers : bool
-        Take unknown slivers between free cells that teammates have told of for free: there coarse areas meet.
+        Treat unknown slivers between free cells of teammates as free: coarse areas meet there.
     exact_error : bool
-        Measure also what an exact approximation would get wrong, in each step: Eq. 6.1 less that is what is
-        due to coarseness. It changes no result, and takes a third of a robot's time.
+        Measure in each step also the error of an exact approximation. Eq. 6.1 minus this value is the error due to
+        coarseness. It changes no result, and takes a third of a robot's time.
     """
 
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
@@ -71,7 +70,7 @@ class PolygonOptions:
             )
         if not 0 <= self.splits_per_step < math.inf:
             raise ValueError(
-                f"splits_per_step = {self.splits_per_step:g}: must be 0 (by the bandwidth), or more"
+                f"splits_per_step = {self.splits_per_step:g}: must be 0 (from the bandwidth), or more"
             )
 
 

@@ -1,9 +1,12 @@
-"""The predictive exchange: a robot says from where it looked, and what was surprising (docs/predictive.md; ours, of no paper).
+"""The `predictive` encoding: scan positions and prediction errors (ours; docs/predictive.md).
 
-It is as exact as raw scans, and hundreds of times shorter: who holds the same map casts the scan again
-(`agent.predictive`). A robot waits until there are a few new cells, or a few steps have gone by, then tells in one unit all
-that has not been told: by itself, or with base `team` by anybody. A unit of which nobody has heard anything yet is
-written anew in the next step, for by then others have told some of it.
+It is as exact as raw scans, and hundreds of times shorter. A receiver that holds the same map predicts a scan by ray
+casting, so the sender transmits the prediction errors alone (`agent.predictive`).
+
+A robot collects changes until there are a few new cells, or a few steps have passed. Then it encodes one update of all
+cells that its log does not contain yet, or with base `team` no log that it has received. If no teammate has received
+the last update by the next step, the robot retracts it and encodes a new one: meanwhile, teammates may have reported
+some of its cells.
 """
 
 from __future__ import annotations
@@ -16,43 +19,47 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.encodings.base import MapEncoding
+from agent.encodings.base import Dependency, MapEncoding
 from agent.encodings.predictive_options import PredictiveOptions
-from agent.encodings.reachability_check import Reception
-from agent.encodings.received_grid import Heard
+from agent.encodings.received_grid import ReceivedGrid
 from agent.predictive.history import DecodedUpdate, History
 from agent.predictive.scan_updates import TOLD
 from agent.predictive.shared_decoder import CachedReader, SharedDecoderCache
 from agent.predictive.stream import Stream
-from agent.replication.log import Dependency
-from agent.replication.map_ids import MapId
 from agent.settings import Settings
 from protocol import packet_index
 from protocol.boxes import Box, bounding_box
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
 from protocol.kernels import kernel
-from protocol.packets import LAST_UPDATE_DATA, SHORT_HEAD, UPDATE_DATA, UPDATE_NUMBERS, Update, encode, look
+from protocol.packets import (
+    LAST_UPDATE_DATA,
+    SHORT_HEAD,
+    UPDATE_DATA,
+    UPDATE_NUMBERS,
+    Update,
+    encode,
+    update_fragment,
+)
 from protocol.scans import Change, Scan
 
 ENOUGH_CELLS = 14
-"""New cells for which a unit is worth its head."""
+"""New cells that are sent at once; fewer may wait (`ENOUGH_STEPS`)."""
 
 ENOUGH_STEPS = 4
-"""Steps that fewer new cells wait at most, on a narrow medium."""
+"""Steps for which fewer new cells wait at most, if bandwidth is scarce."""
 
 FAIR_SHARE = 28
-"""Bytes a robot and step with which they wait for one step, with half of it for two, and so on."""
-
+"""Bytes per robot and step for which they wait one step; with half of it they wait two steps, and so on."""
 
 PACKETS_A_STEP = 3
-"""Packets that a step's budget is to have room for at least, where it has room for the shortest: for what finds no
-room at the end of a step is lost."""
+"""Packets are short enough that the budget of one step holds this many: a packet that does not fit into the rest of
+a budget leaves that rest unused."""
 
 
 @dataclass
-class _Waiting:
-    """What the next unit is to tell of: where the robot looked from, and where its grid has changed."""
+class _Pending:
+    """Input of the next update: cells from which the robot scanned, and where its grid has changed since the last."""
 
     poses: list[tuple[int, int]] = field(default_factory=list)
     boxes: list[Box] = field(default_factory=list)
@@ -60,20 +67,20 @@ class _Waiting:
 
 
 @dataclass
-class _Coming:
-    """Units of a map as they come: pieces of the next one, and whole ones that have not been read yet."""
+class _Incoming:
+    """Updates of one log as they arrive: fragments of the next one, and complete ones that await decoding."""
 
-    pieces: bytes = b""
-    whole: list[bytes] = field(default_factory=list)
+    fragments: bytes = b""
+    complete: list[bytes] = field(default_factory=list)
     ends: list[int] = field(default_factory=list)
-    """Packets up to the end of each unit that has come whole."""
+    """Packets up to the end of each complete update, from the beginning of the log."""
     packets: int = 0
-    broken: str = ""
-    """Why one of them could not be read; then none behind it can."""
+    error: str = ""
+    """Why an update could not be decoded; none behind it can be decoded then."""
 
 
 class PredictiveEncoding(MapEncoding):
-    """One robot's stream, and all others' as far as they came."""
+    """Encodes this robot's updates, and decodes those of all other logs."""
 
     name = "predictive"
 
@@ -85,14 +92,14 @@ class PredictiveEncoding(MapEncoding):
         self._scratch = np.empty((2 * settings.height * settings.width, 2), np.int32)
         self._own = self._stream(settings.own_map, self._histories)
         self._streams: dict[int, Stream | CachedReader] = {settings.own_map: self._own}
-        """Those of which something has come."""
-        self._shelves: dict[int, SharedDecoderCache] | None = None
-        """Where streams are read, if others in this process follow them as well."""
+        """Encoder or decoder of each log of which an update exists."""
+        self._caches: dict[int, SharedDecoderCache] | None = None
+        """Decoders by map ID, if the robots of this process share them."""
         self._needed = np.zeros((settings.maps, settings.maps), np.int64)
-        """From which unit of each stream on a stream may still ask for what it says."""
-        self._told_so: NDArray[np.uint16] = np.zeros((2, *shape), np.uint16)
-        """How many makers tell of each cell that it is free, and that it is a wall."""
-        self._heard = Heard(shape)
+        """`needed[a, b]`: first update of log b that log a may still depend on."""
+        self._votes: NDArray[np.uint16] = np.zeros((2, *shape), np.uint16)
+        """How many logs report each cell as free, and as a wall."""
+        self._received = ReceivedGrid(shape)
         room = (
             LAST_UPDATE_DATA
             if settings.bandwidth is None
@@ -101,244 +108,236 @@ class PredictiveEncoding(MapEncoding):
         if settings.frame_bytes is not None:
             room = min(room, settings.frame_bytes - SHORT_HEAD)
         self._most = min(max(room, UPDATE_DATA), LAST_UPDATE_DATA)
-        self._patience = 1
+        self._wait_steps = 1
         if settings.bandwidth is not None:
             scarce = FAIR_SHARE * settings.robots / max(settings.bandwidth, 1)
-            self._patience = min(max(math.ceil(scarce), 1), ENOUGH_STEPS)
+            self._wait_steps = min(max(math.ceil(scarce), 1), ENOUGH_STEPS)
         self._enough = math.inf if settings.bandwidth is None else max(int(settings.bandwidth), 1)
-        """Bytes behind which no more is told in a step: what nobody has room for can still be told otherwise."""
-        self._waiting = _Waiting()
-        self._said = _Waiting()
-        """What the last unit told of."""
+        """Bytes after which a step encodes no more: changes that wait can still be merged with later ones."""
+        self._pending = _Pending()
+        self._encoded = _Pending()
+        """Input of the last update, to restore `_pending` if the update is retracted."""
         self._last: DecodedUpdate | None = None
         self._logged = 0
-        """Packets of one's own log."""
-        self._coming = [_Coming() for _ in range(settings.maps)]
-        """Of one's own map what has been written."""
-        self._bases: list[list[Dependency]] = [[] for _ in range(settings.maps)]
-        self._unread: set[int] = set()
-        """Makers of which whole units have come that have not been read."""
+        """Packets of this robot's log."""
+        self._incoming = [_Incoming() for _ in range(settings.maps)]
+        """By map ID; for this robot's own map only `ends` is used."""
+        self._dependencies: list[list[Dependency]] = [[] for _ in range(settings.maps)]
+        self._undecoded: set[int] = set()
+        """Maps with complete updates that await decoding."""
 
-    def share(self, common: dict[str, Any]) -> None:
-        """Read streams together with the other robots of this process."""
-        self._shelves = common.setdefault(self.name, {})
+    def use_shared_cache(self, cache: dict[str, Any]) -> None:
+        """Decode each log once for all robots of this process."""
+        self._caches = cache.setdefault(self.name, {})
 
-    def _stream(self, maker: int, histories: Sequence[History]) -> Stream:
-        """A stream of which nothing is known yet."""
+    def _stream(self, map_id: int, histories: Sequence[History]) -> Stream:
+        """Make the encoder or decoder of a log, at its beginning."""
         settings = self.settings
         return Stream(
-            maker,
+            map_id,
             np.zeros((settings.height, settings.width), np.uint8),
-            ray_table(settings.ranges_cells[self.maps[maker].robot], settings.beams),
+            ray_table(settings.ranges_cells[map_id % settings.robots], settings.beams),
             histories,
             self._scratch,
             team=self._options.base == "team",
             makers=settings.robots,
         )
 
-    def _follow(self, maker: int) -> Stream | CachedReader:
-        """A maker's stream."""
-        if maker not in self._streams:
-            if self._shelves is None:
-                self._streams[maker] = self._stream(maker, self._histories)
+    def _decoder(self, map_id: int) -> Stream | CachedReader:
+        """Return the decoder of a log; make it for the first update."""
+        if map_id not in self._streams:
+            if self._caches is None:
+                self._streams[map_id] = self._stream(map_id, self._histories)
             else:
-                shelf = self._shelves.setdefault(maker, SharedDecoderCache(maker, self._stream))
-                self._streams[maker] = CachedReader(shelf, maker, self._histories)
-        return self._streams[maker]
+                cache = self._caches.setdefault(map_id, SharedDecoderCache(map_id, self._stream))
+                self._streams[map_id] = CachedReader(cache, map_id, self._histories)
+        return self._streams[map_id]
 
-    def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
-        """Write a unit, if the one before has been said and there is enough to tell."""
-        self._heard.seen(own, change)
-        waiting = self._waiting
+    def encode_changes(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
+        """Encode an update, if teammates hold the last one and enough cells have changed."""
+        self._received.own_changed(own, change)
+        pending = self._pending
         if change.cells:
-            waiting.poses.append((scan.x, scan.y))
-            waiting.boxes.append(change.box)
-        if not waiting.boxes:
+            pending.poses.append((scan.x, scan.y))
+            pending.boxes.append(change.box)
+        if not pending.boxes:
             return []
-        waiting.steps += 1
-        self.revisable = 0
+        pending.steps += 1
+        self.retractable = 0
         if not delivered:
             return []
-        news = int(_news(self._heard.grid, self._own.grid, own, *bounding_box(waiting.boxes)))
-        if 0 < news < ENOUGH_CELLS and waiting.steps < self._patience:
+        new_cells = int(_unreported(self._received.grid, self._own.grid, own, *bounding_box(pending.boxes)))
+        if 0 < new_cells < ENOUGH_CELLS and pending.steps < self._wait_steps:
             return []
-        if not news:
-            self._waiting = _Waiting()
+        if not new_cells:
+            self._pending = _Pending()
             return []
-        return self._tell(own)
+        return self._encode_pending(own)
 
-    def _tell(self, own: Grid) -> list[bytes]:
-        """Write units as far as a step has room for them; what is left is told in the next ones."""
-        maker = self.settings.own_map
-        stream, history = self._own, self._histories[maker]
+    def _encode_pending(self, own: Grid) -> list[bytes]:
+        """Encode updates up to the budget of a step; the rest stays pending."""
+        map_id = self.settings.own_map
+        stream, history = self._own, self._histories[map_id]
         packets: list[bytes] = []
-        size = units = 0
-        while self._waiting.poses and size < self._enough:
-            waiting, number = self._waiting, len(history)
-            box = bounding_box(waiting.boxes)
-            unit = stream.encode(own, waiting.poses, box, most=self._enough - size)
-            self._waiting = _Waiting()
-            if unit is None:
+        size = updates = 0
+        while self._pending.poses and size < self._enough:
+            pending, number = self._pending, len(history)
+            box = bounding_box(pending.boxes)
+            update = stream.encode(own, pending.poses, box, most=self._enough - size)
+            self._pending = _Pending()
+            if update is None:
                 break
-            message, self._last, looks = unit
-            self._said = _Waiting(waiting.poses[:looks], [box], waiting.steps)
-            if looks < len(waiting.poses):
-                self._waiting = _Waiting(waiting.poses[looks:], [box], waiting.steps)
-            self._lay(self._last)
-            packets += pieces(message, number, self._most)
-            self._coming[maker].ends.append(self._logged + len(packets))
-            self._note_basis(maker, self._last)
-            units += 1
+            message, self._last, scans = update
+            self._encoded = _Pending(pending.poses[:scans], [box], pending.steps)
+            if scans < len(pending.poses):
+                self._pending = _Pending(pending.poses[scans:], [box], pending.steps)
+            self._count_votes(self._last)
+            packets += fragments(message, number, self._most)
+            self._incoming[map_id].ends.append(self._logged + len(packets))
+            self._note_dependency(map_id, self._last)
+            updates += 1
             size += len(message)
         self._logged += len(packets)
-        self.revisable = len(packets) if units == 1 else 0
+        self.retractable = len(packets) if updates == 1 else 0
         return packets
 
-    def retract(self) -> None:
-        """Take the last unit back: nobody has heard of it."""
+    def retract_last(self) -> None:
+        """Remove the last update from the log; its changes become pending again."""
         assert self._last is not None
-        maker = self.settings.own_map
+        map_id = self.settings.own_map
         self._own.undo()
-        self._histories[maker].pop()
-        self._logged -= self.revisable
-        ends, bases = self._coming[maker].ends, self._bases[maker]
+        self._histories[map_id].pop()
+        self._logged -= self.retractable
+        ends, dependencies = self._incoming[map_id].ends, self._dependencies[map_id]
         end = ends.pop()
-        if bases and bases[-1].end == end:
-            bases.pop()
-        self._lay(replace(self._last, states=self._last.before, before=self._last.states))
-        said, waiting = self._said, self._waiting
-        self._waiting = _Waiting(
-            said.poses + waiting.poses, said.boxes + waiting.boxes, said.steps + waiting.steps
+        if dependencies and dependencies[-1].end == end:
+            dependencies.pop()
+        self._count_votes(replace(self._last, states=self._last.before, before=self._last.states))
+        encoded, pending = self._encoded, self._pending
+        self._pending = _Pending(
+            encoded.poses + pending.poses, encoded.boxes + pending.boxes, encoded.steps + pending.steps
         )
         self._last = None
-        super().retract()
+        super().retract_last()
 
-    def take(self, map_id: MapId, frame: bytes, reception: Reception) -> None:
-        """Put pieces together, and read the units that can be read by now, of all maps."""
-        maker = map_id.number
-        coming = self._coming[maker]
-        if coming.broken:
-            raise ProtocolError(Update.name, 0, coming.broken)
-        units = packet_index.split(frame)
-        rest, whole = coming.pieces, []
+    def apply(self, map_id: int, frame: bytes, *, step: int, sender: int) -> None:
+        """Reassemble updates, and decode those of all logs whose dependencies are there."""
+        incoming = self._incoming[map_id]
+        if incoming.error:
+            raise ProtocolError(Update.name, 0, incoming.error)
+        packets = packet_index.split(frame)
+        rest, complete = incoming.fragments, []
         ends: list[int] = []
-        for count, unit in enumerate(units, coming.packets + 1):
-            said, data = look(unit)
+        for count, packet in enumerate(packets, incoming.packets + 1):
+            number, data = update_fragment(packet)
             rest += data
-            if said is not None:
-                number = (len(coming.ends) + len(ends)) % UPDATE_NUMBERS
-                if said != number:
-                    raise ProtocolError(Update.name, 0, f"unit {said} where {number} is the next")
-                whole.append(rest)
+            if number is not None:
+                expected = (len(incoming.ends) + len(ends)) % UPDATE_NUMBERS
+                if number != expected:
+                    raise ProtocolError(Update.name, 0, f"update {number}, expected {expected}")
+                complete.append(rest)
                 ends.append(count)
                 rest = b""
-        before = len(coming.ends)
-        coming.ends += ends
-        if whole and not coming.whole:
+        before = len(incoming.ends)
+        incoming.ends += ends
+        if complete and not incoming.complete:
             try:
-                first = self._decode(maker, whole[0], reception)
+                first = self._decode(map_id, complete[0], step, sender)
             except ProtocolError:
-                del coming.ends[before:]
+                del incoming.ends[before:]
                 raise
             if first is not None:
-                self._lay(first)
-                whole = whole[1:]
-        coming.pieces, coming.packets = rest, coming.packets + len(units)
-        coming.whole += whole
-        if coming.whole:
-            self._unread.add(maker)
-        if self._unread:
-            self._read_on(reception)
+                self._count_votes(first)
+                complete = complete[1:]
+        incoming.fragments, incoming.packets = rest, incoming.packets + len(packets)
+        incoming.complete += complete
+        if incoming.complete:
+            self._undecoded.add(map_id)
+        if self._undecoded:
+            self._decode_waiting(step, sender)
 
-    def _read_on(self, reception: Reception) -> None:
-        """Read all units for which what they are built on is there; one that makes no sense ends its stream."""
+    def _decode_waiting(self, step: int, sender: int) -> None:
+        """Decode all updates whose dependencies are there; a malformed update ends its log."""
         progress = True
         while progress:
             progress = False
-            for maker in sorted(self._unread):
-                coming = self._coming[maker]
-                while coming.whole:
+            for map_id in sorted(self._undecoded):
+                incoming = self._incoming[map_id]
+                while incoming.complete:
                     try:
-                        told = self._decode(maker, coming.whole[0], reception)
+                        update = self._decode(map_id, incoming.complete[0], step, sender)
                     except ProtocolError as error:
-                        coming.broken = error.reason
-                        coming.whole.clear()
+                        incoming.error = error.reason
+                        incoming.complete.clear()
                         break
-                    if told is None:
+                    if update is None:
                         break
-                    self._lay(told)
-                    del coming.whole[0]
+                    self._count_votes(update)
+                    del incoming.complete[0]
                     progress = True
-                if not coming.whole:
-                    self._unread.discard(maker)
+                if not incoming.complete:
+                    self._undecoded.discard(map_id)
 
-    def _decode(self, maker: int, unit: bytes, reception: Reception) -> DecodedUpdate | None:
-        """Decode an update of map `maker`; reject one that describes, or builds on, what its author cannot know."""
-        stream = self._follow(maker)
-        told = stream.decode(unit)
-        if told is None:
+    def _decode(self, map_id: int, message: bytes, step: int, sender: int) -> DecodedUpdate | None:
+        """Decode an update and check its area; None if a dependency is missing."""
+        stream = self._decoder(map_id)
+        update = stream.decode(message)
+        if update is None:
             return None
         try:
-            self._check_bases(told, reception)
-            self.reachability_check.claim(self.maps[maker], told.box, reception)
+            self._reachability.check(map_id, update.box, step=step, sender=sender)
         except ProtocolError:
             stream.undo()
-            self._histories[maker].pop()
+            self._histories[map_id].pop()
             raise
-        self._note_basis(maker, told)
+        self._note_dependency(map_id, update)
         stream.settle()
         if isinstance(stream, Stream):
-            self._needed[maker] = stream.builds_from()
-        return told
+            self._needed[map_id] = stream.builds_from()
+        return update
 
-    def _check_bases(self, update: DecodedUpdate, reception: Reception) -> None:
-        """Raise ProtocolError if an update builds on entries of this robot's log that no other robot can hold yet.
+    def _note_dependency(self, map_id: int, update: DecodedUpdate) -> None:
+        """Note the logs on which the last update of a log depends.
 
-        This robot may still retract them.
+        An update of this robot is final as soon as a received update claims to depend on it, be the claim true or
+        forged: retracting it would remove a state on which the decoder of that log relies.
         """
-        own = self.settings.own_map
-        for base in update.bases:
-            end = self._coming[base.robot].ends[base.end - 1]
-            if base.robot == own and end > reception.shared:
-                reason = f"builds on {end} entries of map {own}, of which {reception.shared} were shared"
-                raise ProtocolError(Update.name, 0, reason)
+        ends, number = self._incoming[map_id].ends, len(self._histories[map_id]) - 1
+        requires = tuple((base.robot, self._incoming[base.robot].ends[base.end - 1]) for base in update.bases)
+        if requires:
+            first = ends[number - 1] if number else 0
+            self._dependencies[map_id].append(Dependency(first, ends[number], requires))
+        if (self.settings.own_map, self._logged) in requires:
+            self.retractable = 0
 
-    def _note_basis(self, maker: int, told: DecodedUpdate) -> None:
-        """Note what the last unit of a stream is built on."""
-        ends, number = self._coming[maker].ends, len(self._histories[maker]) - 1
-        on = tuple((base.robot, self._coming[base.robot].ends[base.end - 1]) for base in told.bases)
-        if on:
-            self._bases[maker].append(Dependency(ends[number - 1] if number else 0, ends[number], on))
-
-    def dependencies(self, number: int) -> Sequence[Dependency]:
-        """Return the log ranges of decoded updates that build on more of other logs than the ones before."""
-        return self._bases[number]
+    def dependencies(self, map_id: int) -> Sequence[Dependency]:
+        """Dependencies of the decoded updates of a log, where they exceed those of the update before."""
+        return self._dependencies[map_id]
 
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
-        """Lay the robot's own grid over what all have told."""
+        """Overlay the received cells with the self-explored grid."""
         del peers
-        if self._shelves is None and len(self._histories) > 1:
+        if self._caches is None and len(self._histories) > 1:
             self._needed[self.settings.own_map] = self._own.builds_from()
             np.fill_diagonal(self._needed, np.iinfo(np.int64).max)
             for history, needed in zip(self._histories, self._needed.min(axis=0).tolist(), strict=True):
                 history.forget(needed)
-        return self._heard.under(own)
+        return self._received.overlaid(own)
 
-    def pose(self, map_id: MapId) -> tuple[int, int] | None:
-        """From where the last look of a map's units was taken."""
-        return self._streams[map_id.number].pose if map_id.number in self._streams else None
+    def scan_cell(self, map_id: int) -> tuple[int, int] | None:
+        """Cell (x, y) of the last scan in a log."""
+        return self._streams[map_id].pose if map_id in self._streams else None
 
-    def _lay(self, told: DecodedUpdate) -> None:
-        """Write what a unit tells: a wall if anybody tells so, else free if anybody does."""
-        _count(
-            self._told_so.reshape(2, -1), told.places, told.before, told.states, self._heard.grid.reshape(-1)
-        )
-        if len(told.places):
-            self._heard.told(told.box)
+    def _count_votes(self, update: DecodedUpdate) -> None:
+        """Apply an update to the received grid: a cell is a wall if any log reports a wall, else free if any does."""
+        grid = self._received.grid.reshape(-1)
+        _count_votes(self._votes.reshape(2, -1), update.places, update.before, update.states, grid)
+        if len(update.places):
+            self._received.changed(update.box)
 
 
-def pieces(message: bytes, number: int, most: int) -> list[bytes]:
-    """Cut a unit into the packets in which it travels; the last has `most` bytes of content at most."""
+def fragments(message: bytes, number: int, most: int) -> list[bytes]:
+    """Split an update into packets; the last packet has at most `most` bytes of content."""
     packets = []
     while len(message) > most:
         packets.append(encode([Update(None, message[:UPDATE_DATA])]))
@@ -347,32 +346,32 @@ def pieces(message: bytes, number: int, most: int) -> list[bytes]:
 
 
 @kernel("int64(uint8[:,::1], uint8[:,::1], uint8[:,::1], int64, int64, int64, int64)")
-def _news(heard: Grid, told: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int) -> int:
-    """Count the cells of a box that nobody has told of as the robot knows them."""
+def _unreported(received: Grid, logged: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int) -> int:
+    """Count the cells of a box whose state in `own` neither this robot's log nor a received log reports."""
     count = 0
     for y in range(y0, y1):
         for x in range(x0, x1):
             truth = own[y, x]
             if truth == UNKNOWN:
-                count += told[y, x] & TOLD != 0
+                count += logged[y, x] & TOLD != 0
             else:
-                count += heard[y, x] != truth and told[y, x] != truth | TOLD
+                count += received[y, x] != truth and logged[y, x] != truth | TOLD
     return count
 
 
 @kernel("void(uint16[:,::1], int32[::1], uint8[::1], uint8[::1], uint8[::1])")
-def _count(
-    told_so: NDArray[np.uint16], places: NDArray[np.int32], before: Grid, states: Grid, heard: Grid
+def _count_votes(
+    votes: NDArray[np.uint16], places: NDArray[np.int32], before: Grid, states: Grid, received: Grid
 ) -> None:
-    """A maker tells other states of cells than `before`: count who tells what of them, and put `heard` together."""
+    """A log replaces its `before` states of cells by `states`: update the votes, and the received grid from them."""
     for index in range(len(places)):
         place = places[index]
         if before[index] != UNKNOWN:
-            told_so[before[index] - FREE, place] -= 1
+            votes[before[index] - FREE, place] -= 1
         if states[index] != UNKNOWN:
-            told_so[states[index] - FREE, place] += 1
-        free, wall = told_so[0, place], told_so[1, place]
-        heard[place] = OCCUPIED if wall else FREE if free else UNKNOWN
+            votes[states[index] - FREE, place] += 1
+        free, wall = votes[0, place], votes[1, place]
+        received[place] = OCCUPIED if wall else FREE if free else UNKNOWN
 
 
 assert FREE + 1 == OCCUPIED

@@ -1,4 +1,4 @@
-"""What of the predictive exchange can be chosen."""
+"""Options of the `predictive` encoding."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Any, ClassVar, Literal
 
 @dataclass(frozen=True)
 class PredictiveOptions:
-    """Options of the predictive exchange.
+    """Options of the `predictive` encoding.
 
     Attributes
     ----------
     base : str
-        What a unit is built on: ``team``, all that its maker has heard; ``own``, what it has told itself. Then each
-        map stands alone, and costs up to three times as much.
+        The map from which a robot predicts its scans. ``team``: its own updates and all that it has received.
+        ``own``: its own updates; each log can then be decoded alone, and takes up to three times the bytes.
     """
 
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}

@@ -1,87 +1,85 @@
-"""What a teammate can have seen by now: what is claimed beyond it is refused as nonsense is.
+"""Reject map updates outside the area that their author can have observed by now.
 
-A robot tells of its map in words, one a step at most: a save point, a scan, a patch, a unit. When it said its k-th
-word, in step k or later, it stood within predictive of what it had told by then. Since then it has driven no farther than
-its speed allows, and seen no farther than its sensor does. This holds however late a word comes, and whoever passes it
-on; so nobody who is honest is ever refused.
+A robot appends at most one entry per step to its log: a save point, a scan, a patch or an update. When it appended
+its k-th entry, in step k or later, it stood within sensor range of an area that it had reported before. Since then it
+has driven no farther than its speed allows, and its sensor has its known range. This bound holds for late and for
+forwarded entries, so the check never rejects an honest robot.
 
-Where a robot was heard from (`packets.Pose`) must lie within its map likewise. That is asked of its own words alone:
-who passes on a map cannot know what its maker has said of itself to others.
+A robot's broadcast pose (`packets.Pose`) must lie near its map likewise. This second check applies only to frames
+that the author itself sent: a robot that forwards a map cannot know the poses that the author sent to others.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-from agent.replication.map_ids import MapId
 from agent.settings import Settings
 from protocol.boxes import Box, bounding_box
 from protocol.errors import ProtocolError
 
 SLACK = 8
-"""Cells: contours lie beside what was seen, and what is left of a step's way is driven in the next one."""
-
-
-class Reception(NamedTuple):
-    """The circumstances in which a robot received entries."""
-
-    step: int
-    sender: int
-    shared: int
-    """Offset in the receiver's own log before which other robots may hold entries."""
+"""Cells of tolerance: contours lie beside observed cells, and a robot may make up a step's remaining way later."""
 
 
 class ReachabilityCheck:
-    """The area that each map covers so far, and how far another update may extend it."""
+    """The area that each map has reported so far, and how far it may grow.
+
+    Parameters
+    ----------
+    settings : Settings
+        The robot's task: the team's speeds and sensor ranges.
+    """
 
     def __init__(self, settings: Settings) -> None:
+        self._robots = settings.robots
         self._speed = max(settings.fastest_cells, settings.speed_cells)
         self._ranges = settings.ranges_cells
         self._perfect = not settings.requires_acks
-        self._covered: dict[MapId, Box] = {}
-        self._updates: dict[MapId, int] = {}
-        self._places: dict[int, tuple[int, int, int]] = {}
+        self._reported: dict[int, Box] = {}
+        self._entries: dict[int, int] = {}
+        self._poses: dict[int, tuple[int, int, int]] = {}
 
-    def place(self, robot: int, step: int, x: int, y: int) -> None:
-        """Note the cell that a robot broadcast as its own in a step."""
+    def note_pose(self, robot: int, step: int, x: int, y: int) -> None:
+        """Take the cell that a robot broadcast as its pose; the check needs a medium without loss or delay."""
         if self._perfect:
-            self._places[robot] = step, x, y
+            self._poses[robot] = step, x, y
 
-    def claim(self, map_id: MapId, box: Box, reception: Reception, updates: int = 1) -> None:
-        """Note that so many more updates of a map describe cells in `box`, and none beyond.
+    def check(self, map_id: int, box: Box, entries: int = 1, *, step: int, sender: int) -> None:
+        """Accept `entries` further entries of a map, which report cells in `box`, cells (x0, y0, x1, y1).
+
+        Parameters
+        ----------
+        step : int
+            The step in which they arrived.
+        sender : int
+            The robot that sent them.
 
         Raises
         ------
         ProtocolError
-            The author cannot have observed that; nothing has changed.
+            The author cannot have observed this area; nothing has changed.
         """
         if box[0] >= box[2] or box[1] >= box[3]:
             return
-        before, covered = self._updates.get(map_id, 0), self._covered.get(map_id)
-        reach = 2 * self._ranges[map_id.robot] + SLACK
-        far = reach + self._speed * max(0, reception.step - before)
-        if covered is None:
-            grown = max(box[2] - box[0], box[3] - box[1])
+        count, before = self._entries.get(map_id, 0), self._reported.get(map_id)
+        sight = 2 * self._ranges[map_id % self._robots] + SLACK
+        limit = sight + self._speed * max(0, step - count)
+        if before is None:
+            growth = max(box[2] - box[0], box[3] - box[1])
         else:
-            grown = max(covered[0] - box[0], covered[1] - box[1], box[2] - covered[2], box[3] - covered[3])
-            box = bounding_box((covered, box))
-        if grown > far:
-            reason = (
-                f"map {map_id.number} grows by {grown} cells; since its last update {far:.0f} are possible"
-            )
-            raise ProtocolError("claim", 0, reason)
-        self._check_place(map_id, box, before + updates, reach, reception)
-        self._covered[map_id], self._updates[map_id] = box, before + updates
+            growth = max(before[0] - box[0], before[1] - box[1], box[2] - before[2], box[3] - before[3])
+            box = bounding_box((before, box))
+        if growth > limit:
+            reason = f"map {map_id} grows by {growth} cells; its author can have observed {limit:.0f} at most"
+            raise ProtocolError("map update", 0, reason)
+        if sender == map_id % self._robots:
+            self._check_pose(sender, box, count + entries, sight, step)
+        self._reported[map_id], self._entries[map_id] = box, count + entries
 
-    def _check_place(self, map_id: MapId, box: Box, updates: int, reach: float, reception: Reception) -> None:
-        """Compare what a robot describes of its own map with the cell that it broadcast."""
-        author = map_id.robot
-        if author != reception.sender or author not in self._places:
+    def _check_pose(self, author: int, box: Box, entries: int, sight: float, now: int) -> None:
+        """Compare the reported area with the pose that its author has broadcast."""
+        if author not in self._poses:
             return
-        step, x, y = self._places[author]
-        off = max(box[0] - x, x - box[2] + 1, box[1] - y, y - box[3] + 1)
-        if off > reach + self._speed * max(abs(step - updates), reception.step - step):
-            reason = (
-                f"map {map_id.number} lies {off} cells from ({x}, {y}), the pose that its author broadcast"
-            )
-            raise ProtocolError("claim", 0, reason)
+        step, x, y = self._poses[author]
+        distance = max(box[0] - x, x - box[2] + 1, box[1] - y, y - box[3] + 1)
+        if distance > sight + self._speed * max(abs(step - entries), now - step):
+            reason = f"the map lies {distance} cells from ({x}, {y}), the pose of its author in step {step}"
+            raise ProtocolError("map update", 0, reason)

@@ -1,7 +1,7 @@
-"""The raw-laser exchange: every scan travels as it was read (Burgard et al., section III-B).
+"""The `scans` encoding: raw laser scans (Burgard et al. 2005, section III-B).
 
-It is the exact and expensive way of sharing maps, the one that the thesis compares itself with. A scan is
-logged in every step that shows something the last one did not.
+It is the exact and expensive encoding, with which the thesis compares its polygons. A robot logs a scan in each step in
+which the scan differs from the last one.
 """
 
 from __future__ import annotations
@@ -9,9 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from agent.encodings.base import MapEncoding
-from agent.encodings.reachability_check import Reception
-from agent.encodings.received_grid import Heard
-from agent.replication.map_ids import MapId
+from agent.encodings.received_grid import ReceivedGrid
 from agent.settings import Settings
 from protocol import packet_index, packets
 from protocol.errors import ProtocolError
@@ -20,7 +18,7 @@ from protocol.scans import NONE, Change, Scan, decode_scan, draw, encode_scan, f
 
 
 class ScanEncoding(MapEncoding):
-    """Scans in fragments; what teammates saw is drawn onto one grid as it comes."""
+    """Encodes scans as fragments, and draws the scans of all teammates onto one grid."""
 
     name = "scans"
 
@@ -29,49 +27,48 @@ class ScanEncoding(MapEncoding):
         self._ray_tables = [ray_table(cells, settings.beams) for cells in settings.ranges_cells]
         self._size = scan_size(settings.beams)
         self._most = settings.frame_bytes or packets.Fragment.size
-        self._heard = Heard((settings.height, settings.width))
-        self._partial: dict[MapId, bytes] = {}
+        self._received = ReceivedGrid((settings.height, settings.width))
+        self._partial: dict[int, bytes] = {}
         self._last = b""
 
-    def record(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
-        """Log the scan, unless it is the last one again or the scanner did not work."""
+    def encode_changes(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
+        """Encode the scan, unless it repeats the last one or has no readings."""
         del delivered
-        self._heard.seen(own, change)
+        self._received.own_changed(own, change)
         data = encode_scan(scan)
         if data == self._last or (scan.readings == NONE).all():
             return []
         self._last = data
         return fragments(data, self._most)
 
-    def take(self, map_id: MapId, frame: bytes, reception: Reception) -> None:
-        """Put fragments together and draw the scans that are complete."""
-        held, size = self._partial.get(map_id, b""), self._size
-        data = held + packet_index.contents(frame, size, len(held))
+    def apply(self, map_id: int, frame: bytes, *, step: int, sender: int) -> None:
+        """Reassemble fragments, and draw the scans that are complete."""
+        partial, size = self._partial.get(map_id, b""), self._size
+        data = partial + packet_index.contents(frame, size, len(partial))
         end = len(data) - len(data) % size
         scans = [self._read(map_id, data[at : at + size]) for at in range(0, end, size)]
         if scans:
             x, y = [scan.x for scan in scans], [scan.y for scan in scans]
-            self.reachability_check.claim(
-                map_id, (min(x), min(y), max(x) + 1, max(y) + 1), reception, len(scans)
-            )
+            box = min(x), min(y), max(x) + 1, max(y) + 1
+            self._reachability.check(map_id, box, len(scans), step=step, sender=sender)
         self._partial[map_id] = data[end:]
         for scan in scans:
-            change = draw(self._heard.grid, self._ray_table_of(map_id), scan.x, scan.y, scan.readings)
+            change = draw(self._received.grid, self._ray_table_of(map_id), scan.x, scan.y, scan.readings)
             if change.cells:
-                self._heard.told(change.box)
+                self._received.changed(change.box)
 
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
-        """Lay the robot's own grid over what it heard, where either has changed."""
+        """Overlay the received cells with the self-explored grid."""
         del peers
-        return self._heard.under(own)
+        return self._received.overlaid(own)
 
-    def _ray_table_of(self, map_id: MapId) -> RayTable:
-        """The beams of the robot whose map it is."""
-        return self._ray_tables[map_id.robot]
+    def _ray_table_of(self, map_id: int) -> RayTable:
+        """The ray table of the map's author."""
+        return self._ray_tables[map_id % self.settings.robots]
 
-    def _read(self, map_id: MapId, data: bytes) -> Scan:
+    def _read(self, map_id: int, data: bytes) -> Scan:
         scan = decode_scan(data, self._ray_table_of(map_id))
-        height, width = self._heard.grid.shape
+        height, width = self._received.grid.shape
         if scan.x >= width or scan.y >= height:
             reason = f"cell ({scan.x}, {scan.y}) is outside the {width} x {height} grid"
             raise ProtocolError("scan", 0, reason)

@@ -23,7 +23,7 @@ def distribution(settings: Settings, map_encoding: MapEncoding) -> Session | Gos
             settings.robots,
             incarnations=settings.incarnations,
             incarnation=settings.incarnation,
-            bases=map_encoding.bases,
+            bases=map_encoding.dependencies,
         )
     kind = ConfirmedSession if settings.requires_acks else Session
     session = kind(

@@ -19,7 +19,7 @@ Events and what follows from them; the tables move with the relay's word of what
     one is chosen to pass on what a teammate lacks    from, and these
 
 Who holds most is served first, and of the maps that it lacks the one of which it lacks least. A word that is built on
-others' words goes behind those of them that the teammate lacks (`agent.encodings.base.Basis`). So those who keep up
+others' words goes behind those of them that the teammate lacks (`agent.encodings.base.Dependency`). So those who keep up
 hear what is new before others hear what is old, and where much is lacking a few know all soon, and not all a part.
 Nothing is said that nobody in range can use, for it lacks what comes before.
 
@@ -40,7 +40,7 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.encodings.base import Basis
+from agent.encodings.base import Dependency
 from agent.exchange import priority
 from agent.exchange.broadcast import Broadcast
 from agent.exchange.log import Log
@@ -56,7 +56,7 @@ from protocol.packets import From, FromEarly, Gone, Held, HeldEarly, Near
 Table = NDArray[np.int32]
 Robots = list[int] | NDArray[np.intp]
 
-Bases = Callable[[int], Sequence[Basis]]
+Bases = Callable[[int], Sequence[Dependency]]
 """Of a map, in their order, the words that can only be read behind others' (`Round.bases`)."""
 
 POLICY = "gossip"
@@ -74,7 +74,7 @@ GREETING = 1
 """Steps after its coming into range in which a robot is not told what it may hold by then."""
 
 
-def nothing(map_id: int) -> Sequence[Basis]:
+def nothing(map_id: int) -> Sequence[Dependency]:
     """Words that stand each for itself."""
     del map_id
     return ()
@@ -312,11 +312,11 @@ class Gossip:
         for basis in bases[bisect_right(bases, plan.held[map_id], key=attrgetter("end")) :]:
             if basis.first >= end:
                 break
-            if any(plan.held[other] < units for other, units in basis.on):
+            if any(plan.held[other] < units for other, units in basis.requires):
                 self._say(said, plan, map_id, basis.first)
-                for other, units in basis.on:
+                for other, units in basis.requires:
                     self._bring(said, plan, other, units)
-                if any(plan.held[other] < units for other, units in basis.on):
+                if any(plan.held[other] < units for other, units in basis.requires):
                     return
         self._say(said, plan, map_id, end)
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.memo_cache import ALONE, MemoCache
+from agent.memo_cache import NO_CACHE, MemoCache
 from agent.outline.objects import (
     BOTTOM,
     FIRST,
@@ -144,15 +144,15 @@ class Drawn:
         Rows and columns.
     drawing : Drawing
         What is drawn.
-    once : Once
-        Where it is worked out what changes.
+    cache : MemoCache
+        Cache of intermediate results, shared by the robots of this process.
     """
 
-    def __init__(self, shape: tuple[int, int], drawing: Drawing, once: MemoCache = ALONE) -> None:
+    def __init__(self, shape: tuple[int, int], drawing: Drawing, cache: MemoCache = NO_CACHE) -> None:
         self.layer: Layer = np.zeros(shape, np.uint8)
         self._cells = self.layer.reshape(-1)
         self._drawing = drawing
-        self._once = once
+        self._cache = cache
         self._objects: Objects | None = None
 
     def follow(self, objects: Objects, changed: Boxes | None = None) -> Difference:
@@ -160,7 +160,7 @@ class Drawn:
         drawing = self._drawing
         boxes = whole_grid(objects.shape) if changed is None or self._objects is None else changed
         change = self._objects, objects, drawing.free_inside_edges, drawing.unknown_pairs
-        news = self._once.get(change, lambda: draw_anew(self.layer, objects, drawing, boxes))
+        news = self._cache.get(change, lambda: draw_anew(self.layer, objects, drawing, boxes))
         self._cells[news.cells] = news.after
         self._objects = objects
         return news

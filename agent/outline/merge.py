@@ -31,7 +31,7 @@ from collections.abc import Collection, Set
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.memo_cache import ALONE, MemoCache
+from agent.memo_cache import NO_CACHE, MemoCache
 from agent.outline.claims import (
     FREE_AREA,
     INSIDE_FREE,
@@ -61,13 +61,13 @@ class TeamMap:
     ----------
     drawing : Drawing
         What of the teammates' approximations is drawn.
-    once : Once
-        Where it is worked out what changes in their drawings.
+    cache : MemoCache
+        Cache of intermediate results, shared by the robots of this process.
     """
 
-    def __init__(self, drawing: Drawing = THESIS, once: MemoCache = ALONE) -> None:
+    def __init__(self, drawing: Drawing = THESIS, cache: MemoCache = NO_CACHE) -> None:
         self._drawing = drawing
-        self._once = once
+        self._cache = cache
         self._drawn: dict[int, Drawn] = {}
         self._near: Set[int] = frozenset()
         """Teammates whose claims count as those of robots near."""
@@ -87,7 +87,7 @@ class TeamMap:
         shape = approximation.shape
         self._lay_out(shape)
         if robot not in self._drawn:
-            self._drawn[robot] = Drawn(shape, self._drawing, self._once)
+            self._drawn[robot] = Drawn(shape, self._drawing, self._cache)
         news = self._drawn[robot].follow(approximation, changed)
         self._tally.count(news, robot in self._near)
         self._changed.append(news.boxes)
@@ -148,15 +148,15 @@ class ErrorCount:
     ----------
     drawing : Drawing
         What is drawn; without guesses.
-    once : Once
-        Where it is worked out what changes in the drawing.
+    cache : MemoCache
+        Cache of intermediate results, shared by the robots of this process.
     """
 
-    def __init__(self, drawing: Drawing = THESIS, once: MemoCache = ALONE) -> None:
+    def __init__(self, drawing: Drawing = THESIS, cache: MemoCache = NO_CACHE) -> None:
         if drawing.wide_walls or drawing.close_slivers:
             raise ValueError(f"{drawing}: what receivers guess is no error of the approximation")
         self._drawing = drawing
-        self._once = once
+        self._cache = cache
         self._drawn: Drawn | None = None
         self._wrong: NDArray[np.bool_] = np.zeros((0, 0), np.bool_)
         self._count = 0
@@ -170,7 +170,7 @@ class ErrorCount:
     ) -> int:
         """Return the error now; both differ from the last ones in the boxes at most (None: anywhere)."""
         if self._drawn is None or changed is None or own_changed is None:
-            self._drawn = Drawn(approximation.shape, self._drawing, self._once)
+            self._drawn = Drawn(approximation.shape, self._drawing, self._cache)
             self._wrong = np.zeros(own.shape, np.bool_)
             self._count = 0
             own_changed = changed = whole_grid(approximation.shape)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from hashlib import blake2b
 
-from agent.memo_cache import ALONE, MemoCache
+from agent.memo_cache import NO_CACHE, MemoCache
 from agent.outline.draft import Draft
 from agent.outline.edit_reader import Reading, Saved, read
 from agent.outline.edits import Held
@@ -24,12 +24,12 @@ class Receiver:
     ----------
     shape : (int, int)
         Height and width of the grid, in cells; no vertex may lie beyond the rim of one cell around it.
-    once : Once
-        Where the stream is read.
+    cache : MemoCache
+        Cache of intermediate results, shared by the robots of this process.
     """
 
-    def __init__(self, shape: tuple[int, int], once: MemoCache = ALONE) -> None:
-        self._once = once
+    def __init__(self, shape: tuple[int, int], cache: MemoCache = NO_CACHE) -> None:
+        self._cache = cache
         self._heard = blake2b(digest_size=16)
         """Of all that has been heard: what follows from it."""
         self.objects = Objects.nothing(shape)
@@ -64,7 +64,7 @@ class Receiver:
         """
         piece = self._pending + data
         before, heard = self._reading, self._heard.digest()
-        found = self._once.get((heard, piece), lambda: read(before, piece))
+        found = self._cache.get((heard, piece), lambda: read(before, piece))
         if found is None or found[0] < len(piece):  # something is wrong, or a packet is not complete
             _draft_of(self._reading).read(self._pending, data)
         if found is None:
@@ -76,7 +76,7 @@ class Receiver:
         behind = saved.end - (len(piece) - len(data)) if saved is not None else 0
         self._heard.update(data[:behind])
         if saved is not None:
-            self.objects, self._held = self._once.get(self._heard.digest(), lambda: saved.objects), None
+            self.objects, self._held = self._cache.get(self._heard.digest(), lambda: saved.objects), None
             self._changed = union(self._changed, saved.boxes)
         self._heard.update(data[behind:])
         return saved is not None

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from agent.memo_cache import ALONE, MemoCache, Result
+from agent.memo_cache import NO_CACHE, MemoCache, Result
 from agent.planning.best_frontier import Appeal, best_frontier
 from agent.planning.breadth_first import first_by_hops
 from agent.planning.cost_field import (
@@ -46,8 +46,8 @@ class PathPlanner:
         The grid with obstacles enlarged, if that has been done.
     occ_max : float
         Cells whose occupancy on a smoothed map is more are barred (`agent.planning.occupancy.barred`).
-    once : Once
-        Shared with other robots, which may have the same floor.
+    cache : MemoCache
+        Cache of intermediate results, shared by the robots of this process.
 
     Attributes
     ----------
@@ -64,14 +64,14 @@ class PathPlanner:
         radius_cells: float = 0.0,
         floor: Grid | None = None,
         occ_max: float = 1.0,
-        once: MemoCache = ALONE,
+        cache: MemoCache = NO_CACHE,
     ) -> None:
         self.grid = grid
         self.floor = barred(grid, enlarge(grid, radius_cells), occ_max) if floor is None else floor
         self._kind = kind
         self._radius = radius_cells
         self._occ_max = occ_max
-        self._once = once
+        self._cache = cache
         self._others: dict[float, PathPlanner] = {}
         self._fields: dict[tuple[int, int], Field] = {}
         self._near: dict[tuple[int, int], Field] = {}
@@ -137,10 +137,10 @@ class PathPlanner:
         goals: NDArray[np.int32],
     ) -> Result:
         """What a search finds on the floor; it is not to be written on, for another robot may have it as well."""
-        if self._once is ALONE:
+        if self._cache is NO_CACHE:
             return search(self._laid_out, starts, goals)
         key = search, self._all_of_the_floor, starts.tobytes(), goals.tobytes()
-        return self._once.get(key, lambda: search(self._laid_out, starts, goals))
+        return self._cache.get(key, lambda: search(self._laid_out, starts, goals))
 
     def path(self, start: tuple[int, int], end: tuple[int, int]) -> NDArray[np.int32] | None:
         """Cells of a best way, without its start; None if there is none."""
@@ -201,7 +201,7 @@ class PathPlanner:
             return self
         if radius_cells not in self._others:
             self._others[radius_cells] = PathPlanner(
-                self.grid, self._kind, radius_cells, occ_max=self._occ_max, once=self._once
+                self.grid, self._kind, radius_cells, occ_max=self._occ_max, cache=self._cache
             )
         return self._others[radius_cells]
 

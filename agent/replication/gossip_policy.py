@@ -17,7 +17,8 @@ from operator import attrgetter
 
 import numpy as np
 
-from agent.replication.log import Dependency, Log
+from agent.encodings.base import Dependency
+from agent.replication.log import Log
 from agent.replication.neighbors import Neighbors
 from agent.replication.peers import Mask, PeerTable, Table
 from protocol.kernels import kernel
@@ -122,11 +123,11 @@ class GossipPolicy:
         for each in dependencies[bisect_right(dependencies, will_hold[number], key=attrgetter("end")) :]:
             if each.first >= end:
                 break
-            if any(will_hold[other] < length for other, length in each.on):
+            if any(will_hold[other] < length for other, length in each.requires):
                 self._send(peer, will_hold, number, each.first)
-                for other, length in each.on:
+                for other, length in each.requires:
                     self._bring(peer, will_hold, other, length)
-                if any(will_hold[other] < length for other, length in each.on):
+                if any(will_hold[other] < length for other, length in each.requires):
                     return
         self._send(peer, will_hold, number, end)
 

@@ -10,17 +10,6 @@ from array import array
 from bisect import bisect_right
 from collections.abc import Iterable
 from itertools import accumulate
-from typing import NamedTuple
-
-
-class Dependency(NamedTuple):
-    """A log range that can only be decoded after entries of other logs."""
-
-    first: int
-    end: int
-    """Offsets `first` to `end` - 1 are the range."""
-    on: tuple[tuple[int, int], ...]
-    """Map numbers, and how many entries of each must have been decoded."""
 
 
 class Log:

@@ -60,15 +60,15 @@ class Situation:
         Teammates out of radio range that are connected through others, ascending; only where poses are passed on.
     poses : dict of robot to Pose
         The last pose heard of each teammate that tells it, by ascending number.
-    moved : dict of robot to step
+    last_moved : dict of robot to step
         When each of these was last heard to be elsewhere than before.
-    travelled : dict of robot to float
+    traveled : dict of robot to float
         Way in cells, straight from pose to pose: those heard of it, its own of every step.
     targets : dict of robot to (x, y)
         The last target heard of each teammate that has one, by ascending number.
-    heard : dict of robot to step
+    target_steps : dict of robot to step
         When each of these was heard.
-    news : dict of robot to (x, y)
+    new_targets : dict of robot to (x, y)
         Those heard since the last decision.
     """
 
@@ -84,11 +84,11 @@ class Situation:
     peers: tuple[int, ...] = ()
     connected: tuple[int, ...] = ()
     poses: Mapping[int, Pose] = field(default_factory=dict)
-    moved: Mapping[int, int] = field(default_factory=dict)
-    travelled: Mapping[int, float] = field(default_factory=dict)
+    last_moved: Mapping[int, int] = field(default_factory=dict)
+    traveled: Mapping[int, float] = field(default_factory=dict)
     targets: Mapping[int, Cell] = field(default_factory=dict)
-    heard: Mapping[int, int] = field(default_factory=dict)
-    news: Mapping[int, Cell] = field(default_factory=dict)
+    target_steps: Mapping[int, int] = field(default_factory=dict)
+    new_targets: Mapping[int, Cell] = field(default_factory=dict)
 
     @property
     def here(self) -> Cell:
@@ -129,7 +129,7 @@ class Decision:
     look : bool
         Whether its scanner works on the way.
     publish : bool
-        Whether teammates may have all that it has seen by now, where the strategy withholds news.
+        Whether teammates may have all that it has seen by now, where the strategy defers_publication news.
     status : str
         What it is at, for people.
     """
@@ -175,15 +175,15 @@ class Strategy(ABC):
     """The dataclass of its options (`agent.strategies.options`)."""
     refused: ClassVar[Mapping[str, str]] = {}
     """Options of other strategies that make no sense here, and why."""
-    tells_target: ClassVar[bool] = True
+    publishes_target: ClassVar[bool] = True
     """Whether its robots tell each other their targets."""
-    tells_pose: ClassVar[bool] = False
+    publishes_pose: ClassVar[bool] = False
     """Whether its robots tell each other where they are."""
-    looks_from_afar: ClassVar[bool] = False
+    observes_from_distance: ClassVar[bool] = False
     """Whether its robots look at crumbs from where they pass, so that more of these cost little."""
     forwards_state: bool = False
     """Whether its robots pass on what teammates have told of poses and targets."""
-    withholds: bool = False
+    defers_publication: bool = False
     """Whether news waits until a decision publishes it."""
     leads: bool = False
     """Whether this robot leads; it is told with its pose."""
@@ -192,12 +192,12 @@ class Strategy(ABC):
         self.options: Any = self.check(options)
         self.settings = settings
 
-    def share(self, common: dict[str, Any]) -> None:
+    def use_shared_cache(self, cache: dict[str, Any]) -> None:
         """Hold what follows from the planning grid together with the other robots of this process.
 
-        As `agent.encodings.base.MapEncoding.share` has it.
+        As `agent.encodings.base.MapEncoding.use_shared_cache` has it.
         """
-        del common
+        del cache
 
     @classmethod
     def check(cls, options: Mapping[str, Any]) -> Any:

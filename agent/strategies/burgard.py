@@ -57,7 +57,7 @@ class Nearest(TargetStrategy):
     name = "nearest"
     summary = "each robot drives to its nearest frontier cell, whatever the others do"
     source = "Burgard et al. 2005, section IV-C: uncoordinated, after Yamauchi 1998"
-    tells_target = False
+    publishes_target = False
 
     def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
         """Take the goal of least cost; of equals the first cell, row by row."""
@@ -77,7 +77,7 @@ class Burgard(TeamStrategy):
         super().__init__(options, settings)
         self.forwards_state = self.options.sub_team == "connected"
         self._assigned = 0
-        self._travelled: dict[int, float] = {}
+        self._traveled: dict[int, float] = {}
 
     def is_due(self, situation: Situation) -> bool:
         """As a team's, and after a time or a distance."""
@@ -96,19 +96,19 @@ class Burgard(TeamStrategy):
             self.options.costs,
             self.settings.radius_cells,
             occ_max=self.options.occ_max,
-            once=self._once,
+            cache=self._cache,
         )
 
     def select(self, situation: Situation, planner: PathPlanner) -> tuple[Cell | None, bool]:
         """As all, noting when, and how far all had come by then."""
-        self._assigned, self._travelled = situation.step, dict(situation.travelled)
+        self._assigned, self._traveled = situation.step, dict(situation.traveled)
         return super().select(situation, planner)
 
     def _has_driven(self, situation: Situation) -> bool:
         """Whether a member has driven so far that targets are assigned anew."""
         most = self.options.after_metres / self.settings.resolution
         return bool(most) and any(
-            situation.travelled.get(robot, 0.0) - self._travelled.get(robot, 0.0) >= most
+            situation.traveled.get(robot, 0.0) - self._traveled.get(robot, 0.0) >= most
             for robot in self.team(situation)
         )
 

@@ -4,7 +4,7 @@
     iterative        IA: the nearest pair of robot and goal first
     hungarian        HA: the assignment of least total distance
     mtsp             MA: goals clustered around the robots, each goes where its cluster's shortest tour begins
-    hungarian-depot  HAd: distance, way from the goal to the depot, and way travelled so far (Eq. 2)
+    hungarian-depot  HAd: distance, way from the goal to the depot, and way traveled so far (Eq. 2)
     mtsp-depot       MAd: the tour ends at the depot
 
 Goals (rfe or anr), replanning (at-goal is the paper's GR, at-once its IR) and mission (open is OP, return RD)
@@ -104,7 +104,7 @@ class HungarianDepot(Hungarian):
     """HAd."""
 
     name = "hungarian-depot"
-    summary = "as hungarian, counting the way back to the depot and the way travelled so far"
+    summary = "as hungarian, counting the way back to the depot and the way traveled so far"
     source = "Faigl and Vanek 2014, HAd (section 4.1.1, Eq. 2)"
     options_type = DepotAllocation
 
@@ -117,9 +117,9 @@ class HungarianDepot(Hungarian):
         """Eq. (2)."""
         homes = np.array([situation.homes[robot] for robot in table.robots], np.int32)
         back = _way_back(planner, table.goals, homes)
-        travelled = np.array([situation.travelled.get(robot, 0.0) for robot in table.robots])
+        traveled = np.array([situation.traveled.get(robot, 0.0) for robot in table.robots])
         return super().assign(
-            replace(table, costs=table.costs + back + travelled[:, None]), situation, planner
+            replace(table, costs=table.costs + back + traveled[:, None]), situation, planner
         )
 
 

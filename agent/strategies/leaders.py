@@ -72,8 +72,8 @@ class PotentialField(Strategy):
     source = "leader paper, section III-B; without leaders as in its Figs. 3b and 4b"
     options_type: ClassVar[type] = FieldOptions
     refused = dict.fromkeys(("candidates", "costs", "replan", "mission", "scan", "share"), NOT_HERE)
-    tells_target = False
-    tells_pose = True
+    publishes_target = False
+    publishes_pose = True
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)

@@ -84,7 +84,7 @@ class Meier(TargetStrategy):
         half_life, forget = self.options.half_life, self.options.forget
         if not half_life and not forget:
             return None
-        ages = [situation.step - situation.heard[peer] for peer in situation.targets]
+        ages = [situation.step - situation.target_steps[peer] for peer in situation.targets]
         halved = [0.5 ** (age / half_life) if half_life else 1.0 for age in ages]
         left = [max(0.0, 1 - age / forget) if forget else 1.0 for age in ages]
         return [float(one * other) for one, other in zip(halved, left, strict=True)]

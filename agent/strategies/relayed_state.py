@@ -11,7 +11,7 @@ from collections.abc import Collection, Mapping
 
 from agent.settings import Settings
 from agent.strategies.base import Cell, Pose
-from protocol.packets import Passed, Target
+from protocol.packets import MAX_AGE, Passed, Target
 
 
 class RelayedState:
@@ -19,7 +19,7 @@ class RelayedState:
 
     def __init__(self, settings: Settings) -> None:
         self._robot = settings.robot
-        self._oldest = min(settings.robots - 2, (1 << Passed.bits[1]) - 1)
+        self._oldest = min(settings.robots - 2, MAX_AGE)
         """Steps after which a robot is not connected any more of which nothing new is heard."""
         self._seen: dict[int, int] = {}
         """The step in which each was where it is said to be."""

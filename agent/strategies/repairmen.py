@@ -116,7 +116,7 @@ class Repairmen(TeamStrategy):
     summary = "the team plans tours through all free edges that reach much soon and leave nothing for late"
     source = "Murmur, after the k-travelling repairmen problem (minimum latency)"
     options_type = Options
-    looks_from_afar = True
+    observes_from_distance = True
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)
@@ -158,16 +158,17 @@ class Repairmen(TeamStrategy):
         """
         members = super().team(situation)
         for peer, target in situation.targets.items():
-            if situation.step - situation.heard.get(peer, 0) <= RECALL:
+            if situation.step - situation.target_steps.get(peer, 0) <= RECALL:
                 members.setdefault(peer, target)
         for peer in members:
-            stands = situation.step - situation.moved.get(peer, situation.step) >= STILL
+            stands = situation.step - situation.last_moved.get(peer, situation.step) >= STILL
             if self._waited >= PATIENCE or (self._waited and stands and peer in situation.peers):
-                self._given_up[peer] = situation.heard.get(peer, 0)
+                self._given_up[peer] = situation.target_steps.get(peer, 0)
         return {
             peer: members[peer]
             for peer in sorted(members)
-            if peer == self.settings.robot or situation.heard.get(peer, 0) > self._given_up.get(peer, -1)
+            if peer == self.settings.robot
+            or situation.target_steps.get(peer, 0) > self._given_up.get(peer, -1)
         }
 
     def goals(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:

@@ -131,7 +131,7 @@ class ShengBid(Rotating):
     summary = "takes the frontier cell of the best bid: unknown area, distance, nearness to teammates"
     source = "Sheng et al. 2006, as Al-khawaldah and Nuechter 2014 quote it, Eq. (1)"
     options_type = Bids
-    tells_pose = True
+    publishes_pose = True
 
     @classmethod
     def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:

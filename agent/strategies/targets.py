@@ -21,7 +21,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.memo_cache import ALONE, MemoCache
+from agent.memo_cache import NO_CACHE, MemoCache
 from agent.planning.breadth_first import is_wide_frontier
 from agent.planning.candidates import CANDIDATES, SEARCHED, goal_candidates, searched_candidate
 from agent.planning.frontier import is_frontier
@@ -79,7 +79,7 @@ class TargetStrategy(Strategy):
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)
-        self.withholds = self.options.share == "at-target"
+        self.defers_publication = self.options.share == "at-target"
         self.target: Cell | None = None
         self._route = Route()
         self._goal: Cell | None = None
@@ -89,12 +89,12 @@ class TargetStrategy(Strategy):
         self._turned = 0
         self._at: Cell | None = None
         self._looked = True
-        self._once = ALONE
+        self._cache = NO_CACHE
 
-    def share(self, common: dict[str, Any]) -> None:
+    def use_shared_cache(self, cache: dict[str, Any]) -> None:
         """Search for ways once for all robots of this process that have the same planning grid."""
         if self.settings.robots > 1:
-            self._once = common.setdefault("ways", MemoCache(MOST_WAYS))
+            self._cache = cache.setdefault("ways", MemoCache(MOST_WAYS))
 
     @classmethod
     def check(cls, options: Mapping[str, Any]) -> Any:
@@ -155,7 +155,7 @@ class TargetStrategy(Strategy):
             other < self.settings.robot
             and (x - own_x) ** 2 + (y - own_y) ** 2 < self.settings.ranges_cells[other] ** 2
             and in_predictive(situation.grid, x, y, own_x, own_y)
-            for other, (x, y) in situation.news.items()
+            for other, (x, y) in situation.new_targets.items()
         )
 
     def team_size(self, situation: Situation) -> int:
@@ -199,7 +199,7 @@ class TargetStrategy(Strategy):
 
     def planner(self, situation: Situation) -> PathPlanner:
         """The ways that the robot may take."""
-        return PathPlanner(situation.grid, self.options.costs, self.settings.radius_cells, once=self._once)
+        return PathPlanner(situation.grid, self.options.costs, self.settings.radius_cells, cache=self._cache)
 
     def goals(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:
         """The cells that are worth going to, shape (n, 2)."""

@@ -55,7 +55,7 @@ class Table:
 class TeamStrategy(TargetStrategy):
     """A strategy of sub-teams; a subclass says in `assign` who gets which goal."""
 
-    tells_pose = True
+    publishes_pose = True
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)
@@ -163,7 +163,8 @@ class TeamStrategy(TargetStrategy):
     def _collides(self, situation: Situation) -> bool:
         """Whether a lower-numbered teammate has just said that it is headed for the same cell."""
         return any(
-            peer < self.settings.robot and target == self.target for peer, target in situation.news.items()
+            peer < self.settings.robot and target == self.target
+            for peer, target in situation.new_targets.items()
         )
 
 

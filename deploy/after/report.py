@@ -40,7 +40,7 @@ KINDS = {
     "targ": "a robot's target",
     "save": "end of an update",
     "scan": "piece of a raw laser scan",
-    "look": "piece of a unit of looks",
+    "update": "fragment of a map update",
     "pose": "a robot's position",
     "sum": "checksum of a frame",
 }

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from agent.encodings.polygons import PolygonEncoding
@@ -29,7 +29,6 @@ from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
 from agent.outline.simplify import mixed_first, refine
 from agent.planning.cost_field import costs
-from agent.settings import Settings
 from deploy.bench.explorations import SAMPLES, Cell, Moment, beams, explore, samples
 from deploy.bench.handshakes import Handshakes, timed
 from deploy.bench.ratios import Figure, compare
@@ -141,11 +140,13 @@ class _Telling:
 
     def follow(self, robot: int, walk: Sequence[Moment]) -> None:
         """Let one robot send its updates."""
-        map_encoding = PolygonEncoding(Settings.from_message(self._plan.robot_settings[robot]))
+        map_encoding = PolygonEncoding(self._plan.robot_settings[robot])
         self.units.append([])
         self.polygons.append([])
         for moment in walk:
-            record = partial(map_encoding.record, moment.grid, moment.scan, moment.change, delivered=True)
+            record = partial(
+                map_encoding.encode_changes, moment.grid, moment.scan, moment.change, delivered=True
+            )
             units, spent = timed(record)
             told = map_encoding.polygons[robot]
             self.units[-1].append(units)
@@ -225,7 +226,7 @@ def _ways(walk: Sequence[Moment], graph: Any) -> Figure:
 def _looks(plan: Plan, walk: Sequence[Moment]) -> Iterator[Figure]:
     """Tell a walk in looks and read them, against drawing its scans."""
     settings = replace(
-        Settings.from_message(plan.robot_settings[0]),
+        plan.robot_settings[0],
         map_encoding="predictive",
         dissemination="gossip",
         bandwidth=None,
@@ -235,12 +236,12 @@ def _looks(plan: Plan, walk: Sequence[Moment]) -> Iterator[Figure]:
     cells = size = 0
     written, read, scans = [], [], []
     for moment in walk:
-        record = partial(maker.record, moment.grid, moment.scan, moment.change, delivered=True)
+        record = partial(maker.encode_changes, moment.grid, moment.scan, moment.change, delivered=True)
         units, spent = timed(record)
         scan = moment.scan
         scans.append(timed(partial(draw, drawn, ray_table, scan.x, scan.y, scan.readings))[1])
         written.append(spent)
-        read.append(timed(partial(hearer.take, 0, b"".join(units)))[1])
+        read.append(timed(partial(hearer.apply, 0, b"".join(units), step=1000, sender=0))[1])
         cells += moment.change.cells
         size += sum(map(len, units))
     _check_same(hearer.merge(np.zeros_like(drawn)), walk[-1].grid, "looks")

@@ -158,7 +158,7 @@ def show_capture(
         int | None, typer.Option(min=0, metavar="N", help="only frames that this robot sent or received")
     ] = None,
     kind: Annotated[
-        str | None, typer.Option(metavar="KIND", help="only frames with packets of this kind, as look")
+        str | None, typer.Option(metavar="KIND", help="only frames with packets of this kind, such as update")
     ] = None,
     step: Annotated[str | None, typer.Option(metavar="S|S-T", help="only these steps")] = None,
     refused: Annotated[bool, typer.Option("--refused", help="only frames that were not carried")] = False,

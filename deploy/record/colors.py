@@ -42,7 +42,7 @@ GROUPS: dict[str, Group] = {
     "vertices": Group("corners of outlines", ("ins", "rep", "del"), (60, 130, 250)),
     "objects": Group("new and removed outlines", ("em", "chg", "rm"), (240, 140, 20)),
     "scans": Group("raw laser scans", ("scan",), (45, 165, 220)),
-    "looks": Group("looks and surprises", ("look",), (20, 165, 175)),
+    "updates": Group("map updates", ("update",), (20, 165, 175)),
     "handshakes": Group("handshakes", ("conn",), (195, 90, 220)),
     "targets": Group("targets, poses", ("targ", "pose"), (45, 180, 95)),
     "saves": Group("ends of updates", ("save",), (135, 141, 150)),

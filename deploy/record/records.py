@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.settings import Settings
 from deploy.record.wire_bytes import Meter
 from netshaper.ledger import ROW
 from protocol import keys as names
@@ -21,6 +22,7 @@ from protocol.keys import Keys
 from protocol.messages import (
     Back,
     Change,
+    Configure,
     End,
     Fault,
     Lost,
@@ -131,6 +133,11 @@ class RecorderNode:
         self._protocol_errors: Counter[str] = Counter()
         """How often each participant has made no sense in this step."""
         self._obey = obey
+
+    def configure(self, settings: Mapping[int, Settings]) -> None:
+        """Send each robot its settings, by way of the relay; once, when this recorder has joined."""
+        for robot, task in settings.items():
+            self._bus.put(self._keys.control_tx(names.RECORDER), pack(Configure(robot, task.encode())))
 
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.robot import sure_after
-from agent.settings import Settings
 from deploy.record.records import Records
 from deploy.record.versions import versions
 from deploy.scenario.plan import Plan
@@ -199,7 +198,7 @@ def _net_error(records: Records, robot: int, cells: int) -> float | None:
 
 def _explored_at(plan: Plan, steps: int) -> int:
     """The step after which the first robot only made sure that nothing was left."""
-    return steps - sure_after(Settings.from_message(plan.robot_settings[0]))
+    return steps - sure_after(plan.robot_settings[0])
 
 
 def _over_budget(ledger: NDArray[np.void], allowed: NDArray[np.float64], *, each: bool) -> int:

@@ -133,7 +133,6 @@ def serve_worldsim(scenario: Scenario, credential: Path) -> None:
     plan = plans.make(scenario)
     task = WorldTask(
         plan.make_world(),
-        plan.robot_settings,
         scenario.steps,
         1000 * plan.map.resolution,
         reply_timeout_s=scenario.reply_timeout_s,
@@ -174,6 +173,7 @@ def serve_recorder(
                 recorder = RecorderNode(
                     bus, Keys(read.run), scenario.robots, plan.map.cells.shape, capture, Meter(read.hub)
                 )
+                recorder.configure(plan.robot_settings)
 
                 def look() -> bool:
                     if watch is not None:

@@ -97,10 +97,10 @@ class MemoryRun:
             self._buses[names.WORLD],
             keys,
             plan.make_world(),
-            plan.robot_settings,
             plan.scenario.steps,
             1000 * plan.map.resolution,
             wait=wait,
+            incarnations=plan.incarnations,
         )
         self._relay = RelayNode(self._buses[names.RELAY], keys, plan.radio, captures=capture is not None)
         self._nodes: dict[str, Node] = {
@@ -112,6 +112,7 @@ class MemoryRun:
         self._nodes |= zip(self._minds, self.agents, strict=True)
         if view is not None:
             self._nodes[names.VIEW] = view
+        self._lab.configure(plan.robot_settings)
 
     @property
     def records(self) -> Records:

@@ -125,7 +125,6 @@ def run(
     robots, reply_timeout = plan.scenario.robots, plan.scenario.reply_timeout_s
     world = WorldTask(
         plan.make_world(),
-        plan.robot_settings,
         plan.scenario.steps,
         1000 * plan.map.resolution,
         pace,
@@ -133,6 +132,7 @@ def run(
         reply_timeout,
         revive,
         gate,
+        plan.incarnations,
     )
     rendezvous = fleet.rendezvous if fleet is not None else rendezvous or on_loopback(robots)
     elsewhere = fleet.robots if fleet is not None else set()
@@ -244,6 +244,7 @@ def _attend(
     recorder = RecorderNode(
         bus, Keys(rendezvous.run), plan.scenario.robots, plan.map.cells.shape, capture, meter, obey
     )
+    recorder.configure(plan.robot_settings)
 
     def look() -> bool:
         if watch is not None:

@@ -13,7 +13,7 @@ from contextlib import closing, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from setproctitle import setproctitle
 
@@ -52,7 +52,6 @@ class WorldTask:
     """The task of the world's process."""
 
     world: World
-    robot_settings: Mapping[int, Mapping[str, Any]]
     steps: int
     cell_mm: float
     pace: float | None = None
@@ -65,6 +64,8 @@ class WorldTask:
     """Whether robots that are lost unasked are to be started again."""
     gate: Gate | None = None
     """What it passes before it opens a step, instead of the pace, where the run is controlled."""
+    incarnations: int = 1
+    """How often each robot may start: once, and once more for each restart."""
 
     @property
     def pause_s(self) -> float:
@@ -145,11 +146,11 @@ def serve_world(credential: Credential, task: WorldTask, wrap: Wrap | None = Non
         bus,
         keys,
         task.world,
-        task.robot_settings,
         task.steps,
         task.cell_mm,
         wait=task.wait,
         revive=task.revive,
+        incarnations=task.incarnations,
     )
     _serve(bus, node, ReplyTimeout(node, task.reply_timeout_s))
 

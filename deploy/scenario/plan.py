@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 
@@ -32,7 +31,7 @@ class Plan:
     map: Map
     world: WorldSettings
     radio: RadioSettings
-    robot_settings: dict[int, dict[str, Any]]
+    robot_settings: dict[int, Settings]
     range_m: float
     incarnations: int = 1
     """How often a robot may begin: more than once only where robots may come back (`worldsim.faults`)."""
@@ -145,7 +144,7 @@ def make(scenario: Scenario, world_map: Map | None = None, *, incarnations: int 
             fastest_cells=max(body.speed for body in bodies),
             frame_bytes=radio.packet_bytes,
             incarnations=incarnations,
-        ).to_message()
+        )
         for number in range(scenario.robots)
     }
     return Plan(scenario, world_map, world, radio, robot_settings, range_m, incarnations)

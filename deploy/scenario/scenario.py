@@ -175,7 +175,7 @@ class Scenario(Table):
             chosen = strategy(str(data.get("strategy", DEFAULT_STRATEGY)))
         except ValueError:
             return data  # `_fits_together` says why
-        if not chosen.looks_from_afar:
+        if not chosen.observes_from_distance:
             return data
         return data | {"polygons": polygon | {"wide_seen_walls": False}}
 

@@ -20,7 +20,7 @@ INFO = {
 }
 MODULE = '''
 import numpy as np
-from agent.encodings.none import NoExchange
+from agent.encodings.none import NoEncoding
 from agent.strategies.targets import TargetStrategy
 
 class Farthest(TargetStrategy):
@@ -32,7 +32,7 @@ class Farthest(TargetStrategy):
         x, y = goals[np.argmax(costs)]
         return int(x), int(y)
 
-class Quiet(NoExchange):
+class Quiet(NoEncoding):
     """Tells nothing."""
     name = "quiet"
 '''
@@ -68,8 +68,8 @@ def test_strategies_and_exchanges_of_a_package_are_run_by_their_names(installed:
     torn = python(installed, "-c", run + "strategy='torn'))")
     assert "strategy 'torn' of package farthest-first cannot be imported:" in torn.stderr
     assert torn.stderr.endswith("RuntimeError: torn\n")
-    wrong = python(installed, "-c", run + "strategy='fartest', exchange='quite'))")
-    assert "no exchange is called 'quite'; did you mean quiet? There are: polygon," in wrong.stderr
+    wrong = python(installed, "-c", run + "strategy='fartest', map_encoding='quite'))")
+    assert "no map encoding is called 'quite'; did you mean quiet? There are: polygons," in wrong.stderr
 
 
 def test_strategies_of_a_package_are_listed_those_that_are_broken_too(installed: Path) -> None:

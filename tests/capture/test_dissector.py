@@ -1,4 +1,4 @@
-"""The dissector: every packet by name and field, the ledger's sums, and nonsense without Lua errors."""
+"""The dissector: every packet by name and field, the ledger's sums, and malformed bytes without Lua errors."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ def drawn(kind: type[Packet], chance: random.Random) -> bytes:
         return packets.encode(
             [Update(number, chance.randbytes(packets.UPDATE_DATA if size is None else size))]
         )
-    width = sum(kind.bits)
+    (layout,) = [layout for layout in packets.LAYOUTS if layout.packet == kind.__name__]
+    width = sum(bits.width for _, bits in layout.fields)
     fields = chance.choice((0, (1 << width) - 1, chance.getrandbits(width))) if width else 0
-    spare = 8 * kind.size - kind.code_bits - width
-    return ((kind.code << width | fields) << spare).to_bytes(kind.size, "big")
+    return ((int(kind.code, 2) << width | fields) << layout.spare).to_bytes(kind.size, "big")
 
 
-def predictiveing(payload: bytes, verdict: int = 0) -> LoggedFrame:
+def captured_frame(payload: bytes, verdict: int = 0) -> LoggedFrame:
     return LoggedFrame(1, 7, DATA, 3, 5, 2, verdict, 0b100000, payload)
 
 
@@ -62,7 +62,7 @@ def encoded(step: int, seen: list[LoggedFrame]) -> bytes:
 
 
 def write(file: Path, payloads: list[bytes]) -> Path:
-    file.write_bytes(capture.head("a test") + encoded(9, [predictiveing(payload) for payload in payloads]))
+    file.write_bytes(capture.head("a test") + encoded(9, [captured_frame(payload) for payload in payloads]))
     return file
 
 
@@ -112,7 +112,7 @@ def test_the_head_is_shown_field_by_field(tshark: Tshark, tmp_path: Path) -> Non
         "map",
         "part",
         "verdict",
-        "hearer",
+        "received_by",
         "bytes",
     )
     rows = tshark.fields(file, ["frame.time_epoch", "frame.comment", *(f"murmur.{name}" for name in names)])
@@ -156,10 +156,10 @@ def test_the_head_is_shown_field_by_field(tshark: Tshark, tmp_path: Path) -> Non
         assert words in columns[0]
     assert "r4 " in columns[1]
     assert " all " in columns[1]
-    assert " nobody " in columns[2]
+    assert " unknown " in columns[2]
 
 
-def test_cut_and_hostile_frames_are_told_apart_as_our_own_decoder_does(
+def test_the_dissector_accepts_exactly_the_packets_that_the_decoder_reads(
     tshark: Tshark, tmp_path: Path
 ) -> None:
     chance = random.Random(2)
@@ -183,7 +183,7 @@ def test_cut_and_hostile_frames_are_told_apart_as_our_own_decoder_does(
         assert kinds[: len(said)] == said, payload.hex()
 
 
-def test_packets_without_a_head_of_ours_make_no_lua_error(tshark: Tshark, tmp_path: Path) -> None:
+def test_a_malformed_header_causes_no_lua_error(tshark: Tshark, tmp_path: Path) -> None:
     chance = random.Random(3)
     head = HEAD.pack(capture.VERSION, 2, 0, 0, 0, 1, 0, 0, 1, 0, 2)
     blocks = [plain_books.packet(n, head[:n], n, "") for n in range(1, HEAD.size)]
@@ -195,14 +195,14 @@ def test_packets_without_a_head_of_ours_make_no_lua_error(tshark: Tshark, tmp_pa
     assert len(tshark.fields(file, ["murmur.broken"])) == len(blocks)
     shown = tshark.run("-r", file, "-V")
     assert "lua" not in shown.lower()
-    assert "no head of version 1 or 2" in shown
+    assert "no header of version 1 or 2" in shown
 
 
-def test_bytes_that_were_not_kept_are_no_error(tshark: Tshark, tmp_path: Path) -> None:
+def test_truncated_frames_are_no_error(tshark: Tshark, tmp_path: Path) -> None:
     payload = packets.encode([Fragment(bytes(50))] * 9)
     file = tmp_path / "unkept.pcapng"
-    file.write_bytes(capture.head("a test") + encoded(1, [predictiveing(payload, BUDGET)]))
-    names = ["murmur.bytes", "murmur.unkept", "murmur.kind", "murmur.broken", "murmur.refused"]
+    file.write_bytes(capture.head("a test") + encoded(1, [captured_frame(payload, BUDGET)]))
+    names = ["murmur.bytes", "murmur.truncated", "murmur.kind", "murmur.broken", "murmur.refused"]
     ((said, unkept, kinds, broken, refused),) = tshark.fields(file, names)
     assert (said, unkept) == ([str(len(payload))], [str(len(payload) - KEPT)])
     assert (kinds, broken) == (["scan"], [])
@@ -210,7 +210,7 @@ def test_bytes_that_were_not_kept_are_no_error(tshark: Tshark, tmp_path: Path) -
 
 
 @pytest.mark.parametrize("map_encoding", [name for name in ENCODINGS if name != "none"])
-def test_its_sums_are_those_of_the_ledger(tshark: Tshark, tmp_path: Path, map_encoding: str) -> None:
+def test_sums_equal_those_of_the_ledger(tshark: Tshark, tmp_path: Path, map_encoding: str) -> None:
     settings = {"robots": 4, "map_encoding": map_encoding, "dissemination": "backoff", "strategy": "meier"}
     plan = plans.make(parse(settings | {"bandwidth": 700, "range": "40%", "steps": 60}))
     with run_directory.open_capture(tmp_path, plan) as file:

@@ -13,8 +13,9 @@ from deploy.after.wireshark import install as wireshark
 from deploy.commands import main
 from deploy.run.exploration import Result, explore
 from deploy.scenario.scenario import parse
+from netshaper.capture import FRAMES, VERDICTS
 from netshaper.ledger import CAUSES
-from protocol.packets import ALL_KINDS, Offer, decode
+from protocol.packets import ALL_KINDS, LAYOUTS, Offer, decode
 
 
 @pytest.fixture(scope="module")
@@ -119,20 +120,29 @@ def test_what_is_wrong_is_said_and_what_would_be_right(arguments: tuple[str, ...
     assert words in murmur(*arguments, code=2)
 
 
-def test_the_dissector_is_installed_over_an_older_one_of_ours_but_over_nobody_elses(tmp_path: Path) -> None:
+def test_the_installed_dissector_replaces_only_an_older_version_of_itself(tmp_path: Path) -> None:
     folder = tmp_path / "plugins"
     target = wireshark.install(folder)
     assert target == folder / "murmur.lua"
     target.write_text("-- Murmur's radio for Wireshark, but an older one")
     wireshark.install(folder)
-    assert target.read_bytes() == wireshark.DISSECTOR.read_bytes()
+    assert target.read_text() == wireshark.dissector()
     target.write_text("-- the dissector of someone else's Murmur")
     with pytest.raises(ValueError, match="is not Murmur's"):
         wireshark.install(folder)
     assert "someone else" in target.read_text()
 
 
-def test_the_command_says_where_it_put_the_dissector(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_dissector_has_the_names_and_layouts_of_the_program() -> None:
+    program = wireshark.dissector()
+    assert "@" not in program
+    for layout in LAYOUTS:
+        assert f'name = "{layout.packet}", kind = "{layout.kind}", code = "{layout.code}"' in program
+    for names in (FRAMES, VERDICTS):
+        assert ", ".join(f'[{number}] = "{name}"' for number, name in enumerate(names)) in program
+
+
+def test_the_command_prints_where_the_dissector_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("PATH", "")
     target = tmp_path / ".local" / "lib" / "wireshark" / "plugins" / "murmur.lua"

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from agent.encodings.catalog import ENCODINGS
 from agent.encodings.polygon_options import THESIS_OPTIONS, PolygonOptions
@@ -32,6 +33,7 @@ from deploy.run.in_memory import run as run_in_memory
 from deploy.scenario.plan import make
 from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load
 from deploy.scenario.tables import ChangeTable, Death, FaultTable, RobotOverride
+from docs import packet_tables
 from netshaper import access
 from netshaper.ledger import CAUSES, ROW
 from netshaper.presets import PRESETS
@@ -46,12 +48,6 @@ from worldsim.laser import cast
 
 DOCS = Path(__file__).parents[2] / "docs"
 GOLDEN = Path(__file__).parents[1] / "protocol" / "golden"
-
-LETTERS = {
-    "index": "i", "x": "x", "y": "y", "side": "s", "occupied": "o", "object": "n", "count": "c",
-    "inside": "e", "map": "m", "block": "b", "leads": "l", "robot": "r",
-    "sum": "q", "age": "a",
-}  # fmt: skip
 
 ROOM = """
     ######     ######     ######
@@ -79,15 +75,6 @@ def rows(document: str, heading: str) -> list[list[str]]:
         elif table:
             break
     return [[cell.replace("`", "") for cell in row] for row in table[2:]]
-
-
-def drawn(kind: type[packets.Packet]) -> str:
-    names = [field.name for field in fields(kind)]
-    groups = [f"{kind.code:0{kind.code_bits}b}"]
-    groups += [LETTERS[name] * width for name, width in zip(names, kind.bits, strict=True)]
-    spare = 8 * kind.size - kind.code_bits - sum(kind.bits)
-    groups += ["0" * spare] if spare else []
-    return f"{kind.__name__:8}  {kind.name:4}  {kind.size}  {' '.join(groups)}"
 
 
 def knowledge() -> Iterator[Grid]:
@@ -183,11 +170,11 @@ def looks_example() -> str:
     for x, peers in ((1, [1]), (3, [1]), (6, [1, 2])):
         readings = cast(truth, nobody, beams, x, 2)
         change = draw(own, beams, x, 2, readings)
-        units = maker.record(own, Scan(x, 2, readings), change, delivered=True)
+        units = maker.encode_changes(own, Scan(x, 2, readings), change, delivered=True)
         gossip.record(units)
         ((_, _, frame),) = gossip.offers(0, peers, None)
         assert not list(gossip.outcome(Outcome(1, 0, [-1], [0], [0], [len(frame)], [], False), []))
-        hearer.take(0, b"".join(units))
+        hearer.apply(0, b"".join(units), step=1000, sender=0)
         assert (hearer.merge(np.zeros_like(own)) == own).all()
         known = int((own != UNKNOWN).sum())
         lines += [
@@ -234,29 +221,15 @@ def defaults(kind: Any, prefix: str = "") -> dict[str, tuple[str, str]]:
     return found
 
 
-def test_every_packet_is_drawn_as_it_is_written() -> None:
-    kinds = [
-        kind
-        for kind in vars(packets).values()
-        if isinstance(kind, type) and issubclass(kind, packets.Packet) and kind is not packets.Packet
-    ]
-    fixed = [kind for kind in kinds if kind not in (packets.Fragment, packets.Update)]
-    lines = fences("protocol.md")["packets"].splitlines()
-    assert sorted(lines) == sorted(
-        [
-            *map(drawn, fixed),
-            "Fragment  scan  64  11110001 63 bytes of content",
-            "Fragment  scan  3 to 64  11110010 nnnnnnnn n bytes of content, 1 to 62",
-            "Look      look  9  11110100 8 bytes of content",
-            "Look      look  2 to 65  11110101 nnnnnn uu n bytes of content, 0 to 63; unit u",
-        ]
-    )
-
-
-def test_every_letter_of_the_drawings_is_explained() -> None:
-    text = (DOCS / "protocol.md").read_text(encoding="utf-8")
-    for name, letter in LETTERS.items():
-        assert f"\n| `{letter}` | {name} |" in text
+def test_packet_layouts_and_fields_are_those_of_the_code() -> None:
+    page = (DOCS / "protocol.md").read_text(encoding="utf-8")
+    drawings = [layout.drawing() for layout in packets.LAYOUTS]
+    assert fences("protocol.md")["packets"].splitlines() == drawings
+    assert packet_tables.updated(page) == page, "run python -m docs.packet_tables"
+    for layout in packets.LAYOUTS:
+        for name, bits in layout.fields:
+            row = rf"^\| `{bits.letter}` \| {name} \| {bits.width} \| [^|]*`{layout.packet}`"
+            assert re.search(row, page, re.M)
 
 
 def test_limits_are_those_of_the_code() -> None:

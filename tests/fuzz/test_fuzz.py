@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from agent.encodings.catalog import ENCODINGS, make_encoding
 from agent.exchange.gossip import Gossip
@@ -85,16 +86,16 @@ def read_polygons(data: bytes) -> None:
 
 def take_units(data: bytes) -> None:
     for name in ENCODINGS:
-        mind = make_encoding(Settings(**(SETTINGS.to_message() | {"map_encoding": name})))
+        mind = make_encoding(replace(SETTINGS, map_encoding=name))
         try:
-            mind.take(0, data)
+            mind.apply(0, data, step=1000, sender=0)
         except ProtocolError:
             continue
 
 
 def hear_in_session(data: bytes) -> None:
     session = Session(1, 3, incarnations=2)
-    session.dissemination(0, [0, 2], None)
+    session.offers(0, [0, 2], None)
     answered = session.answers([(0, 0, data)])
     assert len(answered) == 1
     session.outcome(Outcome(1, 0, [0], [2], [2], [0], [], broadcast=False), [])
@@ -102,7 +103,7 @@ def hear_in_session(data: bytes) -> None:
 
 def hear_gossip(data: bytes) -> None:
     gossip = Gossip(1, 3, incarnations=2)
-    gossip.dissemination(0, [0, 2], None)
+    gossip.offers(0, [0, 2], None)
     for peer, map_id, frame in gossip.outcome(
         Outcome(1, 0, [], [], [], [], [-1], broadcast=False), [(0, data)]
     ):

@@ -63,7 +63,7 @@ def test_fragments_carry_what_was_cut_and_end_where_it_ends(
         with pytest.raises(ProtocolError, match=f"the {size} bytes"):
             contents(frame, size, held)
     if not all(isinstance(other, Fragment) for other in others):
-        with pytest.raises(ProtocolError, match="only fragments"):
+        with pytest.raises(ProtocolError, match="expected a packet of kind scan"):
             contents(frame + encode(others))
 
 

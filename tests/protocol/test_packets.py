@@ -18,6 +18,7 @@ from protocol.packets import (
     FRAGMENT_DATA,
     KINDS,
     LAST_UPDATE_DATA,
+    LAYOUTS,
     UPDATE_DATA,
     UPDATE_NUMBERS,
     Answer,
@@ -51,7 +52,7 @@ from protocol.packets import (
     encode,
     handshake,
     length,
-    look,
+    update_fragment,
 )
 
 GOLDEN = Path(__file__).parent / "golden" / "packets.txt"
@@ -125,11 +126,11 @@ def packets_of(kind: type[Packet]) -> st.SearchStrategy[Any]:
 
 
 fragments = st.builds(Fragment, st.binary(min_size=1, max_size=FRAGMENT_DATA))
-looks = st.one_of(
+updates = st.one_of(
     st.builds(Update, st.none(), st.binary(min_size=UPDATE_DATA, max_size=UPDATE_DATA)),
     st.builds(Update, st.integers(0, UPDATE_NUMBERS - 1), st.binary(max_size=LAST_UPDATE_DATA)),
 )
-streams = st.lists(st.one_of(*map(packets_of, LIMITS), fragments, looks), max_size=12)
+streams = st.lists(st.one_of(*map(packets_of, LIMITS), fragments, updates), max_size=12)
 
 
 def bits(buffer: bytes) -> str:
@@ -173,7 +174,7 @@ def by_the_book(packet: AnyPacket) -> str:
             last = f"11110101{len(packet.data):06b}{packet.number or 0:02b}"
             said = ("11110100" if packet.number is None else last) + bits(packet.data)
         case From() | Held():
-            said = f"1111011{packet.code & 1:b}{packet.map:08b}{packet.index:024b}"
+            said = f"1111011{packet.code[-1]}{packet.map:08b}{packet.index:024b}"
         case FromEarly() | HeldEarly():
             said = f"{'11111011' if isinstance(packet, FromEarly) else '11111101'}{packet.map:08b}{packet.index:08b}"
         case Near() | Gone():
@@ -192,7 +193,7 @@ def test_a_packet_is_as_long_as_table_6_1_says(kind: type[Packet]) -> None:
 
 def test_the_nine_kinds_are_those_of_table_6_1_and_scans_poses_looks_and_sums_come_on_top() -> None:
     assert set(KINDS) == set(SIZES)
-    assert (*KINDS, "scan", "pose", "look", "sum") == ALL_KINDS
+    assert (*KINDS, "scan", "pose", "update", "sum") == ALL_KINDS
 
 
 @pytest.mark.parametrize(("size", "on_air"), [(1, 3), (62, 64), (63, 64)])
@@ -314,8 +315,8 @@ def test_random_bytes_break_off_at_the_same_place_however_they_are_cut(noise: by
 @pytest.mark.parametrize("packet", EXAMPLES, ids=repr)
 def test_a_packet_with_a_spare_bit_set_is_refused(packet: AnyPacket) -> None:
     buffer = encode([packet])
-    used = packet.code_bits + sum(packet.bits)
-    spare = 0 if isinstance(packet, Fragment | Update) else 8 * packet.size - used
+    layouts = [layout for layout in LAYOUTS if layout.packet == type(packet).__name__]
+    (spare,) = {layout.spare for layout in layouts}
     for bit in range(spare):
         broken = int.from_bytes(buffer, "big") | 1 << bit
         with pytest.raises(ProtocolError, match=rf"^{packet.name} at byte 1: .*must be zero"):
@@ -347,7 +348,7 @@ def test_a_code_with_which_no_packet_begins_is_named() -> None:
 
 
 def test_no_code_begins_another() -> None:
-    codes = [f"{kind.code:0{kind.code_bits}b}" for kind in LIMITS] + ["11110001", "11110010"]
+    codes = [layout.code for layout in LAYOUTS]
     assert not [(a, b) for a in codes for b in codes if a != b and b.startswith(a)]
     assert len(set(codes)) == len(codes)
 
@@ -355,7 +356,10 @@ def test_no_code_begins_another() -> None:
 def test_every_field_has_bits() -> None:
     for kind, limits in LIMITS.items():
         assert [field.name for field in fields(kind)] == list(limits)
-        assert len(kind.bits) == len(limits)
+        (layout,) = [layout for layout in LAYOUTS if layout.packet == kind.__name__]
+        for name, shift, mask, bias in layout.places:
+            assert shift >= 0
+            assert (-bias, mask - bias) == limits[name]
 
 
 @given(streams)
@@ -405,17 +409,17 @@ def test_a_handshake_is_read_as_any_packets_are_but_never_longer_than_one() -> N
         handshake(encode([Answer(7)])[:1])
 
 
-@given(looks)
-def test_a_look_gives_back_what_it_carries(packet: Update) -> None:
-    assert look(encode([packet])) == (packet.number, packet.data)
+@given(updates)
+def test_an_update_fragment_returns_its_content(packet: Update) -> None:
+    assert update_fragment(encode([packet])) == (packet.number, packet.data)
 
 
 @pytest.mark.parametrize(
     "packet", [encode([Save()]), encode([Near(3)]), b"\xff", b"\xf4short", b"\xf5\x14abc"]
 )
-def test_what_is_no_whole_look_carries_nothing(packet: bytes) -> None:
+def test_bytes_that_are_no_whole_update_fragment_are_rejected(packet: bytes) -> None:
     with pytest.raises(ProtocolError):
-        look(packet)
+        update_fragment(packet)
 
 
 @pytest.mark.parametrize(
@@ -429,8 +433,8 @@ def test_what_is_no_whole_look_carries_nothing(packet: bytes) -> None:
     ],
     ids=repr,
 )
-def test_a_look_that_has_no_layout_is_refused(packet: Update) -> None:
-    with pytest.raises(ProtocolError, match=r"look at byte 1: "):
+def test_an_update_that_has_no_layout_is_rejected(packet: Update) -> None:
+    with pytest.raises(ProtocolError, match=r"update at byte 1: "):
         encode([Save(), packet])
 
 

@@ -111,7 +111,7 @@ class Team:
         self.truth: Grid = plan.map.cells
         self.world = plan.make_world()
         self.robot_settings = {
-            number: Mind(Settings.from_message(settings)) for number, settings in plan.robot_settings.items()
+            number: Mind(settings) for number, settings in plan.robot_settings.items()
         } | dict(robot_settings or {})
         self.step = 0
         self.said: dict[int, int] = {}

@@ -103,7 +103,7 @@ class Liar(Mind):
 @pytest.mark.parametrize("lie", LIES)
 def test_a_liar_is_distrusted_and_reported_and_the_honest_go_on_with_each_other(lie: str) -> None:
     plan = small_plan("office", robots=3, bandwidth="unlimited")
-    team = Team(plan, {LIAR: Liar(Settings.from_message(plan.robot_settings[LIAR]), LIES[lie])})
+    team = Team(plan, {LIAR: Liar(plan.robot_settings[LIAR], LIES[lie])})
     team.explore(200)
     assert any(move.explored for move in team.moves.values())
     for number in (0, 2):
@@ -208,7 +208,7 @@ def sensed(step: int) -> Sense:
 @cache
 def honest_words() -> list[tuple[bytes, object]]:
     """What robot 2 says of its map in each step, and what it means."""
-    settings = Settings.from_message(a_small_plan().robot_settings[2])
+    settings = a_small_plan().robot_settings[2]
     map_encoding = PolygonEncoding(settings)
     own = np.full((HEIGHT, WIDTH), UNKNOWN, np.uint8)
     said = []
@@ -216,14 +216,14 @@ def honest_words() -> list[tuple[bytes, object]]:
         sense = sensed(step)
         scan = Scan(sense.x, sense.y, np.frombuffer(sense.readings, np.uint16).copy())
         change = draw(own, ray_table(settings.range_cells), scan.x, scan.y, scan.readings)
-        units = map_encoding.record(own, scan, change, delivered=True)
+        units = map_encoding.encode_changes(own, scan, change, delivered=True)
         said.append((b"".join(units), map_encoding.polygons[2].canonical()))
     return said
 
 
 @given(st.lists(data_frames, min_size=1, max_size=STEPS))
 def test_hostile_data_never_stops_a_robot_nor_changes_a_saved_state(lies: list[bytes]) -> None:
-    robot = Robot(Settings.from_message(a_small_plan().robot_settings[0]))
+    robot = Robot(a_small_plan().robot_settings[0])
     for step, lie in enumerate(lies, 1):
         robot.perceive(sensed(step))
         robot.session.offers(0, [LIAR, 2], 1000)
@@ -247,7 +247,7 @@ def test_hostile_data_never_stops_a_robot_nor_changes_a_saved_state(lies: list[b
 
 
 def test_who_contradicts_a_lie_that_another_told_of_its_map_is_not_distrusted() -> None:
-    robot = Robot(Settings.from_message(a_small_plan().robot_settings[0]))
+    robot = Robot(a_small_plan().robot_settings[0])
     forged = encode([Emerge(7, 2, 1), Insert(0, 1, 1, 0, 0), Insert(1, 9, 1, 0, 0), Save()])
     maps = [words for words, _ in honest_words()]
 
@@ -268,9 +268,7 @@ def test_who_contradicts_a_lie_that_another_told_of_its_map_is_not_distrusted() 
 
 
 def test_who_passes_on_one_of_two_stories_of_a_liar_is_not_distrusted() -> None:
-    honest, deceived = (
-        Robot(Settings.from_message(a_small_plan().robot_settings[number])) for number in (0, 2)
-    )
+    honest, deceived = (Robot(a_small_plan().robot_settings[number]) for number in (0, 2))
 
     def outline(corners: int) -> bytes:
         return encode([Emerge(0, corners, 1), *(Insert(i, 3 + i, 3, 0, 0) for i in range(corners)), Save()])
@@ -331,7 +329,7 @@ def test_who_lies_to_all_does_not_stop_the_honest_from_sharing_all_they_see(
     plan = small_plan(
         "office", robots=4, map_encoding="predictive", dissemination="gossip", bandwidth=bandwidth, seed=2
     )
-    team = Team(plan, {LIAR: Gossip(Settings.from_message(plan.robot_settings[LIAR]), NONSENSE[lie])})
+    team = Team(plan, {LIAR: Gossip(plan.robot_settings[LIAR], NONSENSE[lie])})
     team.explore(400)
     assert any(move.explored for move in team.moves.values())
     honest = [team.robot_settings[number].robot for number in (0, 2, 3)]
@@ -368,7 +366,7 @@ def test_one_liar_among_eight_does_not_stop_the_honest(liar: str) -> None:
     plan = small_plan(
         "office", robots=8, map_encoding="predictive", dissemination="gossip", bandwidth=200, seed=4
     )
-    settings = Settings.from_message(plan.robot_settings[LIAR])
+    settings = plan.robot_settings[LIAR]
     mind = Gossip(settings, NONSENSE["a unit of noise"]) if liar == "noise" else Hoarse(settings)
     team = Team(plan, {LIAR: mind})
     team.explore(400)
@@ -384,7 +382,7 @@ def test_a_unit_of_a_liar_that_makes_no_sense_is_reported_and_no_more_is_taken_f
     plan = small_plan(
         "office", robots=3, map_encoding="predictive", dissemination="gossip", bandwidth="unlimited"
     )
-    liar = Gossip(Settings.from_message(plan.robot_settings[LIAR]), NONSENSE["a unit of noise"])
+    liar = Gossip(plan.robot_settings[LIAR], NONSENSE["a unit of noise"])
     team = Team(plan, {LIAR: liar})
     team.explore(10)
     for number in (0, 2):
@@ -408,7 +406,7 @@ class Decliner(Mind):
 
 def test_who_wants_nothing_silences_nobody() -> None:
     plan = small_plan("office", robots=3, bandwidth="unlimited")
-    team = Team(plan, {LIAR: Decliner(Settings.from_message(plan.robot_settings[LIAR]))})
+    team = Team(plan, {LIAR: Decliner(plan.robot_settings[LIAR])})
     plain = Team(plan)
     team.explore(400)
     plain.explore(400)
@@ -446,11 +444,14 @@ def test_no_frame_stops_a_robots_process(steps: list[tuple[list[bytes], ...]]) -
             said = messages.Heard(len(frames) * [LIAR], frames, [message])
             node.handle(Message(keys.radio_rx("r0", names.RELAY), pack(said)))
         else:
-            of_world = isinstance(message, Configure | Sense)
-            key = keys.body("r0", names.WORLD) if of_world else keys.control("r0", names.RELAY)
+            key = (
+                keys.body("r0", names.WORLD)
+                if isinstance(message, Sense)
+                else keys.control("r0", names.RELAY)
+            )
             node.handle(Message(key, pack(message)))
 
-    tell(Configure(a_small_plan().robot_settings[0]), [])
+    tell(Configure(0, a_small_plan().robot_settings[0].encode()), [])
     for step, (broadcasts, dissemination, answers, more) in enumerate(steps, 1):
         antenna.said.clear()
         tell(sensed(step), [])
@@ -464,7 +465,7 @@ def test_no_frame_stops_a_robots_process(steps: list[tuple[list[bytes], ...]]) -
         tell(Outcome(step, 0, numbers, short, short, sizes, numbers[: len(data)], False), data)
         tell(Close(step), [])
         assert [said.phase for said in antenna.said if isinstance(said, Said)] == [
-            "dissemination",
+            "offers",
             "answers",
             "data",
         ]

@@ -114,7 +114,7 @@ def test_looks_tell_where_robots_are_so_that_fewer_poses_are_told() -> None:
 def test_predictive_by_gossip_takes_a_hundredth_of_raw_scans() -> None:
     predictive = explored(robots=3, bandwidth="unlimited")
     laser = explored(robots=3, bandwidth="unlimited", map_encoding="scans", dissemination="backoff")
-    assert 100 * bytes_of(predictive, "look") < bytes_of(laser, "scan")
+    assert 100 * bytes_of(predictive, "update") < bytes_of(laser, "scan")
 
 
 def test_targets_that_hardly_moved_are_not_told_by_gossip() -> None:

@@ -23,7 +23,7 @@ from tests.system.team import small_plan
 
 EXAMPLES: tuple[messages.Record, ...] = (
     messages.Begin(),
-    messages.Configure({"robots": 9}),
+    messages.Configure(0, b"settings"),
     messages.Sense(3, 4, 4, 0, b"", bytes(720), ""),
     messages.Move(3, b"", 0, explored=True),
     messages.Positions(3, [0, 1, 2], [4, 4, 4], [4, 4, 4]),

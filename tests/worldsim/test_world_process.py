@@ -17,7 +17,6 @@ from protocol.keys import Keys
 from protocol.memory_bus import MemoryHub
 from protocol.messages import (
     Begin,
-    Configure,
     End,
     Fault,
     Lost,
@@ -50,9 +49,8 @@ class Run:
             self.ends[name] = hub.join(name)
         bodies = tuple(Body(3.0, 360.0, 1.0) for _ in range(robots))
         world = World(np.full((5, 9), FREE, np.uint8), WorldSettings(bodies, STARTS[:robots], 4, **settings))
-        robot_settings = {number: {"robot": number} for number in range(robots)}
         self.world = world
-        self.node = WorldNode(self.ends[names.WORLD], KEYS, world, robot_settings, steps, 100.0)
+        self.node = WorldNode(self.ends[names.WORLD], KEYS, world, steps, 100.0)
         self.heard(names.RELAY)
         if begun:
             self.control(Begin())
@@ -85,14 +83,13 @@ class Run:
         return next((message for message in self.heard(names.RELAY) if isinstance(message, End)), None)
 
 
-def test_the_world_waits_for_the_beginning_and_then_tells_everyone_what_he_must_know() -> None:
+def test_the_world_sends_the_first_senses_after_begin() -> None:
     run = Run(begun=False)
     run.work()
     assert run.heard("r0") == []
     run.control(Begin())
     for number in range(2):
-        configure, sense = run.heard(names.robot(number))
-        assert configure == Configure({"robot": number})
+        (sense,) = run.heard(names.robot(number))
         assert isinstance(sense, Sense)
         assert (sense.step, sense.x, sense.y) == (1, *STARTS[number])
     assert run.heard(names.RELAY) == [Positions(1, [0, 1], [2, 4], [2, 2])]

@@ -16,6 +16,7 @@ from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packets import Fragment, Save, encode
 from protocol.scans import Change, Scan
+from tests.agent.encodings.arrival import LATE
 
 WIDTH, HEIGHT = 40, 30
 seeds = st.integers(0, 2**32 - 1)
@@ -49,10 +50,10 @@ def test_what_one_tells_is_what_the_others_know_whenever_all_has_been_delivered(
     nothing = np.zeros_like(own)
     for _ in range(6):
         delivered = bool(rng.random() < 0.6)
-        units = maker.record(own, NO_SCAN, changed(rng, own), delivered=delivered)
+        units = maker.encode_changes(own, NO_SCAN, changed(rng, own), delivered=delivered)
         cut = int(rng.integers(0, len(units) + 1))
-        hearer.take(0, b"".join(units[:cut]))
-        hearer.take(0, b"".join(units[cut:]))
+        hearer.apply(0, b"".join(units[:cut]), **LATE)
+        hearer.apply(0, b"".join(units[cut:]), **LATE)
         if delivered:
             assert (hearer.merge(nothing) == own).all()
         else:
@@ -64,10 +65,10 @@ def test_what_has_not_changed_is_not_told_and_ones_own_word_counts_more() -> Non
     own = np.zeros((HEIGHT, WIDTH), np.uint8)
     own[3, 4:9] = OCCUPIED
     change = Change(5, (4, 3, 9, 4))
-    units = maker.record(own, NO_SCAN, change, delivered=True)
+    units = maker.encode_changes(own, NO_SCAN, change, delivered=True)
     assert units
-    assert maker.record(own, NO_SCAN, change, delivered=True) == []
-    hearer.take(0, b"".join(units))
+    assert maker.encode_changes(own, NO_SCAN, change, delivered=True) == []
+    hearer.apply(0, b"".join(units), **LATE)
     mine = np.zeros_like(own)
     mine[3, 4] = FREE
     assert hearer.merge(mine)[3, 3:7].tolist() == [UNKNOWN, FREE, OCCUPIED, OCCUPIED]
@@ -120,11 +121,11 @@ def test_what_is_no_patch_is_refused_and_changes_nothing(lie: str) -> None:
     hearer, nothing = CellEncoding(settings_of(1)), np.zeros((HEIGHT, WIDTH), np.uint8)
     patch = pack(0, 0, np.full((2, 2), OCCUPIED + 1, np.uint8))
     with pytest.raises(ProtocolError):
-        hearer.take(0, b"".join([encode([Fragment(patch + LIES[lie])])]))
+        hearer.apply(0, b"".join([encode([Fragment(patch + LIES[lie])])]), **LATE)
     assert not hearer.merge(nothing).any()
     with pytest.raises(ProtocolError):
-        hearer.take(0, encode([Save()]))
-    hearer.take(0, encode([Fragment(patch)]))
+        hearer.apply(0, encode([Save()]), **LATE)
+    hearer.apply(0, encode([Fragment(patch)]), **LATE)
     assert hearer.merge(nothing)[:2, :2].all()
 
 

@@ -15,6 +15,7 @@ from agent.encodings.changed_cells import ChangedCells
 from agent.settings import Settings
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
 from protocol.scans import Change, Scan, draw
+from tests.agent.encodings.arrival import LATE
 from tests.agent.explorations import Cell
 from worldsim.laser import cast
 
@@ -71,14 +72,16 @@ class Looker:
         change = draw(self.own, laser, *self.cell, readings, np.array(between, np.int32))
         scan = Scan(*self.cell, readings)
         delivered = bool(rng.random() < 0.6)
-        units = self.encoding.record(self.own, scan, change, delivered=delivered)
-        assert self.forgetful.record(self.own.copy(), scan, change, delivered=delivered) == units
+        units = self.encoding.encode_changes(self.own, scan, change, delivered=delivered)
+        assert self.forgetful.encode_changes(self.own.copy(), scan, change, delivered=delivered) == units
         return units
 
     def check(self, peers: tuple[int, ...]) -> None:
         plan = self.encoding.merge(self.own, peers)
         assert plan.tolist() == self.forgetful.merge(self.own.copy(), peers).tolist()
-        assert self.encoding.error(self.own) == self.forgetful.error(self.own.copy())
+        assert self.encoding.approximation_error(self.own) == self.forgetful.approximation_error(
+            self.own.copy()
+        )
 
 
 @pytest.mark.parametrize("kind", ["polygons", "scans", "none"])
@@ -92,7 +95,7 @@ def test_step_by_step_it_is_what_one_without_memory_has(kind: str, bandwidth: fl
             for teller, units in zip(team, told, strict=True):
                 if teller is not listener and units:
                     for mind in (listener.encoding, listener.forgetful):
-                        mind.take(teller.robot, b"".join(units))
+                        mind.apply(teller.robot, b"".join(units), **LATE)
             peers = tuple(other for other in range(ROBOTS) if rng.random() < 0.7)
             listener.check(tuple(peer for peer in peers if peer != listener.robot))
 

@@ -28,6 +28,7 @@ from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packets import Change as Changed
 from protocol.packets import Delete, Fragment, Save, encode
 from protocol.scans import Change, Scan
+from tests.agent.encodings.arrival import LATE
 from tests.agent.explorations import Cell, exploration, growing_maps
 
 EXACT: dict[str, Any] = {"bandwidth": None}
@@ -48,11 +49,11 @@ def maker(shape: tuple[int, int], robot: int = 0, **more: Any) -> PolygonEncodin
 
 
 def record(
-    exchange_: PolygonEncoding, grid: Grid, cell: Cell, *, news: bool = True, delivered: bool = True
+    map_encoding: PolygonEncoding, grid: Grid, cell: Cell, *, news: bool = True, delivered: bool = True
 ) -> list[bytes]:
     height, width = grid.shape
     change = Change(1, (0, 0, width, height)) if news else NO_NEWS
-    return exchange_.record(grid, Scan(*cell, np.empty(0, np.uint16)), change, delivered=delivered)
+    return map_encoding.encode_changes(grid, Scan(*cell, np.empty(0, np.uint16)), change, delivered=delivered)
 
 
 def house() -> Grid:
@@ -78,8 +79,8 @@ def is_exact(polygons: Polygons, grid: Grid, cell: Cell) -> bool:
     return len(refine(traced, repair(polygons, traced))) == len(polygons.x)
 
 
-def told(exchange_: PolygonEncoding, steps: Sequence[tuple[Grid, Cell]]) -> list[list[bytes]]:
-    return [record(exchange_, grid, cell) for grid, cell in steps]
+def told(map_encoding: PolygonEncoding, steps: Sequence[tuple[Grid, Cell]]) -> list[list[bytes]]:
+    return [record(map_encoding, grid, cell) for grid, cell in steps]
 
 
 # --- telling and taking --------------------------------------------------------------------------------
@@ -93,7 +94,7 @@ def test_what_one_tells_is_what_the_other_holds_step_by_step(
     one, other = maker(shape, 0, bandwidth=bandwidth), maker(shape, 1, bandwidth=bandwidth)
     for grid, cell in steps:
         units = record(one, grid, cell)
-        other.take(0, b"".join(units))
+        other.apply(0, b"".join(units), **LATE)
         assert other.polygons[0].canonical() == one.polygons[0].canonical()
 
 
@@ -111,9 +112,9 @@ def test_units_taken_in_pieces_count_from_the_save_point_on() -> None:
     for units in told(one, walk(6)):
         before = other.polygons.get(0)
         for unit in units[:-1]:
-            other.take(0, unit)
+            other.apply(0, unit, **LATE)
             assert other.polygons.get(0) is before
-        other.take(0, b"".join(units[-1:]))
+        other.apply(0, b"".join(units[-1:]), **LATE)
     assert other.polygons[0].canonical() == one.polygons[0].canonical()
 
 
@@ -170,7 +171,7 @@ def test_the_more_may_be_said_the_smaller_is_the_error() -> None:
         one = maker((60, 80), bandwidth=bandwidth)
         for grid, cell in walk():
             record(one, grid, cell)
-        errors.append(one.error(grid))
+        errors.append(one.approximation_error(grid))
     assert errors == sorted(errors, reverse=True)
     assert errors[0] > 2 * errors[-1]
 
@@ -197,7 +198,7 @@ def test_the_plan_is_all_approximations_merged_with_ones_own_grid() -> None:
         steps = list(exploration(house(), np.random.default_rng(robot), 15, 20.0))
         teller = maker(shape, robot)
         for units in told(teller, steps):
-            listener.take(robot, b"".join(units))
+            listener.apply(robot, b"".join(units), **LATE)
         team.update(robot, Objects.of(teller.polygons[robot]))
         assert (listener.merge(own, (0, 1)) == team.merged(own)).all()
     assert (listener.merge(own) == FREE).sum() > (own == FREE).sum()
@@ -208,26 +209,26 @@ def test_robots_of_one_process_plan_as_if_each_were_alone() -> None:
     common: dict[str, Any] = {}
     alone, together = ([maker((60, 80), robot) for robot in range(3)] for _ in range(2))
     for each in together:
-        each.share(common)
+        each.use_shared_cache(common)
     for grid, cell in walk(12):
         for team in (alone, together):
             units = record(team[0], grid, cell)
-            team[1].take(0, b"".join(units))
+            team[1].apply(0, b"".join(units), **LATE)
             for unit in units:
-                team[2].take(0, unit)
+                team[2].apply(0, unit, **LATE)
         for one, other in zip(alone, together, strict=True):
             assert one.merge(grid).tolist() == other.merge(grid).tolist()
-            assert one.error(grid) == other.error(grid)
+            assert one.approximation_error(grid) == other.approximation_error(grid)
 
 
 def test_the_error_counts_what_has_not_been_told_yet() -> None:
     one = maker((60, 80))
     (first, cell), *_, (last, _) = walk()
-    assert one.error(first) == (first != UNKNOWN).sum()
+    assert one.approximation_error(first) == (first != UNKNOWN).sum()
     record(one, first, cell)
     drawing = Drawing(free_inside_edges=False, unknown_pairs=False)
-    assert one.error(first) == approximation_error(first, one.polygons[0], drawing)
-    assert one.error(last) > one.error(first)
+    assert one.approximation_error(first) == approximation_error(first, one.polygons[0], drawing)
+    assert one.approximation_error(last) > one.approximation_error(first)
 
 
 # --- nonsense ------------------------------------------------------------------------------------------
@@ -246,13 +247,13 @@ def test_nonsense_is_refused_and_changes_nothing(units: list[bytes]) -> None:
     one, other = maker((60, 80), 0), maker((60, 80), 1)
     *before, last = told(one, walk(5))
     for said in before:
-        other.take(0, b"".join(said))
+        other.apply(0, b"".join(said), **LATE)
     held, plan = other.polygons[0], other.merge(house())
     with pytest.raises(ProtocolError):
-        other.take(0, b"".join(units))
+        other.apply(0, b"".join(units), **LATE)
     assert other.polygons[0] is held
     assert (other.merge(house()) == plan).all()
-    other.take(0, b"".join(last))
+    other.apply(0, b"".join(last), **LATE)
     assert other.polygons[0].canonical() == one.polygons[0].canonical()
 
 
@@ -284,7 +285,7 @@ def test_edges_that_stand_for_walls_and_for_nothing_known_come_first_if_wished()
         options = with_options(mixed_first=wished)
         one, other = maker((60, 80), 0, bandwidth=200.0, **options), maker((60, 80), 1, **options)
         for _ in range(6):
-            other.take(0, b"".join(record(one, grid, cell)))
+            other.apply(0, b"".join(record(one, grid, cell)), **LATE)
         walls[wished] = ((other.merge(np.zeros_like(grid)) == OCCUPIED) & (grid == OCCUPIED)).sum()
     assert walls[True] > walls[False]
 
@@ -295,7 +296,7 @@ def test_free_inside_edges_are_drawn_if_wished() -> None:
     for wished in (True, False):
         options = with_options(free_inside_edges=wished)
         one, other = maker((60, 80), 0, bandwidth=100.0, **options), maker((60, 80), 1, **options)
-        other.take(0, b"".join(record(one, grid, cell)))
+        other.apply(0, b"".join(record(one, grid, cell)), **LATE)
         claims[wished] = other.merge(np.zeros_like(grid)) == FREE
     assert claims[True].sum() > claims[False].sum()
 
@@ -309,7 +310,7 @@ def test_unknown_pairs_are_told_and_drawn_if_wished() -> None:
         options = with_options(unknown_pairs=wished, bytes_per_split=10.0, close_slivers=False)
         six_splits = options | {"bandwidth": 3 * 2 * 10.0 * 6}
         one, other = maker((30, 30), 0, **six_splits), maker((30, 30), 1, **six_splits)
-        other.take(0, b"".join(record(one, grid, (1, 1))))
+        other.apply(0, b"".join(record(one, grid, (1, 1))), **LATE)
         objects[wished] = other.polygons[0].objects
         free[wished] = other.merge(np.zeros_like(grid))[10, 10]
     assert objects == {True: 4, False: 2}
@@ -323,7 +324,7 @@ def test_walls_are_wide_if_wished_while_their_robot_is_in_range() -> None:
     for wished in (True, False):
         options = with_options(wide_walls=wished)
         one, other = maker((60, 80), 0, **options), maker((60, 80), 1, **options)
-        other.take(0, b"".join(record(one, grid, cell)))
+        other.apply(0, b"".join(record(one, grid, cell)), **LATE)
         near, far = (int((other.merge(nothing, peers) == OCCUPIED).sum()) for peers in ((0,), (2,)))
         walls[wished] = near, far
     assert walls[True][0] > walls[True][1] == walls[False][0] == walls[False][1]
@@ -337,7 +338,7 @@ def test_slivers_are_closed_if_wished() -> None:
     for wished in (True, False):
         options = with_options(close_slivers=wished, wide_walls=False)
         one, other = maker((20, 20), 0, **options), maker((20, 20), 1, **options)
-        other.take(0, b"".join(record(one, left, (2, 2))))
+        other.apply(0, b"".join(record(one, left, (2, 2))), **LATE)
         free[wished] = other.merge(right)[1:10, 8].tolist()
     assert free == {True: [FREE] * 9, False: [UNKNOWN] * 9}
 
@@ -351,7 +352,7 @@ def test_the_thesis_plain_rules_are_a_set_of_options() -> None:
     shape = (60, 80)
     one, other = (maker(shape, robot, polygons=asdict(THESIS_OPTIONS)) for robot in (0, 1))
     for grid, cell in walk():
-        other.take(0, b"".join(record(one, grid, cell, delivered=False)))
+        other.apply(0, b"".join(record(one, grid, cell, delivered=False)), **LATE)
         assert other.polygons[0].canonical() == one.polygons[0].canonical()
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from agent.encodings.catalog import ENCODINGS, make_encoding
 from agent.encodings.none import NoEncoding
@@ -18,6 +19,7 @@ from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
 from protocol.packets import Delete, Fragment, Save, encode
 from protocol.scans import HIT, NONE, Change, Scan, draw, encode_scan, fragments, scan_size
+from tests.agent.encodings.arrival import LATE
 
 BEAMS = 36
 RANGES = [6.0, 3.5, 9.0]
@@ -43,7 +45,7 @@ def random_scan(rng: np.random.Generator, robot: int) -> Scan:
 
 
 def record(maker: ScanEncoding, scan: Scan) -> list[bytes]:
-    return maker.record(empty(), scan, NOTHING, delivered=True)
+    return maker.encode_changes(empty(), scan, NOTHING, delivered=True)
 
 
 def empty() -> Grid:
@@ -67,7 +69,7 @@ def test_what_a_robot_logged_is_what_the_others_draw(seed: int, robot: int) -> N
     maker, hearer = ScanEncoding(settings_of(robot)), ScanEncoding(settings_of((robot + 1) % 3))
     seen = scans(seed, robot)
     for scan in seen:
-        hearer.take(robot, b"".join(record(maker, scan)))
+        hearer.apply(robot, b"".join(record(maker, scan)), **LATE)
     assert hearer.merge(empty()).tolist() == drawn([(robot, scan) for scan in seen]).tolist()
 
 
@@ -79,7 +81,7 @@ def test_a_log_taken_in_pieces_says_the_same_once_all_is_there(seed: int, pieces
     whole = len(fragments(bytes(scan_size(BEAMS))))
     taken = 0
     for piece in [*pieces, len(units)]:
-        hearer.take(0, b"".join(units[taken : taken + piece]))
+        hearer.apply(0, b"".join(units[taken : taken + piece]), **LATE)
         taken = min(taken + piece, len(units))
         complete = [(0, scan) for scan in seen[: taken // whole]]
         assert hearer.merge(empty()).tolist() == drawn(complete).tolist()
@@ -96,7 +98,7 @@ def test_logs_of_several_robots_do_not_mix(seed: int) -> None:
     }
     for number in range(max(map(len, logs.values()))):
         for robot, units in logs.items():
-            hearer.take(robot, b"".join(units[number : number + 1]))
+            hearer.apply(robot, b"".join(units[number : number + 1]), **LATE)
     told = hearer.merge(empty())
     assert ((told != UNKNOWN) == (drawn([(r, s) for r in seen for s in seen[r]]) != UNKNOWN)).all()
 
@@ -125,7 +127,7 @@ def test_a_log_is_made_of_units_of_one_packet() -> None:
 def test_a_robots_own_grid_counts_more_than_what_it_heard(seed: int) -> None:
     maker, hearer = ScanEncoding(settings_of(0)), ScanEncoding(settings_of(1))
     for scan in scans(seed, 0):
-        hearer.take(0, b"".join(record(maker, scan)))
+        hearer.apply(0, b"".join(record(maker, scan)), **LATE)
     rng = np.random.default_rng(seed)
     own = rng.choice(np.array([UNKNOWN, FREE, OCCUPIED], np.uint8), (HEIGHT, WIDTH))
     heard, before = hearer.merge(empty()), own.copy()
@@ -159,13 +161,13 @@ def test_nonsense_is_refused_and_changes_nothing(units: list[bytes]) -> None:
     maker, hearer = ScanEncoding(settings_of(0)), ScanEncoding(settings_of(1))
     first, second = scans(3, 0, 2)
     log = record(maker, first) + record(maker, second)
-    hearer.take(0, b"".join(log[:3]))
+    hearer.apply(0, b"".join(log[:3]), **LATE)
     before = hearer.merge(empty()).tolist()
     for _ in range(2):
         with pytest.raises(ProtocolError):
-            hearer.take(0, b"".join([*log[3:], *units]))
+            hearer.apply(0, b"".join([*log[3:], *units]), **LATE)
         assert hearer.merge(empty()).tolist() == before
-    hearer.take(0, b"".join(log[3:]))
+    hearer.apply(0, b"".join(log[3:]), **LATE)
     assert hearer.merge(empty()).tolist() == drawn([(0, first), (0, second)]).tolist()
 
 
@@ -173,24 +175,24 @@ def test_nonsense_is_refused_and_changes_nothing(units: list[bytes]) -> None:
 def test_fragments_of_noise_are_refused_or_stay_within_a_laser_of_their_place(noise: list[bytes]) -> None:
     hearer = ScanEncoding(settings_of(1))
     try:
-        hearer.take(0, b"".join([encode([Fragment(data)]) for data in noise]))
+        hearer.apply(0, b"".join([encode([Fragment(data)]) for data in noise]), **LATE)
     except ProtocolError:
         assert not hearer.merge(empty()).any()
 
 
-def test_a_robot_without_an_exchange_tells_nothing_and_plans_on_its_own_map() -> None:
+def test_without_map_exchange_a_robot_sends_nothing_and_plans_on_its_self_explored_grid() -> None:
     alone = NoEncoding(settings_of(0))
     own = drawn([(0, scans(1, 0, 1)[0])])
-    assert alone.record(own, scans(1, 0, 1)[0], NOTHING, delivered=True) == []
+    assert alone.encode_changes(own, scans(1, 0, 1)[0], NOTHING, delivered=True) == []
     merged = alone.merge(own)
     assert merged.tolist() == own.tolist()
     assert merged is not own
-    with pytest.raises(ProtocolError, match="where none are exchanged"):
-        alone.take(1, encode([Save()]))
+    with pytest.raises(ProtocolError, match="this team exchanges no maps"):
+        alone.apply(1, encode([Save()]), **LATE)
 
 
-def test_exchanges_are_found_by_name() -> None:
+def test_map_encodings_are_found_by_name() -> None:
     assert {"scans", "none"} <= set(ENCODINGS)
     assert isinstance(make_encoding(settings_of(0)), ScanEncoding)
-    with pytest.raises(ValueError, match=r"no exchange is called 'smoke'; there are: .*laser"):
+    with pytest.raises(ValueError, match=r"no map encoding is called 'smoke'; there are: .*scans"):
         make_encoding(Settings(**(settings_of(0).to_message() | {"map_encoding": "smoke"})))

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.encodings.base import Basis
+from agent.encodings.base import Dependency
 from agent.exchange.confirmed_gossip import ConfirmedGossip
 from agent.exchange.gossip import EVERYONE, GREETING, PATIENCE, SELDOM, Gossip
 from agent.exchange.priority import HOLDS, MOST_URGENT
@@ -135,12 +135,12 @@ def test_a_word_comes_behind_the_words_that_it_is_built_on(seed: int) -> None:
     for robot, count in enumerate(sizes):
         air.log(robot, count)
     air.step({0: [1], 1: [0], 2: []})
-    bases: dict[int, list[Basis]] = {0: [], 1: []}
+    bases: dict[int, list[Dependency]] = {0: [], 1: []}
     held, words_of = [0, 0], [[*range(0, size, 3)] for size in sizes[:2]]
     order = rng.permutation([0] * len(words_of[0]) + [1] * len(words_of[1])).tolist()
     for map_id in order:  # in this order the words were written, each on all others by then
         first, other = held[map_id], 1 - map_id
-        bases[map_id].append(Basis(first, first + 3, ((other, held[other]),)))
+        bases[map_id].append(Dependency(first, first + 3, ((other, held[other]),)))
         held[map_id] += 3
     teller, hearer = air.robot_settings[0], air.robot_settings[2]
     teller.bases = lambda map_id: bases.get(map_id, [])
@@ -149,7 +149,7 @@ def test_a_word_comes_behind_the_words_that_it_is_built_on(seed: int) -> None:
         for map_id in (0, 1):
             for basis in bases[map_id]:
                 if basis.first < len(hearer.logs[map_id]):
-                    assert all(len(hearer.logs[other]) >= units for other, units in basis.on)
+                    assert all(len(hearer.logs[other]) >= units for other, units in basis.requires)
     assert [len(log) for log in hearer.logs] == list(sizes)
 
 

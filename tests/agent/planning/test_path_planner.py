@@ -47,7 +47,7 @@ def test_planners_that_share_searches_find_what_each_would_alone(
     once = MemoCache()
     for grid, x, y in (one, other, one):
         start, goals = np.array([[x, y]], np.int32), np.argwhere(grid.T == FREE).astype(np.int32)[::5]
-        shared, alone = PathPlanner(grid, kind, once=once), PathPlanner(grid, kind)
+        shared, alone = PathPlanner(grid, kind, cache=once), PathPlanner(grid, kind)
         np.testing.assert_equal(shared.costs_between(start, goals), alone.costs_between(start, goals))
         np.testing.assert_equal(shared.costs_among(start, goals), alone.costs_among(start, goals))
 

@@ -250,7 +250,7 @@ def test_noise_and_garbled_units_change_nothing_or_are_read_whole(
             try:
                 heard = stream.decode(wrong)
             except ProtocolError as error:
-                assert error.packet == "look"
+                assert error.packet == "update"
                 heard = None
             if heard is not None:
                 stream.undo()

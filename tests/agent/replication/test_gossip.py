@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from agent.encodings.base import Dependency
 from agent.replication.delivery import PATIENCE
 from agent.replication.engine import Replication
 from agent.replication.frames import Delivery, RoundReport, SendReport
 from agent.replication.gossip import REFRESH
 from agent.replication.gossip_policy import HELD_PER_PRIORITY, MAX_PRIORITY
-from agent.replication.log import Dependency
 from agent.replication.meetings import GREETING
 from protocol import packet_index, packets
 from protocol.errors import ProtocolError
@@ -182,7 +182,7 @@ def test_entries_follow_those_that_they_depend_on(seed: int) -> None:
         for of in (0, 1):
             for each in dependencies[of]:
                 if each.first < network.length(2, of):
-                    assert all(network.length(2, other) >= length for other, length in each.on)
+                    assert all(network.length(2, other) >= length for other, length in each.requires)
     assert [network.length(2, of) for of in range(3)] == list(sizes)
 
 

@@ -52,13 +52,13 @@ def test_alone_meier_takes_the_nearest_frontier() -> None:
 
 def test_meier_leaves_a_frontier_to_whom_it_has_heard_of_and_beta_says_at_what_price() -> None:
     # U: 0 and 1; V: 4 / 5 and 10 / 5 sensor ranges.
-    taken = robot_at(4, targets={1: (0, 1)}, heard={1: 1})
+    taken = robot_at(4, targets={1: (0, 1)}, target_steps={1: 1})
     assert decide("meier", taken, {"beta": 0.5}).target == (14, 1)
     assert decide("meier", taken, {"beta": 1.0}).target == (0, 1)
 
 
 def test_a_target_heard_long_ago_counts_less_where_targets_age() -> None:
-    old = robot_at(4, targets={1: (0, 1)}, heard={1: -99})
+    old = robot_at(4, targets={1: (0, 1)}, target_steps={1: -99})
     assert decide("meier", old, {"beta": 0.5}).target == (14, 1)
     assert decide("meier", old, {"beta": 0.5, "half_life": 20.0}).target == (0, 1)
     assert decide("meier", old, {"beta": 0.5, "forget": 100}).target == (0, 1)
@@ -74,7 +74,7 @@ def test_of_two_that_herd_the_higher_numbered_chooses_again_once(name: str, opti
         swarm = mind(name, options, robot=robot)
         assert swarm.decide(robot_at(4)).target == (0, 1)
         heard = {other: (0, 1)}
-        news = robot_at(4, targets=heard, heard={other: 2}, news=heard)
+        news = robot_at(4, targets=heard, target_steps={other: 2}, new_targets=heard)
         assert swarm.decide(news).target == expected
 
 
@@ -85,14 +85,14 @@ def test_a_target_behind_a_wall_is_no_herding() -> None:
         swarm = mind("meier", {"beta": 0.1}, grid, robot=1)
         assert swarm.decide(robot_at(5, 0, grid=grid)).target == (1, 0)
         heard = {0: told}
-        later = robot_at(12, 0, grid=grid, targets=heard, heard={0: 2}, news=heard)
+        later = robot_at(12, 0, grid=grid, targets=heard, target_steps={0: 2}, new_targets=heard)
         assert swarm.decide(later).target == expected
 
 
 def test_nearest_does_not_care_for_others_and_tells_nothing() -> None:
     kind = strategy("nearest")
-    assert not kind.tells_target
-    assert decide("nearest", robot_at(4, targets={1: (0, 1)}, heard={1: 1})).target == (0, 1)
+    assert not kind.publishes_target
+    assert decide("nearest", robot_at(4, targets={1: (0, 1)}, target_steps={1: 1})).target == (0, 1)
 
 
 @pytest.mark.parametrize(
@@ -109,14 +109,14 @@ def test_members_of_a_sub_team_compute_one_assignment(name: str) -> None:
 
 
 def test_a_robot_out_of_range_is_no_member_but_its_last_target_is_remembered() -> None:
-    away = robot_at(4, poses={1: Pose(5, 1, False)}, targets={1: (0, 1)}, heard={1: 1})
+    away = robot_at(4, poses={1: Pose(5, 1, False)}, targets={1: (0, 1)}, target_steps={1: 1})
     assert decide("burgard", away, SHORTEST | {"beta": 0.5}).target == (14, 1)
     assert decide("hungarian", away).target == (14, 1)
 
 
 def test_algorithm_2_counts_costs_squared() -> None:
     # U: 0 and 1; V: 1 and 1.8 sensor ranges. U - V is larger on the right, U - V squared on the left.
-    away = robot_at(5, targets={1: (0, 1)}, heard={1: 1})
+    away = robot_at(5, targets={1: (0, 1)}, target_steps={1: 1})
     assert decide("burgard", away).target == (14, 1)
     assert decide("burgard-optimal", away).target == (0, 1)
 
@@ -133,9 +133,9 @@ def test_burgard_assigns_anew_some_time_and_some_way_after_it_last_did() -> None
     for options in ({"after_steps": 5}, {"after_metres": 0.7}):
         team = mind("burgard", options)
         assert team.decide(replace(robot_at(4), step=3)).target == (0, 1)
-        soon = replace(robot_at(11), step=7, travelled={0: 6.0})
+        soon = replace(robot_at(11), step=7, traveled={0: 6.0})
         assert team.decide(soon).target == (0, 1)
-        assert team.decide(replace(soon, step=8, travelled={0: 7.0})).target == (14, 1)
+        assert team.decide(replace(soon, step=8, traveled={0: 7.0})).target == (14, 1)
 
 
 def test_where_occupancy_is_too_likely_burgard_does_not_drive() -> None:
@@ -184,11 +184,11 @@ def test_hungarian_depot_spares_who_has_travelled_far() -> None:
     one_frontier = CORRIDOR.copy()
     one_frontier[0, 14] = 2
     cells = {0: (4, 1), 1: (6, 1)}
-    for travelled, expected in (({0: 0.0, 1: 0.0}, 0), ({0: 9.0, 1: 1.0}, 1), ({0: 2.0, 1: 1.0}, 0)):
+    for traveled, expected in (({0: 0.0, 1: 0.0}, 0), ({0: 9.0, 1: 1.0}, 1), ({0: 2.0, 1: 1.0}, 0)):
         for robot in (0, 1):
             poses = {peer: Pose(*cell, leads=False) for peer, cell in cells.items() if peer != robot}
             situation = robot_at(*cells[robot], grid=one_frontier, peers=tuple(poses), poses=poses)
-            situation = replace(situation, home=(7, 1), homes={0: (7, 1), 1: (7, 1)}, travelled=travelled)
+            situation = replace(situation, home=(7, 1), homes={0: (7, 1), 1: (7, 1)}, traveled=traveled)
             target = decide("hungarian-depot", situation, robot=robot).target
             assert target == ((0, 1) if robot == expected else None)
 
@@ -199,7 +199,9 @@ def test_of_two_members_headed_for_one_cell_the_higher_numbered_chooses_again() 
         assert member.decide(robot_at(4)).target == (0, 1)
         heard = {other: (0, 1)}
         there = {other: Pose(1, 1, leads=False)}
-        said = robot_at(4, peers=(other,), poses=there, targets=heard, heard={other: 2}, news=heard)
+        said = robot_at(
+            4, peers=(other,), poses=there, targets=heard, target_steps={other: 2}, new_targets=heard
+        )
         assert member.decide(replace(said, step=2)).target == expected
 
 
@@ -207,7 +209,7 @@ def test_a_member_that_is_done_makes_the_others_choose_again_once() -> None:
     opened = CORRIDOR.copy()
     opened[0, 14] = 2
     opened[2, 14] = UNKNOWN
-    told: dict[str, Any] = {"targets": {1: (12, 1)}, "heard": {1: 2}, "peers": (1,)}
+    told: dict[str, Any] = {"targets": {1: (12, 1)}, "target_steps": {1: 2}, "peers": (1,)}
     told["poses"] = {1: Pose(12, 1, leads=False)}
     member = mind("iterative")
     assert member.decide(robot_at(4, grid=opened)).target == (0, 1)
@@ -255,7 +257,7 @@ def test_at_goal_a_team_replans_when_a_member_arrives_and_not_when_a_goal_is_ope
     assert first.target == (0, 1)
     opened = CORRIDOR.copy()
     opened[0, 0] = 2
-    told: dict[str, Any] = {"targets": {1: (14, 1)}, "heard": {1: 2}, "peers": (1,)}
+    told: dict[str, Any] = {"targets": {1: (14, 1)}, "target_steps": {1: 2}, "peers": (1,)}
     assert team.decide(robot_at(3, grid=opened, poses=there, **told)).target == (0, 1)
     arrived = {1: Pose(14, 1, False)}
     assert team.decide(robot_at(3, grid=opened, poses=arrived, **told)).target != (0, 1)

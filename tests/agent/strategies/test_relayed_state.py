@@ -99,7 +99,7 @@ def test_in_a_chain_of_three_all_plan_for_three_where_poses_are_passed_on(
     assert told.connected == (0,)
     assert told.poses[0] == Pose(6, 10, leads=False), "where it was a step ago"
     assert told.targets[0] in targets
-    assert told.travelled[0] == 1.0
+    assert told.traveled[0] == 1.0
 
 
 def test_who_is_cut_off_is_no_member_any_more_as_soon_as_its_word_is_too_old(

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from agent.planning.path_planner import PathPlanner
 from agent.settings import Settings
@@ -81,7 +82,7 @@ def test_two_that_hear_each_other_share_what_there_is() -> None:
 
 
 def test_a_teammate_out_of_range_is_believed_to_be_where_it_was_headed_but_not_for_long() -> None:
-    away = robot_at(35, 4, targets={1: (45, 4)}, heard={1: 1})
+    away = robot_at(35, 4, targets={1: (45, 4)}, target_steps={1: 1})
     assert mind().decide(away).target == GAP
     assert mind().decide(replace(away, step=1 + RECALL)).target == GAP
     assert mind().decide(replace(away, step=2 + RECALL)).target == END
@@ -100,8 +101,8 @@ def test_a_robot_that_waits_does_not_leave_anything_to_a_teammate_that_stands_st
                 peers=(1,),
                 poses={1: Pose(5, 4, leads=False)},
                 targets={1: (30, 4)},
-                heard={1: 1},
-                moved={1: 1},
+                target_steps={1: 1},
+                last_moved={1: 1},
             )
         ).target
         for step in range(1, STILL + 3)
@@ -187,7 +188,7 @@ def test_a_crumb_is_looked_at_from_afar_a_long_edge_and_one_looked_at_in_vain_fr
     assert decided.target == (20, 2)
     assert (x, y) in {(19, 9), (20, 9)}
     assert ends(Repairmen({"look": 0.0}, alone), here) == (20, 2)
-    assert ends(Repairmen({}, replace(alone, field_of_view=90.0)), here) == (20, 2)
+    assert ends(Repairmen({}, structs.replace(alone, field_of_view=90.0)), here) == (20, 2)
     # A teammate stood before it: no news of the map, and the robot drives in, whatever it learns on the way.
     assert ends(robot, replace(robot_at(x, y, grid), step=2)) == (20, 2)
     grid[9, 1] = OCCUPIED

@@ -94,7 +94,7 @@ class Witness(Strategy):
     name = "witness"
     summary = "stays, and remembers what it was told"
     source = "an example"
-    tells_pose = True
+    publishes_pose = True
     told: ClassVar[Situation]
 
     def decide(self, situation: Situation) -> Decision:
@@ -113,7 +113,7 @@ def test_a_depot_is_where_a_robot_was_first_heard_of_and_ways_are_added_up_from_
     assert told.homes == {0: (10, 10), 1: (3, 4)}
     assert told.home == (10, 10)
     assert told.poses == {1: Pose(6, 10, leads=False)}
-    assert told.travelled == {0: 3.0, 1: 5.0 + 2.0}
+    assert told.traveled == {0: 3.0, 1: 5.0 + 2.0}
 
 
 def test_a_broadcast_that_makes_no_sense_is_a_fault_and_nothing_more() -> None:

@@ -49,7 +49,7 @@ def views(random: np.random.Generator, grid: Grid, robots: int) -> list[Situatio
             peers=tuple(peer for peer in team if peer != robot),
             poses={peer: Pose(*cells[peer], leads=False) for peer in team if peer != robot},
             targets={robots: gone},
-            heard={robots: -99},
+            target_steps={robots: -99},
         )
         for robot in team
     ]
@@ -109,7 +109,7 @@ def test_a_target_takes_away_as_far_as_its_own_robot_sees() -> None:
     # Three places to go to from (30, 2); a teammate is headed for the one at the left end.
     grid = np.full((5, 80), FREE, np.uint8)
     grid[:, 79] = grid[:, 0] = grid[0, 40] = UNKNOWN
-    view = Situation(step=1, grid=grid, x=30, y=2, home=(30, 2), targets={0: (1, 2)}, heard={0: 1})
+    view = Situation(step=1, grid=grid, x=30, y=2, home=(30, 2), targets={0: (1, 2)}, target_steps={0: 1})
     for ranges, column in (([20.0, 200.0], 40), ([200.0, 20.0], 78)):
         mind = strategy("meier")({"beta": 0.4}, settings_for(grid, robot=1, ranges_cells=ranges))
         target = mind.decide(view).target

@@ -317,5 +317,5 @@ def test_who_looks_at_crumbs_from_afar_takes_no_opening_for_a_wall_unless_told_t
     assert wide(strategy="meier")
     assert not wide(strategy="meier", polygons={"wide_seen_walls": False})
     assert Scenario(map_encoding="polygons", polygons=PolygonOptions()).polygons.wide_seen_walls
-    monkeypatch.setattr(Meier, "looks_from_afar", True)
+    monkeypatch.setattr(Meier, "observes_from_distance", True)
     assert not wide(strategy="meier")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from agent.memo_cache import ALONE, MemoCache
+from agent.memo_cache import NO_CACHE, MemoCache
 
 
 def test_who_shares_works_a_thing_out_once() -> None:
@@ -20,4 +20,4 @@ def test_when_too_much_is_kept_it_is_worked_out_again() -> None:
 
 
 def test_who_is_alone_keeps_nothing() -> None:
-    assert [ALONE.get("same", lambda each=each: each) for each in range(2)] == [0, 1]
+    assert [NO_CACHE.get("same", lambda each=each: each) for each in range(2)] == [0, 1]
