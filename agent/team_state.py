@@ -113,11 +113,11 @@ class TeamState:
             peers=self.in_range,
             connected=self.relayed.connected(sense.step, self.in_range),
             poses=_ascending(self.poses),
-            moved=_ascending(self._moved),
+            last_moved=_ascending(self._moved),
             traveled=_ascending(self._traveled),
             targets=_ascending(self.targets),
-            heard=_ascending(self._target_steps),
-            news=new_targets,
+            target_steps=_ascending(self._target_steps),
+            new_targets=new_targets,
         )
 
     def _on_grid(self, packet: packets.Target | packets.Passed | packets.Pose) -> bool:
