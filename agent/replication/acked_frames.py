@@ -16,18 +16,16 @@ retransmission timeout follows the measured round trip, as in TCP; a retransmitt
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
 from agent.replication.control_packets import from_packet, held_packet, offset, parse
 from agent.replication.frame_builder import FrameBuilder
-from agent.replication.frames import Delivery, OutgoingFrame, RoundReport
+from agent.replication.frames import OutgoingFrame, RoundReport
 from agent.replication.handshake_packets import offer
 from agent.replication.policies import LogRange, Policy, Round, offerable
 from agent.replication.replica import Replica
 from protocol.errors import ProtocolError
-from protocol.messages import NO_REPLIES, Replies
 from protocol.packets import From, FromEarly, Held, HeldEarly, Offer
 
 MAX_WAIT = 64
@@ -100,18 +98,6 @@ class AckedFrames:
                 frames.append(OutgoingFrame(peer, builder.payload))
                 budget = None if budget is None else max(0, budget - len(builder.payload))
         return frames
-
-    def speculative(self) -> Replies:
-        """Return nothing: there are no further phases."""
-        return NO_REPLIES
-
-    def answer(self, offers: Sequence[Delivery]) -> list[OutgoingFrame]:
-        """Reject the phase: answers are sent when the next round opens."""
-        raise ProtocolError("conn", 0, f"{len(offers)} offers out of turn")
-
-    def send_data(self, answers: Sequence[Delivery]) -> list[OutgoingFrame]:
-        """Reject the phase: entries are sent when the next round opens."""
-        raise ProtocolError("conn", 0, f"{len(answers)} answers out of turn")
 
     def close_round(self, report: RoundReport) -> None:
         """Note what was on the air, and process the received frames."""

@@ -9,7 +9,7 @@ within the retransmission timeout is dropped, so the entries are broadcast again
 
     event                                                       reaction
     entries are new, or were already held and came again        report the map within `_interval` steps
-    entries came behind a gap                                   store them; report at once, then every `GAP_REPORTS` steps
+    entries came behind a gap                                   store them; report now and every `GAP_REPORTS` steps
     the gap was filled, and stored entries follow               report at once
     a peer reports no more than was acknowledged, though        drop the expectation
     it was sent more than a round trip ago

@@ -32,9 +32,8 @@ from agent.replication.peers import PeerTable
 from agent.replication.policies import DISSEMINATIONS, GOSSIP, POLICIES
 from agent.replication.replica import Consume, Rejected, Replica
 from agent.settings import Settings
-from protocol.messages import Replies
-
-Dissemination = Handshakes | AckedFrames | Gossip
+from protocol.errors import ProtocolError
+from protocol.messages import NO_REPLIES, Replies
 
 
 class Replication:
@@ -79,18 +78,27 @@ class Replication:
         maps = map_ids(robots, incarnations)
         self.own = maps[robot + robots * incarnation]
         """This robot's map."""
-        self.replica = Replica(self.own, maps, consume)
-        self._dissemination: Dissemination
+        self.replica = replica = Replica(self.own, maps, consume)
+        self.logs: list[Log] = replica.logs
+        """All logs, by map number."""
+        self.peers: PeerTable = replica.peers
+        """Version vectors of the peers."""
+        self.distrusted: set[int] = replica.distrusted
+        """Peers from which no entries are accepted."""
+        self._handshakes: Handshakes | None = None
+        self._dissemination: Handshakes | AckedFrames | Gossip
         if dissemination == GOSSIP:
             acks = PeerAcks(self.peers) if requires_acks else MediumAcks(self.peers)
-            self._dissemination = Gossip(self.replica, acks, dependencies)
-        elif dissemination in POLICIES:
-            way = AckedFrames if requires_acks else Handshakes
-            self._dissemination = way(self.replica, POLICIES[dissemination], forwards=forwards)
-        else:
+            self._dissemination = Gossip(replica, acks, dependencies)
+        elif dissemination not in POLICIES:
             raise ValueError(
                 f"unknown dissemination {dissemination!r}; choose from: {', '.join(DISSEMINATIONS)}"
             )
+        elif requires_acks:
+            self._dissemination = AckedFrames(replica, POLICIES[dissemination], forwards=forwards)
+        else:
+            self._handshakes = Handshakes(replica, POLICIES[dissemination], forwards=forwards)
+            self._dissemination = self._handshakes
 
     @classmethod
     def from_settings(cls, settings: Settings, consume: Consume, dependencies: Dependencies) -> Replication:
@@ -106,21 +114,6 @@ class Replication:
             forwards=settings.forward_maps,
             dependencies=dependencies,
         )
-
-    @property
-    def logs(self) -> list[Log]:
-        """All logs, by map number."""
-        return self.replica.logs
-
-    @property
-    def peers(self) -> PeerTable:
-        """Version vectors of the peers."""
-        return self.replica.peers
-
-    @property
-    def distrusted(self) -> set[int]:
-        """Peers from which no entries are accepted."""
-        return self.replica.distrusted
 
     @property
     def priority(self) -> int:
@@ -149,15 +142,19 @@ class Replication:
 
     def speculative(self) -> Replies:
         """Return the answers and data that this robot would send in this round, so that the relay need not ask."""
-        return self._dissemination.speculative()
+        return self._handshakes.speculative() if self._handshakes is not None else NO_REPLIES
 
     def answer(self, offers: Sequence[Delivery]) -> list[OutgoingFrame]:
-        """Answer the offers of a round; ProtocolError if there cannot be any, or one is malformed."""
-        return self._dissemination.answer(offers)
+        """Answer the offers of a round; ProtocolError if one is malformed, or this dissemination has no offers."""
+        if self._handshakes is None:
+            raise ProtocolError("conn", 0, f"{len(offers)} offers, but maps travel without handshakes")
+        return self._handshakes.answer(offers)
 
     def send_data(self, answers: Sequence[Delivery]) -> list[OutgoingFrame]:
-        """Send the entries that answers ask for; ProtocolError if there cannot be any, or one is malformed."""
-        return self._dissemination.send_data(answers)
+        """Send the entries that answers ask for; ProtocolError as in `answer`."""
+        if self._handshakes is None:
+            raise ProtocolError("conn", 0, f"{len(answers)} answers, but maps travel without handshakes")
+        return self._handshakes.send_data(answers)
 
     def close_round(self, report: RoundReport) -> list[Rejected]:
         """Take what was on the air of this robot's frames, and the frames that arrived; return rejections."""

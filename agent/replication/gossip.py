@@ -8,7 +8,7 @@ the same forwarder (`gossip_policy`). A frame holds, in this order:
     event                                                     part of the frame
     this robot's range has changed                            near, gone: the robots that came and left
     a meeting owes reports (`meetings`)                       held: each map of which the peer may know less
-    entries arrived behind a gap                              held: this robot's log length, repeated while the gap lasts
+    entries arrived behind a gap                              held: this robot's log length, until the gap is filled
     some robot has been out of range before                   held: one map, in turn, every `REFRESH` steps
     peer acknowledgments are due (`delivery.PeerAcks`)        held: the maps with news
     a peer in range lacks entries of this robot's log         from, and the entries
@@ -19,7 +19,6 @@ the same forwarder (`gossip_policy`). A frame holds, in this order:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -28,7 +27,7 @@ from numpy.typing import NDArray
 from agent.replication.control_packets import Entries, ParsedFrame, from_packet, held_packet, offset, parse
 from agent.replication.delivery import PATIENCE, MediumAcks, PeerAcks
 from agent.replication.frame_builder import FrameBuilder
-from agent.replication.frames import EVERYONE, Delivery, OutgoingFrame, RoundReport
+from agent.replication.frames import EVERYONE, OutgoingFrame, RoundReport
 from agent.replication.gossip_policy import Dependencies, GossipPolicy
 from agent.replication.meetings import Event, Meetings
 from agent.replication.neighbors import BroadcastCursors, Neighbors
@@ -36,7 +35,6 @@ from agent.replication.peers import Mask, Table
 from agent.replication.replica import Replica
 from protocol import packets
 from protocol.errors import ProtocolError
-from protocol.messages import NO_REPLIES, Replies
 from protocol.packets import From, FromEarly, Gone, Held, HeldEarly, Near
 
 REFRESH = 16
@@ -90,18 +88,6 @@ class Gossip:
         self._set_priority(served)
         payload = self._builder.payload
         return [OutgoingFrame(EVERYONE, payload)] if payload else []
-
-    def speculative(self) -> Replies:
-        """Return nothing: there are no further phases."""
-        return NO_REPLIES
-
-    def answer(self, offers: Sequence[Delivery]) -> list[OutgoingFrame]:
-        """Reject the phase: gossip has no offers."""
-        raise ProtocolError("conn", 0, f"{len(offers)} offers, but maps travel by gossip")
-
-    def send_data(self, answers: Sequence[Delivery]) -> list[OutgoingFrame]:
-        """Reject the phase: gossip has no answers."""
-        raise ProtocolError("conn", 0, f"{len(answers)} answers, but maps travel by gossip")
 
     def close_round(self, report: RoundReport) -> None:
         """Update the tables by what was on the air, and accept the entries that arrived."""
@@ -217,13 +203,12 @@ class Gossip:
     def _note_restart(self, peer: int, frame: ParsedFrame) -> None:
         """A peer that broadcasts a map of a new incarnation of its own lost its state."""
         for control in frame.controls:
-            if isinstance(control, From | FromEarly) and control.map < len(self._replica.logs):
-                if self._peers.restarted(peer, control.map):
-                    self._peers.informed[peer] = 0
-                    self._delivery.restarted(peer)
-                    self._cursors.restarted(peer)
-                    self._neighbors.restarted(peer)
-                    self._meetings.on(peer, Event.RESTARTED)
+            if isinstance(control, From | FromEarly) and self._peers.restarted(peer, control.map):
+                self._peers.informed[peer] = 0
+                self._delivery.restarted(peer)
+                self._cursors.restarted(peer)
+                self._neighbors.restarted(peer)
+                self._meetings.on(peer, Event.RESTARTED)
 
     def _read_reports(self, peer: int, frame: ParsedFrame) -> None:
         """Note a peer's range and its log lengths; reject the peer's entries if it sends other control packets."""

@@ -132,7 +132,7 @@ class GossipPolicy:
         self._send(peer, will_hold, number, end)
 
     def _send(self, peer: int, will_hold: list[int], number: int, end: int) -> None:
-        """Broadcast what a peer lacks of a map before offset `end`, unless another robot does, or it is in the frame."""
+        """Broadcast what a peer lacks of a map before offset `end`, but not what is in the frame already."""
         first = will_hold[number]
         if first >= end:
             return

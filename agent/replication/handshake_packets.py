@@ -1,7 +1,8 @@
 """The packets of a handshake: an offer of a map, and the answer with the receiver's log length.
 
-An answer leaves out what the offer said. It names the offset within a block of 4096 entries; before that the block, if
-it differs from the offered one; and before that the round of 64 blocks, if it is not the first. So no length is guessed.
+An answer leaves out the fields that it shares with the offer. It names the offset within a block of 4096 entries;
+before that the block, if it differs from the offered one; and before that the round of 64 blocks, if it is not the
+first. So no length is ambiguous.
 """
 
 from __future__ import annotations

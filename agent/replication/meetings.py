@@ -1,7 +1,7 @@
 """Meetings of robots that gossip: after coming into range, each reports the log lengths that the other may not know.
 
-Until a newcomer has reported, or `GREETING` steps have passed, this robot does not send it old entries: it may hold them
-by then. `TRANSITIONS` is the table that the code runs by; an event without an entry leaves the state as it is:
+Until a newcomer has reported, or `GREETING` steps have passed, this robot does not send it old entries: it may hold
+them already. `TRANSITIONS` is the table that the code runs by; an event without an entry leaves the state as it is:
 
     state      event                                     next state
     away       the peer comes into range                 meeting

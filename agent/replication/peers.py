@@ -76,7 +76,7 @@ class PeerTable:
 
     def restarted(self, peer: int, number: int) -> bool:
         """Return whether a peer's use of a map number shows that it restarted; it lost what it had received then."""
-        if number <= self.current[peer] or self.maps[number].robot != peer:
+        if not self.current[peer] < number < len(self.maps) or self.maps[number].robot != peer:
             return False
         self.current[peer] = number
         self.expected[peer] = 0
