@@ -28,6 +28,7 @@ from protocol.messages import (
     Configure,
     End,
     Fault,
+    FaultEvent,
     Heard,
     Maps,
     MediumNote,
@@ -39,7 +40,6 @@ from protocol.messages import (
     Said,
     Sense,
     Shutdown,
-    Strike,
     Watched,
     pack,
 )
@@ -102,7 +102,7 @@ class AgentNode:
                 self._take(message)
         elif isinstance(said, Shutdown):
             self.done = True
-        elif isinstance(said, Strike):
+        elif isinstance(said, FaultEvent):
             self.killed = self.done = True
         elif isinstance(said, Watched):
             self._viewer_feed = ViewerFeed() if said.here else None

@@ -1,4 +1,4 @@
-"""Pages of the site that are made from code when it is built: the columns of a run's files, and the notebooks."""
+"""Site pages generated when the site is built: columns of a run's files, and notebooks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ NOTEBOOKS = Path(__file__).parent / "notebooks"
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """Add them; mkdocs calls this."""
+    """Add the generated pages; mkdocs calls this hook."""
     files.append(File.generated(config, "reference/files.md", content=files_page()))
     for notebook in sorted(NOTEBOOKS.glob("*.ipynb")):
         name = f"notebooks/{notebook.stem}.md"
@@ -23,25 +23,25 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def files_page() -> str:
-    """The columns of all tables of a run directory."""
+    """Return a page with the columns of all tables of a run directory."""
     lines = [
         "# Files of a run",
         "",
-        "The [run directory](../architecture.md#the-run-directory) holds these tables beside maps, summary and "
-        "capture. This page is made from `deploy/record/columns.py`, by which the files are written.",
+        "A [run directory](../architecture.md#the-run-directory) contains these tables, besides maps, summary, and "
+        "capture. `deploy/record/columns.py` defines them.",
     ]
     for file, columns in FILES.items():
-        lines += ["", f"## {file}", "", "| column | type | |", "|---|---|---|"]
+        lines += ["", f"## {file}", "", "| column | type | meaning |", "|---|---|---|"]
         lines += [f"| `{column.name}` | {column.type} | {column.map_id} |" for column in columns]
     return "\n".join(lines) + "\n"
 
 
 def notebook_page(path: Path) -> str:
-    """A notebook as a page: its text, and its code as blocks; outputs come with running it."""
+    """Return a notebook as a page with its text and code, without outputs."""
     cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
     pages = []
     for cell in cells:
         text = "".join(cell["source"])
         pages.append(text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```")
-    pages.insert(1, f"This is the notebook `docs/notebooks/{path.name}`: open it in Jupyter to run it.")
+    pages.insert(1, f"Open the notebook `docs/notebooks/{path.name}` in Jupyter to run it.")
     return "\n\n".join(pages) + "\n"

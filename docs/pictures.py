@@ -1,4 +1,4 @@
-"""The pictures of docs/concepts.md: python docs/pictures.py [FOLDER]."""
+"""Draw the pictures of docs/concepts.md: python docs/pictures.py [FOLDER]."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from deploy.record.colors import ALARM, CELLS, GROUPS, Color, robot_color
 from murmur import Step, steps
 
 AFTER = 80
-"""The step that is shown."""
+"""The step in the pictures."""
 BUDGET = 250
-"""Bytes a step."""
+"""Bytes per step."""
 SHADES = ListedColormap(np.array(CELLS) / 255)
 
 
 def main(folder: Path) -> None:
     """Draw all pictures into a folder."""
     folder.mkdir(exist_ok=True)
-    taken = {name: _taken(name) for name in ("polygon", "predictive")}
-    _save(outline(taken["polygon"][-1]), folder / "outline.png")
-    _save(knowledge(taken["polygon"][-1]), folder / "knowledge.png")
-    _save(sent({"outlines": taken["polygon"], "looks": taken["predictive"]}), folder / "bytes.png")
+    taken = {name: _taken(name) for name in ("polygons", "predictive")}
+    _save(outline(taken["polygons"][-1]), folder / "outline.png")
+    _save(knowledge(taken["polygons"][-1]), folder / "knowledge.png")
+    _save(sent(taken), folder / "bytes.png")
 
 
 def _taken(map_encoding: str) -> list[Step]:
@@ -41,18 +41,18 @@ def _taken(map_encoding: str) -> list[Step]:
 
 
 def outline(step: Step) -> plt.Figure:
-    """One robot's grid, the exact contour of its free space, and the polygons that it tells."""
+    """One robot's grid, the exact contour of its free space, and the polygons that it sends."""
     robot = step.robots[0]
     figure, panels = plt.subplots(1, 3, figsize=(10.5, 4), layout="constrained")
-    exact, told = contours(robot.own, robot.cell), robot.polygons[0]
+    exact, approximation = contours(robot.own, robot.cell), robot.polygons[0]
     for axes, title, polygons in zip(
         panels,
         (
-            "what robot 0 has seen",
+            "own grid of robot 0",
             f"its exact contour: {len(exact.x)} points",
-            f"told: {len(told.x)} corners",
+            f"polygons sent: {len(approximation.x)} vertices",
         ),
-        (None, exact, told),
+        (None, exact, approximation),
         strict=True,
     ):
         _draw(axes, robot.own, title)
@@ -66,7 +66,7 @@ def knowledge(step: Step) -> plt.Figure:
     """Each robot's planning map."""
     figure, panels = plt.subplots(1, len(step.robots), figsize=(10.5, 4), layout="constrained")
     for axes, robot in zip(panels, step.robots.values(), strict=True):
-        _draw(axes, robot.planning, f"robot {robot.number} knows")
+        _draw(axes, robot.planning, f"planning map of robot {robot.number}")
         axes.plot(*robot.cell, "o", color=_rgb(robot_color(robot.number)), markersize=7)
         if robot.target is not None:
             axes.plot(*robot.target, "x", color=_rgb(robot_color(robot.number)), markersize=7)
@@ -87,8 +87,8 @@ def sent(runs: dict[str, list[Step]]) -> plt.Figure:
                 axes.bar(numbers, size, bottom=below, label=group.words, color=_rgb(group.color), width=1.0)
                 below += size
         axes.axhline(BUDGET, color=_rgb(ALARM), linewidth=1)
-        axes.set(xlim=(0.5, len(taken) + 0.5), ylim=(0, 1.35 * BUDGET), ylabel="bytes on the air")
-        axes.set_title(f"{title}: {below.mean():.0f} bytes a step", loc="left")
+        axes.set(xlim=(0.5, len(taken) + 0.5), ylim=(0, 1.35 * BUDGET), ylabel="bytes transmitted")
+        axes.set_title(f"{title}: {below.mean():.0f} bytes per step", loc="left")
         axes.legend(frameon=False, loc="upper right", ncols=5)
         axes.spines[["top", "right"]].set_visible(False)
     panels[-1].set_xlabel("step")
@@ -111,7 +111,7 @@ def _draw(axes: Axes, grid: NDArray[np.uint8], title: str) -> None:
 
 
 def _rings(polygons: Polygons) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """The closed line of each polygon, in cells."""
+    """Yield the closed line of each polygon, in cells."""
     x, y = polygons.x + SIDE_X[polygons.side] / 4, polygons.y + SIDE_Y[polygons.side] / 4
     for begin, end in zip(polygons.start[:-1], polygons.start[1:], strict=True):
         ring = [*range(begin, end), begin]

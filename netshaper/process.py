@@ -27,6 +27,7 @@ from protocol.messages import (
     Configure,
     End,
     Fault,
+    FaultEvent,
     Heard,
     Lost,
     PhaseDelivery,
@@ -36,7 +37,6 @@ from protocol.messages import (
     Said,
     Shutdown,
     Stop,
-    Strike,
     Watched,
     pack,
 )
@@ -193,7 +193,7 @@ class RelayNode:
             self._end(said)
         elif isinstance(said, Lost):
             self.give_up_on(said.robot, said.cause)
-        elif isinstance(said, Stop | Strike):
+        elif isinstance(said, Stop | FaultEvent):
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), payload)
         elif isinstance(said, Change):
             self._radio.change(said)

@@ -1,4 +1,5 @@
-"""The messages: packets, messages, keys, the two buses; and the shared definitions of cells, beams, draws.
+"""Formats that all processes share: packets, messages, keys, the two buses; cells, scans and random numbers.
 
-It imports none of the other rooms. Start with `packets.py`, the radio bit by bit, and `messages.py`, everything else.
+It imports no other package of the project. Start with `packets.py`, the radio bit by bit, and `messages.py`, the
+messages on the bus.
 """

@@ -13,7 +13,7 @@ class Message(NamedTuple):
 
 
 class BusClosed(ConnectionError):  # noqa: N818 - it is also the normal end of a run
-    """The hub is not available any more, or this end was closed."""
+    """The hub is not available any more, or this end is closed."""
 
 
 class Bus(Protocol):
@@ -21,11 +21,11 @@ class Bus(Protocol):
 
     Each end listens to its own inbox (`Keys.inbox`) and no other. Nothing is dropped; messages from one sender
     to one receiver arrive whole, exactly once, and in order. The relay's end also receives `Keys.presence`
-    messages when others join and leave, the latter after everything that the leaving participant had sent.
+    messages when other participants join and leave, the latter behind all messages of the leaving participant.
     """
 
     def put(self, key: str, payload: bytes) -> None:
-        """Send `payload` to all who listen to `key`.
+        """Send `payload` to the participant whose inbox contains `key`.
 
         Raises
         ------
@@ -34,7 +34,7 @@ class Bus(Protocol):
         """
 
     def receive(self, timeout_s: float | None = None) -> Message | None:
-        """Wait for the next message, at most `timeout_s` seconds; None when nothing came.
+        """Wait for the next message, at most `timeout_s` seconds; return None after the timeout.
 
         Raises
         ------
@@ -43,4 +43,4 @@ class Bus(Protocol):
         """
 
     def close(self) -> None:
-        """Leave the bus; what was put before is delivered. Closing an end again has no effect."""
+        """Leave the bus; messages that were put before are delivered. Closing an end again has no effect."""

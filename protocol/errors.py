@@ -1,4 +1,4 @@
-"""The error of everything that is read from the air or from a wire, and the words for a name that is not known."""
+"""The error for malformed packets and messages, and the text that suggests known names for an unknown one."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ class ProtocolError(ValueError):
     Attributes
     ----------
     packet : str
-        The packet or message that was being read.
+        Kind of the packet or name of the message.
     offset : int
-        Where in the buffer it begins, in bytes.
+        Its first byte in the buffer.
     reason : str
-        What is wrong and what would be right.
+        The mistake, and what would be correct.
     """
 
     def __init__(self, packet: str, offset: int, reason: str) -> None:
@@ -27,7 +27,7 @@ class ProtocolError(ValueError):
 
 
 def there_are(known: Iterable[str], name: str = "") -> str:
-    """What to say where `name` is none of the `known` names: those that are near, then all."""
+    """Return the end of an error text on an unknown `name`: the most similar of the `known` names, then all."""
     stems = {each.removesuffix(".toml"): each for each in known}
     near = difflib.get_close_matches(name.lower().removesuffix(".toml"), stems)
     meant = (

@@ -1,11 +1,11 @@
-"""The shared definitions of cells, frames and beams.
+"""Grids, and the cells that the beams of a laser cross.
 
 Grids are ``uint8`` arrays of shape (height, width), indexed ``grid[y, x]``: x to the right, y down, row 0
-on top, cell centres at integers. A cell is unknown, free or occupied (thesis, section 3.2).
+on top, cell centers at integers. A cell is unknown, free or occupied (thesis, section 3.2).
 
-A beam is a sequence of cells. `ray_table` computes the sequences of all beams once, in exact integer arithmetic, as
-offsets from the robot's cell; the laser that casts a scan and the robot that draws it use the same table, so
-that a reading stands for the same cells to both, on every machine.
+A beam is a sequence of cells. `ray_table` computes those of all beams once, in exact integer arithmetic, as offsets
+from the robot's cell. The laser that casts a scan and the robot that draws it use the same table, so a reading means
+the same cells to both, on every machine.
 """
 
 from __future__ import annotations
@@ -24,28 +24,28 @@ FREE = 1
 OCCUPIED = 2
 
 MAX_SIDE = 2048
-"""The largest side of a grid, in cells, that the packets can represent."""
+"""The longest side of a grid, in cells; packets cannot represent a longer one."""
 
 MAX_ROBOTS = 256
-"""The largest team. Packets can name the maps of fewer (`protocol.packets.MAX_MAPS`)."""
+"""The largest team. Offers can name the maps of fewer robots (`protocol.packets.MAX_MAPS`)."""
 
 Grid = NDArray[np.uint8]
 
 _REACH = 0.5
-"""A cell extends half a cell from its centre."""
+"""Half the side of a cell, in cells."""
 
 _DIRECTION_UNIT = 1 << 20
-"""Beam directions are integer vectors of this length, so that no platform's cosine affects a cell."""
+"""Length of the integer vectors that stand for beam directions; rounding hides differences between platforms."""
 
 
 @dataclass(frozen=True, eq=False)
 class RayTable:
-    """The cells that each beam crosses, nearest first, relative to the robot's own cell.
+    """The cells that each beam crosses, nearest first, relative to the robot's cell.
 
     Attributes
     ----------
     cells : int32 array of shape (n, 2)
-        Offsets (dx, dy) in cells, all beams concatenated; the robot's own cell is left out.
+        Offsets (dx, dy) in cells, all beams concatenated, without the robot's cell.
     start : int32 array of shape (beams + 1,)
         Beam ``b`` crosses ``cells[start[b]:start[b + 1]]``.
     """
@@ -54,12 +54,12 @@ class RayTable:
     start: NDArray[np.int32]
 
     def flat(self, width: int) -> NDArray[np.int32]:
-        """The same cells as steps in a grid of so many columns that lies flat, row after row."""
+        """Return the same offsets as index differences in a flattened grid of `width` columns; int32 of shape (n,)."""
         return _flat(self, width)
 
     @property
     def shared(self) -> NDArray[np.int32]:
-        """How many cells each beam has in common with the one before it, from the robot on; shape (beams,)."""
+        """Number of cells that each beam shares with the beam before it, from the robot on; shape (beams,)."""
         return _shared(self)
 
     @property
@@ -82,7 +82,7 @@ def _shared(beams: RayTable) -> NDArray[np.int32]:
 
 @kernel("int32[::1](int32[:,::1], int32[::1])")
 def _count_shared(cells: NDArray[np.int32], start: NDArray[np.int32]) -> NDArray[np.int32]:
-    """How many cells each beam's walk has in common with the one before it, from its begin on."""
+    """Count the cells that each beam shares with the beam before it, from the robot on."""
     shared = np.zeros(len(start) - 1, np.int32)
     for beam in range(1, len(shared)):
         before, here, end = start[beam - 1], start[beam], start[beam + 1]
@@ -103,20 +103,22 @@ def ray_table(range_cells: float, beams: int = 360) -> RayTable:
     Parameters
     ----------
     range_cells : float
-        Sensor range in cells; a beam ends before the first cell whose centre lies beyond it, and at the
-        latest at the border of the largest grid.
+        Sensor range in cells; a beam ends before the first cell whose center lies beyond it, or at a distance of
+        the diagonal of the largest grid.
     beams : int
-        Beams a full turn. Beam 0 points along +x, the angle grows towards +y (clockwise on a picture).
+        Beams per full turn. Beam 0 points along +x, angles grow towards +y (clockwise on a picture).
 
     Notes
     -----
-    A beam moves between 4-neighbours only, so that it does not pass between two cells that touch at a corner. A beam
-    that runs exactly through a corner crosses the neighbour in x first.
+    A beam moves between 4-neighbors only, so it does not pass between two cells that touch at a corner. A beam
+    exactly through a corner crosses the neighbor in x first.
+
+    Raises ValueError for a range below one cell, or a number of beams that is no positive multiple of 4.
     """
     if not range_cells >= 1:
-        raise ValueError(f"sensor range of {range_cells:g} cells: a robot must see at least its neighbours")
+        raise ValueError(f"sensor range of {range_cells:g} cells: a robot must see at least its neighbors")
     if beams < 4 or beams % 4:
-        raise ValueError(f"{beams} beams: give a multiple of 4, so that the four neighbours are always seen")
+        raise ValueError(f"{beams} beams: give a multiple of 4, so that the four neighbors are always seen")
     reach = min(range_cells, math.hypot(MAX_SIDE, MAX_SIDE))
     angles = [2 * math.pi * beam / beams for beam in range(beams)]
     directions = [
@@ -128,7 +130,7 @@ def ray_table(range_cells: float, beams: int = 360) -> RayTable:
 
 @kernel("Tuple((int32[:,::1], int32[::1]))(int64[:,::1], float64)")
 def _walk(directions: NDArray[np.int64], range_cells: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Cells along each direction from the centre of (0, 0), that cell left out; and where those of each begin."""
+    """Walk from cell (0, 0) along each direction; return the crossed cells, and the first index of each direction."""
     most = int(math.sqrt(2) * range_cells) + 2
     cells = np.empty((len(directions) * most, 2), np.int32)
     start = np.zeros(len(directions) + 1, np.int32)
@@ -138,7 +140,7 @@ def _walk(directions: NDArray[np.int64], range_cells: float) -> tuple[NDArray[np
         x = y = 0
         end = start[beam]
         while True:
-            # The next border in x is crossed at (2 |x| + 1) / (2 along_x), in y likewise: cross-multiplied.
+            # The beam crosses the next border in x at (2 |x| + 1) / (2 along_x), in y likewise: cross-multiplied.
             if along_y == 0 or (along_x > 0 and (2 * abs(x) + 1) * along_y <= (2 * abs(y) + 1) * along_x):
                 x += step_x
             else:
@@ -152,16 +154,16 @@ def _walk(directions: NDArray[np.int64], range_cells: float) -> tuple[NDArray[np
 
 
 def disc(radius_cells: float) -> NDArray[np.bool_]:
-    """Return the cells that a disc-shaped robot touches when it stands on the middle one, as a square mask."""
+    """Return the cells that a disc-shaped robot in the middle cell touches, as a square mask."""
     side = np.arange(-int(radius_cells + _REACH), int(radius_cells + _REACH) + 1)
     touched: NDArray[np.bool_] = side[:, None] ** 2 + side[None, :] ** 2 < (radius_cells + _REACH) ** 2
     return touched
 
 
 def enlarge(grid: Grid, radius_cells: float) -> Grid:
-    """Return the grid with obstacles enlarged by a robot's radius: cells where its centre may be are free.
+    """Return the grid with obstacles enlarged by a robot's radius: free cells are those where its center may be.
 
-    With a radius of half a cell or less, or without obstacles, nothing changes, and the grid itself is returned.
+    With a radius of at most half a cell, or without obstacles, the grid itself is returned.
     """
     if radius_cells <= _REACH:
         return grid
@@ -174,41 +176,3 @@ def enlarge(grid: Grid, radius_cells: float) -> Grid:
     grown = grid.copy()
     grown[(away < (radius_cells + _REACH) ** 2) & (grid == FREE)] = OCCUPIED
     return grown
-
-
-def areas(cells: NDArray[np.bool_]) -> tuple[NDArray[np.int64], int]:
-    """Number the areas of 4-neighbours among `cells` in the order of their first cells.
-
-    Returns
-    -------
-    numbers : int64 array of the shape of `cells`
-        From 1; 0 where `cells` is false.
-    count : int
-        How many areas there are.
-    """
-    height, width = cells.shape
-    padded = np.zeros((height, width + 1), np.int8)
-    padded[:, :width] = cells
-    edges = np.diff(padded.ravel(), prepend=np.int8(0))
-    begins, ends = np.nonzero(edges == 1)[0], np.nonzero(edges == -1)[0]
-    # Runs of cells, in the order of rows: those of the row below that touch a run follow each other.
-    first = np.searchsorted(ends, begins + width + 1, side="right")
-    last = np.searchsorted(begins, ends + width + 1, side="left")
-    touched = np.maximum(last - first, 0)
-    above = np.repeat(np.arange(len(begins)), touched)
-    below = np.arange(len(above)) + np.repeat(first - np.cumsum(touched) + touched, touched)
-    root = np.arange(len(begins))
-    while True:
-        least = np.minimum(root[above], root[below])
-        before = root.copy()
-        for end in (above, below):
-            np.minimum.at(root, before[end], least)
-            np.minimum.at(root, end, least)
-        root = root[root]
-        if (root == before).all():
-            break
-    roots, numbers = np.unique(root, return_inverse=True)
-    painted = np.zeros(padded.size + 1, np.int64)
-    np.add.at(painted, begins, numbers + 1)
-    np.subtract.at(painted, ends, numbers + 1)
-    return np.cumsum(painted[:-1]).reshape(padded.shape)[:, :width], len(roots)

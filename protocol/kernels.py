@@ -1,10 +1,10 @@
-"""Compilation of hot loops.
+"""Compilation of hot loops by numba.
 
-A kernel has an explicit signature. It is compiled, or read from numba's cache, when it is first called: a command that
-computes nothing does not wait for numba. The first one that is not in the cache has all that are imported compiled at
-once, which takes a minute and happens once an installation; the error stream says how far it is. The fork server loads
-all of them in one process (`deploy.run.preload`), so that robots never compile. No fastmath: a kernel gives the same
-bits wherever the same versions run.
+A kernel has an explicit signature. The first call compiles it, or reads it from numba's cache, so that commands which
+compute nothing do not import numba. If a kernel is not in the cache, all imported kernels are compiled at once: this
+takes a minute, once per installation, and the error stream shows the progress. The fork server loads all kernels in
+one process (`deploy.run.preload`), so robots never compile. Fastmath is off: equal versions of the libraries give
+equal bits on every machine.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 class Kernel:
-    """A function that is compiled for one signature when it is first called."""
+    """A function that the first call compiles for one signature."""
 
     def __init__(self, function: Callable[..., Any], signature: str) -> None:
         update_wrapper(self, function)
         self.function = function
         self.signature = signature
         self.was_cached = False
-        """Whether it has been read from numba's cache; False until it is loaded."""
+        """Whether it was read from numba's cache; False until it is loaded."""
         self._is_stripped = False
 
     def __call__(self, *args: Any) -> Any:
-        """Call what is compiled."""
+        """Call the compiled function."""
         return self.loaded(*args)
 
     @cached_property
     def loaded(self) -> Any:
-        """The compiled function; from now on its module calls it without a detour."""
-        import numba  # noqa: PLC0415  half a second, for which only those wait who compute
+        """The compiled function. It replaces this object in its module, so that later calls are direct."""
+        import numba  # noqa: PLC0415  takes half a second, which only computing commands need
 
         dispatcher = numba.njit(cache=True, error_model="numpy")(self.function)
         with _before_compiling(dispatcher, self._prepare):
@@ -46,36 +46,36 @@ class Kernel:
         self._replace(self.function.__name__, dispatcher)
         vars(self)["loaded"] = dispatcher
         if not self.was_cached:
-            _compilation.go_on()
+            _compilation.finish_one()
         return dispatcher
 
     @property
     def is_loaded(self) -> bool:
-        """Whether it has been called or loaded."""
+        """Whether it is compiled or read from the cache."""
         return "loaded" in vars(self)
 
     @property
-    def room(self) -> str:
-        """The package that it belongs to, or its module if that is in none."""
+    def package(self) -> str:
+        """Its package, or its module if that is in no package."""
         module = self.function.__module__
         return module.rpartition(".")[0] or module
 
     def strip(self) -> None:
-        """Keep nothing but the code that runs: a fourth of the memory."""
+        """Drop the intermediate code, which takes three quarters of the memory, and keep the machine code."""
         for compiled in self.loaded.overloads.values():
             compiled.library._shared_module = None
         self._is_stripped = True
 
     def _restore(self) -> None:
-        """Read from the cache what others that call it are linked with."""
+        """Read the intermediate code from the cache again, because other kernels are to be linked with it."""
         again = self.loaded._cache.load_overload(self.signature, self.loaded.targetctx)
         for compiled in self.loaded.overloads.values():
             compiled.library._shared_module = again.library._shared_module
         self._is_stripped = False
 
     def _prepare(self) -> None:
-        """Load the kernels that it calls, for numba to see."""
-        _compilation.begin(self.room)
+        """Load the kernels that it calls before numba compiles it."""
+        _compilation.begin(self.package)
         for each in _kernels:
             if each._is_stripped:
                 each._restore()
@@ -85,7 +85,7 @@ class Kernel:
                 self._replace(name, called.loaded)
 
     def _replace(self, name: str, dispatcher: Any) -> None:
-        """Let the module have what is compiled instead of the kernel."""
+        """Replace the kernel called `name` in this module by its compiled function."""
         if isinstance(self.function.__globals__.get(name), Kernel):
             self.function.__globals__[name] = dispatcher
 
@@ -94,7 +94,7 @@ _kernels: list[Kernel] = []
 
 
 def kernel(signature: str) -> Callable[[Function], Function]:
-    """Compile the decorated function for `signature` (numba's notation) when it is first called."""
+    """Compile the decorated function for `signature` (numba's notation) at its first call."""
 
     def keep(function: Function) -> Function:
         _kernels.append(Kernel(function, signature))
@@ -104,48 +104,49 @@ def kernel(signature: str) -> Callable[[Function], Function]:
 
 
 def load_all() -> None:
-    """Load all kernels that have been imported; those that are not in the cache are compiled."""
+    """Load all imported kernels; compile those that are not in the cache."""
     for each in _kernels:
         _ = each.loaded
 
 
 def load_code() -> None:
-    """Load all kernels, and keep nothing of them but the code that runs; at once, so that they leave no gaps."""
+    """Load the machine code of all kernels; at once, so that freed memory leaves no gaps between them."""
     for each in _kernels:
         each.strip()
 
 
 def loaded() -> int:
-    """How many kernels this process has read from the cache."""
+    """Return the number of kernels that this process read from the cache."""
     return sum(each.was_cached for each in _kernels)
 
 
 def compiled() -> int:
-    """How many kernels this process had to compile."""
+    """Return the number of kernels that this process compiled."""
     return sum(each.is_loaded and not each.was_cached for each in _kernels)
 
 
 class _Compilation:
-    """All kernels compiled at once, after the first that the cache lacks; the error stream says how far it is."""
+    """Compilation of all kernels at once; prints its progress to the error stream."""
 
     def __init__(self) -> None:
-        self._open = 0
-        self._room = ""
+        self._depth = 0
+        """Kernels being compiled: a kernel, those that it calls, and so on."""
+        self._package = ""
 
-    def begin(self, room: str) -> None:
-        """Say that a kernel of `room` comes next: on a terminal in one line, else in one a room."""
-        self._open += 1
+    def begin(self, package: str) -> None:
+        """Report that a kernel of `package` comes next: on a terminal for each kernel, else once per package."""
+        self._depth += 1
         done = sum(each.is_loaded for each in _kernels)
-        if room != self._room or _is_terminal():
-            _print(f"compiling for this machine, once: {done} of {len(_kernels)} kernels, now {room}")
-        self._room = room
+        if package != self._package or _is_terminal():
+            _print(f"compiling for this machine, once: {done} of {len(_kernels)} kernels, now {package}")
+        self._package = package
 
-    def go_on(self) -> None:
-        """Compile all others too, once a kernel is done that no other one waits for."""
-        if self._open == 1:
+    def finish_one(self) -> None:
+        """After a kernel that no other kernel waits for, compile all remaining ones."""
+        if self._depth == 1:
             load_all()
             _print(f"compiled {compiled()} kernels", last=True)
-        self._open -= 1
+        self._depth -= 1
 
 
 _compilation = _Compilation()
@@ -156,7 +157,7 @@ def _is_terminal() -> bool:
 
 
 def _print(text: str, *, last: bool = False) -> None:
-    """Print a line to the error stream; on a terminal over the line before, unless that was the `last`."""
+    """Print a line to the error stream; on a terminal it overwrites the line before, until the `last` one."""
     if sys.stderr is not None:
         over = _is_terminal()
         end = "\n" if last or not over else ""
@@ -165,7 +166,7 @@ def _print(text: str, *, last: bool = False) -> None:
 
 @contextmanager
 def _before_compiling(dispatcher: Any, act: Callable[[], object]) -> Iterator[None]:
-    """Call `act` when `dispatcher` begins to be compiled, which it does not if it is in the cache."""
+    """Call `act` when numba starts to compile `dispatcher`, which it does not if the cache has it."""
     from numba.core import event  # noqa: PLC0415
 
     class Listener(event.Listener):  # type: ignore[misc]

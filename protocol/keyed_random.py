@@ -1,4 +1,4 @@
-"""Random numbers by purpose: never one shared stream, so that the order of events does not affect a draw."""
+"""Random generators keyed by seed and purpose, so that the order of events does not affect a draw."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 
 
 def keyed_random(seed: int, purpose: str, *numbers: int) -> np.random.Generator:
-    """Return the generator for one purpose, e.g. ``keyed_random(seed, "contention", step, exchange)``."""
+    """Return the generator of one purpose, e.g. ``keyed_random(seed, "contention", step, exchange)``."""
     text = ":".join([purpose, str(seed), *map(str, numbers)])
     key = np.frombuffer(hashlib.sha256(text.encode()).digest()[:16], "<u8")
     return np.random.Generator(np.random.Philox(_Key(key)))  # type: ignore[arg-type]
 
 
 class _Key(ISeedSequence):
-    """A key as it is: given as ``Philox(key=...)``, the system is asked for entropy that nobody uses."""
+    """A seed sequence that returns a given key; ``Philox(key=...)`` would also read entropy from the system."""
 
     def __init__(self, key: NDArray[np.uint64]) -> None:
         self._key = key
 
     def generate_state(self, n_words: int, dtype: Any = np.uint32) -> NDArray[np.uint64]:  # noqa: ARG002
-        """The words of the key, which are as many as a Philox generator wants."""
+        """Return the key: two numbers, as many as Philox asks for."""
         return self._key

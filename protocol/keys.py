@@ -1,8 +1,8 @@
-"""Key expressions: senders and receivers on the three planes.
+"""Key expressions of the bus: plane, direction, sender and receiver of a message.
 
-``murmur/<run>/<plane>/tx/<from>/...`` goes to the relay, ``murmur/<run>/<plane>/rx/<to>/<from>`` to its
-receiver. Every participant but the relay subscribes to one expression, everything with its own name after ``rx``;
-one expression is one queue, so messages from one sender arrive in order.
+``murmur/<run>/<plane>/tx/<from>/...`` goes to the relay, ``murmur/<run>/<plane>/rx/<to>/<from>`` to a receiver. Every
+participant except the relay subscribes to one expression: all keys with its own name after ``rx``. One expression is
+one queue, so messages from one sender arrive in order.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ ROUTER = "router@"
 
 
 def router(host: str) -> str:
-    """Name of the router through which a host's robots join; it says nothing itself."""
+    """Name of the router through which the robots of a host join; it sends no messages of its own."""
     return ROUTER + host
 
 
@@ -35,7 +35,7 @@ def router(host: str) -> str:
 def number(name: str) -> int:
     """Return the number of the robot called `name`; ValueError for any other name."""
     if not re.fullmatch("r(0|[1-9][0-9]{0,8})", name):
-        raise ValueError(f"{name!r} is not a robot's name, which is r and a number")
+        raise ValueError(f"{name!r} is not the name of a robot, such as r0")
     return int(name[1:])
 
 
@@ -50,7 +50,7 @@ def is_robot(name: str) -> bool:
 
 @dataclass(frozen=True)
 class Keys:
-    """The keys of one run, whose name is made of letters, digits, `-`, `_` and dots."""
+    """The keys of one run; its name consists of letters, digits, `-`, `_` and dots."""
 
     run: str
 
@@ -59,15 +59,15 @@ class Keys:
             raise ValueError(f"a run cannot be called {self.run!r}: use letters, digits, '-', '_' and '.'")
 
     def radio_tx(self, sender: str) -> str:
-        """The radio plane from `sender` to the relay: packets that are not yet on the air."""
+        """The radio plane from `sender` to the relay: frames to be sent."""
         return f"murmur/{self.run}/radio/tx/{sender}"
 
     def radio_rx(self, receiver: str, sender: str) -> str:
-        """The radio plane: what `receiver` hears."""
+        """The radio plane from the relay to `receiver`: frames that it receives."""
         return f"murmur/{self.run}/radio/rx/{receiver}/{sender}"
 
     def body(self, receiver: str, sender: str) -> str:
-        """A robot's own connection to its sensors and motors."""
+        """The body plane: between a robot and its sensors and motors, which the world simulates."""
         return f"murmur/{self.run}/body/rx/{receiver}/{sender}"
 
     def control(self, receiver: str, sender: str) -> str:
@@ -101,6 +101,6 @@ def parts(key: str) -> tuple[str, str, str, str]:
 
 
 def may_be_dropped(key: str) -> bool:
-    """Whether messages under a key may be dropped rather than waited for: those to a viewer."""
+    """Whether messages under a key are dropped when the network is congested: those to a viewer."""
     _, direction, receiver, _ = parts(key)
     return direction == "rx" and receiver == VIEW

@@ -1,4 +1,4 @@
-"""The bus within one process: queues, one a participant; and whose turn it is to read."""
+"""The bus within one process: one queue per participant, and the order in which participants read them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from protocol.keys import Keys
 
 
 class _Inbox:
-    """One participant's queue; `flag` is its bit among those who have mail."""
+    """Queue of one participant; `flag` is its bit in `MemoryHub.mail`."""
 
     __slots__ = ("flag", "here", "messages", "name")
 
@@ -24,30 +24,31 @@ class _Inbox:
 
 
 class MemoryHub:
-    """Where all ends of one run meet.
+    """The queues of all participants of one run.
 
     Parameters
     ----------
     order : sequence of str, optional
-        In which order participants take turns (`in_turn`); who is not in it comes behind, as they were first heard of.
+        Names of participants in the order in which `in_turn` yields them; other participants follow in the order in
+        which their names are first used.
     """
 
     def __init__(self, run: str, order: Sequence[str] = ()) -> None:
         self.keys = Keys(run)
         self.mail = 0
-        """Who has mail: a bit each."""
+        """Bit mask of the participants whose queue is not empty."""
         self._inboxes: dict[str, _Inbox] = {}
         self.owners: dict[str, _Inbox] = {}
-        """Whose inbox each key belongs to, of those that were used."""
+        """The inbox of each key that has been used."""
         self._names: list[str] = []
         for name in order:
             self._inbox(name)
 
     def join(self, name: str) -> MemoryBus:
-        """Open the end of `name`; the relay is told, of those that were here before it as well."""
+        """Open the end of `name` and report it to the relay; the relay also learns who joined before it."""
         inbox = self._inbox(name)
         if inbox.here:
-            raise ValueError(f"{name} is on the bus already")
+            raise ValueError(f"{name} is already on the bus")
         present = [other for other, each in self._inboxes.items() if each.here]
         inbox.here = True
         for other in present if name == names.RELAY else [name]:
@@ -55,14 +56,14 @@ class MemoryHub:
         return MemoryBus(self, inbox)
 
     def deliver(self, key: str, payload: bytes) -> None:
-        """Put a message into the inbox that its key belongs to, if its owner is here."""
+        """Append a message to the inbox of its key, if its owner has joined."""
         inbox = self.owners.get(key) or self._owner(key)
         if inbox.here:
             inbox.messages.append(_message((key, payload)))
             self.mail |= inbox.flag
 
     def leave(self, name: str) -> None:
-        """Close the end of `name` and tell the relay."""
+        """Close the end of `name` and report it to the relay."""
         inbox = self._inboxes[name]
         if inbox.here:
             inbox.here = False
@@ -72,15 +73,15 @@ class MemoryHub:
                 self.deliver(self.keys.presence(name), b"0")
 
     def nothing_for(self, inbox: _Inbox) -> None:
-        """Note that an inbox is empty; BusClosed when the relay has left."""
+        """Mark an inbox as empty; BusClosed if the relay has left."""
         self.mail &= ~inbox.flag
         if not self._inbox(names.RELAY).here:
             raise BusClosed(f"{inbox.name}: the relay has left")
 
     def in_turn(self) -> Iterator[str]:
-        """Who has mail, one after the other and each once, by the order of turns.
+        """Yield each participant with messages once, in the order of turns.
 
-        Who gets mail on the way is among them if its turn has not passed.
+        A participant that gets its first message meanwhile is included, unless its turn has passed.
         """
         turn = 0
         while waiting := self.mail >> turn:
@@ -95,14 +96,14 @@ class MemoryHub:
         return inbox
 
     def _owner(self, key: str) -> _Inbox:
-        """The inbox that a key belongs to."""
+        """Return the inbox of a key."""
         _, direction, owner, _ = names.parts(key)
         inbox = self.owners[key] = self._inbox(names.RELAY if direction == "tx" else owner)
         return inbox
 
 
 class MemoryBus:
-    """One participant's end of a `MemoryHub`. It never waits: if there is no message, others get their turn."""
+    """One participant's end of a `MemoryHub`. It never waits, because all participants share one thread."""
 
     def __init__(self, hub: MemoryHub, inbox: _Inbox) -> None:
         self._hub = hub
@@ -124,7 +125,7 @@ class MemoryBus:
             inbox.messages.append(_message((key, payload)))
 
     def receive(self, timeout_s: float | None = None) -> Message | None:  # noqa: ARG002
-        """Return the next message, or None when there is none now."""
+        """Return the next message, or None if there is none."""
         if self._messages:
             return self._messages.popleft()
         if self._closed:
@@ -143,4 +144,4 @@ class MemoryBus:
 
 
 _message = partial(tuple.__new__, Message)
-"""A message of a key and a payload: a named tuple's own way takes twice as long."""
+"""Make a message of (key, payload) in half the time of the named tuple's constructor."""

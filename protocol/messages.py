@@ -296,11 +296,13 @@ class End(Record, tag=11, frozen=True):
     first: RobotOrNone
 
 
-class Strike(Record, tag=22, frozen=True):
-    """A fault (`worldsim.faults`): laboratory to world, by way of the relay, to have it; world to laboratory: it has
-    come true; world to robot: it is killed.
+class FaultEvent(Record, tag=22, frozen=True, order=True):
+    """A fault of one robot (`worldsim.faults`). Recorder to world, by way of the relay: inject it.
 
-    `step`: at whose beginning; from the laboratory 0 means the next. `steps`: how long, 0 for good.
+    World to recorder: it has occurred. World to robot: end immediately.
+
+    `step`: the fault occurs at the start of this step; from the recorder, 0 means the next step. `kind`: one of
+    `worldsim.faults.KINDS`. `steps`: duration of a temporary fault, 0 if permanent.
     """
 
     step: Step
@@ -439,7 +441,7 @@ class Fault(Record, tag=18, frozen=True):
 
 _TYPES: tuple[type[Record], ...] = (
     Begin, Configure, Sense, Move, Positions, Open, PhaseDelivery, Said, Outcome, Close, Lost, End, Stop, Shutdown,
-    WorldReport, RobotStatus, RadioReport, Maps, Fault, Watched, Snapshot, Outlines, Strike, Back, Change, Heard,
+    WorldReport, RobotStatus, RadioReport, Maps, Fault, Watched, Snapshot, Outlines, FaultEvent, Back, Change, Heard,
 )  # fmt: skip
 _HEAD = {kind: 0x90 | len(kind.__struct_fields__) + 1 for kind in _TYPES}
 """The first byte of each message: a list of so many items."""

@@ -1,13 +1,13 @@
-"""A laser scan: the meaning of readings, and the binary form in which raw scans travel.
+"""Laser scans: readings, their binary form, and how a scan is drawn on a grid.
 
-A scan is taken at the centre of the robot's cell. Beam directions are fixed to the map's frame
-(`protocol.grid.ray_table`), so a scan is a cell and one reading per beam. A reading is a uint16: the number of cells
-that the beam crossed, plus the bit `HIT` if the next one stopped it. A beam without a reading (outside
-the field of view) is `NONE`. A teammate ends a beam without a hit, and its cell counts as crossed: robots
-recognise each other, and where one stands the floor is free.
+A scan is taken at the center of the robot's cell. Beam directions are fixed in the map's frame
+(`protocol.grid.ray_table`), so a scan consists of a cell and one reading per beam. A reading is a uint16: the number of
+cells that the beam crossed, plus the bit `HIT` if the next cell stopped it. `NONE` is a beam outside the field of view.
+A teammate ends a beam without a hit, and its cell counts as crossed: robots recognize each other, and the floor
+beneath a robot is free.
 
-On the air a scan is 2 * (beams + 2) bytes, big-endian: x, y, readings; 724 for 360 beams. It travels in
-fragments of at most 64 bytes (`protocol.packets.Fragment`), so that it can be cut and continued.
+The binary form has 2 * (beams + 2) bytes, big-endian: x, y, readings; 724 for 360 beams. It is sent in
+fragments of at most 64 bytes (`protocol.packets.Fragment`), which can be cut and resumed.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Readings = NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class Scan:
-    """One scan: the cell where it was taken, and uint16 readings of shape (beams,)."""
+    """One scan: the cell in which it was taken, and uint16 readings of shape (beams,)."""
 
     x: int
     y: int
@@ -41,7 +41,7 @@ class Scan:
 
 
 def scan_size(beams: int) -> int:
-    """Bytes of a scan on the air."""
+    """Return the bytes of a scan in its binary form."""
     return 2 * (beams + 2)
 
 
@@ -81,7 +81,7 @@ def check_readings(readings: Readings, ray_table: RayTable) -> None:
 
 @kernel("int64(uint16[::1], int32[::1])")
 def _first_too_long(readings: Readings, start: NDArray[np.int32]) -> int:
-    """Return the first beam whose reading has more cells than the beam; past the last if there is none."""
+    """Return the first beam whose reading has more cells than the beam; the number of beams if there is none."""
     for beam in range(len(readings)):
         reading = readings[beam]
         if reading != NONE and (reading & NONE) + (reading >> 15) > start[beam + 1] - start[beam]:
@@ -90,7 +90,7 @@ def _first_too_long(readings: Readings, start: NDArray[np.int32]) -> int:
 
 
 def fragments(data: bytes, most: int = Fragment.size) -> list[bytes]:
-    """Split a scan into the packets in which it travels, of `most` bytes at most."""
+    """Split the binary form of a scan into `Fragment` packets of at most `most` bytes."""
     size = FRAGMENT_DATA if most >= Fragment.size else most - SHORT_HEAD
     pieces = (data[at : at + size] for at in range(0, len(data), size))
     return [encode([Fragment(piece)]) for piece in pieces]
@@ -116,13 +116,11 @@ _NO_CELLS = np.empty((0, 2), np.int32)
 def draw(
     grid: Grid, ray_table: RayTable, x: int, y: int, readings: Readings, driven: NDArray[np.int32] = _NO_CELLS
 ) -> Change:
-    """Draw a scan taken in cell (x, y) of a grid: cells crossed are free, the next one is occupied if it was hit.
+    """Draw a scan taken in cell (x, y) on a grid, in place: crossed cells become free, cells that were hit occupied.
 
-    So are cells (x, y) that the robot has `driven` over, int32 of shape (n, 2).
-
-    The readings must be such as the beams can give (`check_readings`). Only unknown cells change: lasers of
-    one world do not contradict each other. The robot's own cell is free; what lies beyond the rim falls away, and so
-    does a scan that was taken there.
+    The robot's cell and the cells that it has `driven` over, int32 of shape (n, 2), become free as well. Only unknown
+    cells change, because the lasers of one world do not contradict each other. Cells outside the grid are ignored, as
+    is a scan taken there. The readings must be valid (`check_readings`).
     """
     out = np.empty(5, np.int32)
     _draw(
@@ -157,7 +155,7 @@ def _draw(
     driven: NDArray[np.int32],
     out: NDArray[np.int32],
 ) -> None:
-    # Unsigned, a cell beyond the left or upper border is a very large number, and indexing is twice as fast.
+    # As an unsigned number, a cell beyond the left or upper border is very large; and indexing is twice as fast.
     height, width = np.uint64(grid.shape[0]), np.uint64(grid.shape[1])
     lying = grid.reshape(grid.size)
     here = y * grid.shape[1] + x
@@ -183,13 +181,13 @@ def _draw(
         first = np.uint64(start[beam])
         hit = first + np.uint64(reading & NONE)
         end = hit + np.uint64(reading >> 15)
-        # A walk never turns back: it stays on the grid if it ends there.
+        # A beam never turns back: if its last cell is on the grid, all are.
         while end > first:
             last = end - np.uint64(1)
             if np.uint64(x + cells[last, 0]) < width and np.uint64(y + cells[last, 1]) < height:
                 break
             end = last
-        # What this beam has in common with the one before it, and that one has touched, is known by now.
+        # The cells shared with the beam before, as far as that beam reached, are drawn already.
         before, touched = touched, end - first
         known = min(np.uint64(shared[beam]), before, touched)
         for at in range(first + known, end):

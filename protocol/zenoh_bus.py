@@ -1,8 +1,8 @@
-"""The bus between processes and hosts: Eclipse Zenoh, one hub, all others are clients with a credential.
+"""The bus between processes and hosts: Eclipse Zenoh with one hub; all other participants are clients.
 
 The hub is the relay's own session: it routes what its access control allows (`netshaper.access`) and nothing
-else. A session has one subscription, read in the main loop. A thread ticks four times a second, so that
-waits can time out and a client notices that its hub is gone.
+else. A session has one subscription, read in the main loop. A thread sends a tick to it four times a second, so
+that waits can time out and a client detects the loss of its hub.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from protocol.bus import BusClosed, Message
 from protocol.keys import Keys
 
 # One executor for most of zenoh's tasks is faster. Sending keeps its own: on a single executor, a hub that routes
-# to a client which has just been killed deadlocks (`send_along` is for those who route nothing). Read when zenoh first
-# opens.
+# to a client which has just been killed deadlocks (`send_along` is for processes that route nothing). Zenoh reads this
+# when the first session opens.
 os.environ["ZENOH_RUNTIME"] = "(rx: (handover: app), acc: (handover: app), net: (handover: app))"
 import zenoh
 
 TICK_S = 0.25
 QUEUE = 1 << 16
 CONNECT_S = 10.0
-LOOK_S = 0.002
-LEASE_MS, SILENT_MS = 10_000, 100
+POLL_S = 0.002
+LEASE_MS, KEEP_ALIVE_MS = 10_000, 100
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """A participant of a run over mutual TLS, in PEM: the run's authority, its own certificate, its private key."""
+    """Certificates for mutual TLS, in PEM: of the run's authority and of the participant, with its private key."""
 
     authority: str
     certificate: str
@@ -45,7 +45,7 @@ class Certificate:
 
 @dataclass(frozen=True)
 class Credential:
-    """What a process needs to join a run: the hub's address, its own name, and its password or certificate.
+    """Data for joining a run: address of the hub, name of the participant, its password or certificate.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Credential:
 
     @classmethod
     def read(cls, path: Path) -> Credential:
-        """Read a credential file; ValueError says what is wrong with it."""
+        """Read a credential file; ValueError if it is unreadable or malformed."""
         try:
             text = path.read_text(encoding="utf-8")
         except OSError as error:
@@ -79,7 +79,7 @@ class Credential:
 
     @classmethod
     def parse(cls, text: str, where: str = "credential") -> Credential:
-        """Read a credential from JSON; ValueError says what is wrong with it, and `where` it came from."""
+        """Read a credential from JSON; ValueError, whose text starts with `where`, if it is malformed."""
         try:
             data = json.loads(text)
         except (ValueError, RecursionError) as error:
@@ -133,9 +133,9 @@ class ZenohBus:
         self._ticker.start()
 
     def put(self, key: str, payload: bytes) -> None:
-        """Send `payload` to all who listen to `key`; waits while the network is congested.
+        """Send `payload` to the participant whose inbox contains `key`; wait while the network is congested.
 
-        A viewer is not waited for (`protocol.keys.may_be_dropped`).
+        Messages to a viewer are dropped instead (`protocol.keys.may_be_dropped`).
         """
         if self._closing.is_set():
             raise BusClosed(f"{self._name}: this end of the bus is closed")
@@ -148,7 +148,7 @@ class ZenohBus:
         publisher.put(payload)
 
     def receive(self, timeout_s: float | None = None) -> Message | None:
-        """Wait for the next message, about `timeout_s` seconds at most; see `protocol.bus.Bus`."""
+        """Wait for the next message, at most `timeout_s` seconds plus one tick; see `protocol.bus.Bus`."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         while True:
             if self._closing.is_set():
@@ -178,10 +178,12 @@ class ZenohBus:
             self._session.close()  # type: ignore[no-untyped-call]
 
     def _report_presence(self, sample: zenoh.Sample) -> None:
-        """Turn a liveliness change into a message, so that one queue has everything (runs on zenoh's thread)."""
+        """Put a liveliness change into the inbox as a message (runs on a thread of zenoh)."""
         if not self._closing.is_set():
-            who = str(sample.key_expr).rsplit("/", 1)[-1]
-            self._session.put(self._keys.presence(who), b"1" if sample.kind == zenoh.SampleKind.PUT else b"0")
+            name = str(sample.key_expr).rsplit("/", 1)[-1]
+            self._session.put(
+                self._keys.presence(name), b"1" if sample.kind == zenoh.SampleKind.PUT else b"0"
+            )
 
     def _tick(self) -> None:
         missing = 0
@@ -200,32 +202,34 @@ def join(credential: Credential) -> ZenohBus:
         The hub does not answer, or refuses the credential.
     """
     session, keys = open_connected(plain_config("client"), credential), Keys(credential.run)
-    if names.is_robot(credential.name) and not _hears(session, keys.control_tx(credential.name)):
+    if names.is_robot(credential.name) and not _reaches_relay(session, keys.control_tx(credential.name)):
         session.close()  # type: ignore[no-untyped-call]
-        raise ConnectionError(f"{credential.name}: nobody listens at {credential.hub} within {CONNECT_S:g} s")
+        raise ConnectionError(
+            f"{credential.name}: timed out: no relay at {credential.hub} within {CONNECT_S:g} s"
+        )
     return ZenohBus(session, keys, credential.name)
 
 
-def _hears(session: zenoh.Session, key: str) -> bool:
-    """Wait until it is known here that the relay listens to `key`.
+def _reaches_relay(session: zenoh.Session, key: str) -> bool:
+    """Wait until this session knows that the relay subscribes to `key`; return whether it does.
 
-    A router and the hub find their ways to each other one after the other, and each drops what it has no way for.
-    That the relay listens is told on the way here, and that a robot is there on the way back: if the latter is said
-    after the former, both are found once it is heard.
+    A router and the hub set up their routes to each other one after the other, and each drops messages without a
+    route. The relay's subscription arrives here over one direction. The robot's liveliness token, which is declared
+    afterwards, goes back over the other: when the relay sees it, both routes exist.
     """
     deadline = time.monotonic() + CONNECT_S
     publisher: Any = session.declare_publisher(key)
     while not (matches := bool(publisher.matching_status.matching)) and time.monotonic() < deadline:
-        time.sleep(LOOK_S)
+        time.sleep(POLL_S)
     publisher.undeclare()
     return matches
 
 
 def open_connected(config: zenoh.Config, credential: Credential) -> zenoh.Session:
-    """Open a session that shows `credential` to the hub; ConnectionError if that is not there, or refuses it."""
+    """Open a session with `credential`; ConnectionError if the hub does not answer, or refuses the credential."""
     hub = credential.hub
     if credential.certificate is not None:
-        # Over TLS, zenoh takes all before the port for the server's name, and no name has brackets.
+        # Over TLS, zenoh takes the text before the port for the server's name, which must not have brackets.
         hub = hub.replace("[", "").replace("]", "")
     insert(config, "connect/endpoints", [hub])
     insert(config, "connect/timeout_ms", int(1000 * CONNECT_S))
@@ -245,17 +249,17 @@ def open_connected(config: zenoh.Config, credential: Credential) -> zenoh.Sessio
     except zenoh.ZError:
         shown = "password" if credential.certificate is None else "certificate"
         raise ConnectionError(
-            f"{credential.name}: no hub let us in at {credential.hub} within {CONNECT_S:g} s: it is not there, "
-            f"or the {shown} is not of its run ({credential.run})"
+            f"{credential.name}: cannot join at {credential.hub} within {CONNECT_S:g} s: no hub answers, "
+            f"or the {shown} is not valid for its run ({credential.run})"
         ) from None
 
 
 def plain_config(mode: str) -> zenoh.Config:
-    """A configuration without discovery: a session contacts only the addresses that it is given.
+    """Return a configuration without discovery: the session contacts only the addresses that it is given.
 
-    Shared memory is off: with it, messages larger than 3 kB would bypass the network, where they cannot be seen or
-    counted, and a killed process would leave its segment behind. Priorities are off: with them, that somebody leaves
-    would overtake what was put before.
+    Shared memory is off: with it, messages larger than 3 kB would bypass the network and its byte counts, and a
+    killed process would leave its segment behind. Priorities are off: with them, the notice that a participant left
+    would overtake its last messages.
     """
     config = zenoh.Config()
     insert(config, "mode", mode)
@@ -268,29 +272,29 @@ def plain_config(mode: str) -> zenoh.Config:
 
 
 def use_tls(config: zenoh.Config, certificate: Certificate, side: str) -> None:
-    """Have a session show a certificate, and ask for one, on the side that is to ``listen`` or to ``connect``.
+    """Configure mutual TLS for the side that is to ``listen`` or to ``connect``.
 
-    What TLS could not hand to a full socket it keeps until something else is sent. So a link that is silent says that
-    it is there ten times a second: else the end of a long message waits for seconds.
+    TLS keeps the bytes that a full socket does not take until more is sent. Keep-alive messages ten times a second
+    flush them; otherwise the end of a long message could wait for seconds.
     """
     insert(config, "transport/link/tls", mutual_tls(certificate, side))
     insert(config, "transport/link/tx/lease", LEASE_MS)
-    insert(config, "transport/link/tx/keep_alive", LEASE_MS // SILENT_MS)
+    insert(config, "transport/link/tx/keep_alive", LEASE_MS // KEEP_ALIVE_MS)
 
 
 def receive_apart() -> None:
-    """Give what comes in an executor of its own, in a process that is to route over links between hosts.
+    """Receive on a separate executor, in a process that routes over links between hosts.
 
-    Whoever routes to a slow link waits for it, and must not hold up the executor that tells it when it may go on. To be
-    called before zenoh first opens.
+    Routing to a slow link blocks its executor, which must not be the one that receives the link's acknowledgments.
+    Call this before the first session opens.
     """
     os.environ["ZENOH_RUNTIME"] = "(acc: (handover: app), net: (handover: app))"
 
 
 def send_along() -> None:
-    """Let what is sent share the executor of what comes in, in a process that is a client on this host and no more.
+    """Send and receive on one executor, in a process that is only a client on this host.
 
-    It routes nothing, so that nobody there waits for a link but who puts. To be called before zenoh first opens.
+    It routes nothing, so only its own `put` waits for a link. Call this before the first session opens.
     """
     os.environ["ZENOH_RUNTIME"] = (
         "(rx: (handover: app), acc: (handover: app), tx: (handover: app), net: (handover: app))"
@@ -298,7 +302,7 @@ def send_along() -> None:
 
 
 def mutual_tls(certificate: Certificate, side: str) -> dict[str, object]:
-    """Zenoh's settings of mutual TLS for the side that is to ``listen`` or to ``connect``; nothing goes by files."""
+    """Return zenoh's settings of mutual TLS for one side, with the certificates as text instead of files."""
     texts = {
         "root_ca_certificate": certificate.authority,
         f"{side}_certificate": certificate.certificate,

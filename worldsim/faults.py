@@ -1,64 +1,44 @@
-"""Faults: what befalls robots, and when, as data (docs/reliability.md).
+"""Kinds of robot faults, and checks of a schedule of them (docs/reliability.md). `FaultEvent` is one fault.
 
-death     it breaks down, hands in its maps, and its body is taken away
-kill      its process is killed, with all that it knows; its body is taken away
-restart   it begins anew, with its journal only, where it was killed; one that lives is killed before
-stop      it stands still, senses, hears and says nothing; then goes on as if nothing had been
-mute      its radio cannot send
-deaf      its radio cannot hear
+death     the robot breaks down and hands in its maps; the world removes it
+kill      the robot's process is killed and loses its state; the world removes it
+restart   the robot starts again where it was killed, with its journal only; a running robot is killed first
+stop      the robot neither moves nor senses, sends or receives for some steps; then it continues
+mute      the robot's radio cannot send
+deaf      the robot's radio cannot receive
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+
+from protocol.messages import FaultEvent
 
 KINDS = ("death", "kill", "restart", "stop", "mute", "deaf")
 
-LASTING = ("stop", "mute", "deaf")
-"""Those that may pass."""
+TEMPORARY = ("stop", "mute", "deaf")
+"""Kinds of fault that may end by themselves."""
 
 
-@dataclass(frozen=True, order=True)
-class Fault:
-    """One fault.
-
-    Attributes
-    ----------
-    step : int
-        At whose beginning it comes.
-    robot : int
-    kind : str
-        One of `KINDS`.
-    steps : int
-        How many steps it lasts, for those that are `LASTING`; 0: for good.
-    """
-
-    step: int
-    robot: int
-    kind: str
-    steps: int = 0
-
-
-def check(faults: Iterable[Fault], robots: int) -> None:
-    """Raise ValueError if a fault befalls a robot that does not exist, or is not there to have it."""
+def check(faults: Iterable[FaultEvent], robots: int) -> None:
+    """Raise ValueError if a fault names an unknown robot or kind, or a robot that is gone by then."""
     gone: dict[int, str] = {}
-    last: dict[int, Fault] = {}
+    last: dict[int, FaultEvent] = {}
     for fault in sorted(faults):
         where = f"fault at step {fault.step}: {fault.kind} of robot {fault.robot}"
         if not 0 <= fault.robot < robots:
             raise ValueError(f"{where}: the last robot is {robots - 1}")
         if fault.kind not in KINDS:
-            raise ValueError(f"{where}: there are: {', '.join(KINDS)}")
-        if fault.steps and fault.kind not in LASTING:
-            raise ValueError(f"{where}: steps = {fault.steps}, but only {', '.join(LASTING)} may pass")
+            raise ValueError(f"{where}: kind must be one of {', '.join(KINDS)}")
+        if fault.steps and fault.kind not in TEMPORARY:
+            raise ValueError(f"{where}: steps = {fault.steps}, but only {', '.join(TEMPORARY)} are temporary")
         before = last.get(fault.robot)
         if (
             before is not None
             and before.step == fault.step
             and not {before.kind, fault.kind} & {"mute", "deaf"}
         ):
-            raise ValueError(f"{where}: {before.kind} befalls it in the same step")
+            raise ValueError(f"{where}: it has {before.kind} in the same step")
         if fault.kind in ("mute", "deaf"):
             continue
         last[fault.robot] = fault
@@ -71,13 +51,13 @@ def check(faults: Iterable[Fault], robots: int) -> None:
             gone.pop(fault.robot, None)
 
 
-def deafen(faults: Iterable[Fault]) -> bool:
-    """Whether a robot may go deaf: those who broadcast cannot notice."""
+def deafen(faults: Iterable[FaultEvent]) -> bool:
+    """Return whether some robot may become deaf. Senders of broadcasts cannot notice that without acknowledgments."""
     return any(fault.kind == "deaf" for fault in faults)
 
 
-def incarnations(faults: Iterable[Fault]) -> int:
-    """How often a robot begins, at most: once, and once more with each restart."""
+def incarnations(faults: Iterable[FaultEvent]) -> int:
+    """Return how often a robot may start at most: once, and once more for each of its restarts."""
     counts: dict[int, int] = {}
     for fault in faults:
         if fault.kind == "restart":

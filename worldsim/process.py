@@ -18,20 +18,20 @@ from protocol.messages import (
     Begin,
     Close,
     End,
+    FaultEvent,
     Lost,
     Move,
     Positions,
     Record,
     Shutdown,
     Stop,
-    Strike,
     Watched,
     WorldReport,
     pack,
 )
 from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_ERRORS
 from worldsim.continuous_motion import FINE
-from worldsim.faults import KINDS, Fault
+from worldsim.faults import KINDS
 from worldsim.world import World
 
 EXPLORED, OUT_OF_STEPS, ALL_LOST = "explored", "out of steps", "all robots are lost"
@@ -144,8 +144,8 @@ class WorldNode:
             self._gone.discard(said.robot)
             self._coming.discard(said.robot)
             self._restart()
-        elif isinstance(said, Strike):
-            self._add(said)
+        elif isinstance(said, FaultEvent):
+            self._schedule(said)
         elif isinstance(said, Stop):
             self._stop = said.reason
             if self._running and self._restarting:
@@ -194,8 +194,8 @@ class WorldNode:
         self._wait()
         self._closed = False
         self._protocol_errors.clear()
-        for fault in self._world.strikes():
-            self._strike(fault)
+        for fault in self._world.due_faults():
+            self._apply(fault)
         self._held = dict(moves)
         if self._world.hopeless():
             self._restarting |= self._coming  # there is nobody else
@@ -204,21 +204,19 @@ class WorldNode:
         else:
             self._advance()
 
-    def _add(self, strike: Strike) -> None:
-        """Have a fault that was thought of during the run."""
+    def _schedule(self, event: FaultEvent) -> None:
+        """Schedule a fault that was requested during the run; one without a step occurs in the next."""
         world = self._world
-        known = strike.kind in KINDS and 0 <= strike.robot < len(self._to) and strike.steps >= 0
+        known = event.kind in KINDS and event.robot < len(self._to)
         if not known:
-            self._report(messages.Fault(names.RECORDER, f"{strike} is no fault of a robot of this run"))
-        elif strike.kind == "restart" and not self._left[strike.robot]:
-            self._report(
-                messages.Fault(names.RECORDER, f"robot {strike.robot} cannot begin once more in this run")
-            )
+            self._report(messages.Fault(names.RECORDER, f"not a fault of a robot of this run: {event}"))
+        elif event.kind == "restart" and not self._left[event.robot]:
+            self._report(messages.Fault(names.RECORDER, f"robot {event.robot} cannot be restarted again"))
         else:
-            fault = Fault(max(strike.step, world.step + 1), strike.robot, strike.kind, strike.steps)
+            fault = FaultEvent(max(event.step, world.step + 1), event.robot, event.kind, event.steps)
             world.faults = sorted([*world.faults, fault])
 
-    def _strike(self, fault: Fault) -> None:
+    def _apply(self, fault: FaultEvent) -> None:
         """Have a fault come true, and report it; a robot that is gone is past it."""
         robot, here = fault.robot, fault.robot in self._world.cells
         step = self._world.step + 1
@@ -226,12 +224,12 @@ class WorldNode:
             self._restarting.add(robot)
             self._left[robot] -= 1
         if here and fault.kind in ("kill", "restart"):
-            killed = Strike(step, robot, "kill")
+            killed = FaultEvent(step, robot, "kill")
             self._report(killed)
             self._tell(robot, killed)
             self._lose(robot)
         elif here and fault.kind != "restart":
-            self._report(Strike(step, robot, fault.kind, fault.steps))
+            self._report(FaultEvent(step, robot, fault.kind, fault.steps))
         if here and fault.kind == "death":
             self._tell(robot, End(self._world.step, "broken down, as the scenario has it", -1))
             self._lose(robot)
@@ -246,7 +244,7 @@ class WorldNode:
             self._left[robot] -= 1
             self._gone.discard(robot)
             self._coming.add(robot)
-            self._report(Strike(self._world.step, robot, "restart"))
+            self._report(FaultEvent(self._world.step, robot, "restart"))
         self._restart()
 
     def _lose(self, robot: int) -> None:
@@ -258,7 +256,7 @@ class WorldNode:
         """Have those started that are to come back, once they have ended; go on when all are here."""
         for robot in sorted(self._restarting & self._gone):
             self._gone.discard(robot)
-            self._report(Strike(self._world.step + 1, robot, "restart"))
+            self._report(FaultEvent(self._world.step + 1, robot, "restart"))
         if self._running and self._restarting and self._restarting <= self._back:
             self._restarting.clear()
             self._advance()

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.grid import FREE, Grid, areas
+from protocol.grid import FREE, Grid
 from protocol.keyed_random import keyed_random
 
 Cell = tuple[int, int]
@@ -34,7 +34,7 @@ def start_cells(
     chosen = list(given[:robots])
     if len(chosen) == robots:
         return chosen
-    labels, parts = areas(truth == FREE)
+    labels, parts = _parts(truth)
     if not parts:
         raise ValueError("no cell is free for robots of that radius")
     if first is None:
@@ -88,7 +88,7 @@ def moved_about(
         `cell` is not free, or no cell near it is far enough from the others.
     """
     check_free(truth, cell)
-    labels, _ = areas(truth == FREE)
+    labels, _ = _parts(truth)
     ys, xs = np.nonzero(labels == labels[cell[1], cell[0]])
     near = (xs - cell[0]) ** 2 + (ys - cell[1]) ** 2 <= most * most
     for x, y in others:

@@ -11,14 +11,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.grid import FREE, Grid, areas, disc, enlarge, ray_table
+from protocol.grid import FREE, Grid, disc, enlarge, ray_table
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
-from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes, points_from_bytes
+from protocol.messages import FaultEvent, Move, Sense, cells_from_bytes, cells_to_bytes, points_from_bytes
 from protocol.scans import NONE, draw
 from worldsim.cell_motion import DIAGONAL, INTERFERENCE, NOT_BLOCKED, drive, heading_of, swept
 from worldsim.continuous_motion import FINE, cell_of, glide
-from worldsim.faults import Fault
 from worldsim.laser import FULL_TURN, HEADINGS, cast
 
 MOVES_AS_PLANNED = 0.7
@@ -64,8 +63,8 @@ class WorldSettings:
         Laser beams a full turn.
     interference_cells : float
         Robots nearer to each other than this hinder each other (0: never).
-    faults : tuple of Fault
-        What befalls robots, as the scenario specifies.
+    faults : tuple of FaultEvent
+        Scheduled faults, from the scenario.
     ends_with_all : bool
         Whether the run ends when all robots report that they are done, not when the first does.
     cell_steps : bool
@@ -80,7 +79,7 @@ class WorldSettings:
     beams: int = 360
     seed: int = 0
     interference_cells: float = 0.0
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[FaultEvent, ...] = ()
     ends_with_all: bool = False
     cell_steps: bool = False
     solid: bool = True
@@ -118,9 +117,9 @@ class World:
         self._counted = np.zeros(truth.shape, np.bool_)
         self._taken = np.zeros(truth.shape, np.bool_)
         self.faults = sorted(settings.faults)
-        """What is still to come, by step."""
+        """Faults that have not occurred yet, by step."""
         self.active_faults: dict[str, dict[int, float]] = {"stop": {}, "mute": {}, "deaf": {}}
-        """By kind of fault, the robots that have it, and the step in which they are well again."""
+        """By kind of temporary fault: the affected robots, each with the step in which it recovers."""
         self._fell = dict(self.cells)
         """Where robots that are gone were last."""
         self._widest = max((body.radius_cells for body in settings.bodies), default=0.0)
@@ -148,8 +147,8 @@ class World:
         self.offsets[robot] = 0, 0
         self._carry[robot] = 0.0
 
-    def strikes(self) -> list[Fault]:
-        """The faults that come with the next step, in order; those that pass are noted, and end by themselves."""
+    def due_faults(self) -> list[FaultEvent]:
+        """Remove and return the faults of the next step, in order, and update `active_faults`."""
         now = self.step + 1
         due = [fault for fault in self.faults if fault.step <= now]
         self.faults = [fault for fault in self.faults if fault.step > now]
@@ -372,7 +371,9 @@ def reachable_by(truth: Grid, start: tuple[int, int], radius_cells: float) -> ND
 
 def reachable_from(truth: Grid, start: tuple[int, int]) -> NDArray[np.bool_]:
     """Free cells that a robot can reach from `start`: without cutting corners, this is its 4-connected component."""
-    labels, _ = areas(truth == FREE)
+    from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
+
+    labels, _ = ndimage.label(truth == FREE)
     found: NDArray[np.bool_] = labels == labels[start[1], start[0]]
     found &= truth == FREE
     return found

@@ -25,13 +25,13 @@ from protocol.messages import (
     Configure,
     End,
     Fault,
+    FaultEvent,
     Lost,
     Maps,
     RadioReport,
     RobotStatus,
     Shutdown,
     Stop,
-    Strike,
     WorldReport,
     pack,
 )
@@ -54,8 +54,8 @@ class Records:
     planning: dict[int, Grid] = field(default_factory=dict)
     lost: dict[int, str] = field(default_factory=dict)
     """Robots that died unexpectedly, and how."""
-    strikes: list[Strike] = field(default_factory=list)
-    """The faults that came true, as they were asked for (`worldsim.faults`)."""
+    fault_events: list[FaultEvent] = field(default_factory=list)
+    """Scheduled and requested faults that have occurred, in order."""
     changes: list[Change] = field(default_factory=list)
     """When budget and range of the radio became others."""
     killed: set[int] = field(default_factory=set)
@@ -91,7 +91,9 @@ class Records:
     @property
     def has_all_grids(self) -> bool:
         """Whether what every robot has seen is among the grids: no life has ended without handing them in."""
-        return not (self.lost or self.returned or {s.kind for s in self.strikes} & {"kill", "restart"})
+        return not (
+            self.lost or self.returned or {event.kind for event in self.fault_events} & {"kill", "restart"}
+        )
 
     def note_protocol_error(self, who: str, what: str) -> None:
         """Record that `who` said what made no sense."""
@@ -121,7 +123,7 @@ class RecorderNode:
         shape: tuple[int, int],
         capture: BinaryIO | None = None,
         meter: Meter | None = None,
-        obey: Callable[[Strike], object] = lambda _: None,
+        obey: Callable[[FaultEvent], object] = lambda _: None,
     ) -> None:
         self.done = False
         self.records = Records(robots)
@@ -174,8 +176,8 @@ class RecorderNode:
         elif isinstance(said, Back):
             if records.lost.pop(said.robot, None) is not None:
                 records.returned.append((records.step, said.robot))
-        elif isinstance(said, Strike):
-            self._take_strike(said)
+        elif isinstance(said, FaultEvent):
+            self._record_fault_event(said)
         elif isinstance(said, Change):
             records.changes.append(said)
         elif isinstance(said, Fault):
@@ -223,17 +225,17 @@ class RecorderNode:
             raise ProtocolError("message", 0, f"there is no robot {number}")
         return number
 
-    def _take_strike(self, strike: Strike) -> None:
+    def _record_fault_event(self, event: FaultEvent) -> None:
         """A fault has come true; a restart of who was not killed as asked for is of one who was lost unasked."""
-        records, robot = self.records, strike.robot
-        if strike.kind == "kill":
+        records, robot = self.records, event.robot
+        if event.kind == "kill":
             records.killed.add(robot)
             records.lost.pop(robot, None)
-        elif strike.kind == "restart":
+        elif event.kind == "restart":
             records.killed.discard(robot)
-        if strike.kind != "restart" or robot not in records.lost:
-            records.strikes.append(strike)
-        self._obey(strike)
+        if event.kind != "restart" or robot not in records.lost:
+            records.fault_events.append(event)
+        self._obey(event)
 
     def missing(self) -> list[int]:
         """Robots whose maps have not been handed in."""
@@ -248,17 +250,13 @@ class RecorderNode:
                 self.records.lost[robot] = "it did not hand in its maps"
         self.shut_down()
 
-    def ask(self, wish: Strike | Change) -> None:
+    def ask(self, wish: FaultEvent | Change) -> None:
         """Ask for something that the scenario does not have: with the next step."""
         self._bus.put(self._keys.control_tx(names.RECORDER), pack(wish))
 
     def stop(self, reason: str) -> None:
         """Ask the world to end after this step."""
         self._bus.put(self._keys.control_tx(names.RECORDER), pack(Stop(reason)))
-
-    def strike(self, robot: int, kind: str, steps: int = 0) -> None:
-        """Have a fault befall a robot at the beginning of the next step (`worldsim.faults`)."""
-        self._bus.put(self._keys.control_tx(names.RECORDER), pack(Strike(0, robot, kind, steps)))
 
     def read_meter(self) -> None:
         """Record the bytes that the bus has moved so far."""

@@ -14,7 +14,7 @@ from deploy.run.gate import Gate
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario
 from deploy.scenario.tables import ChangeTable, FaultTable
-from protocol.messages import Change, Strike
+from protocol.messages import Change, FaultEvent
 from worldsim.pace import SLOWEST
 
 
@@ -32,7 +32,7 @@ class Control:
         self._credit = values.Value("q", -1)
         """Steps that may be opened; -1: any number."""
         self._period = values.Value("d", 1 / pace if pace else 0.0)
-        self._wishes: queue.SimpleQueue[Strike | Change] = queue.SimpleQueue()
+        self._wishes: queue.SimpleQueue[FaultEvent | Change] = queue.SimpleQueue()
         self._scenario: Scenario | None = None
         self._diagonal_m = 0.0
         self._may_kill = True
@@ -95,11 +95,11 @@ class Control:
         return self._scenario
 
 
-def kill(scenario: Scenario, robot: int) -> Strike:
+def kill(scenario: Scenario, robot: int) -> FaultEvent:
     """The wish that a robot be killed; ValueError if there is no such robot."""
     if not 0 <= robot < scenario.robots:
         raise ValueError(f"kill: there is no robot {robot}; the last one is {scenario.robots - 1}")
-    return Strike(0, robot, "kill")
+    return FaultEvent(0, robot, "kill")
 
 
 def change(
@@ -116,9 +116,9 @@ def as_it_went(plan: Plan, records: Records) -> Plan:
     scenario = plan.scenario
     known = {(fault.step, fault.robot) for fault in scenario.faults if fault.kind in ("kill", "restart")}
     kills = [
-        FaultTable(step=strike.step, robot=strike.robot, kind="kill")
-        for strike in records.strikes
-        if strike.kind == "kill" and (strike.step, strike.robot) not in known
+        FaultTable(step=event.step, robot=event.robot, kind="kill")
+        for event in records.fault_events
+        if event.kind == "kill" and (event.step, event.robot) not in known
     ]
     had = {(each.step, each.budget, each.range_mm) for each in plan.radio.changes}
     changes = [

@@ -17,7 +17,7 @@ from netshaper.process import RelayNode
 from protocol import keys as names
 from protocol.bus import Bus, BusClosed, Message
 from protocol.memory_bus import MemoryHub
-from protocol.messages import Change, Strike
+from protocol.messages import Change, FaultEvent
 from worldsim.process import WorldNode
 
 
@@ -119,7 +119,7 @@ class MemoryRun:
         """What the laboratory has been told so far."""
         return self._lab.records
 
-    def ask(self, wish: Strike | Change) -> None:
+    def ask(self, wish: FaultEvent | Change) -> None:
         """Ask for something that the scenario does not have."""
         self._lab.ask(wish)
 
@@ -234,9 +234,9 @@ def run(
     return under_way.records
 
 
-def _noting(due: list[int]) -> Callable[[Strike], object]:
+def _noting(due: list[int]) -> Callable[[FaultEvent], object]:
     """Note who is to come back. It knows no more of the run, which is gone when its last user is."""
-    return lambda strike: due.append(strike.robot) if strike.kind == "restart" else None
+    return lambda event: due.append(event.robot) if event.kind == "restart" else None
 
 
 def _next(bus: Bus) -> Message | None:

@@ -39,7 +39,7 @@ from netshaper.process import ENDED
 from protocol import keys as names
 from protocol.bus import Bus, BusClosed
 from protocol.keys import Keys
-from protocol.messages import Strike
+from protocol.messages import FaultEvent
 from protocol.zenoh_bus import join
 
 POLL_S = 0.25
@@ -166,13 +166,13 @@ def run(
                 journal = journals / journal_name(number) if plan.incarnations > 1 else None
                 table[name] = (serve_agent, credentials[name], journal, wrap)
 
-        def obey(strike: Strike) -> None:
-            name = names.robot(strike.robot)
-            if strike.kind == "restart":
+        def obey(event: FaultEvent) -> None:
+            name = names.robot(event.robot)
+            if event.kind == "restart":
                 processes.give_up(name)
-            if strike.kind in ("kill", "restart"):
+            if event.kind in ("kill", "restart"):
                 processes.excuse(name)
-            if strike.kind == "restart":
+            if event.kind == "restart":
                 serve, *args = table[name]
                 processes.start(name, serve, *args)
 
@@ -211,7 +211,7 @@ def _attend(
     heed: Heed,
     watch: Callable[[Records], object] | None,
     capture: BinaryIO | None,
-    obey: Callable[[Strike], object],
+    obey: Callable[[FaultEvent], object],
     wrap: Wrap | None,
 ) -> Outcome:
     """Serve as the laboratory until the run is over."""

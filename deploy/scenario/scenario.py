@@ -20,7 +20,6 @@ from deploy.scenario.tables import (
     UNLIMITED,
     Bandwidth,
     ChangeTable,
-    Death,
     Degrees,
     FaultTable,
     Meters,
@@ -36,10 +35,9 @@ from netshaper.presets import PRESETS
 from netshaper.radio_options import Partition, RadioOptions
 from protocol.errors import there_are
 from protocol.grid import MAX_ROBOTS
-from protocol.messages import Change
+from protocol.messages import Change, FaultEvent
 from protocol.packets import MAX_GOSSIP_MAPS, MAX_MAPS
 from worldsim import faults
-from worldsim.faults import Fault
 
 SHIPPED = Path(__file__).with_name("shipped")
 """Scenarios that are installed with the code; they can be given by name instead of a path."""
@@ -137,8 +135,9 @@ class Scenario(Table):
         description="part of the area that must have been seen for a run to count as finished",
     )
     robot: tuple[RobotOverride, ...] = Field((), description="robots with different hardware")
-    death: tuple[Death, ...] = Field((), description="robots that break down")
-    fault: tuple[FaultTable, ...] = Field((), description="what befalls robots, and when")
+    fault: tuple[FaultTable, ...] = Field(
+        (), description="faults of robots: breakdowns, restarts, radio failures"
+    )
     change: tuple[ChangeTable, ...] = Field(
         (), description="when the radio's bandwidth or range become others"
     )
@@ -179,14 +178,13 @@ class Scenario(Table):
             return data
         return data | {"polygons": polygon | {"wide_seen_walls": False}}
 
-    @field_validator("robot", "death", "fault", "change", mode="before")
+    @field_validator("robot", "fault", "change", mode="before")
     @classmethod
     def _tables_are_tables(cls, value: object, info: ValidationInfo) -> object:
         if isinstance(value, list | tuple) and all(isinstance(each, dict | Table) for each in value):
             return value
         kinds: dict[str, type[Table]] = {
             "robot": RobotOverride,
-            "death": Death,
             "fault": FaultTable,
             "change": ChangeTable,
         }
@@ -235,24 +233,20 @@ class Scenario(Table):
             raise ValueError("radio.duty_cycle: is a share of the bandwidth, which must not be unlimited")
         if self.start_jitter and self.start is None and not self.starts:
             raise ValueError("start_jitter moves a start about: give `start`, or `starts`")
-        for table, entries in (("robot", self.robot), ("death", self.death)):
-            numbers = [entry.robot for entry in entries]
-            for number in numbers:
-                if number >= self.robots:
-                    raise ValueError(
-                        f"[[{table}]] speaks of robot {number}; the last one is {self.robots - 1}"
-                    )
-            if len(set(numbers)) < len(numbers):
-                raise ValueError(f"[[{table}]] speaks of a robot twice: {numbers}")
+        numbers = [entry.robot for entry in self.robot]
+        for number in numbers:
+            if number >= self.robots:
+                raise ValueError(f"[[robot]] names robot {number}; the last one is {self.robots - 1}")
+        if len(set(numbers)) < len(numbers):
+            raise ValueError(f"[[robot]] names a robot twice: {numbers}")
         faults.check(self.faults, self.robots)
         check_incarnations(self, faults.incarnations(self.faults))
         return self
 
     @property
-    def faults(self) -> tuple[Fault, ...]:
-        """All that befalls robots, in order; `death` is short for a fault of that kind."""
-        deaths = [Fault(death.step, death.robot, "death") for death in self.death]
-        return tuple(sorted([*deaths, *(Fault(**fault.model_dump()) for fault in self.fault)]))
+    def faults(self) -> tuple[FaultEvent, ...]:
+        """The scheduled faults, by step."""
+        return tuple(sorted(fault.event for fault in self.fault))
 
     def range_m(self, diagonal_m: float) -> float:
         """Communication range in metres on a map with such a diagonal."""
@@ -405,7 +399,6 @@ def parse(data: dict[str, Any], where: str = "scenario") -> Scenario:
 _KEYS = {
     "": list(Scenario.model_fields),
     "robot": list(RobotOverride.model_fields),
-    "death": list(Death.model_fields),
     "fault": list(FaultTable.model_fields),
     "change": list(ChangeTable.model_fields),
     "polygons": [field.name for field in fields(PolygonOptions)],

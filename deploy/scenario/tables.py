@@ -1,4 +1,4 @@
-"""The tables of a scenario (``[[robot]]``, ``[[death]]``, ``[[fault]]``, ``[[change]]``), and what a value may be."""
+"""Types of scenario values, and the tables of a scenario: ``[[robot]]``, ``[[fault]]``, ``[[change]]``."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from netshaper.radio_options import LEAST_FRAME
+from protocol.messages import FaultEvent
 
 UNLIMITED = "unlimited"
 
@@ -86,24 +87,22 @@ class RobotOverride(Table):
     scanner_turn: Degrees | None = Field(None, ge=0, description="degrees a step; 0: full view at once")
 
 
-class Death(Table):
-    """A robot that breaks down."""
-
-    robot: Whole = Field(ge=0, description="the robot's number, from 0")
-    step: Whole = Field(ge=1, le=MOST_INTEGER, description="the step at whose beginning it stops")
-
-
 class FaultTable(Table):
-    """What befalls a robot (`worldsim.faults`)."""
+    """A fault of one robot at one step; `event` is its form in messages (`worldsim.faults`)."""
 
-    step: Whole = Field(ge=1, le=MOST_INTEGER, description="the step at whose beginning it comes")
+    step: Whole = Field(ge=1, le=MOST_INTEGER, description="the fault occurs at the start of this step")
     robot: Whole = Field(ge=0, description="the robot's number, from 0")
     kind: Literal["death", "kill", "restart", "stop", "mute", "deaf"] = Field(
         description="death, kill, restart, stop, mute, deaf"
     )
     steps: Whole = Field(
-        0, ge=0, le=MOST_INTEGER, description="how long a robot is stopped, mute or deaf; 0: for good"
+        0, ge=0, le=MOST_INTEGER, description="duration in steps of stop, mute and deaf; 0: permanent"
     )
+
+    @property
+    def event(self) -> FaultEvent:
+        """This fault as a message."""
+        return FaultEvent(self.step, self.robot, self.kind, self.steps)
 
 
 class ChangeTable(Table):

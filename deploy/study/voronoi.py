@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from protocol.grid import FREE, OCCUPIED, Grid, areas
+from protocol.grid import FREE, OCCUPIED, Grid
 
 SIGMA = 1.5
 """Standard deviation of the Gaussian in cells."""
@@ -58,7 +58,7 @@ def pixels(free: Mask) -> Pixels:
 
 def free_space(grid: Grid) -> Mask:
     """The largest 4-connected area of free cells; shape (h, w)."""
-    labels, parts = areas(grid == FREE)
+    labels, parts = ndimage.label(grid == FREE)
     if not parts:
         return np.zeros(grid.shape, np.bool_)
     largest = 1 + int(np.argmax(np.bincount(labels.ravel(), minlength=parts + 1)[1:]))

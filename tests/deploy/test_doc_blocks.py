@@ -1,6 +1,6 @@
-"""Every block of README and docs is run, by the rules of docs/contributing.md; notebooks are run.
+"""Run the code blocks of README and docs by the rules of docs/contributing.md, and the notebooks.
 
-What takes long is only read here, and run with ``-m long``: `test_every_block_of_a_page_runs`.
+Slow blocks are only parsed here; `test_every_block_of_a_page_runs` (``-m long``) runs them.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"(?:<!-- ([^\n]*?) -->\n)?^([ ]*)```([^\n]*)\n(.*?)^[ ]*```$", re.M | re.S)
 LANGUAGES = {"", "sh", "console", "python", "toml"}
 PLACEHOLDERS = {"HOST", "N"}
-"""Words of documents that stand for a value which no parser can read."""
+"""Placeholders for values that no parser can read."""
 
 
 @dataclass(frozen=True)
@@ -50,14 +50,14 @@ def blocks(page: Path) -> list[Block]:
 
 
 def lines(block: Block) -> list[str]:
-    """The commands of a block, their comments taken off, prompts too; lines that go on are joined."""
+    """Return the commands of a block without comments and prompts; continued lines are joined."""
     text = re.sub(r"(^|\s+)# .*$", "", block.text.replace("\\\n", " "), flags=re.M)
-    said = [line.strip().removeprefix("$ ").removeprefix(".venv/bin/") for line in text.splitlines()]
-    return [part.strip() for line in said for part in re.split(r"\s[;&]\s|;\s", line) if part.strip()]
+    plain = [line.strip().removeprefix("$ ").removeprefix(".venv/bin/") for line in text.splitlines()]
+    return [part.strip() for line in plain for part in re.split(r"\s[;&]\s|;\s", line) if part.strip()]
 
 
 def commands(block: Block) -> dict[str, list[str]]:
-    """The commands of a block of a terminal, each with what the page says that it prints."""
+    """Return the commands of a terminal block, each with its output on the page."""
     if block.language not in ("", "sh", "console") or block.rule.startswith(("output", "drawing", "file")):
         return {}
     prompted = re.findall(r"^ *\$ (.*)\n((?:(?! *\$ ).*\n)*)", block.text, re.M)
@@ -67,7 +67,7 @@ def commands(block: Block) -> dict[str, list[str]]:
 
 
 def table(heading: str) -> list[list[str]]:
-    """The rows of a table of docs/contributing.md, by the heading of its first column."""
+    """Return the rows of a table of docs/contributing.md, by the heading of its first column."""
     text = (ROOT / "docs" / "contributing.md").read_text(encoding="utf-8")
     rows = text.partition(f"| {heading} |")[2].partition("\n\n")[0].splitlines()[2:]
     assert rows, f"docs/contributing.md has no table of {heading}"
@@ -75,12 +75,12 @@ def table(heading: str) -> list[list[str]]:
 
 
 GIVEN = dict(row[:2] for row in table("file"))
-SMALLER = dict(row[:2] for row in table("what stands there"))
+SMALLER = dict(row[:2] for row in table("on the page"))
 NOT_RUN = dict(row[:2] for row in table("not run"))
 
 
 def calls(page: Path) -> list[str]:
-    """All lines of a page that call murmur."""
+    """Return all lines of a page that call murmur."""
     return [
         line
         for block in blocks(page)
@@ -91,12 +91,12 @@ def calls(page: Path) -> list[str]:
 
 
 def read(line: str) -> None:
-    """Let the command line's own parser read a line, without doing what it says."""
-    words = shlex.split(line, comments=True)[1:]
+    """Parse a line with the command line's own parser, without running it."""
+    arguments = shlex.split(line, comments=True)[1:]
     for sign in ("|", ">", "2>", "<", "&"):
-        words = words[: words.index(sign)] if sign in words else words
+        arguments = arguments[: arguments.index(sign)] if sign in arguments else arguments
     command = typer.main.get_command(app)
-    context = command.make_context("murmur", list(words))
+    context = command.make_context("murmur", list(arguments))
     while hasattr(command, "resolve_command"):
         name, command, rest = command.resolve_command(context, [*context._protected_args, *context.args])
         assert command is not None, f"{line}: there is no command {name}"
@@ -107,19 +107,19 @@ CALLS = {f"{page.relative_to(ROOT)}: {line}": line for page in PAGES for line in
 
 
 @pytest.mark.parametrize("line", CALLS.values(), ids=list(CALLS))
-def test_each_line_that_calls_murmur_is_one_that_it_understands(line: str) -> None:
+def test_the_command_line_accepts_each_line_that_calls_murmur(line: str) -> None:
     if not PLACEHOLDERS & set(line.split()):
         read(line)
 
 
-def test_a_line_that_murmur_does_not_understand_is_found() -> None:
+def test_an_invalid_line_is_found() -> None:
     for wrong in ("murmur explre", "murmur explore --robts 3", "murmur explore --robots three"):
         with pytest.raises(UsageError):
             read(wrong)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_the_blocks_of_a_page_do_what_they_say(
+def test_the_blocks_of_a_page_run(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -142,22 +142,22 @@ def test_the_blocks_of_a_page_do_what_they_say(
         else:
             assert rule in ("", "output", "drawing"), f"{page.name}: there is no rule {block.rule!r}"
     names.clear()
-    gc.collect()  # strategies that a page defines are not there for other tests
+    gc.collect()  # removes strategies that a page defines
 
 
-def test_what_the_rules_name_stands_in_a_page() -> None:
+def test_lines_in_the_rules_are_on_a_page() -> None:
     pages = [page for page in PAGES if page.name != "contributing.md"]
     text = "\n".join(page.read_text(encoding="utf-8") for page in pages)
-    said = {line for page in pages for block in blocks(page) for line in commands(block)}
-    said |= {block.text.splitlines()[0] for page in pages for block in blocks(page) if block.text}
+    on_pages = {line for page in pages for block in blocks(page) for line in commands(block)}
+    on_pages |= {block.text.splitlines()[0] for page in pages for block in blocks(page) if block.text}
     assert [name for name in (*GIVEN, *SMALLER) if name not in text] == []
-    assert [line for line in NOT_RUN if line not in said] == []
+    assert [line for line in NOT_RUN if line not in on_pages] == []
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_every_block_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With processes and bus as it stands; printed lines that the page shows must be printed."""
+    """Run everything with real processes, and compare the output with the page."""
     tools, folder = tmp_path / "bin", tmp_path / "page"
     for place in (tools, folder):
         place.mkdir()
@@ -198,7 +198,7 @@ def smaller(text: str) -> str:
 
 
 def do(line: str, expected: list[str]) -> str:
-    """Run a line in the shell; exit code 1 is for explorations that end unfinished and claims that fail."""
+    """Run a line in the shell; exit code 1 means an unfinished exploration or a failed claim."""
     tool = shlex.split(line)[0]
     if shutil.which(tool) is None:
         pytest.skip(f"{tool} is not installed")
@@ -210,29 +210,29 @@ def do(line: str, expected: list[str]) -> str:
 
 
 def holds(printed: str, expected: list[str]) -> None:
-    """What a page shows is printed, but for times, places that are left out, and widths of columns."""
-    there = {" ".join(line.split()) for line in printed.splitlines()}
+    """Check that each line is printed, except for times, omissions, and column widths."""
+    lines_printed = {" ".join(line.split()) for line in printed.splitlines()}
     for line in expected:
         if line and "..." not in line and "steps a second" not in line:
-            assert " ".join(line.split()) in there, f"not printed: {line}\n{printed}"
+            assert " ".join(line.split()) in lines_printed, f"not printed: {line}\n{printed}"
 
 
 def run(line: str) -> None:
-    """Run a line as it stands, on the bus in memory."""
-    words = shlex.split(line, comments=True)
-    if words[0] == "murmur":
-        on_bus = ["--bus", "memory"] if words[1] == "explore" else []
-        result = murmur(*words[1:], *on_bus)
+    """Run a line on the memory bus."""
+    arguments = shlex.split(line, comments=True)
+    if arguments[0] == "murmur":
+        on_bus = ["--bus", "memory"] if arguments[1] == "explore" else []
+        result = murmur(*arguments[1:], *on_bus)
         assert result.exit_code in (0, 1), f"{line}: {result.stderr}"
         return
-    assert words[0] == "python", f"{line}: neither murmur nor python"
+    assert arguments[0] == "python", f"{line}: neither murmur nor python"
     env = os.environ | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run([sys.executable, *words[1:]], capture_output=True, text=True, env=env, check=False)
+    done = subprocess.run([sys.executable, *arguments[1:]], capture_output=True, text=True, env=env, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_the_notebooks_run() -> None:
-    """In one kernel, whose names are taken away after each: starting one takes longer than what they do."""
+    """All notebooks run in one kernel, reset after each: starting a kernel takes longer than a notebook."""
     books = [
         nbformat.read(path, nbformat.NO_CONVERT)  # type: ignore[no-untyped-call]
         for path in sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))

@@ -32,7 +32,7 @@ from deploy.run.exploration import explore
 from deploy.run.in_memory import run as run_in_memory
 from deploy.scenario.plan import make
 from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load
-from deploy.scenario.tables import ChangeTable, Death, FaultTable, RobotOverride
+from deploy.scenario.tables import ChangeTable, FaultTable, RobotOverride
 from docs import packet_tables
 from netshaper import access
 from netshaper.ledger import CAUSES, ROW
@@ -198,7 +198,7 @@ def defaults(kind: Any, prefix: str = "") -> dict[str, tuple[str, str]]:
     found: dict[str, tuple[str, str]] = {}
     said: dict[str, Any] = {}
     for name, info in kind.model_fields.items():
-        if name in ("robot", "death", "fault", "change") and not prefix:
+        if name in ("robot", "fault", "change") and not prefix:
             continue
         if name == "polygons":
             found |= {f"polygons.{n}": (plain(value), "") for n, value in asdict(PolygonOptions()).items()}
@@ -235,19 +235,18 @@ def test_packet_layouts_and_fields_are_those_of_the_code() -> None:
 def test_limits_are_those_of_the_code() -> None:
     limits = {name: value for name, value, *_ in rows("protocol.md", "Limits")}
     assert limits == {
-        "cells a side of the grid": str(MAX_SIDE),
+        "cells per side of the grid": str(MAX_SIDE),
         "robots": str(MAX_ROBOTS),
-        "robots whose maps travel by offers": str(packets.MAX_MAPS),
-        "robots whose maps travel by gossip": str(packets.MAX_GOSSIP_MAPS),
-        "robots times lives": str(packets.MAX_MAPS),
-        "objects an approximation": str(packets.MAX_OBJECTS),
-        "vertices an object": str(packets.MAX_VERTICES),
-        "units of a log in a block": str(packets.INDEX_WINDOW),
-        "blocks in a round": str(packets.BLOCKS),
-        "rounds": str(packets.BLOCKS),
+        "maps with handshakes": str(packets.MAX_MAPS),
+        "maps with gossip": str(packets.MAX_GOSSIP_MAPS),
+        "objects per approximation": str(packets.MAX_OBJECTS),
+        "vertices per object": str(packets.MAX_VERTICES),
+        "log entries per block": str(packets.INDEX_WINDOW),
+        "blocks per cycle": str(packets.BLOCKS),
+        "cycles": str(packets.BLOCKS),
         "bytes of a fragment's content": str(packets.FRAGMENT_DATA),
-        "looks of a unit": str(MAX_LOOKS),
-        "units of a log that gossip tells apart": str(packets.GOSSIP_WINDOW),
+        "scans per log entry": str(MAX_LOOKS),
+        "log offsets with gossip": str(packets.GOSSIP_WINDOW),
     }
 
 
@@ -295,7 +294,7 @@ def test_the_rooms_of_the_worked_example_are_drawn() -> None:
 def test_the_table_of_states_and_events_is_the_session_s() -> None:
     told_of = {
         (state, event, after)
-        for _, state, event, after, *_ in rows("protocol.md", "The session: states and events")
+        for _, state, event, after, *_ in rows("replication.md", "The session: states and events")
     }
     assert told_of == {
         (state.value, event.name.lower().replace("_", " "), after.value)
@@ -305,15 +304,15 @@ def test_the_table_of_states_and_events_is_the_session_s() -> None:
 
 
 def test_offer_policies_are_all_described() -> None:
-    assert {row[0] for row in rows("protocol.md", "When maps are offered")} == set(DISSEMINATIONS)
+    assert {row[0] for row in rows("replication.md", "When maps are offered")} == set(DISSEMINATIONS)
 
 
 def test_messages_and_their_fields_are_all_there_in_their_order() -> None:
-    told_of = [(name, made_of) for _, name, _, made_of, *_ in rows("protocol.md", "Body and control")]
+    told_of = [(name, made_of) for _, name, _, made_of, *_ in rows("bus.md", "Messages")]
     kinds = messages._TYPES
     assert told_of == [(kind.__name__, ", ".join(kind.__struct_fields__)) for kind in kinds]
     assert [kind.__struct_config__.tag for kind in kinds] == list(range(len(kinds)))
-    assert [int(row[0]) for row in rows("protocol.md", "Body and control")] == list(range(len(kinds)))
+    assert [int(row[0]) for row in rows("bus.md", "Messages")] == list(range(len(kinds)))
     assert set(messages.Record.__subclasses__()) == set(kinds)
 
 
@@ -321,7 +320,7 @@ def test_the_ledger_s_columns_and_causes_are_all_there() -> None:
     assert [row[0] for row in rows("protocol.md", "The ledger")] == list(ROW.names or ())
     text = (DOCS / "protocol.md").read_text(encoding="utf-8")
     for cause in CAUSES[1:]:
-        assert f"\n- `{cause}`: " in text
+        assert f"\n| `{cause}` | " in text
 
 
 def test_the_table_of_radios_is_that_of_the_code() -> None:
@@ -341,7 +340,7 @@ def test_the_table_of_radios_is_that_of_the_code() -> None:
 
 def test_keys_and_rights_are_what_participants_put_hear_and_say() -> None:
     keys = Keys("RUN")
-    there_are = {row[0] for row in rows("protocol.md", "Keys")}
+    there_are = {row[0] for row in rows("bus.md", "Keys")}
     assert there_are == {
         keys.radio_tx("FROM"),
         keys.radio_rx("TO", "FROM"),
@@ -351,17 +350,17 @@ def test_keys_and_rights_are_what_participants_put_hear_and_say() -> None:
         keys.alive("NAME"),
         keys.presence("NAME"),
     }
-    told_of = {(who, to): tuple(may.split(", ")) for who, to, may in rows("protocol.md", "Rights")}
+    told_of = {(who, to): tuple(may.split(", ")) for who, to, may in rows("bus.md", "Rights")}
     assert told_of == {ends: tuple(kind.__name__ for kind in kinds) for ends, kinds in RIGHTS.items()}
-    names = {row[0] for row in rows("protocol.md", "Participants")}
+    names = {row[0] for row in rows("bus.md", "Participants")}
     assert names == {"relay", *access.participants(0), "r0, r1, ..."}
 
 
 def test_every_setting_stands_in_the_table_with_its_default() -> None:
     table = {
-        name: (default, map_id) for name, default, map_id in rows("protocol.md", "Settings and defaults")
+        name: (default, map_id) for name, default, map_id in rows("settings.md", "Settings and defaults")
     }
-    wanted = defaults(Scenario) | defaults(RobotOverride, "robot.") | defaults(Death, "death.")
+    wanted = defaults(Scenario) | defaults(RobotOverride, "robot.")
     wanted |= defaults(FaultTable, "fault.")
     wanted |= defaults(ChangeTable, "change.")
     assert list(table) == list(wanted)
@@ -372,17 +371,20 @@ def test_every_setting_stands_in_the_table_with_its_default() -> None:
         if value != asdict(PolygonOptions())[name]:
             assert f"thesis: {plain(value)}" in table[f"polygons.{name}"][1]
     for choice in (*ENCODINGS, *get_args(Scenario.model_fields["bus"].annotation)):
-        assert choice in (DOCS / "protocol.md").read_text(encoding="utf-8")
+        assert f"`{choice}`" in (DOCS / "settings.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("document", sorted(DOCS.glob("*.md")), ids=lambda path: path.name)
+@pytest.mark.parametrize("document", sorted(DOCS.rglob("*.md")), ids=lambda path: str(path.relative_to(DOCS)))
 def test_links_between_documents_lead_somewhere(document: Path) -> None:
     for target in re.findall(r"\]\((?!https?://)([^)#]+)\)", document.read_text(encoding="utf-8")):
-        is_made = target == "reference/files.md" or (DOCS / target).with_suffix(".ipynb").exists()
-        assert is_made or (DOCS / target).exists(), f"{document.name} links to {target}"
+        path = document.parent / target
+        is_generated = target.endswith("reference/files.md") or path.with_suffix(".ipynb").exists()
+        assert is_generated or path.exists(), f"{document.name} links to {target}"
 
 
-@pytest.mark.parametrize("document", ["architecture.md", "protocol.md", "radios.md", "several-terminals.md"])
+@pytest.mark.parametrize(
+    "document", ["architecture.md", "bus.md", "protocol.md", "radios.md", "several-terminals.md"]
+)
 def test_files_that_documents_name_are_there(document: str) -> None:
     text = (DOCS / document).read_text(encoding="utf-8")
     rooms = "agent|deploy|netshaper|protocol|tests|worldsim"

@@ -72,7 +72,7 @@ def test_a_file_begins_as_every_pcapng_file_does() -> None:
 
 
 @given(steps)
-def test_what_is_written_is_read(said: list[tuple[int, list[LoggedFrame]]]) -> None:
+def test_decoding_inverts_encoding(said: list[tuple[int, list[LoggedFrame]]]) -> None:
     wanted = [(step, seen) for step, frames in said for seen in frames]
     for (step, seen), found in zip(wanted, read(write(said)), strict=True):
         kept = seen.payload if seen.verdict == 0 else seen.payload[:KEPT]

@@ -138,6 +138,6 @@ def test_a_router_that_the_hub_refuses_says_so(routed: Routed, monkeypatch: pyte
     hub = routed.credentials[ROUTER].hub
     wrong = Credential(KEYS.run, ROUTER, hub, certificate=stranger, robots=("r0",))
     with pytest.raises(
-        ConnectionError, match=r"^router@rack: no hub let us in at tls/127.* certificate is not"
+        ConnectionError, match=r"^router@rack: cannot join at tls/127.* certificate is not valid"
     ):
         Router(wrong, routed.endpoint, routed.passwords)

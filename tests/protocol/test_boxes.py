@@ -22,7 +22,7 @@ def covered(boxes: Boxes) -> NDArray[np.bool_]:
 
 
 @given(st.lists(st.lists(corners, max_size=9), max_size=6))
-def test_boxes_put_together_cover_all_and_stay_few(lots: list[list[tuple[int, int, int, int]]]) -> None:
+def test_the_union_covers_all_boxes_with_few(lots: list[list[tuple[int, int, int, int]]]) -> None:
     together, wanted = NO_BOXES, covered(NO_BOXES)
     for lot in lots:
         boxes = np.array([(x, y, x + w, y + h) for x, y, w, h in lot], np.int32).reshape(-1, 4)
@@ -31,7 +31,7 @@ def test_boxes_put_together_cover_all_and_stay_few(lots: list[list[tuple[int, in
         assert (covered(together) | ~wanted).all()
 
 
-def test_boxes_far_apart_stay_apart() -> None:
+def test_distant_boxes_stay_separate() -> None:
     one, other = np.array([(0, 0, 3, 3)], np.int32), np.array([(50, 50, 53, 53)], np.int32)
     assert union(one, other).tolist() == [[0, 0, 3, 3], [50, 50, 53, 53]]
     assert union(one, one + 2).tolist() == [[0, 0, 5, 5]]
@@ -41,7 +41,7 @@ def test_the_bounding_box_contains_all_boxes() -> None:
     assert bounding_box(np.array([(3, 0, 5, 2), (-1, 4, 4, 9)], np.int32)) == (-1, 0, 5, 9)
 
 
-def test_a_change_of_no_cell_has_no_box() -> None:
+def test_a_change_without_cells_has_no_box() -> None:
     assert Change(0, (9, 9, 0, 0)).boxes.tolist() == []
     assert Change(2, (3, 4, 5, 6)).boxes.tolist() == [[3, 4, 5, 6]]
     assert whole_grid((4, 7)).tolist() == [[0, 0, 7, 4]]

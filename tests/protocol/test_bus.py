@@ -34,10 +34,10 @@ class Rendezvous:
     def __getitem__(self, name: str) -> Bus:
         return self.ends[name]
 
-    def hear(self, name: str) -> Message:
+    def receive(self, name: str) -> Message:
         """The next message of `name`, which must come."""
         message = self.ends[name].receive(SOON_S)
-        assert message is not None, f"{name} heard nothing"
+        assert message is not None, f"{name} received nothing"
         return message
 
     def everything_before_a_fence(self) -> dict[str, list[Message]]:
@@ -45,18 +45,18 @@ class Rendezvous:
 
         Each participant in turn puts a word for the relay, which then puts one for all.
         """
-        heard: dict[str, list[Message]] = {name: [] for name in self.ends}
+        received: dict[str, list[Message]] = {name: [] for name in self.ends}
         for name in self.ends:
             if name != RELAY:
                 self.ends[name].put(KEYS.control_tx(name), b"fence")
-                while (message := self.hear(RELAY)).payload != b"fence":
-                    heard[RELAY].append(message)
+                while (message := self.receive(RELAY)).payload != b"fence":
+                    received[RELAY].append(message)
         for name in self.ends:
             if name != RELAY:
                 self.ends[RELAY].put(KEYS.control(name, RELAY), b"fence")
-                while (message := self.hear(name)).payload != b"fence":
-                    heard[name].append(message)
-        return heard
+                while (message := self.receive(name)).payload != b"fence":
+                    received[name].append(message)
+        return received
 
 
 @pytest.fixture(params=["memory", "zenoh"])
@@ -80,7 +80,7 @@ def rendezvous(request: pytest.FixtureRequest) -> Iterator[Rendezvous]:
         for name in (WORLD, RECORDER, R0, R1):
             ends[name] = opener(name)
         rendezvous = Rendezvous(opener, ends)
-        came = {rendezvous.hear(RELAY).key for _ in range(4)}
+        came = {rendezvous.receive(RELAY).key for _ in range(4)}
         assert came == {KEYS.presence(name) for name in (WORLD, RECORDER, R0, R1)}
         yield rendezvous
 
@@ -120,9 +120,9 @@ def test_a_message_reaches_the_addressed_inbox_and_no_other(
     rendezvous: Rendezvous, sender: str, key: str, receiver: str
 ) -> None:
     rendezvous[sender].put(key, b"hello")
-    heard = rendezvous.everything_before_a_fence()
-    assert heard.pop(receiver) == [Message(key, b"hello")]
-    assert not any(heard.values())
+    received = rendezvous.everything_before_a_fence()
+    assert received.pop(receiver) == [Message(key, b"hello")]
+    assert not any(received.values())
 
 
 @pytest.mark.parametrize("size", [0, 1, 724, 1 << 20])
@@ -130,8 +130,8 @@ def test_a_payload_arrives_whole_whatever_its_size(rendezvous: Rendezvous, size:
     payload = (b"murmur" * (size // 6 + 1))[:size]
     rendezvous[R0].put(KEYS.radio_tx(R0), payload)
     rendezvous[RELAY].put(KEYS.radio_rx(R1, R0), payload)
-    assert rendezvous.hear(RELAY).payload == payload
-    assert rendezvous.hear(R1).payload == payload
+    assert rendezvous.receive(RELAY).payload == payload
+    assert rendezvous.receive(R1).payload == payload
 
 
 @pytest.mark.parametrize(
@@ -147,14 +147,14 @@ def test_a_payload_arrives_whole_whatever_its_size(rendezvous: Rendezvous, size:
 def test_thousands_of_messages_arrive_once_and_in_order_over_all_planes(
     rendezvous: Rendezvous, sender: str, receiver: str, routes: list[str]
 ) -> None:
-    said = [Message(routes[n % len(routes)], b"%d" % n) for n in range(5000)]
-    for message in said:
+    sent = [Message(routes[n % len(routes)], b"%d" % n) for n in range(5000)]
+    for message in sent:
         rendezvous[sender].put(message.key, message.payload)
-    assert [rendezvous.hear(receiver) for _ in said] == said
+    assert [rendezvous.receive(receiver) for _ in sent] == sent
     assert not any(rendezvous.everything_before_a_fence().values())
 
 
-def test_what_several_put_for_one_arrives_in_the_order_of_each(rendezvous: Rendezvous) -> None:
+def test_messages_of_several_senders_arrive_in_the_order_of_each(rendezvous: Rendezvous) -> None:
     senders = {
         R0: KEYS.control(RECORDER, R0),
         R1: KEYS.control(RECORDER, R1),
@@ -163,9 +163,9 @@ def test_what_several_put_for_one_arrives_in_the_order_of_each(rendezvous: Rende
     for n in range(1000):
         for name, key in senders.items():
             rendezvous[name].put(key, b"%d" % n)
-    heard = [rendezvous.hear(RECORDER) for _ in range(3000)]
+    received = [rendezvous.receive(RECORDER) for _ in range(3000)]
     for key in senders.values():
-        assert [message.payload for message in heard if message.key == key] == [
+        assert [message.payload for message in received if message.key == key] == [
             b"%d" % n for n in range(1000)
         ]
 
@@ -174,40 +174,40 @@ def test_large_and_small_messages_do_not_overtake_each_other(rendezvous: Rendezv
     sizes = [1 << 20, 0, 1, 300_000, 2, 1 << 20, 3]
     for size in sizes:
         rendezvous[RELAY].put(KEYS.control(R0, RELAY), bytes(size))
-    assert [len(rendezvous.hear(R0).payload) for _ in sizes] == sizes
+    assert [len(rendezvous.receive(R0).payload) for _ in sizes] == sizes
 
 
-def test_the_first_words_of_who_has_just_come_are_heard(rendezvous: Rendezvous) -> None:
+def test_the_first_messages_of_a_new_participant_arrive(rendezvous: Rendezvous) -> None:
     for _ in range(20):
         rendezvous[R1].close()
-        assert rendezvous.hear(RELAY) == Message(KEYS.presence(R1), b"0")
+        assert rendezvous.receive(RELAY) == Message(KEYS.presence(R1), b"0")
         rendezvous.ends[R1] = rendezvous.open(R1)
         rendezvous[R1].put(KEYS.radio_tx(R1), b"I am here")
-        heard = {rendezvous.hear(RELAY), rendezvous.hear(RELAY)}
-        assert heard == {Message(KEYS.presence(R1), b"1"), Message(KEYS.radio_tx(R1), b"I am here")}
+        received = {rendezvous.receive(RELAY), rendezvous.receive(RELAY)}
+        assert received == {Message(KEYS.presence(R1), b"1"), Message(KEYS.radio_tx(R1), b"I am here")}
         rendezvous[RELAY].put(KEYS.control(R1, RELAY), b"welcome")
-        assert rendezvous.hear(R1).payload == b"welcome"
+        assert rendezvous.receive(R1).payload == b"welcome"
 
 
-def test_the_relay_is_told_that_somebody_left_after_all_that_he_had_said(rendezvous: Rendezvous) -> None:
+def test_the_notice_that_a_participant_left_follows_its_last_message(rendezvous: Rendezvous) -> None:
     for n in range(2000):
         rendezvous[R0].put(KEYS.radio_tx(R0), b"%d" % n)
     rendezvous[R0].close()
-    heard = [rendezvous.hear(RELAY) for _ in range(2001)]
-    assert [message.payload for message in heard[:-1]] == [b"%d" % n for n in range(2000)]
-    assert heard[-1] == Message(KEYS.presence(R0), b"0")
+    received = [rendezvous.receive(RELAY) for _ in range(2001)]
+    assert [message.payload for message in received[:-1]] == [b"%d" % n for n in range(2000)]
+    assert received[-1] == Message(KEYS.presence(R0), b"0")
 
 
-def test_what_was_put_before_leaving_is_delivered_to_everyone(rendezvous: Rendezvous) -> None:
+def test_messages_put_before_leaving_are_delivered(rendezvous: Rendezvous) -> None:
     for n in range(2000):
         rendezvous[R0].put(KEYS.control(RECORDER, R0), b"%d" % n)
         rendezvous[R0].put(KEYS.body(WORLD, R0), b"%d" % n)
     rendezvous[R0].close()
     for name in (RECORDER, WORLD):
-        assert [rendezvous.hear(name).payload for _ in range(2000)] == [b"%d" % n for n in range(2000)]
+        assert [rendezvous.receive(name).payload for _ in range(2000)] == [b"%d" % n for n in range(2000)]
 
 
-def test_nothing_comes_where_nothing_was_put(rendezvous: Rendezvous) -> None:
+def test_receive_times_out_without_messages(rendezvous: Rendezvous) -> None:
     for name, end in rendezvous.ends.items():
         began = time.monotonic()
         assert end.receive(0) is None, name
@@ -215,17 +215,17 @@ def test_nothing_comes_where_nothing_was_put(rendezvous: Rendezvous) -> None:
         assert time.monotonic() - began < 2
 
 
-def test_a_word_for_someone_who_is_not_there_is_gone(rendezvous: Rendezvous) -> None:
+def test_a_message_to_an_absent_participant_is_dropped(rendezvous: Rendezvous) -> None:
     rendezvous[R1].close()
-    rendezvous.hear(RELAY)
+    rendezvous.receive(RELAY)
     rendezvous[RELAY].put(KEYS.control(R1, RELAY), b"anyone?")
     rendezvous[RELAY].put(KEYS.control("r7", RELAY), b"anyone?")
     rendezvous.ends[R1] = rendezvous.open(R1)
-    assert rendezvous.hear(RELAY).payload == b"1"
+    assert rendezvous.receive(RELAY).payload == b"1"
     assert not any(rendezvous.everything_before_a_fence().values())
 
 
-def test_an_end_that_was_closed_neither_hears_nor_says_anything(rendezvous: Rendezvous) -> None:
+def test_a_closed_end_neither_sends_nor_receives(rendezvous: Rendezvous) -> None:
     for name, key in ((R0, KEYS.radio_tx(R0)), (WORLD, KEYS.control_tx(WORLD))):
         rendezvous[name].put(key, b"before")
         rendezvous[name].close()
@@ -238,27 +238,27 @@ def test_an_end_that_was_closed_neither_hears_nor_says_anything(rendezvous: Rend
             rendezvous[name].receive(0)
         with pytest.raises(BusClosed):
             rendezvous[name].receive(SOON_S)
-        assert [rendezvous.hear(RELAY).payload, rendezvous.hear(RELAY).payload] == [b"before", b"0"]
+        assert [rendezvous.receive(RELAY).payload, rendezvous.receive(RELAY).payload] == [b"before", b"0"]
 
 
-def test_who_is_still_there_when_the_hub_goes_hears_its_last_words_and_then_that_it_is_gone(
+def test_after_the_hub_leaves_its_last_messages_arrive_and_then_the_bus_is_closed(
     rendezvous: Rendezvous,
 ) -> None:
     for n in range(500):
         rendezvous[RELAY].put(KEYS.control(R0, RELAY), b"%d" % n)
     rendezvous[RELAY].close()
-    heard = []
+    received = []
     began = time.monotonic()
     with pytest.raises(BusClosed):
         while time.monotonic() - began < SOON_S:
             message = rendezvous[R0].receive(SOON_S)
             if message is not None:
-                heard.append(message.payload)
-    assert heard == [b"%d" % n for n in range(500)]
+                received.append(message.payload)
+    assert received == [b"%d" % n for n in range(500)]
     assert time.monotonic() - began < SOON_S
 
 
-def test_a_waiting_end_notices_that_the_hub_is_gone(rendezvous: Rendezvous) -> None:
+def test_a_waiting_end_detects_the_loss_of_the_hub(rendezvous: Rendezvous) -> None:
     rendezvous[RELAY].close()
     began = time.monotonic()
     for name in (R0, R1, WORLD, RECORDER):
@@ -271,11 +271,11 @@ def test_two_ends_of_one_name_cannot_share_an_inbox_in_memory() -> None:
     hub = MemoryHub("contract")
     hub.join(RELAY)
     hub.join(R0)
-    with pytest.raises(ValueError, match="r0 is on the bus already"):
+    with pytest.raises(ValueError, match="r0 is already on the bus"):
         hub.join(R0)
 
 
-def test_a_relay_that_comes_last_is_told_of_everyone_in_memory() -> None:
+def test_a_relay_that_joins_last_learns_of_all_participants_in_memory() -> None:
     hub = MemoryHub("contract")
     hub.join(WORLD)
     hub.join(R0)
@@ -287,7 +287,7 @@ def test_a_relay_that_comes_last_is_told_of_everyone_in_memory() -> None:
     ]
 
 
-def test_who_has_mail_takes_turns_in_their_order_in_memory() -> None:
+def test_participants_with_messages_take_turns_in_memory() -> None:
     hub = MemoryHub("contract", [RELAY, WORLD, R0, R1])
     ends = {name: hub.join(name) for name in (R1, RELAY, RECORDER, R0, WORLD)}
     while ends[RELAY].receive() is not None:
@@ -296,7 +296,7 @@ def test_who_has_mail_takes_turns_in_their_order_in_memory() -> None:
     ends[RELAY].put(KEYS.control(RECORDER, RELAY), b"")
     ends[RELAY].put(KEYS.control(R1, RELAY), b"")
     ends[RELAY].put(KEYS.control(WORLD, RELAY), b"")
-    ends[RELAY].put(KEYS.control("r7", RELAY), b"nobody has it")
+    ends[RELAY].put(KEYS.control("r7", RELAY), b"unknown receiver")
     turns = []
     for name in hub.in_turn():
         turns.append(name)
@@ -311,7 +311,7 @@ def test_who_has_mail_takes_turns_in_their_order_in_memory() -> None:
     assert list(hub.in_turn()) == []
 
 
-def test_what_waits_for_who_leaves_is_nobody_s_mail_in_memory() -> None:
+def test_waiting_messages_of_a_leaving_participant_are_dropped_in_memory() -> None:
     hub = MemoryHub("contract")
     relay, robot = hub.join(RELAY), hub.join(R0)
     relay.put(KEYS.control(R0, RELAY), b"")

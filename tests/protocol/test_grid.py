@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import array_shapes, arrays
-from scipy.ndimage import binary_dilation, label
+from scipy.ndimage import binary_dilation
 
-from protocol.grid import FREE, MAX_ROBOTS, MAX_SIDE, OCCUPIED, RayTable, areas, disc, enlarge, ray_table
+from protocol.grid import FREE, MAX_ROBOTS, MAX_SIDE, OCCUPIED, RayTable, disc, enlarge, ray_table
 
 ranges = st.floats(1, 40) | st.integers(1, 40).map(float)
 beam_counts = st.integers(1, 30).map(lambda quarters: 4 * quarters)
@@ -46,13 +45,13 @@ def walk_by_fractions(beam: int, beams: int, range_cells: float) -> list[tuple[i
 
 
 @given(ranges, beam_counts)
-def test_a_walk_is_what_exact_fractions_say(range_cells: float, beams: int) -> None:
+def test_beams_equal_those_in_exact_fractions(range_cells: float, beams: int) -> None:
     for beam, walk in enumerate(walks(ray_table(range_cells, beams))):
         assert walk == walk_by_fractions(beam, beams, range_cells)
 
 
 @given(ranges, beam_counts)
-def test_a_walk_steps_between_4_neighbours_and_comes_by_no_cell_twice(range_cells: float, beams: int) -> None:
+def test_a_beam_moves_between_4_neighbors_and_crosses_no_cell_twice(range_cells: float, beams: int) -> None:
     for walk in walks(ray_table(range_cells, beams)):
         for (x0, y0), (x1, y1) in pairwise([(0, 0), *walk]):
             assert abs(x1 - x0) + abs(y1 - y0) == 1
@@ -60,14 +59,14 @@ def test_a_walk_steps_between_4_neighbours_and_comes_by_no_cell_twice(range_cell
 
 
 @given(ranges, beam_counts)
-def test_no_walk_goes_beyond_the_range_and_none_stops_long_before(range_cells: float, beams: int) -> None:
+def test_beams_end_at_the_sensor_range(range_cells: float, beams: int) -> None:
     for walk in walks(ray_table(range_cells, beams)):
         assert all(math.hypot(x, y) <= range_cells + 1e-9 for x, y in walk)
         assert math.hypot(*walk[-1]) > range_cells - 1 - 1e-9
 
 
 @given(ranges, beam_counts)
-def test_each_of_the_four_neighbours_is_the_first_cell_of_a_beam(range_cells: float, beams: int) -> None:
+def test_each_of_the_four_neighbors_is_the_first_cell_of_a_beam(range_cells: float, beams: int) -> None:
     firsts = [walk[0] for walk in walks(ray_table(range_cells, beams))]
     assert [firsts[quarter * beams // 4] for quarter in range(4)] == [(1, 0), (0, 1), (-1, 0), (0, -1)]
 
@@ -102,13 +101,13 @@ def test_all_cells_in_range_are_seen_where_beams_lie_close() -> None:
 
 
 @pytest.mark.parametrize("range_cells", [0.99, 0.0, -1.0, math.nan])
-def test_a_range_that_does_not_reach_the_neighbours_is_refused(range_cells: float) -> None:
-    with pytest.raises(ValueError, match="must see at least its neighbours"):
+def test_a_range_that_does_not_reach_the_neighbors_is_rejected(range_cells: float) -> None:
+    with pytest.raises(ValueError, match="must see at least its neighbors"):
         ray_table(range_cells)
 
 
 @pytest.mark.parametrize("beams", [0, 2, 3, 5, 359, -4])
-def test_beams_that_leave_out_a_neighbour_are_refused(beams: int) -> None:
+def test_beams_that_miss_a_neighbor_are_rejected(beams: int) -> None:
     with pytest.raises(ValueError, match="multiple of 4"):
         ray_table(5.0, beams)
 
@@ -122,16 +121,14 @@ def test_a_range_beyond_any_grid_ends_with_the_largest_grid(range_cells: float) 
 
 
 @given(ranges, beam_counts)
-def test_what_beams_share_with_the_ones_before_is_how_far_their_walks_are_equal(
-    range_cells: float, beams: int
-) -> None:
+def test_shared_cells_are_the_common_prefix_of_successive_beams(range_cells: float, beams: int) -> None:
     laid = ray_table(range_cells, beams)
     both = [zip(before, walk, strict=False) for before, walk in pairwise(walks(laid))]
     shared = [len(list(takewhile(lambda cells: cells[0] == cells[1], pairs))) for pairs in both]
     assert laid.shared.tolist() == [0, *shared]
 
 
-def test_the_fan_is_laid_out_in_whole_numbers() -> None:
+def test_the_ray_table_has_integer_offsets() -> None:
     laid = ray_table(7.5, 36)
     assert laid.cells.dtype == np.int32
     assert laid.start.dtype == np.int32
@@ -156,20 +153,3 @@ def test_obstacles_grow_by_the_disc_of_a_robot(seed: int, radius: float, density
     grown = enlarge(grid, radius)
     covered = binary_dilation(grid == OCCUPIED, disc(radius)) & (grid == FREE)
     assert np.array_equal(grown, np.where(covered, OCCUPIED, grid))
-
-
-@given(arrays(bool, array_shapes(min_dims=2, max_dims=2, max_side=12)))
-def test_areas_are_numbered_as_by_scipy(cells: np.ndarray) -> None:
-    numbers, count = areas(cells)
-    expected, parts = label(cells)
-    assert count == parts
-    assert (numbers == expected).all()
-
-
-def test_an_area_that_winds_is_one() -> None:
-    side = 41
-    rows = np.arange(side)
-    cells = (rows[:, None] % 2 == 0) | ((rows[None, :] == 0) & (rows[:, None] % 4 == 1))
-    cells |= (rows[None, :] == side - 1) & (rows[:, None] % 4 == 3)
-    assert areas(cells)[1] == 1
-    assert areas(~cells)[1] == label(~cells)[1]

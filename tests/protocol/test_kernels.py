@@ -44,18 +44,18 @@ def call(folder: Path, command: str = CALL) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_the_first_call_compiles_all_and_says_so_the_next_reads_the_cache(tmp_path: Path) -> None:
+def test_the_first_call_compiles_all_kernels_and_the_next_reads_the_cache(tmp_path: Path) -> None:
     (tmp_path / "sums.py").write_text(MODULE)
     fresh = call(tmp_path)
     assert fresh.stdout == "12 0 3\n"
-    said = fresh.stderr.splitlines()
-    assert said == ["compiling for this machine, once: 0 of 3 kernels, now sums", "compiled 3 kernels"]
+    printed = fresh.stderr.splitlines()
+    assert printed == ["compiling for this machine, once: 0 of 3 kernels, now sums", "compiled 3 kernels"]
     cached = call(tmp_path)
     assert cached.stdout == "12 1 0\n", "only what is called is loaded"
     assert cached.stderr == ""
 
 
-def test_a_kernel_can_be_compiled_after_those_that_it_calls_were_loaded_as_code_alone(tmp_path: Path) -> None:
+def test_a_kernel_can_be_compiled_after_the_kernels_that_it_calls_were_stripped(tmp_path: Path) -> None:
     (tmp_path / "sums.py").write_text(MODULE)
     assert call(tmp_path, CODE_ONLY).stdout == "12 0 3\n"
     assert call(tmp_path, CODE_ONLY).stdout == "12 3 0\n"

@@ -1,4 +1,4 @@
-"""Keys: who may say what to whom, read back from the key alone."""
+"""Keys: plane, sender and receiver are read back from the key alone."""
 
 from __future__ import annotations
 
@@ -43,18 +43,18 @@ def test_each_key_lies_in_exactly_one_inbox() -> None:
         assert [name for name in everyone if covers(KEYS.inbox(name), key)] == [names.RELAY]
 
 
-def test_a_robot_is_called_by_its_number() -> None:
+def test_the_name_of_a_robot_has_its_number() -> None:
     assert [number(robot(n)) for n in (0, 7, 63)] == [0, 7, 63]
 
 
 @pytest.mark.parametrize("name", ["", "r", "R1", "relay", "r-1", "r1x", "1", "r 1", "r٣", "r²", "r01", "*"])
-def test_anyone_else_is_no_robot(name: str) -> None:
-    with pytest.raises(ValueError, match="is not a robot's name"):
+def test_other_names_are_no_robots(name: str) -> None:
+    with pytest.raises(ValueError, match="is not the name of a robot"):
         number(name)
 
 
 @pytest.mark.parametrize("run", ["", "a/b", "*", "a*", "$*", "a#b", "a?b", "a b", "ä"])
-def test_a_run_whose_name_would_break_its_keys_is_refused(run: str) -> None:
+def test_a_run_name_that_would_break_its_keys_is_rejected(run: str) -> None:
     with pytest.raises(ValueError, match="letters, digits"):
         Keys(run)
 

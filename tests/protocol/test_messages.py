@@ -117,7 +117,7 @@ def test_every_message_is_known() -> None:
 
 
 @given(said)
-def test_what_is_written_is_read(message: Any) -> None:
+def test_decoding_inverts_encoding(message: Any) -> None:
     assert unpack(pack(message)) == message
 
 

@@ -1,4 +1,4 @@
-"""The survey of a frame sees what the decoder reads, packet by packet, and refuses what it refuses."""
+"""The packet index accepts and rejects the same frames as the decoder, packet by packet."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from protocol.packets import ALL_KINDS, AnyPacket, Fragment, decode, encode
 from tests.protocol.test_packets import EXAMPLES, streams
 
 noisy = st.binary(max_size=100) | st.builds(
-    lambda said, at, more: encode(said)[:at] + more, streams, st.integers(0, 80), st.binary(max_size=3)
+    lambda stream, at, more: encode(stream)[:at] + more, streams, st.integers(0, 80), st.binary(max_size=3)
 )
 
 
@@ -25,19 +25,19 @@ noisy = st.binary(max_size=100) | st.builds(
 @example(b"\xfc\x01")
 @example(b"\xf8\x40")
 @example(b"\x80\x01")
-def test_a_survey_accepts_what_reading_accepts_and_gives_its_reasons(noise: bytes) -> None:
+def test_the_index_accepts_what_the_decoder_accepts_and_raises_its_errors(noise: bytes) -> None:
     surveys: list[Any] = [split, kinds]
     try:
-        heard = decode(noise)
+        decoded = decode(noise)
     except ProtocolError as error:
         for packet_index in surveys:
             with pytest.raises(ProtocolError) as caught:
                 packet_index(noise)
             assert str(caught.value) == str(error)
     else:
-        assert split(noise) == [encode([packet]) for packet in heard]
+        assert split(noise) == [encode([packet]) for packet in decoded]
         assert {kind for bit, kind in enumerate(ALL_KINDS) if kinds(noise) >> bit & 1} == {
-            packet.name for packet in heard
+            packet.name for packet in decoded
         }
 
 
@@ -45,7 +45,7 @@ sizes = st.lists(st.integers(1, 63), max_size=6)
 
 
 @given(sizes, st.integers(1, 70), st.integers(0, 70), streams)
-def test_fragments_carry_what_was_cut_and_end_where_it_ends(
+def test_joined_fragments_are_the_message_and_end_with_it(
     parts: list[int], size: int, held: int, others: list[AnyPacket]
 ) -> None:
     held %= size
@@ -68,7 +68,7 @@ def test_fragments_carry_what_was_cut_and_end_where_it_ends(
 
 
 @pytest.mark.parametrize("packet", EXAMPLES, ids=repr)
-def test_every_bit_that_is_wrong_is_found(packet: AnyPacket) -> None:
+def test_every_wrong_bit_is_found(packet: AnyPacket) -> None:
     whole = encode([packet])
     for bit in range(8 * len(whole)):
         broken = (int.from_bytes(whole, "big") ^ 1 << bit).to_bytes(len(whole), "big")
@@ -82,6 +82,6 @@ def test_every_bit_that_is_wrong_is_found(packet: AnyPacket) -> None:
 
 
 @given(streams, st.integers(-1, 300))
-def test_what_fits_is_the_longest_run_of_whole_packets(said: list[AnyPacket], room: int) -> None:
-    ends = [len(encode(said[:count])) for count in range(len(said) + 1)]
-    assert fitting(encode(said), room) == max((end for end in ends if end <= room), default=0)
+def test_fitting_bytes_are_the_longest_prefix_of_whole_packets(stream: list[AnyPacket], limit: int) -> None:
+    ends = [len(encode(stream[:count])) for count in range(len(stream) + 1)]
+    assert fitting(encode(stream), limit) == max((end for end in ends if end <= limit), default=0)

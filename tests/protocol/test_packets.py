@@ -1,4 +1,4 @@
-"""Packets: the sizes of Table 6.1, every bit in its place, and nothing read that was not written."""
+"""Packets: the sizes of Table 6.1, every bit in its place, and rejection of all malformed bytes."""
 
 from __future__ import annotations
 
@@ -137,61 +137,62 @@ def bits(buffer: bytes) -> str:
     return "".join(f"{byte:08b}" for byte in buffer)
 
 
-def by_the_book(packet: AnyPacket) -> str:
+def documented_bits(packet: AnyPacket) -> str:
     """The layout that docs/protocol.md draws, as a string of zeros and ones."""
     match packet:
         case Insert() | Replace():
             code = "010" if isinstance(packet, Insert) else "011"
-            said = f"{packet.index:012b}{packet.x + 1:012b}{packet.y + 1:012b}"
-            said = f"{code}{said}{packet.side:02b}{packet.occupied:b}000000"
+            expected = f"{packet.index:012b}{packet.x + 1:012b}{packet.y + 1:012b}"
+            expected = f"{code}{expected}{packet.side:02b}{packet.occupied:b}000000"
         case Delete():
-            said = f"100{packet.index:012b}0"
+            expected = f"100{packet.index:012b}0"
         case Emerge() | Change():
             code = "1101" if isinstance(packet, Emerge) else "1110"
-            said = f"{code}{packet.object:012b}{packet.count:013b}{packet.inside:b}" + 10 * "0"
+            expected = f"{code}{packet.object:012b}{packet.count:013b}{packet.inside:b}" + 10 * "0"
         case Remove():
-            said = f"1010{packet.object:012b}"
+            expected = f"1010{packet.object:012b}"
         case Offer():
-            said = f"1100{packet.map:06b}{packet.block:06b}"
+            expected = f"1100{packet.map:06b}{packet.block:06b}"
         case Answer():
-            said = f"1011{packet.index:012b}"
+            expected = f"1011{packet.index:012b}"
         case Block():
-            said = f"1111100000{packet.block:06b}"
+            expected = f"1111100000{packet.block:06b}"
         case Decline():
-            said = "1111110000000000"
+            expected = "1111110000000000"
         case Target():
-            said = f"00{packet.x:011b}{packet.y:011b}"
+            expected = f"00{packet.x:011b}{packet.y:011b}"
         case Pose():
-            said = f"11110011{packet.x:011b}{packet.y:011b}{packet.leads:b}0"
+            expected = f"11110011{packet.x:011b}{packet.y:011b}{packet.leads:b}0"
         case Passed():
-            said = f"111111110000{packet.robot:08b}{packet.age:06b}{packet.x:011b}{packet.y:011b}"
+            expected = f"111111110000{packet.robot:08b}{packet.age:06b}{packet.x:011b}{packet.y:011b}"
         case Save():
-            said = "11110000"
+            expected = "11110000"
         case Fragment():
             size = len(packet.data)
-            said = ("11110001" if size == 63 else f"11110010{size:08b}") + bits(packet.data)
+            expected = ("11110001" if size == 63 else f"11110010{size:08b}") + bits(packet.data)
         case Update():
             last = f"11110101{len(packet.data):06b}{packet.number or 0:02b}"
-            said = ("11110100" if packet.number is None else last) + bits(packet.data)
+            expected = ("11110100" if packet.number is None else last) + bits(packet.data)
         case From() | Held():
-            said = f"1111011{packet.code[-1]}{packet.map:08b}{packet.index:024b}"
+            expected = f"1111011{packet.code[-1]}{packet.map:08b}{packet.index:024b}"
         case FromEarly() | HeldEarly():
-            said = f"{'11111011' if isinstance(packet, FromEarly) else '11111101'}{packet.map:08b}{packet.index:08b}"
+            code = "11111011" if isinstance(packet, FromEarly) else "11111101"
+            expected = f"{code}{packet.map:08b}{packet.index:08b}"
         case Near() | Gone():
-            said = f"{'11111001' if isinstance(packet, Near) else '11111110'}{packet.robot:08b}"
+            expected = f"{'11111001' if isinstance(packet, Near) else '11111110'}{packet.robot:08b}"
         case Check():
-            said = f"11111010{packet.sum:016b}"
-    return said
+            expected = f"11111010{packet.sum:016b}"
+    return expected
 
 
 @pytest.mark.parametrize("kind", LIMITS, ids=lambda kind: kind.__name__)
-def test_a_packet_is_as_long_as_table_6_1_says(kind: type[Packet]) -> None:
+def test_packet_sizes_are_those_of_table_6_1(kind: type[Packet]) -> None:
     packet = kind(*(low for low, _ in LIMITS[kind].values()))
     longer = {Pose: 4, Passed: 6, From: 5, FromEarly: 3, Held: 5, HeldEarly: 3, Check: 3}
     assert len(encode([packet])) == kind.size == (longer[kind] if kind in longer else SIZES[kind.name])
 
 
-def test_the_nine_kinds_are_those_of_table_6_1_and_scans_poses_looks_and_sums_come_on_top() -> None:
+def test_kinds_are_the_nine_of_table_6_1_and_scans_poses_updates_and_checksums() -> None:
     assert set(KINDS) == set(SIZES)
     assert (*KINDS, "scan", "pose", "update", "sum") == ALL_KINDS
 
@@ -218,7 +219,7 @@ def test_each_field_is_read_back_at_its_limits(kind: type[Packet]) -> None:
         for value in (low - 1, high + 1)
     ],
 )
-def test_a_field_out_of_range_is_refused_by_name_and_place(
+def test_a_field_out_of_range_is_rejected_with_its_name_and_offset(
     kind: type[Packet], field: str, value: int
 ) -> None:
     packet = kind(**({name: low for name, (low, _) in LIMITS[kind].items()} | {field: value}))
@@ -233,52 +234,50 @@ def test_a_field_out_of_range_is_refused_by_name_and_place(
 
 
 @pytest.mark.parametrize("size", [0, 64])
-def test_a_fragment_of_no_bytes_or_of_too_many_is_refused(size: int) -> None:
+def test_an_empty_or_too_long_fragment_is_rejected(size: int) -> None:
     with pytest.raises(ProtocolError, match=r"scan at byte 1: .*1 to 63"):
         encode([Save(), Fragment(bytes(size))])
 
 
-def test_vertices_reach_the_rim_of_the_largest_grid() -> None:
+def test_vertices_reach_the_border_of_the_largest_grid() -> None:
     packet = Insert(4095, -1, 2048, 3, 1)
     assert decode(encode([packet])) == [packet]
 
 
 @given(streams)
-def test_what_is_written_is_read(said: list[AnyPacket]) -> None:
-    assert decode(encode(said)) == said
+def test_decoding_inverts_encoding(stream: list[AnyPacket]) -> None:
+    assert decode(encode(stream)) == stream
 
 
 @given(streams)
-def test_every_bit_is_where_the_book_has_it(said: list[AnyPacket]) -> None:
-    assert bits(encode(said)) == "".join(map(by_the_book, said))
+def test_every_bit_is_where_the_documented_layout_has_it(stream: list[AnyPacket]) -> None:
+    assert bits(encode(stream)) == "".join(map(documented_bits, stream))
 
 
-def test_the_bytes_of_each_packet_are_those_written_down() -> None:
+def test_packets_have_the_bytes_of_the_golden_file() -> None:
     lines = [line for line in GOLDEN.read_text().splitlines() if not line.startswith("#")]
     assert lines == [f"{encode([packet]).hex(' ')}  {packet!r}" for packet in EXAMPLES]
     assert {type(packet) for packet in EXAMPLES} == {*LIMITS, Fragment, Update}
 
 
 @given(streams, st.lists(st.integers(0, 100), max_size=8))
-def test_a_stream_cut_anywhere_and_taken_up_again_says_the_same(
-    said: list[AnyPacket], cuts: list[int]
-) -> None:
-    buffer = encode(said)
+def test_a_stream_cut_anywhere_decodes_to_the_same_packets(stream: list[AnyPacket], cuts: list[int]) -> None:
+    buffer = encode(stream)
     decoder = Decoder()
-    heard: list[AnyPacket] = []
+    received: list[AnyPacket] = []
     at = 0
     for end in [*sorted(cuts), len(buffer)]:
-        heard += decoder.feed(buffer[at:end])
+        received += decoder.feed(buffer[at:end])
         at = max(at, end)
-        assert encode(heard) + decoder.pending == buffer[:at]
-    assert heard == said
+        assert encode(received) + decoder.pending == buffer[:at]
+    assert received == stream
     assert decoder.pending == b""
 
 
 @given(streams)
-def test_a_stream_that_arrives_byte_by_byte_says_the_same(said: list[AnyPacket]) -> None:
+def test_a_stream_that_arrives_byte_by_byte_decodes_to_the_same_packets(stream: list[AnyPacket]) -> None:
     decoder = Decoder()
-    assert [packet for byte in encode(said) for packet in decoder.feed(bytes([byte]))] == said
+    assert [packet for byte in encode(stream) for packet in decoder.feed(bytes([byte]))] == stream
 
 
 @given(st.binary(max_size=200))
@@ -289,31 +288,31 @@ def test_a_stream_that_arrives_byte_by_byte_says_the_same(said: list[AnyPacket])
 @example(b"\xf8\x40")
 def test_random_bytes_are_packets_or_a_protocol_error_and_nothing_else(noise: bytes) -> None:
     try:
-        heard = decode(noise)
+        received = decode(noise)
     except ProtocolError as error:
         assert 0 <= error.offset <= len(noise)
         assert error.reason
     else:
-        assert encode(heard) == noise
+        assert encode(received) == noise
 
 
 @given(st.binary(max_size=200), st.integers(0, 200))
-def test_random_bytes_break_off_at_the_same_place_however_they_are_cut(noise: bytes, cut: int) -> None:
+def test_random_bytes_fail_at_the_same_offset_however_they_are_cut(noise: bytes, cut: int) -> None:
     def read(pieces: list[bytes]) -> tuple[list[AnyPacket], str]:
         decoder = Decoder()
-        heard: list[AnyPacket] = []
+        received: list[AnyPacket] = []
         try:
             for piece in pieces:
-                heard += decoder.feed(piece)
+                received += decoder.feed(piece)
         except ProtocolError as error:
-            return heard, str(error)
-        return heard, f"{len(decoder.pending)} bytes wait"
+            return received, str(error)
+        return received, f"{len(decoder.pending)} bytes wait"
 
     assert read([noise]) == read([noise[:cut], noise[cut:]])
 
 
 @pytest.mark.parametrize("packet", EXAMPLES, ids=repr)
-def test_a_packet_with_a_spare_bit_set_is_refused(packet: AnyPacket) -> None:
+def test_a_packet_with_a_spare_bit_set_is_rejected(packet: AnyPacket) -> None:
     buffer = encode([packet])
     layouts = [layout for layout in LAYOUTS if layout.packet == type(packet).__name__]
     (spare,) = {layout.spare for layout in layouts}
@@ -324,7 +323,7 @@ def test_a_packet_with_a_spare_bit_set_is_refused(packet: AnyPacket) -> None:
 
 
 @pytest.mark.parametrize("packet", EXAMPLES, ids=repr)
-def test_a_packet_that_ends_too_early_says_how_much_is_missing(packet: AnyPacket) -> None:
+def test_the_error_of_a_cut_packet_has_the_missing_bytes(packet: AnyPacket) -> None:
     buffer = encode([packet])
     for have in range(1, len(buffer)):
         with pytest.raises(ProtocolError) as caught:
@@ -335,25 +334,25 @@ def test_a_packet_that_ends_too_early_says_how_much_is_missing(packet: AnyPacket
 
 
 @pytest.mark.parametrize("size", [0, 63, 255])
-def test_a_short_fragment_of_an_impossible_length_is_refused_at_once(size: int) -> None:
+def test_a_short_fragment_with_an_invalid_length_is_rejected_at_once(size: int) -> None:
     with pytest.raises(ProtocolError, match=r"scan at byte 0: .*1 to 62"):
         length(bytes([0xF2, size]))
     with pytest.raises(ProtocolError, match=r"scan at byte 0: .*1 to 62"):
         list(Decoder().feed(bytes([0xF2, size])))
 
 
-def test_a_code_with_which_no_packet_begins_is_named() -> None:
+def test_the_error_of_an_unknown_code_names_it() -> None:
     with pytest.raises(ProtocolError, match="packet at byte 3: no packet begins with 0xffff"):
         decode(encode([Target(1, 1)]) + BROKEN)
 
 
-def test_no_code_begins_another() -> None:
+def test_no_code_is_a_prefix_of_another() -> None:
     codes = [layout.code for layout in LAYOUTS]
     assert not [(a, b) for a in codes for b in codes if a != b and b.startswith(a)]
     assert len(set(codes)) == len(codes)
 
 
-def test_every_field_has_bits() -> None:
+def test_every_field_has_the_range_of_its_bits() -> None:
     for kind, limits in LIMITS.items():
         assert [field.name for field in fields(kind)] == list(limits)
         (layout,) = [layout for layout in LAYOUTS if layout.packet == kind.__name__]
@@ -363,15 +362,15 @@ def test_every_field_has_bits() -> None:
 
 
 @given(streams)
-def test_packets_before_a_broken_one_have_been_read(said: list[AnyPacket]) -> None:
-    stream = Decoder().feed(encode(said) + BROKEN)
-    for packet in said:
-        assert next(stream) == packet
-    with pytest.raises(ProtocolError, match=f"at byte {len(encode(said))}:"):
-        next(stream)
+def test_packets_before_a_malformed_one_are_read(stream: list[AnyPacket]) -> None:
+    decoded = Decoder().feed(encode(stream) + BROKEN)
+    for packet in stream:
+        assert next(decoded) == packet
+    with pytest.raises(ProtocolError, match=f"at byte {len(encode(stream))}:"):
+        next(decoded)
 
 
-def test_a_broken_stream_stays_broken() -> None:
+def test_a_malformed_stream_stays_malformed() -> None:
     decoder = Decoder()
     for data in (encode([Save()]) + BROKEN, encode([Save()])):
         with pytest.raises(ProtocolError, match="at byte 1:"):
@@ -393,16 +392,16 @@ def test_a_long_stream_is_read_in_linear_time() -> None:
     assert time.process_time() - began < 5, "a copy of the rest for each packet would take minutes"
 
 
-def test_the_module_says_how_large_a_grid_and_a_team_may_be() -> None:
+def test_limits_of_grids_and_teams_fit_the_layouts() -> None:
     assert packets.MAX_VERTICES >= 4096
     assert packets.MAX_OBJECTS >= 4096
     assert LIMITS[Target]["x"][1] + 1 >= 2048
     assert LIMITS[Offer]["map"][1] + 1 >= 64
 
 
-def test_a_handshake_is_read_as_any_packets_are_but_never_longer_than_one() -> None:
-    for said in ([Answer(7)], [Block(3), Answer(4095)], [Block(1), Block(2), Answer(3)], [Decline()]):
-        assert list(handshake(encode(said))) == said
+def test_a_handshake_is_decoded_unless_it_is_too_long() -> None:
+    for stream in ([Answer(7)], [Block(3), Answer(4095)], [Block(1), Block(2), Answer(3)], [Decline()]):
+        assert list(handshake(encode(stream))) == stream
     with pytest.raises(ProtocolError, match="conn at byte 0: 8 bytes instead of 6"):
         handshake(encode([Block(1), Block(2), Block(2), Answer(3)]))
     with pytest.raises(ProtocolError, match="cut off"):
@@ -439,13 +438,13 @@ def test_an_update_that_has_no_layout_is_rejected(packet: Update) -> None:
 
 
 @given(st.binary(min_size=1, max_size=FRAGMENT_DATA))
-def test_a_fragment_gives_back_what_it_carries(data: bytes) -> None:
+def test_a_fragment_returns_its_content(data: bytes) -> None:
     assert content(encode([Fragment(data)])) == data
 
 
 @pytest.mark.parametrize(
     "packet", [encode([Save()]), encode([Delete(3)]), b"\xff", b"\xf1short", b"\xf2\x05abc"]
 )
-def test_what_is_no_whole_fragment_carries_nothing(packet: bytes) -> None:
+def test_bytes_that_are_no_whole_fragment_are_rejected(packet: bytes) -> None:
     with pytest.raises(ProtocolError):
         content(packet)

@@ -1,4 +1,4 @@
-"""Scans: what a reading means, how it travels, and what drawing it changes."""
+"""Scans: readings, their binary form, and the cells that drawing changes."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def random_grid(seed: int, states: tuple[int, ...] = (UNKNOWN, FREE, OCCUPIED)) 
     return rng.choice(np.array(states, np.uint8), (height, width))
 
 
-def drawn_by_the_book(grid: Grid, laid: RayTable, x: int, y: int, readings: Readings) -> tuple[Grid, Change]:
+def plainly_drawn(grid: Grid, laid: RayTable, x: int, y: int, readings: Readings) -> tuple[Grid, Change]:
     """Claim by claim: the robot's own cell, then each beam from near to far."""
     claims = [(x, y, FREE)]
     for (begin, end), reading in zip(pairwise(laid.start.tolist()), readings.tolist(), strict=True):
@@ -71,7 +71,7 @@ def drawn_by_the_book(grid: Grid, laid: RayTable, x: int, y: int, readings: Read
     return result, Change(len(changed), (min(xs), min(ys), max(xs) + 1, max(ys) + 1))
 
 
-def test_a_scan_of_360_beams_is_724_bytes_on_the_air() -> None:
+def test_a_scan_of_360_beams_has_724_bytes() -> None:
     assert scan_size(360) == 724
     laid = ray_table(50.0)
     data = encode_scan(Scan(3, 4, readings_of(0, laid)))
@@ -87,7 +87,7 @@ def test_a_scan_is_big_endian_cell_first() -> None:
 
 
 @given(seeds, st.integers(0, MAX_SIDE - 1), st.integers(0, MAX_SIDE - 1))
-def test_what_is_written_is_read(seed: int, x: int, y: int) -> None:
+def test_decoding_inverts_encoding(seed: int, x: int, y: int) -> None:
     scan = Scan(x, y, readings_of(seed))
     read = decode_scan(encode_scan(scan), FAN)
     assert (read.x, read.y) == (x, y)
@@ -96,13 +96,13 @@ def test_what_is_written_is_read(seed: int, x: int, y: int) -> None:
 
 
 @pytest.mark.parametrize("size", [0, 1, scan_size(40) - 1, scan_size(40) + 1, scan_size(40) + 2])
-def test_a_scan_of_the_wrong_length_is_refused(size: int) -> None:
+def test_a_scan_of_the_wrong_length_is_rejected(size: int) -> None:
     with pytest.raises(ProtocolError, match=rf"scan at byte 0: {size} bytes instead of 84"):
         decode_scan(bytes(size), FAN)
 
 
 @pytest.mark.parametrize(("x", "y"), [(MAX_SIDE, 0), (0, MAX_SIDE), (65535, 65535)])
-def test_a_scan_from_outside_any_grid_is_refused(x: int, y: int) -> None:
+def test_a_scan_from_outside_any_grid_is_rejected(x: int, y: int) -> None:
     with pytest.raises(ProtocolError, match=r"scan at byte 0: cell .* is outside"):
         decode_scan(encode_scan(Scan(x, y, readings_of(1))), FAN)
 
@@ -110,7 +110,7 @@ def test_a_scan_from_outside_any_grid_is_refused(x: int, y: int) -> None:
 @pytest.mark.parametrize("beam", [0, 7, 39])
 @pytest.mark.parametrize("beyond", [0, 1, 0x7FFE - 40])
 @pytest.mark.parametrize("hit", [0, HIT])
-def test_a_reading_longer_than_its_beam_is_refused_by_its_place(beam: int, beyond: int, hit: int) -> None:
+def test_a_reading_longer_than_its_beam_is_rejected(beam: int, beyond: int, hit: int) -> None:
     readings = np.zeros(40, np.uint16)
     most = int(np.diff(FAN.start)[beam])
     readings[beam] = (most + 1 + beyond - (hit > 0)) | hit
@@ -118,12 +118,12 @@ def test_a_reading_longer_than_its_beam_is_refused_by_its_place(beam: int, beyon
         decode_scan(encode_scan(Scan(0, 0, readings)), FAN)
 
 
-def test_a_hit_beyond_any_beam_is_refused() -> None:
+def test_a_hit_beyond_any_beam_is_rejected() -> None:
     with pytest.raises(ProtocolError, match="beam 3"):
         check_readings(np.array(3 * [NONE] + [NONE | HIT] + 36 * [0], np.uint16), FAN)
 
 
-def test_readings_for_another_laser_are_refused() -> None:
+def test_readings_for_another_laser_are_rejected() -> None:
     with pytest.raises(ProtocolError, match="39 readings for 40 beams"):
         check_readings(np.zeros(39, np.uint16), FAN)
 
@@ -131,7 +131,7 @@ def test_readings_for_another_laser_are_refused() -> None:
 @given(st.binary(min_size=84, max_size=84), seeds)
 @example(b"\x00\x03\x00\x03" + 80 * b"\xff", 0)
 @example(b"\x00\x03\x00\x03" + 80 * b"\x7f", 0)
-def test_random_bytes_are_refused_or_a_scan_that_stays_within_its_range(noise: bytes, seed: int) -> None:
+def test_random_bytes_are_rejected_or_a_scan_within_range(noise: bytes, seed: int) -> None:
     try:
         scan = decode_scan(noise, FAN)
     except ProtocolError:
@@ -144,17 +144,17 @@ def test_random_bytes_are_refused_or_a_scan_that_stays_within_its_range(noise: b
 
 
 @given(seeds, seeds, st.integers(0, 15), st.integers(0, 15))
-def test_drawing_is_what_the_book_says_claim_by_claim(map_seed: int, scan_seed: int, x: int, y: int) -> None:
+def test_drawing_equals_the_plain_reference(map_seed: int, scan_seed: int, x: int, y: int) -> None:
     grid, readings = random_grid(map_seed, (UNKNOWN, UNKNOWN, FREE, OCCUPIED)), readings_of(scan_seed)
     x, y = x % grid.shape[1], y % grid.shape[0]
-    expected, expected_change = drawn_by_the_book(grid, FAN, x, y, readings)
+    expected, expected_change = plainly_drawn(grid, FAN, x, y, readings)
     change = draw(grid, FAN, x, y, readings)
     assert grid.tolist() == expected.tolist()
     assert change == expected_change
 
 
 @given(seeds, seeds)
-def test_drawing_changes_nothing_that_is_known(map_seed: int, scan_seed: int) -> None:
+def test_drawing_changes_no_known_cell(map_seed: int, scan_seed: int) -> None:
     grid, readings = random_grid(map_seed), readings_of(scan_seed)
     before = grid.copy()
     change = draw(grid, FAN, 2, 2, readings)
@@ -163,7 +163,7 @@ def test_drawing_changes_nothing_that_is_known(map_seed: int, scan_seed: int) ->
     assert draw(grid, FAN, 2, 2, readings).cells == 0
 
 
-def test_a_reading_counts_the_cells_crossed_and_says_whether_the_next_one_stopped_it() -> None:
+def test_a_reading_has_the_number_of_crossed_cells_and_the_hit() -> None:
     laid = ray_table(3.0, 4)
     cases: list[tuple[int, list[int]]] = [
         (0, [FREE, UNKNOWN, UNKNOWN, UNKNOWN]),
@@ -179,7 +179,7 @@ def test_a_reading_counts_the_cells_crossed_and_says_whether_the_next_one_stoppe
         assert grid.tolist() == [row]
 
 
-def test_a_change_tells_the_box_that_it_lies_in() -> None:
+def test_a_change_has_the_box_of_the_changed_cells() -> None:
     grid = np.zeros((9, 9), np.uint8)
     change = draw(grid, ray_table(2.0, 4), 4, 5, np.array([2, 1 | HIT, HIT, 0], np.uint16))
     assert change == Change(6, (3, 5, 7, 8))
@@ -200,7 +200,7 @@ def test_a_scan_of_360_beams_takes_twelve_fragments() -> None:
 
 
 @given(seeds, st.integers(1, 20))
-def test_a_scan_drawn_by_a_longer_laser_of_the_same_beams_says_the_same(seed: int, more: int) -> None:
+def test_a_longer_ray_table_draws_the_same_scan(seed: int, more: int) -> None:
     readings = readings_of(seed)
     assume((readings != NONE).any())
     short, long = np.zeros((40, 40), np.uint8), np.zeros((40, 40), np.uint8)
@@ -209,7 +209,7 @@ def test_a_scan_drawn_by_a_longer_laser_of_the_same_beams_says_the_same(seed: in
     assert short.tolist() == long.tolist()
 
 
-def test_cells_driven_over_become_free_and_nothing_that_is_known_changes() -> None:
+def test_cells_driven_over_become_free_and_no_known_cell_changes() -> None:
     grid = np.array([[0, 0, 0, 0], [0, 1, 2, 0], [0, 0, 0, 0]], np.uint8)
     blind = np.full(40, NONE, np.uint16)
     driven = np.array([[1, 1], [2, 1], [3, 2], [3, 2], [1, 0], [4, 1], [1, -1]], np.int32)

@@ -169,6 +169,6 @@ def test_a_laboratory_that_is_not_let_in_leaves_no_directory(
     monkeypatch.setattr("protocol.zenoh_bus.CONNECT_S", 0.5)
     access.issue("run", "tcp/127.0.0.1:1", robots=2)["recorder"].write(tmp_path / "recorder.json")
     scenario = parse(tomllib.loads(SCENARIO))
-    with pytest.raises(ConnectionError, match=r"recorder: no hub let us in"):
+    with pytest.raises(ConnectionError, match=r"recorder: cannot join"):
         serve_recorder(scenario, tmp_path / "recorder.json", tmp_path / "run", None)
     assert not (tmp_path / "run").exists()

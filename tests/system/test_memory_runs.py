@@ -192,8 +192,8 @@ def test_watching_a_run_does_not_change_it() -> None:
 
 
 def test_a_robot_that_breaks_down_leaves_the_rest_to_the_others() -> None:
-    deaths = [{"robot": 0, "step": 5}, {"robot": 2, "step": 1}]
-    plan = plans.make(parse(SMALL | {"death": deaths}), small_map("leader-rooms"))
+    deaths = [{"robot": robot, "step": step, "kind": "death"} for robot, step in ((0, 5), (2, 1))]
+    plan = plans.make(parse(SMALL | {"fault": deaths}), small_map("leader-rooms"))
     records = in_memory.run(plan)
     check_bodies(plan, records)
     check_books(plan, records)
@@ -207,7 +207,9 @@ def test_a_robot_that_breaks_down_leaves_the_rest_to_the_others() -> None:
 
 
 def test_a_team_that_breaks_down_altogether_ends_the_run() -> None:
-    plan = plans.make(parse(SMALL | {"robots": 1, "death": [{"robot": 0, "step": 5}]}), small_map("office"))
+    plan = plans.make(
+        parse(SMALL | {"robots": 1, "fault": [{"robot": 0, "step": 5, "kind": "death"}]}), small_map("office")
+    )
     records = in_memory.run(plan)
     assert records.end is not None
     assert (records.end.reason, records.end.first) == ("all robots are lost", -1)

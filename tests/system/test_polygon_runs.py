@@ -320,7 +320,7 @@ def test_from_the_dead_one_keeps_what_they_had_passed_on_and_gets_no_more(rules:
 
 
 def test_a_robot_that_a_scenario_kills_is_not_heard_of_again_and_the_others_finish() -> None:
-    plan = small_plan("office", robots=3, death=[{"robot": 1, "step": 12}])
+    plan = small_plan("office", robots=3, fault=[{"robot": 1, "step": 12, "kind": "death"}])
     records = in_memory.run(plan)
     summary = summarize(plan, records, 1.0)
     ledger = records.ledger()

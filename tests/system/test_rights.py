@@ -44,7 +44,7 @@ EXAMPLES: tuple[messages.Record, ...] = (
     messages.Fault("r0", "I say so"),
     messages.Watched(here=True),
     messages.Back(0),
-    messages.Strike(3, 0, "kill"),
+    messages.FaultEvent(3, 0, "kill"),
     messages.Change(3, 100, 5000),
     messages.Snapshot(3, 1, 1, b"\x00"),
     messages.Outlines(3, 0, bytes(16)),

@@ -70,7 +70,7 @@ def test_when_the_leader_breaks_down_another_leads_and_the_team_finishes() -> No
         scenario: dict[str, Any] = {
             "map": "leader-trap", "robots": 3, "strategy": "leaders", "bus": "memory", "map_encoding": "scans",
             "bandwidth": "unlimited", "sensor_range": 2.5, "speed": 1.0, "seed": 0, "steps": 500,
-            "death": [{"robot": 0, "step": 5}], "options": {"dynamic": dynamic},
+            "fault": [{"robot": 0, "step": 5, "kind": "death"}], "options": {"dynamic": dynamic},
         }  # fmt: skip
         records = in_memory.run(plan.make(parse(scenario)))
         assert records.end is not None

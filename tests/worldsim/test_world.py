@@ -13,10 +13,9 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, disc, ray_table
-from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
+from protocol.messages import FaultEvent, Move, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
 from protocol.scans import HIT, NONE, Readings, check_readings, draw
 from worldsim.cell_motion import INTERFERENCE, NOT_BLOCKED, ROBOT, WALL
-from worldsim.faults import Fault
 from worldsim.starts import start_cells
 from worldsim.world import MOVES_AS_PLANNED, Body, World, WorldSettings, reachable_by
 
@@ -269,11 +268,11 @@ def test_without_interference_nobody_is_hindered() -> None:
 
 
 def test_faults_come_at_the_beginning_of_their_step_and_those_that_last_pass() -> None:
-    stop, kill = Fault(2, 0, "stop", 2), Fault(3, 1, "kill")
+    stop, kill = FaultEvent(2, 0, "stop", 2), FaultEvent(3, 1, "kill")
     world = corridor(2, faults=(kill, stop))
     seen = []
     for _ in range(4):
-        seen.append((world.strikes(), world.awake()))
+        seen.append((world.due_faults(), world.awake()))
         assert sorted(world.advance({})) == world.awake()
     assert seen == [([], [0, 1]), ([stop], [1]), ([kill], [1]), ([], [0, 1])]
 

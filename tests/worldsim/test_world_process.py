@@ -19,6 +19,7 @@ from protocol.messages import (
     Begin,
     End,
     Fault,
+    FaultEvent,
     Lost,
     Move,
     Positions,
@@ -31,7 +32,6 @@ from protocol.messages import (
     points_to_bytes,
     unpack,
 )
-from worldsim import faults
 from worldsim.process import ALL_LOST, EXPLORED, OUT_OF_STEPS, STALLED, WorldNode
 from worldsim.world import Body, World, WorldSettings
 
@@ -188,7 +188,7 @@ def test_the_world_goes_home_when_it_is_told_to() -> None:
 
 @pytest.mark.parametrize("step", [1, 2, 4])
 def test_a_robot_breaks_down_at_the_beginning_of_the_step_that_the_scenario_names(step: int) -> None:
-    run = Run(faults=(faults.Fault(step, 1, "death"),))
+    run = Run(faults=(FaultEvent(step, 1, "death"),))
     for number in range(1, step):
         assert run.world.step == number
         assert list(run.world.cells) == [0, 1]
@@ -201,7 +201,7 @@ def test_a_robot_breaks_down_at_the_beginning_of_the_step_that_the_scenario_name
 
 
 def test_a_team_that_breaks_down_altogether_ends_the_run() -> None:
-    run = Run(faults=(faults.Fault(1, 0, "death"), faults.Fault(1, 1, "death")))
+    run = Run(faults=(FaultEvent(1, 0, "death"), FaultEvent(1, 1, "death")))
     assert run.ended() == End(1, ALL_LOST, -1)
 
 

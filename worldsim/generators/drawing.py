@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid, areas
+from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid
 from worldsim.map_error import MapError
 
 _SIXTEENTHS = 16
@@ -91,7 +91,9 @@ def enclose(cells: Grid, wall: int) -> None:
         around = np.pad(near, 1)
         near = around[1:-1, :-2] | near | around[1:-1, 2:]
     cells[near & (cells == UNKNOWN)] = OCCUPIED
-    numbers, _ = areas(cells == FREE)
+    from scipy import ndimage  # noqa: PLC0415  slow to import, and listing names needs none
+
+    numbers, _ = ndimage.label(cells == FREE)
     sizes = np.bincount(numbers.ravel())
     sizes[0] = 0
     cells[(numbers != sizes.argmax()) & (cells == FREE)] = OCCUPIED

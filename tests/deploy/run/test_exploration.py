@@ -162,7 +162,6 @@ def test_the_scenario_is_written_with_every_setting_and_its_own_map(floor: str, 
         "robot",
         "radio",
         "starts",
-        "death",
         "fault",
         "map_options",
         "options",
@@ -348,7 +347,9 @@ def test_a_run_that_leaves_nothing_dies_of_an_interrupt(floor: str, bus: str) ->
 
 @pytest.mark.parametrize("bus", ["memory", "zenoh"])
 def test_a_death_that_the_scenario_asked_for_is_no_accident(floor: str, bus: str) -> None:
-    result = exploration.explore(scenario(floor, bus=bus, death=[{"robot": 0, "step": 5}]), keep=False)
+    result = exploration.explore(
+        scenario(floor, bus=bus, fault=[{"robot": 0, "step": 5, "kind": "death"}]), keep=False
+    )
     assert result.exit_code == EXPLORED
     assert result.summary["first_robot"] in (1, 2)
     assert result.summary["lost"] == {}
@@ -362,8 +363,8 @@ def test_a_death_that_the_scenario_asked_for_is_no_accident(floor: str, bus: str
 
 @pytest.mark.parametrize("bus", ["memory", "zenoh"])
 def test_a_team_of_which_all_die_ends(floor: str, bus: str) -> None:
-    deaths = [{"robot": robot, "step": 4 + robot} for robot in range(3)]
-    result = exploration.explore(scenario(floor, bus=bus, death=deaths), keep=False)
+    deaths = [{"robot": robot, "step": 4 + robot, "kind": "death"} for robot in range(3)]
+    result = exploration.explore(scenario(floor, bus=bus, fault=deaths), keep=False)
     assert result.exit_code == NOT_FINISHED
     assert result.summary["reason"] == "all robots are lost"
 

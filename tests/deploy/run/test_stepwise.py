@@ -13,7 +13,7 @@ from deploy.scenario.scenario import ScenarioError
 from murmur import Step, explore, steps
 from protocol.grid import FREE, UNKNOWN
 
-SMALL = {"map": "em", "robots": 2, "steps": 12, "death": [{"robot": 1, "step": 8}]}
+SMALL = {"map": "em", "robots": 2, "steps": 12, "fault": [{"robot": 1, "step": 8, "kind": "death"}]}
 
 
 def test_step_by_step_is_the_run_of_explore_and_shows_what_that_records() -> None:

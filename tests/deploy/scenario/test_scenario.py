@@ -35,7 +35,7 @@ def scenarios(draw: st.DrawFn) -> dict[str, Any]:
         {"robot": number},
         optional={"sensor_range": meters, "field_of_view": st.floats(0.1, 360), "speed": meters},
     )
-    death = st.fixed_dictionaries({"robot": number, "step": st.integers(1, MOST)})
+    death = st.fixed_dictionaries({"robot": number, "step": st.integers(1, MOST), "kind": st.just("death")})
     whole = st.integers(0, MOST)
     settings: dict[str, st.SearchStrategy[Any]] = {
         "map": st.text(st.characters(codec="utf-8", exclude_characters="\x00"), max_size=20),
@@ -57,7 +57,7 @@ def scenarios(draw: st.DrawFn) -> dict[str, Any]:
         "interference": st.floats(0, 1e6),
         "options": st.fixed_dictionaries({}, optional={"small_frontier": st.floats(0, 100)}),
         "robot": st.lists(override, max_size=3, unique_by=lambda entry: entry["robot"]),
-        "death": st.lists(death, max_size=3, unique_by=lambda entry: entry["robot"]),
+        "fault": st.lists(death, max_size=3, unique_by=lambda entry: entry["robot"]),
     }
     return {
         "robots": robots,
@@ -151,18 +151,21 @@ WRONG = [
     ({"options": {"small_frontier": "big"}}, "option small_frontier of repairmen must be float, not 'big'"),
     ({"options": {"beta": math.nan}}, "options = .*beta must lie between"),
     ({"options": 3}, "options = 3: "),
-    ({"colour": "red"}, "colour is no setting; there are: map, .*death"),
+    ({"colour": "red"}, "colour is no setting; there are: map, .*fault"),
     ({"polygons": {"colour": "red"}}, "polygons.colour is no setting; there are: medium_use"),
-    ({"robot": [{"robot": 3}]}, r"\[\[robot\]\] speaks of robot 3; the last one is 2"),
-    ({"robot": [{"robot": 1}, {"robot": 1}]}, r"\[\[robot\]\] speaks of a robot twice"),
+    ({"robot": [{"robot": 3}]}, r"\[\[robot\]\] names robot 3; the last one is 2"),
+    ({"robot": [{"robot": 1}, {"robot": 1}]}, r"\[\[robot\]\] names a robot twice"),
     ({"robot": [{"robot": 1, "colour": "red"}]}, "robot.0.colour is no setting; there are: robot, "),
     ({"robot": [{"speed": 1.0}]}, "robot.0.robot is missing"),
     ({"robot": [{"robot": 0, "speed": -1.0}]}, "robot.0.speed = -1.0: "),
     ({"robot": {"robot": 0}}, "robot = "),
-    ({"death": [{"robot": 0, "step": 0}]}, "death.0.step = 0: .*greater than or equal to 1"),
-    ({"death": [{"robot": 9, "step": 1}]}, r"\[\[death\]\] speaks of robot 9"),
-    ({"death": [{"robot": 0}]}, "death.0.step is missing"),
-    ({"death": 3}, "death = 3: "),
+    ({"fault": [{"robot": 0, "step": 0, "kind": "death"}]}, "fault.0.step = 0: .*greater than or equal to 1"),
+    (
+        {"fault": [{"robot": 9, "step": 1, "kind": "death"}]},
+        "fault at step 1: death of robot 9: the last robot is 2",
+    ),
+    ({"fault": [{"robot": 0, "kind": "death"}]}, "fault.0.step is missing"),
+    ({"fault": 3}, "fault = 3: "),
 ]
 
 
