@@ -17,7 +17,6 @@ from agent.announcements import Announcements
 from agent.encodings.catalog import ENCODINGS, make_encoding
 from agent.outline.polygons import Polygons
 from agent.replication.engine import Replication
-from agent.replication.frames import RoundReport
 from agent.replication.map_ids import MapId
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision
@@ -26,7 +25,7 @@ from agent.team_state import TeamState
 from protocol import packet_index, packets
 from protocol.fields import MOST_ON_THE_WAY
 from protocol.grid import UNKNOWN, Grid, ray_table
-from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
+from protocol.messages import Move, RoundReport, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
 from protocol.scans import Scan, check_readings, draw
 
 SURE_AFTER = 10
@@ -122,7 +121,9 @@ class Robot:
             encoding.retract_last()
         delivered = replication.delivered() and not self._withheld
         if delivered:
-            self._announcements.scans_received(encoding.scan_cell(replication.own.number), self._team.in_range)
+            self._announcements.scans_received(
+                encoding.scan_cell(replication.own.number), self._team.in_range
+            )
         scan = Scan(sense.x, sense.y, readings)
         self._withheld += encoding.encode_changes(self.own, scan, change, delivered=delivered)
         if not self._strategy.defers_publication:

@@ -21,11 +21,11 @@ from functools import partial
 
 from agent.replication.control_packets import from_packet, held_packet, offset, parse
 from agent.replication.frame_builder import FrameBuilder
-from agent.replication.frames import OutgoingFrame, RoundReport
 from agent.replication.handshake_packets import offer
 from agent.replication.policies import LogRange, Policy, Round, offerable
 from agent.replication.replica import Replica
 from protocol.errors import ProtocolError
+from protocol.messages import OutgoingFrame, RoundReport
 from protocol.packets import From, FromEarly, Held, HeldEarly, Offer
 
 MAX_WAIT = 64

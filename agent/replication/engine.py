@@ -22,7 +22,6 @@ from collections.abc import Sequence
 
 from agent.replication.acked_frames import AckedFrames
 from agent.replication.delivery import MediumAcks, PeerAcks
-from agent.replication.frames import Delivery, OutgoingFrame, RoundReport
 from agent.replication.gossip import Gossip
 from agent.replication.gossip_policy import Dependencies, no_dependencies
 from agent.replication.handshakes import Handshakes
@@ -33,7 +32,7 @@ from agent.replication.policies import DISSEMINATIONS, GOSSIP, POLICIES
 from agent.replication.replica import Consume, Rejected, Replica
 from agent.settings import Settings
 from protocol.errors import ProtocolError
-from protocol.messages import NO_REPLIES, Replies
+from protocol.messages import NO_REPLIES, Delivery, OutgoingFrame, Replies, RoundReport
 
 
 class Replication:

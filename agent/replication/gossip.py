@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 from agent.replication.control_packets import Entries, ParsedFrame, from_packet, held_packet, offset, parse
 from agent.replication.delivery import PATIENCE, MediumAcks, PeerAcks
 from agent.replication.frame_builder import FrameBuilder
-from agent.replication.frames import EVERYONE, OutgoingFrame, RoundReport
 from agent.replication.gossip_policy import Dependencies, GossipPolicy
 from agent.replication.meetings import Event, Meetings
 from agent.replication.neighbors import BroadcastCursors, Neighbors
@@ -35,6 +34,7 @@ from agent.replication.peers import Mask, Table
 from agent.replication.replica import Replica
 from protocol import packets
 from protocol.errors import ProtocolError
+from protocol.messages import EVERYONE, OutgoingFrame, RoundReport
 from protocol.packets import From, FromEarly, Gone, Held, HeldEarly, Near
 
 REFRESH = 16

@@ -15,12 +15,19 @@ import numpy as np
 
 from agent.replication.connection import Connection, Event, State
 from agent.replication.frame_builder import FrameBuilder
-from agent.replication.frames import Delivery, OutgoingFrame, RoundReport
 from agent.replication.handshake_packets import DECLINE, answer, block_of, offer, read_answer, read_offer
 from agent.replication.policies import Policy, Round, backoff, offerable
 from agent.replication.replica import Replica
 from protocol.errors import ProtocolError
-from protocol.messages import NO_REPLIES, Replies
+from protocol.messages import (
+    NO_REPLIES,
+    AnswerReply,
+    Delivery,
+    OfferReply,
+    OutgoingFrame,
+    Replies,
+    RoundReport,
+)
 
 MAX_WAIT = 64
 """Rounds that an offer is postponed at most."""
@@ -85,22 +92,21 @@ class Handshakes:
         declined = {number for _, number in self._replica.refused}
         declined.update(range(own, len(logs), peers.robots))
         held = [(number, len(log)) for number, log in enumerate(logs) if number not in declined]
-        offers = [offer(number, length) for number, length in held]
-        answers = [answer(length, block_of(length)) for _, length in held]
-        level: list[bytes] = []
-        behind: list[bytes] = []
-        load: list[int] = []
+        offers = [
+            OfferReply(offer(number, length), answer(length, block_of(length))) for number, length in held
+        ]
+        replies: list[tuple[bytes, bytes, int]] = []
         loads: dict[int, bytes] = {}
         for connection in self._offered.values():
             number, expected = connection.number, connection.length
-            level.append(answer(len(logs[number]), block_of(expected)))
-            behind.append(answer(expected, block_of(expected)))
             if number == own and expected not in loads:
                 loads[expected] = logs[own].read(expected, self._round.budget)
-            load.append(list(loads).index(expected) if number == own else -1)
+            load = list(loads).index(expected) if number == own else -1
+            up_to_date = answer(len(logs[number]), block_of(expected))
+            replies.append((up_to_date, answer(expected, block_of(expected)), load))
         if sum(map(len, loads.values())) > MAX_SPECULATIVE:
-            load, loads = [-1] * len(load), {}
-        return Replies(offers, answers, DECLINE, level, behind, load, list(loads.values()))
+            replies, loads = [(*each[:2], -1) for each in replies], {}
+        return Replies(offers, DECLINE, [AnswerReply(*each) for each in replies], list(loads.values()))
 
     def answer(self, offers: Sequence[Delivery]) -> list[OutgoingFrame]:
         """Answer offers; ProtocolError if a frame is no offer."""

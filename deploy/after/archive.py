@@ -62,7 +62,7 @@ class Archive:
         told = [
             each.range_mm / 1000
             for each in self.plan.radio.changes
-            if each.step <= step and each.range_mm >= 0
+            if each.step <= step and each.range_mm is not None
         ]
         return told[-1] if told else self.plan.range_m
 

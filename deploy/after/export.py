@@ -31,7 +31,7 @@ from deploy.after.recast_scans import Lasers, Rescan
 from deploy.dashboard.shapes import corner
 from deploy.record.colors import GROUPS, robot_color
 from deploy.record.snapshots import Snapshots
-from netshaper.capture import FRAMES
+from netshaper.ledger import FRAMES
 from protocol.grid import FREE, OCCUPIED, Grid, RayTable
 from protocol.messages import Outlines, Snapshot, grid_from_bytes
 from protocol.scans import HIT, NONE, Readings

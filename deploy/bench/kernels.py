@@ -257,8 +257,8 @@ def _session(plan: Plan, units: Sequence[Sequence[list[bytes]]]) -> Figure:
     """The exploration's packets through 8 sessions and the relay, against the relay's part of it."""
     air = Handshakes(plan)
     for step in range(min(map(len, units))):
-        for session, told in zip(air.sessions, units, strict=True):
-            session.record(told[step])
+        for engine, told in zip(air.engines, units, strict=True):
+            engine.append(told[step])
         air.play(step + 1)
     name = f"session of {ROBOTS} robots a step"
-    return compare(name, "ms", air.in_sessions, "the relay's work in it", air.in_relay)
+    return compare(name, "ms", air.in_engines, "the relay's work in it", air.in_relay)

@@ -47,8 +47,9 @@ def relay() -> Iterator[Figure]:
         plan = _plan(case)
         recording_bus, _ = recorded_for(plan, names.RELAY)
         heard = recording_bus.heard
-        said = [rights.read(*message) for message in heard if names.parts(message.key)[0] == "radio"]
-        frames = [frame for words in said for frame in words.frames]
+        sent = [rights.read(*message) for message in heard if names.parts(message.key)[0] == "radio"]
+        frames = [frame.payload for message in sent for frame in message.frames]
+        frames += [message.broadcast for message in sent if message.broadcast]
         ours, theirs = [], []
         for _ in range(REPEATS):
             ours.append(_relaying(plan, heard) / len(frames))

@@ -70,7 +70,7 @@ class Watcher:
             return
         self._lives[number, robot.settings.incarnation] = robot
         self._checked[number] = robot, step
-        held = [len(log) for log in robot.session.logs]
+        held = [len(log) for log in robot.replication.logs]
         who = f"step {step}: robot {number}"
         known = robot.own != UNKNOWN
         if (robot.own != self._truth)[known].any():
@@ -120,14 +120,14 @@ class Watcher:
         """What is held of a log is what its maker wrote."""
         robots = self._plan.scenario.robots
         for (number, incarnation), robot in self._lives.items():
-            for map_id, log in enumerate(robot.session.logs):
+            for map_id, log in enumerate(robot.replication.logs):
                 maker = self._lives.get((map_id % robots, map_id // robots))
                 if maker is None or maker is robot:
                     continue
-                written = maker.session.logs[map_id]
-                first = max(log.oldest, written.oldest)
-                held = log.since(first, None) if first < len(log) else b""
-                if held != written.since(first, None)[: len(held)]:
+                written = maker.replication.logs[map_id]
+                first = max(log.start, written.start)
+                held = log.read(first, None) if first < len(log) else b""
+                if held != written.read(first, None)[: len(held)]:
                     raise Violation(
                         f"robot {number} in life {incarnation} holds units of map {map_id} that nobody wrote"
                     )

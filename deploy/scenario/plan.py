@@ -13,8 +13,8 @@ from agent.strategies.registry import strategy
 from deploy.scenario.finding_maps import find_map
 from deploy.scenario.scenario import Scenario, ScenarioError
 from deploy.scenario.tables import UNLIMITED
-from netshaper import medium
-from netshaper.radio import RadioSettings
+from netshaper.settings import RadioSettings
+from protocol.budget import Budget
 from protocol.grid import MAX_SIDE, disc, enlarge
 from worldsim import faults
 from worldsim.map_error import MapError
@@ -101,7 +101,7 @@ def make(scenario: Scenario, world_map: Map | None = None, *, incarnations: int 
         scenario.motion == "cells",
         scenario.robots_collide,
     )
-    budget = medium.UNLIMITED if scenario.bandwidth == UNLIMITED else int(scenario.bandwidth)
+    budget = Budget.parse(scenario.bandwidth)
     radio = RadioSettings(
         scenario.robots,
         scenario.seed,

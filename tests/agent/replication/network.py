@@ -14,7 +14,11 @@ from functools import partial
 import numpy as np
 
 from agent.replication.engine import Replication
-from agent.replication.frames import (
+from agent.replication.map_ids import MapId
+from agent.replication.policies import DISSEMINATIONS
+from protocol import packet_index
+from protocol.errors import ProtocolError
+from protocol.messages import (
     EVERYONE,
     ConnectionReport,
     Delivery,
@@ -22,10 +26,6 @@ from agent.replication.frames import (
     RoundReport,
     SendReport,
 )
-from agent.replication.map_ids import MapId
-from agent.replication.policies import DISSEMINATIONS
-from protocol import packet_index
-from protocol.errors import ProtocolError
 from protocol.packets import Fragment, encode
 
 Reach = Mapping[int, Sequence[int]]

@@ -8,9 +8,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from agent.replication.engine import Replication
-from agent.replication.frames import ConnectionReport, Delivery, RoundReport, SendReport
 from protocol import packet_index
 from protocol.errors import ProtocolError
+from protocol.messages import ConnectionReport, Delivery, RoundReport, SendReport
 from protocol.packets import Answer, HeldEarly, Offer, encode
 from tests.agent.replication.network import (
     VARIANTS,
@@ -217,9 +217,8 @@ def test_two_robots_that_walk_apart_and_back_hold_all_of_each_other(name: str, a
     for step in range(100):
         network.append(0, 1)
         network.append(1, 1)
-        together = step < 20 or step >= 80
+        before, together = network.carried, step < 20 or step >= 80
         network.step(everyone(2) if together else {0: [], 1: []}, 120)
         network.check()
         assert together or network.carried == before
-        before = network.carried
     network.settle(everyone(2), 120)

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from agent.encodings.base import Dependency
 from agent.replication.delivery import PATIENCE
 from agent.replication.engine import Replication
-from agent.replication.frames import Delivery, RoundReport, SendReport
 from agent.replication.gossip import REFRESH
 from agent.replication.gossip_policy import HELD_PER_PRIORITY, MAX_PRIORITY
 from agent.replication.meetings import GREETING
 from protocol import packet_index, packets
 from protocol.errors import ProtocolError
+from protocol.messages import Delivery, RoundReport, SendReport
 from protocol.packets import (
     GOSSIP_WINDOW,
     Delete,

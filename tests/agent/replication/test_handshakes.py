@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from agent.replication.connection import Connection, Event, State
 from agent.replication.engine import Replication
-from agent.replication.frames import ConnectionReport, Delivery, OutgoingFrame, RoundReport
 from agent.replication.handshake_packets import LEAST_HANDSHAKE
 from agent.replication.handshakes import MAX_WAIT, STUBBORN
 from agent.replication.log import Log
@@ -21,6 +20,7 @@ from agent.replication.peers import held_by_all
 from agent.replication.policies import CROWD, POLICIES, choose_offers
 from protocol import packet_index, packets
 from protocol.errors import ProtocolError
+from protocol.messages import ConnectionReport, Delivery, OutgoingFrame, RoundReport
 from protocol.packets import BLOCKS, INDEX_WINDOW, Answer, Block, Decline, Offer, Save, encode
 from tests.agent.replication.network import Network, entries, entry, everyone, line
 
