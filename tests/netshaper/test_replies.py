@@ -102,7 +102,7 @@ def test_what_is_said_for_robots_is_what_they_would_say(
     assert not answered.network.radio.protocol_errors
     for one, other in zip(asked.engines, answered.engines, strict=True):
         assert [len(log) for log in one.logs] == [len(log) for log in other.logs]
-        assert (one.known == other.known).all()
+        assert (one.peers.expected == other.peers.expected).all()
     assert answered.sent <= asked.sent
 
 

@@ -238,9 +238,9 @@ def truncated_log(length: int) -> Log:
 def test_an_answer_is_as_short_as_it_can_be(length: int, count: int) -> None:
     each = engine(1)
     each.logs[0] = truncated_log(length)
-    ((_, frame, _),) = each.answer([Delivery(0, encode([Offer(0, 0)]), 0)])
-    assert len(packets.decode(frame)) == count
-    assert len(frame) == 2 * count
+    (reply,) = each.answer([Delivery(0, encode([Offer(0, 0)]), 0)])
+    assert len(packets.decode(reply.payload)) == count
+    assert len(reply.payload) == 2 * count
 
 
 LATE = [
@@ -264,12 +264,13 @@ def test_a_peer_that_got_far_ahead_of_the_table_goes_on_where_it_is(
     offerer.logs[2].append(mine * [encode([Save()])])
     peer.logs[2].append(theirs * [encode([Save()])])
     offerer.peers.expected[1, 2] = table
-    ((_, offer, _),) = offerer.open_round(1, [1], 1000)
-    ((_, answer, _),) = peer.answer([Delivery(0, offer, 0)])
-    ((_, data, _),) = offerer.send_data([Delivery(1, answer, 0, 2)])
-    assert len(data) == min(mine - theirs, 1000)
-    offerer.close_round(closing(ConnectionReport(0, 2, len(answer), len(data))))
-    assert offerer.peers.expected[1, 2] == theirs + len(data)
+    (offer,) = offerer.open_round(1, [1], 1000)
+    (answer,) = peer.answer([Delivery(0, offer.payload, 0)])
+    (data,) = offerer.send_data([Delivery(1, answer.payload, 0, 2)])
+    sent = len(data.payload)
+    assert sent == min(mine - theirs, 1000)
+    offerer.close_round(closing(ConnectionReport(0, 2, len(answer.payload), sent)))
+    assert offerer.peers.expected[1, 2] == theirs + sent
 
 
 # Truncation.
@@ -460,8 +461,8 @@ def test_a_byzantine_robot_neither_spoils_a_log_nor_keeps_others_from_theirs(
 def test_no_robot_accepts_entries_of_its_own_map() -> None:
     each = engine(0, 3)
     each.append(entries(0, 0, 2))
-    ((_, answer, _),) = each.answer([Delivery(1, encode([Offer(0, 0)]), 5)])
-    assert packets.decode(answer) == [Decline()]
+    (answer,) = each.answer([Delivery(1, encode([Offer(0, 0)]), 5)])
+    assert packets.decode(answer.payload) == [Decline()]
     each.close_round(closing(ConnectionReport(5, 2, 2, 9), data=[Delivery(1, entry(0, 2), 5)]))
     assert packet_index.split(each.logs[0].read(0, None)) == entries(0, 0, 2)
 
