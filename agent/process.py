@@ -10,7 +10,7 @@ from agent.journal import Journal
 from agent.radio_events import respond
 from agent.robot import Robot
 from agent.settings import Settings
-from agent.viewer_feed import SHOWN_EVERY, ViewerFeed
+from agent.viewer_feed import SHOWN_EVERY, RecorderFeed, ViewerFeed
 from protocol import keys as names
 from protocol import rights
 from protocol.bus import Bus, Message
@@ -68,6 +68,7 @@ class AgentNode:
         self._early: list[MediumEvent] = []
         """Events of a step for which the world's message has not arrived yet."""
         self._viewer_feed: ViewerFeed | None = None
+        self._recorder_feed: RecorderFeed | None = None
         self._step = 0
         self._work = 0.0
 
@@ -108,6 +109,7 @@ class AgentNode:
         if self._identity is not None:
             settings = self._identity.begin(settings)
         self.robot = Robot(settings)
+        self._recorder_feed = RecorderFeed(settings) if settings.record_maps else None
         if self._common is not None:
             self.robot.share(self._common)
         self._early.clear()
@@ -172,7 +174,12 @@ class AgentNode:
             self._bus.put(self._to_viewer, payload)
 
     def _show(self, step: int) -> None:
-        """Send the viewer, if there is one, the changes of the robot's maps."""
-        if self._viewer_feed is not None and self.robot is not None:
+        """Send changes of this robot's maps to the recorder, if it stores them, and to a viewer, if there is one."""
+        if self.robot is None:
+            return
+        if self._recorder_feed is not None:
+            for report in self._recorder_feed.changes(step, self.robot):
+                self._bus.put(self._to_lab, pack(report))
+        if self._viewer_feed is not None:
             for news in self._viewer_feed.news(step, self.robot):
                 self._bus.put(self._to_viewer, pack(news))

@@ -70,6 +70,8 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Cell where its first life began; None: here and now.
     fastest_cells : float
         Cells that the fastest robot of the team can drive in a step.
+    record_maps : bool
+        Whether to report changes of its maps to the recorder.
     """
 
     robot: int
@@ -99,6 +101,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     incarnation: int = 0
     home: tuple[int, int] | None = None
     fastest_cells: float = 0.0
+    record_maps: bool = False
 
     @property
     def maps(self) -> int:

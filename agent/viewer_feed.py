@@ -1,4 +1,4 @@
-"""The feed of a robot's maps to a viewer: at intervals, and only what has changed since the last time."""
+"""Feeds of a robot's maps, to a viewer and to the recorder: every few steps, and only the maps that changed."""
 
 from __future__ import annotations
 
@@ -6,32 +6,71 @@ import numpy as np
 
 from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
 from agent.robot import Robot
+from agent.settings import Settings
 from protocol.grid import Grid
-from protocol.messages import Outlines, Snapshot, grid_to_bytes
+from protocol.messages import MapChanges, Outlines, Snapshot, grid_to_bytes
 
 SHOWN_EVERY = 5
 """Steps from one feed to the next."""
+NEVER_REPORTED = 255
+"""A value that no cell has: with it as the last report, the next one lists every cell."""
 
 
 class ViewerFeed:
-    """What one viewer has been sent so far."""
+    """The maps that one viewer has been sent so far."""
 
     def __init__(self) -> None:
         self._planning: Grid | None = None
-        self._polygons: dict[int, Polygons] = {}
+        self._outlines = _OutlineFeed()
 
     def news(self, step: int, robot: Robot) -> list[Snapshot | Outlines]:
-        """Return what the viewer has not been sent yet."""
-        said: list[Snapshot | Outlines] = []
+        """Return the maps that changed since the last call."""
+        changed: list[Snapshot | Outlines] = []
         if self._planning is None or not np.array_equal(self._planning, robot.planning):
             self._planning = robot.planning.copy()
             height, width = robot.planning.shape
-            said.append(Snapshot(step, width, height, grid_to_bytes(robot.planning)))
-        for map_id, polygons in sorted(robot.polygons.items()):
-            if self._polygons.get(map_id) is not polygons:
-                self._polygons[map_id] = polygons
-                said.append(Outlines(step, map_id, outline_bytes(polygons)))
-        return said
+            changed.append(Snapshot(step, width, height, grid_to_bytes(robot.planning)))
+        return changed + self._outlines.changes(step, robot)
+
+
+class RecorderFeed:
+    """The maps that the recorder has been sent so far.
+
+    Where a robot starts again, the recorder holds the maps of its former incarnation: the first report then lists
+    every cell.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        reported = NEVER_REPORTED if settings.incarnation else 0
+        self._cells = np.full((settings.height, settings.width), reported, np.uint8)
+        self._outlines = _OutlineFeed()
+
+    def changes(self, step: int, robot: Robot) -> list[MapChanges | Outlines]:
+        """Return the cells and outlines that changed since the last call."""
+        cells = robot.own | robot.planning << 2
+        changed = np.flatnonzero(cells != self._cells)
+        self._cells = cells
+        reports: list[MapChanges | Outlines] = [*self._outlines.changes(step, robot)]
+        if len(changed):
+            values = cells.ravel()[changed]
+            reports.append(MapChanges(step, changed.astype("<u4").tobytes(), values.tobytes()))
+        return reports
+
+
+class _OutlineFeed:
+    """Outlines that a receiver has been sent so far, by map."""
+
+    def __init__(self) -> None:
+        self._sent: dict[int, Polygons] = {}
+
+    def changes(self, step: int, robot: Robot) -> list[Outlines]:
+        changed = [
+            (map_id, polygons)
+            for map_id, polygons in sorted(robot.polygons.items())
+            if self._sent.get(map_id) is not polygons
+        ]
+        self._sent |= changed
+        return [Outlines(step, map_id, outline_bytes(polygons)) for map_id, polygons in changed]
 
 
 def outline_bytes(polygons: Polygons) -> bytes:
@@ -43,3 +82,14 @@ def outline_bytes(polygons: Polygons) -> bytes:
     rows[:, 2] = 4 * polygons.y + SIDE_Y[polygons.side]
     rows[:, 3] = polygons.occupied | np.repeat(polygons.inside, sizes).astype(np.uint8) << 1
     return rows.tobytes()
+
+
+def polygons_of(vertices: bytes, shape: tuple[int, int]) -> Polygons:
+    """Decode polygons that `outline_bytes` encoded, on a grid of `shape` (h, w)."""
+    rows = np.frombuffer(vertices, "<i2").reshape(-1, 4)
+    x, y = (rows[:, 1] + 1) // 4, (rows[:, 2] + 1) // 4
+    across, down = rows[:, 1] - 4 * x, rows[:, 2] - 4 * y
+    side = np.where(across == 0, 1 - down, 2 - across)
+    start = np.append(np.flatnonzero(np.diff(rows[:, 0], prepend=-1)), len(rows)).astype(np.int32)
+    flags = rows[:, 3].astype(np.uint8)
+    return Polygons(shape, x, y, side.astype(np.uint8), flags & 1, start, flags[start[:-1]] >> 1 == 1)

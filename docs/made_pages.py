@@ -32,7 +32,7 @@ def files_page() -> str:
     ]
     for file, columns in FILES.items():
         lines += ["", f"## {file}", "", "| column | type | meaning |", "|---|---|---|"]
-        lines += [f"| `{column.name}` | {column.type} | {column.map_id} |" for column in columns]
+        lines += [f"| `{column.name}` | {column.type} | {column.meaning} |" for column in columns]
     return "\n".join(lines) + "\n"
 
 

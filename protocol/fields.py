@@ -52,6 +52,7 @@ Readings = Annotated[bytes, Meta(max_length=2 * MOST_BEAMS)]
 EncodedSettings = Annotated[bytes, Meta(max_length=1 << 20)]
 Poses = Annotated[bytes, Meta(max_length=16 * MAX_ROBOTS)]
 Cells = Annotated[bytes, Meta(max_length=MOST_CELLS)]
+CellIndices = Annotated[bytes, Meta(max_length=4 * MOST_CELLS)]
 Vertices = Annotated[bytes, Meta(max_length=1 << 24)]
 Books = Annotated[bytes, Meta(max_length=1 << 30)]
 

@@ -29,6 +29,7 @@ from protocol.fields import (
     Books,
     CellCount,
     CellCountOrNone,
+    CellIndices,
     Cells,
     Connection,
     Coordinate,
@@ -260,7 +261,7 @@ class Open(Record, tag=5, frozen=True):
     budget: Budget
 
 
-class Broadcasts(Record, tag=26, frozen=True):
+class Broadcasts(Record, tag=27, frozen=True):
     """Event: poses and targets arrived."""
 
     step: Step
@@ -451,8 +452,24 @@ class Snapshot(Record, tag=20, frozen=True):
     planning: Cells
 
 
+class MapChanges(Record, tag=26, frozen=True):
+    """Robot to recorder, every few steps: the cells of its two maps that changed since its last report.
+
+    `cells`: uint32 indices into the map, row after row. `values`: one byte per cell, bits 0-1 the value on the robot's
+    own map, bits 2-3 the value on its planning map.
+    """
+
+    step: Step
+    cells: CellIndices
+    values: Cells
+
+    def __post_init__(self) -> None:
+        if len(self.cells) != 4 * len(self.values):
+            raise ValueError(f"{len(self.values)} values for {len(self.cells)} bytes of cell indices")
+
+
 class Outlines(Record, tag=21, frozen=True):
-    """Robot to viewer, where they have changed: the polygons of robot `map_id`'s map, as this robot holds them.
+    """Robot to viewer and recorder, if they changed: the polygons of map `map_id`, as this robot holds them.
 
     `vertices`: int16 rows (object, x and y in quarters of a cell, bit 0 occupied edge, bit 1 inside object).
     """
@@ -476,7 +493,7 @@ class Fault(Record, tag=18, frozen=True):
 _TYPES: tuple[type[Record], ...] = (
     Begin, Configure, Sense, Move, Positions, Open, PhaseDelivery, RobotFrames, RoundReport, Close, Lost, End, Stop,
     Shutdown, WorldReport, RobotStatus, RadioReport, Maps, Fault, Watched, Snapshot, Outlines, FaultEvent, Back, Change,
-    RelayUpdate, Broadcasts,
+    RelayUpdate, MapChanges, Broadcasts,
 )  # fmt: skip
 _HEAD = {kind: 0x90 | len(kind.__struct_fields__) + 1 for kind in _TYPES}
 """The first byte of each message: a list of so many items."""

@@ -22,6 +22,7 @@ from protocol.messages import (
     Fault,
     FaultEvent,
     Lost,
+    MapChanges,
     Maps,
     Move,
     Outlines,
@@ -55,7 +56,7 @@ RIGHTS: dict[tuple[str, str], tuple[type[Record], ...]] = {
     (RECORDER, RELAY): (Configure, Lost, Stop, FaultEvent, Change, Shutdown),
     (ROBOT, RELAY): (RobotFrames,),
     (ROBOT, WORLD): (Move,),
-    (ROBOT, RECORDER): (RobotStatus, Maps, Fault),
+    (ROBOT, RECORDER): (RobotStatus, MapChanges, Outlines, Maps, Fault),
     (ROBOT, VIEW): (RobotStatus, Fault, Snapshot, Outlines),
 }
 """What who says (first) may say to whom (second); a viewer says nothing."""

@@ -10,7 +10,9 @@ deaf      the robot's radio cannot receive
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from bisect import insort
+from collections.abc import Container, Iterable
 
 from protocol.messages import FaultEvent
 
@@ -18,6 +20,38 @@ KINDS = ("death", "kill", "restart", "stop", "mute", "deaf")
 
 TEMPORARY = ("stop", "mute", "deaf")
 """Kinds of fault that may end by themselves."""
+
+
+class FaultSchedule:
+    """The faults of a run that have not occurred yet, and the temporary faults that are active.
+
+    Attributes
+    ----------
+    pending : list of FaultEvent
+        Faults that have not occurred yet, by step.
+    active : dict of str to dict of int to float
+        For each kind in `TEMPORARY`: the affected robots, each with the step in which it recovers (inf: never).
+    """
+
+    def __init__(self, faults: Iterable[FaultEvent]) -> None:
+        self.pending = sorted(faults)
+        self.active: dict[str, dict[int, float]] = {kind: {} for kind in TEMPORARY}
+
+    def add(self, fault: FaultEvent) -> None:
+        """Schedule one more fault."""
+        insort(self.pending, fault)
+
+    def due(self, step: int, present: Container[int]) -> list[FaultEvent]:
+        """Remove and return the faults of `step`, in order, and update `active`; only `present` robots can stop."""
+        due = [fault for fault in self.pending if fault.step <= step]
+        self.pending = [fault for fault in self.pending if fault.step > step]
+        for robots in self.active.values():
+            for robot in [robot for robot, until in robots.items() if until <= step]:
+                del robots[robot]
+        for fault in due:
+            if fault.kind in TEMPORARY and (fault.kind != "stop" or fault.robot in present):
+                self.active[fault.kind][fault.robot] = step + fault.steps if fault.steps else math.inf
+        return due
 
 
 def check(faults: Iterable[FaultEvent], robots: int) -> None:

@@ -1,4 +1,4 @@
-"""The world's shell, the step barrier: it opens a step, waits until all robots have moved, opens the next."""
+"""The world's process: it opens a step, waits until all active robots have sent their moves, and opens the next."""
 
 from __future__ import annotations
 
@@ -32,6 +32,7 @@ from protocol.messages import (
 from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_ERRORS
 from worldsim.continuous_motion import FINE
 from worldsim.faults import KINDS
+from worldsim.restarts import Restarts
 from worldsim.world import World
 
 EXPLORED, OUT_OF_STEPS, ALL_LOST = "explored", "out of steps", "all robots are lost"
@@ -39,7 +40,7 @@ STALLED = "stalled: there is a frontier left, and no robot gets nearer to it"
 
 
 class WorldNode:
-    """One run's world; `done` once it may shut down.
+    """The world's end of the bus; `done` once the run is recorded and it may end.
 
     Parameters
     ----------
@@ -48,9 +49,9 @@ class WorldNode:
     cell_mm : float
         Side of a cell in millimetres, for reports.
     wait : callable, optional
-        Called before each step is opened: it may delay the step, so that people can watch (`worldsim.pace`).
+        Called before each step is opened; it may delay the step (`worldsim.pace`).
     revive : bool
-        Whether to restart robots whose processes die unexpectedly.
+        Whether to restart robots whose processes end unexpectedly.
     incarnations : int
         How often each robot may start: once, and once more for each restart.
     """
@@ -71,105 +72,93 @@ class WorldNode:
         self._bus = bus
         self._keys = keys
         self._world = world
-        self._to = {robot: keys.body(names.robot(robot), names.WORLD) for robot in world.cells}
+        self._body_keys = {robot: keys.body(names.robot(robot), names.WORLD) for robot in world.cells}
         self._steps = steps
         self._cell_mm = cell_mm
         self._wait = wait
-        self._revive = revive
-        self._left = dict.fromkeys(world.cells, incarnations - 1)
-        """How often each robot may still be started again."""
-        self._coming: set[int] = set()
-        """Robots that were lost unasked, and are being started again."""
+        self._restarts = Restarts(world.cells, incarnations - 1, automatic=revive)
         self._moves: dict[int, Move] = {}
-        self._gone: set[int] = set()
-        """Robots whose processes have ended, as the relay said."""
-        self._back: set[int] = set()
-        """Robots that have come back, and have not been let into the world yet."""
-        self._restarting: set[int] = set()
-        """Robots without which the next step does not begin, for it is the one in which they come back."""
-        self._held: dict[int, Move] = {}
-        """The moves of the step that waits for them."""
-        self._stop = ""
+        """The moves received in this step, by robot."""
+        self._held_moves: dict[int, Move] = {}
+        """The moves of the last step, until the next one is opened; restarts may hold it."""
+        self._stop_reason = ""
+        """Why the recorder asked for the run to end after this step; empty if it did not."""
         self._running = False
-        self._watched = False
-        self._closed = False
-        """Whether the medium of this step is: then all robots are to move."""
+        self._has_viewer = False
+        self._medium_closed = False
+        """Whether the relay has closed the medium of this step; robots move only then."""
         self._protocol_errors: Counter[str] = Counter()
-        """How often each participant has made no sense in this step."""
+        """Malformed or inconsistent messages in this step, by sender."""
 
     def handle(self, message: Message) -> None:
-        """Take one message from the bus."""
+        """Process one message from the bus."""
         try:
-            said = rights.read(*message)
-            if isinstance(said, Move):
-                self._take_move(names.number(names.parts(message.key)[3]), said)
+            content = rights.read(*message)
+            if isinstance(content, Move):
+                self._take_move(names.number(names.parts(message.key)[3]), content)
             else:
-                self._take_note(said)
+                self._take_note(content)
         except ProtocolError as error:
-            self._fault(names.parts(message.key)[3], str(error))
-        while self._running and not self._restarting and len(self._moves) >= self._world.awake_count:
+            self._report_error(names.parts(message.key)[3], str(error))
+        while self._running and not self._restarts.awaited and len(self._moves) >= self._world.active_count:
             self._end_step()
 
     @property
     def phase(self) -> tuple[object, ...]:
-        """What the world waits for: all moves of a step whose medium is closed, or those who are to come back."""
-        return self._world.step, self._closed, len(self._restarting)
+        """The state of the barrier: it changes whenever the run makes progress."""
+        return self._world.step, self._medium_closed, len(self._restarts.awaited)
 
     def waiting_for(self) -> list[int]:
-        """Robots whose moves the world is waiting for."""
-        if self._restarting:
-            return sorted(self._restarting - self._back)
-        return sorted({*self._world.awake()} - self._moves.keys()) if self._running and self._closed else []
+        """Return the robots that the next step waits for: for their return, or for their moves."""
+        if self._restarts.awaited:
+            return sorted(self._restarts.awaited - self._restarts.rejoined)
+        waits = self._running and self._medium_closed
+        return [robot for robot in self._world.active_robots() if robot not in self._moves] if waits else []
 
     def give_up_on(self, robot: int, cause: str) -> None:
-        """Have the relay go on without a robot: then it is lost to all."""
+        """Continue without a robot; the relay removes it from the run."""
         self._bus.put(self._keys.control_tx(names.WORLD), pack(Lost(robot, cause)))
-        if robot in self._restarting:
-            self._restarting.discard(robot)
-            self._back.discard(robot)
-            if self._restarting:
-                self._restart()
+        if self._restarts.give_up_on(robot):
+            if self._restarts.awaited:
+                self._start_awaited()
             else:
                 self._advance()
 
-    def _take_note(self, said: object) -> None:
-        if isinstance(said, Begin):
-            self._begin()
-        elif isinstance(said, Lost):
-            self._take_loss(said.robot)
-        elif isinstance(said, Close):
-            self._closed = said.step == self._world.step
-        elif isinstance(said, Back):
-            self._back.add(said.robot)
-            self._gone.discard(said.robot)
-            self._coming.discard(said.robot)
-            self._restart()
-        elif isinstance(said, FaultEvent):
-            self._schedule(said)
-        elif isinstance(said, Stop):
-            self._stop = said.reason
-            if self._running and self._restarting:
-                self._end(self._stop, -1)
-        elif isinstance(said, Watched):
-            self._watched = said.here
-        elif isinstance(said, Shutdown):
+    def _take_note(self, note: object) -> None:
+        """Process a message of the relay."""
+        if isinstance(note, Begin):
+            self._running = True
+            self._open_step({})
+        elif isinstance(note, Lost):
+            self._take_loss(note.robot)
+        elif isinstance(note, Close):
+            self._medium_closed = note.step == self._world.step
+        elif isinstance(note, Back):
+            self._restarts.note_return(note.robot)
+            self._start_awaited()
+        elif isinstance(note, FaultEvent):
+            self._schedule(note)
+        elif isinstance(note, Stop):
+            self._stop_reason = note.reason
+            if self._running and self._restarts.awaited:
+                self._end(self._stop_reason, -1)
+        elif isinstance(note, Watched):
+            self._has_viewer = note.here
+        elif isinstance(note, Shutdown):
             self.done = True
 
-    def _begin(self) -> None:
-        self._running = True
-        self._open_step({})
-
     def _take_move(self, robot: int, move: Move) -> None:
-        """Take a living robot's move, its first of this step."""
+        """Accept the move of an active robot, its first of this step."""
         step = self._world.step
         if not self._running or move.step != step:
             raise ProtocolError("Move", 0, f"for step {move.step}, while step {step} is under way")
         if robot in self._moves:
             raise ProtocolError("Move", 0, f"a second one for step {step}")
-        if robot in self._world.cells and robot not in self._world.active_faults["stop"]:
+        if self._world.is_active(robot):
             self._moves[robot] = move
 
     def _end_step(self) -> None:
+        """End the run if this step ends it, else open the next step."""
         moves, self._moves = self._moves, {}
         explored = sorted(robot for robot, move in moves.items() if move.explored)
         wanted = 1
@@ -179,121 +168,115 @@ class WorldNode:
             explored = [robot for robot in self._world.smallest_robots() if robot in explored]
         if explored and len(explored) >= wanted:
             self._end(EXPLORED, explored[0])
-        elif self._world.hopeless() and not self._back and not self._coming:
+        elif self._world.is_deserted() and not self._restarts.rejoined and not self._restarts.recovering:
             self._end(ALL_LOST, -1)
         elif moves and all(move.stalled for move in moves.values()):
             self._end(STALLED, -1)
-        elif self._stop:
-            self._end(self._stop, -1)
+        elif self._stop_reason:
+            self._end(self._stop_reason, -1)
         elif self._world.step >= self._steps:
             self._end(OUT_OF_STEPS, -1)
         else:
             self._open_step(moves)
 
     def _open_step(self, moves: Mapping[int, Move]) -> None:
+        """Apply the faults of the next step; open it unless restarts hold it."""
         self._wait()
-        self._closed = False
+        self._medium_closed = False
         self._protocol_errors.clear()
         for fault in self._world.due_faults():
             self._apply(fault)
-        self._held = dict(moves)
-        if self._world.hopeless():
-            self._restarting |= self._coming  # there is nobody else
-        if self._restarting:
-            self._restart()
+        self._held_moves = dict(moves)
+        if self._world.is_deserted():
+            self._restarts.await_recovering()
+        if self._restarts.awaited:
+            self._start_awaited()
         else:
             self._advance()
 
     def _schedule(self, event: FaultEvent) -> None:
         """Schedule a fault that was requested during the run; one without a step occurs in the next."""
-        world = self._world
-        known = event.kind in KINDS and event.robot < len(self._to)
+        known = event.kind in KINDS and event.robot < len(self._body_keys)
         if not known:
             self._report(messages.Fault(names.RECORDER, f"not a fault of a robot of this run: {event}"))
-        elif event.kind == "restart" and not self._left[event.robot]:
-            self._report(messages.Fault(names.RECORDER, f"robot {event.robot} cannot be restarted again"))
+        elif event.kind == "restart" and not self._restarts.may_restart(event.robot):
+            reason = f"robot {event.robot} cannot be restarted again"
+            self._report(messages.Fault(names.RECORDER, reason))
         else:
-            fault = FaultEvent(max(event.step, world.step + 1), event.robot, event.kind, event.steps)
-            world.faults = sorted([*world.faults, fault])
+            step = max(event.step, self._world.step + 1)
+            self._world.faults.add(FaultEvent(step, event.robot, event.kind, event.steps))
 
     def _apply(self, fault: FaultEvent) -> None:
-        """Have a fault come true, and report it; a robot that is gone is past it."""
+        """Apply a due fault and report it; only a restart applies to a robot that is gone."""
         robot, here = fault.robot, fault.robot in self._world.cells
         step = self._world.step + 1
         if fault.kind == "restart":
-            self._restarting.add(robot)
-            self._left[robot] -= 1
+            self._restarts.request(robot)
         if here and fault.kind in ("kill", "restart"):
             killed = FaultEvent(step, robot, "kill")
             self._report(killed)
-            self._tell(robot, killed)
-            self._lose(robot)
+            self._send(robot, killed)
+            self._remove(robot)
         elif here and fault.kind != "restart":
             self._report(FaultEvent(step, robot, fault.kind, fault.steps))
         if here and fault.kind == "death":
-            self._tell(robot, End(self._world.step, "broken down, as the scenario has it", -1))
-            self._lose(robot)
+            self._send(robot, End(self._world.step, "broken down, as the scenario has it", -1))
+            self._remove(robot)
 
     def _take_loss(self, robot: int) -> None:
-        """A robot's process has ended: as a fault had it, or unasked."""
-        unasked = robot in self._world.cells or robot in self._back
-        self._lose(robot)
-        self._gone.add(robot)
-        self._back.discard(robot)
-        if unasked and self._revive and robot not in self._restarting and self._left[robot] > 0:
-            self._left[robot] -= 1
-            self._gone.discard(robot)
-            self._coming.add(robot)
+        """Process the end of a robot's process, by a fault or unexpected."""
+        unexpected = robot in self._world.cells or robot in self._restarts.rejoined
+        self._remove(robot)
+        if self._restarts.note_end(robot, unexpected=unexpected):
             self._report(FaultEvent(self._world.step, robot, "restart"))
-        self._restart()
+        self._start_awaited()
 
-    def _lose(self, robot: int) -> None:
-        self._world.lose(robot)
+    def _remove(self, robot: int) -> None:
+        """Remove a robot from the world, and its moves from this step."""
+        self._world.remove(robot)
         self._moves.pop(robot, None)
-        self._held.pop(robot, None)
+        self._held_moves.pop(robot, None)
 
-    def _restart(self) -> None:
-        """Have those started that are to come back, once they have ended; go on when all are here."""
-        for robot in sorted(self._restarting & self._gone):
-            self._gone.discard(robot)
+    def _start_awaited(self) -> None:
+        """Have the launcher start awaited robots whose processes have ended; continue once all have rejoined."""
+        for robot in self._restarts.take_startable():
             self._report(FaultEvent(self._world.step + 1, robot, "restart"))
-        if self._running and self._restarting and self._restarting <= self._back:
-            self._restarting.clear()
+        if self._running and self._restarts.complete():
             self._advance()
 
     def _advance(self) -> None:
-        """Open the next step: tell the relay first, then each robot what it sees as soon as that is known."""
+        """Open the next step: send the relay all positions, then each robot its scan as soon as it is computed."""
         world = self._world
-        for robot in sorted(self._back):
-            world.revive(robot)
-        self._back.clear()
-        moves, self._held = self._held, {}
-        senses = world.drive(moves)
-        robots = world.awake()
+        for robot in self._restarts.take_rejoined():
+            world.restore(robot)
+        moves, self._held_moves = self._held_moves, {}
+        senses = world.move_robots(moves)
+        robots = world.active_robots()
         x, y = ([world.cells[robot][axis] for robot in robots] for axis in range(2))
-        ill = [sorted(world.active_faults[kind]) for kind in ("mute", "deaf")]
-        positions = Positions(world.step, robots, x, y, *ill)
+        mute, deaf = (sorted(world.faults.active[kind]) for kind in ("mute", "deaf"))
+        positions = Positions(world.step, robots, x, y, mute, deaf)
         self._bus.put(self._keys.control_tx(names.WORLD), pack(positions))
         for robot, sense in senses:
-            self._tell(robot, sense)
-        self._report(self._truth())
+            self._send(robot, sense)
+        self._report(self._world_report())
 
-    def _fault(self, who: str, what: str) -> None:
-        """Report what made no sense; who says too much of it is given up."""
-        self._protocol_errors[who] += 1
-        if self._protocol_errors[who] <= MAX_PROTOCOL_ERRORS:
-            self._report(messages.Fault(who[:MOST_WORD], clip(what)))
-        elif self._protocol_errors[who] == MAX_PROTOCOL_ERRORS + 1 and names.is_robot(who):
-            self.give_up_on(names.number(who), TOO_MANY_ERRORS)
+    def _report_error(self, sender: str, reason: str) -> None:
+        """Report a malformed or inconsistent message; give up on a robot that sends too many in one step."""
+        self._protocol_errors[sender] += 1
+        if self._protocol_errors[sender] <= MAX_PROTOCOL_ERRORS:
+            self._report(messages.Fault(sender[:MOST_WORD], clip(reason)))
+        elif self._protocol_errors[sender] == MAX_PROTOCOL_ERRORS + 1 and names.is_robot(sender):
+            self.give_up_on(names.number(sender), TOO_MANY_ERRORS)
 
     def _report(self, message: Record) -> None:
-        """Tell the laboratory, and the viewer if there is one."""
+        """Send a message to the recorder, and to the viewer if there is one."""
         payload = pack(message)
         self._bus.put(self._keys.control(names.RECORDER, names.WORLD), payload)
-        if self._watched:
+        if self._has_viewer:
             self._bus.put(self._keys.control(names.VIEW, names.WORLD), payload)
 
-    def _truth(self) -> WorldReport:
+    def _world_report(self) -> WorldReport:
+        """Return the true state of this step."""
         world = self._world
         poses = np.array(
             [
@@ -306,15 +289,16 @@ class WorldNode:
         return WorldReport(world.step, poses.tobytes(), driven, world.seen_cells, world.reachable_cells)
 
     def _millimetres(self, robot: int) -> tuple[int, int]:
-        """A robot's position."""
+        """Return a robot's position in millimetres."""
         (x, y), (offset_x, offset_y) = self._world.cells[robot], self._world.offsets[robot]
         scale = self._cell_mm / FINE
         return round((x * FINE + offset_x) * scale), round((y * FINE + offset_y) * scale)
 
     def _end(self, reason: str, first: int) -> None:
+        """End the run; `first` is the robot that finished first, or -1."""
         self._running = False
         end = pack(End(self._world.step, reason, first))
         self._bus.put(self._keys.control_tx(names.WORLD), end)
 
-    def _tell(self, robot: int, message: Record) -> None:
-        self._bus.put(self._to[robot], pack(message))
+    def _send(self, robot: int, message: Record) -> None:
+        self._bus.put(self._body_keys[robot], pack(message))

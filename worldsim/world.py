@@ -18,10 +18,11 @@ from protocol.messages import FaultEvent, Move, Sense, cells_from_bytes, cells_t
 from protocol.scans import NONE, draw
 from worldsim.cell_motion import DIAGONAL, INTERFERENCE, NOT_BLOCKED, drive, heading_of, swept
 from worldsim.continuous_motion import FINE, cell_of, glide
+from worldsim.faults import FaultSchedule
 from worldsim.laser import FULL_TURN, HEADINGS, cast
 
 MOVES_AS_PLANNED = 0.7
-"""Probability with which a robot close to another moves as planned (Burgard et al., section IV)."""
+"""Probability that a robot close to another moves as planned (Burgard et al., section IV)."""
 
 
 @dataclass(frozen=True)
@@ -33,13 +34,13 @@ class Body:
     range_cells : float
         Sensor range in cells.
     field_of_view : float
-        Degrees, centred on the heading.
+        Degrees, centered on the heading.
     speed : float
-        Cells a step.
+        Cells per step.
     scanner_turn : float
-        Degrees that its scanner turns and covers per step; 0 if it covers the whole field of view at once.
+        Degrees that the scanner turns and covers per step; 0 if it covers the whole field of view at once.
     radius_cells : float
-        The robot is a disc; 0 for a point.
+        Radius of the robot, a disc, in cells; 0 for a point.
     """
 
     range_cells: float
@@ -60,18 +61,19 @@ class WorldSettings:
     starts : tuple of (x, y)
         Cell where each robot starts.
     beams : int
-        Laser beams a full turn.
+        Laser beams per full turn.
+    seed : int
+        Seed of all random draws of the world.
     interference_cells : float
-        Robots nearer to each other than this hinder each other (0: never).
+        Robots closer to each other than this hinder each other; 0: never.
     faults : tuple of FaultEvent
         Scheduled faults, from the scenario.
     ends_with_all : bool
-        Whether the run ends when all robots report that they are done, not when the first does.
+        Whether the run ends when all robots report that they are done, instead of the first.
     cell_steps : bool
-        Whether a step to any of eight neighbours counts one, as some papers count; else a diagonal one counts
-        its length, sqrt 2.
-    solid : bool
-        Whether robots block each other's way and laser.
+        Whether a step to any of eight neighbors has length 1; else a diagonal step has length sqrt 2.
+    robots_collide : bool
+        Whether robots block each other's paths and laser beams.
     """
 
     bodies: tuple[Body, ...]
@@ -82,7 +84,7 @@ class WorldSettings:
     faults: tuple[FaultEvent, ...] = ()
     ends_with_all: bool = False
     cell_steps: bool = False
-    solid: bool = True
+    robots_collide: bool = True
 
 
 class World:
@@ -99,47 +101,44 @@ class World:
         self.settings = settings
         self.step = 0
         self.cells: dict[int, tuple[int, int]] = dict(enumerate(settings.starts))
-        """Where each living robot is."""
+        """Cell (x, y) of each robot in the world."""
         self.offsets = dict.fromkeys(self.cells, (0, 0))
-        """Each robot's position in its cell, in thousandths of a cell from the centre."""
+        """Position (x, y) of each robot in its cell, in thousandths of a cell from the center."""
         self.headings = dict.fromkeys(self.cells, 0)
         self.driven = [0.0] * len(settings.starts)
-        """Distance that each robot has driven, in cells."""
+        """Distance driven by each robot, in cells."""
         self.floors = {body.radius_cells: enlarge(truth, body.radius_cells) for body in settings.bodies}
-        """Where the centre of a robot of each radius may be."""
+        """For each radius in cells: the grid of cells that a robot's center may enter."""
         self.reachable = reachable_by_team(truth, settings)
         self.reachable_cells = int(np.count_nonzero(self.reachable))
-        """Free cells that robots can reach."""
+        """Number of free cells that robots can reach."""
         self.seen = np.zeros_like(truth)
-        """What the team's lasers have truly seen, all together."""
+        """Grid of all cells seen by the team's lasers."""
         self.seen_cells = 0
-        """Reachable free cells that the team has seen."""
+        """Number of reachable free cells that the team has seen."""
         self._counted = np.zeros(truth.shape, np.bool_)
         self._taken = np.zeros(truth.shape, np.bool_)
-        self.faults = sorted(settings.faults)
-        """Faults that have not occurred yet, by step."""
-        self.active_faults: dict[str, dict[int, float]] = {"stop": {}, "mute": {}, "deaf": {}}
-        """By kind of temporary fault: the affected robots, each with the step in which it recovers."""
-        self._fell = dict(self.cells)
-        """Where robots that are gone were last."""
+        self.faults = FaultSchedule(settings.faults)
+        self._last_cells = dict(self.cells)
+        """Last cell of each robot that has been removed."""
         self._widest = max((body.radius_cells for body in settings.bodies), default=0.0)
         self._ray_tables = [ray_table(body.range_cells, settings.beams) for body in settings.bodies]
         self._carry = [0.0] * len(settings.starts)
         self._scanner_angle = [0.0] * len(settings.starts)
 
-    def lose(self, robot: int) -> None:
-        """Remove a broken robot from the world: others do not collide with it."""
+    def remove(self, robot: int) -> None:
+        """Remove a robot from the world; the others no longer collide with it."""
         if robot in self.cells:
-            self._fell[robot] = self.cells.pop(robot)
-            self.active_faults["stop"].pop(robot, None)
+            self._last_cells[robot] = self.cells.pop(robot)
+            self.faults.active["stop"].pop(robot, None)
 
-    def revive(self, robot: int) -> None:
-        """Put a robot that was lost back to where that happened, or into the free cell nearest to it."""
+    def restore(self, robot: int) -> None:
+        """Put a removed robot back where it was, or into the nearest free cell if that one is taken."""
         if robot in self.cells:
             return
-        x, y = self.cells[robot] = self._fell[robot]
+        x, y = self.cells[robot] = self._last_cells[robot]
         floor = self.floors[self.settings.bodies[robot].radius_cells] == FREE
-        with self._teammates_in_the_way(robot, math.inf) as taken:
+        with self._cells_taken_by_others(robot, math.inf) as taken:
             rows, columns = np.nonzero(floor & self.reachable & ~taken)
         if len(rows):
             nearest = int(np.argmin((columns - x) ** 2 + (rows - y) ** 2))
@@ -148,49 +147,44 @@ class World:
         self._carry[robot] = 0.0
 
     def due_faults(self) -> list[FaultEvent]:
-        """Remove and return the faults of the next step, in order, and update `active_faults`."""
-        now = self.step + 1
-        due = [fault for fault in self.faults if fault.step <= now]
-        self.faults = [fault for fault in self.faults if fault.step > now]
-        for robots in self.active_faults.values():
-            for robot in [robot for robot, until in robots.items() if until <= now]:
-                del robots[robot]
-        for fault in due:
-            if fault.kind in self.active_faults and (fault.kind != "stop" or fault.robot in self.cells):
-                self.active_faults[fault.kind][fault.robot] = now + fault.steps if fault.steps else math.inf
-        return due
+        """Remove the faults of the next step from the schedule and return them, in order."""
+        return self.faults.due(self.step + 1, self.cells)
 
-    def awake(self) -> list[int]:
-        """Robots that take part in the step, in ascending order."""
-        return sorted(self.cells.keys() - self.active_faults["stop"].keys())
+    def is_active(self, robot: int) -> bool:
+        """Return whether a robot takes part in this step: it is in the world and not stopped."""
+        return robot in self.cells and robot not in self.faults.active["stop"]
+
+    def active_robots(self) -> list[int]:
+        """Return the robots that take part in this step, in ascending order."""
+        return sorted(self.cells.keys() - self.faults.active["stop"].keys())
 
     @property
-    def awake_count(self) -> int:
-        """How many those are."""
-        return len(self.cells) - len(self.active_faults["stop"])
+    def active_count(self) -> int:
+        """Number of robots that take part in this step."""
+        return len(self.cells) - len(self.faults.active["stop"])
 
-    def hopeless(self) -> bool:
-        """Whether nobody takes part, and nobody ever will again."""
-        comes = any(fault.kind == "restart" for fault in self.faults)
-        wakes = any(until < math.inf for until in self.active_faults["stop"].values())
-        return not self.awake_count and not comes and not wakes
+    def is_deserted(self) -> bool:
+        """Return whether no robot takes part in this step, and none will take part again by the schedule."""
+        restarts = any(fault.kind == "restart" for fault in self.faults.pending)
+        recovers = any(until < math.inf for until in self.faults.active["stop"].values())
+        return not self.active_count and not restarts and not recovers
 
     def smallest_robots(self) -> list[int]:
-        """Robots of the least radius: nobody gets farther than they do, so they say when all is explored."""
-        radii = {robot: self.settings.bodies[robot].radius_cells for robot in self.awake()}
+        """Return the active robots of the smallest radius; they reach all that any robot reaches."""
+        radii = {robot: self.settings.bodies[robot].radius_cells for robot in self.active_robots()}
         return [robot for robot, radius in radii.items() if radius == min(radii.values())]
 
     def advance(self, moves: Mapping[int, Move]) -> dict[int, Sense]:
-        """Begin the next step: move the robots, by ascending number, then cast everyone's scan."""
-        return dict(self.drive(moves))
+        """Begin the next step: move the robots, in ascending order, and return all their scans."""
+        return dict(self.move_robots(moves))
 
-    def drive(self, moves: Mapping[int, Move]) -> Iterator[tuple[int, Sense]]:
-        """Begin the next step: move the robots; return what casts their scans, each when it is asked for."""
+    def move_robots(self, moves: Mapping[int, Move]) -> Iterator[tuple[int, Sense]]:
+        """Begin the next step: move the robots, and return an iterator that casts one scan at a time."""
         self.step += 1
         entered: dict[int, list[tuple[int, int]]] = {}
         blocked: dict[int, str] = {}
         before = dict(self.cells)
-        for robot in self.awake():
+        for robot in self.active_robots():
             entered[robot], blocked[robot] = [], NOT_BLOCKED
             move = moves.get(robot)
             if move is not None:
@@ -215,9 +209,9 @@ class World:
         body = self.settings.bodies[robot]
         way = body.speed + self._carry[robot]
         if points:
-            with self._teammates_in_the_way(robot, way) as taken:
+            with self._cells_taken_by_others(robot, way) as taken:
                 return self._glide(robot, points, taken)
-        with self._teammates_in_the_way(robot, way) as taken:
+        with self._cells_taken_by_others(robot, way) as taken:
             diagonal = 1.0 if self.settings.cell_steps else DIAGONAL
             result = drive(self.floors[body.radius_cells], taken, start, path, way, diagonal)
         self.offsets[robot] = (0, 0) if result.cells else self.offsets[robot]
@@ -245,8 +239,8 @@ class World:
         return swept(start, result.cells), result.blocked
 
     @contextmanager
-    def _teammates_in_the_way(self, robot: int, way: float) -> Iterator[NDArray[np.bool_]]:
-        """Mark the cells that a robot's centre may not enter, for the sake of those that it could meet on its way."""
+    def _cells_taken_by_others(self, robot: int, way: float) -> Iterator[NDArray[np.bool_]]:
+        """Mark the cells that a robot's center may not enter because of robots within `way` cells of driving."""
         own = self.settings.bodies[robot].radius_cells
         x, y = self.cells[robot]
         far = way + own + self._widest + 4
@@ -257,7 +251,7 @@ class World:
             if left <= cell[0] <= right and top <= cell[1] <= bottom and other != robot
         ]
         marked = []
-        for other, (other_x, other_y) in others if self.settings.solid else ():
+        for other, (other_x, other_y) in others if self.settings.robots_collide else ():
             near = too_near(own + self.settings.bodies[other].radius_cells)
             side = len(near) // 2
             cut_x, cut_y = max(0, side - other_x), max(0, side - other_y)
@@ -283,7 +277,7 @@ class World:
 
     def _standing(self) -> NDArray[np.bool_]:
         occupied = np.zeros(self.truth.shape, np.bool_)
-        for x, y in self.cells.values() if self.settings.solid else ():
+        for x, y in self.cells.values() if self.settings.robots_collide else ():
             occupied[y, x] = True
         return occupied
 

@@ -23,7 +23,7 @@ from agent.encodings.base import Dependency, MapEncoding
 from agent.encodings.predictive_options import PredictiveOptions
 from agent.encodings.received_grid import ReceivedGrid
 from agent.predictive.history import DecodedUpdate, History
-from agent.predictive.scan_updates import TOLD
+from agent.predictive.scan_updates import REPORTED
 from agent.predictive.shared_decoder import CachedReader, SharedDecoderCache
 from agent.predictive.stream import Stream
 from agent.settings import Settings
@@ -140,7 +140,7 @@ class PredictiveEncoding(MapEncoding):
             histories,
             self._scratch,
             team=self._options.base == "team",
-            makers=settings.robots,
+            base_maps=settings.robots,
         )
 
     def _decoder(self, map_id: int) -> Stream | CachedReader:
@@ -205,7 +205,7 @@ class PredictiveEncoding(MapEncoding):
         """Remove the last update from the log; its changes become pending again."""
         assert self._last is not None
         map_id = self.settings.own_map
-        self._own.undo()
+        self._own.rollback()
         self._histories[map_id].pop()
         self._logged -= self.retractable
         ends, dependencies = self._incoming[map_id].ends, self._dependencies[map_id]
@@ -287,13 +287,13 @@ class PredictiveEncoding(MapEncoding):
         try:
             self._reachability.check(map_id, update.box, step=step, sender=sender)
         except ProtocolError:
-            stream.undo()
+            stream.rollback()
             self._histories[map_id].pop()
             raise
         self._note_dependency(map_id, update)
-        stream.settle()
+        stream.commit()
         if isinstance(stream, Stream):
-            self._needed[map_id] = stream.builds_from()
+            self._needed[map_id] = stream.first_needed()
         return update
 
     def _note_dependency(self, map_id: int, update: DecodedUpdate) -> None:
@@ -303,7 +303,9 @@ class PredictiveEncoding(MapEncoding):
         forged: retracting it would remove a state on which the decoder of that log relies.
         """
         ends, number = self._incoming[map_id].ends, len(self._histories[map_id]) - 1
-        requires = tuple((base.robot, self._incoming[base.robot].ends[base.end - 1]) for base in update.bases)
+        requires = tuple(
+            (base.map_id, self._incoming[base.map_id].ends[base.end - 1]) for base in update.bases
+        )
         if requires:
             first = ends[number - 1] if number else 0
             self._dependencies[map_id].append(Dependency(first, ends[number], requires))
@@ -318,7 +320,7 @@ class PredictiveEncoding(MapEncoding):
         """Overlay the received cells with the self-explored grid."""
         del peers
         if self._caches is None and len(self._histories) > 1:
-            self._needed[self.settings.own_map] = self._own.builds_from()
+            self._needed[self.settings.own_map] = self._own.first_needed()
             np.fill_diagonal(self._needed, np.iinfo(np.int64).max)
             for history, needed in zip(self._histories, self._needed.min(axis=0).tolist(), strict=True):
                 history.forget(needed)
@@ -353,9 +355,9 @@ def _unreported(received: Grid, logged: Grid, own: Grid, x0: int, y0: int, x1: i
         for x in range(x0, x1):
             truth = own[y, x]
             if truth == UNKNOWN:
-                count += logged[y, x] & TOLD != 0
+                count += logged[y, x] & REPORTED != 0
             else:
-                count += received[y, x] != truth and logged[y, x] != truth | TOLD
+                count += received[y, x] != truth and logged[y, x] != truth | REPORTED
     return count
 
 

@@ -1,5 +1,5 @@
-"""Say where you looked from: who holds the same map casts the scan again, and only surprises need telling.
+"""Predictive coding of laser scans: a receiver predicts each scan by ray casting, and receives prediction errors alone.
 
-`coder` writes decisions in as few bits as they are surprising, `contexts` says what is expected, `looks` walks along
-the beams, and `stream` is the sequence of units that one robot tells of its map. Begin with `looks`.
+Begin with `scan_updates`, which codes one update: scans along their beams, then corrections. `coder` is the arithmetic
+coder, `contexts` its probability model, and `stream` the sequence of updates of one map.
 """

@@ -1,12 +1,11 @@
-"""An adaptive binary arithmetic coder in whole numbers.
+"""An adaptive binary arithmetic coder with integer arithmetic (Witten, Neal and Cleary 1987; carries as in LZMA).
 
-A message is a number between 0 and 1, written in bytes. Each decision cuts the interval in which it lies in two, in
-proportion to how often either outcome has come in its context so far, and keeps one part; a decision that was
-expected costs hardly anything. At the end the shortest number inside the interval is written, and who reads takes
-zeros for what lies behind it.
+A message is a number between 0 and 1. Each coded bit divides the current interval in two parts, in proportion to the
+counts of 0 and 1 in its context, and keeps one of them; a likely bit takes a small fraction of a bit. The message ends
+with the shortest number inside the final interval, and the decoder reads zeros behind it.
 
-The same kernels write and read: `code_bit` returns the outcome that it was given, or that it has read. So what walks
-along beams and asks for one decision after the other stands in the code once.
+The same kernels encode and decode: `code_bit` returns the bit that it was given, or the bit that it has decoded. So
+the code that walks along beams exists once.
 """
 
 from __future__ import annotations
@@ -21,18 +20,18 @@ State = NDArray[np.int64]
 Counts = NDArray[np.uint16]
 Data = NDArray[np.uint8]
 
-LOW, WIDTH, PLACE, SIZE, READS, BROKEN = range(6)
-"""What a coder's state holds: the interval's lower end (the reader: how far above it the message lies) and width in
-32 bits, the next byte, the bytes there are, whether it reads, and whether it ran out of bytes."""
+LOW, WIDTH, PLACE, SIZE, DECODES, FAILED = range(6)
+"""Indices of a coder's state: the lower end of the interval (decoder: offset of the message from it) and its width, in
+32 bits each; the position of the next byte; the size of the buffer; whether it decodes; whether it ran out of bytes."""
 
 AHEAD = 4
-"""Bytes of the interval; a reader looks so far ahead, and never reads farther beyond the end."""
+"""Bytes of the interval; a decoder reads at most this many bytes behind the end of the message."""
 
 _TOP = 1 << 32
 _LEAST = 1 << 24
 
 NUMBER = 64
-"""Contexts that a number takes: whether it is 0, its sign, its length, its bits."""
+"""Contexts of a number: whether it is 0, its sign, its length, its bits."""
 
 LONGEST = 24
 """Bits of the largest number."""
@@ -40,34 +39,34 @@ LONGEST = 24
 _ZERO, _SIGN, _LENGTH, _BITS, _LOW_BITS = 0, 1, 2, 26, 37
 
 
-def writer(room: int) -> tuple[State, Data]:
-    """Return the state of a coder that writes, and `room` bytes to write to."""
-    return np.array([0, _TOP - 1, 0, room, 0, 0], np.int64), np.zeros(room, np.uint8)
+def writer(size: int) -> tuple[State, Data]:
+    """Return the state of an encoder, and its output buffer of `size` bytes."""
+    return np.array([0, _TOP - 1, 0, size, 0, 0], np.int64), np.zeros(size, np.uint8)
 
 
 def reader(message: bytes) -> tuple[State, Data]:
-    """Return the state of a coder that reads a message, and the message."""
+    """Return the state of a decoder of a message, and its input buffer."""
     data = np.frombuffer(message + bytes(AHEAD), np.uint8).copy()
     first = int.from_bytes(data[:AHEAD].tobytes(), "big")
     return np.array([first, _TOP - 1, AHEAD, len(message), 1, 0], np.int64), data
 
 
 def written(state: State, data: Data) -> bytes:
-    """End a message and return it; the writer must not have run out of room."""
+    """End a message and return it; the output buffer must not have overflowed."""
     size = _end(state, data)
     return data[:size].tobytes()
 
 
-def check_end(state: State, what: str) -> None:
-    """Raise ProtocolError unless the message that was read ends where its writer would have ended it."""
-    if state[BROKEN] or not state[PLACE] - AHEAD <= state[SIZE] <= state[PLACE]:
-        reason = f"the message does not end behind its {state[SIZE]} bytes"
-        raise ProtocolError(what, int(min(state[PLACE], state[SIZE])), reason)
+def check_end(state: State, packet: str) -> None:
+    """Raise ProtocolError unless the decoded message ends where its encoder would have ended it."""
+    if state[FAILED] or not state[PLACE] - AHEAD <= state[SIZE] <= state[PLACE]:
+        reason = f"the coded content does not end with the {state[SIZE]} bytes of the message"
+        raise ProtocolError(packet, int(min(state[PLACE], state[SIZE])), reason)
 
 
 @kernel("void(int64[::1], uint8[::1], int64)")
 def _put(state: State, data: Data, byte: int) -> None:
-    """Write a byte; a carry in it goes into those before."""
+    """Write a byte, and propagate its carry into the bytes before."""
     place = state[PLACE]
     if byte > 255:
         before = place - 1
@@ -81,18 +80,18 @@ def _put(state: State, data: Data, byte: int) -> None:
 
 @kernel("void(int64[::1], uint8[::1])")
 def _shift(state: State, data: Data) -> None:
-    """Move the interval on by a byte: write its highest one, or read the next."""
+    """Shift the interval by a byte: write its highest byte, or read the next."""
     place = state[PLACE]
-    if state[READS]:
+    if state[DECODES]:
         if place >= state[SIZE] + AHEAD:
-            state[BROKEN] = 1
+            state[FAILED] = 1
             state[LOW] = 0
             return
         state[LOW] = state[LOW] << 8 | np.int64(data[place])
         state[PLACE] = place + 1
         return
     if place >= state[SIZE] - AHEAD:
-        state[BROKEN] = 1
+        state[FAILED] = 1
         state[LOW] = 0
         return
     _put(state, data, state[LOW] >> 24)
@@ -101,21 +100,23 @@ def _shift(state: State, data: Data) -> None:
 
 @kernel("int64(int64[::1], uint8[::1], uint16[:,::1], int64, int64, int64)")
 def code_bit(state: State, data: Data, counts: Counts, context: int, bit: int, most: int) -> int:
-    """Write `bit`, or read a bit and return it.
+    """Encode `bit`, or decode a bit; return it.
 
     Parameters
     ----------
-    state, data : as `writer` or `reader` make them
+    state, data : arrays
+        From `writer` or `reader`.
     counts : uint16 array, shape (n, 2)
-        How often 0 and 1 have come in each context; moved on by this bit. Both are halved when they are `most`
-        together.
+        How often 0 and 1 have occurred in each context; updated with this bit.
     context : int
         A row of `counts`.
+    most : int
+        Sum of the two counts at which both are halved.
     """
     zeros, ones = np.int64(counts[context, 0]), np.int64(counts[context, 1])
     width = state[WIDTH]
     part = (width * (2 * zeros + 1)) // (2 * (zeros + ones) + 2)
-    if state[READS]:
+    if state[DECODES]:
         bit = 0 if state[LOW] < part else 1
         if bit:
             state[LOW] -= part
@@ -135,13 +136,13 @@ def code_bit(state: State, data: Data, counts: Counts, context: int, bit: int, m
 
 @kernel("int64(int64[::1], uint8[::1])")
 def _end(state: State, data: Data) -> int:
-    """Write the shortest number inside the interval; return the size of the message."""
+    """Write the shortest number inside the interval; return the size of the message in bytes."""
     low, last = state[LOW], state[LOW] + state[WIDTH] - 1
     for size in range(AHEAD + 1):
         behind = (np.int64(1) << 32 - 8 * size) - 1
         number = low + behind & ~behind
         if number <= last:
-            if size == 0 and number >= _TOP:  # all that is left to write is a carry
+            if size == 0 and number >= _TOP:  # only a carry is left to write
                 _put(state, data, 256)
                 return int(state[PLACE]) - 1
             for _ in range(size):
@@ -153,9 +154,9 @@ def _end(state: State, data: Data) -> int:
 
 @kernel("int64(int64[::1], uint8[::1], uint16[:,::1], int64, int64, int64)")
 def code_number(state: State, data: Data, counts: Counts, context: int, value: int, most: int) -> int:
-    """Write a number from 0 on, of `LONGEST` bits at most, or read it: its length, then the bits behind the first.
+    """Encode or decode a number of 0 to `LONGEST` bits: its length, then the bits behind the first (Elias gamma code).
 
-    `context` is the first of `NUMBER` contexts of its own.
+    `context` is the first of its `NUMBER` contexts.
     """
     if not code_bit(state, data, counts, context + _ZERO, 1 if value else 0, most):
         return 0
@@ -170,7 +171,7 @@ def code_number(state: State, data: Data, counts: Counts, context: int, value: i
     number = 1
     for place in range(read - 1, -1, -1):
         bit = value >> place & 1
-        # of numbers up to 15 each bit depends on those before it, of larger ones on its place alone
+        # the context of a bit: up to 15 all bits before it, in larger numbers its place
         row = _BITS + (1 << read) - read - 1 + number - 1 if read <= 3 else _LOW_BITS + place
         number = number << 1 | code_bit(state, data, counts, context + row, bit, most)
     return number
@@ -178,7 +179,7 @@ def code_number(state: State, data: Data, counts: Counts, context: int, value: i
 
 @kernel("int64(int64[::1], uint8[::1], uint16[:,::1], int64, int64, int64)")
 def code_signed(state: State, data: Data, counts: Counts, context: int, value: int, most: int) -> int:
-    """As `code_number`, with a sign."""
+    """Encode or decode a number with a sign; otherwise as `code_number`."""
     size = code_number(state, data, counts, context, abs(value), most)
     if size and code_bit(state, data, counts, context + _SIGN, 1 if value < 0 else 0, most):
         return -size

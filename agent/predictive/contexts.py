@@ -1,8 +1,8 @@
-"""What is expected of a decision: contexts and their counts.
+"""The probability model of the arithmetic coder: contexts and their counts.
 
-Whether the cell that a beam enters is free or a wall depends on what is known of its eight neighbours by then: 3^8
-contexts with two counts each. The rest of a unit (poses, what it is built on, exceptions) has contexts of its own
-behind these. Every maker's stream begins with the counts of a table that was learnt on generated maps.
+The state of a cell that a beam enters, free or wall, is coded in a context of its eight neighbors: 3^8 contexts with
+two counts each. The other parts of an update (poses, dependencies, corrections) have further contexts. The counts of
+every log begin with a table that was trained on generated maps (`deploy.study.starting_table`).
 """
 
 from __future__ import annotations
@@ -17,54 +17,55 @@ from protocol.grid import UNKNOWN, Grid
 from protocol.kernels import kernel
 
 CELLS_MOST = 256
-"""Counts of a cell's contexts are halved at this sum; those of all else at `REST_MOST`."""
+"""Sum at which the counts of a cell context are halved."""
 
 REST_MOST = 1024
+"""Sum at which the counts of any other context are halved."""
 
 CELLS = 0
-"""Free or wall: the state of the eight neighbours, in base 3."""
+"""Free or wall: by the states of the eight neighbors, as a number in base 3."""
 
-SEEN = 3**8
-"""Whether the cell that a beam enters is told of at all: by whether the last beam ended unseen, and whether this
-is the first cell asked for along this one."""
+OBSERVED = 3**8
+"""Whether the robot has observed the unknown cell that a beam enters: by whether the last coded beam ended at an
+unobserved cell, and whether an earlier cell of this beam was coded."""
 
-MORE = SEEN + 4
-"""Whether another look follows: by how many there have been, 3 at most."""
+MORE_SCANS = OBSERVED + 4
+"""Whether another scan follows: by the number of scans so far, at most 3."""
 
-PLACED = MORE + 4
-"""11 bits of the first pose's column, and of its row."""
+FIRST_POSE = MORE_SCANS + 4
+"""11 bits each of the column and the row of the first pose."""
 
-SAME = PLACED + 22
-"""Whether the robot went on as it did before: by its last way, none, straight, askew or diagonal."""
+SAME_MOTION = FIRST_POSE + 22
+"""Whether the robot repeats its last motion: by the kind of this motion (none, straight, oblique or diagonal)."""
 
-ALONG = SAME + 4
-"""How much farther along its last way it came: a number a kind of last way."""
+ALONG = SAME_MOTION + 4
+"""Difference along the direction of the last motion: by the kind of this motion."""
 
 ACROSS = ALONG + 4 * NUMBER
-"""And across: by how much farther, from -3 to 3, as well."""
+"""Difference across it: by the kind of the last motion, and by the difference along it, clipped to -3 to 3."""
 
-BUILT_ON = ACROSS + 4 * 7 * NUMBER
-"""How many more units of another map it is built on: by whether there were any the last time."""
+BASES = ACROSS + 4 * 7 * NUMBER
+"""Number of further updates of another map on which the update depends: by whether there were any last time."""
 
-EXCEPTIONS = BUILT_ON + 2 * NUMBER
-"""How many exceptions there are."""
+CORRECTIONS = BASES + 2 * NUMBER
+"""Number of corrections."""
 
-FIRST_X = EXCEPTIONS + NUMBER
-"""The first exception's column, from the robot's, and its row."""
+FIRST_X = CORRECTIONS + NUMBER
+"""Column of the first correction relative to the robot; `FIRST_Y`: its row."""
 
 FIRST_Y = FIRST_X + NUMBER
 NEXT_ROW = FIRST_Y + NUMBER
-"""Rows to the next exception, and columns, in its own row or another."""
+"""Rows to the next correction; `SAME_ROW` and `OTHER_ROW`: columns to it, in the same or another row."""
 
 SAME_ROW = NEXT_ROW + NUMBER
 OTHER_ROW = SAME_ROW + NUMBER
 CHANGED = OTHER_ROW + NUMBER
-"""Which of the two other states a cell has: by the one that was expected."""
+"""Which of the two other states a corrected cell has: by its predicted state."""
 
 CONTEXTS = CHANGED + 3
 
 TABLE = Path(__file__).with_name("start.npz")
-"""Counts learnt on generated maps."""
+"""The shipped table: counts trained on generated maps."""
 
 
 @cache
@@ -77,15 +78,15 @@ def _table() -> Counts:
 
 
 def start() -> Counts:
-    """Return the counts with which every maker's stream begins: uint16 of shape (CONTEXTS, 2)."""
+    """Return a copy of the initial counts of every log: uint16 array, shape (CONTEXTS, 2)."""
     return _table().copy()
 
 
 @kernel("int64(uint8[:,::1], int64, int64)")
 def neighbors(grid: Grid, x: int, y: int) -> int:
-    """Return the context of cell (x, y): the state of its eight neighbours, row by row, in base 3.
+    """Return the context of cell (x, y): the states of its eight neighbors, row by row, as a number in base 3.
 
-    The low two bits of a grid's byte are the state; what lies beyond the rim is unknown.
+    The state is in the low two bits of a cell; cells outside the grid are unknown.
     """
     height, width = grid.shape
     context = 0

@@ -1,7 +1,7 @@
-"""What the units of a stream say, in the order in which they have been read.
+"""The decoded updates of a map, in the order of its log.
 
-Each unit has a key, which follows from all that had to be read before it: two who have read units of the same key hold
-the same stream, and hardly anything else can have led there. So they may share what they hold (`agent.predictive.shared_decoder`).
+Each update has a key, a hash of all messages on which its content depends. Two decoders whose last updates have equal
+keys are in the same state, so they can share it (`agent.predictive.shared_decoder`).
 """
 
 from __future__ import annotations
@@ -19,33 +19,33 @@ from protocol.kernels import kernel
 
 @dataclass(frozen=True)
 class Base:
-    """Up to which unit of a robot's stream a unit is built on, `end` - 1, where that is more than before; its key."""
+    """An update depends on the updates of map `map_id` before number `end`; `key` is the key of the last of them."""
 
-    robot: int
+    map_id: int
     end: int
     key: bytes
 
 
 @dataclass(frozen=True)
 class DecodedUpdate:
-    """What a unit says.
+    """The content of an update.
 
     Attributes
     ----------
-    places : int32 array
-        Cells, as places in the flat grid, each once.
-    states, before : uint8 array
-        What its maker tells of them, and what it had told of them before: unknown where nothing.
+    places : int32 array, shape (n,)
+        Reported cells, as indices of the flat grid, each once.
+    states, before : uint8 array, shape (n,)
+        The reported state of each cell, and the author's previous report of it: unknown if there was none.
     box : Box
-        Around them.
+        The bounding box of the cells.
     message : bytes
-        The unit itself.
+        The encoded update.
     bases : tuple of Base
-        What it is built on that the units before it are not, by ascending robot.
+        Dependencies beyond those of the update before, by ascending map ID.
     pose : (x, y), optional
-        From where its maker looked last, if it has said so by now.
+        Cell of the author's last scan; None before the first.
     key : bytes
-        What it follows from (`key_of`).
+        Hash of the messages on which this content depends (`key_of`).
     """
 
     places: NDArray[np.int32]
@@ -59,59 +59,59 @@ class DecodedUpdate:
 
 
 def key_of(before: bytes, message: bytes, bases: Sequence[Base]) -> bytes:
-    """Key of a unit that follows another one of its stream, of key `before`; empty: it is the first."""
+    """Return the key of an update; `before` is the key of the update before it, empty for the first."""
     return blake2b(b"".join([before, *(base.key for base in bases), message]), digest_size=16).digest()
 
 
 class History:
-    """The units of a stream that have been read, numbered from 0; the oldest are forgotten once they are built on."""
+    """The decoded updates of a map, numbered from 0; updates that no log can depend on any more are dropped."""
 
     def __init__(self) -> None:
-        self._units: list[DecodedUpdate] = []
-        self._forgotten = 0
+        self._updates: list[DecodedUpdate] = []
+        self._dropped = 0
         self._boxes = np.empty((16, 4), np.int32)
 
     def __len__(self) -> int:
-        """All units ever read."""
-        return self._forgotten + len(self._units)
+        """Return the number of updates decoded so far, dropped ones included."""
+        return self._dropped + len(self._updates)
 
     @property
     def last(self) -> DecodedUpdate | None:
-        """The last unit, if it has not been forgotten."""
-        return self._units[-1] if self._units else None
+        """The last update; None if there is none, or it has been dropped."""
+        return self._updates[-1] if self._updates else None
 
-    def append(self, unit: DecodedUpdate) -> None:
-        """Add a unit at the end."""
-        if len(self._units) == len(self._boxes):
+    def append(self, update: DecodedUpdate) -> None:
+        """Append an update."""
+        if len(self._updates) == len(self._boxes):
             self._boxes = np.concatenate([self._boxes, np.empty_like(self._boxes)])
-        self._boxes[len(self._units)] = unit.box
-        self._units.append(unit)
+        self._boxes[len(self._updates)] = update.box
+        self._updates.append(update)
 
     def pop(self) -> None:
-        """Take the last unit back."""
-        self._units.pop()
+        """Remove the last update, which no other log depends on."""
+        self._updates.pop()
 
     def between(self, first: int, end: int) -> list[DecodedUpdate]:
-        """Units `first` to `end` - 1."""
-        return self._units[first - self._forgotten : end - self._forgotten]
+        """Return updates `first` to `end` - 1, none of them dropped."""
+        return self._updates[first - self._dropped : end - self._dropped]
 
     def last_near(self, first: int, end: int, near: Box) -> int:
-        """The last of units `first` to `end` - 1 with a box that meets another one; -1 if there is none."""
-        found = _last_meeting(self._boxes, first - self._forgotten, end - self._forgotten, *near)
-        return int(found) + self._forgotten if found >= 0 else -1
+        """Return the last of updates `first` to `end` - 1 whose box meets `near`; -1 if there is none."""
+        found = _last_meeting(self._boxes, first - self._dropped, end - self._dropped, *near)
+        return int(found) + self._dropped if found >= 0 else -1
 
     def forget(self, before: int) -> None:
-        """Drop the units before number `before`."""
-        if before > self._forgotten:
-            drop = before - self._forgotten
-            del self._units[:drop]
-            self._boxes[: len(self._units)] = self._boxes[drop : drop + len(self._units)].copy()
-            self._forgotten = before
+        """Drop the updates before number `before`."""
+        if before > self._dropped:
+            drop = before - self._dropped
+            del self._updates[:drop]
+            self._boxes[: len(self._updates)] = self._boxes[drop : drop + len(self._updates)].copy()
+            self._dropped = before
 
 
 @kernel("int64(int32[:,::1], int64, int64, int64, int64, int64, int64)")
 def _last_meeting(boxes: NDArray[np.int32], first: int, end: int, x0: int, y0: int, x1: int, y1: int) -> int:
-    """The last of boxes `first` to `end` - 1 that meets another one; -1 if there is none."""
+    """Return the last of boxes `first` to `end` - 1 that meets the box (x0, y0, x1, y1); -1 if there is none."""
     for number in range(end - 1, first - 1, -1):
         box = boxes[number]
         if box[0] < x1 and x0 < box[2] and box[1] < y1 and y0 < box[3]:

@@ -1,11 +1,11 @@
-"""A unit: from where a robot looked, and what was surprising about what it saw (docs/predictive.md).
+"""Code an update: the poses of scans, the cells that the scans reveal, and corrections (docs/predictive.md).
 
-Sender and receiver hold the same grid. From a pose they cast the same scan again (`protocol.grid.ray_table`): along each
-beam cells known to be free pass, the first known wall ends it, and where it enters an unknown cell one decision tells
-whether the robot has seen it, and another whether it is free or a wall. The cells so told are known from then on, to
-the next beam too. Whatever the robot knows otherwise than this leads one to expect is told cell by cell: exceptions.
+Author and receiver hold the same grid, and cast each scan again from its pose (`protocol.grid.ray_table`). A beam
+passes known free cells and ends at the first known wall. Where it enters an unknown cell, one bit codes whether the
+robot has observed the cell, and another whether it is free or a wall. The cell is known from then on, also to the next
+beams. Cells that the self-explored grid holds otherwise follow one by one, as corrections.
 
-A grid here has a byte a cell: its state in the low two bits, and `TOLD` where the maker itself has said so.
+A cell of the grid is a byte: its state in the low two bits, and the flag `REPORTED` if the author itself reported it.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.predictive.coder import (
-    BROKEN,
+    DECODES,
+    FAILED,
     NUMBER,
-    READS,
     Counts,
     Data,
     State,
@@ -30,56 +30,58 @@ from agent.predictive.contexts import (
     CELLS,
     CELLS_MOST,
     CHANGED,
-    EXCEPTIONS,
+    CORRECTIONS,
+    FIRST_POSE,
     FIRST_X,
     FIRST_Y,
     NEXT_ROW,
+    OBSERVED,
     OTHER_ROW,
-    PLACED,
     REST_MOST,
-    SAME,
+    SAME_MOTION,
     SAME_ROW,
-    SEEN,
     neighbors,
 )
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 
-TOLD = 4
-"""Set in a cell of which the maker of the stream itself has told."""
+REPORTED = 4
+"""Flag of a cell that the author of the map itself has reported."""
 
 STATE = 3
-"""Mask of a cell's state."""
+"""Mask of the state of a cell."""
 
-MAX_LOOKS = 64
-"""Looks in a unit at most."""
+MAX_SCANS = 64
+"""Largest number of scans in an update."""
 
-X, Y, DX, DY, PLACES = range(5)
-"""What is remembered of a robot's way: where it looked from last, how it came there, and how many looks there were."""
+X, Y, DX, DY, SCANS = range(5)
+"""Indices of a `Motion`: cell of the last scan, its offset from the scan before, and whether there was a scan."""
 
 Cells = NDArray[np.int32]
-Way = NDArray[np.int64]
+Motion = NDArray[np.int64]
 
 
-@kernel("int64(int64[::1], uint8[::1], uint16[:,::1], int64[::1], int64, int64)")
-def code_pose(state: State, data: Data, counts: Counts, way: Way, x: int, y: int) -> int:
-    """Write the next pose (x, y), or read it into `way`: it is expected to go on as it did the last time.
+@kernel("void(int64[::1], uint8[::1], uint16[:,::1], int64[::1], int64, int64)")
+def code_pose(state: State, data: Data, counts: Counts, motion: Motion, x: int, y: int) -> None:
+    """Encode or decode the next pose into `motion`, predicting that the robot repeats its last motion.
 
-    The last way is turned and mirrored until it leads along +x and not more along +y: how much farther the robot
-    came along it and across it is what is told. Returns 1, or 0 if what was read is no pose.
+    The last motion is mirrored into the octant between +x and the diagonal. The differences along and across it are
+    coded. Poses are cells (x, y).
     """
-    if way[PLACES] == 0:
+    if motion[SCANS] == 0:
         column, row = 0, 0
         for place in range(10, -1, -1):
-            column = column << 1 | code_bit(state, data, counts, PLACED + place, x >> place & 1, REST_MOST)
+            column = column << 1 | code_bit(
+                state, data, counts, FIRST_POSE + place, x >> place & 1, REST_MOST
+            )
         for place in range(10, -1, -1):
-            row = row << 1 | code_bit(state, data, counts, PLACED + 11 + place, y >> place & 1, REST_MOST)
-        way[X], way[Y], way[DX], way[DY], way[PLACES] = column, row, 0, 0, 1
-        return 1
-    last_x, last_y = way[DX], way[DY]
+            row = row << 1 | code_bit(state, data, counts, FIRST_POSE + 11 + place, y >> place & 1, REST_MOST)
+        motion[X], motion[Y], motion[DX], motion[DY], motion[SCANS] = column, row, 0, 0, 1
+        return
+    last_x, last_y = motion[DX], motion[DY]
     flip_x, flip_y, swap = last_x < 0, last_y < 0, abs(last_y) > abs(last_x)
     along, across = abs(last_x), abs(last_y)
-    went_x, went_y = x - way[X], y - way[Y]
+    went_x, went_y = x - motion[X], y - motion[Y]
     if flip_x:
         went_x = -went_x
     if flip_y:
@@ -89,7 +91,7 @@ def code_pose(state: State, data: Data, counts: Counts, way: Way, x: int, y: int
         went_x, went_y = went_y, went_x
     kind = 0 if along == 0 else 1 if across == 0 else 3 if across == along else 2
     same = code_bit(
-        state, data, counts, SAME + kind, 1 if went_x == along and went_y == across else 0, REST_MOST
+        state, data, counts, SAME_MOTION + kind, 1 if went_x == along and went_y == across else 0, REST_MOST
     )
     if same:
         went_x, went_y = along, across
@@ -104,15 +106,14 @@ def code_pose(state: State, data: Data, counts: Counts, way: Way, x: int, y: int
         went_x = -went_x
     if flip_y:
         went_y = -went_y
-    way[X] += went_x
-    way[Y] += went_y
-    way[DX], way[DY] = went_x, went_y
-    return 1
+    motion[X] += went_x
+    motion[Y] += went_y
+    motion[DX], motion[DY] = went_x, went_y
 
 
 @kernel("int64(int64[::1], uint8[::1], uint16[:,::1], uint8[:,::1], uint8[:,::1], int32[:,::1], int32[::1],"
         "int64, int64, int32[:,::1], int64)")  # fmt: skip
-def code_look(
+def code_scan(
     state: State,
     data: Data,
     counts: Counts,
@@ -125,32 +126,33 @@ def code_look(
     changes: Cells,
     changed: int,
 ) -> int:
-    """Cast the scan of one look again, beam by beam, and tell or read what is unknown along it.
+    """Cast one scan, beam by beam, and encode or decode the unknown cells along the beams.
 
     Parameters
     ----------
     grid : uint8 array, shape (h, w)
-        What the stream is built on; what is told is written into it.
+        The grid from which the scan is predicted; coded cells are written to it.
     own : uint8 array, shape (h, w)
-        The writer's self-explored grid; a reader gives any.
-    cells, start : the beams, as in `protocol.grid.RayTable`
+        The author's self-explored grid; a decoder passes any grid.
+    cells, start : int32 arrays
+        The beams, as in `protocol.grid.RayTable`.
     x, y : int
-        The cell where the robot looked from; it is free, which is taken for granted.
+        The cell of the scan. It is taken to be free without coding.
     changes : int32 array, shape (n, 2)
-        Cells that change, as places in the flat grid, and what they were before, from row `changed` on.
+        Changed cells, as indices of the flat grid, and their previous values, from row `changed` on.
 
     Returns
     -------
     int
-        Rows of `changes` that are used by now.
+        The number of used rows of `changes`.
     """
-    # Without a sign what lies beyond the left or upper rim is a very large number, and indexing is twice as fast.
+    # Unsigned, a cell beyond the left or upper rim has a very large number; unsigned indexing is twice as fast.
     height, width = np.uint64(grid.shape[0]), np.uint64(grid.shape[1])
-    reads = state[READS]
+    reads = state[DECODES]
     if grid[y, x] & STATE == UNKNOWN:
         changes[changed, 0], changes[changed, 1] = y * grid.shape[1] + x, grid[y, x]
         changed += 1
-        grid[y, x] = FREE | TOLD
+        grid[y, x] = FREE | REPORTED
     unseen_before = 0
     for beam in range(len(start) - 1):
         asked = unseen = 0
@@ -170,11 +172,11 @@ def code_look(
                 state,
                 data,
                 counts,
-                SEEN + 2 * unseen_before + asked_before,
+                OBSERVED + 2 * unseen_before + asked_before,
                 1 if truth != UNKNOWN else 0,
                 REST_MOST,
             )
-            if state[BROKEN]:
+            if state[FAILED]:
                 return changed
             if not seen:
                 unseen = 1
@@ -186,7 +188,7 @@ def code_look(
             changes[changed, 0] = np.int64(row) * grid.shape[1] + np.int64(column)
             changes[changed, 1] = grid[row, column]
             changed += 1
-            grid[row, column] = (OCCUPIED if wall else FREE) | TOLD
+            grid[row, column] = (OCCUPIED if wall else FREE) | REPORTED
             if wall:
                 break
         if asked:
@@ -195,23 +197,24 @@ def code_look(
 
 
 @kernel("int64(uint8[:,::1], uint8[:,::1], boolean[:,::1], int32[:,::1], int32[::1], int64, int64)")
-def claims(
+def count_new_cells(
     grid: Grid,
     own: Grid,
-    claimed: NDArray[np.bool_],
+    counted: NDArray[np.bool_],
     cells: Cells,
     start: NDArray[np.int32],
     x: int,
     y: int,
 ) -> int:
-    """Count the cells of which a look from (x, y) would tell, and no look has that was asked before; claim them.
+    """Count the cells that a scan from (x, y) would reveal and no scan counted before reveals; mark them in `counted`.
 
-    They are those that its beams meet, unknown in `grid` and known in `own`; what they tell is known to it already.
+    A scan reveals the cells on its beams that are unknown in `grid` and known in `own`; a beam ends at a wall, or at a
+    cell that is unknown in both.
     """
     height, width = np.uint64(grid.shape[0]), np.uint64(grid.shape[1])
     count = 0
-    if grid[y, x] & STATE == UNKNOWN and own[y, x] == FREE and not claimed[y, x]:
-        claimed[y, x] = True
+    if grid[y, x] & STATE == UNKNOWN and own[y, x] == FREE and not counted[y, x]:
+        counted[y, x] = True
         count = 1
     for beam in range(len(start) - 1):
         for at in range(np.uint64(start[beam]), np.uint64(start[beam + 1])):
@@ -221,8 +224,8 @@ def claims(
             known = grid[row, column] & STATE
             if known == UNKNOWN:
                 known = own[row, column]
-                if known != UNKNOWN and not claimed[row, column]:
-                    claimed[row, column] = True
+                if known != UNKNOWN and not counted[row, column]:
+                    counted[row, column] = True
                     count += 1
             if known != FREE:
                 break
@@ -230,17 +233,19 @@ def claims(
 
 
 @kernel("int64(uint8[:,::1], uint8[:,::1], int64, int64, int64, int64, int32[::1])")
-def differing(grid: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int, found: NDArray[np.int32]) -> int:
-    """Find the cells of columns x0 to x1 - 1 and rows y0 to y1 - 1 in which `own` is not what `grid` tells of it.
+def find_differences(
+    grid: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int, found: NDArray[np.int32]
+) -> int:
+    """Find the cells of the box (x0, y0, x1, y1) that need a correction.
 
-    A cell that the robot knows must have its state; one that it does not know must not have been told by it.
-    Writes their places in the flat grid to `found` as far as there is room, row by row; returns how many there are.
+    A cell known in `own` needs one if `grid` has another state; a cell unknown in `own`, if the author has reported it.
+    Writes their indices in the flat grid to `found`, row by row, up to its length; returns their number.
     """
     count = 0
     for y in range(y0, y1):
         for x in range(x0, x1):
             truth = own[y, x]
-            differs = grid[y, x] & TOLD if truth == UNKNOWN else grid[y, x] & STATE != truth
+            differs = grid[y, x] & REPORTED if truth == UNKNOWN else grid[y, x] & STATE != truth
             if differs:
                 if count < len(found):
                     found[count] = y * grid.shape[1] + x
@@ -250,7 +255,7 @@ def differing(grid: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int, found: 
 
 @kernel("int64(int64[::1], uint8[::1], uint16[:,::1], uint8[:,::1], uint8[:,::1], int32[::1], int64, int64[::1],"
         "int32[:,::1], int64)")  # fmt: skip
-def code_exceptions(
+def code_corrections(
     state: State,
     data: Data,
     counts: Counts,
@@ -258,21 +263,21 @@ def code_exceptions(
     own: Grid,
     places: NDArray[np.int32],
     number: int,
-    way: Way,
+    motion: Motion,
     changes: Cells,
     changed: int,
 ) -> int:
-    """Tell, or read, the cells that are not as the looks lead one to expect, row by row.
+    """Encode or decode the corrections, row by row.
 
-    `places` has the `number` of them, as places in the flat grid, ascending; a reader gives none. The rest is as with
-    `code_look`; returns -1 - `changed` if what was read is no exception.
+    `places` has the `number` corrected cells, as ascending indices of the flat grid; a decoder passes none. The other
+    parameters and the result are those of `code_scan`. Returns -1 - `changed` if a decoded cell lies outside the grid.
     """
     height, width = grid.shape
-    number = code_number(state, data, counts, EXCEPTIONS, number, REST_MOST)
-    x, y = way[X], way[Y]
+    number = code_number(state, data, counts, CORRECTIONS, number, REST_MOST)
+    x, y = motion[X], motion[Y]
     for index in range(number):
         to_x, to_y = np.int64(0), np.int64(0)
-        if not state[READS]:
+        if not state[DECODES]:
             to_x, to_y = places[index] % width, places[index] // width
         if index == 0:
             x += code_signed(state, data, counts, FIRST_X, to_x - x, REST_MOST)
@@ -284,15 +289,15 @@ def code_exceptions(
                 x += code_signed(state, data, counts, OTHER_ROW, to_x - x, REST_MOST)
             else:
                 x += 1 + code_number(state, data, counts, SAME_ROW, to_x - x - 1, REST_MOST)
-        if state[BROKEN] or not (0 <= x < width and 0 <= y < height) or changed >= len(changes):
+        if state[FAILED] or not (0 <= x < width and 0 <= y < height) or changed >= len(changes):
             return -1 - changed
         before = int(grid[y, x] & STATE)
-        truth = (before + 1) % 3 if state[READS] else int(own[y, x])
+        truth = (before + 1) % 3 if state[DECODES] else int(own[y, x])
         other = code_bit(
             state, data, counts, CHANGED + before, 1 if truth == (before + 2) % 3 else 0, REST_MOST
         )
         now = (before + 1 + other) % 3
         changes[changed, 0], changes[changed, 1] = y * width + x, grid[y, x]
         changed += 1
-        grid[y, x] = now | TOLD if now != UNKNOWN else UNKNOWN
+        grid[y, x] = now | REPORTED if now != UNKNOWN else UNKNOWN
     return changed

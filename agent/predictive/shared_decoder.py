@@ -1,11 +1,11 @@
-"""One stream, read once for all robots of a process.
+"""Decode each log once for all robots of a process.
 
-Who follows a stream holds a grid of the whole map for it. Where each robot has a process of its own, that is a grid a
-teammate; where hundreds run in one process, it would be as many for each of them. But all that they could differ in is
-how far they have read: what a unit says follows from what was read before it (`agent.predictive.stream`). So the first one
-that comes to a unit reads it, and who comes later takes what was read, if it holds the very same units before it and
-beneath it, by their keys. Should a liar have told them different units, the stream is read again from its beginning for
-those who were told others.
+The decoder of a log holds a grid of the whole map. With a process per robot that is one grid per teammate; with
+hundreds of robots in one process it would be one per pair of robots. Robots differ only in how far they have decoded,
+as the content of an update follows from the updates before it (`agent.predictive.stream`). So the first robot that
+reaches an update decodes it. The others reuse the result if they hold the same updates before it and the same
+dependencies, which their keys show. If a byzantine robot sends different updates to different robots, each variant of
+the log is decoded from its beginning.
 """
 
 from __future__ import annotations
@@ -15,91 +15,91 @@ from collections.abc import Callable, Sequence
 from agent.predictive.history import DecodedUpdate, History
 from agent.predictive.stream import Stream
 
-MOST = 4
-"""Readings of a stream that are kept at most; one that is needed again begins anew."""
+MAX_DECODERS = 4
+"""Decoders kept per log; a dropped one that is needed again restarts from the beginning of the log."""
 
-New = Callable[[int, Sequence[History]], Stream]
-"""Makes the stream of a maker, on histories, that has not been read yet."""
+MakeStream = Callable[[int, Sequence[History]], Stream]
+"""Make the decoder of a map's log, from its map ID and the histories of all maps, at the beginning of the log."""
 
 
 class SharedDecoderCache:
-    """What the robots of a process have read of one maker's stream.
+    """Decoded updates of one log, shared by the robots of a process.
 
     Parameters
     ----------
-    maker : int
-        Whose it is.
-    new : New
-        Makes it.
+    map_id : int
+        The map.
+    make_stream : MakeStream
+        Makes a decoder.
     """
 
-    def __init__(self, maker: int, new: New) -> None:
-        self._maker = maker
-        self._new = new
-        self._readings: list[Stream] = []
-        """The one that was needed last comes last."""
-        self._told: dict[tuple[bytes, bytes], list[DecodedUpdate]] = {}
-        """What units say, by the key of the one before, and by their bytes."""
+    def __init__(self, map_id: int, make_stream: MakeStream) -> None:
+        self._map_id = map_id
+        self._make_stream = make_stream
+        self._decoders: list[Stream] = []
+        """The most recently used one is last."""
+        self._decoded: dict[tuple[bytes, bytes], list[DecodedUpdate]] = {}
+        """Updates by the key of the update before and by message, one for each set of dependencies."""
 
     def decode(self, message: bytes, histories: Sequence[History]) -> DecodedUpdate | None:
-        """As `Stream.decode`, for who has read what is in `histories`; its maker's goes on."""
-        key = _key(histories[self._maker])
-        known = self._told.setdefault((key, message), [])
-        for told in known:
-            if any(len(histories[base.robot]) < base.end for base in told.bases):
+        """Decode a message as `Stream.decode` does, for a robot with these histories."""
+        key = _key(histories[self._map_id])
+        known = self._decoded.setdefault((key, message), [])
+        for update in known:
+            if any(len(histories[base.map_id]) < base.end for base in update.bases):
                 return None
             if all(
-                histories[base.robot].between(base.end - 1, base.end)[0].key == base.key
-                for base in told.bases
+                histories[base.map_id].between(base.end - 1, base.end)[0].key == base.key
+                for base in update.bases
             ):
-                histories[self._maker].append(told)
-                return told
-        reading = self._reading(key, histories)
-        reading.histories = histories
-        unit = reading.decode(message)
-        if unit is not None:
-            reading.settle()
-            known.append(unit)
-        return unit
+                histories[self._map_id].append(update)
+                return update
+        decoder = self._decoder(key, histories)
+        decoder.histories = histories
+        new = decoder.decode(message)
+        if new is not None:
+            decoder.commit()
+            known.append(new)
+        return new
 
-    def _reading(self, key: bytes, histories: Sequence[History]) -> Stream:
-        """A reading that is as far as the maker's history."""
-        for place, reading in enumerate(self._readings):
-            if reading.key == key:
-                self._readings.append(self._readings.pop(place))
-                return reading
-        history = History()
-        reading = self._new(self._maker, [*histories[: self._maker], history, *histories[self._maker + 1 :]])
-        for unit in histories[self._maker].between(0, len(histories[self._maker])):
-            reading.decode(unit.message)
-            reading.settle()
-        self._readings = [*self._readings[1 - MOST :], reading]
-        return reading
+    def _decoder(self, key: bytes, histories: Sequence[History]) -> Stream:
+        """Return a decoder that has decoded exactly the updates of the map's history."""
+        for place, decoder in enumerate(self._decoders):
+            if decoder.key == key:
+                self._decoders.append(self._decoders.pop(place))
+                return decoder
+        others = [*histories[: self._map_id], History(), *histories[self._map_id + 1 :]]
+        decoder = self._make_stream(self._map_id, others)
+        for update in histories[self._map_id].between(0, len(histories[self._map_id])):
+            decoder.decode(update.message)
+            decoder.commit()
+        self._decoders = [*self._decoders[1 - MAX_DECODERS :], decoder]
+        return decoder
 
 
 class CachedReader:
-    """One robot's end of a shelf; it stands where a `Stream` does for who only reads, and forgets nothing."""
+    """One robot's view of a `SharedDecoderCache`, with the decoding interface of a `Stream`; it forgets no update."""
 
-    def __init__(self, shelf: SharedDecoderCache, maker: int, histories: Sequence[History]) -> None:
-        self._shelf = shelf
+    def __init__(self, cache: SharedDecoderCache, map_id: int, histories: Sequence[History]) -> None:
+        self._cache = cache
         self._histories = histories
-        self._maker = maker
+        self._map_id = map_id
 
     @property
     def pose(self) -> tuple[int, int] | None:
-        """Where the maker looked from last, as (x, y)."""
-        last = self._histories[self._maker].last
+        """Cell (x, y) of the author's last scan; None before the first."""
+        last = self._histories[self._map_id].last
         return last.pose if last is not None else None
 
     def decode(self, message: bytes) -> DecodedUpdate | None:
-        """As `Stream.decode`."""
-        return self._shelf.decode(message, self._histories)
+        """Decode a message as `Stream.decode` does."""
+        return self._cache.decode(message, self._histories)
 
-    def undo(self) -> None:
-        """Go back to before the last unit: all that there is to that is in its history, and left to the caller."""
+    def rollback(self) -> None:
+        """Do nothing: the state is the history, from which the caller removes the update."""
 
-    def settle(self) -> None:
-        """The last unit stands."""
+    def commit(self) -> None:
+        """Do nothing: the shared decoder has made the update final."""
 
 
 def _key(history: History) -> bytes:

@@ -1,9 +1,10 @@
-"""All that one robot tells of its map, unit by unit, and what it is built on.
+"""The update messages of one map, and the grid from which the next update is predicted.
 
-A stream belongs to a maker. Who follows it holds the grid that the next unit is built on: what the maker itself has
-told by then, and with base `team` what others have told in those of their units that the maker says it builds on. A
-unit says first how many more units of each teammate that are, and can be read by who has read those; then come looks
-and exceptions (`agent.predictive.scan_updates`). What the maker has told itself counts more in its stream than what others told.
+The author of a map encodes its updates one after the other; every receiver decodes them in this order. Both keep the
+same grid: all cells that the author has reported and, with base `team`, cells reported by those updates of other maps
+on which the author's updates depend. An update begins with these dependencies: the number of further updates of each
+other map. A receiver decodes it after it has decoded those. Scans and corrections follow
+(`agent.predictive.scan_updates`). In the grid of a map the reports of its author take precedence over those of others.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from agent.predictive import contexts
 from agent.predictive.coder import (
-    BROKEN,
+    FAILED,
     NUMBER,
     PLACE,
     Counts,
@@ -30,22 +31,22 @@ from agent.predictive.coder import (
     writer,
     written,
 )
-from agent.predictive.contexts import BUILT_ON, REST_MOST
+from agent.predictive.contexts import BASES, REST_MOST
 from agent.predictive.history import Base, DecodedUpdate, History, key_of
 from agent.predictive.scan_updates import (
-    MAX_LOOKS,
-    PLACES,
+    MAX_SCANS,
+    REPORTED,
+    SCANS,
     STATE,
-    TOLD,
     Cells,
-    Way,
+    Motion,
     X,
     Y,
-    claims,
-    code_exceptions,
-    code_look,
+    code_corrections,
     code_pose,
-    differing,
+    code_scan,
+    count_new_cells,
+    find_differences,
 )
 from protocol.boxes import NO_BOX, Box, bounding_box
 from protocol.errors import ProtocolError
@@ -53,235 +54,242 @@ from protocol.grid import UNKNOWN, Grid, RayTable
 from protocol.kernels import kernel
 from protocol.packets import Update
 
-_ROOM = 1 << 10
-"""Bytes that a unit may take at first; twice as many if it needs more."""
+_BUFFER = 1 << 10
+"""Bytes of the first output buffer of an update; it is doubled until the update fits."""
 
 
 @dataclass(frozen=True)
-class _Moment:
-    """A stream as it was, but for its grid: that is brought back by writing what cells were before."""
+class _Saved:
+    """State of a stream before an update; its grid is restored from `_overwritten` instead."""
 
     counts: Counts
-    way: Way
-    built: NDArray[np.int64]
-    grew: NDArray[np.bool_]
-    owed: Box
+    motion: Motion
+    depends_on: NDArray[np.int64]
+    bases_grew: NDArray[np.bool_]
+    unreported: Box
     key: bytes
 
 
 class Stream:
-    """One maker's stream, as its maker and all who follow it hold it.
+    """Encoder and decoder state of one map's log.
 
     Parameters
     ----------
-    maker : int
-        Whose it is.
+    map_id : int
+        The map.
     grid : uint8 array, shape (h, w)
-        Where it is kept, a byte a cell (`agent.predictive.scan_updates`); all unknown.
-    fan : Fan
-        The maker's beams.
+        The grid of all reports, all unknown at first (encoding: `agent.predictive.scan_updates`).
+    ray_table : RayTable
+        The beams of the map's author.
     histories : sequence of History
-        One a robot: what has been read of each stream. `encode` and `decode` append to the maker's own.
+        The decoded updates of each map, by map ID. `encode` and `decode` append to the history of this map.
     scratch : int32 array, shape (2 h w, 2)
-        Room for the cells that a unit changes; streams may share it.
+        Buffer for the cells that an update changes; streams may share it.
     team : bool
-        Whether it is built on what others told as well.
-    makers : int, optional
-        The number of the first stream that nothing is built on, nor on those behind it: a team's streams of later
-        lives (`agent.identity`). So one that has not begun yet costs the others nothing.
+        Whether updates depend on other maps.
+    base_maps : int, optional
+        Number of maps on which updates may depend; those of later incarnations (`agent.identity`) follow them, and
+        would cost bits for dependencies that do not occur. Default: all.
     counts : uint16 array, shape (CONTEXTS, 2), optional
-        What its contexts begin with, if not with the shipped table.
+        Initial counts of the contexts; default: the shipped table.
     """
 
     def __init__(
         self,
-        maker: int,
+        map_id: int,
         grid: Grid,
         ray_table: RayTable,
         histories: Sequence[History],
         scratch: Cells,
         *,
         team: bool,
-        makers: int | None = None,
+        base_maps: int | None = None,
         counts: Counts | None = None,
     ) -> None:
-        self.maker = maker
+        self.map_id = map_id
         self.grid = grid
         self.histories = histories
-        self.built = np.zeros(len(histories), np.int64)
-        """How many units of each robot's stream the last unit is built on."""
+        self.depends_on = np.zeros(len(histories), np.int64)
+        """Number of updates of each map on which the last update depends."""
         self.key = b""
-        """The last unit's key."""
+        """Key of the last update (`agent.predictive.history.key_of`)."""
         self._ray_table = ray_table
         self._scratch = scratch
-        bases = range(len(histories) if makers is None else makers) if team else ()
-        self._others = np.array([robot for robot in bases if robot != maker], np.int64)
-        self._grew = np.zeros(len(histories), np.bool_)
+        bases = range(len(histories) if base_maps is None else base_maps) if team else ()
+        self._others = np.array([other for other in bases if other != map_id], np.int64)
+        self._bases_grew = np.zeros(len(histories), np.bool_)
         self._counts = contexts.start() if counts is None else counts
-        self._way: Way = np.zeros(PLACES + 1, np.int64)
-        self._owed = NO_BOX
-        """Where the maker's own grid may differ from what follows from its units, and none has told so yet."""
-        self._before: _Moment | None = None
+        self._motion: Motion = np.zeros(SCANS + 1, np.int64)
+        self._unreported = NO_BOX
+        """Box in which the author's self-explored grid may differ from the reported one, after an incomplete update."""
+        self._before: _Saved | None = None
         self._overwritten: list[tuple[NDArray[np.int32], NDArray[np.uint8]]] = []
-        """Cells that the last unit has written, and what they were before, in that order."""
+        """Cells written by the last update, as flat indices, and their previous values, in the order of writing."""
 
     @property
     def counts(self) -> Counts:
-        """What has come how often in each context."""
+        """How often 0 and 1 have occurred in each context: uint16 array, shape (CONTEXTS, 2)."""
         return self._counts
 
     @property
     def pose(self) -> tuple[int, int] | None:
-        """Where the maker looked from last, as (x, y)."""
-        return (int(self._way[X]), int(self._way[Y])) if self._way[PLACES] else None
+        """Cell (x, y) of the author's last scan; None before the first."""
+        return (int(self._motion[X]), int(self._motion[Y])) if self._motion[SCANS] else None
 
     def encode(
         self, own: Grid, poses: Sequence[tuple[int, int]], box: Box, *, most: float = math.inf
     ) -> tuple[bytes, DecodedUpdate, int] | None:
-        """Write the unit that tells of what has changed in a self-explored grid, or of as much as it has room for.
+        """Encode an update of what has changed in a self-explored grid, up to a limit.
 
         Parameters
         ----------
         own : uint8 array, shape (h, w)
-            The maker's self-explored grid.
+            The self-explored grid.
         poses : sequence of (x, y)
-            From where it looked since the last unit.
+            Cells from which the robot has scanned since the last update.
         box : Box
-            Where the grid has changed since the last unit.
+            Where the grid has changed since the last update.
         most : float, optional
-            Bytes behind which no more looks are told, but one at least, and `MAX_LOOKS` at most.
+            Bytes after which no further scan is encoded. An update has one scan at least, and at most `MAX_SCANS`.
 
         Returns
         -------
-        (message, told, looks), or None if there is nothing to tell, and the stream is as it was. If `looks`, which
-        is how many of `poses` have been told of, is all, then `own` follows from the stream in every cell once the
-        unit is read; else only what these show.
+        (message, update, scans)
+            `scans` is the number of `poses` that the update covers. If it covers all of them, the decoded grid
+            equals `own`; else it holds what these scans show. None if nothing is left to report; the stream is
+            unchanged then.
         """
-        room, last = _ROOM, (self._before, self._overwritten)
+        size, last = _BUFFER, (self._before, self._overwritten)
         while True:
-            state, data = writer(room)
+            state, data = writer(size)
             self._begin()
-            told, looks = self._write(state, data, own, poses, box, most)
-            if state[BROKEN]:
-                self.undo()
-                room *= 2
+            update, scans = self._write(state, data, own, poses, box, most)
+            if state[FAILED]:
+                self.rollback()
+                size *= 2
                 continue
-            if told is None:
-                self.undo()
+            if update is None:
+                self.rollback()
                 self._before, self._overwritten = last
                 return None
             message = written(state, data)
-            return message, self._add(told, message), looks
+            return message, self._add(update, message), scans
 
     def decode(self, message: bytes) -> DecodedUpdate | None:
-        """Read a unit; None if it is built on units that have not been read yet, and nothing has changed.
+        """Decode an update; None if it depends on an update that has not been decoded (nothing has changed then).
 
         Raises
         ------
         ProtocolError
-            It makes no sense; nothing has changed.
+            The update is malformed; nothing has changed.
         """
         state, data = reader(message)
         self._begin()
         try:
-            told = self._read(state, data)
+            update = self._read(state, data)
         except ProtocolError:
-            self.undo()
+            self.rollback()
             raise
-        if told is None:
-            self.undo()
+        if update is None:
+            self.rollback()
             return None
-        return self._add(told, message)
+        return self._add(update, message)
 
-    def settle(self) -> None:
-        """The last unit stands: it is not going to be undone."""
+    def commit(self) -> None:
+        """Make the last update final, so that it cannot be rolled back."""
         self._before, self._overwritten = None, []
 
-    def builds_from(self) -> NDArray[np.int64]:
-        """The first unit of each robot's stream that this one may still ask for; also after `undo`."""
-        return self.built if self._before is None else self._before.built
+    def first_needed(self) -> NDArray[np.int64]:
+        """Return for each map its first update that a later update of this map may depend on, even after `rollback`."""
+        return self.depends_on if self._before is None else self._before.depends_on
 
-    def undo(self) -> None:
-        """Go back to where the stream was before the last unit; what is in its history is left to the caller."""
+    def rollback(self) -> None:
+        """Restore the state before the last update; the caller removes the update from the history."""
         before = self._before
         assert before is not None
-        self._counts, self._way, self._owed = before.counts, before.way, before.owed
-        self.built, self._grew, self.key = before.built, before.grew, before.key
+        self._counts, self._motion, self._unreported = before.counts, before.motion, before.unreported
+        self.depends_on, self._bases_grew, self.key = before.depends_on, before.bases_grew, before.key
         for places, states in reversed(self._overwritten):
             _restore(self.grid.reshape(-1), places, states)
         self._overwritten = []
         self._before = None
 
     def _begin(self) -> None:
-        """Begin a unit: keep what there is, and go on with copies."""
-        self._before = _Moment(self._counts, self._way, self.built, self._grew, self._owed, self.key)
-        self._counts, self._way = self._counts.copy(), self._way.copy()
-        self.built, self._grew = self.built.copy(), self._grew.copy()
+        """Begin an update: save the state, and continue with copies."""
+        self._before = _Saved(
+            self._counts, self._motion, self.depends_on, self._bases_grew, self._unreported, self.key
+        )
+        self._counts, self._motion = self._counts.copy(), self._motion.copy()
+        self.depends_on, self._bases_grew = self.depends_on.copy(), self._bases_grew.copy()
         self._overwritten = []
 
-    def _add(self, told: DecodedUpdate, message: bytes) -> DecodedUpdate:
-        """Add a unit to its maker's history, with all that is to be known of it."""
+    def _add(self, update: DecodedUpdate, message: bytes) -> DecodedUpdate:
+        """Append an update to the history, with its message, dependencies, scan cell and key."""
         assert self._before is not None
         bases = []
-        for robot in np.flatnonzero(self.built > self._before.built).tolist():
-            end = int(self.built[robot])
-            bases.append(Base(robot, end, self.histories[robot].between(end - 1, end)[0].key))
+        for other in np.flatnonzero(self.depends_on > self._before.depends_on).tolist():
+            end = int(self.depends_on[other])
+            bases.append(Base(other, end, self.histories[other].between(end - 1, end)[0].key))
         self.key = key_of(self.key, message, bases)
-        told = replace(told, message=message, bases=tuple(bases), pose=self.pose, key=self.key)
-        self.histories[self.maker].append(told)
-        return told
+        update = replace(update, message=message, bases=tuple(bases), pose=self.pose, key=self.key)
+        self.histories[self.map_id].append(update)
+        return update
 
     def _write(
         self, state: State, data: Data, own: Grid, poses: Sequence[tuple[int, int]], box: Box, most: float
     ) -> tuple[DecodedUpdate | None, int]:
-        """Write a unit, and what it says into the grid; None if that is nothing. Return how many poses it tells of."""
-        counts, way, grid, scratch = self._counts, self._way, self.grid, self._scratch
+        """Encode an update and apply it to the grid; return it, None if empty, and the number of covered poses."""
+        counts, motion, grid, scratch = self._counts, self._motion, self.grid, self._scratch
         cells, start = self._ray_table.cells, self._ray_table.start
-        contradicted = self._build(state, data, own, poses, box)
-        owed = bounding_box([self._owed, *contradicted, *((x, y, x + 1, y + 1) for x, y in poses)])
-        box = bounding_box([box, owed])
-        changed = looks = done = 0
-        claimed = np.zeros(grid.shape, np.bool_)
-        needed = [claims(grid, own, claimed, cells, start, x, y) for x, y in reversed(poses)]
-        for (x, y), alone in zip(poses, reversed(needed), strict=True):
-            if alone and (looks == MAX_LOOKS or (looks and state[PLACE] >= most)):
+        contradicted = self._choose_bases(state, data, own, poses, box)
+        unreported = bounding_box(
+            [self._unreported, *contradicted, *((x, y, x + 1, y + 1) for x, y in poses)]
+        )
+        box = bounding_box([box, unreported])
+        changed = scans = done = 0
+        counted = np.zeros(grid.shape, np.bool_)
+        new_cells = [count_new_cells(grid, own, counted, cells, start, x, y) for x, y in reversed(poses)]
+        for (x, y), shows_more in zip(poses, reversed(new_cells), strict=True):
+            if shows_more and (scans == MAX_SCANS or (scans and state[PLACE] >= most)):
                 break
             done += 1
-            if alone:
-                code_bit(state, data, counts, contexts.MORE + min(looks, 3), 1, REST_MOST)
-                code_pose(state, data, counts, way, x, y)
-                changed = code_look(state, data, counts, grid, own, cells, start, x, y, scratch, changed)
-                looks += 1
-        if looks < MAX_LOOKS:
-            code_bit(state, data, counts, contexts.MORE + min(looks, 3), 0, REST_MOST)
-        self._owed = NO_BOX if done == len(poses) else owed
+            if shows_more:
+                code_bit(state, data, counts, contexts.MORE_SCANS + min(scans, 3), 1, REST_MOST)
+                code_pose(state, data, counts, motion, x, y)
+                changed = code_scan(state, data, counts, grid, own, cells, start, x, y, scratch, changed)
+                scans += 1
+        if scans < MAX_SCANS:
+            code_bit(state, data, counts, contexts.MORE_SCANS + min(scans, 3), 0, REST_MOST)
+        self._unreported = NO_BOX if done == len(poses) else unreported
         places = _places(grid, own, box) if done == len(poses) else np.empty(0, np.int32)
-        looked = changed
-        changed = code_exceptions(state, data, counts, grid, own, places, len(places), way, scratch, changed)
-        return self._keep(changed if changed >= 0 else -1 - changed, looked) if changed else None, done
+        by_scans = changed
+        changed = code_corrections(
+            state, data, counts, grid, own, places, len(places), motion, scratch, changed
+        )
+        return self._decoded(changed if changed >= 0 else -1 - changed, by_scans) if changed else None, done
 
     def _read(self, state: State, data: Data) -> DecodedUpdate | None:
-        """Read a unit into the grid; None if what it is built on is not there yet."""
-        counts, way, grid, scratch = self._counts, self._way, self.grid, self._scratch
+        """Decode an update into the grid; None if a dependency is missing."""
+        counts, motion, grid, scratch = self._counts, self._motion, self.grid, self._scratch
         height, width = grid.shape
-        first = self.built.copy()
-        self._code_bases(state, data, np.zeros(len(self.built), np.int64))
-        more = np.flatnonzero(self.built > first).tolist()
-        if any(len(self.histories[robot]) < self.built[robot] for robot in more):
+        first = self.depends_on.copy()
+        self._code_bases(state, data, np.zeros(len(self.depends_on), np.int64))
+        more = np.flatnonzero(self.depends_on > first).tolist()
+        if any(len(self.histories[other]) < self.depends_on[other] for other in more):
             return None
-        for robot in more:
-            for unit in self.histories[robot].between(int(first[robot]), int(self.built[robot])):
-                self._lay(unit)
-        changed = looks = 0
-        while looks < MAX_LOOKS and not state[BROKEN]:
-            if not code_bit(state, data, counts, contexts.MORE + min(looks, 3), 0, REST_MOST):
+        for other in more:
+            for update in self.histories[other].between(int(first[other]), int(self.depends_on[other])):
+                self._overlay(update)
+        changed = scans = 0
+        while scans < MAX_SCANS and not state[FAILED]:
+            if not code_bit(state, data, counts, contexts.MORE_SCANS + min(scans, 3), 0, REST_MOST):
                 break
-            code_pose(state, data, counts, way, 0, 0)
-            x, y = int(way[X]), int(way[Y])
+            code_pose(state, data, counts, motion, 0, 0)
+            x, y = int(motion[X]), int(motion[Y])
             if not (0 <= x < width and 0 <= y < height):
-                self._keep(changed, changed)
+                self._decoded(changed, changed)
                 raise ProtocolError(Update.name, 0, f"cell ({x}, {y}) is outside the {width} x {height} grid")
-            changed = code_look(
+            changed = code_scan(
                 state,
                 data,
                 counts,
@@ -294,76 +302,77 @@ class Stream:
                 scratch,
                 changed,
             )
-            looks += 1
-        looked = changed
-        changed = code_exceptions(
-            state, data, counts, grid, grid, np.empty(0, np.int32), 0, way, scratch, changed
+            scans += 1
+        by_scans = changed
+        changed = code_corrections(
+            state, data, counts, grid, grid, np.empty(0, np.int32), 0, motion, scratch, changed
         )
-        told = self._keep(changed if changed >= 0 else -1 - changed, looked)
+        update = self._decoded(changed if changed >= 0 else -1 - changed, by_scans)
         if changed < 0:
-            raise ProtocolError(Update.name, 0, f"an exception is outside the {width} x {height} grid")
+            raise ProtocolError(Update.name, 0, f"a corrected cell is outside the {width} x {height} grid")
         check_end(state, Update.name)
-        return told
+        return update
 
-    def _build(
+    def _choose_bases(
         self, state: State, data: Data, own: Grid, poses: Sequence[tuple[int, int]], box: Box
     ) -> list[Box]:
-        """Choose what the unit is built on: of each teammate's stream all up to the last unit that lies near.
+        """Choose the dependencies: of each other map all updates up to the last one that saves cells near by.
 
-        Returns boxes in which others contradict the robot's own grid.
+        Returns boxes in which the chosen updates contradict the self-explored grid.
         """
         reach = int(np.abs(self._ray_table.cells).max()) + 1
         near = bounding_box([box, *((x - reach, y - reach, x + reach + 1, y + reach + 1) for x, y in poses)])
         contradicted = []
-        more = np.zeros(len(self.built), np.int64)
-        for robot in self._others.tolist():
-            history, first = self.histories[robot], int(self.built[robot])
+        more = np.zeros(len(self.depends_on), np.int64)
+        for other in self._others.tolist():
+            history, first = self.histories[other], int(self.depends_on[other])
             end = len(history)
             while (number := history.last_near(first, end, near)) >= 0:
-                if _spares(self.grid, own, history.between(number, number + 1)[0].places, *near):
-                    more[robot] = number + 1 - first
+                if _saves_cells(self.grid, own, history.between(number, number + 1)[0].places, *near):
+                    more[other] = number + 1 - first
                     break
                 end = number
-            for unit in history.between(first, first + int(more[robot])):
-                self._lay(unit)
-                if _contradicts(own.reshape(-1), unit.places, unit.states):
-                    contradicted.append(unit.box)
+            for update in history.between(first, first + int(more[other])):
+                self._overlay(update)
+                if _contradicts(own.reshape(-1), update.places, update.states):
+                    contradicted.append(update.box)
         self._code_bases(state, data, more)
         return contradicted
 
     def _code_bases(self, state: State, data: Data, more: NDArray[np.int64]) -> None:
-        """Tell, or read, how many more units of each teammate's stream the unit is built on."""
-        _code_bases(state, data, self._counts, self._others, more, self._grew, self.built)
+        """Encode or decode the number of further updates of each map on which the update depends."""
+        _code_bases(state, data, self._counts, self._others, more, self._bases_grew, self.depends_on)
 
-    def _lay(self, unit: DecodedUpdate) -> None:
-        """Write what another stream's unit says wherever the maker itself has not told anything."""
-        before = np.empty(len(unit.places), np.uint8)
-        _lay(self.grid.reshape(-1), unit.places, unit.states, before)
-        self._overwritten.append((unit.places, before))
+    def _overlay(self, update: DecodedUpdate) -> None:
+        """Apply an update of another map to all cells that the author itself has not reported."""
+        before = np.empty(len(update.places), np.uint8)
+        _overlay(self.grid.reshape(-1), update.places, update.states, before)
+        self._overwritten.append((update.places, before))
 
-    def _keep(self, changed: int, looked: int) -> DecodedUpdate:
-        """Note which cells have been written, and return what they say now.
+    def _decoded(self, changed: int, by_scans: int) -> DecodedUpdate:
+        """Save the overwritten cells for `rollback`, and return their new states as an update.
 
-        `looked` of them by looks, each once; exceptions may have changed some of those again.
+        Scans have written the first `by_scans` of the `changed` rows of the buffer, each cell once. Corrections may
+        have written some of these cells again.
         """
         places, before = self._scratch[:changed, 0].copy(), self._scratch[:changed, 1].astype(np.uint8)
         self._overwritten.append((places, before))
-        if 0 < looked < changed:
+        if 0 < by_scans < changed:
             first = np.sort(np.unique(places, return_index=True)[1])
             places, before = places[first], before[first]
         y, x = np.divmod(places, self.grid.shape[1])
         box = (int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1) if changed else NO_BOX
-        told = np.where(before & TOLD, before & STATE, UNKNOWN).astype(np.uint8)
-        return DecodedUpdate(places, self.grid.reshape(-1)[places] & np.uint8(STATE), told, box)
+        reported = np.where(before & REPORTED, before & STATE, UNKNOWN).astype(np.uint8)
+        return DecodedUpdate(places, self.grid.reshape(-1)[places] & np.uint8(STATE), reported, box)
 
 
 def _places(grid: Grid, own: Grid, box: Box) -> NDArray[np.int32]:
-    """Places, in the flat grid, where `own` does not follow from the stream."""
+    """Flat indices of the cells in which `own` differs from the reported grid."""
     found = np.empty(256, np.int32)
-    count = differing(grid, own, *box, found)
+    count = find_differences(grid, own, *box, found)
     if count > len(found):
         found = np.empty(count, np.int32)
-        differing(grid, own, *box, found)
+        find_differences(grid, own, *box, found)
     return found[:count]
 
 
@@ -372,22 +381,24 @@ def _code_bases(
     state: State,
     data: Data,
     counts: Counts,
-    robots: NDArray[np.int64],
+    maps: NDArray[np.int64],
     more: NDArray[np.int64],
-    grew: NDArray[np.bool_],
-    built: NDArray[np.int64],
+    bases_grew: NDArray[np.bool_],
+    depends_on: NDArray[np.int64],
 ) -> None:
-    """Code how many `more` units of each robot's stream a unit is built on; add them to those of before."""
-    for robot in robots:
-        row = BUILT_ON + NUMBER * int(grew[robot])
-        number = code_number(state, data, counts, row, more[robot], REST_MOST)
-        grew[robot] = number > 0
-        built[robot] += number
+    """Code the number of further updates of each map, `more`, and add it to `depends_on`."""
+    for other in maps:
+        row = BASES + NUMBER * int(bases_grew[other])
+        number = code_number(state, data, counts, row, more[other], REST_MOST)
+        bases_grew[other] = number > 0
+        depends_on[other] += number
 
 
 @kernel("boolean(uint8[:,::1], uint8[:,::1], int32[::1], int64, int64, int64, int64)")
-def _spares(grid: Grid, own: Grid, places: NDArray[np.int32], x0: int, y0: int, x1: int, y1: int) -> bool:
-    """Whether a unit tells of a cell of a box that a robot knows, and would have to tell itself otherwise."""
+def _saves_cells(
+    grid: Grid, own: Grid, places: NDArray[np.int32], x0: int, y0: int, x1: int, y1: int
+) -> bool:
+    """Whether an update reports a cell of the box that the robot knows and would have to report itself."""
     width = grid.shape[1]
     for place in places:
         x, y = place % width, place // width
@@ -398,25 +409,25 @@ def _spares(grid: Grid, own: Grid, places: NDArray[np.int32], x0: int, y0: int, 
 
 
 @kernel("void(uint8[::1], int32[::1], uint8[::1], uint8[::1])")
-def _lay(grid: Grid, places: NDArray[np.int32], states: Grid, before: Grid) -> None:
-    """Write states where the maker has not told anything; `before` gets what was there."""
+def _overlay(grid: Grid, places: NDArray[np.int32], states: Grid, before: Grid) -> None:
+    """Write states to the cells that the author has not reported; save the previous values in `before`."""
     for index in range(len(places)):
         place = places[index]
         before[index] = grid[place]
-        if not grid[place] & TOLD:
+        if not grid[place] & REPORTED:
             grid[place] = states[index]
 
 
 @kernel("void(uint8[::1], int32[::1], uint8[::1])")
 def _restore(grid: Grid, places: NDArray[np.int32], states: Grid) -> None:
-    """Write states, the last one first."""
+    """Write states to cells, the last one first."""
     for index in range(len(places) - 1, -1, -1):
         grid[places[index]] = states[index]
 
 
 @kernel("boolean(uint8[::1], int32[::1], uint8[::1])")
 def _contradicts(own: Grid, places: NDArray[np.int32], states: Grid) -> bool:
-    """Whether a unit says otherwise of a cell than the robot's own grid."""
+    """Whether an update reports a cell with another state than the self-explored grid has."""
     for index in range(len(places)):
         truth = own[places[index]]
         if truth != UNKNOWN and truth != states[index]:

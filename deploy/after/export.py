@@ -6,12 +6,12 @@
     /rN/pose            geometry_msgs/PoseStamped, every step
     /rN/scan            sensor_msgs/LaserScan, every step: cast again from map and poses (`deploy.after.recast_scans`)
     /rN/map             nav_msgs/OccupancyGrid: its planning map, at the steps where it was updated
-    /rN/polygons        visualization_msgs/MarkerArray: its own and teammates' approximations as it holds them
-    /radio/frames       murmur_msgs/RadioFrame: what was said to whom, and what became of it
-    /radio/steps        murmur_msgs/RadioStep, every step: bytes carried, by purpose, and bytes that did not fit
+    /rN/polygons        visualization_msgs/MarkerArray: the approximations of all maps, as this robot holds them
+    /radio/frames       murmur_msgs/RadioFrame: each frame with its sender, receiver, contents and verdict
+    /radio/steps        murmur_msgs/RadioStep, every step: bytes transmitted, by traffic type, and bytes over the budget
 
-Time is the step in seconds. The frame `map` is the map file's own: metres, y up. The bag contains the definitions of
-its messages, also of those two that are our own, so that any reader knows their fields.
+Time is the step in seconds. The frame `map` is the frame of the map file: meters, y up. The bag contains the
+definitions of all messages, including the two of Murmur, so that any reader can decode them.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import importlib.util
 import math
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,10 +30,9 @@ from deploy.after.archive import Archive, Table, read
 from deploy.after.recast_scans import Lasers, Rescan
 from deploy.dashboard.shapes import corner
 from deploy.record.colors import GROUPS, robot_color
-from deploy.record.snapshots import Snapshots
 from netshaper.ledger import FRAMES
 from protocol.grid import FREE, OCCUPIED, Grid, RayTable
-from protocol.messages import Outlines, Snapshot, grid_from_bytes
+from protocol.messages import Outlines
 from protocol.scans import HIT, NONE, Readings
 from worldsim.maps import Map
 
@@ -44,7 +43,7 @@ EDGE_WIDTH_M = 0.05
 RADIO_FRAME, RADIO_STEP = "murmur_msgs/msg/RadioFrame", "murmur_msgs/msg/RadioStep"
 DEFINITIONS = {
     RADIO_FRAME: """\
-# One frame on the radio, as the ledger has it (docs/protocol.md).
+# One frame on the radio, as recorded in the ledger (docs/protocol.md).
 std_msgs/Header header
 int32 round
 # Of this round; -1: a broadcast.
@@ -54,35 +53,35 @@ string frame
 int32 sender
 # -1: all robots in range.
 int32 receiver
-# The robot whose map it is about; -1: none.
+# The robot whose map it describes; -1: none.
 int32 map
-# What it holds: kinds of packets, and of each how many, and bytes.
+# Its packet kinds, and the number and bytes of packets of each kind.
 string[] kinds
 uint32[] packets
 uint32[] bytes
-# Bytes that went on the air, and bytes that did not, and why.
+# Bytes transmitted, bytes refused, and the reason.
 uint32 carried
 uint32 refused
 string cause
-# Robots that heard it.
-uint32 heard
+# Number of robots that received it.
+uint32 received
 """,
     RADIO_STEP: "\n".join(
         [
-            "# What was on the air in a step, in bytes.",
+            "# Traffic of one step, in bytes.",
             "std_msgs/Header header",
-            "# The limit; not a number: there is none.",
+            "# The limit; NaN: unlimited.",
             "float64 budget",
             "uint32 frames",
             "uint32 carried",
-            "# Bytes that did not fit.",
+            "# Bytes over the budget.",
             "uint32 waiting",
-            *(line for name, group in GROUPS.items() for line in (f"# {group.words}", f"uint32 {name}")),
+            *(line for name, group in GROUPS.items() for line in (f"# {group.label}", f"uint32 {name}")),
             "",
         ]
     ),
 }
-"""Our own messages, as ROS defines messages."""
+"""Definitions of the messages of Murmur, in the format of ROS."""
 
 Stamped = tuple[str, str, int, Any]
 """Topic, message type, step, message."""
@@ -92,7 +91,7 @@ class ExportError(ValueError):
     """A package needed for the export is missing."""
 
 
-def export_mcap(directory: Path, tell: Callable[[str], object] = lambda _: None) -> Path:
+def export_mcap(directory: Path) -> Path:
     """Write a run directory's bag, ``rosbag/`` in it; return the MCAP file.
 
     Raises
@@ -100,14 +99,14 @@ def export_mcap(directory: Path, tell: Callable[[str], object] = lambda _: None)
     ExportError
         The package that writes it is not installed.
     ScenarioError
-        It is not a run directory, or the run has too little data.
+        It is not a run directory, or a table is missing.
     """
     if importlib.util.find_spec("rosbags") is None:
         raise ExportError("an export needs the package rosbags: pip install 'murmur-robots[mcap]'")
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer  # noqa: PLC0415
 
     archive = read(directory)
-    messages = _Messages(archive, archive.snapshots(tell))
+    messages = _Messages(archive)
     with tempfile.TemporaryDirectory(dir=directory, prefix=".export-") as folder:
         writer = Writer(Path(folder) / BAG, version=8, storage_plugin=StoragePlugin.MCAP)
         writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
@@ -125,7 +124,7 @@ def export_mcap(directory: Path, tell: Callable[[str], object] = lambda _: None)
 def ranges_of(readings: Readings, ray_table: RayTable, resolution: float) -> Any:
     """Return a scan's readings in ROS' convention: metres, counterclockwise from +x (y up).
 
-    A beam that hit no wall is infinite, one that was not sent is NaN. A wall lies at the centre of its cell.
+    A beam that hit no wall is infinite; a beam that was not sent is NaN. A wall lies at the center of its cell.
     """
     crossed = (readings & NONE).astype(np.int64)
     at = np.minimum(ray_table.start[:-1] + crossed, len(ray_table.cells) - 1)
@@ -136,7 +135,7 @@ def ranges_of(readings: Readings, ray_table: RayTable, resolution: float) -> Any
 
 
 def occupancy(grid: Grid) -> Any:
-    """Return a grid as ROS' occupancy data: from the lower left corner on; -1 unknown, 0 free, 100 occupied."""
+    """Return a grid as ROS' occupancy data, starting at the lower left: -1 unknown, 0 free, 100 occupied."""
     shades = np.full(grid.shape, -1, np.int8)
     shades[grid == FREE] = 0
     shades[grid == OCCUPIED] = 100
@@ -146,20 +145,19 @@ def occupancy(grid: Grid) -> Any:
 class _Messages:
     """All messages of a run, in chronological order."""
 
-    def __init__(self, archive: Archive, snapshots: Snapshots | None) -> None:
+    def __init__(self, archive: Archive) -> None:
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: PLC0415  only exports need it
 
         self.types = get_typestore(Stores.ROS2_HUMBLE)
         for name, text in DEFINITIONS.items():
             self.types.register(get_types_from_msg(text, name))
         self._archive = archive
-        self._snapshots = snapshots
         self._lasers = Lasers(archive)
 
     def all(self) -> Iterator[Stamped]:
         """Yield them one by one."""
         yield "/truth", "nav_msgs/msg/OccupancyGrid", 0, self._grid(0, self._archive.plan.map.cells)
-        shown = self._shown()
+        maps = self._map_reports()
         for step, scans in self._lasers.scans():
             poses = {scan.robot: self._pose(scan.robot, step) for scan in scans}
             yield "/tf", "tf2_msgs/msg/TFMessage", step, self._transforms(step, poses)
@@ -170,17 +168,16 @@ class _Messages:
                 )
                 yield f"{name}/pose", "geometry_msgs/msg/PoseStamped", step, pose
                 yield f"{name}/scan", "sensor_msgs/msg/LaserScan", step, self._scan(step, scan)
-            for robot, said in shown.get(step, []):
-                if isinstance(said, Snapshot):
-                    grid = grid_from_bytes(said.planning, said.width, said.height)
-                    yield f"/r{robot}/map", "nav_msgs/msg/OccupancyGrid", step, self._grid(step, grid)
-                else:
-                    markers = self._markers(step, said)
+            for robot, report in maps.get(step, []):
+                if isinstance(report, Outlines):
+                    markers = self._markers(step, report)
                     yield f"/r{robot}/polygons", "visualization_msgs/msg/MarkerArray", step, markers
+                else:
+                    yield f"/r{robot}/map", "nav_msgs/msg/OccupancyGrid", step, self._grid(step, report)
             yield from self._radio(step)
 
     def _radio(self, step: int) -> Iterator[Stamped]:
-        """The frames of a step, in the order in which they were booked, and the sums of their bytes."""
+        """The frames of a step, in the order of the ledger, and the sums of their bytes."""
         ledger = self._archive.ledger
         begin, end = np.searchsorted(ledger["step"], (step, step + 1))
         here = {name: column[begin:end] for name, column in ledger.items()}
@@ -217,30 +214,34 @@ class _Messages:
         )
 
     def _frame(self, step: int, key: dict[str, int], here: Table, rows: list[int]) -> Any:
-        """One frame: rows of the ledger that differ in the kind of packet, or in whether it was carried."""
+        """One frame: the rows of the ledger that differ only in packet kind, or in whether the packets were carried."""
         carried, sizes = here["carried"][rows].astype(bool), here["bytes"][rows]
         kinds = here["kind"][rows]
-        held = list(dict.fromkeys(kinds.tolist()))
+        unique = list(dict.fromkeys(kinds.tolist()))
         return self._make(
             RADIO_FRAME,
             header=self._header(step),
             **key | {"frame": FRAMES[key["frame"]]},
-            kinds=held,
-            packets=np.array([here["packets"][rows][kinds == kind].sum() for kind in held], np.uint32),
-            bytes=np.array([sizes[kinds == kind].sum() for kind in held], np.uint32),
+            kinds=unique,
+            packets=np.array([here["packets"][rows][kinds == kind].sum() for kind in unique], np.uint32),
+            bytes=np.array([sizes[kinds == kind].sum() for kind in unique], np.uint32),
             carried=int(sizes[carried].sum()),
             refused=int(sizes[~carried].sum()),
             cause=next((cause for cause in here["cause"][rows].tolist() if cause), ""),
-            heard=int(here["heard"][rows].max()),
+            received=int(here["heard"][rows].max()),
         )
 
-    def _shown(self) -> dict[int, list[tuple[int, Snapshot | Outlines]]]:
-        """What robots have shown, by step."""
-        by_step: dict[int, list[tuple[int, Snapshot | Outlines]]] = {}
-        if self._snapshots is not None:
-            for (robot, _), told in sorted(self._snapshots.shown.items()):
-                for said in told:
-                    by_step.setdefault(said.step, []).append((robot, said))
+    def _map_reports(self) -> dict[int, list[tuple[int, Grid | Outlines]]]:
+        """Changed planning maps and outlines, each with its robot, by step."""
+        maps = self._archive.maps
+        by_step: dict[int, list[tuple[int, Grid | Outlines]]] = {}
+        for robot in range(self._archive.plan.scenario.robots):
+            for step in sorted(set(maps.steps(robot))):
+                grid = maps.planning(robot, step)
+                assert grid is not None
+                by_step.setdefault(step, []).append((robot, grid))
+        for robot, outlines in maps.outline_changes():
+            by_step.setdefault(outlines.step, []).append((robot, outlines))
         return by_step
 
     def _make(self, kind: str, **fields: Any) -> Any:
@@ -262,7 +263,7 @@ class _Messages:
         return self._make("geometry_msgs/msg/Pose", position=self._point(x, y), orientation=self._turn(yaw))
 
     def _pose(self, robot: int, step: int) -> Any:
-        """A robot's pose; its heading counts clockwise, because it was computed with y down."""
+        """A robot's pose; the recorded heading is clockwise, because the world computes with y down."""
         steps = self._archive.steps
         (row,) = np.flatnonzero((steps["robot"] == robot) & (steps["step"] == step))
         return self._placed(steps["x"][row], steps["y"][row], -math.radians(steps["heading"][row]))
@@ -315,15 +316,15 @@ class _Messages:
             "nav_msgs/msg/OccupancyGrid", header=self._header(step), info=info, data=occupancy(grid)
         )
 
-    def _markers(self, step: int, said: Outlines) -> Any:
-        """One marker per map: its edges, walls in full colour, edges to unknown cells in a pale one."""
-        rows = np.frombuffer(said.vertices, "<i2").reshape(-1, 4)
+    def _markers(self, step: int, outlines: Outlines) -> Any:
+        """One marker per map: its edges, walls in full color, edges to unknown cells in a pale one."""
+        rows = np.frombuffer(outlines.vertices, "<i2").reshape(-1, 4)
         world = self._archive.plan.map
         places = (np.array(corner(world)) + (rows[:, 1:3] / 4 + 0.5) * world.resolution) * (1, -1)
         starts = np.flatnonzero(np.diff(rows[:, 0], prepend=-1))
         following = np.arange(1, len(rows) + 1)
         following[np.append(starts[1:], len(rows)).astype(int) - 1] = starts
-        red, green, blue = (part / 255 for part in robot_color(said.map_id))
+        red, green, blue = (part / 255 for part in robot_color(outlines.map_id))
         wall, open_ = (
             self._make("std_msgs/msg/ColorRGBA", r=red, g=green, b=blue, a=alpha) for alpha in (1.0, 0.4)
         )
@@ -332,7 +333,7 @@ class _Messages:
             points += [self._point(*places[here]), self._point(*places[there])]
             colors += 2 * [wall if rows[here, 3] & 1 else open_]
         return self._make(
-            "visualization_msgs/msg/MarkerArray", markers=[self._lines(step, said.map_id, points, colors)]
+            "visualization_msgs/msg/MarkerArray", markers=[self._lines(step, outlines.map_id, points, colors)]
         )
 
     def _lines(self, step: int, map_id: int, points: list[Any], colors: list[Any]) -> Any:

@@ -1,9 +1,9 @@
-"""Figures of a finished run, modelled on those of the thesis: maps over time, and the radio traffic.
+"""Figures of a finished run, modeled on those of the thesis: maps over time, and the radio traffic.
 
 maps over time     planning maps, and the outlines that each robot sends (Figure A.2)
-approximation      how one robot's approximation follows what it has seen itself (Figure 4.8)
-channel load       what is explored over time, and over the same steps bytes on the air, bytes that did not
-                   fit, packets not sent yet (Figures 6.17, 6.18)
+approximation      one robot's own map and its approximation over time (Figure 4.8)
+channel load       explored area over time; transmitted bytes, bytes over the budget and undelivered packets (Figures
+                   6.17, 6.18)
 """
 
 from __future__ import annotations
@@ -19,44 +19,42 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from deploy.after.archive import Archive
-from deploy.after.recast_scans import Lasers
 from deploy.dashboard.shapes import outline_strips
 from deploy.record.colors import GROUPS
 from deploy.record.map_pictures import rgb, robot_color, save, show_grid
-from deploy.record.snapshots import Snapshots
 from deploy.scenario.tables import UNLIMITED
 from netshaper.ledger import CAUSES
 from protocol.grid import FREE
 
 MAPS_OVER_TIME, APPROXIMATION, CHANNEL_LOAD = "maps-over-time.png", "approximation.png", "channel-load.png"
 MOST_ROBOTS = 8
-"""Maximum number of robots that a picture has columns for."""
+"""Maximum number of columns, one per robot, in the picture of maps over time."""
 MOST_CURVES = 10
-"""Robots up to which each has a curve of its own."""
+"""Maximum number of robots with a curve each."""
 MOMENTS = 6
 COMPARED = ("#20242a", "#d9730d", "#1f77b4", "#2ca02c")
-"""Colours of runs that are compared."""
+"""Colors of compared runs."""
 RED = "#d62728"
 
 Curves = dict[int, tuple[NDArray[Any], NDArray[Any]]]
-"""Of each robot steps, and values at them."""
+"""By robot: steps, and the values at them."""
 
 
-def write_figures(archive: Archive, folder: Path, snapshots: Snapshots | None) -> list[Path]:
-    """Draw all figures that can be drawn of a run; return the files."""
+def write_figures(archive: Archive, folder: Path) -> list[Path]:
+    """Draw all figures for which a run has data; return the files."""
     folder.mkdir(exist_ok=True)
-    figures: dict[str, Figure] = {CHANNEL_LOAD: channel_load(archive, snapshots)}
-    if snapshots is not None and snapshots.told_steps(0):
-        figures[MAPS_OVER_TIME] = maps_over_time(archive, snapshots)
-        if snapshots.has_outlines:
-            figures[APPROXIMATION] = approximation(archive, snapshots)
+    figures: dict[str, Figure] = {CHANNEL_LOAD: channel_load(archive)}
+    if archive.maps.steps(0):
+        figures[MAPS_OVER_TIME] = maps_over_time(archive)
+        if archive.maps.maps_held(0):
+            figures[APPROXIMATION] = approximation(archive)
     for name, figure in figures.items():
         save(folder / name, figure, dpi=100)
     return [folder / name for name in figures]
 
 
-def maps_over_time(archive: Archive, snapshots: Snapshots) -> Figure:
-    """Planning maps, one column per robot, one row per point in time; in red the outlines that each sends."""
+def maps_over_time(archive: Archive) -> Figure:
+    """Draw planning maps, one column per robot, one row per point in time; in red the outlines that each sends."""
     robots = range(min(MOST_ROBOTS, archive.plan.scenario.robots))
     moments = _moments(archive.last_step)
     shape = archive.plan.map.height / archive.plan.map.width
@@ -68,56 +66,56 @@ def maps_over_time(archive: Archive, snapshots: Snapshots) -> Figure:
     for row, step in enumerate(moments):
         for robot in robots:
             panel = axes[row, robot]
-            grid = snapshots.planning(robot, step)
+            grid = archive.maps.planning(robot, step)
             if grid is None:
                 panel.set_axis_off()
                 continue
-            _draw(panel, archive, grid, snapshots.outlines(robot, robot, step))
+            _draw(panel, archive, grid, archive.maps.outlines(robot, robot, step))
             _bare(panel)
         axes[row, 0].set_ylabel(f"step {step}")
     for robot in robots:
         axes[0, robot].set_title(f"robot {robot}", color=robot_color(robot))
-    told = ", and (red) the approximation that it sends" if snapshots.has_outlines else ""
-    figure.suptitle(f"Each robot's planning map{told}")
+    sent = ", and (red) the approximation that it sends" if archive.maps.maps_held(0) else ""
+    figure.suptitle(f"Each robot's planning map{sent}")
     return figure
 
 
-def approximation(archive: Archive, snapshots: Snapshots, robot: int = 0) -> Figure:
-    """What a robot has seen itself, and its approximation of that.
+def approximation(archive: Archive, robot: int = 0) -> Figure:
+    """Draw a robot's own map over time, and its approximation of it.
 
     White outside the red line, and grey inside it, are the errors of the approximation at that step.
     """
     moments = _moments(archive.last_step)
-    own = Lasers(archive).own_grids(robot, moments)
     shape = archive.plan.map.height / archive.plan.map.width
     figure = Figure(figsize=(11, 2 * (11 / 3 * shape + 0.3) + 0.6), layout="constrained")
     for panel, step in zip(figure.subplots(2, 3).ravel(), moments, strict=False):
-        if step not in own:
+        own = archive.maps.own(robot, step)
+        if own is None:
             panel.set_axis_off()
             continue
-        outlines = snapshots.outlines(robot, robot, step)
-        _draw(panel, archive, own[step], outlines, width=1.2)
+        outlines = archive.maps.outlines(robot, robot, step)
+        _draw(panel, archive, own, outlines, width=1.2)
         corners = len(outlines) // 8
         panel.set_title(f"step {step}: {corners} corners", fontsize=9)
-    figure.suptitle(f"What robot {robot} has seen itself, and (red) its approximation of it")
+    figure.suptitle(f"Robot {robot}'s own map, and (red) its approximation of it")
     return figure
 
 
-def channel_load(archive: Archive, snapshots: Snapshots | None) -> Figure:
-    """What is explored over time, below it the use of the budget by purpose, and what had to wait.
+def channel_load(archive: Archive) -> Figure:
+    """Draw the explored area over time; below it, the use of the budget by traffic type, and queued data.
 
-    Teams of up to `MOST_CURVES` have a curve each; of larger ones the median, the middle half and the extremes
-    are drawn.
+    Teams of up to `MOST_CURVES` robots have a curve per robot; larger ones have the median, the middle half and the
+    extremes.
     """
     figure = Figure(figsize=(11, 9), layout="constrained")
     explored, load, wait = figure.subplots(3, 1, sharex=True, height_ratios=[4, 3, 2.5])
-    draw_explored(explored, archive, snapshots)
+    draw_explored(explored, archive)
     draw_load(load, archive)
-    told = _draw_waiting(wait, archive)
-    for axes in (load, wait, told):
+    packets = _draw_waiting(wait, archive)
+    for axes in (load, wait, packets):
         axes.set_ylim(0, max(1.0, axes.get_ylim()[1]))
     explored.set_ylim(0, 102)
-    for panel, other in ((explored, None), (load, None), (wait, told)):
+    for panel, other in ((explored, None), (load, None), (wait, packets)):
         panel.grid(alpha=0.25)
         panel.margins(x=0)
         handles = [
@@ -127,16 +125,16 @@ def channel_load(archive: Archive, snapshots: Snapshots | None) -> Figure:
             for both in zip(*axes.get_legend_handles_labels(), strict=True)
         ]
         if handles:
-            lines, words = zip(*handles, strict=True)
+            lines, labels = zip(*handles, strict=True)
             panel.legend(
-                lines, words, loc="upper left", bbox_to_anchor=(1.1, 1.03), fontsize=8, frameon=False
+                lines, labels, loc="upper left", bbox_to_anchor=(1.1, 1.03), fontsize=8, frameon=False
             )
     wait.set_xlabel("step")
     return figure
 
 
 def compared(archives: dict[str, Archive]) -> Figure:
-    """What the teams of several runs have seen over time, and below it what they put on the air."""
+    """Draw the explored area of several runs over time, and below it the bytes that they transmitted."""
     figure = Figure(figsize=(11, 7), layout="constrained")
     explored, load = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
     budgets = {archive.plan.scenario.bandwidth for archive in archives.values()}
@@ -147,14 +145,14 @@ def compared(archives: dict[str, Archive]) -> Figure:
         carried = _per_step(archive.ledger, archive.ledger["carried"].astype(bool), archive.last_step)
         total = carried.sum() / 1000
         load.step(np.arange(1, len(carried) + 1), carried, color=color, linewidth=1, where="mid",
-                  label=f"{name}: {total:.0f} kB in all")  # fmt: skip
+                  label=f"{name}: {total:.0f} kB in total")  # fmt: skip
     if len(budgets) == 1 and UNLIMITED not in budgets:
         load.axhline(float(*budgets), color=RED, linewidth=1.2, label="budget")
     explored.set_title("Explored")
-    explored.set_ylabel("% of what can be reached, seen by the team")
+    explored.set_ylabel("% of reachable area, seen by the team")
     explored.set_ylim(0, 102)
-    load.set_title("On the air")
-    load.set_ylabel("bytes a step")
+    load.set_title("Transmitted")
+    load.set_ylabel("bytes per step")
     load.set_ylim(0, max(1.0, load.get_ylim()[1]))
     load.set_xlabel("step")
     for panel in (explored, load):
@@ -164,26 +162,25 @@ def compared(archives: dict[str, Archive]) -> Figure:
     return figure
 
 
-def draw_explored(panel: Axes, archive: Archive, snapshots: Snapshots | None) -> None:
-    """What the team has seen over time, and what is on each robot's map."""
+def draw_explored(panel: Axes, archive: Archive) -> None:
+    """Draw the area that the team has seen over time, and the area on each robot's map."""
     first = archive.steps
     steps, at = np.unique(first["step"], return_index=True)
     panel.plot(steps, 100 * first["team_seen"][at], color="black", linewidth=2.2, label="seen by the team")
-    if snapshots is not None:
-        reachable = archive.plan.make_world().reachable
-        curves: Curves = {}
-        for robot in range(archive.plan.scenario.robots):
-            told = snapshots.told_steps(robot)
-            grids = [snapshots.planning(robot, step) for step in told]
-            known = [100 * float((grid[reachable] == FREE).mean()) for grid in grids if grid is not None]
-            curves[robot] = np.array(told), np.array(known)
-        _draw_curves(panel, curves, "on the map of")
-    panel.set_ylabel("% of what can be reached")
+    reachable = archive.plan.make_world().reachable
+    curves: Curves = {}
+    for robot in range(archive.plan.scenario.robots):
+        changed = archive.maps.steps(robot)
+        grids = [archive.maps.planning(robot, step) for step in changed]
+        known = [100 * float((grid[reachable] == FREE).mean()) for grid in grids if grid is not None]
+        curves[robot] = np.array(changed), np.array(known)
+    _draw_curves(panel, curves, "on the map of")
+    panel.set_ylabel("% of reachable area")
     panel.set_title("Explored")
 
 
 def draw_load(panel: Axes, archive: Archive) -> None:
-    """Bytes on the air by purpose and step, and what part of the budget that is."""
+    """Draw transmitted bytes by traffic type and step, and their share of the budget."""
     ledger, last = archive.ledger, archive.last_step
     steps = np.arange(1, last + 1)
     carried = {
@@ -193,53 +190,53 @@ def draw_load(panel: Axes, archive: Archive) -> None:
     shown = {name: values for name, values in carried.items() if values.any()}
     if shown:
         panel.stackplot(
-            steps, *shown.values(), labels=[GROUPS[name].words for name in shown],
+            steps, *shown.values(), labels=[GROUPS[name].label for name in shown],
             colors=[rgb(GROUPS[name].color) for name in shown], step="mid", linewidth=0,
         )  # fmt: skip
     budgets = archive.budgets[1:]
-    title = "On the air"
+    title = "Transmitted"
     if np.isfinite(budgets).any():
-        few = f": {budgets[0]:.0f} bytes a step" if len(set(budgets.tolist())) == 1 else ""
+        few = f": {budgets[0]:.0f} bytes per step" if len(set(budgets.tolist())) == 1 else ""
         panel.step(steps, budgets, where="mid", color=RED, linewidth=1.2, label=f"budget{few}")
     if np.isfinite(budgets).all():
         used = sum(values.sum() for values in carried.values()) / max(1.0, budgets.sum())
         title += f": {100 * used:.0f} % of the budget"
     if len(set(budgets.tolist())) == 1 and 0 < budgets[0] < math.inf:
-        unit = budgets[0] / 100
+        percent = budgets[0] / 100
 
         def to_share(size: Any) -> Any:
-            return size / unit
+            return size / percent
 
         def to_size(share: Any) -> Any:
-            return share * unit
+            return share * percent
 
         share = panel.secondary_yaxis("right", functions=(to_share, to_size))
         share.set_ylabel("% of the budget")
-    panel.set_ylabel("bytes a step")
+    panel.set_ylabel("bytes per step")
     panel.set_title(title)
 
 
 def _draw_waiting(panel: Axes, archive: Archive) -> Axes:
-    """Bytes that did not fit into a step, and each robot's packets not sent yet, on an axis that is returned."""
+    """Draw bytes over the budget, and each robot's undelivered packets on a second axis, which is returned."""
     last = archive.last_step
     cut = _per_step(archive.ledger, archive.ledger["cause"] == CAUSES[CAUSES.index("budget")], last)
     panel.fill_between(
-        np.arange(1, last + 1), cut, step="mid", color="#c9ccd1", label="bytes that did not fit into the step"
+        np.arange(1, last + 1), cut, step="mid", color="#c9ccd1", label="bytes over the step's budget"
     )
-    panel.set_ylabel("bytes a step")
-    panel.set_title("Waiting")
-    told = panel.twinx()
-    mine = {robot: archive.of_robot(robot) for robot in range(archive.plan.scenario.robots)}
-    _draw_curves(told, {robot: (own["step"], own["backlog"]) for robot, own in mine.items()}, "packets of")
-    told.set_ylabel("packets not sent yet")
-    return told
+    panel.set_ylabel("bytes per step")
+    panel.set_title("Queued")
+    packets = panel.twinx()
+    rows = {robot: archive.of_robot(robot) for robot in range(archive.plan.scenario.robots)}
+    _draw_curves(packets, {robot: (own["step"], own["backlog"]) for robot, own in rows.items()}, "packets of")
+    packets.set_ylabel("undelivered packets")
+    return packets
 
 
-def _draw_curves(panel: Axes, curves: Curves, words: str) -> None:
-    """A curve for each robot, or for many of them what they have in common."""
+def _draw_curves(panel: Axes, curves: Curves, label: str) -> None:
+    """Draw a curve per robot, or the distribution over many robots."""
     if len(curves) <= MOST_CURVES:
         for robot, (steps, values) in curves.items():
-            panel.plot(steps, values, color=robot_color(robot), linewidth=1.0, label=f"{words} robot {robot}")
+            panel.plot(steps, values, color=robot_color(robot), linewidth=1.0, label=f"{label} robot {robot}")
         return
     every = np.unique(np.concatenate([steps for steps, _ in curves.values()]))
     table = np.full((len(curves), len(every)), np.nan)
@@ -250,16 +247,14 @@ def _draw_curves(panel: Axes, curves: Curves, words: str) -> None:
     with np.errstate(all="ignore"):
         low, lower, middle, upper, high = np.nanpercentile(table, [0, 25, 50, 75, 100], axis=0)
     color = robot_color(1)
-    label = f"{words} all {len(curves)} robots"
-    panel.fill_between(every, low, high, color=color, alpha=0.13, linewidth=0, label=label)
-    panel.fill_between(
-        every, lower, upper, color=color, alpha=0.3, linewidth=0, label="the middle half of them"
-    )
-    panel.plot(every, middle, color=color, linewidth=1.4, label="their median")
+    every_robot = f"{label} all {len(curves)} robots"
+    panel.fill_between(every, low, high, color=color, alpha=0.13, linewidth=0, label=every_robot)
+    panel.fill_between(every, lower, upper, color=color, alpha=0.3, linewidth=0, label="middle half")
+    panel.plot(every, middle, color=color, linewidth=1.4, label="median")
 
 
 def _per_step(ledger: dict[str, NDArray[Any]], rows: NDArray[np.bool_], last: int) -> NDArray[np.float64]:
-    """Bytes of the chosen rows in each step from 1 on."""
+    """Bytes of the chosen rows in each step, from step 1."""
     total = np.bincount(ledger["step"][rows], weights=ledger["bytes"][rows], minlength=last + 1)
     return total[1 : last + 1].astype(np.float64)
 

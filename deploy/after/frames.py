@@ -1,12 +1,13 @@
-"""A finished run as a sequence of pictures, one a step: the frames of films, and of the slider on a report's page.
+"""A finished run as a sequence of pictures, one per step: the frames of films, and of the slider in a report.
 
-On top the true map with the robots, under a veil where no robot knows anything yet, and beside it the maps of all
-robots; below what is explored over time and the use of the budget, up to the step.
+The upper part shows the true map with the robots, grayed where no robot knows anything yet, and the map of each robot.
+The lower part shows the explored area over time and the use of the budget, up to the step.
 """
 
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from functools import cache, cached_property
 from itertools import combinations
 from pathlib import Path
@@ -22,18 +23,18 @@ from deploy.after.archive import Archive
 from deploy.after.figures import draw_explored, draw_load
 from deploy.record.colors import CELLS, GREY, IN_RANGE, INK, PAPER, SIGNAL, mix, robot_color
 from deploy.record.map_pictures import counted
-from deploy.record.snapshots import Snapshots
 from netshaper.ledger import EVERYONE
 from protocol.grid import FREE, UNKNOWN, Grid
 
 WIDTH = 1280
 MARGIN, LABEL, HEAD = 14, 20, 40
-"""Points around and between panels, over a panel, and over all of them."""
+"""Points around and between panels, above a panel, and above all panels."""
 WORLD_SHARE, CHARTS_SHAPE = 0.44, 0.17
-"""The width of the true map over the frame's; height over width of the curves."""
+"""Width of the true map / width of the frame; height / width of the curves."""
 FINE = 2
-"""Lines are drawn so many times larger, and then reduced."""
+"""Factor by which lines are drawn larger before they are reduced, to smooth them."""
 VEIL = 0.32
+"""Opacity of the gray over cells that no robot knows."""
 
 Place = tuple[float, float]
 
@@ -45,15 +46,12 @@ class Frames:
     ----------
     archive : Archive
         The run.
-    snapshots : Snapshots or None
-        The robots' maps over time; without them their panels stay grey.
     width : int
         Of a frame, in pixels.
     """
 
-    def __init__(self, archive: Archive, snapshots: Snapshots | None, width: int = WIDTH) -> None:
+    def __init__(self, archive: Archive, width: int = WIDTH) -> None:
         self._archive = archive
-        self._snapshots = snapshots
         self._robots = range(archive.plan.scenario.robots)
         self._reachable = archive.plan.make_world().reachable
         self._scale = width / WIDTH
@@ -72,7 +70,7 @@ class Frames:
         return self._archive.last_step
 
     def at(self, step: int) -> Image.Image:
-        """The frame of a step, RGB; after the end of the run that of its last step."""
+        """The frame of a step, RGB; after the end of the run, the frame of its last step."""
         step = min(step, self.last_step)
         frame = Image.new("RGB", self.size, PAPER)
         draw = ImageDraw.Draw(frame)
@@ -83,7 +81,7 @@ class Frames:
         return frame
 
     def _place(self) -> None:
-        """Find the place of everything, for this map and this number of robots."""
+        """Compute the position of each panel, for this map and this number of robots."""
         px, shape = self._px, self._archive.plan.map.height / self._archive.plan.map.width
         side = round(WORLD_SHARE * self._width)
         wide = side if shape <= 1 else round(side / shape)
@@ -91,22 +89,22 @@ class Frames:
         left, top = px(MARGIN), px(HEAD) + px(LABEL)
         self._world_at, self._world_size = (left, top), (wide, tall)
         grid_left = left + wide + px(MARGIN)
-        room = self._width - grid_left - px(MARGIN), max(tall, round(0.2 * self._width)) + px(LABEL)
+        free = self._width - grid_left - px(MARGIN), max(tall, round(0.2 * self._width)) + px(LABEL)
         many = len(self._robots)
 
-        def unit(columns: int) -> float:
+        def panel_width(columns: int) -> float:
             rows = -(-many // columns)
-            return min(room[0] / columns - px(MARGIN) / 2, (room[1] / rows - px(LABEL)) / shape)
+            return min(free[0] / columns - px(MARGIN) / 2, (free[1] / rows - px(LABEL)) / shape)
 
-        columns = max(range(1, many + 1), key=unit)
-        self._unit = max(4, int(unit(columns)))
-        across = (room[0] + px(MARGIN) / 2) / columns
-        down = self._unit * shape + px(LABEL)
+        columns = max(range(1, many + 1), key=panel_width)
+        self._panel_width = max(4, int(panel_width(columns)))
+        across = (free[0] + px(MARGIN) / 2) / columns
+        down = self._panel_width * shape + px(LABEL)
         self._thumbs_at = [
             (round(grid_left + (k % columns) * across), round(px(HEAD) + (k // columns) * down + px(LABEL)))
             for k in self._robots
         ]
-        self._charts_top = top + max(tall, room[1] - px(LABEL)) + px(MARGIN)
+        self._charts_top = top + max(tall, free[1] - px(LABEL)) + px(MARGIN)
         self._height = self._charts_top + round(CHARTS_SHAPE * self._width)
 
     def _px(self, points: float) -> int:
@@ -117,29 +115,29 @@ class Frames:
         medium = (
             scenario.bandwidth
             if isinstance(scenario.bandwidth, str)
-            else f"{scenario.bandwidth} bytes a step"
+            else f"{scenario.bandwidth} bytes per step"
         )
-        what = (
+        title = (
             f"{self._archive.summary['map']}: {counted(scenario.robots, 'robot')}, {scenario.strategy}, "
             f"{scenario.map_encoding}, {medium}"
         )
-        draw.text((px(MARGIN), px(24)), what, INK, _font(px(15)), "lm")
+        draw.text((px(MARGIN), px(24)), title, INK, _font(px(15)), "lm")
         now = f"step {step} of {self.last_step}"
         draw.text((self._width - px(MARGIN), px(24)), now, INK, _font(px(15), bold=True), "rm")
         seen = float(self._now(step)["team_seen"].max(initial=0.0))
-        said = f"the building: {100 * seen:.0f} % seen"
-        draw.text((self._world_at[0], px(HEAD + LABEL / 2)), said, INK, _font(px(12)), "lm")
+        label = f"the building: {100 * seen:.0f} % seen"
+        draw.text((self._world_at[0], px(HEAD + LABEL / 2)), label, INK, _font(px(12)), "lm")
 
     def _draw_robots_maps(
         self, frame: Image.Image, draw: ImageDraw.ImageDraw, step: int
     ) -> NDArray[np.bool_]:
-        """Draw each robot's map; return which cells any of them knows."""
+        """Draw each robot's map; return the cells that any robot knows."""
         known: NDArray[np.bool_] = np.zeros(self._archive.plan.map.cells.shape, np.bool_)
         px = self._px
         rows = self._now(step)
         here = {int(robot): k for k, robot in enumerate(rows["robot"])}
         for robot, (left, top) in zip(self._robots, self._thumbs_at, strict=True):
-            grid = self._snapshots.planning(robot, step) if self._snapshots is not None else None
+            grid = self._archive.maps.planning(robot, step)
             picture, share = self._thumb(robot, grid, step)
             if grid is not None:
                 known |= grid != UNKNOWN
@@ -147,35 +145,31 @@ class Frames:
             draw.rectangle(
                 (left - 1, top - 1, left + picture.width, top + picture.height), outline=mix(GREY, PAPER, 0.4)
             )
-            text = f"robot {robot}: {100 * share:.0f} %" if self._unit > px(110) else f"{robot}"
-            font = _font(px(12 if self._unit > px(60) else 9))
+            text = f"robot {robot}: {100 * share:.0f} %" if self._panel_width > px(110) else f"{robot}"
+            font = _font(px(12 if self._panel_width > px(60) else 9))
             draw.text((left, top - px(LABEL / 2)), text, robot_color(robot), font, "lm")
             if robot in here:
                 x, y = self._cell(rows["x"][here[robot]], rows["y"][here[robot]])
-                size = self._unit / self._archive.plan.map.width
+                size = self._panel_width / self._archive.plan.map.width
                 disc = _disc(robot, max(3, px(3.2)), numbered=False)
                 frame.paste(disc, _centred(disc, left + size * x, top + size * y), disc)
         return known
 
     def _thumb(self, robot: int, grid: Grid | None, step: int) -> tuple[Image.Image, float]:
-        """A robot's map in its panel's size, and its share of the reachable cells; kept until it changes."""
-        told = max((s for s in self._told(robot) if s <= step), default=0)
+        """A robot's map in its panel's size, and its share of the reachable cells; cached until it changes."""
+        changed = bisect_right(self._archive.maps.steps(robot), step)
         kept = self._thumbs.get(robot)
-        if kept is None or kept[0] != told:
+        if kept is None or kept[0] != changed:
             shown = grid if grid is not None else np.zeros_like(self._archive.plan.map.cells)
             share = float((shown[self._reachable] == FREE).mean())
-            kept = told, _picture(_PALETTE[shown], self._unit), share
+            kept = changed, _picture(_PALETTE[shown], self._panel_width), share
             self._thumbs[robot] = kept
         return kept[1], kept[2]
 
-    def _told(self, robot: int) -> list[int]:
-        return self._snapshots.told_steps(robot) if self._snapshots is not None else []
-
     def _world(self, step: int, known: NDArray[np.bool_]) -> Image.Image:
-        """The true map with ways, targets, links and robots."""
+        """The true map with paths, targets, links and robots."""
         cells = _PALETTE[self._archive.plan.map.cells].astype(np.float64)
-        if self._snapshots is not None:
-            cells[~known] = cells[~known] * (1 - VEIL) + np.array(GREY) * VEIL
+        cells[~known] = cells[~known] * (1 - VEIL) + np.array(GREY) * VEIL
         panel = _picture(cells.astype(np.uint8), FINE * self._world_size[0])
         draw = ImageDraw.Draw(panel)
         size = FINE * self._world_size[0] / self._archive.plan.map.width
@@ -188,13 +182,13 @@ class Frames:
         rows = self._now(step)
         places = {int(r): at(x, y) for r, x, y in zip(rows["robot"], rows["x"], rows["y"], strict=True)}
         for robot in self._robots:
-            mine = self._tracks[robot]
-            until = int(np.searchsorted(mine["step"], step, "right"))
-            way = [at(x, y) for x, y in zip(mine["x"][:until], mine["y"][:until], strict=True)]
-            if len(way) > 1:
-                draw.line(way, robot_color(robot), thin, joint="curve")
+            track = self._tracks[robot]
+            until = int(np.searchsorted(track["step"], step, "right"))
+            path = [at(x, y) for x, y in zip(track["x"][:until], track["y"][:until], strict=True)]
+            if len(path) > 1:
+                draw.line(path, robot_color(robot), thin, joint="curve")
         for pair in combinations(sorted(places), 2):
-            busy = pair in self._talks.get(step, ())
+            busy = pair in self._active_links.get(step, ())
             if busy or self._in_range(rows, *pair):
                 draw.line([places[k] for k in pair], SIGNAL if busy else IN_RANGE, thin * (2 if busy else 1))
         for robot, x, y in zip(rows["robot"], rows["target_x"], rows["target_y"], strict=True):
@@ -235,18 +229,18 @@ class Frames:
         return {robot: self._archive.of_robot(robot) for robot in self._robots}
 
     @cached_property
-    def _talks(self) -> dict[int, set[tuple[int, int]]]:
-        """Which robots carried anything to each other, by step."""
+    def _active_links(self) -> dict[int, set[tuple[int, int]]]:
+        """Pairs of robots that exchanged data, by step."""
         ledger = self._archive.ledger
         rows = ledger["carried"].astype(bool) & (ledger["receiver"] != EVERYONE)
-        talks: dict[int, set[tuple[int, int]]] = {}
+        active: dict[int, set[tuple[int, int]]] = {}
         columns = (ledger[name][rows].tolist() for name in ("step", "sender", "receiver"))
         for step, sender, receiver in zip(*columns, strict=True):
-            talks.setdefault(step, set()).add((min(sender, receiver), max(sender, receiver)))
-        return talks
+            active.setdefault(step, set()).add((min(sender, receiver), max(sender, receiver)))
+        return active
 
     def _draw_charts(self, frame: Image.Image, step: int) -> None:
-        """The curves up to the step, what comes later pale."""
+        """Draw the curves, pale after the step."""
         charts, spans = self._charts
         frame.paste(charts, (0, self._charts_top))
         draw = ImageDraw.Draw(frame, "RGBA")
@@ -259,13 +253,13 @@ class Frames:
 
     @cached_property
     def _charts(self) -> tuple[Image.Image, list[tuple[float, float, float, float]]]:
-        """The curves of the whole run, and where their panels lie: left, right, top, bottom."""
+        """The curves of the whole run, and the bounds of their panels: left, right, top, bottom."""
         dpi = 100.0
         wide, tall = self.size[0] / dpi, (self.size[1] - self._charts_top) / dpi
         with matplotlib.rc_context({"font.size": 8.5 * self._scale, "axes.titlesize": 9.5 * self._scale}):
             figure = Figure(figsize=(wide, tall), dpi=dpi, layout="constrained")
             explored, load = figure.subplots(1, 2, width_ratios=[1, 1])
-            draw_explored(explored, self._archive, self._snapshots)
+            draw_explored(explored, self._archive)
             draw_load(load, self._archive)
             for panel in (explored, load):
                 panel.set_xlim(1, max(2, self.last_step))
@@ -282,7 +276,7 @@ class Frames:
 
 
 def side_by_side(frames: list[Frames], step: int) -> Image.Image:
-    """The frames of runs at the same step, from left to right; those of a run that is over stay as they are."""
+    """The frames of several runs at one step, from left to right; a finished run keeps its last frame."""
     width, height = sum(each.size[0] for each in frames), max(each.size[1] for each in frames)
     picture = Image.new("RGB", (width, height), PAPER)
     left = 0
@@ -296,7 +290,7 @@ _PALETTE: NDArray[np.uint8] = np.array(CELLS, np.uint8)
 
 
 def _picture(cells: NDArray[np.uint8], width: int) -> Image.Image:
-    """Coloured cells as a picture of a width in pixels, its cells square and sharp if there is room for them."""
+    """Colored cells as a picture of a width in pixels; cells are drawn sharp if each has at least two pixels."""
     height = max(1, round(width * cells.shape[0] / cells.shape[1]))
     picture = Image.fromarray(cells)
     sharp = width >= 2 * cells.shape[1]
@@ -309,7 +303,7 @@ def _centred(picture: Image.Image, x: float, y: float) -> tuple[int, int]:
 
 @cache
 def _disc(robot: int, radius: int, *, numbered: bool) -> Image.Image:
-    """A robot's disc, with its number if it is to be read; smooth, on nothing."""
+    """A robot's disc on a transparent background, with its number if `numbered`."""
     fine, side = 4, 2 * radius + 2
     disc = Image.new("RGBA", (fine * side, fine * side))
     draw = ImageDraw.Draw(disc)

@@ -1,7 +1,7 @@
-"""The stages of merging, as Figure 5.6 of the thesis draws them, at one step of a finished run.
+"""The stages of merging, as Figure 5.6 of the thesis draws them, for one robot at one step of a finished run.
 
-A robot's planning grid follows from what teammates have told of their maps and from what it has seen itself:
-outside objects filled with unknown, their boundaries, inside objects one by one, their boundaries, its own map.
+A robot merges the outlines received from its teammates with its own map: outside objects filled with unknown cells,
+their boundaries, inside objects one by one, their boundaries, and at last its own map.
 """
 
 from __future__ import annotations
@@ -12,52 +12,51 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from agent.outline.five_stages import UNDEFINED, five_stages
-from agent.robot import Robot
+from agent.outline.polygons import Polygons
+from agent.viewer_feed import SHOWN_EVERY, polygons_of
 from deploy.after.archive import Archive
 from deploy.record.map_pictures import CELLS
-from deploy.run.repeat import robots_at, why_unrepeatable
 from deploy.scenario.scenario import ScenarioError
 from protocol.grid import UNKNOWN, Grid
 
 MERGING = "merging.png"
 
 _MARGIN = 3
-"""Cells shown around what is known."""
+"""Cells shown around the known area."""
 
 _COLORS = ListedColormap([*CELLS.colors, "#d9c6e8"])  # type: ignore[misc]
 """Unknown, free, occupied, undefined."""
 
 
 def merging(archive: Archive, robot: int, step: int) -> Figure:
-    """Draw how a robot's planning grid comes about at a step; the run is repeated in memory up to there.
+    """Draw how a robot merges maps at a step, or at the last step before it at which the robot reported its maps.
 
     Raises
     ------
     ScenarioError
-        The run cannot be repeated, there is no such robot or step, or no polygons travel in it.
+        There is no such robot or step, or the run does not exchange polygons.
     """
     scenario, last = archive.plan.scenario, archive.last_step
     if scenario.map_encoding != "polygons":
         raise ScenarioError(f"stages: only polygons are merged in stages, not {scenario.map_encoding}")
-    if reason := why_unrepeatable(archive.summary):
-        raise ScenarioError(f"{archive.directory}: this run cannot be repeated: {reason}")
-    if not 1 <= step <= last:
-        raise ScenarioError(f"stages = {step}: the run has the steps 1 to {last}")
-    robot_settings = {mind.settings.robot: mind for mind in robots_at(archive.plan, step)}
-    if robot not in robot_settings:
-        raise ScenarioError(
-            f"robot = {robot}: at step {step} there are {', '.join(map(str, sorted(robot_settings)))}"
-        )
-    return stages_figure(robot_settings[robot], step)
+    if robot >= scenario.robots:
+        raise ScenarioError(f"robot = {robot}: must be at most {scenario.robots - 1}")
+    reported = step if step == last else step - step % SHOWN_EVERY
+    if not 1 <= step <= last or (own := archive.maps.own(robot, reported)) is None:
+        raise ScenarioError(f"stages = {step}: robot {robot} reports maps from step {SHOWN_EVERY} to {last}")
+    received = {
+        map_id: polygons_of(archive.maps.outlines(robot, map_id, reported), own.shape)
+        for map_id in archive.maps.maps_held(robot)
+        if map_id % scenario.robots != robot
+    }
+    return stages_figure(robot, own, received, reported)
 
 
-def stages_figure(mind: Robot, step: int) -> Figure:
-    """Draw the stages of one robot's planning grid, and what it has seen itself."""
-    me = mind.settings.robot
-    told = {peer: polygons for peer, polygons in sorted(mind.polygons.items()) if peer != me}
-    stages = five_stages(mind.own, list(told.values()))
+def stages_figure(robot: int, own: Grid, received: dict[int, Polygons], step: int) -> Figure:
+    """Draw the stages of one robot's planning map, from its own map and the outlines `received`, by map."""
+    stages = five_stages(own, list(received.values()))
     shown = (
-        ("what it has seen itself", mind.own),
+        ("own map", own),
         ("(a) outside objects filled", stages.outside_filled),
         ("(b) their boundaries", stages.outside_bounded),
         ("(c), (d) inside objects, one by one", stages.inside_filled),
@@ -70,15 +69,15 @@ def stages_figure(mind: Robot, step: int) -> Figure:
     for panel, (title, grid) in zip(figure.subplots(2, 3).ravel(), shown, strict=True):
         _show(panel, grid[rows, columns])
         panel.set_title(title, fontsize=10)
-    makers = ", ".join(map(str, told)) or "nobody"
+    sources = ", ".join(map(str, received)) or "no teammate"
     figure.suptitle(
-        f"Step {step}: how robot {me}'s planning grid follows from what it holds of {makers} (violet: undefined)"
+        f"Step {step}: robot {robot} merges its map with outlines received from {sources} (violet: undefined)"
     )
     return figure
 
 
 def _known(grid: Grid) -> tuple[slice, slice]:
-    """The part of a grid in which something is known, with a margin; all of it if nothing is."""
+    """The known part of a grid, with a margin; the whole grid if nothing is known."""
     ys, xs = np.nonzero(grid != UNKNOWN)
     if not len(ys):
         return slice(0, grid.shape[0]), slice(0, grid.shape[1])

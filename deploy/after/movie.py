@@ -1,4 +1,4 @@
-"""`murmur movie`: a run as a film, or two runs side by side, step by step."""
+"""`murmur movie`: film a run step by step, or two runs side by side."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from deploy.after.archive import read
 from deploy.after.frames import WIDTH, Frames, side_by_side
 
 SMALL = 0.75
-"""The width of each run's picture over `frames.WIDTH`, if there are two of them, or in a GIF."""
+"""Width of each run's picture / `frames.WIDTH`, for two runs side by side or a GIF."""
 HOLD_S = 2.0
-"""How long the last picture stays."""
+"""Seconds for which the last picture stays."""
 MOST_GIF_FRAMES = 400
-"""A GIF of more is large, and many programs read it whole: it leaves out steps."""
+"""Longer GIFs leave out steps: they would be large, and many programs load them whole."""
 
 
 class MovieError(ValueError):
-    """A package needed for films is missing, or they cannot be made."""
+    """A package needed for films is missing, or ffmpeg fails."""
 
 
 MP4, GIF = ".mp4", ".gif"
@@ -43,7 +43,7 @@ AS_MP4 = [
     "+faststart",
 ]
 AS_GIF = ["-lavfi", "paletteuse=dither=none:diff_mode=rectangle", "-loop", "0"]
-"""What ffmpeg is told to write them, for a GIF after a picture of its palette."""
+"""Output options of ffmpeg; for a GIF they follow a picture of its palette."""
 
 
 def write_movie(
@@ -52,7 +52,6 @@ def write_movie(
     out: Path | None = None,
     *,
     rate: float = 10.0,
-    tell: Callable[[str], object] = lambda _: None,
     progress: Callable[[int, int], object] = lambda _, __: None,
 ) -> Path:
     """Film one run, or several side by side; return the file.
@@ -64,32 +63,32 @@ def write_movie(
     suffix : str
         `MP4` or `GIF`.
     out : Path, optional
-        The file; ``movie.mp4`` in the first directory if left out, with the others' names if there are any.
+        The file; ``movie.mp4`` in the first directory if left out, with the names of the other directories.
     rate : float
-        Steps a second.
-    tell, progress : callable
-        Called with messages, and with the frames written and in all.
+        Steps per second.
+    progress : callable
+        Called with the number of frames written, and of all frames.
 
     Raises
     ------
     MovieError
         The package that writes films is not installed, or it fails.
     ScenarioError
-        One is no run directory.
+        A directory is not a run directory.
     """
     if importlib.util.find_spec("imageio_ffmpeg") is None:
         raise MovieError("films need the package imageio-ffmpeg: pip install 'murmur-robots[film]'")
     if not 0.1 <= rate <= 120:
-        raise MovieError(f"rate = {rate:g}: must be 0.1 to 120 steps a second")
+        raise MovieError(f"rate = {rate:g}: must be 0.1 to 120 steps per second")
     if out is not None and out.suffix not in ("", suffix):
-        raise MovieError(f"out = {out}: must end in {suffix}, or take the other of --mp4 and --gif")
+        raise MovieError(f"out = {out}: must end in {suffix}; --mp4 and --gif choose the format")
     if out is not None and not out.parent.is_dir():
-        raise MovieError(f"out = {out}: there is no folder {out.parent}")
+        raise MovieError(f"out = {out}: no such folder: {out.parent}")
     path = out or directories[0] / "-".join(["movie", *(each.name for each in directories[1:])])
     path = path if path.suffix == suffix else path.with_name(path.name + suffix)
     archives = [read(each) for each in directories]
     width = round((SMALL if len(archives) > 1 or suffix == GIF else 1.0) * WIDTH)
-    runs = [Frames(archive, archive.snapshots(tell), width) for archive in archives]
+    runs = [Frames(archive, width) for archive in archives]
     last = max(run.last_step for run in runs)
     every = 1 if suffix == MP4 else -(-last // MOST_GIF_FRAMES)
     steps = sorted({*range(1, last + 1, every), last})
@@ -117,12 +116,12 @@ def write_movie(
 def _encode(
     path: Path, pictures: Iterator[Image.Image], size: tuple[int, int], rate: float, options: list[str]
 ) -> None:
-    """Write pictures as a film, under a temporary name until it is whole."""
+    """Write pictures as a film, under a temporary name until it is complete."""
     from imageio_ffmpeg import get_ffmpeg_exe  # noqa: PLC0415  the package may be missing
 
     beside = path.with_name(f".{path.stem}.part{path.suffix}")
     with beside.open("wb"):
-        pass  # a folder that cannot be written to is named by the system, not by ffmpeg
+        pass  # raises OSError with the file's name if the folder is not writable
     source = [
         "-f",
         "rawvideo",
@@ -137,8 +136,8 @@ def _encode(
     ]
     command = [get_ffmpeg_exe(), "-y", "-v", "error", *source, *options, str(beside)]
     try:
-        with tempfile.TemporaryFile() as said:
-            process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=said, stderr=said)
+        with tempfile.TemporaryFile() as output:
+            process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=output, stderr=output)
             try:
                 assert process.stdin is not None
                 with contextlib.suppress(BrokenPipeError), process.stdin:
@@ -149,16 +148,16 @@ def _encode(
                 process.kill()
                 process.wait()
             if failed:
-                said.seek(0)
-                last = said.read().decode(errors="replace").strip().splitlines()[-1:]
-                raise MovieError(f"{path}: ffmpeg could not write it: {''.join(last) or 'it gave no reason'}")
+                output.seek(0)
+                last = output.read().decode(errors="replace").strip().splitlines()[-1:]
+                raise MovieError(f"{path}: ffmpeg failed: {''.join(last) or 'no output'}")
         beside.replace(path)
     finally:
         beside.unlink(missing_ok=True)
 
 
 def _common_palette(runs: list[Frames], last: int) -> Image.Image:
-    """The colours of a GIF: those of a few of its pictures, as 16 x 16 pixels."""
+    """The palette of a GIF, from four of its pictures, as 16 x 16 pixels."""
     shown = [side_by_side(runs, max(1, round(last * part / 3))) for part in range(4)]
     together = Image.new("RGB", (shown[0].width, 4 * shown[0].height))
     for number, picture in enumerate(shown):

@@ -1,8 +1,8 @@
-"""The scans of a finished run, cast again from the map and the recorded poses.
+"""The laser scans of a finished run, cast again from the map and the recorded poses.
 
-The world casts scans from cell centres in exact arithmetic, so for lasers that cover their whole field of view
-at once these are the scans of the run, bit for bit. A scanner that turns, or that is off while its robot drives,
-saw only part of what is returned here.
+The world casts scans from cell centers in exact arithmetic. For lasers that cover their whole field of view at once
+these are the scans of the run, bit for bit. A scanner that turns, or that is off while its robot drives, saw only part
+of the scan returned here.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.after.archive import Archive
-from protocol.grid import UNKNOWN, Grid, RayTable, ray_table
-from protocol.scans import Readings, draw
+from protocol.grid import RayTable, ray_table
+from protocol.scans import Readings
 from worldsim.laser import HEADINGS, cast
 from worldsim.maps import to_cell
 
@@ -43,7 +43,7 @@ class Lasers:
         ]
 
     def scans(self) -> Iterator[tuple[int, list[Rescan]]]:
-        """Give each step and the scans taken in it, by ascending robot."""
+        """Yield each step and its scans, by ascending robot."""
         steps, world = self._archive.steps, self._archive.plan.map
         starts = np.flatnonzero(np.diff(steps["step"], prepend=-1))
         for first, end in zip(starts, [*starts[1:], len(steps["step"])], strict=True):
@@ -56,18 +56,6 @@ class Lasers:
             for _, x, y, _ in places:
                 standing[y, x] = True
             yield int(steps["step"][first]), [self._scan(standing, *place) for place in sorted(places)]
-
-    def own_grids(self, robot: int, wanted: list[int]) -> dict[int, Grid]:
-        """The self-explored grid of a robot at the given steps, drawn from its scans."""
-        grid = np.full(self._archive.plan.map.cells.shape, UNKNOWN, np.uint8)
-        grids = {}
-        for step, scans in self.scans():
-            for scan in scans:
-                if scan.robot == robot:
-                    draw(grid, self.ray_tables[robot], scan.x, scan.y, scan.readings)
-            if step in wanted:
-                grids[step] = grid.copy()
-        return grids
 
     def _scan(self, standing: NDArray[np.bool_], robot: int, x: int, y: int, heading: int) -> Rescan:
         truth, body = self._archive.plan.map.cells, self._bodies[robot]

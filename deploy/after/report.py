@@ -1,13 +1,13 @@
-"""`murmur report`: one self-contained HTML page of a run with its figures, or of two runs compared.
+"""`murmur report`: a self-contained HTML page of a run with its figures, or of two runs compared.
 
-The page is ``report.html.jinja``; what it says is put together here.
+The template is ``report.html.jinja``; this module computes its contents.
 """
 
 from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,6 @@ from deploy.after.figures import APPROXIMATION, CHANNEL_LOAD, MAPS_OVER_TIME, co
 from deploy.after.frames import Frames, side_by_side
 from deploy.record import run_directory
 from deploy.record.map_pictures import counted
-from deploy.record.snapshots import Snapshots
 from netshaper.ledger import CAUSES, EVERYONE
 from protocol.packets import ALL_KINDS
 from worldsim.atomic_files import write_whole
@@ -39,8 +38,8 @@ KINDS = {
     "conn": "handshake of a connection",
     "targ": "a robot's target",
     "save": "end of an update",
-    "scan": "piece of a raw laser scan",
-    "update": "fragment of a map update",
+    "scan": "part of a raw laser scan",
+    "update": "part of a map update",
     "pose": "a robot's position",
     "sum": "checksum of a frame",
 }
@@ -48,42 +47,41 @@ KINDS = {
 assert sorted(KINDS) == sorted(ALL_KINDS)
 
 UNDELIVERED = {
-    "budget": "the step's budget was spent",
+    "budget": "the budget of the step was spent",
     "range": "the receiver was out of range",
-    "protocol": "they were malformed or out of turn",
-    "lost": "the other robot had died",
-    "mute": "the sender's radio could not send",
-    "limit": "the sender had said as much as it can",
-    "loss": "they were lost on the air",
-    "damaged": "they were damaged on the air",
-    "full": "the receiver had heard as much as it can",
+    "protocol": "they were malformed or out of order",
+    "lost": "the other robot was lost",
+    "mute": "the sender's radio failed",
+    "limit": "the sender had reached its limit",
+    "loss": "they were lost by the channel",
+    "damaged": "they were damaged by the channel",
+    "full": "the receiver had reached its limit",
 }
-"""Why a frame was not delivered."""
+"""Causes for frames that were not delivered."""
 assert ("", *UNDELIVERED) == CAUSES
 
 CAPTIONS = {
-    CHANNEL_LOAD: "What is explored over time, and over the same steps bytes on the air, bytes that did not fit, "
-    "and packets not sent yet.",
+    CHANNEL_LOAD: "Explored area over time; transmitted bytes, bytes over the budget and undelivered packets.",
     MAPS_OVER_TIME: "Each robot's planning map over time, and in red the outlines that it sends, if any.",
-    APPROXIMATION: "What robot 0 has seen itself, and in red its approximation of it: white outside the line "
-    "and grey within are its errors.",
-    run_directory.PICTURE: "The world with the robots' ways, and what is wrong on the team's map and on each robot's "
-    "at the end.",
+    APPROXIMATION: "Robot 0's own map, and in red its approximation of it. White outside the line and gray inside "
+    "it are errors.",
+    run_directory.PICTURE: "The world with the robots' paths, and the errors of the team's map and of each robot's "
+    "map at the end.",
 }
 
 FRAMES_CAPTION = (
-    "The building under a veil where no robot knows anything yet; green lines carry data in this step, grey ones "
-    "could. Beside it each robot's own map; below what is explored, and the use of the radio."
+    "The building, grayed where no robot knows anything yet. Green links carry data in this step, gray ones are in "
+    "range. Beside it the map of each robot; below, the explored area and the use of the radio."
 )
 MOST_FRAMES, FRAME_WIDTH, PAIR_WIDTH = 40, 1120, 840
-"""Frames of a slider; the width of each, and of each of two beside each other, in pixels."""
+"""Maximum number of frames of a slider; pixels of a frame's width, alone and beside another run."""
 MOST_FRAME_BYTES = 3_000_000
-"""Bytes of all frames of a page: there are fewer of them if they would be more."""
+"""Maximum bytes of all frames of a page; larger pages get fewer frames."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table: its lines, the first its head; the columns to be set right, and whether the last line is a sum."""
+    """A table: its lines, the first its head; the right-aligned columns; whether the last line is a sum."""
 
     lines: list[list[str]]
     right: set[int]
@@ -93,10 +91,10 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture as a data URI, and what it shows; that of a slider has a step."""
+    """A picture as a data URI, with its caption; for a slider, also its step."""
 
     source: str
-    words: str = ""
+    caption: str = ""
     step: int = 0
 
 
@@ -112,75 +110,72 @@ class Section:
     texts: Sequence[str] = ()
 
 
-def write_report(
-    directory: Path, tell: Callable[[str], object] = lambda _: None, other: Path | None = None
-) -> Path:
-    """Draw the figures of a run and write its page; or one that compares it with another run. Return the page.
+def write_report(directory: Path, other: Path | None = None) -> Path:
+    """Draw the figures of a run and write its page, or a page that compares it with another run; return the page.
 
     Raises
     ------
     ScenarioError
-        One is no run directory, or too little came of the run.
+        A directory is not a run directory, or a table is missing.
     """
     archive, another = read(directory), read(other) if other is not None else None
-    snapshots = archive.snapshots(tell)
     if other is None or another is None:
-        figures = write_figures(archive, directory / run_directory.PICTURES, snapshots)
+        figures = write_figures(archive, directory / run_directory.PICTURES)
         if (directory / run_directory.PICTURE).is_file():
             figures.append(directory / run_directory.PICTURE)
-        path, text = directory / REPORT, page(archive, snapshots, figures)
+        path, text = directory / REPORT, page(archive, figures)
     else:
         path = directory / f"compared-with-{other.resolve().name}.html"
-        text = comparison({directory: (archive, snapshots), other: (another, another.snapshots(tell))})
+        text = comparison({directory: archive, other: another})
     write_whole(path, lambda file: file.write(text.encode()))
     return path
 
 
-def page(archive: Archive, snapshots: Snapshots | None, figures: Sequence[Path]) -> str:
+def page(archive: Archive, figures: Sequence[Path]) -> str:
     """The page of a run, with all pictures embedded."""
     summary = archive.summary
     return _render(
         f"{counted(summary['robots'], 'robot')} on {summary['map']}",
-        [_in_words(summary)],
+        [_abstract(summary)],
         [
             Section("The run", [_table(_figures(summary), right=(), has_head=False)]),
             Section(
-                "Step by step", frames=_frames([Frames(archive, snapshots, FRAME_WIDTH)]), caption=FRAMES_CAPTION
+                "Step by step", frames=_frames([Frames(archive, FRAME_WIDTH)]), caption=FRAMES_CAPTION
             ),
             Section("Pictures", pictures=[_picture(figure.read_bytes(), CAPTIONS[figure.name]) for figure in figures]),
             Section("The robots", [_table(_robots(archive))]),
-            Section("Traffic on the air", [_table(_kinds(summary), last_is_sum=True), _table(_undelivered(summary))]),
+            Section("Traffic", [_table(_kinds(summary), last_is_sum=True), _table(_undelivered(summary))]),
             Section("The scenario", texts=[_scenario(archive)]),
         ],
         {"": summary["digest"]},
     )  # fmt: skip
 
 
-def comparison(runs: dict[Path, tuple[Archive, Snapshots | None]]) -> str:
+def comparison(runs: dict[Path, Archive]) -> str:
     """The page that compares runs, by their directories."""
     names = _names(list(runs))
-    archives = [archive for archive, _ in runs.values()]
+    archives = list(runs.values())
     summaries = [archive.summary for archive in archives]
     file = io.BytesIO()
     curves: Figure = compared(dict(zip(names, archives, strict=True)))
     curves.savefig(file, format="png", dpi=100)
-    pictures = [_picture(file.getvalue(), "What each team has seen over time, and its use of the radio.")]
+    pictures = [_picture(file.getvalue(), "Explored area of each team over time, and its use of the radio.")]
     for name, archive in zip(names, archives, strict=True):
         maps = archive.directory / run_directory.PICTURE
         if maps.is_file():
             pictures.append(_picture(maps.read_bytes(), f"{name}: {CAPTIONS[maps.name]}"))
     figures = [_figures(summary) for summary in summaries]
     rows = [[row[0], *(dict(each).get(row[0], "-") for each in figures)] for row in figures[0]]
-    shown = [Frames(archive, snapshots, PAIR_WIDTH) for archive, snapshots in runs.values()]
+    shown = [Frames(archive, PAIR_WIDTH) for archive in archives]
     return _render(
         " and ".join(names),
-        [f"{name}: {_in_words(summary)}" for name, summary in zip(names, summaries, strict=True)],
+        [f"{name}: {_abstract(summary)}" for name, summary in zip(names, summaries, strict=True)],
         [
             Section("The runs", [_table([["", *names], *rows], right=())]),
-            Section("What was set differently", [_table([["", *names], *_differences(archives)], right=())]),
+            Section("Different settings", [_table([["", *names], *_differences(archives)], right=())]),
             Section("Step by step", frames=_frames(shown), caption=FRAMES_CAPTION),
             Section("Pictures", pictures=pictures),
-            Section("Traffic on the air", [_table(_traffic(names, summaries), last_is_sum=True)]),
+            Section("Traffic", [_table(_traffic(names, summaries), last_is_sum=True)]),
         ],
         {name: summary["digest"] for name, summary in zip(names, summaries, strict=True)},
         wide=True,
@@ -215,7 +210,7 @@ def _frames(runs: list[Frames]) -> list[Picture]:
 
 
 def _png(picture: Image.Image) -> bytes:
-    """A picture as a small PNG of at most 128 colours."""
+    """A picture as a small PNG of at most 128 colors."""
     file = io.BytesIO()
     picture.quantize(128, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
         file, "PNG", optimize=True
@@ -224,7 +219,7 @@ def _png(picture: Image.Image) -> bytes:
 
 
 def _names(directories: list[Path]) -> list[str]:
-    """Short names of runs that tell them apart."""
+    """Short but distinct names of runs."""
     short = [directory.resolve().name for directory in directories]
     return short if len(set(short)) == len(short) else [str(directory) for directory in directories]
 
@@ -234,7 +229,7 @@ def _scenario(archive: Archive) -> str:
 
 
 def _differences(archives: list[Archive]) -> list[list[str]]:
-    """Settings that are not the same in all runs; the map by its name."""
+    """Settings that differ between runs; the map by its name."""
     flat = []
     for archive in archives:
         settings = archive.plan.scenario.model_dump(mode="json") | {"map": archive.plan.map.name}
@@ -253,7 +248,7 @@ def _leaves(settings: dict[str, Any], before: str = "") -> Iterable[tuple[str, s
 
 
 def _traffic(names: list[str], summaries: list[dict[str, Any]]) -> list[list[str]]:
-    """Bytes of each kind of packet that any run has sent."""
+    """Bytes of each packet kind that any run has sent."""
     rows = [["packet", "meaning", *(f"bytes, {name}" for name in names)]]
     for kind in ALL_KINDS:
         if any(kind in summary["bytes"] for summary in summaries):
@@ -262,26 +257,29 @@ def _traffic(names: list[str], summaries: list[dict[str, Any]]) -> list[list[str
     return [*rows, ["all", "", *(f"{summary['bytes']['total']:,}" for summary in summaries)]]
 
 
-def _in_words(summary: dict[str, Any]) -> str:
+def _abstract(summary: dict[str, Any]) -> str:
     budget = summary["bandwidth"]
-    medium = "unlimited bandwidth" if isinstance(budget, str) else f"at most {budget} bytes a step"
-    told = f"Radio: {medium}, range {summary['range_m']:.1f} m ({summary['map_encoding']} exchange)."
+    medium = "unlimited bandwidth" if isinstance(budget, str) else f"at most {budget} bytes per step"
+    radio = f"Radio: {medium}, range {summary['range_m']:.1f} m; map encoding: {summary['map_encoding']}."
     if summary["finished"]:
         first = f"robot {summary['first_robot']} finished first"
-        return f"Explored in {summary['steps']} steps; {first}. {told}"
-    return f"Not finished after {summary['steps']} steps: {summary['reason']}. {told}"
+        return f"Explored in {summary['steps']} steps; {first}. {radio}"
+    return f"Not finished after {summary['steps']} steps: {summary['reason']}. {radio}"
 
 
 def _figures(summary: dict[str, Any]) -> list[list[str]]:
     agreement = summary["map_accuracy"]
     rows = [
         ["reachable cells seen by the team", _percent(summary["coverage"])],
-        ["correct on the planning map of the first robot", "-" if agreement is None else _percent(agreement)],
+        [
+            "accuracy of the planning map of the first robot",
+            "-" if agreement is None else _percent(agreement),
+        ],
         ["team had seen 90 %, 99 %", f"step {summary['t90'] or '-'}, step {summary['t99'] or '-'}"],
         ["strategy, seed", f"{summary['strategy']}, {summary['seed']}"],
-        ["on the air", f"{summary['bytes']['total']:,} bytes in {summary['packets']['total']:,} packets"],
+        ["transmitted", f"{summary['bytes']['total']:,} bytes in {summary['packets']['total']:,} packets"],
         ["steps over the budget", str(summary["over_budget_steps"])],
-        ["bus", f"{summary['bus']}, {summary['steps_per_s']} steps a second"],
+        ["bus", f"{summary['bus']}, {summary['steps_per_s']} steps per second"],
     ]
     if summary.get("approximation_error") is not None:
         rows.insert(
@@ -295,15 +293,15 @@ def _robots(archive: Archive) -> list[list[str]]:
     carried = ledger["carried"].astype(bool)
     rows = [["robot", "driven [m]", "sent [bytes]", "received [bytes]", "cells seen", "last status"]]
     for robot in range(summary["robots"]):
-        mine = archive.of_robot(robot)
-        said = int(ledger["bytes"][carried & (ledger["sender"] == robot)].sum())
+        track = archive.of_robot(robot)
+        sent = int(ledger["bytes"][carried & (ledger["sender"] == robot)].sum())
         unicast = carried & (ledger["receiver"] == robot) & (ledger["receiver"] != EVERYONE)
-        heard = int((ledger["bytes"] * ledger["heard"])[unicast].sum())
-        seen = mine["known_cells"][~np.isnan(mine["known_cells"])]
-        status = summary["lost"].get(str(robot)) or next((s for s in mine["status"][::-1] if s), "-")
-        driven = f"{mine['driven'][-1]:.1f}" if len(mine["driven"]) else "-"
+        received = int((ledger["bytes"] * ledger["heard"])[unicast].sum())
+        seen = track["known_cells"][~np.isnan(track["known_cells"])]
+        status = summary["lost"].get(str(robot)) or next((s for s in track["status"][::-1] if s), "-")
+        driven = f"{track['driven'][-1]:.1f}" if len(track["driven"]) else "-"
         known = f"{int(seen[-1]):,}" if len(seen) else "-"
-        rows.append([str(robot), driven, f"{said:,}", f"{heard:,}", known, status])
+        rows.append([str(robot), driven, f"{sent:,}", f"{received:,}", known, status])
     return rows
 
 
@@ -318,7 +316,7 @@ def _kinds(summary: dict[str, Any]) -> list[list[str]]:
 
 
 def _undelivered(summary: dict[str, Any]) -> list[list[str]]:
-    rows = [["frames not delivered whole, because", "frames"]]
+    rows = [["frames not delivered in full, because", "frames"]]
     return [
         *rows,
         *([UNDELIVERED[cause], f"{count:,}"] for cause, count in summary["undelivered"].items()),
@@ -332,7 +330,7 @@ def _table(
     has_head: bool = True,
     last_is_sum: bool = False,
 ) -> Table:
-    """A table whose columns of figures are set right, unless `right` says which."""
+    """A table with right-aligned columns: `right`, or else those of numbers."""
     body = lines[1:] if has_head else lines
     columns = set(right) if right is not None else _numeric(body) if body else set()
     return Table(lines, columns, has_head, last_is_sum)
@@ -346,8 +344,8 @@ def _numeric(rows: list[list[str]]) -> set[int]:
     }
 
 
-def _picture(png: bytes, words: str) -> Picture:
-    return Picture(_uri(png), words)
+def _picture(png: bytes, caption: str) -> Picture:
+    return Picture(_uri(png), caption)
 
 
 def _uri(png: bytes) -> str:

@@ -1,5 +1,5 @@
-"""`murmur bench`: each figure as a ratio against a named yardstick that is measured in the same run.
+"""Benchmarks (`murmur bench`): each value as a ratio to a baseline measured in the same run.
 
-It builds on `run`, independent of `after` and `study`. Start with `ratios.py`, which lists the benches; a bench
-yields figures. Only ratios carry over to other machines, so absolute timings are never asserted.
+This package builds on `run` and is independent of `after` and `study`. `registry.py` lists the benchmarks; each yields
+values of `measurement.py`. Only ratios are comparable between machines, so tests never assert absolute times.
 """

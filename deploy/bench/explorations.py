@@ -1,4 +1,4 @@
-"""Input data of the kernel benches: an exploration by a whole team, as each robot saw it step by step."""
+"""Input data of the kernel benchmarks: the map of each robot of a team, step by step through an exploration."""
 
 from __future__ import annotations
 
@@ -7,23 +7,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deploy.run import in_memory
+from deploy.run.recording_bus import record_run
 from deploy.scenario.plan import Plan
 from protocol import keys as names
-from protocol.bus import Bus, Message
 from protocol.grid import FREE, UNKNOWN, Grid, RayTable, ray_table
-from protocol.messages import Sense, cells_from_bytes, unpack
+from protocol.messages import Sense, cells_from_bytes
 from protocol.scans import Change, Scan, draw
 
 SAMPLES = 40
-"""Moments of an exploration, spread evenly, at which a part is measured."""
+"""Number of moments of an exploration, evenly spaced, at which a kernel is measured."""
 
 Cell = tuple[int, int]
 
 
 @dataclass(frozen=True)
 class Moment:
-    """One robot's map after a step, the scan that it drew last, and the cells that this changed."""
+    """One robot's map after a step, its last scan, and the cells that the scan changed."""
 
     grid: Grid
     scan: Scan
@@ -31,46 +30,18 @@ class Moment:
 
     @property
     def cell(self) -> Cell:
-        """Where the robot is."""
+        """The robot's cell."""
         return self.scan.x, self.scan.y
 
 
-class _Listener:
-    """A robot's end of the bus that records its sensor messages."""
-
-    def __init__(self, inner: Bus) -> None:
-        self.senses: list[Sense] = []
-        self._inner = inner
-
-    def put(self, key: str, payload: bytes) -> None:
-        self._inner.put(key, payload)
-
-    def receive(self, timeout_s: float | None = None) -> Message | None:
-        message = self._inner.receive(timeout_s)
-        if message is not None and names.parts(message.key)[0] == "body":
-            said = unpack(message.payload)
-            if isinstance(said, Sense):
-                self.senses.append(said)
-        return message
-
-    def close(self) -> None:
-        self._inner.close()
-
-
 def explore(plan: Plan) -> list[list[Moment]]:
-    """Run the plan in memory; return what every robot saw, step by step."""
-    listeners: dict[str, _Listener] = {}
-
-    def listen(name: str, bus: Bus) -> Bus:
-        listeners[name] = _Listener(bus)
-        return listeners[name]
-
-    in_memory.run(plan, wrap=listen)
-    robots = map(names.robot, range(plan.scenario.robots))
-    return [list(_seen(plan, listeners[name].senses)) for name in robots]
+    """Run the plan in memory; return the moments of each robot."""
+    robots = list(map(names.robot, range(plan.scenario.robots)))
+    buses, _ = record_run(plan, robots)
+    return [list(_moments(plan, buses[name].senses)) for name in robots]
 
 
-def _seen(plan: Plan, senses: Sequence[Sense]) -> Iterator[Moment]:
+def _moments(plan: Plan, senses: Sequence[Sense]) -> Iterator[Moment]:
     laser = beams(plan)
     grid = np.full(plan.map.cells.shape, UNKNOWN, np.uint8)
     for sense in senses:
@@ -82,10 +53,10 @@ def _seen(plan: Plan, senses: Sequence[Sense]) -> Iterator[Moment]:
 
 
 def beams(plan: Plan) -> RayTable:
-    """The beams of the plan's robots."""
+    """The laser beams of the plan's robots."""
     return ray_table(plan.world.bodies[0].range_cells, plan.world.beams)
 
 
-def samples(walk: Sequence[Moment]) -> list[Moment]:
-    """Some moments of an exploration, including the last one."""
-    return [walk[i] for i in np.linspace(0, len(walk) - 1, SAMPLES).astype(int).tolist()]
+def samples(moments: Sequence[Moment]) -> list[Moment]:
+    """Evenly spaced moments of an exploration, including the last one."""
+    return [moments[i] for i in np.linspace(0, len(moments) - 1, SAMPLES).astype(int).tolist()]

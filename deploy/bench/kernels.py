@@ -1,8 +1,8 @@
-"""Bench of a robot's computations in a step: one core, processor time, each part against a named yardstick.
+"""Benchmark of a robot's computations per step: processor time on one core, each compared with a baseline.
 
-Inputs come from one exploration by 8 robots at 1 kB a step, on a generated office of 300 x 300 cells, or on
-the map ``intel`` if the environment variable MURMUR_MAPS names a folder that has it. Wherever a yardstick
-computes the same, its result is compared as well, and a difference aborts the bench.
+The input is one exploration by 8 robots at 1 kB a step, on a generated office of 300 x 300 cells. If the environment
+variable MURMUR_MAPS names a folder with the map ``intel``, the benchmark uses that map. Where a baseline computes the
+same result, the benchmark compares both and stops at a difference.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from agent.encodings.polygons import PolygonEncoding
 from agent.encodings.predictive import PredictiveEncoding
@@ -29,21 +28,13 @@ from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
 from agent.outline.simplify import mixed_first, refine
 from agent.planning.cost_field import costs
-from deploy.bench.explorations import SAMPLES, Cell, Moment, beams, explore, samples
-from deploy.bench.handshakes import Handshakes, timed
-from deploy.bench.ratios import Figure, compare
-from deploy.bench.yardsticks import (
-    cells_along,
-    look_in_numpy,
-    trace_by_opencv,
-    without_corners,
-    without_frame,
-    yardstick,
-)
+from deploy.bench import baselines
+from deploy.bench.explorations import SAMPLES, Moment, beams, explore, samples
+from deploy.bench.measurement import Measurement, compare, timed
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario
-from protocol.grid import FREE, Grid, RayTable
+from protocol.grid import FREE, Grid
 from protocol.scans import draw
 from worldsim import generators, maps
 from worldsim.laser import cast
@@ -54,25 +45,25 @@ BUDGET = 1000
 SIDE_M = 30.0
 
 
-def kernels() -> Iterator[Figure]:
-    """Every part of a robot's step, in the order of execution."""
-    cv2, graph = yardstick("cv2", "opencv-python-headless"), yardstick("skimage.graph", "scikit-image")
+def kernels() -> Iterator[Measurement]:
+    """Measure each part of a robot's step, in the order of execution."""
+    cv2 = baselines.optional_module("cv2", "opencv-python-headless")
+    graph = baselines.optional_module("skimage.graph", "scikit-image")
     cv2.setNumThreads(1)
     plan = plans.make(
         Scenario(robots=ROBOTS, map_encoding="polygons", strategy="meier", bandwidth=BUDGET, bus="memory"),
         _map(),
     )
-    walks = explore(plan)
-    yield _scanning(plan, walks[0])
-    yield _contours(walks, cv2)
-    telling = _Telling(plan)
-    for robot, walk in enumerate(walks):
-        telling.follow(robot, walk)
-    yield telling.figure()
-    yield from _merging(walks[0], telling)
-    yield _ways(walks[0], graph)
-    yield _session(plan, telling.units)
-    yield from _looks(plan, walks[0])
+    explorations = explore(plan)
+    yield _scanning(plan, explorations[0])
+    yield _contours(explorations, cv2)
+    updates = _PolygonUpdates(plan)
+    for robot, moments in enumerate(explorations):
+        updates.encode(robot, moments)
+    yield updates.measurement()
+    yield from _merging(explorations[0], updates.polygons)
+    yield _cost_field(explorations[0], graph)
+    yield from _predictive(plan, explorations[0])
 
 
 def _map() -> Map:
@@ -83,92 +74,90 @@ def _map() -> Map:
     return generators.make("office", width_m=SIDE_M, height_m=SIDE_M)
 
 
-def _check_same(ours: Grid, theirs: Grid, what: str) -> None:
-    if not np.array_equal(ours, theirs):
-        raise AssertionError(f"{what}: the yardstick's result is another")
+def _check_same(result: Grid, baseline: Grid, what: str) -> None:
+    if not np.array_equal(result, baseline):
+        raise AssertionError(f"{what}: the baseline has a different result")
 
 
-def _scanning(plan: Plan, walk: Sequence[Moment]) -> Figure:
-    """Cast a scan on the true map and draw it, against the same beams in numpy."""
-    truth, ray_table = plan.map.cells, beams(plan)
-    nobody = np.zeros(truth.shape, np.bool_)
-    ours: list[float] = []
-    theirs: list[float] = []
-    for moment in samples(walk):
-        mine, other = np.zeros_like(truth), np.zeros_like(truth)
-        for known, look, times in ((mine, _look, ours), (other, look_in_numpy, theirs)):
-            times.append(timed(partial(look, truth, nobody, ray_table, moment.cell, known))[1])
-        _check_same(mine, other, "scan")
-    return compare("scan, cast and drawn", "ms", ours, "the same beams in numpy", theirs)
+def _scanning(plan: Plan, moments: Sequence[Moment]) -> Measurement:
+    """Cast a scan on the true map and draw it; baseline: the same beams in numpy."""
+    truth, rays = plan.map.cells, beams(plan)
+    no_teammates = np.zeros(truth.shape, np.bool_)
+    kernel: list[float] = []
+    baseline: list[float] = []
+
+    def scan(known: Grid, x: int, y: int) -> None:
+        draw(known, rays, x, y, cast(truth, no_teammates, rays, x, y))
+
+    for moment in samples(moments):
+        known, other = np.zeros_like(truth), np.zeros_like(truth)
+        kernel.append(timed(partial(scan, known, *moment.cell))[1])
+        baseline.append(timed(partial(baselines.scan_in_numpy, truth, rays, moment.cell, other))[1])
+        _check_same(known, other, "scan")
+    return compare("scan, cast and drawn", "ms", kernel, "the same beams in numpy", baseline)
 
 
-def _look(truth: Grid, nobody: NDArray[np.bool_], ray_table: RayTable, cell: Cell, known: Grid) -> None:
-    draw(known, ray_table, *cell, cast(truth, nobody, ray_table, *cell))
+def _contours(explorations: Sequence[Sequence[Moment]], cv2: Any) -> Measurement:
+    """Trace exact contours; baseline: OpenCV on the same cells.
 
-
-def _contours(walks: Sequence[Sequence[Moment]], cv2: Any) -> Figure:
-    """Trace exact contours, against OpenCV on the same cells.
-
-    OpenCV gives the cells along each contour; our contour points also have the side of the cell, and whether
-    the cell is occupied. OpenCV finds one more contour: the frame of the picture.
+    OpenCV returns the cells along each contour. Our contour points also have the side of the cell, and whether the cell
+    is occupied. OpenCV finds one more contour: the border of the picture.
     """
-    ours, theirs = [], []
-    height, width = walks[0][0].grid.shape
+    kernel, baseline = [], []
+    height, width = explorations[0][0].grid.shape
     solid = np.ones((height + 2, width + 2), np.uint8)
-    for moment in (moment for walk in walks for moment in samples(walk)):
+    for moment in (moment for moments in explorations for moment in samples(moments)):
         found, spent = timed(partial(contours, moment.grid, moment.cell))
-        ours.append(spent)
-        traced, spent = timed(partial(trace_by_opencv, cv2, moment.grid, solid))
-        theirs.append(spent)
-        if len(ours) % SAMPLES == 0 and cells_along(found) != without_frame(traced):
-            raise AssertionError("contours: OpenCV finds others")
-    name = "OpenCV's findContours"
-    return compare("contours of a robot's map", "ms", ours, name, theirs, "no slower")
+        kernel.append(spent)
+        traced, spent = timed(partial(baselines.trace_by_opencv, cv2, moment.grid, solid))
+        baseline.append(spent)
+        if len(kernel) % SAMPLES == 0 and baselines.cells_along(found) != baselines.without_frame(traced):
+            raise AssertionError("contours: OpenCV finds different contours")
+    return compare("contours of a robot's map", "ms", kernel, "OpenCV's findContours", baseline, "no slower")
 
 
-class _Telling:
-    """What robots send of their maps step by step, and the time it takes; the same from scratch, for comparison."""
+class _PolygonUpdates:
+    """The polygon updates of robots step by step, with their computing time; baseline: encoding from scratch.
+
+    Attributes
+    ----------
+    polygons : list of list of Polygons
+        Per robot and step, the polygons that its teammates hold after the update.
+    """
 
     def __init__(self, plan: Plan) -> None:
-        self.units: list[list[list[bytes]]] = []
-        """Packets of every robot and step."""
         self.polygons: list[list[Polygons]] = []
-        """What is told after them."""
         self._plan = plan
         self._incremental: list[float] = []
-        self._anew: list[float] = []
+        self._from_scratch: list[float] = []
 
-    def follow(self, robot: int, walk: Sequence[Moment]) -> None:
-        """Let one robot send its updates."""
-        map_encoding = PolygonEncoding(self._plan.robot_settings[robot])
-        self.units.append([])
+    def encode(self, robot: int, moments: Sequence[Moment]) -> None:
+        """Encode the updates of one robot."""
+        encoding = PolygonEncoding(self._plan.robot_settings[robot])
         self.polygons.append([])
-        for moment in walk:
-            record = partial(
-                map_encoding.encode_changes, moment.grid, moment.scan, moment.change, delivered=True
-            )
-            units, spent = timed(record)
-            told = map_encoding.polygons[robot]
-            self.units[-1].append(units)
-            self.polygons[-1].append(told)
-            if units:
+        for moment in moments:
+            record = partial(encoding.encode_changes, moment.grid, moment.scan, moment.change, delivered=True)
+            packets, spent = timed(record)
+            polygons = encoding.polygons[robot]
+            self.polygons[-1].append(polygons)
+            if packets:
                 self._incremental.append(spent)
-                self._anew.append(timed(partial(_say_anew, moment, len(told.x)))[1])
+                self._from_scratch.append(timed(partial(_encode_whole_map, moment, len(polygons.x)))[1])
 
-    def figure(self) -> Figure:
-        """Everything before the radio."""
+    def measurement(self) -> Measurement:
+        """Compare all computations before the radio."""
         return compare(
             "contours, repair, refinement and edits",
             "ms",
             self._incremental,
-            "the whole map approximated and told anew",
-            self._anew,
+            "encoding the whole map from scratch",
+            self._from_scratch,
             "at most 1 ms",
         )
 
 
-def _say_anew(moment: Moment, vertices: int) -> None:
-    """Approximate a map by the given number of vertices, and send all of them."""
+def _encode_whole_map(moment: Moment, vertices: int) -> None:
+    """Approximate a map by the given number of vertices, and encode all of them."""
     nothing = Held.nothing(moment.grid.shape)
     exact = contours(moment.grid, moment.cell)
     marks = repair(nothing.polygons, exact)
@@ -176,89 +165,78 @@ def _say_anew(moment: Moment, vertices: int) -> None:
     edit_script(nothing, approximation(exact, marks))
 
 
-def _merging(walk: Sequence[Moment], telling: _Telling) -> Iterator[Figure]:
-    """Merge 7 teammates of whom all, one or none have news, against Algorithm 9 line by line."""
+def _merging(moments: Sequence[Moment], polygons: Sequence[Sequence[Polygons]]) -> Iterator[Measurement]:
+    """Merge 7 teammates of whom all, one or none changed; baseline: Algorithm 9 line by line."""
     drawing = Drawing(free_inside_edges=False, unknown_pairs=False, wide_walls=True, close_slivers=True)
     team = TeamMap(drawing)
-    steps = min(map(len, telling.polygons))
-    all_new, one_new, none_new, by_lines = [], [], [], []
+
+    def merge(own: Grid, changed: Sequence[Polygons]) -> Grid:
+        for robot, outlines in enumerate(changed, 1):
+            team.update(robot, Objects.of(outlines))
+        return team.merged(own)
+
+    steps = min(map(len, polygons))
+    all_changed, one_changed, none_changed, by_lines = [], [], [], []
     for step in np.linspace(steps // 4, steps - 1, SAMPLES).astype(int).tolist():
-        own, polygons = walk[step].grid, [told[step] for told in telling.polygons[1:]]
-        merged, spent = timed(partial(_merge, team, own, polygons))
-        all_new.append(spent)
-        one_new.append(timed(partial(_merge, team, own, polygons[:1]))[1])
-        none_new.append(timed(partial(_merge, team, own, []))[1])
-        stages, spent = timed(partial(five_stages, own, polygons, drawing))
+        own, outlines = moments[step].grid, [of_robot[step] for of_robot in polygons[1:]]
+        merged, spent = timed(partial(merge, own, outlines))
+        all_changed.append(spent)
+        one_changed.append(timed(partial(merge, own, outlines[:1]))[1])
+        none_changed.append(timed(partial(merge, own, []))[1])
+        stages, spent = timed(partial(five_stages, own, outlines, drawing))
         by_lines.append(spent)
         _check_same(merged, stages.complete, "merging")
-    others = ROBOTS - 1
-    book = "Algorithm 9 line by line"
-    yield compare(f"merging {others} teammates, all changed", "ms", all_new, book, by_lines, "at most 2 ms")
-    yield compare(f"merging {others} teammates, one changed", "ms", one_new, "all changed", all_new)
-    yield compare(f"merging {others} teammates, none changed", "ms", none_new, "all changed", all_new)
+    name = f"merging {ROBOTS - 1} teammates"
+    yield compare(
+        f"{name}, all changed", "ms", all_changed, "Algorithm 9 line by line", by_lines, "at most 2 ms"
+    )
+    yield compare(f"{name}, one changed", "ms", one_changed, "all changed", all_changed)
+    yield compare(f"{name}, none changed", "ms", none_changed, "all changed", all_changed)
 
 
-def _merge(team: TeamMap, own: Grid, changed: Sequence[Polygons]) -> Grid:
-    for robot, polygons in enumerate(changed, 1):
-        team.update(robot, Objects.of(polygons))
-    return team.merged(own)
+def _cost_field(moments: Sequence[Moment], graph: Any) -> Measurement:
+    """Compute path costs to all cells; baseline: skimage's shortest paths on the same cells.
 
-
-def _ways(walk: Sequence[Moment], graph: Any) -> Figure:
-    """Costs to all cells, against skimage's shortest paths on the same cells.
-
-    Its paths may cut corners, which is the easier problem. If that is forbidden, by a graph in three dimensions,
-    skimage gives our result.
+    The paths of skimage may cut corners, which is the easier problem. If that is forbidden, by a graph in three
+    dimensions, skimage has our result.
     """
-    ours, theirs = [], []
-    known = [(moment.grid, moment.cell) for moment in samples(walk)[SAMPLES // 4 :]]
+    kernel, baseline = [], []
+    known = [(moment.grid, moment.cell) for moment in samples(moments)[SAMPLES // 4 :]]
     for grid, (x, y) in known:
         length, spent = timed(partial(costs, grid, x, y))
-        ours.append(spent)
+        kernel.append(spent)
         prices = np.where(grid == FREE, 1.0, -1.0)
-        theirs.append(timed(lambda: graph.MCP_Geometric(prices).find_costs([(y, x)]))[1])  # noqa: B023
-    if not np.allclose(length, without_corners(graph, grid, (x, y)), rtol=0, atol=1e-9):
-        raise AssertionError("costs: skimage finds other ways")
-    name = "skimage's MCP_Geometric"
-    return compare("costs to all cells", "ms", ours, name, theirs, "at most 0.20")
+        baseline.append(timed(lambda: graph.MCP_Geometric(prices).find_costs([(y, x)]))[1])  # noqa: B023
+    if not np.allclose(length, baselines.costs_by_skimage(graph, grid, (x, y)), rtol=0, atol=1e-9):
+        raise AssertionError("costs: skimage finds different paths")
+    return compare("costs to all cells", "ms", kernel, "skimage's MCP_Geometric", baseline, "at most 0.20")
 
 
-def _looks(plan: Plan, walk: Sequence[Moment]) -> Iterator[Figure]:
-    """Tell a walk in looks and read them, against drawing its scans."""
+def _predictive(plan: Plan, moments: Sequence[Moment]) -> Iterator[Measurement]:
+    """Encode and decode scans with the predictive encoding; baseline: drawing the scans."""
     settings = replace(
         plan.robot_settings[0],
         map_encoding="predictive",
         dissemination="gossip",
         bandwidth=None,
     )
-    maker, hearer = PredictiveEncoding(settings), PredictiveEncoding(replace(settings, robot=1))
-    drawn, ray_table = np.zeros_like(walk[0].grid), beams(plan)
+    encoder, decoder = PredictiveEncoding(settings), PredictiveEncoding(replace(settings, robot=1))
+    drawn, rays = np.zeros_like(moments[0].grid), beams(plan)
     cells = size = 0
-    written, read, scans = [], [], []
-    for moment in walk:
-        record = partial(maker.encode_changes, moment.grid, moment.scan, moment.change, delivered=True)
-        units, spent = timed(record)
+    encoded, decoded, scans = [], [], []
+    for moment in moments:
+        record = partial(encoder.encode_changes, moment.grid, moment.scan, moment.change, delivered=True)
+        packets, spent = timed(record)
         scan = moment.scan
-        scans.append(timed(partial(draw, drawn, ray_table, scan.x, scan.y, scan.readings))[1])
-        written.append(spent)
-        read.append(timed(partial(hearer.apply, 0, b"".join(units), step=1000, sender=0))[1])
+        scans.append(timed(partial(draw, drawn, rays, scan.x, scan.y, scan.readings))[1])
+        encoded.append(spent)
+        decoded.append(timed(partial(decoder.apply, 0, b"".join(packets), step=1000, sender=0))[1])
         cells += moment.change.cells
-        size += sum(map(len, units))
-    _check_same(hearer.merge(np.zeros_like(drawn)), walk[-1].grid, "looks")
-    yield compare("looks of a step, written", "ms", written, "drawing its scan", scans, "at most 1 ms")
-    yield compare("looks of a step, read", "ms", read, "drawing its scan", scans, "at most 0.2 ms")
-    for what, times in (("written", written), ("read", read)):
+        size += sum(map(len, packets))
+    _check_same(decoder.merge(np.zeros_like(drawn)), moments[-1].grid, "predictive encoding")
+    for action, times, target in (("encode", encoded, "at most 1 ms"), ("decode", decoded, "at most 0.2 ms")):
+        name = f"predictive, {action} a step"
+        yield compare(name, "ms", times, "drawing its scan", scans, target)
         seconds = sum(times) / 1000
-        yield Figure(f"looks, {what}", "cells/s", cells / seconds)
-        yield Figure(f"looks, {what}", "bytes/s", size / seconds)
-
-
-def _session(plan: Plan, units: Sequence[Sequence[list[bytes]]]) -> Figure:
-    """The exploration's packets through 8 sessions and the relay, against the relay's part of it."""
-    air = Handshakes(plan)
-    for step in range(min(map(len, units))):
-        for engine, told in zip(air.engines, units, strict=True):
-            engine.append(told[step])
-        air.play(step + 1)
-    name = f"session of {ROBOTS} robots a step"
-    return compare(name, "ms", air.in_engines, "the relay's work in it", air.in_relay)
+        yield Measurement(f"predictive, {action}", "cells/s", cells / seconds)
+        yield Measurement(f"predictive, {action}", "bytes/s", size / seconds)

@@ -1,18 +1,19 @@
-"""Bench of the relay: what a frame costs from the word that says it to ledger and capture, without any bus.
+"""Benchmark of the relay: processing time per frame, from the received message to ledger and capture, without a bus.
 
-All that the relay hears in a run in memory is written down, and told again to a relay whose words go nowhere. The
-yardstick is to read the packets of the same frames one by one (`protocol.packets.decode`), and nothing else.
+The benchmark records the messages that the relay receives during a run in memory, and replays them to a new relay. The
+baseline only parses the packets of the same frames (`protocol.packets.decode`).
 """
 
 from __future__ import annotations
 
-import time
+import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
-from deploy.bench.ratios import Figure, compare
-from deploy.bench.recording_bus import RecordingBus, recorded_for
+from deploy.bench.measurement import Measurement, compare, timed
+from deploy.run.recording_bus import RecordingBus, record_run
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario
@@ -31,7 +32,7 @@ SIDE_M = 30.0
 
 @dataclass(frozen=True)
 class Case:
-    """A team whose relay is measured."""
+    """The settings of one measured team."""
 
     robots: int
     map_encoding: str
@@ -41,21 +42,20 @@ class Case:
 CASES = (Case(8, "polygons", 1000), Case(8, "scans", "unlimited"), Case(32, "polygons", 1000))
 
 
-def relay() -> Iterator[Figure]:
-    """The relay's work a frame, in microseconds."""
+def relay() -> Iterator[Measurement]:
+    """Measure the relay's processor time per frame in microseconds."""
     for case in CASES:
         plan = _plan(case)
-        recording_bus, _ = recorded_for(plan, names.RELAY)
-        heard = recording_bus.heard
-        sent = [rights.read(*message) for message in heard if names.parts(message.key)[0] == "radio"]
-        frames = [frame.payload for message in sent for frame in message.frames]
-        frames += [message.broadcast for message in sent if message.broadcast]
-        ours, theirs = [], []
+        received = record_run(plan, [names.RELAY])[0][names.RELAY].received
+        radio = [rights.read(*message) for message in received if names.parts(message.key)[0] == "radio"]
+        frames = [frame.payload for message in radio for frame in message.frames]
+        frames += [message.broadcast for message in radio if message.broadcast]
+        relaying, decoding = [], []
         for _ in range(REPEATS):
-            ours.append(_relaying(plan, heard) / len(frames))
-            theirs.append(_decoding(frames) / len(frames))
-        what = f"relay, {case.robots} robots, {case.map_encoding}, {case.bandwidth}: work a frame"
-        yield compare(what, "us", ours, "reading its packets", theirs)
+            relaying.append(1000 * timed(partial(_relay, plan, received))[1] / len(frames))
+            decoding.append(1000 * timed(partial(_decode, frames))[1] / len(frames))
+        name = f"relay, {case.robots} robots, {case.map_encoding}, {case.bandwidth}: time per frame"
+        yield compare(name, "us", relaying, "parsing its packets", decoding)
 
 
 def _plan(case: Case) -> Plan:
@@ -70,20 +70,13 @@ def _plan(case: Case) -> Plan:
     return plans.make(scenario, generators.make("office", width_m=SIDE_M, height_m=SIDE_M))
 
 
-def _relaying(plan: Plan, heard: list[Message]) -> float:
-    """Tell a new relay all of it; return the microseconds of processor time that it takes."""
+def _relay(plan: Plan, received: list[Message]) -> None:
     node = RelayNode(RecordingBus(), Keys("memory"), plan.radio)
-    began = time.thread_time_ns()
-    for message in heard:
+    for message in received:
         node.handle(message)
-    return (time.thread_time_ns() - began) / 1000
 
 
-def _decoding(frames: list[bytes]) -> float:
-    began = time.thread_time_ns()
+def _decode(frames: list[bytes]) -> None:
     for frame in frames:
-        try:
+        with contextlib.suppress(ProtocolError):
             packets.decode(frame)
-        except ProtocolError:
-            continue
-    return (time.thread_time_ns() - began) / 1000

@@ -1,9 +1,8 @@
-"""Bench of replanning: the cost of a decision in the steps in which a robot chooses a new target.
+"""Benchmark of replanning: processor time of the decisions in which a robot chooses a new target.
 
-Every strategy explores once with 8 robots on a planning grid of 400 x 400 cells, with raw scans over an
-unlimited radio, so that all robots know nearly the whole map. Processor time of each `decide` is measured
-during the run; decisions in which a robot only continues driving are left out. The yardstick is one cost
-field of a whole planning grid, on grids of the same run.
+Each strategy explores a map of 400 x 400 cells once, with 8 robots and raw scans over an unlimited radio, so that all
+robots know nearly the whole map. The measurement leaves out decisions in which a robot keeps its target. The baseline
+is one cost field over a whole planning grid of the same run.
 """
 
 from __future__ import annotations
@@ -18,10 +17,9 @@ import numpy as np
 from agent.strategies.base import Decision, Situation, Strategy
 from agent.strategies.registry import strategies
 from agent.strategies.targets import TargetStrategy
+from deploy.bench.baselines import optional_module
 from deploy.bench.explorations import Cell
-from deploy.bench.handshakes import timed
-from deploy.bench.ratios import Figure
-from deploy.bench.yardsticks import yardstick
+from deploy.bench.measurement import Measurement, timed
 from deploy.run import in_memory
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import Scenario
@@ -32,90 +30,96 @@ ROBOTS = 8
 SIDE_M = 40.0
 SPEED = 1.0
 STEPS = 120
-YARDSTICKS = 5
-"""Planning grids of each run on which the yardstick is measured."""
+BASELINE_GRIDS = 5
+"""Number of planning grids per run on which the baseline is measured."""
+GRID_EVERY = 50
+"""Every this many decisions, the planning grid is kept for the baseline."""
 
-MEAN_AIM, P95_AIM = "at most 5 ms", "at most 15 ms"
+MEAN_TARGET, P95_TARGET = "at most 5 ms", "at most 15 ms"
 
-ASIDE = ("burgard-optimal", "mtsp", "mtsp-depot")
-"""Strategies without an aim: they search for better assignments or tours on top."""
+WITHOUT_TARGET = ("burgard-optimal", "mtsp", "mtsp-depot")
+"""Strategies without a target value, because they search for better assignments or tours in addition."""
 
 
-def replanning() -> Iterator[Figure]:
-    """Mean and 95th percentile of every strategy."""
-    graph = yardstick("skimage.graph", "scikit-image")
+def replanning() -> Iterator[Measurement]:
+    """Measure the mean and 95th percentile of each strategy."""
+    graph = optional_module("skimage.graph", "scikit-image")
     world = generators.make("office", width_m=SIDE_M, height_m=SIDE_M)
-    for name, kind in strategies().items():
+    for name, strategy in strategies().items():
         scenario = Scenario(
             robots=ROBOTS, strategy=name, map_encoding="scans", bandwidth="unlimited", speed=SPEED, steps=STEPS,
             bus="memory",
         )  # fmt: skip
-        watch = Watch()
-        with watch.over(kind):
+        timer = DecisionTimer()
+        with timer.attached_to(strategy):
             in_memory.run(plans.make(scenario, world))
-        yield from watch.figures(name, graph)
+        yield from _measurements(name, timer, graph)
 
 
-class Watch:
-    """Measures the processor time of decisions in which a robot chooses a target."""
-
-    def __init__(self) -> None:
-        self.spent: list[float] = []
-        """Milliseconds of each decision that replans."""
-        self.seen: list[tuple[Grid, Cell]] = []
-        """The planning grid, and the robot's cell, of some of them."""
-        self._chooses = False
-
-    @contextmanager
-    def over(self, kind: type[Strategy]) -> Iterator[None]:
-        """Watch all robots of one strategy."""
-        replans_always = not issubclass(kind, TargetStrategy)
-        plain = kind.decide
-
-        def decide(robot: Strategy, situation: Situation) -> Decision:
-            self._chooses = replans_always
-            decision, spent = timed(partial(plain, robot, situation))
-            if self._chooses:
-                if len(self.spent) % 50 == 0:
-                    self.seen.append((situation.grid.copy(), situation.here))
-                self.spent.append(spent)
-            return decision
-
-        with _replaced(kind, "decide", decide):
-            if replans_always:
-                yield
-            else:
-                with _replaced(kind, "select", self._noting(kind.select)):  # type: ignore[attr-defined]
-                    yield
-
-    def _noting(self, plain: Callable[..., Any]) -> Callable[..., Any]:
-        """Note that a robot selects a target."""
-
-        def select(*situation: Any) -> Any:
-            self._chooses = True
-            return plain(*situation)
-
-        return select
-
-    def figures(self, name: str, graph: Any) -> Iterator[Figure]:
-        """Mean and 95th percentile against the yardstick's median."""
-        some = np.linspace(0, len(self.seen) - 1, YARDSTICKS).astype(int).tolist()
-        field = float(np.median([_one_field(graph, *self.seen[number]) for number in some]))
-        mean, p95 = float(np.mean(self.spent)), float(np.percentile(self.spent, 95))
-        of_all = name not in ASIDE
-        book = "one cost field by skimage's MCP_Geometric"
-        yield Figure(f"{name}, mean", "ms", mean, book, mean / field, aim=MEAN_AIM if of_all else "")
-        yield Figure(f"{name}, 95th percentile", "ms", p95, book, p95 / field, aim=P95_AIM if of_all else "")
+def _measurements(name: str, timer: DecisionTimer, graph: Any) -> Iterator[Measurement]:
+    chosen = np.linspace(0, len(timer.grids) - 1, BASELINE_GRIDS).astype(int).tolist()
+    field = float(np.median([_cost_field_ms(graph, *timer.grids[number]) for number in chosen]))
+    baseline = "one cost field by skimage's MCP_Geometric"
+    for what, value, target in (
+        ("mean", float(np.mean(timer.spent_ms)), MEAN_TARGET),
+        ("95th percentile", float(np.percentile(timer.spent_ms, 95)), P95_TARGET),
+    ):
+        shown = "" if name in WITHOUT_TARGET else target
+        yield Measurement(f"{name}, {what}", "ms", value, baseline, value / field, target=shown)
 
 
-def _one_field(graph: Any, grid: Grid, cell: Cell) -> float:
+def _cost_field_ms(graph: Any, grid: Grid, cell: Cell) -> float:
     prices = np.where(grid == FREE, 1.0, -1.0)
     return timed(lambda: graph.MCP_Geometric(prices).find_costs([cell[::-1]]))[1]
 
 
+class DecisionTimer:
+    """Measures the processor time of decisions in which a robot chooses a target.
+
+    Attributes
+    ----------
+    spent_ms : list of float
+        Milliseconds of each such decision.
+    grids : list of (grid, cell)
+        Planning grid and robot cell at every `GRID_EVERY`-th of them.
+    """
+
+    def __init__(self) -> None:
+        self.spent_ms: list[float] = []
+        self.grids: list[tuple[Grid, Cell]] = []
+        self._replans = False
+
+    @contextmanager
+    def attached_to(self, strategy: type[Strategy]) -> Iterator[None]:
+        """Measure all robots of one strategy while the context is open."""
+        replans_always = not issubclass(strategy, TargetStrategy)
+        decide, select = strategy.decide, getattr(strategy, "select", None)
+
+        def timed_decide(robot: Strategy, situation: Situation) -> Decision:
+            self._replans = replans_always
+            decision, spent = timed(partial(decide, robot, situation))
+            if self._replans:
+                if len(self.spent_ms) % GRID_EVERY == 0:
+                    self.grids.append((situation.grid.copy(), situation.here))
+                self.spent_ms.append(spent)
+            return decision
+
+        def noted_select(*arguments: Any) -> Any:
+            self._replans = True
+            assert select is not None
+            return select(*arguments)
+
+        with _replaced(strategy, "decide", timed_decide):
+            if replans_always:
+                yield
+            else:
+                with _replaced(strategy, "select", noted_select):
+                    yield
+
+
 @contextmanager
 def _replaced(kind: type, name: str, method: Callable[..., Any]) -> Iterator[None]:
-    """Temporarily replace a method of a class, its own or an inherited one."""
+    """Temporarily replace a method of a class, defined there or inherited."""
     own = vars(kind).get(name)
     setattr(kind, name, method)
     try:

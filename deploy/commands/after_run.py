@@ -48,7 +48,7 @@ def report(
         if stages is not None:
             screen.print(f"{_draw_stages(directory, robot, stages)}: the stages of merging")
             return
-        page = write_report(directory, errors.print, *others)
+        page = write_report(directory, *others)
         screen.print(f"{page}: the {'runs' if others else 'run'} on one page, including pictures")
 
 
@@ -78,7 +78,7 @@ def export(
     with report_user_errors():
         if not mcap:
             raise ScenarioError("export: no format given; choose --mcap")
-        written = export_mcap(directory, errors.print)
+        written = export_mcap(directory)
         screen.print(f"{written}: open it in Foxglove, or play {written.parent} with ros2 bag")
 
 
@@ -108,9 +108,7 @@ def movie(
         if mp4 and gif:
             raise ValueError("--mp4 and --gif are two films: choose one")
         with counting(errors, "pictures") as progress:
-            path = write_movie(
-                directories, GIF if gif else MP4, out, rate=rate, tell=errors.print, progress=progress
-            )
+            path = write_movie(directories, GIF if gif else MP4, out, rate=rate, progress=progress)
         screen.print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
 
 

@@ -126,7 +126,7 @@ def explore(
     All results are in the run directory: summary.json, steps.parquet, ledger.parquet, maps.png, the
     maps themselves, and scenario.toml, from which `murmur replay` repeats the run.
 
-    docs/protocol.md lists all settings, which --set takes as well; the scenario.toml of any run is one to
+    docs/settings.md lists all settings, which --set takes as well; the scenario.toml of any run is one to
     begin with.
     """
     overrides: dict[str, Any] = {
@@ -211,7 +211,6 @@ def _explore(
                 watch=watch,
                 tell=errors.print,
                 window=window,
-                snapshots=pictures,
                 pace=pace,
                 hosts=placed,
                 control=control,
@@ -237,4 +236,4 @@ def _draw(directory: Path) -> None:
 
     with Interrupt().caught():
         run = archive.read(directory)
-        figures.write_figures(run, directory / PICTURES, run.snapshots())
+        figures.write_figures(run, directory / PICTURES)

@@ -28,7 +28,7 @@ def bench(
         list[str] | None,
         typer.Argument(
             metavar="NAME",
-            help="kernels, bus, swarm, cold, replanning, relay, scale, link, hub; default: all of these. "
+            help="kernels, swarm, replanning, relay, scale, hub; default: all of these. "
             "Or strategies: the league table",
         ),
     ] = None,
@@ -66,23 +66,23 @@ def bench(
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Benchmark this machine: each figure as a ratio against a yardstick measured in the same run.
+    """Benchmark this machine: each value as a ratio to a baseline measured in the same run.
 
-    ``murmur bench strategies`` is the league table: all strategies on the same buildings, from the same starts, as
-    multiples of the steps that a team needs which knows the map (docs/strategies.md).
+    ``murmur bench strategies`` prints the league table: all strategies on the same maps, from the same starts, as
+    multiples of the steps of a plan that knows the map (docs/strategies.md).
     """
     with report_user_errors():
         if names == ["strategies"]:
             values = named_values(settings or [], "set", "bandwidth=1000")
             _league(maps, robots, seeds, strategies, values, picture, jobs, as_json=as_json)
             return
-        from deploy.bench.ratios import run_benches  # noqa: PLC0415
+        from deploy.bench.registry import run_benchmarks  # noqa: PLC0415
 
         if picture is not None and names and "scale" not in names:
             raise ValueError(
                 f"picture = {str(picture)!r}: it shows what scale or strategies measures; name one of them"
             )
-        figures = run_benches(names or [], (lambda _: None) if as_json else screen.print, robots or [])
+        figures = run_benchmarks(names or [], (lambda _: None) if as_json else screen.print, robots or [])
         if picture is not None:
             from deploy.bench.scale import draw  # noqa: PLC0415
 

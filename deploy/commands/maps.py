@@ -46,51 +46,6 @@ def map_make(
         screen.print(f"{path}: {generators.describe(name)}, seed {seed}")
 
 
-@maps_app.command("voronoi")
-def map_voronoi(
-    files: Annotated[
-        list[str], typer.Argument(metavar="FILE|NAME...", help="map files, or generators' names")
-    ],
-    seed: Annotated[int, typer.Option(min=0, metavar="S", help="the generator's seed")] = 0,
-    png: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.png",
-            callback=to_be_written(".png"),
-            help="draw the first map's diagram and contour there",
-        ),
-    ] = None,
-) -> None:
-    """Compare maps' Voronoi diagrams with their contours, in pixels, before and after smoothing.
-
-    Thesis, section 3.5, Table 3.1: a ratio above 1 speaks for contours.
-    """
-    from rich.table import Table  # noqa: PLC0415
-
-    from deploy.scenario.finding_maps import find_map  # noqa: PLC0415
-    from deploy.study import voronoi  # noqa: PLC0415
-
-    with report_user_errors():
-        table = Table("map", box=None, pad_edge=False, header_style="bold")
-        for title in ("Voronoi pixels", "contour pixels", "ratio", "ratio, smoothed"):
-            table.add_column(title, justify="right")
-        found = [find_map(file, seed, {}) for file in files]
-        for world_map in found:
-            free = voronoi.free_space(world_map.cells)
-            before, after = voronoi.pixels(free), voronoi.pixels(voronoi.smoothed(free))
-            counts = f"{before.voronoi}", f"{before.contour}"
-            table.add_row(world_map.name, *counts, f"{before.ratio:.3f}", f"{after.ratio:.3f}")
-        screen.print(table)
-        if png is not None:
-            from deploy.record.map_pictures import draw_over_map  # noqa: PLC0415
-
-            free = voronoi.free_space(found[0].cells)
-            within = voronoi.contour(free)[1:-1, 1:-1]
-            layers = {"Voronoi diagram": (voronoi.ridge(free), "#1a9641"), "contour": (within, "#d62728")}
-            draw_over_map(png, found[0], layers)
-            screen.print(f"{found[0].name} drawn to {png}")
-
-
 @maps_app.command("show")
 def map_show(
     file: Annotated[str, typer.Argument(metavar="FILE|NAME", help="a map file, or a generator's name")],

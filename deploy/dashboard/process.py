@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from deploy.record.snapshots import SNAPSHOTS, Snapshots
 from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol import rights
@@ -48,16 +47,13 @@ class ViewTask:
     plan : Plan
         The plan derived from the run's scenario.
     directory : Path
-        The run directory, where recording and snapshots go.
-    records : bool
-        Whether to record for the dashboard; snapshots of robots' maps are kept in any case.
+        The run directory, for the recording.
     port : int or None
         Port on the loopback at which viewers get the recording while it is made.
     """
 
     plan: Plan
     directory: Path
-    records: bool = True
     port: int | None = None
 
 
@@ -85,17 +81,11 @@ class ViewNode:
 
 @contextlib.contextmanager
 def watching(task: ViewTask) -> Iterator[ViewNode]:
-    """Open recording and snapshots; write them at the end, however the run ends."""
-    snapshots = Snapshots()
-    with contextlib.ExitStack() as stack:
-        stack.callback(lambda: snapshots.write(task.directory / SNAPSHOTS))
-        watchers: list[Watcher] = [snapshots]
-        if task.records:
-            from deploy.dashboard.recording import recording  # noqa: PLC0415  only recording needs Rerun
+    """Open the recording; close it at the end, however the run ends."""
+    from deploy.dashboard.recording import recording  # noqa: PLC0415  only recording needs Rerun
 
-            path = free_name(task.directory / RECORDING)
-            watchers.append(stack.enter_context(recording(task.plan, path, task.port)))
-        yield ViewNode(watchers)
+    with recording(task.plan, free_name(task.directory / RECORDING), task.port) as recorder:
+        yield ViewNode([recorder])
 
 
 def serve(credential: Credential, task: ViewTask, ready: Callable[[], object] = lambda: None) -> bool:

@@ -155,7 +155,7 @@ class Recorder:
             self._log(path, series, static=True)
         groups = list(GROUPS.values())
         load = rr.SeriesLines(
-            names=["all together", *(group.words for group in groups)],
+            names=["all together", *(group.label for group in groups)],
             colors=[TEAM, *(group.color for group in groups)],
             widths=[2.5, *(1.5 for _ in groups)],
         )

@@ -31,9 +31,9 @@ MAP_ERRORS: tuple[Color, ...] = ((222, 225, 229), PAPER, (84, 90, 98), FALSE_WAL
 
 @dataclass(frozen=True)
 class Group:
-    """Packet kinds with one purpose: its description, the kinds, their colour."""
+    """A traffic type: its label, its packet kinds, its color."""
 
-    words: str
+    label: str
     kinds: tuple[str, ...]
     color: Color
 
@@ -48,7 +48,7 @@ GROUPS: dict[str, Group] = {
     "saves": Group("ends of updates", ("save",), (135, 141, 150)),
     "sums": Group("checksums", ("sum",), (150, 120, 90)),
 }
-"""Purposes of the bytes on the air."""
+"""Traffic types, by name."""
 
 assert sorted(kind for group in GROUPS.values() for kind in group.kinds) == sorted(ALL_KINDS)
 

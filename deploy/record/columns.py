@@ -10,7 +10,7 @@ class Column(NamedTuple):
 
     name: str
     type: str
-    map_id: str
+    meaning: str
 
 
 STEPS = (
@@ -47,17 +47,30 @@ LEDGER = (
 )
 """One row per frame and kind of packet in it (``ledger.parquet``)."""
 
-SNAPSHOTS = (
-    Column("step", "int32", "the step at whose end it was shown"),
-    Column("robot", "int32", "the robot whose knowledge it is"),
-    Column("about", "int32", "-1: its planning grid; else the robot whose outlines these are"),
-    Column("width", "int32", "of the grid, in cells; 0 for outlines"),
-    Column("height", "int32", "of the grid, in cells; 0 for outlines"),
-    Column("data", "binary", "a compressed grid, or vertices (`protocol.messages.Outlines`)"),
+MAP_CHANGES = (
+    Column("robot", "int16", "the robot whose maps changed"),
+    Column("step", "int32", "the step at whose end the cell had this value; reported every five steps"),
+    Column("x", "int16", "the cell's column"),
+    Column("y", "int16", "the cell's row, from the top"),
+    Column("own", "uint8", "the cell on the robot's own map: 0 unknown, 1 free, 2 occupied"),
+    Column("planning", "uint8", "the cell on its planning map, which includes its teammates' maps"),
 )
-"""One row per map that was shown and had changed (``snapshots.parquet``)."""
+"""One row per cell that changed (``map_changes.parquet``)."""
 
-FILES = {"steps.parquet": STEPS, "ledger.parquet": LEDGER, "snapshots.parquet": SNAPSHOTS}
+OUTLINES = (
+    Column("robot", "int16", "the robot that holds the outlines"),
+    Column("step", "int32", "the step at whose end they had changed"),
+    Column("map", "int16", "the robot whose map they describe"),
+    Column("vertices", "binary", "int16 rows of four (`protocol.messages.Outlines`)"),
+)
+"""One row per set of outlines that changed (``outlines.parquet``); only if maps travel as polygons."""
+
+FILES = {
+    "steps.parquet": STEPS,
+    "ledger.parquet": LEDGER,
+    "map_changes.parquet": MAP_CHANGES,
+    "outlines.parquet": OUTLINES,
+}
 
 
 def schema(columns: tuple[Column, ...]) -> Any:

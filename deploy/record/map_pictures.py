@@ -69,20 +69,6 @@ def draw_map(path: Path, world_map: Map) -> None:
     save(path, figure, dpi=110)
 
 
-def draw_over_map(path: Path, world_map: Map, layers: dict[str, tuple[NDArray[np.bool_], str]]) -> None:
-    """Draw cells of a map in colours over it: by name which cells, shape (h, w), and their colour."""
-    figure = Figure(figsize=(9, 9 * world_map.height / world_map.width + 0.9), layout="constrained")
-    axes = figure.subplots()
-    show_grid(axes, world_map, world_map.cells)
-    for cells, color in layers.values():
-        shown = np.ma.masked_where(~cells, cells)
-        axes.imshow(shown, cmap=ListedColormap([color]), extent=_extent(world_map), interpolation="nearest")
-    patches = [Patch(color=color, label=name) for name, (_, color) in layers.items()]
-    axes.legend(handles=patches, loc="upper right", fontsize=8)
-    axes.set_title(world_map.name)
-    save(path, figure, dpi=130)
-
-
 def draw_maps(path: Path, plan: Plan, records: Records, summary: dict[str, Any]) -> None:
     """Write the picture of `maps_figure` to a file."""
     save(path, maps_figure(plan, records, summary), dpi=110)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.settings import Settings
+from deploy.record.map_history import MapHistory
 from deploy.record.wire_bytes import Meter
 from netshaper.ledger import ROW
 from protocol import keys as names
@@ -27,7 +28,9 @@ from protocol.messages import (
     Fault,
     FaultEvent,
     Lost,
+    MapChanges,
     Maps,
+    Outlines,
     RadioReport,
     RobotStatus,
     Shutdown,
@@ -46,6 +49,8 @@ class Records:
     """Everything reported of a run so far."""
 
     robots: int
+    maps: MapHistory
+    """The robots' maps over time, if the run records them."""
     world: list[WorldReport] = field(default_factory=list)
     statuses: list[list[RobotStatus]] = field(default_factory=list)
     rows: list[bytes] = field(default_factory=list)
@@ -126,7 +131,7 @@ class RecorderNode:
         obey: Callable[[FaultEvent], object] = lambda _: None,
     ) -> None:
         self.done = False
-        self.records = Records(robots)
+        self.records = Records(robots, MapHistory(shape))
         self._shape = shape
         self._capture = capture
         self._meter = meter
@@ -185,6 +190,8 @@ class RecorderNode:
             records.note_protocol_error(who, said.what)
         elif isinstance(said, End):
             records.end = said
+        elif isinstance(said, MapChanges | Outlines):
+            self._take_map_changes(self._number(sender), said)
         elif isinstance(said, Maps):
             self._take_maps(self._number(sender), said)
 
@@ -205,6 +212,14 @@ class RecorderNode:
                 "MindReport", 0, f"of step {said.step}, where one of {after + 1} to {last} can be"
             )
         told.append(said)
+
+    def _take_map_changes(self, robot: int, said: MapChanges | Outlines) -> None:
+        """Take changes of a robot's maps; ProtocolError if they are of a step to come or do not fit the map."""
+        if said.step > self.records.step + 1:
+            raise ProtocolError(
+                type(said).__name__, 0, f"of step {said.step}, after step {self.records.step}"
+            )
+        self.records.maps.take(robot, said)
 
     def _take_maps(self, robot: int, said: Maps) -> None:
         """Take a robot's grids: its own, and of the size of the run's map."""

@@ -136,7 +136,7 @@ def read_summary(directory: Path) -> dict[str, Any]:
 
 
 def write_results(out: Path, plan: Plan, records: Records, summary: dict[str, Any]) -> None:
-    """Write summary, tables and maps."""
+    """Write summary, tables, maps and their changes."""
     from pyarrow import parquet  # noqa: PLC0415  takes half a second to import
 
     from deploy.record.map_pictures import draw_maps  # noqa: PLC0415
@@ -145,6 +145,7 @@ def write_results(out: Path, plan: Plan, records: Records, summary: dict[str, An
     write_whole(out / SUMMARY, lambda file: file.write(text.encode()))
     write_whole(out / STEPS, lambda file: parquet.write_table(steps_table(plan, records), file))
     write_whole(out / LEDGER, lambda file: parquet.write_table(ledger_table(records.ledger()), file))
+    records.maps.write(out)
     if records.own:
         team = np.maximum.reduce([records.own[robot] for robot in sorted(records.own)])
         named = {"team": team} | {f"planning-r{robot}": grid for robot, grid in records.planning.items()}

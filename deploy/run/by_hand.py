@@ -159,7 +159,7 @@ def serve_recorder(
 ) -> Result:
     """Serve as the laboratory: record the run and write its directory; `tell` is called once Ctrl-C takes effect."""
     _check_same(scenario, credential)
-    plan = plans.make(scenario)
+    plan = plans.make(scenario, record_maps=True)
     read = _credential(credential, names.RECORDER)
     run_directory.check_free(out)
     bus = join(read)

@@ -161,7 +161,6 @@ def explore(
     watch: Callable[[Plan, Records], object] | None = None,
     tell: Callable[[str], object] = lambda _: None,
     window: Window | None = None,
-    snapshots: bool = False,
     pace: float | None = None,
     hosts: Hosts | None = None,
     control: Control | None = None,
@@ -185,8 +184,6 @@ def explore(
         SIGTERM takes effect: a run that is kept ends after the step, and is written.
     window : Window, optional
         Shows the run live; it is also recorded in its directory.
-    snapshots : bool
-        Whether to keep the robots' maps over time (`deploy.after.figures` draws them).
     pace : float, optional
         Steps a second at most.
     hosts : Hosts, optional
@@ -209,13 +206,13 @@ def explore(
     ValueError
         The pace is too slow, or a run that is shown is not kept.
     """
-    if not keep and (window is not None or snapshots):
-        raise ValueError("a run that is shown, or whose maps are kept, needs a directory: keep = True")
+    if not keep and window is not None:
+        raise ValueError("a run that is shown needs a directory: keep = True")
     if not keep and out is not None:
         raise ValueError(f"out = {str(out)!r}: with keep = False nothing is written; leave one of them out")
     scenario = scenario_of(scenario, settings)
     wait: Callable[[], object] = Pace(pace).wait if pace is not None else _nothing
-    plan = plans.make(scenario, incarnations=_lives(scenario, hosts) if restart else 1)
+    plan = plans.make(scenario, incarnations=_lives(scenario, hosts) if restart else 1, record_maps=keep)
     if hosts is not None and scenario.bus == "memory":
         raise ScenarioError("bus = 'memory': is one process of one host; with hosts it must be 'zenoh'")
     if radio := effective_radio(plan):
@@ -248,9 +245,8 @@ def explore(
                 watch(plan, records)
 
         task = None
-        if directory is not None and (window is not None or snapshots):
-            port = window.port if window is not None else None
-            task = ViewTask(plan, directory.absolute(), records=window is not None, port=port)
+        if directory is not None and window is not None:
+            task = ViewTask(plan, directory.absolute(), window.port)
         ready: Callable[[], object] = window.open if window is not None else _nothing
         show = launch.Show(task, ready) if task is not None else None
         done = 0
@@ -293,7 +289,9 @@ def explore(
             done = outcome.records.step
             went = as_it_went(plan, outcome.records)
             plan = (
-                plan if went is plan else plans.make(went.scenario, plan.map, incarnations=plan.incarnations)
+                plan
+                if went is plan
+                else plans.make(went.scenario, plan.map, incarnations=plan.incarnations, record_maps=keep)
             )
             tell(
                 f"{' and '.join(dead)} died at step {done}: going through the run again up to there, then on"

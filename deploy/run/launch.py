@@ -18,6 +18,7 @@ from typing import BinaryIO
 from agent.journal import journal_name
 from deploy.dashboard.process import ViewTask
 from deploy.dashboard.watch import announced
+from deploy.record.map_history import MapHistory
 from deploy.record.records import RecorderNode, Records
 from deploy.record.wire_bytes import Meter
 from deploy.run.gate import Gate
@@ -237,7 +238,7 @@ def _attend(
         bus: Bus = join(rendezvous.credentials[names.RECORDER])
     except ConnectionError as error:
         look_after_all().setdefault(names.RELAY, str(error))
-        return Outcome(Records(plan.scenario.robots), deaths)
+        return Outcome(Records(plan.scenario.robots, MapHistory(plan.map.cells.shape)), deaths)
     if wrap is not None:
         bus = wrap(names.RECORDER, bus)
     meter = Meter(rendezvous.endpoint, here=True)

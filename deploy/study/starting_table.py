@@ -1,11 +1,10 @@
-"""The counts with which predictive's streams begin, learnt on generated maps.
+"""Train the initial symbol counts of the predictive encoding's streams on generated maps.
 
 ``python -m deploy.study.starting_table FILE.npz`` writes them to a file.
 
-Explorations of generated maps are run, and told again in units as the predictive exchange tells them. What came how often
-in each context is summed up over all robots and runs, and scaled down, so that a robot's own building soon counts more.
-What is written is shipped as `agent.predictive.contexts.TABLE`; whoever reads a stream must have the one that it was
-written with.
+The program runs explorations of generated maps, encodes them again as the predictive encoding does, and sums the symbol
+counts of each context over all robots and runs. It scales the sums down, so that a robot's own map soon outweighs
+them. The result is shipped as `agent.predictive.contexts.TABLE`; encoder and decoder must have the same table.
 """
 
 from __future__ import annotations
@@ -22,15 +21,14 @@ from agent.encodings.predictive import ENOUGH_STEPS
 from agent.predictive import contexts
 from agent.predictive.history import History
 from agent.predictive.stream import Stream
-from deploy.run import in_memory
+from deploy.run.recording_bus import record_run
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import parse
 from protocol import keys as names
 from protocol.boxes import Box, bounding_box
-from protocol.bus import Bus, Message
 from protocol.grid import UNKNOWN, ray_table
-from protocol.messages import Sense, cells_from_bytes, unpack
+from protocol.messages import Sense, cells_from_bytes
 from protocol.scans import draw
 
 MAPS = ("office", "mixed", "burgard-office", "autolab-like", "jh-like", "unstructured", "office-plain")
@@ -39,41 +37,13 @@ SPEEDS = (0.5, 1.0)
 STEPS = 400
 
 CELLS_WEIGHT = 24
-"""Sum of the counts with which a cell's context begins at most; and that of all others."""
+"""Maximum sum of the initial counts of a cell's context."""
 REST_WEIGHT = 96
-
-
-class _Listener:
-    """A robot's end of the bus; what its body senses is kept."""
-
-    def __init__(self, inner: Bus, senses: list[Sense]) -> None:
-        self._inner = inner
-        self._senses = senses
-        self.put = inner.put
-        self.close = inner.close
-
-    def receive(self, timeout_s: float | None = None) -> Message | None:
-        message = self._inner.receive(timeout_s)
-        if message is not None and names.parts(message.key)[0] == "body":
-            said = unpack(message.payload)
-            if isinstance(said, Sense):
-                self._senses.append(said)
-        return message
-
-
-def explored(plan: Plan) -> list[list[Sense]]:
-    """Run an exploration; return what each robot sensed, step by step."""
-    senses: list[list[Sense]] = [[] for _ in range(plan.scenario.robots)]
-
-    def wrap(name: str, bus: Bus) -> Bus:
-        return _Listener(bus, senses[names.number(name)]) if names.is_robot(name) else bus
-
-    in_memory.run(plan, wrap=wrap)
-    return senses
+"""The same for all other contexts."""
 
 
 def counted(plan: Plan, senses: list[list[Sense]]) -> Iterator[NDArray[np.uint16]]:
-    """Tell an exploration again; yield the counts of each robot's stream at its end."""
+    """Encode an exploration; yield the final counts of each robot's stream."""
     robots, shape = len(senses), plan.map.cells.shape
     ray_tables = [ray_table(body.range_cells, plan.world.beams) for body in plan.world.bodies]
     grids = np.zeros((robots, *shape), np.uint8)
@@ -103,8 +73,8 @@ def counted(plan: Plan, senses: list[list[Sense]]) -> Iterator[NDArray[np.uint16
         yield stream.counts
 
 
-def learn() -> NDArray[np.uint16]:
-    """Learn the counts, of shape (CONTEXTS, 2)."""
+def train() -> NDArray[np.uint16]:
+    """Train the counts, shape (CONTEXTS, 2)."""
     total = np.zeros((contexts.CONTEXTS, 2))
     for number, (name, robots, speed) in enumerate(product(MAPS, TEAMS, SPEEDS)):
         settings = {
@@ -112,20 +82,21 @@ def learn() -> NDArray[np.uint16]:
             "strategy": "meier", "map_encoding": "scans", "bandwidth": "unlimited", "bus": "memory",
         }  # fmt: skip
         plan = plans.make(parse(settings))
-        for counts in counted(plan, explored(plan)):
+        buses, _ = record_run(plan, list(map(names.robot, range(robots))))
+        for counts in counted(plan, [bus.senses for bus in buses.values()]):
             total += counts
         print(f"{number + 1:3} {name} {robots} {speed}", flush=True)
     most = np.full(contexts.CONTEXTS, REST_WEIGHT)
-    most[: contexts.SEEN] = CELLS_WEIGHT
-    most[contexts.SEEN : contexts.MORE] = contexts.REST_MOST // 2
+    most[: contexts.OBSERVED] = CELLS_WEIGHT
+    most[contexts.OBSERVED : contexts.MORE_SCANS] = contexts.REST_MOST // 2
     weight = np.minimum(1, most / np.maximum(total.sum(axis=1), 1))
-    learnt: NDArray[np.uint16] = np.rint(total * weight[:, None]).astype(np.uint16)
-    return learnt
+    trained: NDArray[np.uint16] = np.rint(total * weight[:, None]).astype(np.uint16)
+    return trained
 
 
 def main(path: Path) -> None:
-    """Learn the table and write it."""
-    counts = learn()
+    """Train the table and write it."""
+    counts = train()
     used = np.flatnonzero(counts.any(axis=1)).astype(np.uint16)
     np.savez_compressed(path, contexts=used, counts=counts[used].astype(np.uint16))
 

@@ -1,107 +1,97 @@
-"""Voronoi diagrams of grid maps, and how many pixels they take beside contours (thesis, sections 3.3 and 3.5).
+"""Voronoi diagrams of grid maps, and their size in pixels compared with contours (thesis, sections 3.3 and 3.5).
 
-The Voronoi diagram is the ridge of the distance map: the cells of the free space that are farther from all that is
-not free than the cells on both sides of them, in their row or in their column. What it takes to tell is compared with
-contours by counting pixels; a contour pixel is a non-free cell with a free 4-neighbour (section 4.1).
+The Voronoi diagram is the ridge of the distance map: free cells that are farther from all obstacles than both neighbors
+in their row or column. A contour pixel is a cell that is not free and has a free 4-neighbor (section 4.1).
 
-Jagged walls give many ridges. So the thesis smooths maps first: three times, a Gaussian and a threshold. It chose
-both for the smallest ratio and does not name them; those here are chosen likewise, on seven of its ten maps.
+Jagged walls cause many ridges, so the thesis first smooths a map three times by a Gaussian and a threshold. It chose
+both for the smallest ratio but does not name them. The values below are chosen likewise, on seven of its ten maps.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from protocol.grid import FREE, OCCUPIED, Grid
+from protocol.grid import FREE, Grid
 
 SIGMA = 1.5
 """Standard deviation of the Gaussian in cells."""
 
 THRESHOLD = 0.3
-"""Grey value from which on a cell counts as occupied, 0 is free and 1 is not."""
+"""Gray value from which a cell counts as occupied; 0 is free."""
 
-TIMES = 3
-"""How often the map is smoothed."""
+SMOOTHINGS = 3
 
 Mask = NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
-class Pixels:
-    """What a map takes, in pixels.
-
-    Attributes
-    ----------
-    voronoi : int
-        Cells of the Voronoi diagram.
-    contour : int
-        Contour pixels.
-    """
+class Pixels(NamedTuple):
+    """Number of cells of a map's Voronoi diagram, and of its contours."""
 
     voronoi: int
     contour: int
 
     @property
     def ratio(self) -> float:
-        """Voronoi pixels for each contour pixel (Table 3.1); infinite without contours."""
+        """Voronoi pixels per contour pixel (Table 3.1); infinite without contours."""
         return self.voronoi / self.contour if self.contour else float("inf")
 
 
 def pixels(free: Mask) -> Pixels:
-    """Count what the free space of a map takes in both forms."""
+    """Count the pixels of both representations of a free space."""
     return Pixels(int(ridge(free).sum()), int(contour(free).sum()))
 
 
 def free_space(grid: Grid) -> Mask:
-    """The largest 4-connected area of free cells; shape (h, w)."""
-    labels, parts = ndimage.label(grid == FREE)
-    if not parts:
-        return np.zeros(grid.shape, np.bool_)
-    largest = 1 + int(np.argmax(np.bincount(labels.ravel(), minlength=parts + 1)[1:]))
-    found: Mask = labels == largest
-    return found
+    """The largest 4-connected area of free cells, shape (h, w)."""
+    return _largest_area(grid == FREE)
+
+
+def _largest_area(free: Mask) -> Mask:
+    labels, areas = ndimage.label(free)
+    sizes = np.bincount(labels.ravel(), minlength=areas + 1)[1:]
+    largest: Mask = labels == (1 + np.argmax(sizes) if areas else -1)
+    return largest
 
 
 def distances(free: Mask) -> NDArray[np.float64]:
-    """Distance of each free cell to the nearest cell that is not free, in cells; beyond the rim nothing is."""
-    padded = np.pad(free, 1)
-    found: NDArray[np.float64] = ndimage.distance_transform_edt(padded)[1:-1, 1:-1]
+    """Distance of each free cell to the nearest cell that is not free, in cells; the border counts as occupied."""
+    found: NDArray[np.float64] = ndimage.distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1]
     return found
 
 
 def ridge(free: Mask) -> Mask:
-    """The Voronoi diagram of the free space; shape (h, w).
+    """The Voronoi diagram of the free space, shape (h, w).
 
-    Where a ridge is two cells wide, as in a corridor of an even number of cells, the first one counts.
+    If a ridge is two cells wide, as in a corridor of an even number of cells, only the first cell counts.
     """
     away = distances(free)
-    return (_tops(away) | _tops(away.T).T) & free
+    return (_row_maxima(away) | _row_maxima(away.T).T) & free
 
 
-def _tops(away: NDArray[np.float64]) -> Mask:
-    """Cells that no neighbour in their row exceeds, and one falls short of; of two alike side by side the first."""
+def _row_maxima(away: NDArray[np.float64]) -> Mask:
+    """Local maxima in each row: no neighbor is larger, and one is smaller; of two equal cells the first."""
     padded = np.pad(away, ((0, 0), (1, 1)))
-    behind, ahead = padded[:, :-2], padded[:, 2:]
-    first = (away > behind) & (away >= ahead)
+    before, after = padded[:, :-2], padded[:, 2:]
+    first = (away > before) & (away >= after)
     second = np.pad(first, ((0, 0), (1, 0)))[:, :-1]
-    found: Mask = first | ((away >= behind) & (away > ahead) & ~second)
+    found: Mask = first | ((away >= before) & (away > after) & ~second)
     return found
 
 
 def contour(free: Mask) -> Mask:
-    """Cells that are not free and have a free 4-neighbour; shape (h + 2, w + 2), for they may lie beyond the rim."""
+    """Cells that are not free and have a free 4-neighbor, shape (h + 2, w + 2): they may lie beyond the border."""
     padded = np.pad(free, 1)
     found: Mask = ndimage.binary_dilation(padded) & ~padded
     return found
 
 
-def smoothed(free: Mask, sigma: float = SIGMA, times: int = TIMES) -> Mask:
-    """The free space with jags, indentations and salients smoothed away (section 3.5.1); its largest area."""
+def smoothed(free: Mask) -> Mask:
+    """The largest area of the smoothed free space (section 3.5.1)."""
     solid = (~free).astype(np.float64)
-    for _ in range(times):
-        solid = (ndimage.gaussian_filter(solid, sigma, mode="nearest") >= THRESHOLD).astype(np.float64)
-    return free_space(np.where(solid > 0, OCCUPIED, FREE).astype(np.uint8))
+    for _ in range(SMOOTHINGS):
+        solid = (ndimage.gaussian_filter(solid, SIGMA, mode="nearest") >= THRESHOLD).astype(np.float64)
+    return _largest_area(solid == 0)

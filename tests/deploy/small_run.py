@@ -1,4 +1,4 @@
-"""A small run that was watched, shared by the tests of what is shown, drawn and exported."""
+"""A small run, shared by the tests of the dashboard, pictures and exports."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ def told(**more: object) -> list[tuple[str, object]]:
 
 @cache
 def small_run() -> Result:
-    """The small run, in a directory, its maps over time kept and drawn."""
-    result = explore(parse(SETTINGS), out=Path(mkdtemp(prefix="murmur-")) / "run", snapshots=True)
+    """The small run in a directory, with its pictures."""
+    result = explore(parse(SETTINGS), out=Path(mkdtemp(prefix="murmur-")) / "run")
     assert result.directory is not None
     run = read(result.directory)
-    write_figures(run, result.directory / run_directory.PICTURES, run.snapshots())
+    write_figures(run, result.directory / run_directory.PICTURES)
     return result
 
 

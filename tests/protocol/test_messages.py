@@ -100,6 +100,8 @@ def a_message(draw: st.DrawFn, *kinds: type[messages.Record]) -> messages.Record
         drawn[name] = row * drawn[name]
     if kind is messages.Maps:
         drawn |= {"width": 2, "height": 3, "own": bytes(6), "planning": bytes(6)}
+    if kind is messages.MapChanges:
+        drawn["cells"] = 4 * drawn["values"]
     return kind(**drawn)
 
 
@@ -116,8 +118,8 @@ said = a_message()
 
 
 def test_every_message_is_known() -> None:
-    assert len(KINDS) == 27
-    assert [kind.__struct_config__.tag for kind in KINDS_IN_ORDER] == list(range(27))
+    assert len(KINDS) == 28
+    assert [kind.__struct_config__.tag for kind in KINDS_IN_ORDER] == list(range(28))
 
 
 @given(said)
@@ -194,6 +196,7 @@ def test_fields_that_do_not_fit_together_are_refused() -> None:
         [3, 1, b"abc", 0, True, True, False, b""],
         [14, 1, bytes(15), [], 1, 1],
         [21, 1, 0, bytes(5)],
+        [26, 1, bytes(5), bytes(1)],
     ):
         with pytest.raises(ProtocolError, match="bytes"):
             unpack(msgpack.packb(items))

@@ -123,7 +123,7 @@ class Team:
 
     def kill(self, robot: int) -> None:
         """Let a robot's process end."""
-        self.world.lose(robot)
+        self.world.remove(robot)
         self._network.radio.lost(robot)
 
     def _play(self, senses: Mapping[int, Sense], cells: Mapping[int, Cell]) -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from deploy.record.snapshots import Snapshots
+from deploy.after import archive
 
 MURMUR = [sys.executable, "-m", "deploy.commands.main"]
 SWARM = ["explore", "--map", "office", "--robots", "3", "--map-encoding", "scans", "--bandwidth", "2000"]
@@ -168,7 +168,7 @@ def test_ctrl_c_which_all_in_the_terminal_get_ends_a_run_that_is_watched_to_its_
         os.killpg(process.pid, signal.SIGINT)
         code, said, _ = finish(process, 60)
     assert code == 1, said
-    assert Snapshots.read(out / "snapshots.parquet").told_steps(0)[-1] == summary(out)["steps"]
+    assert archive.read(out).maps.steps(0)[-1] == summary(out)["steps"]
     assert (out / "pictures" / "channel-load.png").exists()
 
 

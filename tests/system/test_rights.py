@@ -49,6 +49,7 @@ EXAMPLES: tuple[messages.Record, ...] = (
     messages.FaultEvent(3, 0, "kill"),
     messages.Change(3, Budget(100), 5000),
     messages.Snapshot(3, 1, 1, b"\x00"),
+    messages.MapChanges(3, b"\x01\x00\x00\x00", b"\x0a"),
     messages.Outlines(3, 0, bytes(16)),
 )
 JUNK = (
@@ -57,7 +58,7 @@ JUNK = (
     1000 * b"\x91",
     bytes(9_000_000),
     pack(messages.Maps(0, 9, 9, bytes(81), bytes(81))),
-    pack(messages.RobotFrames(1, 0, "offers", bytes(10**6))),
+    pack(messages.RobotFrames(1, 0, "offers", frames=10**6 * [messages.OutgoingFrame(0, b"")])),
     pack(messages.Move(1, bytes(8 << 20), 0, explored=True)),
 )
 STEPS, OFTEN = 12, 8

@@ -11,11 +11,11 @@ from pathlib import Path
 import psutil
 import pytest
 
+from deploy.after import archive
 from deploy.dashboard.process import RECORDING
 from deploy.dashboard.watch import LIVE
 from deploy.dashboard.windows import binary
 from deploy.record.run_directory import CAPTURE
-from deploy.record.snapshots import SNAPSHOTS, Snapshots
 from tests.system.headless import viewer
 from tests.system.test_processes import child, finish, summary, swarm
 
@@ -37,7 +37,7 @@ def test_a_run_that_is_terminated_leaves_a_recording_that_opens(tmp_path: Path) 
     assert code == 1, said
     assert not psutil.wait_procs(family, timeout=3)[1]
     verify(out / RECORDING)
-    assert Snapshots.read(out / SNAPSHOTS).told_steps(0)
+    assert archive.read(out).maps.steps(0)
     assert not (out / LIVE).exists()
     with viewer(out / RECORDING, "800x600") as client:
         assert not any(view.reports for view in client.get_state().views)
@@ -51,7 +51,7 @@ def test_a_viewer_that_is_terminated_keeps_what_it_saw(tmp_path: Path) -> None:
         code, said, _ = finish(process, 60)
     assert code == 0, said
     verify(out / RECORDING)
-    assert Snapshots.read(out / SNAPSHOTS).told_steps(0)
+    assert archive.read(out).maps.steps(0)
 
 
 @pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
@@ -92,8 +92,8 @@ def test_one_may_come_late_to_look_at_a_run_that_nobody_shows(tmp_path: Path) ->
         finish(process, 60)
     assert watched.returncode == 0, watched.stderr
     verify(out / RECORDING)
-    snapshots = Snapshots.read(out / SNAPSHOTS)
-    assert all(len(snapshots.told_steps(robot)) > 0 for robot in range(3))
+    maps = archive.read(out).maps
+    assert all(maps.steps(robot) for robot in range(3))
 
 
 def test_there_is_nothing_to_look_at_where_nothing_was_recorded(tmp_path: Path) -> None:

@@ -143,7 +143,7 @@ def test_the_same_moves_give_the_same_world(world: World, seed: int) -> None:
 
 @given(teams(), seeds)
 def test_a_robot_that_is_lost_is_in_nobodys_way(world: World, seed: int) -> None:
-    world.lose(0)
+    world.remove(0)
     for cells, senses in random_steps(world, seed, 3):
         assert 0 not in cells
         assert 0 not in senses
@@ -272,22 +272,22 @@ def test_faults_come_at_the_beginning_of_their_step_and_those_that_last_pass() -
     world = corridor(2, faults=(kill, stop))
     seen = []
     for _ in range(4):
-        seen.append((world.due_faults(), world.awake()))
-        assert sorted(world.advance({})) == world.awake()
+        seen.append((world.due_faults(), world.active_robots()))
+        assert sorted(world.advance({})) == world.active_robots()
     assert seen == [([], [0, 1]), ([stop], [1]), ([kill], [1]), ([], [0, 1])]
 
 
 def test_who_was_lost_is_revived_where_that_was_or_beside_who_stands_there_now() -> None:
     world = corridor(2)
     places = dict(world.cells)
-    world.lose(0)
-    world.lose(0)
+    world.remove(0)
+    world.remove(0)
     assert list(world.cells) == [1]
-    world.revive(0)
+    world.restore(0)
     assert world.cells == places
-    world.lose(0)
+    world.remove(0)
     world.cells[1] = places[0]
-    world.revive(0)
+    world.restore(0)
     (x, y), (there_x, there_y) = world.cells[0], places[0]
     assert abs(x - there_x) + abs(y - there_y) == 1
     assert world.truth[y, x] == FREE
@@ -423,15 +423,15 @@ def test_a_diagonal_cell_counts_one_where_cells_are_counted() -> None:
 
 def test_robots_without_bodies_pass_through_and_see_through_each_other() -> None:
     truth = np.full((1, 9), FREE, np.uint8)
-    for solid in (True, False):
+    for collide in (True, False):
         bodies = 2 * (Body(8.0, 360.0, 4.0),)
-        world = World(truth, WorldSettings(bodies, ((0, 0), (2, 0)), 4, solid=solid))
+        world = World(truth, WorldSettings(bodies, ((0, 0), (2, 0)), 4, robots_collide=collide))
         path = cells_to_bytes(np.array([(n, 0) for n in range(1, 5)], np.int32))
         world.advance({})
         senses = world.advance({0: Move(1, path, 0, explored=False)})
-        assert world.cells[0] == ((1, 0) if solid else (4, 0))
-        assert (senses[0].blocked == "robot") == solid
-        assert (np.frombuffer(senses[1].readings, np.uint16)[2] & HIT > 0) != solid
+        assert world.cells[0] == ((1, 0) if collide else (4, 0))
+        assert (senses[0].blocked == "robot") == collide
+        assert (np.frombuffer(senses[1].readings, np.uint16)[2] & HIT > 0) != collide
 
 
 def test_the_thinnest_of_those_that_live_say_when_all_is_explored() -> None:
@@ -439,6 +439,6 @@ def test_the_thinnest_of_those_that_live_say_when_all_is_explored() -> None:
     bodies = tuple(Body(4.0, 360.0, 1.0, 0.0, radius) for radius in (1.0, 0.0, 0.0))
     world = World(truth, WorldSettings(bodies, ((4, 4), (0, 0), (8, 8)), 4))
     assert world.smallest_robots() == [1, 2]
-    world.lose(1)
-    world.lose(2)
+    world.remove(1)
+    world.remove(2)
     assert world.smallest_robots() == [0]

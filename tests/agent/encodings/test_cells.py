@@ -1,4 +1,4 @@
-"""The grid exchange: patches say what has changed, packed the shorter way, and nonsense changes nothing."""
+"""The `cells` encoding: patches of changed cells, in the shorter compression; malformed patches change nothing."""
 
 from __future__ import annotations
 
@@ -43,35 +43,35 @@ NO_SCAN = Scan(0, 0, np.zeros(36, np.uint16))
 
 
 @given(seeds)
-def test_what_one_tells_is_what_the_others_know_whenever_all_has_been_delivered(seed: int) -> None:
+def test_receivers_hold_the_authors_grid_whenever_all_patches_are_delivered(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    maker, hearer = CellEncoding(settings_of(0)), CellEncoding(settings_of(1))
+    maker, receiver = CellEncoding(settings_of(0)), CellEncoding(settings_of(1))
     own = np.zeros((HEIGHT, WIDTH), np.uint8)
     nothing = np.zeros_like(own)
     for _ in range(6):
         delivered = bool(rng.random() < 0.6)
-        units = maker.encode_changes(own, NO_SCAN, changed(rng, own), delivered=delivered)
-        cut = int(rng.integers(0, len(units) + 1))
-        hearer.apply(0, b"".join(units[:cut]), **LATE)
-        hearer.apply(0, b"".join(units[cut:]), **LATE)
+        packets = maker.encode_changes(own, NO_SCAN, changed(rng, own), delivered=delivered)
+        cut = int(rng.integers(0, len(packets) + 1))
+        receiver.apply(0, b"".join(packets[:cut]), **LATE)
+        receiver.apply(0, b"".join(packets[cut:]), **LATE)
         if delivered:
-            assert (hearer.merge(nothing) == own).all()
+            assert (receiver.merge(nothing) == own).all()
         else:
-            assert not units
+            assert not packets
 
 
-def test_what_has_not_changed_is_not_told_and_ones_own_word_counts_more() -> None:
-    maker, hearer = CellEncoding(settings_of(0)), CellEncoding(settings_of(1))
+def test_unchanged_cells_are_not_sent_and_the_self_explored_grid_takes_precedence() -> None:
+    maker, receiver = CellEncoding(settings_of(0)), CellEncoding(settings_of(1))
     own = np.zeros((HEIGHT, WIDTH), np.uint8)
     own[3, 4:9] = OCCUPIED
     change = Change(5, (4, 3, 9, 4))
-    units = maker.encode_changes(own, NO_SCAN, change, delivered=True)
-    assert units
+    packets = maker.encode_changes(own, NO_SCAN, change, delivered=True)
+    assert packets
     assert maker.encode_changes(own, NO_SCAN, change, delivered=True) == []
-    hearer.apply(0, b"".join(units), **LATE)
+    receiver.apply(0, b"".join(packets), **LATE)
     mine = np.zeros_like(own)
     mine[3, 4] = FREE
-    assert hearer.merge(mine)[3, 3:7].tolist() == [UNKNOWN, FREE, OCCUPIED, OCCUPIED]
+    assert receiver.merge(mine)[3, 3:7].tolist() == [UNKNOWN, FREE, OCCUPIED, OCCUPIED]
 
 
 @given(seeds, st.sampled_from((0.01, 0.3, 1.0)))
@@ -92,9 +92,9 @@ def test_a_patch_is_read_as_it_was_written_in_the_shorter_way(seed: int, share: 
 
 def test_the_patch_in_the_document_is_the_codes() -> None:
     text = (Path(__file__).parents[3] / "docs" / "protocol.md").read_text(encoding="utf-8")
-    said = text.partition("```patch\n")[2].partition("   ")[0]
+    sent = text.partition("```patch\n")[2].partition("   ")[0]
     patch = np.array([[OCCUPIED] * 3, [FREE] * 3], np.uint8) + np.uint8(1)
-    assert encode([Fragment(pack(5, 2, patch))]) == bytes.fromhex(said)
+    assert encode([Fragment(pack(5, 2, patch))]) == bytes.fromhex(sent)
 
 
 def test_both_ways_of_packing_are_used() -> None:
@@ -104,7 +104,7 @@ def test_both_ways_of_packing_are_used() -> None:
     assert [pack(0, 0, patch)[0] for patch in (few, comb)] == [RUNS, ZSTD]
 
 
-LIES = {
+MALFORMED = {
     "another way": bytes([7, 0, 0, 1, 1, 1, 1]),
     "cells outside": bytes([RUNS, WIDTH - 1, 0, 2, 1, 1, 2]),
     "no cells": bytes([RUNS, 0, 0, 0, 1, 0]),
@@ -116,17 +116,17 @@ LIES = {
 }
 
 
-@pytest.mark.parametrize("lie", LIES)
-def test_what_is_no_patch_is_refused_and_changes_nothing(lie: str) -> None:
-    hearer, nothing = CellEncoding(settings_of(1)), np.zeros((HEIGHT, WIDTH), np.uint8)
+@pytest.mark.parametrize("wrong", MALFORMED)
+def test_a_malformed_patch_is_rejected_and_changes_nothing(wrong: str) -> None:
+    receiver, nothing = CellEncoding(settings_of(1)), np.zeros((HEIGHT, WIDTH), np.uint8)
     patch = pack(0, 0, np.full((2, 2), OCCUPIED + 1, np.uint8))
     with pytest.raises(ProtocolError):
-        hearer.apply(0, b"".join([encode([Fragment(patch + LIES[lie])])]), **LATE)
-    assert not hearer.merge(nothing).any()
+        receiver.apply(0, b"".join([encode([Fragment(patch + MALFORMED[wrong])])]), **LATE)
+    assert not receiver.merge(nothing).any()
     with pytest.raises(ProtocolError):
-        hearer.apply(0, encode([Save()]), **LATE)
-    hearer.apply(0, encode([Fragment(patch)]), **LATE)
-    assert hearer.merge(nothing)[:2, :2].all()
+        receiver.apply(0, encode([Save()]), **LATE)
+    receiver.apply(0, encode([Fragment(patch)]), **LATE)
+    assert receiver.merge(nothing)[:2, :2].all()
 
 
 @given(st.binary(max_size=40))

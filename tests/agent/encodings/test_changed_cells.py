@@ -43,7 +43,7 @@ def settings_of(kind: str, robot: int, bandwidth: float | None) -> Settings:
 
 
 def next_cell(world: Grid, cell: Cell, rng: np.random.Generator) -> Cell:
-    """A free cell near by in a straight line, so that what lies between is free as well."""
+    """A free cell near by in a straight line, so that the cells between are free as well."""
     for _ in range(100):
         dx, dy = ((1, 0), (-1, 0), (0, 1), (0, -1))[rng.integers(4)]
         way = [(cell[0] + i * dx, cell[1] + i * dy) for i in range(1, 5)]
@@ -53,7 +53,7 @@ def next_cell(world: Grid, cell: Cell, rng: np.random.Generator) -> Cell:
 
 
 class Looker:
-    """A robot that drives about, sees, and keeps one grid for good; and a mind that sees copies of it."""
+    """A robot that drives about, sees, and keeps one grid for good; and a encoding that sees copies of it."""
 
     def __init__(self, kind: str, robot: int, bandwidth: float | None) -> None:
         self.robot = robot
@@ -62,7 +62,7 @@ class Looker:
         self.forgetful: MapEncoding = make_encoding(settings_of(kind, robot, bandwidth))
         self.cell: Cell = (5 + 20 * robot, 30)
 
-    def look(self, rng: np.random.Generator) -> list[bytes]:
+    def scan(self, rng: np.random.Generator) -> list[bytes]:
         world = house()
         before, self.cell = self.cell, next_cell(world, self.cell, rng)
         xs, ys = (sorted((one, other)) for one, other in zip(before, self.cell, strict=True))
@@ -72,9 +72,9 @@ class Looker:
         change = draw(self.own, laser, *self.cell, readings, np.array(between, np.int32))
         scan = Scan(*self.cell, readings)
         delivered = bool(rng.random() < 0.6)
-        units = self.encoding.encode_changes(self.own, scan, change, delivered=delivered)
-        assert self.forgetful.encode_changes(self.own.copy(), scan, change, delivered=delivered) == units
-        return units
+        packets = self.encoding.encode_changes(self.own, scan, change, delivered=delivered)
+        assert self.forgetful.encode_changes(self.own.copy(), scan, change, delivered=delivered) == packets
+        return packets
 
     def check(self, peers: tuple[int, ...]) -> None:
         plan = self.encoding.merge(self.own, peers)
@@ -86,18 +86,18 @@ class Looker:
 
 @pytest.mark.parametrize("kind", ["polygons", "scans", "none"])
 @pytest.mark.parametrize("bandwidth", [60.0, None])
-def test_step_by_step_it_is_what_one_without_memory_has(kind: str, bandwidth: float | None) -> None:
+def test_incremental_results_equal_those_computed_from_scratch(kind: str, bandwidth: float | None) -> None:
     rng = np.random.default_rng(1)
     team = [Looker(kind, robot, bandwidth) for robot in range(ROBOTS)]
     for _ in range(40):
-        told = [robot.look(rng) for robot in team]
-        for listener in team:
-            for teller, units in zip(team, told, strict=True):
-                if teller is not listener and units:
-                    for mind in (listener.encoding, listener.forgetful):
-                        mind.apply(teller.robot, b"".join(units), **LATE)
+        reported = [robot.scan(rng) for robot in team]
+        for receiver in team:
+            for sender, packets in zip(team, reported, strict=True):
+                if sender is not receiver and packets:
+                    for encoding in (receiver.encoding, receiver.forgetful):
+                        encoding.apply(sender.robot, b"".join(packets), **LATE)
             peers = tuple(other for other in range(ROBOTS) if rng.random() < 0.7)
-            listener.check(tuple(peer for peer in peers if peer != listener.robot))
+            receiver.check(tuple(peer for peer in peers if peer != receiver.robot))
 
 
 def boxes_of(news: ChangedCells, grid: NDArray[Any]) -> list[list[int]] | None:
@@ -105,7 +105,7 @@ def boxes_of(news: ChangedCells, grid: NDArray[Any]) -> list[list[int]] | None:
     return None if found is None else found.tolist()
 
 
-def test_of_another_grid_than_the_last_time_all_is_news() -> None:
+def test_for_another_grid_all_cells_count_as_changed() -> None:
     one, other, news = np.zeros((9, 9), np.uint8), np.zeros((9, 9), np.uint8), ChangedCells()
     assert boxes_of(news, one) is None
     assert boxes_of(news, one) == []

@@ -1,4 +1,4 @@
-"""The polygon exchange: what is told of a map, when, and what teammates make of it; its options one by one."""
+"""The `polygons` encoding: when edits are logged, how receivers apply them, and each of its options."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def is_exact(polygons: Polygons, grid: Grid, cell: Cell) -> bool:
     return len(refine(traced, repair(polygons, traced))) == len(polygons.x)
 
 
-def told(map_encoding: PolygonEncoding, steps: Sequence[tuple[Grid, Cell]]) -> list[list[bytes]]:
+def reported(map_encoding: PolygonEncoding, steps: Sequence[tuple[Grid, Cell]]) -> list[list[bytes]]:
     return [record(map_encoding, grid, cell) for grid, cell in steps]
 
 
@@ -87,34 +87,34 @@ def told(map_encoding: PolygonEncoding, steps: Sequence[tuple[Grid, Cell]]) -> l
 
 
 @given(growing_maps(), st.sampled_from([None, 50.0, 2000.0]))
-def test_what_one_tells_is_what_the_other_holds_step_by_step(
+def test_receivers_hold_the_authors_approximation_after_every_step(
     steps: list[tuple[Grid, Cell]], bandwidth: float | None
 ) -> None:
     shape = steps[0][0].shape
     one, other = maker(shape, 0, bandwidth=bandwidth), maker(shape, 1, bandwidth=bandwidth)
     for grid, cell in steps:
-        units = record(one, grid, cell)
-        other.apply(0, b"".join(units), **LATE)
+        entries = record(one, grid, cell)
+        other.apply(0, b"".join(entries), **LATE)
         assert other.polygons[0].canonical() == one.polygons[0].canonical()
 
 
-def test_units_are_one_packet_each_and_a_step_ends_with_a_save_point() -> None:
-    for units in told(maker((60, 80)), walk()):
-        said = [packets.decode(unit) for unit in units]
-        assert [len(packet) for packet in said] == [1] * len(units)
-        assert [isinstance(packet, Save) for (packet,) in said] == [False] * (len(said) - 1) + [True] * bool(
-            said
+def test_each_log_entry_is_one_packet_and_a_step_ends_with_a_save_point() -> None:
+    for entries in reported(maker((60, 80)), walk()):
+        sent = [packets.decode(packet) for packet in entries]
+        assert [len(packet) for packet in sent] == [1] * len(entries)
+        assert [isinstance(packet, Save) for (packet,) in sent] == [False] * (len(sent) - 1) + [True] * bool(
+            sent
         )
 
 
-def test_units_taken_in_pieces_count_from_the_save_point_on() -> None:
+def test_entries_take_effect_at_the_save_point() -> None:
     one, other = maker((60, 80), 0), maker((60, 80), 1)
-    for units in told(one, walk(6)):
+    for entries in reported(one, walk(6)):
         before = other.polygons.get(0)
-        for unit in units[:-1]:
-            other.apply(0, unit, **LATE)
+        for packet in entries[:-1]:
+            other.apply(0, packet, **LATE)
             assert other.polygons.get(0) is before
-        other.apply(0, b"".join(units[-1:]), **LATE)
+        other.apply(0, b"".join(entries[-1:]), **LATE)
     assert other.polygons[0].canonical() == one.polygons[0].canonical()
 
 
@@ -156,7 +156,7 @@ def test_a_step_without_news_refines_on_at_the_splitting_frequency() -> None:
     assert is_exact(one.polygons[0], grid, cell)
 
 
-def test_who_may_say_nothing_still_repairs() -> None:
+def test_without_bandwidth_the_approximation_is_still_repaired() -> None:
     one = maker((60, 80), bandwidth=0.0, **with_options(unknown_pairs=True))
     for grid, cell in walk():
         record(one, grid, cell)
@@ -164,7 +164,7 @@ def test_who_may_say_nothing_still_repairs() -> None:
     assert one.polygons[0].objects == contours(grid, cell).objects
 
 
-def test_the_more_may_be_said_the_smaller_is_the_error() -> None:
+def test_more_bandwidth_makes_a_smaller_error() -> None:
     grid = house()
     errors = []
     for bandwidth in (20.0, 200.0, 1000.0, None):
@@ -176,7 +176,7 @@ def test_the_more_may_be_said_the_smaller_is_the_error() -> None:
     assert errors[0] > 2 * errors[-1]
 
 
-def test_bytes_a_split_are_measured_unless_they_are_given() -> None:
+def test_bytes_per_split_are_measured_unless_given() -> None:
     fixed = {"bytes_per_split": 1000.0}
     measured, given_ = maker((60, 80), bandwidth=600.0), maker((60, 80), bandwidth=600.0, polygons=fixed)
     for grid, cell in walk():
@@ -190,19 +190,19 @@ def test_bytes_a_split_are_measured_unless_they_are_given() -> None:
 
 def test_the_plan_is_all_approximations_merged_with_ones_own_grid() -> None:
     shape = (60, 80)
-    listener = maker(shape, 2)
+    receiver = maker(shape, 2)
     team = TeamMap(Drawing(False, False, wide_walls=True, close_slivers=True))
     own, _ = walk(8)[-1]
-    assert (listener.merge(own) == own).all()
+    assert (receiver.merge(own) == own).all()
     for robot in (0, 1):
         steps = list(exploration(house(), np.random.default_rng(robot), 15, 20.0))
-        teller = maker(shape, robot)
-        for units in told(teller, steps):
-            listener.apply(robot, b"".join(units), **LATE)
-        team.update(robot, Objects.of(teller.polygons[robot]))
-        assert (listener.merge(own, (0, 1)) == team.merged(own)).all()
-    assert (listener.merge(own) == FREE).sum() > (own == FREE).sum()
-    assert (listener.merge(own)[own != UNKNOWN] == own[own != UNKNOWN]).all()
+        sender = maker(shape, robot)
+        for entries in reported(sender, steps):
+            receiver.apply(robot, b"".join(entries), **LATE)
+        team.update(robot, Objects.of(sender.polygons[robot]))
+        assert (receiver.merge(own, (0, 1)) == team.merged(own)).all()
+    assert (receiver.merge(own) == FREE).sum() > (own == FREE).sum()
+    assert (receiver.merge(own)[own != UNKNOWN] == own[own != UNKNOWN]).all()
 
 
 def test_robots_of_one_process_plan_as_if_each_were_alone() -> None:
@@ -212,16 +212,16 @@ def test_robots_of_one_process_plan_as_if_each_were_alone() -> None:
         each.use_shared_cache(common)
     for grid, cell in walk(12):
         for team in (alone, together):
-            units = record(team[0], grid, cell)
-            team[1].apply(0, b"".join(units), **LATE)
-            for unit in units:
-                team[2].apply(0, unit, **LATE)
+            entries = record(team[0], grid, cell)
+            team[1].apply(0, b"".join(entries), **LATE)
+            for packet in entries:
+                team[2].apply(0, packet, **LATE)
         for one, other in zip(alone, together, strict=True):
             assert one.merge(grid).tolist() == other.merge(grid).tolist()
             assert one.approximation_error(grid) == other.approximation_error(grid)
 
 
-def test_the_error_counts_what_has_not_been_told_yet() -> None:
+def test_the_error_includes_changes_that_are_not_logged_yet() -> None:
     one = maker((60, 80))
     (first, cell), *_, (last, _) = walk()
     assert one.approximation_error(first) == (first != UNKNOWN).sum()
@@ -231,9 +231,9 @@ def test_the_error_counts_what_has_not_been_told_yet() -> None:
     assert one.approximation_error(last) > one.approximation_error(first)
 
 
-# --- nonsense ------------------------------------------------------------------------------------------
+# --- malformed data ------------------------------------------------------------------------------------------
 
-NONSENSE = {
+MALFORMED = {
     "an object that is not there": [encode([Changed(99, 2, 0)])],
     "a vertex of no object": [encode([Delete(0)])],
     "a second save point": [encode([Save()])],
@@ -242,15 +242,15 @@ NONSENSE = {
 }
 
 
-@pytest.mark.parametrize("units", NONSENSE.values(), ids=NONSENSE)
-def test_nonsense_is_refused_and_changes_nothing(units: list[bytes]) -> None:
+@pytest.mark.parametrize("entries", MALFORMED.values(), ids=MALFORMED)
+def test_malformed_data_is_rejected_and_changes_nothing(entries: list[bytes]) -> None:
     one, other = maker((60, 80), 0), maker((60, 80), 1)
-    *before, last = told(one, walk(5))
-    for said in before:
-        other.apply(0, b"".join(said), **LATE)
+    *before, last = reported(one, walk(5))
+    for sent in before:
+        other.apply(0, b"".join(sent), **LATE)
     held, plan = other.polygons[0], other.merge(house())
     with pytest.raises(ProtocolError):
-        other.apply(0, b"".join(units), **LATE)
+        other.apply(0, b"".join(entries), **LATE)
     assert other.polygons[0] is held
     assert (other.merge(house()) == plan).all()
     other.apply(0, b"".join(last), **LATE)
@@ -264,7 +264,7 @@ def with_options(**changed: Any) -> dict[str, Any]:
     return {"polygons": asdict(replace(PolygonOptions(), **changed))}
 
 
-def test_a_lazy_robot_waits_until_its_last_words_were_heard_and_then_says_it_once() -> None:
+def test_a_lazy_robot_logs_once_after_its_last_entries_were_delivered() -> None:
     first, *between, last = walk(6)
     lazy, eager = maker((60, 80)), maker((60, 80), **with_options(lazy=False))
     for one in (lazy, eager):
@@ -301,7 +301,7 @@ def test_free_inside_edges_are_drawn_if_wished() -> None:
     assert claims[True].sum() > claims[False].sum()
 
 
-def test_unknown_pairs_are_told_and_drawn_if_wished() -> None:
+def test_unknown_pairs_are_sent_and_drawn_only_if_enabled() -> None:
     grid = np.full((30, 30), FREE, np.uint8)
     grid[10, 10] = grid[20, 15] = UNKNOWN
     grid[5, 20] = OCCUPIED

@@ -1,4 +1,4 @@
-"""The predictive exchange: what a robot's units say is what it has seen, in whatever order and fragments they come."""
+"""The `predictive` encoding: receivers decode what the author observed, in any order of logs and fragments."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def settings_of(robot: int, **more: Any) -> Settings:
 
 
 class Explorer:
-    """A robot that looks around from anywhere, and its exchange."""
+    """A robot that scans from random cells, and its map encoding."""
 
     def __init__(self, robot: int, seed: int, common: dict[str, Any] | None = None, **more: Any) -> None:
         self.robot = robot
@@ -46,11 +46,11 @@ class Explorer:
         self.rng = np.random.default_rng([seed, robot])
         self.log: list[bytes] = []
 
-    def look(self, truth: Grid, *, delivered: bool = True, noise: int = 0) -> list[bytes]:
-        """Take a scan, spoil some cells of what is known, and log what there is to tell."""
-        nobody, beams = np.zeros(truth.shape, np.bool_), ray_table(RANGES[self.robot], BEAMS)
+    def scan(self, truth: Grid, *, delivered: bool = True, noise: int = 0) -> list[bytes]:
+        """Take a scan, flip some known cells, and encode the changes."""
+        no_robots, beams = np.zeros(truth.shape, np.bool_), ray_table(RANGES[self.robot], BEAMS)
         x, y = int(self.rng.integers(WIDTH)), int(self.rng.integers(HEIGHT))
-        readings = cast(truth, nobody, beams, x, y)
+        readings = cast(truth, no_robots, beams, x, y)
         change = draw(self.own, beams, x, y, readings)
         for _ in range(noise):
             at_x, at_y = int(self.rng.integers(WIDTH)), int(self.rng.integers(HEIGHT))
@@ -58,9 +58,11 @@ class Explorer:
             cells, (x0, y0, x1, y1) = change
             far = max(x1, at_x + 1), max(y1, at_y + 1)
             change = Change(cells + 1, (min(x0, at_x), min(y0, at_y), *far))
-        units = self.map_encoding.encode_changes(self.own, Scan(x, y, readings), change, delivered=delivered)
-        self.log += units
-        return units
+        packets = self.map_encoding.encode_changes(
+            self.own, Scan(x, y, readings), change, delivered=delivered
+        )
+        self.log += packets
+        return packets
 
 
 def world(seed: int) -> Grid:
@@ -69,14 +71,14 @@ def world(seed: int) -> Grid:
 
 
 def flush(explorer: Explorer) -> list[bytes]:
-    """Let a robot stand still until it has told all."""
-    said: list[bytes] = []
+    """Let a robot stand still until it has reported all."""
+    sent: list[bytes] = []
     nothing = Change(0, (WIDTH, HEIGHT, 0, 0))
     for _ in range(ENOUGH_STEPS):
         scan = Scan(0, 0, np.full(BEAMS, 0, np.uint16))
-        said += explorer.map_encoding.encode_changes(explorer.own, scan, nothing, delivered=True)
-    explorer.log += said
-    return said
+        sent += explorer.map_encoding.encode_changes(explorer.own, scan, nothing, delivered=True)
+    explorer.log += sent
+    return sent
 
 
 def unknown() -> Grid:
@@ -84,184 +86,184 @@ def unknown() -> Grid:
 
 
 @given(seeds, st.sampled_from(("team", "own")), st.sampled_from((0, 0, 3)))
-def test_all_that_a_team_has_seen_is_what_each_of_them_knows(seed: int, base: str, noise: int) -> None:
+def test_every_team_member_ends_with_the_cells_that_any_of_them_observed(
+    seed: int, base: str, noise: int
+) -> None:
     truth = world(seed)
     team = [Explorer(robot, seed, predictive={"base": base}) for robot in range(3)]
     for _ in range(6):
-        said = [(each.robot, each.look(truth, noise=noise)) for each in team]
+        sent = [(each.robot, each.scan(truth, noise=noise)) for each in team]
         for each in team:
-            for robot, units in said:
+            for robot, packets in sent:
                 if robot != each.robot:
-                    each.map_encoding.apply(robot, b"".join(units), **LATE)
+                    each.map_encoding.apply(robot, b"".join(packets), **LATE)
     last = [(each.robot, flush(each)) for each in team]
     for each in team:
-        for robot, units in last:
+        for robot, packets in last:
             if robot != each.robot:
-                each.map_encoding.apply(robot, b"".join(units), **LATE)
-    told = [each.map_encoding.merge(unknown()) for each in team]
-    assert all((grid == told[0]).all() for grid in told)
+                each.map_encoding.apply(robot, b"".join(packets), **LATE)
+    reported = [each.map_encoding.merge(unknown()) for each in team]
+    assert all((grid == reported[0]).all() for grid in reported)
     seen = [each.own for each in team]
-    assert ((told[0] != UNKNOWN) == np.any([own != UNKNOWN for own in seen], axis=0)).all()
-    assert np.any([(told[0] == own) for own in seen], axis=0).all()
+    assert ((reported[0] != UNKNOWN) == np.any([own != UNKNOWN for own in seen], axis=0)).all()
+    assert np.any([(reported[0] == own) for own in seen], axis=0).all()
     if not noise or base == "own":
-        assert (told[0] == np.max(seen, axis=0)).all()
+        assert (reported[0] == np.max(seen, axis=0)).all()
     for each in team:
         planning = each.map_encoding.merge(each.own)
         assert (planning[each.own != UNKNOWN] == each.own[each.own != UNKNOWN]).all()
 
 
 @given(seeds, st.integers(0, 2**32 - 1))
-def test_units_in_pieces_and_in_any_order_of_maps_say_the_same(seed: int, order: int) -> None:
+def test_fragments_and_the_order_of_maps_do_not_change_the_result(seed: int, order: int) -> None:
     truth = world(seed)
-    makers = [Explorer(robot, seed) for robot in (0, 1)]
+    authors = [Explorer(robot, seed) for robot in (0, 1)]
     for _ in range(6):
-        for maker, other in (makers, makers[::-1]):
-            other.map_encoding.apply(maker.robot, b"".join(maker.look(truth)), **LATE)
-    for maker, other in (makers, makers[::-1]):
-        other.map_encoding.apply(maker.robot, b"".join(flush(maker)), **LATE)
-    hearer, rng = PredictiveEncoding(settings_of(2)), np.random.default_rng(order)
-    logs = [list(maker.log) for maker in makers]
+        for author, other in (authors, authors[::-1]):
+            other.map_encoding.apply(author.robot, b"".join(author.scan(truth)), **LATE)
+    for author, other in (authors, authors[::-1]):
+        other.map_encoding.apply(author.robot, b"".join(flush(author)), **LATE)
+    receiver, rng = PredictiveEncoding(settings_of(2)), np.random.default_rng(order)
+    logs = [list(author.log) for author in authors]
     while any(logs):
         robot = int(rng.integers(2))
         count = int(rng.integers(1, 4))
-        hearer.apply(robot, b"".join(logs[robot][:count]), **LATE)
+        receiver.apply(robot, b"".join(logs[robot][:count]), **LATE)
         del logs[robot][:count]
-    assert (hearer.merge(unknown()) == np.max([maker.own for maker in makers], axis=0)).all()
+    assert (receiver.merge(unknown()) == np.max([author.own for author in authors], axis=0)).all()
 
 
 @given(seeds)
-def test_what_waited_for_the_medium_is_told_in_one_unit_later(seed: int) -> None:
+def test_changes_that_wait_are_sent_in_one_update_later(seed: int) -> None:
     truth = world(seed)
-    maker, hearer = Explorer(0, seed), PredictiveEncoding(settings_of(1))
+    author, receiver = Explorer(0, seed), PredictiveEncoding(settings_of(1))
     for _ in range(5):
-        assert maker.look(truth, delivered=False) == []
-    units = maker.look(truth)
-    assert sum(update_fragment(unit)[0] is not None for unit in units) == 1
-    hearer.apply(0, b"".join(units), **LATE)
-    assert (hearer.merge(unknown()) == maker.own).all()
+        assert author.scan(truth, delivered=False) == []
+    packets = author.scan(truth)
+    assert sum(update_fragment(update)[0] is not None for update in packets) == 1
+    receiver.apply(0, b"".join(packets), **LATE)
+    assert (receiver.merge(unknown()) == author.own).all()
 
 
 @given(seeds)
-def test_on_a_narrow_medium_it_is_told_in_several_units_one_a_step(seed: int) -> None:
+def test_a_small_budget_splits_changes_into_one_update_per_step(seed: int) -> None:
     truth = world(seed)
-    maker, hearer = Explorer(0, seed, bandwidth=6), PredictiveEncoding(settings_of(1))
+    author, receiver = Explorer(0, seed, bandwidth=6), PredictiveEncoding(settings_of(1))
     for _ in range(5):
-        assert maker.look(truth, delivered=False) == []
-    units = 0
-    while said := flush(maker):
-        hearer.apply(0, b"".join(said), **LATE)
-        units += sum(update_fragment(unit)[0] is not None for unit in said)
-    assert (hearer.merge(unknown()) == maker.own).all()
-    assert units > 1 or np.count_nonzero(maker.own) < 100
+        assert author.scan(truth, delivered=False) == []
+    packets = 0
+    while sent := flush(author):
+        receiver.apply(0, b"".join(sent), **LATE)
+        packets += sum(update_fragment(update)[0] is not None for update in sent)
+    assert (receiver.merge(unknown()) == author.own).all()
+    assert packets > 1 or np.count_nonzero(author.own) < 100
 
 
 @given(seeds, st.booleans())
-def test_what_a_unit_is_built_on_is_known_to_its_maker_and_to_all_who_have_read_it(
-    seed: int, taken_back: bool
-) -> None:
+def test_author_and_receivers_know_the_same_dependencies(seed: int, taken_back: bool) -> None:
     truth = world(seed)
-    first, second, hearer = Explorer(0, seed), Explorer(1, seed), PredictiveEncoding(settings_of(2))
+    first, second, receiver = Explorer(0, seed), Explorer(1, seed), PredictiveEncoding(settings_of(2))
     for _ in range(6):
-        second.map_encoding.apply(0, b"".join(first.look(truth)), **LATE)
-        units = second.look(truth)
+        second.map_encoding.apply(0, b"".join(first.scan(truth)), **LATE)
+        packets = second.scan(truth)
         if taken_back and second.map_encoding.retractable:
             second.map_encoding.retract_last()
-            del second.log[len(second.log) - len(units) :]
+            del second.log[len(second.log) - len(packets) :]
         else:
-            first.map_encoding.apply(1, b"".join(units), **LATE)
+            first.map_encoding.apply(1, b"".join(packets), **LATE)
     bases = second.map_encoding.dependencies(1)
     assert list(first.map_encoding.dependencies(1)) == list(bases)
     read = [0, 0]
-    for first_unit, end, on in bases:  # with what they say, and no more, each unit can be read
+    for first_unit, end, on in bases:  # these dependencies, and no more, suffice to decode each update
         assert read[1] <= first_unit < end <= len(second.log)
-        for map_id, log, units in (*((0, first.log, units) for _, units in on), (1, second.log, end)):
-            hearer.apply(map_id, b"".join(log[read[map_id] : units]), **LATE)
-            read[map_id] = max(read[map_id], units)
-        assert hearer.dependencies(1)[-1].end == end
+        for map_id, log, packets in (*((0, first.log, packets) for _, packets in on), (1, second.log, end)):
+            receiver.apply(map_id, b"".join(log[read[map_id] : packets]), **LATE)
+            read[map_id] = max(read[map_id], packets)
+        assert receiver.dependencies(1)[-1].end == end
 
 
 @given(seeds)
-def test_a_unit_that_nobody_has_heard_is_taken_back_and_what_it_said_is_in_the_next(seed: int) -> None:
+def test_a_retracted_update_is_contained_in_the_next_one(seed: int) -> None:
     truth = world(seed)
-    maker, hearer = Explorer(0, seed), PredictiveEncoding(settings_of(1))
-    units = maker.look(truth)
-    assume(units)
-    assert maker.map_encoding.retractable == len(units)
-    maker.map_encoding.retract_last()
-    assert not maker.map_encoding.merge(unknown()).any()
-    hearer.apply(0, b"".join(maker.look(truth)), **LATE)
-    assert (hearer.merge(unknown()) == maker.own).all()
+    author, receiver = Explorer(0, seed), PredictiveEncoding(settings_of(1))
+    packets = author.scan(truth)
+    assume(packets)
+    assert author.map_encoding.retractable == len(packets)
+    author.map_encoding.retract_last()
+    assert not author.map_encoding.merge(unknown()).any()
+    receiver.apply(0, b"".join(author.scan(truth)), **LATE)
+    assert (receiver.merge(unknown()) == author.own).all()
 
 
-def test_a_look_that_shows_nothing_new_to_all_is_not_told() -> None:
+def test_a_scan_without_news_is_not_sent() -> None:
     truth = np.full((HEIGHT, WIDTH), FREE, np.uint8)
     first, second = Explorer(2, 1), Explorer(0, 1)
     for _ in range(40):
-        second.map_encoding.apply(2, b"".join(first.look(truth)), **LATE)
+        second.map_encoding.apply(2, b"".join(first.scan(truth)), **LATE)
     second.map_encoding.apply(2, b"".join(flush(first)), **LATE)
     assert (second.map_encoding.merge(unknown()) == FREE).all()
-    assert [second.look(truth) for _ in range(5)] == 5 * [[]]
+    assert [second.scan(truth) for _ in range(5)] == 5 * [[]]
     assert second.own.any()
 
 
 @pytest.mark.parametrize(("bandwidth", "steps"), [(None, 0), (1000.0, 0), (50.0, 1), (25.0, 3), (1.0, 3)])
-def test_few_new_cells_wait_for_a_few_steps_where_bytes_are_scarce(
-    bandwidth: float | None, steps: int
-) -> None:
+def test_few_new_cells_wait_if_bandwidth_is_scarce(bandwidth: float | None, steps: int) -> None:
     truth = np.full((HEIGHT, WIDTH), OCCUPIED, np.uint8)
     truth[5, 5] = FREE
     explorer = Explorer(0, 0, bandwidth=bandwidth)
-    nobody, beams = np.zeros(truth.shape, np.bool_), ray_table(RANGES[0], BEAMS)
-    scan = Scan(5, 5, cast(truth, nobody, beams, 5, 5))
+    no_robots, beams = np.zeros(truth.shape, np.bool_), ray_table(RANGES[0], BEAMS)
+    scan = Scan(5, 5, cast(truth, no_robots, beams, 5, 5))
     own = unknown()
     own[5, 5] = FREE
-    said = [
+    sent = [
         explorer.map_encoding.encode_changes(own, scan, Change(1, (5, 5, 6, 6)), delivered=True)
         for _ in range(ENOUGH_STEPS)
     ]
-    assert [bool(units) for units in said].index(True) == steps
+    assert [bool(packets) for packets in sent].index(True) == steps
 
 
 @given(seeds, st.sampled_from(("team", "own")), st.booleans())
-def test_robots_that_read_together_know_what_each_would_know_alone(seed: int, base: str, lies: bool) -> None:
-    """At their own pace, with units that were taken back; a liar tells each of them something else."""
+def test_shared_decoding_gives_each_robot_the_result_of_decoding_alone(
+    seed: int, base: str, forged: bool
+) -> None:
+    """At their own pace, with retracted updates; a byzantine robot sends different updates to each of them."""
     truth, rng = world(seed), np.random.default_rng(seed)
     teams = [
         [Explorer(robot, seed, common, predictive={"base": base}) for robot in range(3)]
         for common in (None, {})
     ]
-    told = [[0] * 3 for _ in range(3)]
+    reported = [[0] * 3 for _ in range(3)]
     for _ in range(12):
-        speaker = int(rng.integers(3))
+        sender = int(rng.integers(3))
         lost, noise, wrong = rng.random() < 0.3, int(rng.integers(4)), rng.random() < 0.5
         for team in teams:
-            maker = team[speaker]
+            author = team[sender]
             if (
                 lost
-                and maker.map_encoding.retractable
-                and all(told[to][speaker] < len(maker.log) for to in range(3))
+                and author.map_encoding.retractable
+                and all(reported[to][sender] < len(author.log) for to in range(3))
             ):
-                del maker.log[len(maker.log) - maker.map_encoding.retractable :]
-                maker.map_encoding.retract_last()
-            maker.look(truth, noise=noise)
-        assert teams[0][speaker].log == teams[1][speaker].log
-        hearer, map_id = int(rng.integers(3)), int(rng.integers(3))
-        heard = teams[0][map_id].log[told[hearer][map_id] :][: int(rng.integers(4))]
-        if hearer == map_id or not heard:
+                del author.log[len(author.log) - author.map_encoding.retractable :]
+                author.map_encoding.retract_last()
+            author.scan(truth, noise=noise)
+        assert teams[0][sender].log == teams[1][sender].log
+        receiver, map_id = int(rng.integers(3)), int(rng.integers(3))
+        received = teams[0][map_id].log[reported[receiver][map_id] :][: int(rng.integers(4))]
+        if receiver == map_id or not received:
             continue
-        told[hearer][map_id] += len(heard)
-        if lies and map_id == 2 and wrong:
-            number, data = update_fragment(heard[0])
-            heard[0] = encode([Update(number, bytes(byte ^ hearer + 1 for byte in data))])
-        said = []
+        reported[receiver][map_id] += len(received)
+        if forged and map_id == 2 and wrong:
+            number, data = update_fragment(received[0])
+            received[0] = encode([Update(number, bytes(byte ^ receiver + 1 for byte in data))])
+        sent = []
         for team in teams:
             try:
-                team[hearer].map_encoding.apply(map_id, b"".join(heard), **LATE)
+                team[receiver].map_encoding.apply(map_id, b"".join(received), **LATE)
             except ProtocolError as error:
-                said.append(str(error))
+                sent.append(str(error))
             else:
-                said.append("")
-        assert said[0] == said[1]
+                sent.append("")
+        assert sent[0] == sent[1]
         for alone, together in zip(*teams, strict=True):
             assert (alone.map_encoding.merge(unknown()) == together.map_encoding.merge(unknown())).all()
             assert [alone.map_encoding.scan_cell(robot) for robot in range(3)] == [
@@ -270,61 +272,63 @@ def test_robots_that_read_together_know_what_each_would_know_alone(seed: int, ba
 
 
 def units_of(seed: int) -> list[bytes]:
-    maker = Explorer(0, seed)
-    units: list[bytes] = []
+    author = Explorer(0, seed)
+    packets: list[bytes] = []
     for _ in range(3):
-        units += maker.look(world(seed))
-    return units
+        packets += author.scan(world(seed))
+    return packets
 
 
 WRONG = {
     "another kind": [encode([Delete(3)])],
     "a raw scan": [encode([Fragment(b"scan")])],
-    "another unit than the next": [encode([Update(3, b"\x12\x34")])],
-    "bytes that are no unit": [encode([Update(0, bytes(range(40)))])],
+    "another update than the next": [encode([Update(3, b"\x12\x34")])],
+    "bytes that are no update": [encode([Update(0, bytes(range(40)))])],
 }
 
 
 @pytest.mark.parametrize("wrong", WRONG)
 @pytest.mark.parametrize("behind", [False, True])
-def test_nonsense_is_refused_and_changes_nothing(wrong: str, behind: bool) -> None:
-    hearer = PredictiveEncoding(settings_of(1))
-    units = units_of(5)
-    head = units[:1] if behind and update_fragment(units[0])[0] is None else []
-    hearer.apply(0, b"".join(head), **LATE)
-    before = hearer.merge(unknown())
+def test_malformed_data_is_rejected_and_changes_nothing(wrong: str, behind: bool) -> None:
+    receiver = PredictiveEncoding(settings_of(1))
+    packets = units_of(5)
+    head = packets[:1] if behind and update_fragment(packets[0])[0] is None else []
+    receiver.apply(0, b"".join(head), **LATE)
+    before = receiver.merge(unknown())
     with pytest.raises(ProtocolError):
-        hearer.apply(
+        receiver.apply(
             0,
-            b"".join([*head, *WRONG[wrong]] if wrong == "bytes that are no unit" and head else WRONG[wrong]),
+            b"".join(
+                [*head, *WRONG[wrong]] if wrong == "bytes that are no update" and head else WRONG[wrong]
+            ),
             **LATE,
         )
-    assert (hearer.merge(unknown()) == before).all()
-    hearer.apply(0, b"".join(units[len(head) :]), **LATE)
-    assert hearer.merge(unknown()).any()
+    assert (receiver.merge(unknown()) == before).all()
+    receiver.apply(0, b"".join(packets[len(head) :]), **LATE)
+    assert receiver.merge(unknown()).any()
 
 
 @given(st.lists(st.tuples(st.integers(0, 1), st.binary(max_size=LAST_UPDATE_DATA)), max_size=12), seeds)
-def test_a_liar_changes_no_other_map_whatever_it_says(lies: list[tuple[int, bytes]], seed: int) -> None:
+def test_a_byzantine_robot_changes_no_map_but_its_own(forged: list[tuple[int, bytes]], seed: int) -> None:
     truth = world(seed)
-    maker, hearer = Explorer(0, seed), PredictiveEncoding(settings_of(1))
+    author, receiver = Explorer(0, seed), PredictiveEncoding(settings_of(1))
     plain = PredictiveEncoding(settings_of(1))
-    for number, (_, data) in enumerate(lies):
-        units = maker.look(truth)
+    for number, (_, data) in enumerate(forged):
+        packets = author.scan(truth)
         with contextlib.suppress(ProtocolError):
-            hearer.apply(2, encode([Update(number % 4, data)]), **LATE)
-        hearer.apply(0, b"".join(units), **LATE)
-        plain.apply(0, b"".join(units), **LATE)
+            receiver.apply(2, encode([Update(number % 4, data)]), **LATE)
+        receiver.apply(0, b"".join(packets), **LATE)
+        plain.apply(0, b"".join(packets), **LATE)
     known = plain.merge(unknown())
-    assert (hearer.merge(unknown())[known == OCCUPIED] == OCCUPIED).all()
-    assert (hearer.merge(unknown())[known == FREE] != UNKNOWN).all()
+    assert (receiver.merge(unknown())[known == OCCUPIED] == OCCUPIED).all()
+    assert (receiver.merge(unknown())[known == FREE] != UNKNOWN).all()
 
 
 @given(st.binary(max_size=300), st.integers(0, 100), st.integers(UPDATE_DATA, LAST_UPDATE_DATA))
-def test_pieces_give_back_the_unit(message: bytes, number: int, most: int) -> None:
+def test_fragments_reassemble_to_the_update(message: bytes, number: int, most: int) -> None:
     cut = [update_fragment(piece) for piece in fragments(message, number, most)]
     assert b"".join(data for _, data in cut) == message
-    assert [said for said, _ in cut] == [None] * (len(cut) - 1) + [number % 4]
+    assert [sent for sent, _ in cut] == [None] * (len(cut) - 1) + [number % 4]
     assert len(cut[-1][1]) <= most
 
 
@@ -334,10 +338,10 @@ def test_retracting_an_update_on_which_another_log_claims_to_depend_is_safe(seed
     truth = world(seed)
     cache: dict[str, Any] | None = {} if shared else None
     victim, forger, third = Explorer(0, seed, cache), Explorer(1, seed), PredictiveEncoding(settings_of(2))
-    unsent = victim.look(truth)
+    unsent = victim.scan(truth)
     assume(unsent)
     forger.map_encoding.apply(0, b"".join(unsent), **LATE)
-    forged = forger.look(truth)
+    forged = forger.scan(truth)
     assume(forger.map_encoding.dependencies(1))
     victim.map_encoding.apply(1, b"".join(forged), **LATE)
     for _ in range(4):
@@ -345,7 +349,7 @@ def test_retracting_an_update_on_which_another_log_claims_to_depend_is_safe(seed
         if retractable := victim.map_encoding.retractable:
             victim.map_encoding.retract_last()
             del victim.log[len(victim.log) - retractable :]
-        victim.look(truth)
+        victim.scan(truth)
     flush(victim)
     third.apply(1, b"".join(forged), **LATE)
     third.apply(0, b"".join(victim.log), **LATE)

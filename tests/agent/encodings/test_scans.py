@@ -1,4 +1,4 @@
-"""The raw-laser exchange: what one robot saw is what the others draw, and nonsense changes nothing."""
+"""The `scans` encoding: receivers draw the scans of the author; malformed data changes nothing."""
 
 from __future__ import annotations
 
@@ -64,45 +64,45 @@ def drawn(seen: list[tuple[int, Scan]]) -> Grid:
 
 
 @given(seeds, st.integers(0, 2))
-def test_what_a_robot_logged_is_what_the_others_draw(seed: int, robot: int) -> None:
-    maker, hearer = ScanEncoding(settings_of(robot)), ScanEncoding(settings_of((robot + 1) % 3))
+def test_receivers_draw_the_logged_scans(seed: int, robot: int) -> None:
+    maker, receiver = ScanEncoding(settings_of(robot)), ScanEncoding(settings_of((robot + 1) % 3))
     seen = scans(seed, robot)
     for scan in seen:
-        hearer.apply(robot, b"".join(record(maker, scan)), **LATE)
-    assert hearer.merge(empty()).tolist() == drawn([(robot, scan) for scan in seen]).tolist()
+        receiver.apply(robot, b"".join(record(maker, scan)), **LATE)
+    assert receiver.merge(empty()).tolist() == drawn([(robot, scan) for scan in seen]).tolist()
 
 
 @given(seeds, st.lists(st.integers(0, 8), max_size=30))
-def test_a_log_taken_in_pieces_says_the_same_once_all_is_there(seed: int, pieces: list[int]) -> None:
-    maker, hearer = ScanEncoding(settings_of(0)), ScanEncoding(settings_of(1))
+def test_fragments_of_any_size_give_the_same_grid(seed: int, pieces: list[int]) -> None:
+    maker, receiver = ScanEncoding(settings_of(0)), ScanEncoding(settings_of(1))
     seen = scans(seed, 0)
-    units = [unit for scan in seen for unit in record(maker, scan)]
+    packets = [packet for scan in seen for packet in record(maker, scan)]
     whole = len(fragments(bytes(scan_size(BEAMS))))
     taken = 0
-    for piece in [*pieces, len(units)]:
-        hearer.apply(0, b"".join(units[taken : taken + piece]), **LATE)
-        taken = min(taken + piece, len(units))
+    for piece in [*pieces, len(packets)]:
+        receiver.apply(0, b"".join(packets[taken : taken + piece]), **LATE)
+        taken = min(taken + piece, len(packets))
         complete = [(0, scan) for scan in seen[: taken // whole]]
-        assert hearer.merge(empty()).tolist() == drawn(complete).tolist()
+        assert receiver.merge(empty()).tolist() == drawn(complete).tolist()
 
 
 @given(seeds)
 def test_logs_of_several_robots_do_not_mix(seed: int) -> None:
     makers = [ScanEncoding(settings_of(robot)) for robot in (0, 2)]
-    hearer = ScanEncoding(settings_of(1))
+    receiver = ScanEncoding(settings_of(1))
     seen = {robot: scans(seed + robot, robot) for robot in (0, 2)}
     logs = {
-        robot: [unit for scan in seen[robot] for unit in record(maker, scan)]
+        robot: [packet for scan in seen[robot] for packet in record(maker, scan)]
         for robot, maker in zip((0, 2), makers, strict=True)
     }
     for number in range(max(map(len, logs.values()))):
-        for robot, units in logs.items():
-            hearer.apply(robot, b"".join(units[number : number + 1]), **LATE)
-    told = hearer.merge(empty())
-    assert ((told != UNKNOWN) == (drawn([(r, s) for r in seen for s in seen[r]]) != UNKNOWN)).all()
+        for robot, packets in logs.items():
+            receiver.apply(robot, b"".join(packets[number : number + 1]), **LATE)
+    reported = receiver.merge(empty())
+    assert ((reported != UNKNOWN) == (drawn([(r, s) for r in seen for s in seen[r]]) != UNKNOWN)).all()
 
 
-def test_a_scan_that_says_nothing_new_is_not_logged() -> None:
+def test_a_repeated_scan_is_not_logged() -> None:
     maker = ScanEncoding(settings_of(0))
     one, other = scans(1, 0, 2)
     assert record(maker, one)
@@ -116,26 +116,26 @@ def test_a_scanner_that_is_off_has_nothing_to_log() -> None:
     assert record(maker, Scan(1, 1, np.full(BEAMS, NONE, np.uint16))) == []
 
 
-def test_a_log_is_made_of_units_of_one_packet() -> None:
-    units = record(ScanEncoding(settings_of(0)), scans(1, 0, 1)[0])
-    assert sum(len(unit) for unit in units) == scan_size(BEAMS) + 3
-    assert all(len(unit) <= 64 for unit in units)
+def test_each_log_entry_is_one_packet() -> None:
+    packets = record(ScanEncoding(settings_of(0)), scans(1, 0, 1)[0])
+    assert sum(len(packet) for packet in packets) == scan_size(BEAMS) + 3
+    assert all(len(packet) <= 64 for packet in packets)
 
 
 @given(seeds)
-def test_a_robots_own_grid_counts_more_than_what_it_heard(seed: int) -> None:
-    maker, hearer = ScanEncoding(settings_of(0)), ScanEncoding(settings_of(1))
+def test_the_self_explored_grid_takes_precedence_over_received_cells(seed: int) -> None:
+    maker, receiver = ScanEncoding(settings_of(0)), ScanEncoding(settings_of(1))
     for scan in scans(seed, 0):
-        hearer.apply(0, b"".join(record(maker, scan)), **LATE)
+        receiver.apply(0, b"".join(record(maker, scan)), **LATE)
     rng = np.random.default_rng(seed)
     own = rng.choice(np.array([UNKNOWN, FREE, OCCUPIED], np.uint8), (HEIGHT, WIDTH))
-    heard, before = hearer.merge(empty()), own.copy()
-    merged = hearer.merge(own)
+    received, before = receiver.merge(empty()), own.copy()
+    merged = receiver.merge(own)
     assert (merged[own != UNKNOWN] == own[own != UNKNOWN]).all()
-    assert (merged[own == UNKNOWN] == heard[own == UNKNOWN]).all()
+    assert (merged[own == UNKNOWN] == received[own == UNKNOWN]).all()
     assert (own == before).all()
     merged[:] = OCCUPIED
-    assert hearer.merge(empty()).tolist() == heard.tolist()
+    assert receiver.merge(empty()).tolist() == received.tolist()
 
 
 def whole(x: int, y: int, reading: int) -> list[bytes]:
@@ -155,28 +155,28 @@ NONSENSE = {
 }
 
 
-@pytest.mark.parametrize("units", NONSENSE.values(), ids=list(NONSENSE))
-def test_nonsense_is_refused_and_changes_nothing(units: list[bytes]) -> None:
-    maker, hearer = ScanEncoding(settings_of(0)), ScanEncoding(settings_of(1))
+@pytest.mark.parametrize("packets", NONSENSE.values(), ids=list(NONSENSE))
+def test_malformed_data_is_rejected_and_changes_nothing(packets: list[bytes]) -> None:
+    maker, receiver = ScanEncoding(settings_of(0)), ScanEncoding(settings_of(1))
     first, second = scans(3, 0, 2)
     log = record(maker, first) + record(maker, second)
-    hearer.apply(0, b"".join(log[:3]), **LATE)
-    before = hearer.merge(empty()).tolist()
+    receiver.apply(0, b"".join(log[:3]), **LATE)
+    before = receiver.merge(empty()).tolist()
     for _ in range(2):
         with pytest.raises(ProtocolError):
-            hearer.apply(0, b"".join([*log[3:], *units]), **LATE)
-        assert hearer.merge(empty()).tolist() == before
-    hearer.apply(0, b"".join(log[3:]), **LATE)
-    assert hearer.merge(empty()).tolist() == drawn([(0, first), (0, second)]).tolist()
+            receiver.apply(0, b"".join([*log[3:], *packets]), **LATE)
+        assert receiver.merge(empty()).tolist() == before
+    receiver.apply(0, b"".join(log[3:]), **LATE)
+    assert receiver.merge(empty()).tolist() == drawn([(0, first), (0, second)]).tolist()
 
 
 @given(st.lists(st.binary(min_size=1, max_size=63), max_size=12))
 def test_fragments_of_noise_are_refused_or_stay_within_a_laser_of_their_place(noise: list[bytes]) -> None:
-    hearer = ScanEncoding(settings_of(1))
+    receiver = ScanEncoding(settings_of(1))
     try:
-        hearer.apply(0, b"".join([encode([Fragment(data)]) for data in noise]), **LATE)
+        receiver.apply(0, b"".join([encode([Fragment(data)]) for data in noise]), **LATE)
     except ProtocolError:
-        assert not hearer.merge(empty()).any()
+        assert not receiver.merge(empty()).any()
 
 
 def test_without_map_exchange_a_robot_sends_nothing_and_plans_on_its_self_explored_grid() -> None:
@@ -194,4 +194,4 @@ def test_map_encodings_are_found_by_name() -> None:
     assert {"scans", "none"} <= set(ENCODINGS)
     assert isinstance(make_encoding(settings_of(0)), ScanEncoding)
     with pytest.raises(ValueError, match=r"no map encoding is called 'smoke'; there are: .*scans"):
-        make_encoding(Settings(**(settings_of(0).to_message() | {"map_encoding": "smoke"})))
+        make_encoding(replace(settings_of(0), map_encoding="smoke"))

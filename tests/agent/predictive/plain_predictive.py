@@ -1,4 +1,4 @@
-"""Sight's coder and units in plain Python, as docs/predictive.md tells them: what the kernels are compared with."""
+"""The coder and the updates in plain Python, as in docs/predictive.md: the reference for the kernels."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Writer:
 
 @dataclass
 class PlainStream:
-    """One maker's stream: what it is built on, who told each cell of it, and where the maker looked from last."""
+    """The log of one map without dependencies: known cells, cells reported by the author, and the last scan."""
 
     shape: tuple[int, int]
     ray_table: RayTable
@@ -82,18 +82,18 @@ class PlainStream:
 
     def __post_init__(self) -> None:
         self.known: Grid = np.zeros(self.shape, np.uint8)
-        self.told: NDArray[np.bool_] = np.zeros(self.shape, np.bool_)
+        self.reported: NDArray[np.bool_] = np.zeros(self.shape, np.bool_)
 
-    def unit(self, own: Grid, poses: Sequence[Cell]) -> tuple[bytes, float]:
-        """Write the unit that tells `own`, built on nothing else, and its ideal length in bits."""
+    def update(self, own: Grid, poses: Sequence[Cell]) -> tuple[bytes, float]:
+        """Encode an update that describes `own` without dependencies; return it and its entropy in bits."""
         writer = Writer(self.counts)
-        looks = 0
+        scans = 0
         for pose in self._needed(own, poses):
-            writer.bit(contexts.MORE + min(looks, 3), 1)
+            writer.bit(contexts.MORE_SCANS + min(scans, 3), 1)
             self._pose(writer, pose)
             self._look(writer, own, pose)
-            looks += 1
-        writer.bit(contexts.MORE + min(looks, 3), 0)
+            scans += 1
+        writer.bit(contexts.MORE_SCANS + min(scans, 3), 0)
         self._exceptions(writer, own)
         return writer.message(), writer.ideal
 
@@ -112,8 +112,8 @@ class PlainStream:
         return beams
 
     def _needed(self, own: Grid, poses: Sequence[Cell]) -> list[Cell]:
-        """The poses whose looks show something that no later one shows."""
-        claimed: set[Cell] = set()
+        """The poses whose scans show something that no later one shows."""
+        counted: set[Cell] = set()
         needed = []
         for x, y in reversed(poses):
             shown = {(y, x)} if self.known[y, x] == UNKNOWN and own[y, x] == FREE else set()
@@ -126,15 +126,15 @@ class PlainStream:
                             shown.add(cell)
                     if state != FREE:
                         break
-            if shown - claimed:
+            if shown - counted:
                 needed.insert(0, (x, y))
-            claimed |= shown
+            counted |= shown
         return needed
 
     def _pose(self, writer: Writer, pose: Cell) -> None:
         x, y = pose
         if self.last is None:
-            for base, value in ((contexts.PLACED, x), (contexts.PLACED + 11, y)):
+            for base, value in ((contexts.FIRST_POSE, x), (contexts.FIRST_POSE + 11, y)):
                 for place in range(10, -1, -1):
                     writer.bit(base + place, value >> place & 1)
             self.last = pose
@@ -143,13 +143,13 @@ class PlainStream:
         flip = [-1 if part < 0 else 1 for part in self.went]
         swap = abs(self.went[1]) > abs(self.went[0])
         before, now = (
-            [part * sign for part, sign in zip(way, flip, strict=True)] for way in (self.went, went)
+            [part * sign for part, sign in zip(motion, flip, strict=True)] for motion in (self.went, went)
         )
         if swap:
             before, now = before[::-1], now[::-1]
         along, across = before
         kind = 0 if not along else 1 if not across else 3 if along == across else 2
-        writer.bit(contexts.SAME + kind, int(now == before))
+        writer.bit(contexts.SAME_MOTION + kind, int(now == before))
         if now != before:
             farther = now[0] - along
             writer.signed(contexts.ALONG + kind * NUMBER, farther)
@@ -169,7 +169,7 @@ class PlainStream:
                     break
                 if self.known[cell] == FREE:
                     continue
-                writer.bit(contexts.SEEN + 2 * unseen_before + asked, int(own[cell] != UNKNOWN))
+                writer.bit(contexts.OBSERVED + 2 * unseen_before + asked, int(own[cell] != UNKNOWN))
                 asked = 1
                 if own[cell] == UNKNOWN:
                     unseen = 1
@@ -188,9 +188,9 @@ class PlainStream:
         return int("".join(str(state) for state in block[:4] + block[5:]), 3)
 
     def _exceptions(self, writer: Writer, own: Grid) -> None:
-        differs = np.where(own == UNKNOWN, self.told, self.known != own)
+        differs = np.where(own == UNKNOWN, self.reported, self.known != own)
         cells = np.argwhere(differs).tolist()
-        writer.number(contexts.EXCEPTIONS, len(cells))
+        writer.number(contexts.CORRECTIONS, len(cells))
         x, y = self.last or (0, 0)
         for index, (row, column) in enumerate(cells):
             if index == 0:
@@ -208,4 +208,4 @@ class PlainStream:
             self._set((row, column), int(own[row, column]))
 
     def _set(self, cell: Cell, state: int) -> None:
-        self.known[cell], self.told[cell] = state, state != UNKNOWN
+        self.known[cell], self.reported[cell] = state, state != UNKNOWN

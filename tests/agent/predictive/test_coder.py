@@ -1,4 +1,4 @@
-"""The arithmetic coder: what is written is read, in hardly more bits than it is surprising."""
+"""The arithmetic coder: decoding returns the encoded bits, and messages are close to their entropy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from agent.predictive.coder import (
     AHEAD,
-    BROKEN,
+    FAILED,
     NUMBER,
     check_end,
     code_bit,
@@ -34,71 +34,71 @@ def counts() -> np.ndarray:
     return np.zeros((2 * NUMBER, 2), np.uint16)
 
 
-def write(said: list[tuple[int, int]], most: int = MOST) -> bytes:
+def write(sent: list[tuple[int, int]], most: int = MOST) -> bytes:
     state, data = writer(ROOM)
     table = counts()
-    for context, bit in said:
+    for context, bit in sent:
         code_bit(state, data, table, context, bit, most)
-    assert not state[BROKEN]
+    assert not state[FAILED]
     return written(state, data)
 
 
-def plain(said: list[tuple[int, int]], most: int = MOST) -> Writer:
+def plain(sent: list[tuple[int, int]], most: int = MOST) -> Writer:
     expected = Writer(counts())
-    for context, bit in said:
+    for context, bit in sent:
         expected.bit(context, bit, most)
     return expected
 
 
 @given(bits)
-def test_bits_that_are_written_are_read(said: list[tuple[int, int]]) -> None:
-    state, data = reader(write(said))
+def test_decoding_returns_the_encoded_bits(sent: list[tuple[int, int]]) -> None:
+    state, data = reader(write(sent))
     table = counts()
-    assert [code_bit(state, data, table, context, 0, MOST) for context, _ in said] == [bit for _, bit in said]
+    assert [code_bit(state, data, table, context, 0, MOST) for context, _ in sent] == [bit for _, bit in sent]
     check_end(state, "test")
 
 
 @given(bits, st.integers(2, 5000))
-def test_the_message_is_the_plain_coder_s(said: list[tuple[int, int]], most: int) -> None:
-    assert write(said, most) == plain(said, most).message()
+def test_a_message_equals_that_of_the_reference_coder(sent: list[tuple[int, int]], most: int) -> None:
+    assert write(sent, most) == plain(sent, most).message()
 
 
 @pytest.mark.parametrize("chance", [0.5, 0.1, 0.01, 0.001, 0.0, 1.0])
 def test_a_message_is_within_3_percent_of_the_ideal_length(chance: float) -> None:
     drawn = np.random.default_rng(7).random(100_000) < chance
-    said = [(0, int(bit)) for bit in drawn]
-    assert 8 * len(write(said)) <= 1.03 * plain(said).ideal + 8
+    sent = [(0, int(bit)) for bit in drawn]
+    assert 8 * len(write(sent)) <= 1.03 * plain(sent).ideal + 8
 
 
 @given(bits)
-def test_a_message_ends_in_the_byte_in_which_its_bits_end(said: list[tuple[int, int]]) -> None:
-    assert len(write(said)) <= math.ceil(plain(said).ideal / 8 + 0.01 * len(said) / 8 + 1 / 8)
+def test_a_message_ends_in_the_byte_in_which_its_bits_end(sent: list[tuple[int, int]]) -> None:
+    assert len(write(sent)) <= math.ceil(plain(sent).ideal / 8 + 0.01 * len(sent) / 8 + 1 / 8)
 
 
 @given(st.lists(numbers, max_size=40))
-def test_numbers_that_are_written_are_read(said: list[int]) -> None:
+def test_decoding_returns_the_encoded_numbers(sent: list[int]) -> None:
     state, data = writer(ROOM)
     table = counts()
-    for value in said:
+    for value in sent:
         code_signed(state, data, table, 0, value, MOST)
         code_number(state, data, table, NUMBER, abs(value), MOST)
     state, data = reader(written(state, data))
     table = counts()
-    for value in said:
+    for value in sent:
         assert code_signed(state, data, table, 0, 0, MOST) == value
         assert code_number(state, data, table, NUMBER, 0, MOST) == abs(value)
     check_end(state, "test")
 
 
-def test_a_carry_runs_through_all_bytes_that_are_full() -> None:
+def test_a_carry_propagates_through_full_bytes() -> None:
     for seed in range(200):
         rng = np.random.default_rng(seed)
-        said = [(0, 1)] * int(rng.integers(0, 200)) + [(1, int(bit)) for bit in rng.random(60) < 0.9]
-        assert write(said) == plain(said).message()
+        sent = [(0, 1)] * int(rng.integers(0, 200)) + [(1, int(bit)) for bit in rng.random(60) < 0.9]
+        assert write(sent) == plain(sent).message()
 
 
 @given(st.binary(max_size=40), st.integers(1, 3000))
-def test_noise_is_read_as_something_and_never_beyond_the_end(noise: bytes, decisions: int) -> None:
+def test_noise_decodes_without_reading_beyond_the_end(noise: bytes, decisions: int) -> None:
     state, data = reader(noise)
     table = counts()
     for number in range(decisions):
@@ -108,28 +108,28 @@ def test_noise_is_read_as_something_and_never_beyond_the_end(noise: bytes, decis
 
 
 @given(bits, st.binary(min_size=AHEAD + 1, max_size=9))
-def test_a_message_that_goes_on_behind_its_bits_is_refused(said: list[tuple[int, int]], more: bytes) -> None:
-    state, data = reader(write(said) + more)
+def test_a_message_with_trailing_bytes_is_rejected(sent: list[tuple[int, int]], more: bytes) -> None:
+    state, data = reader(write(sent) + more)
     table = counts()
-    for context, _ in said:
+    for context, _ in sent:
         code_bit(state, data, table, context, 0, MOST)
-    with pytest.raises(ProtocolError, match="does not end behind"):
+    with pytest.raises(ProtocolError, match="does not end with"):
         check_end(state, "test")
 
 
-def test_a_message_that_is_cut_off_is_refused() -> None:
-    said = [(0, int(bit)) for bit in np.random.default_rng(2).integers(0, 2, 400)]
-    state, data = reader(write(said)[: -AHEAD - 1])
+def test_a_truncated_message_is_rejected() -> None:
+    sent = [(0, int(bit)) for bit in np.random.default_rng(2).integers(0, 2, 400)]
+    state, data = reader(write(sent)[: -AHEAD - 1])
     table = counts()
-    for context, _ in said:
+    for context, _ in sent:
         code_bit(state, data, table, context, 0, MOST)
-    with pytest.raises(ProtocolError, match="does not end behind"):
+    with pytest.raises(ProtocolError, match="does not end with"):
         check_end(state, "test")
 
 
-def test_a_writer_without_room_says_so_and_writes_nowhere_else() -> None:
+def test_a_full_buffer_is_flagged_and_not_overrun() -> None:
     state, data = writer(8)
     table = counts()
     for bit in np.random.default_rng(1).integers(0, 2, 400).tolist():
         code_bit(state, data, table, 0, bit, MOST)
-    assert state[BROKEN]
+    assert state[FAILED]

@@ -1,4 +1,4 @@
-"""Streams: whatever a self-explored grid becomes, who follows the stream knows it, and nonsense changes nothing."""
+"""Streams: receivers decode every change of a self-explored grid; malformed updates change nothing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from agent.predictive import contexts
 from agent.predictive.history import DecodedUpdate, History
-from agent.predictive.scan_updates import MAX_LOOKS, STATE, TOLD
+from agent.predictive.scan_updates import MAX_SCANS, REPORTED, STATE
 from agent.predictive.stream import Stream
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
@@ -46,12 +46,12 @@ class Group:
         """Whether a self-explored grid follows from the robot's stream."""
         grid = self.grids[robot]
         known = own != UNKNOWN
-        return bool(((grid & STATE) == own)[known].all() and not (grid[~known] & TOLD).any())
+        return bool(((grid & STATE) == own)[known].all() and not (grid[~known] & REPORTED).any())
 
 
 @dataclass
 class Scene:
-    """Robots whose grids change in any way, and where they say they looked from."""
+    """Robots whose grids change arbitrarily, and the cells from which they scan."""
 
     rng: np.random.Generator
     own: list[Grid]
@@ -68,117 +68,117 @@ class Scene:
         return height, width
 
     def change(self, robot: int) -> list[Cell]:
-        """See something, forget something, change one's mind; return where from."""
+        """See something, forget something, change one's encoding; return where from."""
         rng, own = self.rng, self.own[robot]
         height, width = own.shape
         truth = np.random.default_rng(3).choice((FREE, FREE, OCCUPIED), own.shape).astype(np.uint8)
         poses = [(int(rng.integers(width)), int(rng.integers(height))) for _ in range(rng.integers(0, 4))]
-        nobody = np.zeros(own.shape, np.bool_)
+        no_robots = np.zeros(own.shape, np.bool_)
         beams = ray_table(RANGES[robot], BEAMS)
         for x, y in poses:
             if rng.random() < 0.8:
-                draw(own, beams, x, y, cast(truth, nobody, beams, x, y))
+                draw(own, beams, x, y, cast(truth, no_robots, beams, x, y))
         for _ in range(rng.choice((0, 0, 1, 5, 40))):
             own[rng.integers(height), rng.integers(width)] = rng.integers(3)
         return poses
 
-    def tell(self, group: Group, robot: int) -> tuple[bytes, DecodedUpdate] | None:
+    def encode(self, group: Group, robot: int) -> tuple[bytes, DecodedUpdate] | None:
         height, width = self.shape
-        unit = group.streams[robot].encode(self.own[robot], self.change(robot), (0, 0, width, height))
-        return None if unit is None else unit[:2]
+        update = group.streams[robot].encode(self.own[robot], self.change(robot), (0, 0, width, height))
+        return None if update is None else update[:2]
 
 
 @given(seeds, st.booleans())
-def test_any_change_of_a_grid_is_told_without_loss(seed: int, team: bool) -> None:
+def test_any_change_of_a_grid_is_coded_without_loss(seed: int, team: bool) -> None:
     scene = Scene.drawn(seed)
-    maker, hearer = Group(scene.shape, team=team), Group(scene.shape, team=team)
+    author, receiver = Group(scene.shape, team=team), Group(scene.shape, team=team)
     for _ in range(12):
         robot = int(scene.rng.integers(len(RANGES)))
-        unit = scene.tell(maker, robot)
-        if unit is None:
+        update = scene.encode(author, robot)
+        if update is None:
             continue
-        message, told = unit
-        heard = hearer.streams[robot].decode(message)
-        assert heard is not None
-        assert heard.places.tolist() == told.places.tolist()
-        assert heard.states.tolist() == told.states.tolist()
-        assert hearer.follows(robot, scene.own[robot])
-        assert (hearer.grids == maker.grids).all()
+        message, reported = update
+        received = receiver.streams[robot].decode(message)
+        assert received is not None
+        assert received.places.tolist() == reported.places.tolist()
+        assert received.states.tolist() == reported.states.tolist()
+        assert receiver.follows(robot, scene.own[robot])
+        assert (receiver.grids == author.grids).all()
 
 
 @given(seeds)
-def test_with_base_own_a_stream_alone_tells_the_whole_grid(seed: int) -> None:
+def test_with_base_own_one_log_suffices_to_decode_the_grid(seed: int) -> None:
     scene = Scene.drawn(seed)
-    maker, hearer = Group(scene.shape, team=False), Group(scene.shape, team=False)
+    author, receiver = Group(scene.shape, team=False), Group(scene.shape, team=False)
     for _ in range(6):
-        if (unit := scene.tell(maker, 0)) is not None:
-            hearer.streams[0].decode(unit[0])
-        assert (hearer.grids[0] & STATE).tolist() == scene.own[0].tolist()
+        if (update := scene.encode(author, 0)) is not None:
+            receiver.streams[0].decode(update[0])
+        assert (receiver.grids[0] & STATE).tolist() == scene.own[0].tolist()
 
 
 @given(seeds)
-def test_a_unit_waits_for_what_it_is_built_on_and_nothing_changes_until_then(seed: int) -> None:
+def test_an_update_waits_for_its_dependencies_and_changes_nothing_until_then(seed: int) -> None:
     scene = Scene.drawn(seed)
-    maker, hearer = Group(scene.shape), Group(scene.shape)
-    said: list[list[bytes]] = [[] for _ in RANGES]
+    author, receiver = Group(scene.shape), Group(scene.shape)
+    sent: list[list[bytes]] = [[] for _ in RANGES]
     for _ in range(15):
         robot = int(scene.rng.integers(len(RANGES)))
-        if (unit := scene.tell(maker, robot)) is not None:
-            said[robot].append(unit[0])
-    while any(said):
+        if (update := scene.encode(author, robot)) is not None:
+            sent[robot].append(update[0])
+    while any(sent):
         waits = True
         for robot in scene.rng.permutation(len(RANGES)).tolist():
-            before = hearer.grids.copy()
-            if said[robot]:
-                if hearer.streams[robot].decode(said[robot][0]) is None:
-                    assert (hearer.grids == before).all()
+            before = receiver.grids.copy()
+            if sent[robot]:
+                if receiver.streams[robot].decode(sent[robot][0]) is None:
+                    assert (receiver.grids == before).all()
                 else:
-                    del said[robot][0]
+                    del sent[robot][0]
                     waits = False
-        assert not waits, "units wait for each other"
-    assert (hearer.grids == maker.grids).all()
+        assert not waits, "updates wait for each other"
+    assert (receiver.grids == author.grids).all()
 
 
 @given(seeds)
-def test_a_unit_that_is_taken_back_leaves_no_trace(seed: int) -> None:
+def test_a_rolled_back_update_leaves_no_trace(seed: int) -> None:
     scene = Scene.drawn(seed)
-    maker, other = Group(scene.shape), Group(scene.shape)
+    author, other = Group(scene.shape), Group(scene.shape)
     for _ in range(8):
         robot = int(scene.rng.integers(len(RANGES)))
         height, width = scene.shape
         whole = 0, 0, width, height
         poses = scene.change(robot)
-        if maker.streams[robot].encode(scene.own[robot], poses, whole) is not None:
-            maker.streams[robot].undo()
-            maker.histories[robot].pop()
+        if author.streams[robot].encode(scene.own[robot], poses, whole) is not None:
+            author.streams[robot].rollback()
+            author.histories[robot].pop()
         poses += scene.change(robot)
         once, again = (
-            group.streams[robot].encode(scene.own[robot], poses, whole) for group in (maker, other)
+            group.streams[robot].encode(scene.own[robot], poses, whole) for group in (author, other)
         )
         assert (once is None) == (again is None)
         if once is not None and again is not None:
             assert once[0] == again[0]
-        assert (maker.grids == other.grids).all()
+        assert (author.grids == other.grids).all()
 
 
 @given(seeds)
-def test_a_unit_is_the_plain_writer_s_to_the_byte(seed: int) -> None:
+def test_an_update_equals_that_of_the_reference_coder(seed: int) -> None:
     scene = Scene.drawn(seed)
-    maker = Group(scene.shape, team=False)
+    author = Group(scene.shape, team=False)
     plain = PlainStream(scene.shape, ray_table(RANGES[0], BEAMS))
     height, width = scene.shape
     for _ in range(5):
         poses = scene.change(0)
-        unit = maker.streams[0].encode(scene.own[0], poses, (0, 0, width, height))
-        if unit is not None:
-            assert unit[0] == plain.unit(scene.own[0], poses)[0]
-            assert (maker.grids[0] & STATE).tolist() == plain.known.tolist()
+        update = author.streams[0].encode(scene.own[0], poses, (0, 0, width, height))
+        if update is not None:
+            assert update[0] == plain.update(scene.own[0], poses)[0]
+            assert (author.grids[0] & STATE).tolist() == plain.known.tolist()
 
 
 def exploration(steps: int = 25) -> tuple[Grid, list[tuple[Grid, Cell]]]:
-    """A walk through a generated office: after each step what is known, and where the robot is."""
+    """A walk through a generated office: after each step the self-explored grid and the cell of the robot."""
     truth = generators.make("office", width_m=12, height_m=12).cells
-    nobody, beams = np.zeros(truth.shape, np.bool_), ray_table(30.0, BEAMS)
+    no_robots, beams = np.zeros(truth.shape, np.bool_), ray_table(30.0, BEAMS)
     own = np.zeros(truth.shape, np.uint8)
     cell = np.argwhere(truth == FREE)[900].tolist()
     walk = []
@@ -195,12 +195,12 @@ def exploration(steps: int = 25) -> tuple[Grid, list[tuple[Grid, Cell]]]:
             if 0 <= y < truth.shape[0] and 0 <= x < truth.shape[1] and truth[y, x] == FREE
         ]
         cell = ahead[rng.integers(len(ahead))]
-        draw(own, beams, cell[1], cell[0], cast(truth, nobody, beams, cell[1], cell[0]))
+        draw(own, beams, cell[1], cell[0], cast(truth, no_robots, beams, cell[1], cell[0]))
         walk.append((own.copy(), (cell[1], cell[0])))
     return truth, walk
 
 
-def test_the_units_of_a_walk_are_within_3_percent_of_their_ideal_length_and_half_a_byte_each() -> None:
+def test_updates_are_within_3_percent_and_half_a_byte_of_their_entropy() -> None:
     truth, walk = exploration()
     stream = Group((truth.shape[0], truth.shape[1]), team=False, ranges=(30.0,)).streams[0]
     plain = PlainStream((truth.shape[0], truth.shape[1]), ray_table(30.0, BEAMS))
@@ -208,10 +208,10 @@ def test_the_units_of_a_walk_are_within_3_percent_of_their_ideal_length_and_half
     sizes, ideal = 0, 0.0
     count = 0
     for own, pose in walk:
-        unit = stream.encode(own, [pose], (0, 0, width, height))
-        if unit is not None:
-            message, bits = plain.unit(own, [pose])
-            assert unit[0] == message
+        update = stream.encode(own, [pose], (0, 0, width, height))
+        if update is not None:
+            message, bits = plain.update(own, [pose])
+            assert update[0] == message
             sizes, ideal, count = sizes + len(message), ideal + bits / 8, count + 1
     assert count > 10
     assert sizes <= 1.03 * ideal + 0.6 * count
@@ -221,44 +221,44 @@ def test_a_scan_of_an_office_takes_a_hundredth_of_its_readings() -> None:
     truth, walk = exploration()
     stream = Group((truth.shape[0], truth.shape[1]), team=False, ranges=(30.0,)).streams[0]
     height, width = truth.shape
-    units = [stream.encode(own, [pose], (0, 0, width, height)) for own, pose in walk]
-    told = sum(len(unit[0]) for unit in units if unit is not None)
-    assert told < len(walk) * 2 * (BEAMS + 2) / 4
+    updates = [stream.encode(own, [pose], (0, 0, width, height)) for own, pose in walk]
+    reported = sum(len(update[0]) for update in updates if update is not None)
+    assert reported < len(walk) * 2 * (BEAMS + 2) / 4
 
 
 messages = st.binary(max_size=64)
 
 
 @given(seeds, messages, st.lists(st.tuples(st.integers(0, 63), st.integers(0, 255)), max_size=3))
-def test_noise_and_garbled_units_change_nothing_or_are_read_whole(
+def test_noise_and_damaged_updates_change_nothing_or_decode_fully(
     seed: int, noise: bytes, flips: list[tuple[int, int]]
 ) -> None:
     scene = Scene.drawn(seed)
-    maker, hearer = Group(scene.shape), Group(scene.shape)
+    author, receiver = Group(scene.shape), Group(scene.shape)
     for _ in range(4):
         robot = int(scene.rng.integers(len(RANGES)))
-        unit = scene.tell(maker, robot)
-        if unit is None:
+        update = scene.encode(author, robot)
+        if update is None:
             continue
-        garbled = bytearray(unit[0])
+        garbled = bytearray(update[0])
         for place, byte in flips:
             if garbled:
                 garbled[place % len(garbled)] ^= byte
-        stream, history = hearer.streams[robot], hearer.histories[robot]
-        for wrong in (noise, bytes(garbled), unit[0][: len(unit[0]) // 2]):
-            before, units = hearer.grids.copy(), len(history)
+        stream, history = receiver.streams[robot], receiver.histories[robot]
+        for wrong in (noise, bytes(garbled), update[0][: len(update[0]) // 2]):
+            before, updates = receiver.grids.copy(), len(history)
             try:
-                heard = stream.decode(wrong)
+                received = stream.decode(wrong)
             except ProtocolError as error:
                 assert error.packet == "update"
-                heard = None
-            if heard is not None:
-                stream.undo()
+                received = None
+            if received is not None:
+                stream.rollback()
                 history.pop()
-            assert len(history) == units
-            assert (hearer.grids == before).all()
-        assert stream.decode(unit[0]) is not None
-        assert (hearer.grids == maker.grids).all()
+            assert len(history) == updates
+            assert (receiver.grids == before).all()
+        assert stream.decode(update[0]) is not None
+        assert (receiver.grids == author.grids).all()
 
 
 @pytest.mark.parametrize("size", [0, 1, 4, 16, 64, 1000])
@@ -272,7 +272,7 @@ def test_hostile_bytes_cost_bounded_time(size: int) -> None:
         began = time.process_time()
         try:
             stream.decode(message)
-            stream.undo()
+            stream.rollback()
         except ProtocolError:
             pass
         worst = max(worst, time.process_time() - began)
@@ -280,72 +280,72 @@ def test_hostile_bytes_cost_bounded_time(size: int) -> None:
     assert worst < 0.5
 
 
-def test_a_unit_has_so_many_looks_at_most_and_what_is_left_can_be_told_in_the_next() -> None:
+def test_an_update_has_at_most_max_scans_and_the_next_one_has_the_rest() -> None:
     shape = 3, 400
-    maker, hearer = (Group(shape, team=False, ranges=(1.0,)) for _ in range(2))
+    author, receiver = (Group(shape, team=False, ranges=(1.0,)) for _ in range(2))
     own = np.zeros(shape, np.uint8)
     own[1] = FREE
     poses = [(x, 1) for x in range(0, 400, 3)]
     while poses:
-        unit = maker.streams[0].encode(own, poses, (0, 0, 400, 3))
-        assert unit is not None
-        message, _, looks = unit
-        assert looks == min(MAX_LOOKS, len(poses))
-        assert hearer.streams[0].decode(message) is not None
-        poses = poses[looks:]
-    assert (hearer.grids[0] & STATE).tolist() == own.tolist()
+        update = author.streams[0].encode(own, poses, (0, 0, 400, 3))
+        assert update is not None
+        message, _, scans = update
+        assert scans == min(MAX_SCANS, len(poses))
+        assert receiver.streams[0].decode(message) is not None
+        poses = poses[scans:]
+    assert (receiver.grids[0] & STATE).tolist() == own.tolist()
 
 
-def test_where_nothing_is_left_to_tell_the_unit_before_can_still_be_taken_back() -> None:
+def test_an_empty_update_leaves_the_one_before_it_retractable() -> None:
     own = np.full((1, 500), FREE, np.uint8)
     stream = Group((1, 500), team=False, ranges=(3.0,)).streams[0]
-    poses = [(x, 0) for x in (3, 7, *range(12, 7 * MAX_LOOKS, 7))][:MAX_LOOKS]
+    poses = [(x, 0) for x in (3, 7, *range(12, 7 * MAX_SCANS, 7))][:MAX_SCANS]
     poses.append((4, 0))  # from there nothing is to be seen that is not from one of the others
     own[0, poses[-2][0] + 4 :] = UNKNOWN
-    unit = stream.encode(own, poses, (0, 0, 500, 1))
-    assert unit is not None
-    assert unit[2] == MAX_LOOKS
-    assert stream.encode(own, poses[MAX_LOOKS:], (0, 0, 500, 1)) is None
-    stream.undo()
+    update = stream.encode(own, poses, (0, 0, 500, 1))
+    assert update is not None
+    assert update[2] == MAX_SCANS
+    assert stream.encode(own, poses[MAX_SCANS:], (0, 0, 500, 1)) is None
+    stream.rollback()
     assert not stream.grid.any()
     stream.histories[0].pop()
     again = stream.encode(own, poses, (0, 0, 500, 1))
     assert again is not None
-    assert again[0] == unit[0]
+    assert again[0] == update[0]
 
 
 @given(seeds, st.integers(1, 40))
-def test_what_a_short_unit_has_no_room_for_is_told_in_the_next_ones(seed: int, most: int) -> None:
+def test_a_size_limit_defers_scans_to_the_next_updates(seed: int, most: int) -> None:
     scene = Scene.drawn(seed)
-    maker, hearer = Group(scene.shape), Group(scene.shape)
+    author, receiver = Group(scene.shape), Group(scene.shape)
     height, width = scene.shape
     for _ in range(4):
         robot = int(scene.rng.integers(len(RANGES)))
         poses = scene.change(robot)
-        looks = -1
-        while looks < len(poses):
-            poses = poses[max(looks, 0) :]
-            unit = maker.streams[robot].encode(scene.own[robot], poses, (0, 0, width, height), most=most)
-            if unit is None:
+        scans = -1
+        while scans < len(poses):
+            poses = poses[max(scans, 0) :]
+            update = author.streams[robot].encode(scene.own[robot], poses, (0, 0, width, height), most=most)
+            if update is None:
                 break
-            message, _, looks = unit
-            assert hearer.streams[robot].decode(message) is not None
+            message, _, scans = update
+            assert receiver.streams[robot].decode(message) is not None
         else:
-            assert hearer.follows(robot, scene.own[robot])
-        assert (hearer.grids == maker.grids).all()
+            assert receiver.follows(robot, scene.own[robot])
+        assert (receiver.grids == author.grids).all()
 
 
-def test_the_shipped_table_speaks_of_contexts_that_there_are() -> None:
+def test_the_shipped_table_fits_the_contexts() -> None:
     counts = contexts.start()
     assert counts.shape == (contexts.CONTEXTS, 2)
-    assert counts[: contexts.SEEN].sum(axis=1).max() < contexts.CELLS_MOST
+    assert counts[: contexts.OBSERVED].sum(axis=1).max() < contexts.CELLS_MOST
     assert counts.sum(axis=1).max() < contexts.REST_MOST
     counts[:] = 0
     assert contexts.start().any(), "each stream has counts of its own"
 
 
 @pytest.mark.parametrize(("cells", "at_most"), [(1, 6.0), (10, 3.0), (100, 2.0)])
-def test_a_cell_that_is_not_as_expected_costs_some_two_bytes(cells: int, at_most: float) -> None:
+def test_a_correction_takes_about_two_bytes(cells: int, at_most: float) -> None:
     truth, walk = exploration()
     stream = Group((truth.shape[0], truth.shape[1]), team=False, ranges=(30.0,)).streams[0]
     height, width = truth.shape
@@ -354,6 +354,6 @@ def test_a_cell_that_is_not_as_expected_costs_some_two_bytes(cells: int, at_most
     noisy = walk[-1][0].copy()
     places = np.flatnonzero(noisy)[np.random.default_rng(4).permutation(np.count_nonzero(noisy))[:cells]]
     noisy.flat[places] = FREE + OCCUPIED - noisy.flat[places]
-    unit = stream.encode(noisy, [walk[-1][1]], (0, 0, width, height))
-    assert unit is not None
-    assert 0.5 * cells <= len(unit[0]) <= at_most * cells
+    update = stream.encode(noisy, [walk[-1][1]], (0, 0, width, height))
+    assert update is not None
+    assert 0.5 * cells <= len(update[0]) <= at_most * cells

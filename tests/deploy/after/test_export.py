@@ -15,7 +15,6 @@ from deploy.after import archive
 from deploy.after.export import ExportError, export_mcap, occupancy, ranges_of
 from deploy.after.recast_scans import Lasers
 from deploy.record.colors import GROUPS
-from deploy.record.snapshots import Snapshots
 from deploy.run import in_memory
 from protocol.grid import ray_table
 from protocol.messages import Sense, unpack
@@ -99,10 +98,10 @@ def test_a_scan_drawn_in_the_maps_frame_hits_walls_of_the_truth() -> None:
 
 
 def test_maps_are_the_planning_maps_bottom_row_first() -> None:
-    snapshots = Snapshots.read(small_directory() / "snapshots.parquet")
+    maps = archive.read(small_directory()).maps
     for robot in range(3):
         for second, said in bag()[f"/r{robot}/map"]:
-            grid = snapshots.planning(robot, second)
+            grid = maps.planning(robot, second)
             assert grid is not None
             data = np.array(said.data, np.int8).reshape(said.info.height, said.info.width)
             assert (data[::-1] == np.array([-1, 0, 100], np.int8)[grid]).all()
@@ -111,12 +110,12 @@ def test_maps_are_the_planning_maps_bottom_row_first() -> None:
     assert (truth == occupancy(small_plan().map.cells)).all()
 
 
-def test_polygons_are_closed_and_lie_where_the_snapshots_have_them() -> None:
-    snapshots = Snapshots.read(small_directory() / "snapshots.parquet")
+def test_polygons_are_closed_and_lie_where_the_recorded_outlines_do() -> None:
+    maps = archive.read(small_directory()).maps
     world = small_plan().map
     second, said = bag()["/r0/polygons"][-1]
     (marker,) = said.markers
-    rows = np.frombuffer(snapshots.outlines(0, marker.id, second), "<i2").reshape(-1, 4)
+    rows = np.frombuffer(maps.outlines(0, marker.id, second), "<i2").reshape(-1, 4)
     assert len(marker.points) == len(marker.colors) == 2 * len(rows)
     for row, (here, color) in zip(
         rows, zip(marker.points[::2], marker.colors[::2], strict=True), strict=True
@@ -133,10 +132,7 @@ def test_the_radios_frames_are_those_of_the_ledger() -> None:
     frames = [said for _, said in bag()["/radio/frames"]]
     whole = np.unique(
         np.column_stack(
-            [
-                ledger[name]
-                for name in ("step", "map_encoding", "connection", "frame", "sender", "receiver", "map")
-            ]
+            [ledger[name] for name in ("step", "round", "connection", "frame", "sender", "receiver", "map")]
         ),
         axis=0,
     )

@@ -1,4 +1,4 @@
-"""Films: a frame for each step that shows what the run directory holds, written by a program that others can read."""
+"""Films of a run directory: one frame per step, in formats that other programs can read."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ffmpeg = pytest.importorskip(
 @cache
 def frames() -> Frames:
     run = archive.read(small_directory())
-    return Frames(run, run.snapshots())
+    return Frames(run)
 
 
 def count(picture: Image.Image, color: Color, off: int = 0) -> int:
@@ -34,13 +34,11 @@ def count(picture: Image.Image, color: Color, off: int = 0) -> int:
     return int((np.abs(pixels - color).max(axis=1) <= off).sum())
 
 
-def test_a_frame_veils_what_no_robot_knows_and_shows_every_robot() -> None:
+def test_a_frame_grays_cells_that_no_robot_knows_and_shows_every_robot() -> None:
     run = archive.read(small_directory())
-    snapshots = run.snapshots()
-    assert snapshots is not None
     picture = frames().at(40)
     assert picture.size == frames().size
-    grids = [snapshots.planning(robot, 40) for robot in range(3)]
+    grids = [run.maps.planning(robot, 40) for robot in range(3)]
     known = np.logical_or.reduce([grid != UNKNOWN for grid in grids if grid is not None])
     hidden = int((~known & (run.plan.map.cells == FREE)).sum())
     (wide, _), world = frames()._world_size, run.plan.map
@@ -51,24 +49,27 @@ def test_a_frame_veils_what_no_robot_knows_and_shows_every_robot() -> None:
         assert count(picture, robot_color(robot)) > 100
 
 
-def test_steps_look_different_and_after_the_end_nothing_moves() -> None:
+def test_frames_differ_between_steps_and_repeat_after_the_end() -> None:
     first, later, last = (frames().at(step).tobytes() for step in (1, 20, 40))
     assert len({first, later, last}) == 3
     assert frames().at(99).tobytes() == last
 
 
-def test_a_team_of_many_and_a_flat_building_fit_as_well(tmp_path: Path) -> None:
+def test_many_robots_and_a_flat_building_fit_into_a_frame(tmp_path: Path) -> None:
     from deploy.run.exploration import explore
     from deploy.scenario.scenario import parse
 
     crowd = {"map": "burgard-corridor", "robots": 23, "steps": 6, "bus": "memory", "map_encoding": "none"}
-    explore(parse(crowd), out=tmp_path / "run", snapshots=True)
+    explore(parse(crowd), out=tmp_path / "run")
     run = archive.read(tmp_path / "run")
-    shown = Frames(run, run.snapshots(), 641)
+    shown = Frames(run, 641)
     assert shown.size[0] == 640
     assert all(side % 2 == 0 for side in shown.size)
-    right = max(left for left, _ in shown._thumbs_at) + shown._unit
-    below = max(top for _, top in shown._thumbs_at) + shown._unit * run.plan.map.height / run.plan.map.width
+    right = max(left for left, _ in shown._thumbs_at) + shown._panel_width
+    below = (
+        max(top for _, top in shown._thumbs_at)
+        + shown._panel_width * run.plan.map.height / run.plan.map.width
+    )
     assert right <= shown.size[0]
     assert below <= shown._charts_top
     pair = side_by_side([shown, frames()], 3)
@@ -92,7 +93,7 @@ def test_a_film_has_a_picture_for_each_step(runs: int, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_the_command_writes_a_gif_and_names_it(tmp_path: Path) -> None:
+def test_the_command_writes_a_gif_and_prints_its_name(tmp_path: Path) -> None:
     out = tmp_path / "film.gif"
     done = CliRunner().invoke(app, ["movie", str(small_directory()), "--gif", "--out", str(out)])
     assert done.exit_code == 0, done.output
@@ -108,35 +109,35 @@ def test_the_command_writes_a_gif_and_names_it(tmp_path: Path) -> None:
     [
         (["movie", "RUN", "--mp4", "--gif"], "--mp4 and --gif are two films: choose one"),
         (["movie", "RUN", "RUN", "RUN"], "a film shows one run, or two side by side"),
-        (["movie", "RUN", "--rate", "0"], "rate = 0: must be 0.1 to 120 steps a second"),
+        (["movie", "RUN", "--rate", "0"], "rate = 0: must be 0.1 to 120 steps per second"),
         (["movie", "/nowhere"], "/nowhere: no run directory, for it has no scenario.toml"),
         (
             ["movie", "RUN", "--out", "/nowhere/film.mp4"],
-            "out = /nowhere/film.mp4: there is no folder /nowhere",
+            "out = /nowhere/film.mp4: no such folder: /nowhere",
         ),
         (
             ["movie", "RUN", "--out", "film.avi"],
-            "out = film.avi: must end in .mp4, or take the other of --mp4 and --gif",
+            "out = film.avi: must end in .mp4; --mp4 and --gif choose the format",
         ),
         (["report", "RUN", "RUN", "RUN"], "a report is of one run, or compares two; stages are of one"),
     ],
 )
-def test_what_cannot_be_filmed_is_refused_in_a_sentence(words: list[str], said: str) -> None:
+def test_invalid_requests_for_films_are_refused(words: list[str], said: str) -> None:
     run = str(small_directory())
     done = CliRunner().invoke(app, [word.replace("RUN", run) for word in words])
     assert (done.exit_code, done.stderr) == (2, f"murmur: {said}\n")
 
 
-def test_a_film_names_the_package_that_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     with pytest.raises(MovieError, match=r"pip install 'murmur-robots\[film\]'"):
         write_movie([Path()], MP4)
 
 
-def test_a_failing_ffmpeg_is_quoted_and_leaves_nothing(
+def test_the_error_of_ffmpeg_is_quoted_and_no_file_remains(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("deploy.after.movie.AS_MP4", ["-c:v", "no-such-codec"])
-    with pytest.raises(MovieError, match=r"film\.mp4: ffmpeg could not write it: .*"):
+    with pytest.raises(MovieError, match=r"film\.mp4: ffmpeg failed: .*"):
         write_movie([small_directory()], MP4, tmp_path / "film.mp4")
     assert not list(tmp_path.iterdir())

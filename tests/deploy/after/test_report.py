@@ -1,4 +1,4 @@
-"""Pictures and the page of a run: what they show is what the run directory holds."""
+"""Figures and the page of a run show the data of its directory."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from deploy.after.frames import Frames
 from deploy.after.report import write_report
 from deploy.commands.main import app
 from deploy.record import run_directory
-from deploy.record.snapshots import SNAPSHOTS
+from deploy.record.map_history import MAP_CHANGES
 from deploy.run.exploration import explore
 from deploy.scenario.scenario import ScenarioError, parse
 from tests.deploy.small_run import SETTINGS, small_directory, small_run
@@ -60,7 +60,7 @@ def directory(tmp_path: Path) -> Path:
     return copy
 
 
-def test_a_run_with_pictures_draws_them() -> None:
+def test_all_figures_of_a_run_are_drawn() -> None:
     folder = small_directory() / run_directory.PICTURES
     assert sorted(path.name for path in folder.iterdir()) == FIGURES
     for name in FIGURES:
@@ -76,7 +76,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
         return write_report(copy)
 
 
-def test_a_page_has_all_in_it_and_fetches_nothing(written: Path) -> None:
+def test_a_page_embeds_all_pictures_and_fetches_nothing(written: Path) -> None:
     page = Page(written.read_text(encoding="utf-8"))
     assert not page.open
     assert len(page.sources) == len(FIGURES) + 1 + 40
@@ -84,7 +84,7 @@ def test_a_page_has_all_in_it_and_fetches_nothing(written: Path) -> None:
     assert not re.search(r"https?:|url\(|@import", re.sub(r"base64,[^\"]*", "", written.read_text()))
 
 
-def test_a_page_tells_the_figures_of_the_summary_and_the_shares_of_the_ledger(written: Path) -> None:
+def test_a_page_shows_the_figures_of_the_summary_and_of_the_ledger(written: Path) -> None:
     summary = small_run().summary
     words = Page(written.read_text(encoding="utf-8")).words
     assert f"Not finished after {summary['steps']} steps: out of steps" in words
@@ -99,7 +99,7 @@ def test_a_page_tells_the_figures_of_the_summary_and_the_shares_of_the_ledger(wr
         assert f"{said:,}" in words
 
 
-def test_a_slider_has_the_pictures_of_its_steps_within_a_bound(
+def test_a_slider_has_a_picture_per_step_up_to_a_size_limit(
     written: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     steps = [int(step) for step in re.findall(r'data-step="(\d+)"', written.read_text(encoding="utf-8"))]
@@ -108,7 +108,7 @@ def test_a_slider_has_the_pictures_of_its_steps_within_a_bound(
     run = archive.read(written.parent)
     monkeypatch.setattr(report, "MOST_FRAMES", 40)
     monkeypatch.setattr(report, "MOST_FRAME_BYTES", 200_000)
-    fewer = report._frames([Frames(run, run.snapshots(), 400)])
+    fewer = report._frames([Frames(run, 400)])
     assert sum(len(frame.source) for frame in fewer) < 210_000
     assert fewer[-1].step == 40
     assert 2 < len(fewer) < 40
@@ -125,99 +125,76 @@ def test_two_runs_are_compared_on_a_page(directory: Path, tmp_path: Path) -> Non
     assert len(page.sources) == 3 + 3
     assert not page.open
     assert re.search(r"run and scans", page.words)
-    assert re.search(r"exchange\s+polygon\s+laser", page.words)
+    assert re.search(r"map_encoding\s+polygons\s+scans", page.words)
     assert re.search(r"steps\s+40\s+30", page.words)
-    assert "seed" not in page.words.split("What was set differently")[1].split("Step by step")[0]
+    assert "seed" not in page.words.split("Different settings")[1].split("Step by step")[0]
     for folder in (directory, other):
         summary = run_directory.read_summary(folder)
         assert summary["digest"] in page.words
         assert f"{summary['bytes']['total']:,}" in page.words
 
 
-def test_maps_over_time_that_were_not_kept_are_seen_by_repeating_the_run(directory: Path) -> None:
-    kept = archive.read(directory).snapshots()
-    (directory / SNAPSHOTS).unlink()
-    told: list[str] = []
-    again = archive.read(directory).snapshots(told.append)
-    assert again == kept
-    assert "repeated in memory" in told[0]
-
-
-@pytest.mark.parametrize(
-    ("was", "cut"),
-    [('"out of steps"', '"interrupted"'), ('"lost": {}', '"lost": {"1": "its process ended"}')],
-)
-def test_a_run_that_cannot_be_repeated_is_told_of_without_maps_over_time(
-    directory: Path, was: str, cut: str
-) -> None:
-    (directory / SNAPSHOTS).unlink()
-    shutil.rmtree(directory / run_directory.PICTURES)
-    summary = directory / run_directory.SUMMARY
-    summary.write_text(summary.read_text().replace(was, cut))
-    told: list[str] = []
-    page = Page(write_report(directory, told.append).read_text(encoding="utf-8"))
-    assert [path.name for path in (directory / run_directory.PICTURES).iterdir()] == ["channel-load.png"]
-    assert len(page.sources) == 2 + 3
-    assert "cannot be repeated" in told[0]
-
-
-def test_a_robot_that_had_nobody_to_talk_to_is_told_of_as_well(tmp_path: Path) -> None:
+def test_a_run_without_traffic_has_a_page(tmp_path: Path) -> None:
     alone = parse({"bus": "memory", "robots": 1, "steps": 3, "bandwidth": "unlimited"})
-    explore(alone, out=tmp_path / "run", snapshots=True)
+    explore(alone, out=tmp_path / "run")
     assert "0 bytes in 0 packets" in write_report(tmp_path / "run").read_text(encoding="utf-8")
 
 
-def test_panels_of_a_channel_on_which_nothing_was_said_begin_at_zero(tmp_path: Path) -> None:
+def test_panels_without_traffic_begin_at_zero(tmp_path: Path) -> None:
     alone = parse({"bus": "memory", "robots": 1, "steps": 3, "bandwidth": "unlimited"})
     explore(alone, out=tmp_path / "run")
-    _, load, wait, told = channel_load(archive.read(tmp_path / "run"), None).axes
+    _, load, wait, told = channel_load(archive.read(tmp_path / "run")).axes
     assert [axes.get_ylim() for axes in (load, wait, told)] == [(0, 1)] * 3
 
 
-def test_what_is_no_run_is_refused(tmp_path: Path, directory: Path) -> None:
+def test_other_folders_and_damaged_tables_are_refused(tmp_path: Path, directory: Path) -> None:
     with pytest.raises(ScenarioError, match=r"no run directory"):
         write_report(tmp_path)
     ledger, steps = (directory / name for name in (run_directory.LEDGER, run_directory.STEPS))
     steps.write_bytes(ledger.read_bytes())
     with pytest.raises(
-        ScenarioError, match=r"steps.parquet: is not that of a run, for it has no robot, x, y"
+        ScenarioError, match=r"steps.parquet: not the table of a run: columns missing: robot, x, y"
     ):
         write_report(directory)
     steps.write_bytes(ledger.read_bytes()[:-9])
-    with pytest.raises(ScenarioError, match=r"steps.parquet: is not a whole table"):
+    with pytest.raises(ScenarioError, match=r"steps.parquet: damaged table"):
         write_report(directory)
     steps.unlink()
     with pytest.raises(ScenarioError, match=r"steps.parquet is missing"):
         write_report(directory)
+    shutil.copy(small_directory() / run_directory.STEPS, steps)
+    (directory / MAP_CHANGES).unlink()
+    with pytest.raises(ScenarioError, match=r"map_changes.parquet is missing"):
+        write_report(directory)
 
 
-def test_the_command_names_the_page(directory: Path) -> None:
+def test_the_command_prints_the_name_of_the_page(directory: Path) -> None:
     done = CliRunner().invoke(app, ["report", str(directory)])
     assert done.exit_code == 0, done.output
     assert done.output.startswith(str(directory / "report.html"))
     assert CliRunner().invoke(app, ["report", str(directory.parent)]).exit_code == 2
 
 
-def test_many_robots_share_a_median_and_bands_few_have_a_curve_each(tmp_path: Path) -> None:
+def test_many_robots_share_a_median_and_few_have_a_curve_each(tmp_path: Path) -> None:
     crowd = parse({"bus": "memory", "robots": 11, "steps": 6, "map_encoding": "none"})
     explore(crowd, out=tmp_path / "run")
-    wait = channel_load(archive.read(tmp_path / "run"), None).axes[2]
+    wait = channel_load(archive.read(tmp_path / "run")).axes[2]
     assert words_of(wait) == [
-        "bytes that did not fit into the step", "packets of all 11 robots", "the middle half of them", "their median",
+        "bytes over the step's budget", "packets of all 11 robots", "middle half", "median",
     ]  # fmt: skip
-    wait = channel_load(archive.read(small_directory()), None).axes[2]
+    wait = channel_load(archive.read(small_directory())).axes[2]
     assert words_of(wait)[1:] == [f"packets of robot {robot}" for robot in range(3)]
 
 
-def test_what_is_explored_and_the_use_of_the_budget_stand_above_each_other() -> None:
+def test_explored_area_and_load_share_their_time_axis() -> None:
     run = archive.read(small_directory())
-    explored, load, *_ = channel_load(run, run.snapshots()).axes
+    explored, load, *_ = channel_load(run).axes
     (team, *maps) = explored.lines
     seen = run.of_robot(0)["team_seen"]
     assert (team.get_ydata() == 100 * seen).all()
     assert len(maps) == 3
     used = small_run().summary["bytes"]["total"] / (40 * 1000)
-    assert load.get_title() == f"On the air: {100 * used:.0f} % of the budget"
+    assert load.get_title() == f"Transmitted: {100 * used:.0f} % of the budget"
     assert explored.get_shared_x_axes().joined(explored, load)
     assert explored.get_position().y0 > load.get_position().y0
 

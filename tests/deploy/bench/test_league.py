@@ -1,4 +1,4 @@
-"""The league table: all on the same starts, against the same plan."""
+"""The league table: all strategies on the same starts, compared with the same plan."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ SMALL = [
 ]
 
 
-def test_the_table_has_a_row_a_strategy_and_two_of_what_is_possible(tmp_path: Path) -> None:
+def test_the_table_has_a_row_per_strategy_and_two_bounds(tmp_path: Path) -> None:
     picture = tmp_path / "league.png"
-    said = CliRunner().invoke(app, ["bench", "strategies", *SMALL, "--json", "--picture", str(picture)])
-    assert said.exit_code == 0, said.output
-    rows = {row["strategy"]: row for row in json.loads(said.stdout)}
-    assert set(rows) == {league.KNOWN, league.BOUND, "meier", "burgard"}
-    assert rows[league.KNOWN]["multiple"] == 1.0
+    output = CliRunner().invoke(app, ["bench", "strategies", *SMALL, "--json", "--picture", str(picture)])
+    assert output.exit_code == 0, output.output
+    rows = {row["strategy"]: row for row in json.loads(output.stdout)}
+    assert set(rows) == {league.OFFLINE, league.LOWER_BOUND, "meier", "burgard"}
+    assert rows[league.OFFLINE]["multiple"] == 1.0
     assert (
-        rows[league.BOUND]["steps"]
-        <= rows[league.KNOWN]["steps"]
+        rows[league.LOWER_BOUND]["steps"]
+        <= rows[league.OFFLINE]["steps"]
         <= min(rows[n]["steps"] for n in ("meier", "burgard"))
     )
     for name in ("meier", "burgard"):
         row = rows[name]
         assert row["t90"] <= row["t99"] <= row["steps"]
-        assert row["least"] <= 1 <= row["most"]
+        assert row["min_path"] <= 1 <= row["max_path"]
         assert row["replan_ms"] > 0
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_order_of_the_table_is_that_of_multiples_whoever_was_first_to_end() -> None:
+def test_the_table_is_sorted_by_multiple_whatever_the_order_of_runs() -> None:
     run = {
         "map": "a",
         "robots": 2,
@@ -59,22 +59,22 @@ def test_the_order_of_the_table_is_that_of_multiples_whoever_was_first_to_end() 
     }
     runs: list[league.Run] = [
         {"strategy": "slow", **run, "steps": 30},
-        {"strategy": league.KNOWN, "map": "a", "robots": 2, "seed": 0, "steps": 10},
+        {"strategy": league.OFFLINE, "map": "a", "robots": 2, "seed": 0, "steps": 10},
         {"strategy": "quick", **run, "steps": 15},
         {"strategy": "stalls", **run, "steps": 5, "finished": False},
     ]
     table = league.table(runs)
-    assert table["strategy"].to_list() == [league.KNOWN, "quick", "slow", "stalls"]
+    assert table["strategy"].to_list() == [league.OFFLINE, "quick", "slow", "stalls"]
     assert table["multiple"].to_list()[1:] == [1.5, 3.0, None]
     assert table.equals(league.table(runs[::-1]))
-    assert table["most"].to_list()[1:] == [1.5, 1.5, 1.5]
+    assert table["max_path"].to_list()[1:] == [1.5, 1.5, 1.5]
     assert league.lines(table)[2][:7] == ["quick", "1", "1.00", "15", "1", "2", "1.50"]
 
 
 @pytest.mark.parametrize(
-    ("flags", "said"), [(["--strategy", "meyer"], "meyer"), (["--map", "offise"], "offise")]
+    ("flags", "output"), [(["--strategy", "meyer"], "meyer"), (["--map", "offise"], "offise")]
 )
-def test_who_or_what_is_unknown_is_named(flags: list[str], said: str) -> None:
+def test_errors_name_unknown_strategies_and_maps(flags: list[str], output: str) -> None:
     result = CliRunner().invoke(app, ["bench", "strategies", "--seeds", "1", *flags])
     assert result.exit_code == 2
-    assert said in result.stderr
+    assert output in result.stderr

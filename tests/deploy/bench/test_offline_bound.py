@@ -1,4 +1,4 @@
-"""What a team can do that knows the map: its plan sees everything in the world itself, and no bound is above it."""
+"""Offline exploration: in the simulated world its plan sees everything, and the lower bound never exceeds it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deploy.bench.offline_bound import Cell, OfflineBound, fewest_steps, offline_steps, offline_tours
+from deploy.bench.offline_bound import Cell, KnownBuilding, min_steps, offline_steps, offline_tours
 from protocol.grid import FREE, OCCUPIED, Grid
 from protocol.messages import Move, cells_to_bytes
 from worldsim import generators
@@ -18,8 +18,8 @@ from worldsim.world import Body, World, WorldSettings
 RANGE, SPEED = 12.0, 2.5
 
 
-def _building(truth: Grid, start: Cell, radius: float = 0.0) -> OfflineBound:
-    return OfflineBound(truth, start, RANGE, SPEED, radius_cells=radius)
+def _building(truth: Grid, start: Cell, radius: float = 0.0) -> KnownBuilding:
+    return KnownBuilding(truth, start, RANGE, SPEED, radius_cells=radius)
 
 
 def _corridor(length: int) -> Grid:
@@ -28,19 +28,19 @@ def _corridor(length: int) -> Grid:
     return truth
 
 
-def _drive(world: World, building: OfflineBound, tour: list[Cell]) -> None:
+def _drive(world: World, building: KnownBuilding, tour: list[Cell]) -> None:
     """Let the world's only robot drive to all its stops."""
     world.advance({})
     for start, stop in pairwise(tour):
-        way = building.way(start, stop)
-        while way:
-            path = cells_to_bytes(np.array(way, np.int32))
-            world.advance({0: Move(world.step, path, 0, False, True, False, b"")})
-            way = way[way.index(world.cells[0]) + 1 :]
+        path = building.path(start, stop)
+        while path:
+            route = cells_to_bytes(np.array(path, np.int32))
+            world.advance({0: Move(world.step, route, 0, False, True, False, b"")})
+            path = path[path.index(world.cells[0]) + 1 :]
 
 
 @pytest.mark.parametrize("radius", [0.0, 1.5])
-def test_the_plan_of_one_robot_sees_everything_in_the_world_in_as_many_steps_as_it_says(
+def test_the_plan_of_one_robot_sees_everything_in_the_planned_number_of_steps(
     radius: float,
 ) -> None:
     truth = generators.make("office", width_m=14, height_m=14, seed=3).cells
@@ -54,9 +54,9 @@ def test_the_plan_of_one_robot_sees_everything_in_the_world_in_as_many_steps_as_
     assert world.step == building.steps([tour])
     if radius == 0:
         assert world.seen_cells == world.reachable_cells
-    looks = [start, *(cell for one, other in pairwise(tour) for cell in building.looks(one, other))]
+    scans = [start, *(cell for one, other in pairwise(tour) for cell in building.scan_positions(one, other))]
     seen = np.zeros(truth.size, np.bool_)
-    for cell in looks:
+    for cell in scans:
         seen[building.seen(cell)] = True
     reached = building.floor == FREE
     assert seen.reshape(truth.shape)[reached].all()
@@ -74,25 +74,25 @@ def test_robots_share_the_work() -> None:
 
 
 def test_in_a_corridor_bound_and_plan_are_known() -> None:
-    # The robot has to come within 12 cells of cell 101: 88 cells at 2.5 a step, and a look before it drives. Of the
-    # walls beside the last cells its beams, a degree apart, see all only from somewhat nearer.
+    # The robot has to come within 12 cells of cell 101: 88 cells at 2.5 a step, and a scan before it drives. The
+    # beams are a degree apart, so they see all walls beside the last cells only from somewhat nearer.
     building = _building(_corridor(101), (1, 1))
     steps = 1 + int(np.ceil((101 - 1 - RANGE) / SPEED))
-    assert fewest_steps(building, [(1, 1)]) <= steps
-    assert fewest_steps(building, [(1, 1)]) >= steps - 5
+    assert min_steps(building, [(1, 1)]) <= steps
+    assert min_steps(building, [(1, 1)]) >= steps - 5
     assert steps <= offline_steps(building, [(1, 1)]) <= steps + 4
 
 
-def test_what_is_seen_from_the_start_needs_one_step() -> None:
+def test_a_building_seen_from_the_start_takes_one_step() -> None:
     building = _building(_corridor(8), (3, 1))
-    assert fewest_steps(building, [(3, 1)]) == offline_steps(building, [(3, 1)]) == 1
+    assert min_steps(building, [(3, 1)]) == offline_steps(building, [(3, 1)]) == 1
 
 
 @given(st.integers(0, 30), st.integers(1, 4))
 @settings(max_examples=5, deadline=None)
-def test_no_plan_is_below_the_bound(seed: int, robots: int) -> None:
+def test_no_plan_is_shorter_than_the_bound(seed: int, robots: int) -> None:
     truth = generators.make("office", width_m=10, height_m=10, seed=seed).cells
     y, x = np.argwhere(truth == FREE)[seed]
     building = _building(truth, (int(x), int(y)))
     starts = [(int(x), int(y))] * robots
-    assert 1 <= fewest_steps(building, starts) <= offline_steps(building, starts)
+    assert 1 <= min_steps(building, starts) <= offline_steps(building, starts)

@@ -65,10 +65,10 @@ def test_without_a_word_the_command_helps() -> None:
 def test_help_of_explore_names_defaults_and_choices() -> None:
     said = " ".join(murmur("explore", "--help").stdout.split())
     for words in (
-        "how many robots explore (default 3)",
-        "how maps are shared: polygon, laser, grid, predictive, none (default predictive)",
+        "number of robots (default 3)",
+        "map encoding: polygons, scans, cells, predictive, none (default predictive)",
         "bytes per step for the whole team (default 1000)",
-        "communication range: metres, or % of the map's diagonal (default 100%)",
+        "communication range: meters, or % of the map's diagonal (default 100%)",
     ):
         assert words in said
     assert "None" not in said

@@ -53,7 +53,7 @@ def test_the_command_prints_the_table_and_writes_runs_means_and_pictures(tmp_pat
     ("words", "said"),
     [
         (["--out", "/nonexist/a.parquet"], "/nonexist/a.parquet: there is no folder /nonexist"),
-        (["--set", "map=nope"], "no environment is called 'nope'"),
+        (["--set", "map=nope"], "unknown map 'nope'"),
         (
             ["--set", "seed=0", "--set", "seed=1"],
             "set = 'seed=1': seed is given twice; give it once, as seed=[0,1]",

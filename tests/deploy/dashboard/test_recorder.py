@@ -1,4 +1,4 @@
-"""The recording: what is told of a run is in the file, on the timeline of its steps."""
+"""The recording of a run: all reports are in the file, on the timeline of steps."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy.dashboard.process import RECORDING, SNAPSHOTS, ViewTask, free_name, watching
+from deploy.dashboard.process import RECORDING, ViewTask, free_name, watching
 from deploy.dashboard.windows import Window, WindowError, binary
-from deploy.record.snapshots import Snapshots
 from deploy.run.exploration import explore
 from deploy.scenario.scenario import parse
 from protocol.grid import FREE
@@ -43,7 +42,7 @@ def column(recording: Path, entity: str, component: str) -> dict[int, Any]:
     return {step: value for step, value in sorted(values.items()) if value is not None}
 
 
-def test_what_the_team_has_seen_is_recorded_step_by_step(recorded: Path) -> None:
+def test_the_explored_share_is_recorded_every_step(recorded: Path) -> None:
     seen = column(recorded / RECORDING, "/explored/team", "scalars")
     truth = {
         said.step: 100 * said.seen / said.reachable for _, said in told() if isinstance(said, WorldReport)
@@ -55,13 +54,12 @@ def test_each_robots_share_is_that_of_its_planning_map(recorded: Path) -> None:
     shares = column(recorded / RECORDING, "/explored/maps", "scalars")
     plan = small_plan()
     reachable = plan.make_world().reachable
-    snapshots = Snapshots.read(recorded / SNAPSHOTS)
-    grid = snapshots.planning(1, 30)
+    grid = small_run().records.maps.planning(1, 30)
     assert grid is not None
     assert shares[31][1] == pytest.approx(100 * (grid[reachable] == FREE).mean())
 
 
-def test_the_load_of_the_air_adds_up_to_what_was_carried(recorded: Path) -> None:
+def test_traffic_by_type_adds_up_to_the_load(recorded: Path) -> None:
     load = column(recorded / RECORDING, "/air/load", "scalars")
     for _, said in told():
         if isinstance(said, RadioReport):
@@ -83,25 +81,14 @@ def test_maps_outlines_targets_and_events_are_recorded(recorded: Path) -> None:
     assert any("heads for" in str(text) for text in column(file, "/events", "text").values())
 
 
-def test_a_recording_is_whole(recorded: Path) -> None:
+def test_a_recording_is_complete(recorded: Path) -> None:
     import subprocess
 
     done = subprocess.run(
         [binary(), "rrd", "verify", recorded / RECORDING], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-    assert [path.name for path in sorted(recorded.iterdir())] == [RECORDING, SNAPSHOTS]
-
-
-def test_snapshots_come_back_as_they_were_told(recorded: Path) -> None:
-    snapshots = Snapshots.read(recorded / SNAPSHOTS)
-    kept = [(said.step, f"r{robot}", said) for (robot, _), shown in snapshots.shown.items() for said in shown]
-    said = [(said.step, sender, said) for sender, said in told() if isinstance(said, Snapshot | Outlines)]
-    assert sorted(kept, key=str) == sorted(said, key=str)
-    assert snapshots.planning(0, 0) is None
-    assert snapshots.outlines(0, 0, 0) == b""
-    first = snapshots.told_steps(0)[0]
-    assert (snapshots.planning(0, first) == snapshots.planning(0, first + 1)).all()  # type: ignore[union-attr]
+    assert [path.name for path in sorted(recorded.iterdir())] == [RECORDING]
 
 
 def test_a_second_recording_does_not_overwrite_the_first(tmp_path: Path) -> None:
@@ -112,20 +99,20 @@ def test_a_second_recording_does_not_overwrite_the_first(tmp_path: Path) -> None
     assert free_name(path) == tmp_path / "run-3.rrd"
 
 
-def test_being_watched_drawn_and_recorded_changes_no_digest(tmp_path: Path) -> None:
+def test_a_viewer_changes_no_digest(tmp_path: Path) -> None:
     plain = explore(parse(SETTINGS), keep=False)
     shown = explore(parse(SETTINGS), out=tmp_path / "run", window=Window("file"), pace=1000.0)
     assert plain.summary["digest"] == shown.summary["digest"] == small_run().summary["digest"]
     assert (tmp_path / "run" / RECORDING).stat().st_size > 10000
 
 
-def test_a_viewer_that_nobody_asked_for_costs_no_word() -> None:
+def test_the_relay_sends_the_capture_to_no_viewer() -> None:
     kinds = {type(said) for _, said in told()}
     assert {WorldReport, RobotStatus, RadioReport, Snapshot, Outlines, Shutdown} <= kinds
     assert all(said.frames == b"" for _, said in told() if isinstance(said, RadioReport))
 
 
-def test_a_window_says_what_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_display_or_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     assert Window("auto").mode == "web"
@@ -139,8 +126,8 @@ def test_a_window_says_what_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
         Window("file")
 
 
-def test_who_is_shown_or_drawn_needs_a_directory() -> None:
+def test_a_run_that_is_shown_needs_a_directory() -> None:
     with pytest.raises(ValueError, match="needs a directory"):
-        explore(parse(SETTINGS), keep=False, snapshots=True)
+        explore(parse(SETTINGS), keep=False, window=Window("file"))
     with pytest.raises(ValueError, match=r"pace = 0.1: must be 0.5 steps a second or more"):
         explore(parse(SETTINGS), keep=False, pace=0.1)

@@ -1,4 +1,4 @@
-"""Voronoi diagrams of maps, worked out by hand on small ones; and the thesis' Table 3.1 on real ones."""
+"""Voronoi diagrams: small maps with known results, and the thesis' Table 3.1 on real maps."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TABLE_3_1 = {
     "killian": (0.749, 0.637), "intel": (1.317, 1.014), "aces": (0.768, 0.672), "edmonton": (1.562, 1.488),
     "fr079": (1.652, 1.404), "fr101": (1.519, 1.254), "acapulco": (3.022, 1.723),
 }  # fmt: skip
-"""Of ten maps those that are to be had."""
+"""The available maps of ten, with their ratios as they are and smoothed."""
 
 
 def corridor(width: int, length: int = 40) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
@@ -27,14 +27,14 @@ def corridor(width: int, length: int = 40) -> np.ndarray[tuple[int, int], np.dty
 
 
 @pytest.mark.parametrize("width", [1, 2, 5, 8])
-def test_of_a_corridor_one_line_along_its_middle_is_left(width: int) -> None:
+def test_the_diagram_of_a_corridor_is_its_center_line(width: int) -> None:
     found = ridge(corridor(width))
     middle = found[:, width + 2 : -width - 2]
     assert (middle.sum(axis=0) == 1).all()
     assert set(np.flatnonzero(middle.any(axis=1))) <= {(width + 1) // 2, width // 2 + 1}
 
 
-def test_a_hall_takes_its_walls_as_contour_and_a_cross_as_ridge() -> None:
+def test_the_diagram_of_a_hall_is_a_cross() -> None:
     hall = np.ones((9, 9), np.bool_)
     found = pixels(hall)
     assert found.contour == 4 * 9
@@ -44,7 +44,7 @@ def test_a_hall_takes_its_walls_as_contour_and_a_cross_as_ridge() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_distances_are_those_to_the_nearest_cell_that_is_not_free(seed: int) -> None:
+def test_distances_agree_with_a_nearest_neighbor_search(seed: int) -> None:
     random = np.random.default_rng(seed)
     free = random.random((9, 12)) < 0.8
     solid = np.argwhere(~np.pad(free, 1)) - 1
@@ -60,7 +60,7 @@ def test_distances_are_those_to_the_nearest_cell_that_is_not_free(seed: int) -> 
     )
 
 
-def test_smoothing_takes_jags_and_specks_away_and_with_them_their_ridges() -> None:
+def test_smoothing_removes_jags_and_specks_with_their_ridges() -> None:
     free = corridor(20, 120)
     free[10, 30] = free[12, 60] = False
     free[1, 5::7] = False
@@ -70,7 +70,7 @@ def test_smoothing_takes_jags_and_specks_away_and_with_them_their_ridges() -> No
     assert jagged[9:12, 29:32].all()
 
 
-def test_only_the_largest_area_counts() -> None:
+def test_free_space_is_the_largest_area() -> None:
     grid = np.full((5, 9), OCCUPIED, np.uint8)
     grid[1:4, 1:4] = FREE
     grid[2, 6] = FREE
@@ -78,7 +78,7 @@ def test_only_the_largest_area_counts() -> None:
     assert not free_space(np.full((3, 3), OCCUPIED, np.uint8)).any()
 
 
-def test_real_maps_stand_in_the_order_of_the_thesis_and_none_is_worse_smoothed() -> None:
+def test_ratios_of_real_maps_have_the_order_of_the_thesis_and_fall_by_smoothing() -> None:
     found = []
     for name in TABLE_3_1:
         free = free_space(real_map(name))

@@ -1,0 +1,57 @@
+"""All benchmarks by name, and the function that runs them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
+from functools import partial
+from typing import Any
+
+from deploy.bench.hub import hub
+from deploy.bench.kernels import kernels
+from deploy.bench.measurement import Measurement
+from deploy.bench.relay import relay
+from deploy.bench.replanning import replanning
+from deploy.bench.scale import ROBOTS, scale
+from deploy.bench.swarm import swarm
+
+BENCHMARKS: dict[str, Callable[[], Iterator[Measurement]]] = {
+    "kernels": kernels,
+    "swarm": swarm,
+    "replanning": replanning,
+    "relay": relay,
+    "scale": scale,
+    "hub": hub,
+}
+
+
+def run_benchmarks(
+    names: Sequence[str], report: Callable[[str], object], robots: Sequence[int] = ()
+) -> list[dict[str, Any]]:
+    """Run benchmarks and report each measurement as soon as it is there.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Benchmarks to run; all if empty.
+    report : callable
+        Called with each line of text.
+    robots : sequence of int
+        Team sizes for ``scale``; its defaults if empty.
+
+    Raises
+    ------
+    ValueError
+        A name is unknown.
+    """
+    unknown = [name for name in names if name not in BENCHMARKS]
+    if unknown:
+        raise ValueError(f"no benchmark is called {unknown[0]!r}; there are: {', '.join(BENCHMARKS)}")
+    known = BENCHMARKS | {"scale": partial(scale, robots or ROBOTS)}
+    measurements = []
+    for name in names or BENCHMARKS:
+        report(f"{name}:")
+        for measurement in known[name]():
+            report("  " + measurement.line())
+            measurements.append({"bench": name, **asdict(measurement)})
+    return measurements

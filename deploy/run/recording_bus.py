@@ -1,0 +1,72 @@
+"""Record the messages that participants of a run receive and send."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, field
+
+from deploy.record.records import Records
+from deploy.run import in_memory
+from deploy.scenario.plan import Plan
+from protocol import keys as names
+from protocol.bus import Bus, Message
+from protocol.messages import Sense, unpack
+
+
+@dataclass
+class RecordingBus:
+    """One end of a bus that records its traffic.
+
+    Attributes
+    ----------
+    inner : Bus, optional
+        The bus; without one, sent messages are only recorded.
+    received : list of Message
+        Received messages in their order.
+    sent : list of (int, Message)
+        Each sent message, and the number of messages received before it.
+    """
+
+    inner: Bus | None = None
+    received: list[Message] = field(default_factory=list)
+    sent: list[tuple[int, Message]] = field(default_factory=list)
+
+    def put(self, key: str, payload: bytes) -> None:
+        """Record a message and send it."""
+        self.sent.append((len(self.received), Message(key, payload)))
+        if self.inner is not None:
+            self.inner.put(key, payload)
+
+    def receive(self, timeout_s: float | None = None) -> Message | None:
+        """Receive a message and record it."""
+        message = self.inner.receive(timeout_s) if self.inner is not None else None
+        if message is not None:
+            self.received.append(message)
+        return message
+
+    def close(self) -> None:
+        """Leave the bus."""
+        if self.inner is not None:
+            self.inner.close()
+
+    @property
+    def senses(self) -> list[Sense]:
+        """The received sensor messages."""
+        bodies = (unpack(m.payload) for m in self.received if names.parts(m.key)[0] == "body")
+        return [message for message in bodies if isinstance(message, Sense)]
+
+
+def record_run(
+    plan: Plan, participants: Collection[str] | None = None
+) -> tuple[dict[str, RecordingBus], Records]:
+    """Run a plan in memory; return the recorded bus of each participant (default: all), and the run's records."""
+    buses: dict[str, RecordingBus] = {}
+
+    def wrap(name: str, bus: Bus) -> Bus:
+        if participants is not None and name not in participants:
+            return bus
+        buses[name] = RecordingBus(bus)
+        return buses[name]
+
+    records = in_memory.run(plan, wrap=wrap)
+    return buses, records
