@@ -7,6 +7,7 @@ close to the last one sent. A pose is repeated after `REPEAT_POSE` steps.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from agent.replication.policies import GOSSIP
 from agent.settings import Settings
@@ -61,7 +62,7 @@ class Announcements:
         """Note that teammates received all scan updates, the last one from `cell`."""
         self._scanned, self._scanned_to = cell, frozenset(peers)
 
-    def next_packets(self, step: int, in_range: list[int], *, relays: bool) -> list[packets.Packet]:
+    def next_packets(self, step: int, in_range: Sequence[int], *, relays: bool) -> list[packets.Packet]:
         """Return the packets to broadcast to the teammates in range; `relays`: relayed state will follow them."""
         announced: list[packets.Packet] = []
         if self._pose is not None:
@@ -81,7 +82,7 @@ class Announcements:
         if self._has_pose and not self._inferred:
             self._sent_pose, self._sent_to, self._sent_step = self._pose, frozenset(in_range), step
 
-    def _can_infer(self, pose: packets.Pose, in_range: list[int]) -> bool:
+    def _can_infer(self, pose: packets.Pose, in_range: Sequence[int]) -> bool:
         """Return whether teammates can infer the pose from scan updates, and nothing else about it is new."""
         if (
             self._scanned is None

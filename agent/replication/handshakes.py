@@ -62,7 +62,7 @@ class Handshakes:
     @property
     def shared(self) -> int:
         """Offset in this robot's log before which other robots may hold entries."""
-        return max(self._forgotten, *self._peers.expected[:, self._peers.own].tolist())
+        return max(self._forgotten, int(self._peers.expected[:, self._peers.own].max()))
 
     def open_round(self, round_number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
         """Return this round's offers."""

@@ -18,7 +18,7 @@ from agent.encodings.polygon_options import THESIS_OPTIONS, PolygonOptions
 from agent.encodings.predictive import PredictiveEncoding
 from agent.outline.approximation import approximation, repair
 from agent.outline.contour import contours
-from agent.outline.edits import Held, edit_script
+from agent.outline.edits import NumberedPolygons
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
 from agent.predictive.scan_updates import MAX_SCANS
@@ -40,6 +40,7 @@ from protocol.keys import Keys
 from protocol.messages import Delivery, RoundReport, SendReport
 from protocol.rights import RIGHTS
 from protocol.scans import Scan, draw, encode_scan, fragments
+from tests.agent.outline.edit_scripts import edit_script
 from worldsim.laser import cast
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -79,9 +80,9 @@ def knowledge() -> Iterator[Grid]:
         yield np.array([["?.#".index(cell) for cell in line] for line in column], np.uint8)
 
 
-def scripts() -> Iterator[tuple[list[packets.Edit], Held]]:
+def scripts() -> Iterator[tuple[list[packets.Edit], NumberedPolygons]]:
     """The edit scripts of the worked example, and what is held after each."""
-    held = Held.nothing((5, 6))
+    held = NumberedPolygons.empty((5, 6))
     for grid in knowledge():
         exact = contours(grid, (1, 1))
         marks = refine(exact, repair(held.polygons, exact))
