@@ -326,7 +326,9 @@ def test_entries_that_came_behind_a_gap_are_kept_until_it_is_filled() -> None:
         each.close_round(closing((0, encode([FromEarly(0, first)]) + b"".join(entries(0, first, first + 3)))))
     assert packet_index.split(each.logs[0].read(0, None)) == entries(0, 0, 6)
     (frame,) = each.open_round(1, [0], None)
-    assert packets.decode(frame.payload) == [HeldEarly(0, 6)], "no robot is to repeat the entries that were kept"
+    assert packets.decode(frame.payload) == [HeldEarly(0, 6)], (
+        "no robot is to repeat the entries that were kept"
+    )
 
 
 def test_entries_that_were_kept_and_turn_out_false_are_replaced_when_the_true_ones_come() -> None:
