@@ -1,4 +1,4 @@
-"""`murmur chaos`: swarms under faults that are drawn from seeds."""
+"""`murmur chaos`: run swarms under random faults, each case drawn from a seed."""
 
 from __future__ import annotations
 
@@ -8,31 +8,32 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deploy.commands.console import errors, report_user_errors, screen
-from deploy.commands.flags import family
+from deploy.commands.flags import command_family
 
 if TYPE_CHECKING:
     from deploy.chaos.runs import Verdict
 
-app = family()
+app = command_family()
 
 
 @app.command()
 def chaos(
-    runs: Annotated[int, typer.Option(min=1, metavar="N", help="how many storms")] = 100,
-    seed: Annotated[int, typer.Option(min=0, metavar="S", help="seed of the first; the others follow")] = 0,
+    runs: Annotated[int, typer.Option(min=1, metavar="N", help="number of cases")] = 100,
+    seed: Annotated[int, typer.Option(min=0, metavar="S", help="first seed; the others follow")] = 0,
     shrink: Annotated[
-        bool, typer.Option("--shrink/--no-shrink", help="find out what a failure needs, and write it down")
+        bool,
+        typer.Option("--shrink/--no-shrink", help="write a minimal scenario for each failing case"),
     ] = True,
     out: Annotated[
-        Path, typer.Option(metavar="DIR", help="where the scenarios of failures are written")
+        Path, typer.Option(metavar="DIR", help="folder for the scenarios of failing cases")
     ] = Path(),
-    verbose: Annotated[bool, typer.Option("--verbose", help="a line a run")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", help="print a line per run")] = False,
 ) -> None:
-    """Run swarms of real code under kills, restarts, stops, failing radios and liars, all drawn from a seed each.
+    """Run swarms under random kills, restarts, stops, radio failures and byzantine robots; each seed gives a case.
 
-    Each run is checked step by step; once faults have healed the rest must finish. One of ten runs again as processes,
-    and must have the same digest. A seed that fails is printed with the command that repeats it. Exit code 1: one has
-    failed.
+    Every step of a run is checked; after the faults have ended, the remaining robots must finish. One case in ten also
+    runs as processes and must give the same digest. For a failing seed, the command that repeats it is printed. Exit
+    code 1: a case failed.
     """
     from deploy.chaos import runs as storms  # noqa: PLC0415
     from deploy.study.progress import counting  # noqa: PLC0415
@@ -41,7 +42,7 @@ def chaos(
     steps, wall_s, again, least = 0, 0.0, 0, 1.0
     with report_user_errors():
         if out.exists() and not out.is_dir():
-            raise ValueError(f"out = {out}: is a file; name a folder for the scenarios of failures")
+            raise ValueError(f"out = {out}: not a folder; the scenarios of failing cases go there")
         with counting(errors, "chaos") as tell:
             for done, verdict in enumerate(storms.storms(seed, runs), 1):
                 steps, wall_s = steps + verdict.steps, wall_s + verdict.wall_s
@@ -49,7 +50,7 @@ def chaos(
                 if verdict.failure:
                     failed.append(verdict)
                     errors.print(f"seed {verdict.case.seed}: {verdict.failure}")
-                    errors.print(f"  again: murmur chaos --runs 1 --seed {verdict.case.seed}")
+                    errors.print(f"  repeat: murmur chaos --runs 1 --seed {verdict.case.seed}")
                     if shrink:
                         errors.print(f"  {_write(storms.shrink(verdict), out)}")
                 else:
@@ -58,19 +59,19 @@ def chaos(
                         screen.print(verdict.line)
                 tell(done, runs)
         held = runs - len(failed)
-        pace = f", {60 * steps / wall_s:.0f} steps a minute" if wall_s else ""
+        pace = f", {60 * steps / wall_s:.0f} steps per minute" if wall_s else ""
         screen.print(
-            f"{held} of {runs} storms hold: {steps} steps{pace}; {again} of them again as processes, with the same "
-            f"digest; those who lived knew {100 * least:.1f} % or more"
+            f"{held} of {runs} cases passed: {steps} steps{pace}; {again} also ran as processes, with the same digest; "
+            f"surviving robots knew at least {100 * least:.1f} %"
         )
     raise typer.Exit(1 if failed else 0)
 
 
 def _write(verdict: Verdict, folder: Path) -> str:
-    """Write the smallest storm that fails as a scenario; say where it is, and what is in it."""
+    """Write a reduced failing case as a scenario; return a line about it."""
     case = verdict.case
     path = folder / f"chaos-{case.seed}.toml"
     folder.mkdir(parents=True, exist_ok=True)
     path.write_text(f"# {verdict.failure}\n" + case.scenario.to_toml(), encoding="utf-8")
-    byzantine = f", and liars {list(case.byzantine)}" if case.byzantine else ""
-    return f"{path} has what it takes: {len(case.scenario.fault)} faults{byzantine}: {verdict.failure}"
+    byzantine = f", byzantine robots {list(case.byzantine)}" if case.byzantine else ""
+    return f"{path}: reduced case with {len(case.scenario.fault)} faults{byzantine}: {verdict.failure}"
