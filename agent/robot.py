@@ -17,6 +17,7 @@ import numpy as np
 from agent.encodings.catalog import ENCODINGS, make_encoding
 from agent.exchange import gossip
 from agent.exchange.distribution import distribution
+from agent.exchange.outcome import Outcome
 from agent.outline.polygons import Polygons
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Pose, Situation
@@ -26,7 +27,7 @@ from protocol import packet_index, packets
 from protocol.errors import ProtocolError
 from protocol.fields import MOST_ON_THE_WAY
 from protocol.grid import UNKNOWN, Grid, ray_table
-from protocol.messages import Move, Outcome, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
+from protocol.messages import Move, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
 from protocol.scans import Scan, check_readings, draw
 
 _Value = TypeVar("_Value")

@@ -20,6 +20,10 @@ def on_air(cause: int) -> bool:
     return cause == 0 or cause >= FIRST_ON_AIR
 
 
+FRAMES = ("offer", "answer", "data", "broadcast", "news")
+"""The kinds of frames: those of a connection in their order, poses and targets for all, and maps for all."""
+OFFER, ANSWER, DATA, BROADCAST, NEWS = range(5)
+
 EVERYONE = -1
 """The receiver of a broadcast."""
 

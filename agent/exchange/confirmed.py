@@ -26,11 +26,12 @@ from functools import cached_property
 import numpy as np
 
 from agent.exchange.handshake import offer
+from agent.exchange.outcome import Outcome
 from agent.exchange.reports import from_packet, held_packet, number, report
 from agent.exchange.session import MAX_WAIT, PATIENCE, Session, Table
 from protocol import packet_index, packets
 from protocol.errors import ProtocolError
-from protocol.messages import NO_REPLIES, Outcome, Replies
+from protocol.messages import NO_REPLIES, Replies
 from protocol.packets import From, FromEarly, Held, HeldEarly, Offer
 
 LEAST_WAIT = 2

@@ -45,12 +45,13 @@ from agent.exchange import priority
 from agent.exchange.broadcast import Broadcast
 from agent.exchange.log import Log
 from agent.exchange.neighbors import Mask, Neighbors
+from agent.exchange.outcome import Outcome
 from agent.exchange.places import Places
 from agent.exchange.reports import from_packet, held_packet, number, report
 from protocol import packet_index, packets
 from protocol.errors import ProtocolError
 from protocol.kernels import kernel
-from protocol.messages import NO_REPLIES, Outcome, Replies
+from protocol.messages import NO_REPLIES, Replies
 from protocol.packets import From, FromEarly, Gone, Held, HeldEarly, Near
 
 Table = NDArray[np.int32]

@@ -30,9 +30,10 @@ from agent.exchange.handshake import (
 )
 from agent.exchange.log import Log
 from agent.exchange.offer_policy import CROWD, POLICIES, all_news, choose_offers
+from agent.exchange.outcome import Outcome
 from protocol.errors import ProtocolError
 from protocol.kernels import kernel
-from protocol.messages import NO_REPLIES, Outcome, Replies
+from protocol.messages import NO_REPLIES, AnswerReply, OfferReply, Replies
 
 MAX_WAIT = 64
 """Exchanges that an offer is put off at most."""
@@ -142,22 +143,19 @@ class Session:
         refused = {map_id for _, map_id in self.refused}
         refused.update(range(self.own, len(self.logs), self._robots))
         held = [(map_id, len(log)) for map_id, log in enumerate(self.logs) if map_id not in refused]
-        offers = [offer(map_id, units) for map_id, units in held]
-        answers = [answer(units, block_of(units)) for _, units in held]
-        level: list[bytes] = []
-        behind: list[bytes] = []
-        load: list[int] = []
+        offers = [OfferReply(offer(map_id, units), answer(units, block_of(units))) for map_id, units in held]
+        replies: list[tuple[bytes, bytes, int]] = []
         loads: dict[int, bytes] = {}
         for connection in self._said.values():
             map_id, known = connection.map, connection.index
-            level.append(answer(len(self.logs[map_id]), block_of(known)))
-            behind.append(answer(known, block_of(known)))
             if map_id == self.own and known not in loads:
                 loads[known] = self.logs[map_id].since(known, self._room)
-            load.append(list(loads).index(known) if map_id == self.own else -1)
+            load = list(loads).index(known) if map_id == self.own else -1
+            up_to_date = answer(len(self.logs[map_id]), block_of(known))
+            replies.append((up_to_date, answer(known, block_of(known)), load))
         if sum(map(len, loads.values())) > MOST_BEFOREHAND:
-            load, loads = [-1] * len(load), {}
-        return Replies(offers, answers, DECLINE, level, behind, load, list(loads.values()))
+            replies, loads = [(*each[:2], -1) for each in replies], {}
+        return Replies(offers, DECLINE, [AnswerReply(*each) for each in replies], list(loads.values()))
 
     def answers(self, heard: list[tuple[int, int, bytes]]) -> list[tuple[int, int, bytes]]:
         """Answer offers, given and returned as (connection number, peer, frame).

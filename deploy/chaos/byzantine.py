@@ -57,7 +57,9 @@ class LyingBus:
         """Send a payload, or what a liar makes of it."""
         if names.parts(key)[0] == "radio":
             said = unpack(payload)
-            payload = pack(replace(said, frames=[self._spoken(frame) for frame in said.frames]))
+            broadcast = self._spoken(said.broadcast) if said.broadcast else b""
+            frames = [replace(frame, payload=self._spoken(frame.payload)) for frame in said.frames]
+            payload = pack(replace(said, broadcast=broadcast, frames=frames))
         self._bus.put(key, payload)
 
     def receive(self, timeout_s: float | None = None) -> Message | None:

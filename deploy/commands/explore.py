@@ -87,7 +87,7 @@ def explore(
     """Explore a building: start a world, a radio relay and N robots as processes, and wait until they finish.
 
     The run directory contains all results: summary.json, tables, pictures, maps, and scenario.toml, from which
-    `murmur replay` repeats the run. docs/protocol.md lists all settings.
+    `murmur replay` repeats the run. docs/settings.md lists all settings.
     """
     with report_user_errors():
         overrides = settings | _other_settings(set_ or [], settings)

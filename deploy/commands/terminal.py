@@ -16,7 +16,6 @@ from rich.text import Text
 from deploy.record.records import Records
 from deploy.record.run_directory import PICTURE, PICTURES
 from deploy.scenario.plan import Plan
-from netshaper.medium import UNLIMITED
 
 Watch = Callable[[Plan, Records], object]
 
@@ -69,8 +68,8 @@ def progress(
     def watch(plan: Plan, records: Records) -> None:
         if records.step:
             bar.start()
-        budgets = [plan.radio.budget, *(each.budget for each in records.changes if each.budget >= UNLIMITED)]
-        of = "" if budgets[-1] == UNLIMITED else f" of {budgets[-1]}"
+        budgets = [plan.radio.budget, *(each.budget for each in records.changes if each.budget is not None)]
+        of = "" if budgets[-1].unlimited else f" of {budgets[-1]}"
         bar.update(
             task,
             completed=records.explored,

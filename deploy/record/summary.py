@@ -15,7 +15,7 @@ from deploy.record.records import Records
 from deploy.record.versions import versions
 from deploy.scenario.plan import Plan
 from netshaper.ledger import CAUSES, sort_rows
-from netshaper.medium import UNLIMITED
+from protocol.budget import Budget
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.messages import Change, End
 from protocol.packets import ALL_KINDS
@@ -214,12 +214,13 @@ def _over_budget(ledger: NDArray[np.void], allowed: NDArray[np.float64], *, each
     return int((on_air > allowed[:, None]).any(axis=1).sum())
 
 
-def budgets(budget: int, changes: Iterable[Change], steps: int) -> NDArray[np.float64]:
+def budgets(budget: Budget, changes: Iterable[Change], steps: int) -> NDArray[np.float64]:
     """The budget of each step from 0 on, infinite where there is none."""
-    allowed = np.full(steps, math.inf if budget == UNLIMITED else float(budget))
+    allowed = np.full(steps, math.inf if budget.limit is None else float(budget.limit))
     for change in changes:
-        if change.budget >= UNLIMITED:
-            allowed[change.step :] = math.inf if change.budget == UNLIMITED else change.budget
+        if change.budget is not None:
+            limit = change.budget.limit
+            allowed[change.step :] = math.inf if limit is None else limit
     return allowed
 
 

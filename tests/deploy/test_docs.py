@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -16,14 +16,14 @@ from msgspec.structs import replace
 from agent.encodings.catalog import ENCODINGS
 from agent.encodings.polygon_options import THESIS_OPTIONS, PolygonOptions
 from agent.encodings.predictive import PredictiveEncoding
-from agent.encodings.predictive_options import PredictiveOptions
 from agent.exchange.connection import TRANSITIONS, State
 from agent.exchange.distribution import DISSEMINATIONS
 from agent.exchange.gossip import Gossip
+from agent.exchange.outcome import Outcome
 from agent.exchange.session import Session
 from agent.outline.approximation import approximation, repair
 from agent.outline.contour import contours
-from agent.outline.edits import Held, edit_script
+from agent.outline.edits import NumberedPolygons, edit_script
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
 from agent.predictive.scan_updates import MAX_SCANS
@@ -32,16 +32,13 @@ from deploy.run.exploration import explore
 from deploy.run.in_memory import run as run_in_memory
 from deploy.scenario.plan import make
 from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load
-from deploy.scenario.tables import ChangeTable, FaultTable, RobotOverride
-from docs import packet_tables
+from docs import code_tables, packet_tables
 from netshaper import access
 from netshaper.ledger import CAUSES, ROW
 from netshaper.presets import PRESETS
-from netshaper.radio_options import RadioOptions
 from protocol import messages, packet_index, packets
 from protocol.grid import MAX_ROBOTS, MAX_SIDE, UNKNOWN, Grid, ray_table
 from protocol.keys import Keys
-from protocol.messages import Outcome
 from protocol.rights import RIGHTS
 from protocol.scans import Scan, draw, encode_scan, fragments
 from worldsim.laser import cast
@@ -83,9 +80,9 @@ def knowledge() -> Iterator[Grid]:
         yield np.array([["?.#".index(cell) for cell in line] for line in column], np.uint8)
 
 
-def scripts() -> Iterator[tuple[list[packets.Edit], Held]]:
+def scripts() -> Iterator[tuple[list[packets.Edit], NumberedPolygons]]:
     """The edit scripts of the worked example, and what is held after each."""
-    held = Held.nothing((5, 6))
+    held = NumberedPolygons.empty((5, 6))
     for grid in knowledge():
         exact = contours(grid, (1, 1))
         marks = refine(exact, repair(held.polygons, exact))
@@ -184,43 +181,6 @@ def looks_example() -> str:
     return "\n".join(lines) + "\n"
 
 
-def plain(value: object) -> str:
-    """A default as the documents write it: as TOML has it."""
-    if value is None:
-        return "-"
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f'"{value}"' if isinstance(value, str) else str(value)
-
-
-def defaults(kind: Any, prefix: str = "") -> dict[str, tuple[str, str]]:
-    """Default and description of each setting of a table."""
-    found: dict[str, tuple[str, str]] = {}
-    said: dict[str, Any] = {}
-    for name, info in kind.model_fields.items():
-        if name in ("robot", "fault", "change") and not prefix:
-            continue
-        if name == "polygons":
-            found |= {f"polygons.{n}": (plain(value), "") for n, value in asdict(PolygonOptions()).items()}
-            continue
-        if name == "predictive":
-            found |= {
-                f"predictive.{n}": (plain(value), "") for n, value in asdict(PredictiveOptions()).items()
-            }
-            continue
-        if name == "radio":
-            options = {**asdict(RadioOptions()), "partition": []}
-            found |= {f"radio.{n}": (plain(value), "") for n, value in options.items()}
-            continue
-        value = (
-            None if info.is_required() else info.get_default(call_default_factory=True, validated_data=said)
-        )
-        said[name] = value
-        default = "required" if info.is_required() else plain(value)
-        found[prefix + name] = default, info.description
-    return found
-
-
 def test_packet_layouts_and_fields_are_those_of_the_code() -> None:
     page = (DOCS / "protocol.md").read_text(encoding="utf-8")
     drawings = [layout.drawing() for layout in packets.LAYOUTS]
@@ -308,7 +268,7 @@ def test_offer_policies_are_all_described() -> None:
 
 
 def test_messages_and_their_fields_are_all_there_in_their_order() -> None:
-    told_of = [(name, made_of) for _, name, _, made_of, *_ in rows("bus.md", "Messages")]
+    told_of = [(name, made_of) for _, name, made_of, *_ in rows("bus.md", "Messages")]
     kinds = messages._TYPES
     assert told_of == [(kind.__name__, ", ".join(kind.__struct_fields__)) for kind in kinds]
     assert [kind.__struct_config__.tag for kind in kinds] == list(range(len(kinds)))
@@ -356,20 +316,15 @@ def test_keys_and_rights_are_what_participants_put_hear_and_say() -> None:
     assert names == {"relay", *access.participants(0), "r0, r1, ..."}
 
 
-def test_every_setting_stands_in_the_table_with_its_default() -> None:
-    table = {
-        name: (default, map_id) for name, default, map_id in rows("settings.md", "Settings and defaults")
-    }
-    wanted = defaults(Scenario) | defaults(RobotOverride, "robot.")
-    wanted |= defaults(FaultTable, "fault.")
-    wanted |= defaults(ChangeTable, "change.")
-    assert list(table) == list(wanted)
-    for name, (default, map_id) in wanted.items():
-        assert table[name][0] == default, name
-        assert map_id in table[name][1], name
-    for name, value in asdict(THESIS_OPTIONS).items():
-        if value != asdict(PolygonOptions())[name]:
-            assert f"thesis: {plain(value)}" in table[f"polygons.{name}"][1]
+def test_settings_are_listed_with_default_and_meaning() -> None:
+    listed = [tuple(row) for row in rows("settings.md", "Settings and defaults")]
+    wanted = [(name, default, meaning.replace("`", "")) for name, default, meaning in code_tables.settings()]
+    assert listed == wanted, "run python -m docs.code_tables"
+    thesis, defaults = asdict(THESIS_OPTIONS), asdict(PolygonOptions())
+    meanings = {name: meaning for name, _, meaning in listed}
+    for name in thesis:
+        if thesis[name] != defaults[name]:
+            assert f"thesis: {code_tables.plain(thesis[name])}" in meanings[f"polygons.{name}"]
     for choice in (*ENCODINGS, *get_args(Scenario.model_fields["bus"].annotation)):
         assert f"`{choice}`" in (DOCS / "settings.md").read_text(encoding="utf-8")
 

@@ -19,6 +19,7 @@ from msgspec.structs import replace
 
 from agent.encodings.catalog import ENCODINGS, make_encoding
 from agent.exchange.gossip import Gossip
+from agent.exchange.outcome import Outcome
 from agent.exchange.session import Session
 from agent.identity import Identity
 from agent.journal import Journal, JournalError
@@ -28,7 +29,7 @@ from deploy.scenario.scenario import ScenarioError, parse
 from protocol import packet_index, packets
 from protocol.errors import ProtocolError
 from protocol.keys import Keys
-from protocol.messages import Outcome, Record, unpack
+from protocol.messages import Record, unpack
 from protocol.rights import RIGHTS, read
 from protocol.zenoh_bus import Credential
 from worldsim import maps

@@ -12,6 +12,7 @@ from msgspec.structs import replace
 
 from agent.encodings.polygons import PolygonEncoding
 from agent.exchange.gossip import EVERYONE
+from agent.exchange.outcome import Outcome
 from agent.process import AgentNode
 from agent.robot import Robot
 from agent.settings import Settings
@@ -19,22 +20,27 @@ from deploy.run import in_memory
 from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol import messages, packet_index, packets
+from protocol.budget import Budget
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, UNKNOWN, ray_table
 from protocol.keys import Keys
 from protocol.messages import (
+    Broadcasts,
     Close,
     Configure,
+    ConnectionReport,
+    Delivery,
     End,
     Fault,
     Maps,
-    MediumNote,
+    MediumEvent,
     Move,
     Open,
-    Outcome,
+    OutgoingFrame,
     PhaseDelivery,
-    Said,
+    RobotFrames,
+    RoundReport,
     Sense,
     pack,
     unpack,
@@ -63,7 +69,7 @@ from protocol.packets import (
     encode,
 )
 from protocol.scans import Scan, draw
-from tests.system.team import Heard, Mind, Put, Team, corridor, plan_on, small_plan
+from tests.system.team import Member, Team, corridor, plan_on, small_plan
 from worldsim.laser import cast
 
 LIAR = 1
@@ -84,20 +90,18 @@ LIES: dict[str, list[Packet]] = {
 }
 
 
-class Liar(Mind):
+class Liar(Member):
     """A robot that sends nonsense wherever it should send data."""
 
     def __init__(self, settings: Settings, lie: list[Packet]) -> None:
         super().__init__(settings)
         self.lie = encode(lie)
 
-    def hear(
-        self, note: Open | PhaseDelivery | Outcome | Close, heard: Heard
-    ) -> tuple[list[Put], Said | None]:
-        puts, said = super().hear(note, heard)
-        if said is not None and said.phase == "data":
-            puts = [(receiver, self.lie) for receiver, _ in puts]
-        return puts, said
+    def take(self, event: MediumEvent) -> RobotFrames | None:
+        frames = super().take(event)
+        if frames is not None and frames.phase == "data":
+            return replace(frames, frames=[replace(frame, payload=self.lie) for frame in frames.frames])
+        return frames
 
 
 @pytest.mark.parametrize("lie", LIES)
@@ -127,12 +131,13 @@ class _Forger:
 
     def put(self, key: str, payload: bytes) -> None:
         said = unpack(payload)
-        if isinstance(said, Said):
+        if isinstance(said, RobotFrames):
             lie, edits = encode(LIES["two save points in a row"]), ("em", "chg", "rm")
-            frames, loads = (
-                [lie if packets.name(frame) in edits else frame for frame in honest]
-                for honest in (said.frames, said.replies.loads)
-            )
+            frames = [
+                replace(frame, payload=lie) if packets.name(frame.payload) in edits else frame
+                for frame in said.frames
+            ]
+            loads = [lie if packets.name(load) in edits else load for load in said.replies.loads]
             payload = pack(replace(said, frames=frames, replies=replace(said.replies, loads=loads)))
         self._inner.put(key, payload)
 
@@ -302,23 +307,19 @@ NONSENSE: dict[str, list[Packet]] = {
 }
 
 
-class Gossip(Mind):
+class Gossip(Member):
     """A robot that says its lie wherever it should say news, as often and as urgently as it can."""
 
     def __init__(self, settings: Settings, lie: list[Packet]) -> None:
         super().__init__(settings)
         self.lie = encode(lie)
 
-    def hear(
-        self, note: Open | PhaseDelivery | Outcome | Close, heard: Heard
-    ) -> tuple[list[Put], Said | None]:
-        puts, said = super().hear(note, heard)
-        if isinstance(note, Open) and note.peers:
-            puts, said = (
-                [(EVERYONE, self.lie)],
-                Said(note.step, note.round, "offers", [], 10**6),
-            )
-        return puts, said
+    def take(self, event: MediumEvent) -> RobotFrames | None:
+        frames = super().take(event)
+        if isinstance(event, Open) and event.peers:
+            lie = [OutgoingFrame(EVERYONE, self.lie)]
+            return RobotFrames(event.step, event.round, "offers", b"", lie, 10**6)
+        return frames
 
 
 @pytest.mark.parametrize("lie", NONSENSE)
@@ -343,21 +344,20 @@ def test_who_lies_to_all_does_not_stop_the_honest_from_sharing_all_they_see(
         assert {fault.peer for fault in robot.faults} <= {LIAR}
 
 
-class Hoarse(Mind):
+class Hoarse(Member):
     """A robot whose news are cut, said twice, or turned round: each time in another way."""
 
-    def hear(
-        self, note: Open | PhaseDelivery | Outcome | Close, heard: Heard
-    ) -> tuple[list[Put], Said | None]:
-        puts, said = super().hear(note, heard)
-        if isinstance(note, Open):
-            puts = [(receiver, self._spoilt(frame, note.step % 3)) for receiver, frame in puts]
-        return puts, said
+    def take(self, event: MediumEvent) -> RobotFrames | None:
+        frames = super().take(event)
+        if isinstance(event, Open) and frames is not None:
+            spoilt = [
+                replace(frame, payload=self._spoilt(frame.payload, event.step % 3)) for frame in frames.frames
+            ]
+            return replace(frames, frames=spoilt)
+        return frames
 
     def _spoilt(self, frame: bytes, way: int) -> bytes:
         words = packet_index.split(frame)
-        if any(packets.name(word) in ("targ", "pose") for word in words):
-            return frame
         return b"".join((words[::-1], words + words, words[: len(words) // 2 + 1])[way])
 
 
@@ -392,16 +392,15 @@ def test_a_unit_of_a_liar_that_makes_no_sense_is_reported_and_no_more_is_taken_f
         assert robot.faults[0].reason
 
 
-class Decliner(Mind):
+class Decliner(Member):
     """A robot that wants nothing."""
 
-    def hear(
-        self, note: Open | PhaseDelivery | Outcome | Close, heard: Heard
-    ) -> tuple[list[Put], Said | None]:
-        puts, said = super().hear(note, heard)
-        if said is not None and said.phase == "answers":
-            puts = [(receiver, encode([Decline()])) for receiver, _ in puts]
-        return puts, said
+    def take(self, event: MediumEvent) -> RobotFrames | None:
+        frames = super().take(event)
+        if frames is not None and frames.phase == "answers":
+            declined = [replace(frame, payload=encode([Decline()])) for frame in frames.frames]
+            return replace(frames, frames=declined)
+        return frames
 
 
 def test_who_wants_nothing_silences_nobody() -> None:
@@ -439,10 +438,9 @@ def test_no_frame_stops_a_robots_process(steps: list[tuple[list[bytes], ...]]) -
     antenna, keys = Antenna(), Keys("lies")
     node = AgentNode(antenna, keys, 0)
 
-    def tell(message: messages.Record, frames: list[bytes]) -> None:
-        if isinstance(message, MediumNote):
-            said = messages.Heard(len(frames) * [LIAR], frames, [message])
-            node.handle(Message(keys.radio_rx("r0", names.RELAY), pack(said)))
+    def tell(message: messages.Record) -> None:
+        if isinstance(message, MediumEvent):
+            node.handle(Message(keys.radio_rx("r0", names.RELAY), pack(messages.RelayUpdate([message]))))
         else:
             key = (
                 keys.body("r0", names.WORLD)
@@ -451,28 +449,30 @@ def test_no_frame_stops_a_robots_process(steps: list[tuple[list[bytes], ...]]) -
             )
             node.handle(Message(key, pack(message)))
 
-    tell(Configure(0, a_small_plan().robot_settings[0].encode()), [])
-    for step, (broadcasts, dissemination, answers, more) in enumerate(steps, 1):
+    tell(Configure(0, a_small_plan().robot_settings[0].encode()))
+    for step, (broadcasts, offers, answers, more) in enumerate(steps, 1):
         antenna.said.clear()
-        tell(sensed(step), [])
-        tell(Open(step, 0, [LIAR, 2], 1000), broadcasts)
-        numbers = list(range(len(dissemination)))
-        tell(PhaseDelivery(step, 0, "offers", numbers, [LIAR] * len(dissemination)), dissemination)
-        tell(PhaseDelivery(step, 0, "data", list(range(90, 90 + len(answers))), [0] * len(answers)), answers)
-        data = more[: len(dissemination)]
-        short = [2] * len(dissemination)
-        sizes = [len(data[number]) if number < len(data) else 0 for number in numbers]
-        tell(Outcome(step, 0, numbers, short, short, sizes, numbers[: len(data)], False), data)
-        tell(Close(step), [])
-        assert [said.phase for said in antenna.said if isinstance(said, Said)] == [
-            "offers",
-            "answers",
-            "data",
-        ]
+        tell(sensed(step))
+        tell(Broadcasts(step, [Delivery(LIAR, frame) for frame in broadcasts]))
+        tell(Open(step, 0, [LIAR, 2], Budget(1000)))
+        numbered = [Delivery(LIAR, frame, number, LIAR) for number, frame in enumerate(offers)]
+        tell(PhaseDelivery(step, 0, "offers", numbered))
+        tell(
+            PhaseDelivery(
+                step, 0, "answers", [Delivery(LIAR, frame, 90 + n, 0) for n, frame in enumerate(answers)]
+            )
+        )
+        data = [Delivery(LIAR, frame, n, LIAR) for n, frame in enumerate(more[: len(offers)])]
+        sizes = [len(each.payload) for each in data] + [0] * len(offers)
+        reports = [ConnectionReport(n, 2, 2, size) for n, size in enumerate(sizes[: len(offers)])]
+        tell(RoundReport(step, 0, reports, [], data, False))
+        tell(Close(step))
+        phases = [said.phase for said in antenna.said if isinstance(said, RobotFrames)]
+        assert phases == ["offers", "answers", "data"]
         assert [said.step for said in antenna.said if isinstance(said, Move)] == [step]
         faults = [said.what for said in antenna.said if isinstance(said, Fault)]
         assert faults or all(_is_a_broadcast(frame) for frame in broadcasts)
-    tell(End(len(steps), "enough", -1), [])
+    tell(End(len(steps), "enough", -1))
     maps = antenna.said[-1]
     assert isinstance(maps, Maps)
     known, plan = np.frombuffer(maps.own, np.uint8), np.frombuffer(maps.planning, np.uint8)

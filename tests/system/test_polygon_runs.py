@@ -20,8 +20,7 @@ from deploy.record.summary import summarize
 from deploy.run import in_memory
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import parse
-from netshaper.ledger import EVERYONE, balance, sort_rows
-from netshaper.medium import DATA
+from netshaper.ledger import DATA, EVERYONE, balance, sort_rows
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packets import ALL_KINDS
 from tests.system.team import Cell, Team, corridor, plan_on, small_plan

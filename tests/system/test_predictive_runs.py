@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from netshaper.ledger import KIND_NUMBER, balance
-from netshaper.medium import NEWS
+from netshaper.ledger import KIND_NUMBER, NEWS, balance
 from protocol.grid import UNKNOWN
 from tests.system.team import Team, small_plan
 

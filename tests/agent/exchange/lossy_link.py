@@ -9,8 +9,8 @@ import numpy as np
 from agent.exchange.confirmed import ConfirmedSession
 from agent.exchange.confirmed_gossip import ConfirmedGossip
 from agent.exchange.gossip import EVERYONE
+from agent.exchange.outcome import Outcome
 from protocol import packet_index
-from protocol.messages import Outcome
 from tests.agent.exchange.session_link import Reach, words
 
 Mind = ConfirmedSession | ConfirmedGossip

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from agent.exchange.outcome import Outcome
 from agent.exchange.session import Session
 from protocol import packet_index
-from protocol.messages import Outcome
 from protocol.packets import Fragment, encode
 
 Reach = Mapping[int, Sequence[int]]

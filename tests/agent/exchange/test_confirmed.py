@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from agent.exchange.confirmed import ConfirmedSession
 from agent.exchange.confirmed_gossip import ConfirmedGossip
+from agent.exchange.outcome import Outcome
 from protocol import packet_index
 from protocol.errors import ProtocolError
-from protocol.messages import Outcome
 from protocol.packets import From, FromEarly, Held, HeldEarly, Offer, decode, encode
 from tests.agent.exchange.lossy_link import MAKERS, LossyLink
 from tests.agent.exchange.session_link import Reach, everyone, held, line, words

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from agent.encodings.base import Dependency
 from agent.exchange.confirmed_gossip import ConfirmedGossip
 from agent.exchange.gossip import EVERYONE, GREETING, PATIENCE, SELDOM, Gossip
+from agent.exchange.outcome import Outcome
 from agent.exchange.priority import HOLDS, MOST_URGENT
 from protocol import packet_index, packets
 from protocol.errors import ProtocolError
-from protocol.messages import Outcome
 from protocol.packets import (
     GOSSIP_WINDOW,
     Delete,

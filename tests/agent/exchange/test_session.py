@@ -16,10 +16,10 @@ from agent.exchange.connection import TRANSITIONS, Connection, Event, State
 from agent.exchange.handshake import LEAST_HANDSHAKE
 from agent.exchange.log import Log
 from agent.exchange.offer_policy import CROWD, POLICIES, choose_offers
+from agent.exchange.outcome import Outcome
 from agent.exchange.session import MAX_WAIT, PATIENCE, Session, reached_by_all
 from protocol import packets
 from protocol.errors import ProtocolError
-from protocol.messages import Outcome
 from protocol.packets import BLOCKS, INDEX_WINDOW, Answer, Block, Decline, Offer, Save, encode
 from tests.agent.exchange.session_link import Link, Played, everyone, held, line, word, words
 

@@ -56,7 +56,7 @@ def line(one: Cell, other: Cell) -> list[Cell]:
 
 
 @given(scenes())
-def test_a_line_of_predictive_is_free_of_obstacles_and_the_same_from_both_ends(scene: Any) -> None:
+def test_a_line_of_sight_is_free_of_obstacles_and_the_same_from_both_ends(scene: Any) -> None:
     grid, cells, targets, _ = scene
     for one in cells:
         for other in targets:

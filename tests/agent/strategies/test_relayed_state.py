@@ -6,14 +6,15 @@ from typing import Any
 
 import pytest
 
+from agent.exchange.outcome import Outcome
 from agent.robot import Robot
 from agent.strategies.base import Cell, Pose, Situation
 from agent.strategies.burgard import Burgard
 from agent.strategies.relayed_state import RelayedState
-from netshaper.frames import is_broadcast
+from netshaper.admission import is_broadcast
 from protocol import packets
 from protocol.grid import ray_table
-from protocol.messages import Outcome, Sense
+from protocol.messages import Sense
 from protocol.packets import Passed, Target
 from tests.agent.planning.planning_references import drawn, settings_for
 

@@ -7,11 +7,12 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
+from agent.exchange.outcome import Outcome
 from agent.robot import REPEAT_POSE, SURE_AFTER, Robot
 from agent.strategies.base import Decision, Pose, Situation, Strategy
 from protocol import packets
 from protocol.grid import ray_table
-from protocol.messages import Outcome, Sense
+from protocol.messages import Sense
 from protocol.scans import NONE
 from tests.agent.planning.planning_references import drawn, settings_for
 

@@ -17,10 +17,9 @@ from deploy.chaos.runs import Verdict, shrink, weather
 from deploy.commands.main import app
 from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
-from netshaper.ledger import EVERYONE
 from protocol.grid import UNKNOWN
 from protocol.memory_bus import MemoryHub
-from protocol.messages import Said, pack, unpack
+from protocol.messages import OutgoingFrame, RobotFrames, pack, unpack
 
 SMALL = [6, 11, 15]
 """Seeds of small and short storms."""
@@ -102,7 +101,7 @@ def test_liars_lie_on_the_radio_alone_and_by_their_seed() -> None:
         relay, bus = hub.join("relay"), Lies(seed, (1,))("r1", hub.join("r1"))
         relay.receive()
         for number in range(99):
-            said = Said(1, 0, "dissemination", [], 0, [EVERYONE], [bytes([0xF0, number])])
+            said = RobotFrames(1, 0, "offers", frames=[OutgoingFrame(0, bytes([0xF0, number]))])
             bus.put(hub.keys.radio_tx("r1"), pack(said))
             bus.put(hub.keys.control_tx("r1"), bytes([number]))
         return [message.payload for message in iter(relay.receive, None)]
@@ -111,7 +110,7 @@ def test_liars_lie_on_the_radio_alone_and_by_their_seed() -> None:
     assert said == heard(1) != heard(2)
     assert said[1::2] == [bytes([number]) for number in range(99)]
     frames = [unpack(payload).frames for payload in said[::2]]
-    lies = sum(frame != bytes([0xF0, number]) for number, (frame,) in enumerate(frames))
+    lies = sum(frame.payload != bytes([0xF0, number]) for number, (frame,) in enumerate(frames))
     assert 10 < lies < 40
 
 

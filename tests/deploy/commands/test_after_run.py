@@ -47,9 +47,7 @@ def test_a_replay_lists_changed_settings_first(floor: str) -> None:
         ({"lost": {"1": "its process ended"}}, "robot 1 was lost: its process ended, unasked"),
     ],
 )
-def test_a_run_with_unplanned_events_cannot_be_replayed(
-    floor: str, what: dict[str, Any], why: str
-) -> None:
+def test_a_run_with_unplanned_events_cannot_be_replayed(floor: str, what: dict[str, Any], why: str) -> None:
     explore(floor, "--steps", "4", "--out", "run")
     summary = json.loads(Path("run/summary.json").read_text())
     Path("run/summary.json").write_text(json.dumps(summary | what))

@@ -109,9 +109,6 @@ def test_a_picture_with_a_resolution_is_a_map(floor: str) -> None:
 
 def test_help_shows_flags_in_groups() -> None:
     said = murmur("explore", "--help").stdout
-    order = [
-        said.index(f"\n{group}:\n")
-        for group in ("Options", "World", "Robots", "Radio", "Run", "View")
-    ]
+    order = [said.index(f"\n{group}:\n") for group in ("Options", "World", "Robots", "Radio", "Run", "View")]
     assert order == sorted(order)
     assert order[2] < said.index("--strategy NAME") < order[3] < said.index("--bandwidth BYTES")

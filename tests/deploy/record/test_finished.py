@@ -14,7 +14,7 @@ from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol import rights
 from protocol.bus import Bus
-from protocol.messages import End, Move, Said, pack
+from protocol.messages import End, Move, OutgoingFrame, RobotFrames, pack
 from tests.system.team import small_plan
 
 
@@ -70,7 +70,7 @@ class Chatterbox:
 
     def put(self, key: str, payload: bytes) -> None:
         if names.parts(key)[0] == "body":
-            said = pack(Said(1, 0, "dissemination", [], 0, 10 * [0], 10 * [b"\x80\x00"]))
+            said = pack(RobotFrames(1, 0, "offers", frames=10 * [OutgoingFrame(0, b"\x80\x00")]))
             self._inner.put(key.replace("body/rx/world/r1", "radio/tx/r1"), said)
         self._inner.put(key, payload)
 

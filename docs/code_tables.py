@@ -1,0 +1,154 @@
+"""Tables in docs that follow from code: settings, settings of hosts, rights, and messages.
+
+Run ``python -m docs.code_tables`` after a change; `tests/deploy/test_docs.py` compares pages and code.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from agent.encodings.polygon_options import PolygonOptions
+from agent.encodings.predictive_options import PredictiveOptions
+from deploy.run.hosts import Host, Hosts
+from deploy.scenario.scenario import Scenario
+from deploy.scenario.tables import ChangeTable, FaultTable, RobotOverride
+from netshaper.radio_options import RadioOptions
+from protocol import messages
+from protocol.rights import RIGHTS
+
+DOCS = Path(__file__).parent
+
+OPTIONS = {
+    "polygons": {
+        "medium_use": "fraction u of the medium that the splitting frequency plans with (Eq. 5.5); thesis: 0.5",
+        "bytes_per_split": "bytes d per split (Eq. 5.5); 0: measured during the run",
+        "splits_per_step": "splits per step, s, also for one robot and without a budget; 0: by Eq. 5.5",
+        "lazy": "log an edit script only once teammates in range hold the previous one; thesis: false",
+        "mixed_first": "refine edges of mixed occupancy first; thesis: false",
+        "free_inside_edges": "draw inside edges labeled free; thesis: true",
+        "unknown_pairs": "send outside objects of two vertices without a wall; thesis: true",
+        "wide_walls": "treat unknown cells beside the wall of a teammate in range as wall; thesis: false",
+        "wide_seen_walls": "also beside walls that the robot has seen itself; false by default with `repairmen` and "
+        "other strategies that set `looks_from_afar`: complete maps, some steps more",
+        "close_slivers": "treat unknown slivers between free cells of teammates as free; thesis: false",
+        "exact_error": "also measure the error of an exact approximation (`approximation_error_net`)",
+    },
+    "predictive": {
+        "base": 'logs that an entry may depend on: `"team"`, all that its author has received; `"own"`, its own'
+    },
+    "radio": {
+        "preset": "a [radio by name](radios.md#radios-by-name), for values that the scenario does not give",
+        "frame_bytes": "bytes of packets per frame; 0: no limit",
+        "model": "connectivity: disc, line-of-sight, log-distance",
+        "exponent": "log-distance: path loss exponent",
+        "db_per_metre": "log-distance: loss per meter, dB",
+        "db_per_wall": "log-distance: loss per wall, dB",
+        "shadowing_db": "log-distance: standard deviation of shadowing, dB",
+        "shadowing_m": "log-distance: side of the squares with constant shadowing, meters",
+        "loss": "probability that a receiver loses a frame",
+        "burst_loss": "the same during a burst",
+        "burst_every": "mean steps between bursts of a link; 0: none",
+        "burst_steps": "mean steps of a burst",
+        "delay": "steps until a frame arrives",
+        "jitter": "additional random delay, steps at most",
+        "duplication": "probability that a frame arrives twice",
+        "bit_errors": "probability of each bit to flip",
+        "checksums": "checksums even without bit errors",
+        "send_bytes": "bytes per step that a robot can send; 0: no limit of its own",
+        "receive_bytes": "bytes per step that a robot can receive; 0: no limit of its own",
+        "duty_cycle": "share of an hour's bytes that a robot may send",
+        "reuse": "spatial reuse: the bandwidth applies to each neighborhood, not to the team",
+        "partition": "steps in which groups of robots are out of each other's range",
+    },
+}
+"""Meanings of options that a scenario's tables hold."""
+
+LISTS = {"robot": RobotOverride, "fault": FaultTable, "change": ChangeTable}
+"""Settings that are lists of tables; the table lists their fields after all others."""
+
+
+def plain(value: object) -> str:
+    """Return a default as TOML; ``-`` for none."""
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f'"{value}"' if isinstance(value, str) else str(value)
+
+
+def settings() -> Iterator[tuple[str, str, str]]:
+    """Yield name, default and meaning of each setting of a scenario."""
+    options = {
+        "polygons": asdict(PolygonOptions()),
+        "predictive": asdict(PredictiveOptions()),
+        "radio": {**asdict(RadioOptions()), "partition": []},
+    }
+    for name, default, meaning in _fields(Scenario, ""):
+        if name in options:
+            yield from (
+                (f"{name}.{key}", plain(value), OPTIONS[name][key]) for key, value in options[name].items()
+            )
+        elif name not in LISTS:
+            yield name, default, meaning
+    for name, kind in LISTS.items():
+        yield from _fields(kind, f"{name}.")
+
+
+def host_settings() -> Iterator[tuple[str, str, str]]:
+    """Yield name, default and meaning of each setting of a hosts file."""
+    yield from (row for row in _fields(Hosts, "") if row[0] != "host")
+    yield from _fields(Host, "host.")
+
+
+def rights() -> Iterator[tuple[str, ...]]:
+    """Yield sender, receiver and the messages that one may send to the other."""
+    for (sender, receiver), kinds in RIGHTS.items():
+        yield sender, receiver, ", ".join(f"`{kind.__name__}`" for kind in kinds)
+
+
+def message_rows() -> Iterator[tuple[str, ...]]:
+    """Yield number, name, fields and purpose of each message."""
+    for number, kind in enumerate(messages._TYPES):
+        purpose = (kind.__doc__ or "").split("\n")[0].rstrip(".")
+        yield str(number), f"`{kind.__name__}`", ", ".join(kind.__struct_fields__), purpose
+
+
+def updated(page: str, head: str, rows: Iterable[tuple[str, ...]]) -> str:
+    """Return the page with the rows of the table below a head line replaced."""
+    table = "".join(f"| {' | '.join(row)} |\n" for row in rows)
+    return re.sub(rf"(?<={re.escape(head)}\n)(\|[-|]*\n)(\|[^\n]*\n)*", lambda match: match[1] + table, page)
+
+
+def main() -> None:
+    """Rewrite the tables in the pages."""
+    for name, head, rows in (
+        ("settings.md", "| setting | default | meaning |", _coded(settings())),
+        ("hosts.md", "| setting | default | meaning |", _coded(host_settings())),
+        ("bus.md", "| sender | receiver | messages |", rights()),
+        ("bus.md", "| no. | message | fields | purpose |", message_rows()),
+    ):
+        page = DOCS / name
+        page.write_text(updated(page.read_text(encoding="utf-8"), head, rows), encoding="utf-8")
+
+
+def _fields(kind: Any, prefix: str) -> Iterator[tuple[str, str, str]]:
+    earlier: dict[str, Any] = {}
+    for name, info in kind.model_fields.items():
+        default = "required"
+        if not info.is_required():
+            earlier[name] = info.get_default(call_default_factory=True, validated_data=earlier)
+            default = plain(earlier[name])
+        yield prefix + name, default, info.description or ""
+
+
+def _coded(rows: Iterable[tuple[str, str, str]]) -> Iterator[tuple[str, ...]]:
+    for name, default, meaning in rows:
+        yield f"`{name}`", default if default in ("required", "-") else f"`{default}`", meaning
+
+
+if __name__ == "__main__":
+    main()
