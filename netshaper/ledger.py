@@ -41,7 +41,7 @@ ROW = np.dtype(
         ("bytes", "<i4"),
         ("carried", "<i2"),
         ("cause", "<i2"),
-        ("heard", "<i2"),
+        ("received_by", "<i2"),
     ]
 )
 """One row. `kind` counts in `ALL_KINDS`, `cause` in `CAUSES`; -1 stands for broadcast, or for no map."""
@@ -68,6 +68,6 @@ def balance(rows: NDArray[np.void]) -> dict[int, tuple[int, int, int, int]]:
         carried = int(these["bytes"][these["carried"] == 1].sum())
         cut = int(these["bytes"][these["carried"] == 0].sum())
         unicast = (these["receiver"] != EVERYONE) & (these["carried"] == 1)
-        heard = int((these["bytes"] * these["heard"])[unicast].sum())
+        heard = int((these["bytes"] * these["received_by"])[unicast].sum())
         result[int(step)] = (said, carried, cut, heard)
     return result

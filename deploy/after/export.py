@@ -228,7 +228,7 @@ class _Messages:
             carried=int(sizes[carried].sum()),
             refused=int(sizes[~carried].sum()),
             cause=next((cause for cause in here["cause"][rows].tolist() if cause), ""),
-            received=int(here["heard"][rows].max()),
+            received=int(here["received_by"][rows].max()),
         )
 
     def _map_reports(self) -> dict[int, list[tuple[int, Grid | Outlines]]]:

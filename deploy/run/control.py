@@ -84,7 +84,7 @@ class Control:
     def heed(self, recorder: RecorderNode) -> None:
         """Pass on what was wished for."""
         while not self._wishes.empty():
-            recorder.ask(self._wishes.get())
+            recorder.request(self._wishes.get())
 
     def gate(self, free: int = 0) -> Gate:
         """What the world passes before it opens a step; the first `free` ones it opens without."""

@@ -23,7 +23,7 @@ from agent.exchange.outcome import Outcome
 from agent.exchange.session import Session
 from agent.outline.approximation import approximation, repair
 from agent.outline.contour import contours
-from agent.outline.edits import NumberedPolygons, edit_script
+from agent.outline.edits import NumberedPolygons
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
 from agent.predictive.scan_updates import MAX_SCANS
@@ -41,6 +41,7 @@ from protocol.grid import MAX_ROBOTS, MAX_SIDE, UNKNOWN, Grid, ray_table
 from protocol.keys import Keys
 from protocol.rights import RIGHTS
 from protocol.scans import Scan, draw, encode_scan, fragments
+from tests.agent.outline.edit_scripts import edit_script
 from worldsim.laser import cast
 
 DOCS = Path(__file__).parents[2] / "docs"

@@ -130,7 +130,7 @@ def test_the_capture_has_every_byte_that_the_ledger_books(robots: int, seed: int
         for row in step.rows:
             booked[tuple(int(row[name]) for name in names)] += int(row["bytes"])
         said += sum(len(payload) for _, payload in step.submitted)
-        heard += int((step.rows["bytes"] * step.rows["heard"]).sum())
+        heard += int((step.rows["bytes"] * step.rows["received_by"]).sum())
     found: Counter[tuple[int, ...]] = Counter()
     heard_of = 0
     for frame in read(file):

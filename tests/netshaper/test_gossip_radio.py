@@ -44,7 +44,7 @@ def test_news_are_heard_by_all_in_range_and_both_ends_are_told_what_was_carried(
         heard: Counter[int] = Counter()
         for row in step.rows[(step.rows["frame"] == NEWS) & (step.rows["carried"] == 1)]:
             sender, size = int(row["sender"]), int(row["bytes"])
-            assert int(row["heard"]) == len(reach[sender])
+            assert int(row["received_by"]) == len(reach[sender])
             carried[sender, int(row["round"])] += size
             heard[sender] += size * len(reach[sender])
         told = Counter({(robot, r.round): sum(each.sent for each in r.sent) for robot, r in step.reports})

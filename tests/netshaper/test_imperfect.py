@@ -47,7 +47,7 @@ def test_every_byte_is_booked_and_no_limit_is_passed_whatever_robots_say(scene: 
         assert step.bytes_where(carried) == step.carried
         assert (carried == ((cause == 0) | (cause >= FIRST_ON_AIR))).all()
         unicast = carried & (rows["receiver"] != EVERYONE)
-        assert (rows["heard"][unicast] == (cause[unicast] == 0)).all()
+        assert (rows["received_by"][unicast] == (cause[unicast] == 0)).all()
         said, booked = sum(len(payload) for _, payload in step.submitted), step.bytes_where(~(carried & sums))
         assert booked == said or not in_turn, "what is said between steps is booked in the next one"
         for robot in range(chosen.robots):

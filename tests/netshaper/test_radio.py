@@ -102,7 +102,7 @@ def test_a_broadcast_counts_once_whoever_hears_it(scene: Any) -> None:
         assert (rows["packets"] == 1).all()
         assert len(set(rows["sender"].tolist())) == len(rows)
         heard = Counter(frame.sender for frame in step.delivered if frame.kind == "broadcast")
-        assert heard == +Counter(dict(rows[["sender", "heard"]].tolist()))
+        assert heard == +Counter(dict(rows[["sender", "received_by"]].tolist()))
 
 
 @given(scenes())
@@ -176,7 +176,7 @@ def test_a_robot_out_of_range_hears_nothing(scene: Any) -> None:
             assert math.hypot(ax - bx, ay - by) <= settings.range_cells
         far = step.rows[step.rows["cause"] == CAUSES.index("range")]
         assert not far["carried"].any()
-        assert not far["heard"].any()
+        assert not far["received_by"].any()
 
 
 @given(scenes())
@@ -350,14 +350,14 @@ def test_a_target_is_heard_by_all_in_range_and_booked_once() -> None:
         1, {0: (0, 0), 1: (3, 4), 2: (4, 4)}
     )
     assert booked(step) == [("broadcast", 0, EVERYONE, 3, True, "")]
-    assert step.rows["heard"].tolist() == [1]
+    assert step.rows["received_by"].tolist() == [1]
     assert [frame.receiver for frame in step.delivered] == [1]
 
 
 def test_a_target_that_nobody_hears_is_on_the_air_all_the_same() -> None:
     step = network_of(Sends(0, broadcast=TARGET_12), Sends(1), range_cells=1.0).step(1, TOGETHER)
     assert booked(step) == [("broadcast", 0, EVERYONE, 3, True, "")]
-    assert step.rows["heard"].tolist() == [0]
+    assert step.rows["received_by"].tolist() == [0]
 
 
 def test_a_frame_to_a_robot_out_of_range_is_booked_and_not_passed_on() -> None:

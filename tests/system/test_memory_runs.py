@@ -96,7 +96,7 @@ def check_books(plan: Plan, records: Records) -> None:
         assert heard <= carried
     ledger = records.ledger()
     unicast = (ledger["receiver"] >= 0) & (ledger["carried"] == 1)
-    assert (ledger["heard"][unicast] == 1).all()
+    assert (ledger["received_by"][unicast] == 1).all()
     assert not (ledger["cause"] == CAUSES.index("protocol")).any()
 
 
@@ -165,7 +165,7 @@ def test_without_reach_or_bandwidth_nothing_arrives() -> None:
         assert not ((ledger["carried"] == 1) & (ledger["frame"] == DATA)).any()
         for robot in range(3):
             assert (records.planning[robot] == records.own[robot]).all()
-    assert not (small_run(robots=3, range=0)[1].ledger()["heard"] > 0).any()
+    assert not (small_run(robots=3, range=0)[1].ledger()["received_by"] > 0).any()
 
 
 def test_two_runs_of_one_scenario_are_equal_in_all_but_the_time_they_took() -> None:
