@@ -189,7 +189,7 @@ class Robot:
             said.append(packets.Target(*self._target_news))
         if self._strategy.forwards_state:
             self._pose_is_said = any(isinstance(packet, packets.Pose) for packet in said)
-            said += self._relayed_state.passed_on(self._sense.step, heard, peers, self._poses, self._targets)
+            said += self._relayed_state.forward(self._sense.step, heard, peers, self._poses, self._targets)
         return packets.encode(said) if said else None
 
     def _looks_tell(self, pose: packets.Pose, peers: list[int]) -> bool:
