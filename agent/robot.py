@@ -140,7 +140,7 @@ class Robot:
         before, team.in_range = team.in_range, tuple(in_range)
         announced = self._announcements.next_packets(team.step, in_range, relays=relays)
         if relays:
-            announced += team.relayed.passed_on(team.step, before, in_range, team.poses, team.targets)
+            announced += team.relayed.forward(team.step, before, in_range, team.poses, team.targets)
         return packets.encode(announced) if announced else None
 
     def receive_broadcast(self, peer: int, payload: bytes) -> None:

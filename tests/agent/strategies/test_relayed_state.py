@@ -118,7 +118,7 @@ def test_word_of_a_robot_goes_round_no_longer_than_a_chain_of_all_would_take() -
     one, two = (RelayedState(settings_for(GRID, robot=robot, robots=5)) for robot in (1, 2))
     poses: dict[int, Pose] = {0: Pose(3, 4, leads=False)}
     targets: dict[int, Cell] = {0: (8, 9)}
-    said = {1: one.passed_on(1, [0], [2], poses, targets), 2: two.passed_on(1, [], [1], poses, targets)}
+    said = {1: one.forward(1, [0], [2], poses, targets), 2: two.forward(1, [], [1], poses, targets)}
     assert said == {1: [Passed(0, 1, 3, 4), Target(8, 9)], 2: []}
     lasted = 0
     for step in range(1, 9):
@@ -129,8 +129,8 @@ def test_word_of_a_robot_goes_round_no_longer_than_a_chain_of_all_would_take() -
             )
         lasted += bool(two.connected(step, [1]))
         said = {
-            1: one.passed_on(step + 1, [2], [2], poses, targets),
-            2: two.passed_on(step + 1, [1], [1], poses, targets),
+            1: one.forward(step + 1, [2], [2], poses, targets),
+            2: two.forward(step + 1, [1], [1], poses, targets),
         }
     assert lasted == 3 and said == {1: [], 2: []}
 
