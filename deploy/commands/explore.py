@@ -209,7 +209,7 @@ def _explore(
                 scenario,
                 out=out,
                 watch=watch,
-                tell=errors.print,
+                notify=errors.print,
                 window=window,
                 pace=pace,
                 hosts=placed,
