@@ -8,6 +8,7 @@ from __future__ import annotations
 import multiprocessing
 import queue
 from dataclasses import replace
+from typing import Literal
 
 from deploy.record.records import RecorderNode, Records
 from deploy.run.gate import Gate
@@ -85,7 +86,7 @@ class Control:
     def heed(self, recorder: RecorderNode) -> None:
         """Send the pending requests."""
         while not self._requests.empty():
-            recorder.ask(self._requests.get())
+            recorder.request(self._requests.get())
 
     def gate(self, free: int = 0) -> Gate:
         """Return the gate that the world passes before each step, except the first `free` steps."""
@@ -126,8 +127,8 @@ def as_it_went(plan: Plan, records: Records) -> Plan:
     changes = [
         ChangeTable(
             step=each.step,
-            bandwidth=None if each.budget < -1 else "unlimited" if each.budget == -1 else each.budget,
-            range=None if each.range_mm < 0 else repr(each.range_mm / 1000),
+            bandwidth=_bandwidth(each),
+            range=None if each.range_mm is None else repr(each.range_mm / 1000),
         )
         for each in records.changes
         if (each.step, each.budget, each.range_mm) not in planned
@@ -136,3 +137,10 @@ def as_it_went(plan: Plan, records: Records) -> Plan:
         return plan
     update = {"fault": (*scenario.fault, *kills), "change": (*scenario.change, *changes)}
     return replace(plan, scenario=scenario.model_copy(update=update))
+
+
+def _bandwidth(change: Change) -> int | Literal["unlimited"] | None:
+    """The bandwidth of a change as a scenario writes it."""
+    if change.budget is None:
+        return None
+    return "unlimited" if change.budget.limit is None else change.budget.limit

@@ -91,7 +91,7 @@ class MemoryRun:
             robots,
             plan.map.cells.shape,
             capture,
-            obey=_note_restarts(self._due),
+            on_fault=_note_restarts(self._due),
         )
         self._world = WorldNode(
             self._buses[names.WORLD],
@@ -121,7 +121,7 @@ class MemoryRun:
 
     def ask(self, request: FaultEvent | Change) -> None:
         """Request a fault or a change of the radio that the scenario does not contain."""
-        self._recorder.ask(request)
+        self._recorder.request(request)
 
     def steps(self, heed: Callable[[RecorderNode], object] = lambda _: None) -> Iterator[int]:
         """Run, and yield each completed step, from 0, the time before the first.

@@ -7,14 +7,14 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from agent.exchange import gossip
+from agent.replication.policies import GOSSIP
 from agent.settings import Settings
 from agent.strategies.registry import strategy
 from deploy.scenario.finding_maps import find_map
 from deploy.scenario.scenario import Scenario, ScenarioError
 from deploy.scenario.tables import UNLIMITED, RobotOverride
-from netshaper import medium
-from netshaper.radio import RadioSettings
+from netshaper.settings import RadioSettings
+from protocol.budget import Budget
 from protocol.grid import MAX_SIDE, disc, enlarge
 from worldsim import faults
 from worldsim.map_error import MapError
@@ -124,9 +124,9 @@ def _radio_settings(scenario: Scenario, world_map: Map, range_m: float, incarnat
         scenario.robots,
         scenario.seed,
         range_m / world_map.resolution,
-        medium.UNLIMITED if scenario.bandwidth == UNLIMITED else int(scenario.bandwidth),
+        Budget.parse(scenario.bandwidth),
         scenario.rounds,
-        scenario.dissemination == gossip.POLICY,
+        scenario.dissemination == GOSSIP,
         incarnations,
         scenario.radio,
         world_map.resolution,

@@ -33,6 +33,7 @@ from deploy.scenario.tables import (
 )
 from netshaper.presets import PRESETS
 from netshaper.radio_options import Partition, RadioOptions
+from protocol.budget import Budget
 from protocol.errors import there_are
 from protocol.grid import MAX_ROBOTS
 from protocol.messages import Change, FaultEvent
@@ -250,8 +251,8 @@ class Scenario(Table):
         return tuple(
             Change(
                 each.step,
-                -2 if each.bandwidth is None else -1 if each.bandwidth == UNLIMITED else int(each.bandwidth),
-                -1 if each.range is None else round(1000 * range_in_meters(each.range, diagonal_m)),
+                None if each.bandwidth is None else Budget.parse(each.bandwidth),
+                None if each.range is None else round(1000 * range_in_meters(each.range, diagonal_m)),
             )
             for each in sorted(self.change, key=lambda each: each.step)
         )
