@@ -206,7 +206,9 @@ def test_what_the_wire_carried_is_what_the_ledger_books(traffic: Traffic, said: 
         if not row["carried"] and row["frame"] in PHASES[1:3] and row["cause"] == "budget"
     ]
     assert asked + beforehand == sum(row["bytes"] for row in ledger)
-    assert down == sum(row["bytes"] * row["received_by"] for row in carried) + sum(row["bytes"] for row in told)
+    assert down == sum(row["bytes"] * row["received_by"] for row in carried) + sum(
+        row["bytes"] for row in told
+    )
     assert sum(frame.carried for frame in said) == sum(row["bytes"] for row in carried) > 0
 
 
