@@ -200,4 +200,5 @@ def test_entries_that_a_teammate_claims_to_build_on_but_nobody_received_do_no_ha
         (frame,) = victim.replication.open_round(0, [1], None)
         victim.close_round(RoundReport(step, 0, [], [SendReport(0, len(frame.payload))], [], False))
     assert not victim.faults
+    victim.decide()
     assert (victim.planning == victim.own)[victim.own != 0].all()
