@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 
 from deploy.dashboard.process import RECORDING, ViewTask, watching
-from deploy.dashboard.windows import Window, optimise
+from deploy.dashboard.windows import Window, optimize
 from deploy.record import run_directory
 from deploy.record.records import RecorderNode, Records
 from deploy.record.summary import summarize
@@ -242,7 +242,7 @@ class _Execution:
         plan, outcome = self._run(plan)
         result = conclude(plan, outcome, self.directory, time.perf_counter() - began)
         if self.directory is not None and self.window is not None and outcome.view_fault:
-            optimise(self.directory / RECORDING)  # the failed viewer did not close it
+            optimize(self.directory / RECORDING)  # the failed viewer did not close it
         return result
 
     def _run(self, plan: Plan) -> tuple[Plan, launch.Outcome]:
