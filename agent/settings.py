@@ -35,7 +35,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     strategy : str
         Name of the exploration strategy (`agent.strategies`).
     dissemination : str
-        Dissemination policy of the maps: ``backoff``, ``thesis`` or ``gossip``.
+        Dissemination policy of the maps: ``backoff``, ``thesis`` or ``gossip`` (`agent.replication.policies`).
     bandwidth : float or None
         Bytes per step that the team shares; None: unlimited.
     reach_cells : float

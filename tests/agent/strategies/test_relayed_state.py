@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 
-from agent.exchange.outcome import Outcome
 from agent.robot import Robot
 from agent.strategies.base import Cell, Pose, Situation
 from agent.strategies.burgard import Burgard
@@ -14,7 +13,7 @@ from agent.strategies.relayed_state import RelayedState
 from netshaper.admission import is_broadcast
 from protocol import packets
 from protocol.grid import ray_table
-from protocol.messages import Sense
+from protocol.messages import RoundReport, Sense
 from protocol.packets import Passed, Target
 from tests.agent.planning.planning_references import drawn, settings_for
 
@@ -68,10 +67,9 @@ class Line:
             assert frame is None or is_broadcast(frame)
             for other in beside[one] if frame is not None else ():
                 assert frame is not None
-                self.robot_settings[other].hear_broadcast(one, frame)
-            self.robot_settings[one].settle(
-                Outcome(self.step_number, 0, [], [], [], [], [], frame is not None), []
-            )
+                self.robot_settings[other].receive_broadcast(one, frame)
+            report = RoundReport(self.step_number, 0, [], [], [], frame is not None)
+            self.robot_settings[one].close_round(report)
         for mind in self.robot_settings:
             mind.decide()
             assert not mind.faults
@@ -142,7 +140,7 @@ def test_a_relayed_state_circulates_no_longer_than_through_a_chain_of_all_robots
 ])  # fmt: skip
 def test_a_relayed_state_of_an_unknown_robot_or_cell_is_a_fault(frame: list[packets.AnyPacket]) -> None:
     mind = Robot(settings_for(GRID, robot=2, robots=3, strategy="burgard", map_encoding="scans"))
-    mind.hear_broadcast(1, packets.encode(frame))
+    mind.receive_broadcast(1, packets.encode(frame))
     assert len(mind.faults) == 1
 
 

@@ -7,12 +7,12 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from agent.exchange.outcome import Outcome
-from agent.robot import REPEAT_POSE, SURE_AFTER, Robot
+from agent.announcements import REPEAT_POSE
+from agent.robot import SURE_AFTER, Robot
 from agent.strategies.base import Decision, Pose, Situation, Strategy
 from protocol import packets
 from protocol.grid import ray_table
-from protocol.messages import Sense
+from protocol.messages import RoundReport, Sense
 from protocol.scans import NONE
 from tests.agent.planning.planning_references import drawn, settings_for
 
@@ -29,8 +29,8 @@ def sense(step: int, x: int = 10, y: int = 10, *, look: bool = True) -> Sense:
     return Sense(step, x, y, 0, b"", readings.tobytes(), "")
 
 
-def carried(step: int) -> Outcome:
-    return Outcome(step, 0, [], [], [], [], [], True)
+def carried(step: int) -> RoundReport:
+    return RoundReport(step, 0, [], [], [], True)
 
 
 def said(mind: Robot, peers: list[int]) -> list[str]:
@@ -52,7 +52,7 @@ def test_a_received_pose_is_repeated_after_a_while_or_for_a_new_peer() -> None:
         mind.perceive(sense(step))
         told.append("pose" in said(mind, [1]))
         if told[-1]:
-            mind.settle(carried(step), [])
+            mind.close_round(carried(step))
     assert told == [True] + [False] * (REPEAT_POSE - 1) + [True]
     mind.perceive(sense(20))
     assert said(mind, [1, 2]) == ["pose"]
@@ -75,7 +75,7 @@ def test_a_pose_and_a_target_go_in_one_broadcast_and_are_understood() -> None:
     assert frame is not None
     assert [packet.name for packet in packets.decode(frame)] == ["pose", "targ"]
     assert len(frame) == 7
-    other.hear_broadcast(0, frame)
+    other.receive_broadcast(0, frame)
     assert not other.faults
 
 
@@ -108,7 +108,7 @@ def test_a_depot_is_the_first_received_pose_and_distances_add_up_from_pose_to_po
     for step, x, heard in ((1, 10, (3, 4)), (2, 13, (6, 8)), (3, 13, (6, 10))):
         mind.perceive(sense(step, x))
         mind.announce([1])
-        mind.hear_broadcast(1, packets.encode([packets.Pose(*heard, 0)]))
+        mind.receive_broadcast(1, packets.encode([packets.Pose(*heard, 0)]))
         mind.decide()
     told = Witness.told
     assert told.homes == {0: (10, 10), 1: (3, 4)}
@@ -120,7 +120,7 @@ def test_a_depot_is_the_first_received_pose_and_distances_add_up_from_pose_to_po
 def test_a_malformed_broadcast_is_a_fault_and_nothing_more() -> None:
     mind = robot("burgard")
     for frame in (packets.encode([packets.Pose(500, 3, 0)]), packets.encode([packets.Save()]), b"\xff"):
-        mind.hear_broadcast(1, frame)
+        mind.receive_broadcast(1, frame)
     assert len(mind.faults) == 3
     mind.perceive(sense(1))
     mind.decide()
@@ -130,25 +130,25 @@ def test_map_changes_wait_for_a_new_target_if_the_strategy_defers_them() -> None
     mind = robot("scan-replan")
     mind.perceive(sense(1))
     mind.decide()
-    first = len(mind.session.logs[0])
+    first = len(mind.replication.logs[0])
     assert first > 0
     mind.perceive(sense(2, 11))
     mind.decide()
-    assert len(mind.session.logs[0]) == first
+    assert len(mind.replication.logs[0]) == first
     assert mind.target is not None
     mind.perceive(sense(3, *mind.target))
     mind.decide()
-    assert len(mind.session.logs[0]) > first
+    assert len(mind.replication.logs[0]) > first
 
 
 def test_a_resting_scanner_logs_nothing() -> None:
     mind = robot("classical")
     mind.perceive(sense(1))
     mind.decide()
-    before = len(mind.session.logs[0])
+    before = len(mind.replication.logs[0])
     mind.perceive(sense(2, 11, look=False))
     mind.decide()
-    assert len(mind.session.logs[0]) == before
+    assert len(mind.replication.logs[0]) == before
 
 
 @pytest.mark.parametrize(
