@@ -111,6 +111,10 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """The map ID of this robot and incarnation (`agent.identity`)."""
         return self.robot + self.robots * self.incarnation
 
+    def author_of(self, map_id: int) -> int:
+        """Return the robot whose map has this ID, in any of its incarnations."""
+        return map_id % self.robots
+
     @property
     def range_cells(self) -> float:
         """This robot's sensor range, in cells."""

@@ -136,7 +136,7 @@ class PredictiveEncoding(MapEncoding):
         return Stream(
             map_id,
             np.zeros((settings.height, settings.width), np.uint8),
-            ray_table(settings.ranges_cells[map_id % settings.robots], settings.beams),
+            ray_table(settings.ranges_cells[settings.author_of(map_id)], settings.beams),
             histories,
             self._scratch,
             team=self._options.base == "team",
