@@ -12,7 +12,7 @@ from agent.robot import SURE_AFTER, Robot
 from agent.strategies.base import Decision, Pose, Situation, Strategy
 from protocol import packets
 from protocol.grid import ray_table
-from protocol.messages import RoundReport, Sense
+from protocol.messages import Delivery, RoundReport, SendReport, Sense
 from protocol.scans import NONE
 from tests.agent.planning.planning_references import drawn, settings_for
 
@@ -167,3 +167,38 @@ def test_with_inferred_cells_a_robot_is_done_only_after_some_steps(
         explored.append(mind.decide().explored)
     assert explored.index(True) + 1 == first
     assert all(explored[first - 1 :])
+
+
+def test_entries_that_a_teammate_claims_to_build_on_but_nobody_received_do_no_harm() -> None:
+    """A forger guesses the entries that the victim has not sent yet; its own entries depend on them."""
+    victim, forger = (
+        Robot(
+            settings_for(
+                GRID, robot=number, map_encoding="predictive", strategy="meier", dissemination="gossip"
+            )
+        )
+        for number in (0, 1)
+    )
+    victim.perceive(sense(1))
+    forger.perceive(sense(1))
+    for each, peer in ((victim, 1), (forger, 0)):
+        each.replication.open_round(0, [peer], None)
+        each.close_round(RoundReport(1, 0, [], [], [], False))
+        each.decide()
+    victim.perceive(sense(2, 12))
+    (unsent,) = victim.replication.open_round(0, [1], None)
+    forger.replication.open_round(0, [0], None)
+    forger.close_round(RoundReport(2, 0, [], [], [Delivery(0, unsent.payload)], False))
+    forger.decide()
+    forger.perceive(sense(3, 14))
+    (forged,) = forger.replication.open_round(0, [0], None)
+    assert len(forger.replication.logs[0])
+    victim.close_round(RoundReport(2, 0, [], [SendReport(0, 0)], [Delivery(1, forged.payload)], False))
+    for step in range(3, 6):
+        victim.decide()
+        victim.perceive(sense(step, 12 + step))
+        (frame,) = victim.replication.open_round(0, [1], None)
+        victim.close_round(RoundReport(step, 0, [], [SendReport(0, len(frame.payload))], [], False))
+    assert not victim.faults
+    victim.decide()
+    assert (victim.planning == victim.own)[victim.own != 0].all()
