@@ -117,7 +117,7 @@ def reproduce(
     claim: Annotated[
         list[str] | None, typer.Argument(metavar="CLAIM...", help="as B1 M4 (default: all 24)")
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="fewer seeds, smaller grids: a first look")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="reduced experiments: fewer seeds, smaller grids")] = False,
     seeds: SeedsOption = None,
     jobs: JobsOption = None,
     scheduler: SchedulerOption = None,
@@ -138,7 +138,7 @@ def reproduce(
 
     with report_user_errors():
         settings = {"seed": list(range(seeds))} if seeds is not None else {}
-        found = reproduction.asked(claim or [], quick=quick, settings=settings)
+        found = reproduction.requested(claim or [], quick=quick, settings=settings)
         make_folder(out)
         runs = out / reproduction.RUNS
         with Results(runs) as results:
@@ -158,13 +158,13 @@ def reproduce(
         lines = [["claim", "", "verdict", "tests", "runs"]]
         for each in done.claims:
             counts = each.verdict.counts
-            lines.append([each.claim.id, each.claim.statement, each.verdict.word, counts, str(each.runs)])
+            lines.append([each.claim.id, each.claim.statement, each.verdict.result, counts, str(each.runs)])
             for part in each.parts:
                 report_failures(part.failures)
-        lines += [[name, "", "no experiment", "", "0"] for name in done.unasked]
+        lines += [[name, "", "no experiment", "", "0"] for name in done.without_experiment]
         print_table(terminal.table(lines))
         screen.print(
-            f"Everything is in {' and '.join(map(str, pages))}" + ("; a first look." if quick else ".")
+            f"Everything is in {' and '.join(map(str, pages))}" + ("; reduced experiments." if quick else ".")
         )
     raise typer.Exit(0 if done.all_hold else 1)
 
@@ -255,7 +255,8 @@ def size(
                 robots=whole_numbers(robots, "robots"),
                 bandwidth=[int(word) if word.isdecimal() else word for word in words(bandwidth)],
                 range=words(range_),
-                deadline=deadline, min_map_accuracy=min_map_accuracy, seeds=seeds, jobs=jobs, scheduler=scheduler, out=runs,
+                deadline=deadline, min_map_accuracy=min_map_accuracy, seeds=seeds, jobs=jobs,
+                scheduler=scheduler, out=runs,
                 **settings,
             )  # fmt: skip
         report_failures(done.sweep.failures)
