@@ -148,7 +148,7 @@ class AgentNode:
             self._fault(f"heard nonsense from {names.robot(fault.peer)}: {fault.reason}")
         robot.faults.clear()
         x, y = robot.target or (-1, -1)
-        backlog = robot.session.undelivered()
+        backlog = robot.replication.undelivered()
         exact = robot.exact_error()
         errors = robot.error(), -1 if exact is None else exact
         report = RobotStatus(self._step, x, y, robot.known_cells, *errors, backlog, robot.status, work)

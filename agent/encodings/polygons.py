@@ -19,7 +19,7 @@ from agent.outline.approximation import Marks, approximation, repair
 from agent.outline.claims import Drawing
 from agent.outline.contour import Tracer
 from agent.outline.edit_reader import SavePoint
-from agent.outline.edits import edit_packets, script_size
+from agent.outline.edits import edit_packets
 from agent.outline.exact_error import ExactError
 from agent.outline.merge import ErrorCount, TeamMap
 from agent.outline.polygons import Polygons
@@ -117,7 +117,7 @@ class PolygonEncoding(MapEncoding):
         packets = edit_packets(held, self._approximation(exact, refined))
         script = b"".join(packets)
         if splits and len(refined) > len(repaired):
-            extra = len(script) - script_size(held, self._approximation(exact, repaired))
+            extra = len(script) - sum(map(len, edit_packets(held, self._approximation(exact, repaired))))
             self._allowance.spent(len(refined) - len(repaired), max(0, extra))
         self._outdated = False
         if script:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +22,10 @@ from protocol.packets import (
     MAX_OBJECTS,
     Change,
     Delete,
-    Edit,
     Emerge,
     Insert,
     Remove,
     Save,
-    decode,
 )
 
 _INSERT, _DELETE, _EMERGE, _CHANGE, _REMOVE, _SAVE = (
@@ -60,8 +57,8 @@ class NumberedPolygons:
         return NumberedPolygons(np.empty(0, np.int32), Polygons.empty(shape))
 
 
-def edit_script(held: NumberedPolygons, approximation: Polygons) -> tuple[list[Edit], NumberedPolygons]:
-    """Find the packets that turn the held approximation into a new one.
+def edit_packets(held: NumberedPolygons, approximation: Polygons) -> list[bytes]:
+    """Find the packets that turn the held approximation into a new one (Algorithm 5).
 
     Parameters
     ----------
@@ -72,42 +69,18 @@ def edit_script(held: NumberedPolygons, approximation: Polygons) -> tuple[list[E
 
     Returns
     -------
-    list of packets
-        Removed objects, then changed ones, then new ones, each by ascending number, and a save point; nothing if
-        the approximations are equal. Within an object, vertices are deleted from the last to the first, then
-        replaced or inserted from the first to the last at their final index. So it is never longer than before and
-        after.
-    NumberedPolygons
-        The approximation held after these packets.
+    list of bytes
+        Encoded packets: removed objects, then changed ones, then new ones, each by ascending number, and a save
+        point; nothing if the approximations are equal. Within an object, vertices are deleted from the last to the
+        first, then replaced or inserted from the first to the last at their final index. So it is never longer than
+        before and after.
     """
-    stream, _, number, shift = _write(held, approximation)
-    order = np.argsort(number)
-    after = NumberedPolygons(number[order], _rearranged(approximation, order, shift))
-    packets = decode(stream.tobytes())
-    return cast("list[Edit]", packets), after
-
-
-def edit_packets(held: NumberedPolygons, approximation: Polygons) -> list[bytes]:
-    """Return the packets of `edit_script` in encoded form, one element per packet."""
-    stream, ends, _, _ = _write(held, approximation)
-    data = stream.tobytes()
-    return [data[begin:end] for begin, end in pairwise(ends.tolist())]
-
-
-def script_size(held: NumberedPolygons, approximation: Polygons) -> int:
-    """Return the bytes of the packets that `edit_script` finds."""
-    return len(_write(held, approximation)[0])
-
-
-def _write(
-    held: NumberedPolygons, approximation: Polygons
-) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
-    """Return the script, the ends of its packets (from 0), and the number and start index of each new object."""
     old, new = held.polygons, approximation
-    written: tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]] = _script(
+    script, ends = _script(
         symbols(old), held.number, old.start, old.inside, symbols(new), new.start, new.inside
     )
-    return written
+    data = script.tobytes()
+    return [data[begin:end] for begin, end in pairwise(ends.tolist())]
 
 
 @kernel("int64(uint8[::1], int64, int64, int64)")
@@ -189,7 +162,7 @@ def _pair(
 
 
 @kernel(
-    "Tuple((uint8[::1], int32[::1], int32[::1], int32[::1]))"
+    "Tuple((uint8[::1], int32[::1]))"
     "(int32[::1], int32[::1], int32[::1], boolean[::1], int32[::1], int32[::1], boolean[::1])"
 )
 def _script(
@@ -200,7 +173,8 @@ def _script(
     new_symbols: Symbols,
     new_start: NDArray[np.int32],
     new_inside: NDArray[np.bool_],
-) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
+    """Return the script, and the ends of its packets (from 0)."""
     old_objects, new_objects = len(old_start) - 1, len(new_start) - 1
     twins = match_vertices(old_symbols, new_symbols)
     equal, shift, related = match_objects(
@@ -274,34 +248,4 @@ def _script(
         size = _put(out, size, 0xF0, _SAVE)
         ends[packets] = size
         packets += 1
-    return out[:size].copy(), ends[:packets].copy(), number, shift
-
-
-def _rearranged(polygons: Polygons, order: NDArray[np.int64], shift: NDArray[np.int32]) -> Polygons:
-    """Put the objects into `order`, each beginning `shift` vertices later."""
-    vertex, start = _gather(polygons.start, order, shift)
-    return Polygons(
-        polygons.shape,
-        polygons.x[vertex],
-        polygons.y[vertex],
-        polygons.side[vertex],
-        polygons.occupied[vertex],
-        start,
-        polygons.inside[order],
-    )
-
-
-@kernel("Tuple((int32[::1], int32[::1]))(int32[::1], int64[::1], int32[::1])")
-def _gather(
-    start: NDArray[np.int32], order: NDArray[np.int64], shift: NDArray[np.int32]
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    vertex = np.empty(start[-1], np.int32)
-    begins = np.zeros(len(start), np.int32)
-    count = 0
-    for i, k in enumerate(order):
-        length = start[k + 1] - start[k]
-        for j in range(length):
-            vertex[count] = start[k] + (j + shift[k]) % length
-            count += 1
-        begins[i + 1] = count
-    return vertex, begins
+    return out[:size].copy(), ends[:packets].copy()

@@ -21,7 +21,7 @@ from agent.encodings.predictive import PredictiveEncoding
 from agent.outline.approximation import approximation, repair
 from agent.outline.claims import Drawing
 from agent.outline.contour import contours
-from agent.outline.edits import NumberedPolygons, edit_script
+from agent.outline.edits import NumberedPolygons, edit_packets
 from agent.outline.five_stages import five_stages
 from agent.outline.merge import TeamMap
 from agent.outline.objects import Objects
@@ -162,7 +162,7 @@ def _encode_whole_map(moment: Moment, vertices: int) -> None:
     exact = contours(moment.grid, moment.cell)
     marks = repair(nothing.polygons, exact)
     marks = refine(exact, marks, max(0, vertices - len(marks)), mixed_first)
-    edit_script(nothing, approximation(exact, marks))
+    edit_packets(nothing, approximation(exact, marks))
 
 
 def _merging(moments: Sequence[Moment], polygons: Sequence[Sequence[Polygons]]) -> Iterator[Measurement]:

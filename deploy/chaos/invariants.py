@@ -74,7 +74,7 @@ class InvariantChecker:
             return
         self._incarnations[number, robot.settings.incarnation] = robot
         self._checked[number] = robot, step
-        lengths = [len(log) for log in robot.session.logs]
+        lengths = [len(log) for log in robot.replication.logs]
         name = f"step {step}: robot {number}"
         known = robot.own != UNKNOWN
         if (robot.own != self._truth)[known].any():
@@ -124,14 +124,14 @@ class InvariantChecker:
         """Check that each log that a robot holds agrees with the log of its author."""
         robots = self._plan.scenario.robots
         for (number, incarnation), robot in self._incarnations.items():
-            for map_id, log in enumerate(robot.session.logs):
+            for map_id, log in enumerate(robot.replication.logs):
                 author = self._incarnations.get((map_id % robots, map_id // robots))
                 if author is None or author is robot:
                     continue
-                written = author.session.logs[map_id]
-                first = max(log.oldest, written.oldest)
-                held = log.since(first, None) if first < len(log) else b""
-                if held != written.since(first, None)[: len(held)]:
+                written = author.replication.logs[map_id]
+                first = max(log.start, written.start)
+                held = log.read(first, None) if first < len(log) else b""
+                if held != written.read(first, None)[: len(held)]:
                     raise InvariantError(
                         f"robot {number}, incarnation {incarnation}: log of map {map_id} differs from its author's"
                     )

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deploy.commands.console import errors, report_user_errors, screen
-from deploy.commands.flags import family
+from deploy.commands.flags import command_family
 
 if TYPE_CHECKING:
     from deploy.chaos.runs import Verdict
 
-app = family()
+app = command_family()
 
 
 @app.command()

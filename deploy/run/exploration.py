@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deploy.dashboard.process import RECORDING, ViewTask, watching
-from deploy.dashboard.windows import Window, optimise
+from deploy.dashboard.windows import Window, optimize
 from deploy.record import run_directory
 from deploy.record.records import RecorderNode, Records
 from deploy.record.summary import summarize
@@ -300,7 +300,7 @@ def explore(
                 shutil.rmtree(journals, ignore_errors=True)
         result = conclude(plan, outcome, directory, time.perf_counter() - began)
         if directory is not None and window is not None and outcome.view_fault:
-            optimise(directory / RECORDING)  # the failed viewer did not close it
+            optimize(directory / RECORDING)  # the failed viewer did not close it
     return result
 
 

@@ -91,7 +91,12 @@ class MemoryRun:
         for name in (names.RELAY, *watching, names.RECORDER, names.WORLD, *self._minds):
             self._buses[name] = wrap(name, self._hub.join(name))
         self._lab = RecorderNode(
-            self._buses[names.RECORDER], keys, robots, plan.map.cells.shape, capture, on_fault=_noting(self._due)
+            self._buses[names.RECORDER],
+            keys,
+            robots,
+            plan.map.cells.shape,
+            capture,
+            on_fault=_noting(self._due),
         )
         self._world = WorldNode(
             self._buses[names.WORLD],

@@ -121,7 +121,7 @@ def relay(
         if message is not None:
             node.handle(message)
         idle = reply_timeout.look()
-        if node.going_home and idle > FAREWELL_S:
+        if node.shutting_down and idle > FAREWELL_S:
             break
         missing = node.missing()
         if missing and idle > reply_timeout_s and not waits:

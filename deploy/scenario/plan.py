@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from agent.exchange import gossip
+from agent.replication.policies import GOSSIP
 from agent.settings import Settings
 from agent.strategies.registry import strategy
 from deploy.scenario.finding_maps import find_map
@@ -126,7 +126,7 @@ def _radio_settings(scenario: Scenario, world_map: Map, range_m: float, incarnat
         range_m / world_map.resolution,
         Budget.parse(scenario.bandwidth),
         scenario.rounds,
-        scenario.dissemination == gossip.POLICY,
+        scenario.dissemination == GOSSIP,
         incarnations,
         scenario.radio,
         world_map.resolution,

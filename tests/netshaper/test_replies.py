@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
-from agent.exchange.outcome import Outcome
-from agent.exchange.session import Session
+from agent.radio_events import continue_round, open_round
+from agent.replication.engine import Replication
 from netshaper.radio import Radio
 from netshaper.settings import RadioSettings
 from protocol import packet_index, packets
@@ -35,42 +36,35 @@ from tests.netshaper.network import Network
 
 
 class Member:
-    """A session of a robot, with or without speculative replies."""
+    """A replication engine of a robot, with or without speculative replies."""
 
-    def __init__(self, session: Session, *, speculates: bool) -> None:
-        self.session = session
+    def __init__(self, replication: Replication, *, speculates: bool) -> None:
+        self.replication = replication
         self.speculates = speculates
 
     def __call__(self, event: MediumEvent) -> list[RobotFrames]:
-        session = self.session
         if isinstance(event, Open):
-            offers = session.offers(event.round, event.peers, event.budget.limit)
-            frames = [OutgoingFrame(peer, frame) for peer, _, frame in offers]
-            replies = session.replies() if self.speculates else NO_REPLIES
-            return [RobotFrames(event.step, event.round, "offers", b"", frames, 0, replies)]
+            frames = open_round(self.replication, event)
+            return [frames if self.speculates else replace(frames, replies=NO_REPLIES)]
         if isinstance(event, RoundReport):
-            arrived = [(each.sender, each.payload) for each in event.deliveries]
-            for peer, map_id, frame in session.outcome(Outcome.of(event), arrived):
-                session.accept(peer, map_id, frame, packet_index.ends(frame))
-        if not isinstance(event, PhaseDelivery):
-            return []
-        if event.phase == "offers":
-            sent = session.answers([(d.connection, d.sender, d.payload) for d in event.deliveries])
-        else:
-            sent = session.data([(d.connection, d.sender, d.map_id, d.payload) for d in event.deliveries])
-        if event.answered_by_relay:
-            return []
-        phase = "answers" if event.phase == "offers" else "data"
-        frames = [OutgoingFrame(peer, frame, number) for number, peer, frame in sent]
-        return [RobotFrames(event.step, event.round, phase, frames=frames)]
+            assert not self.replication.close_round(event)
+        elif isinstance(event, PhaseDelivery):
+            sent = continue_round(self.replication, event, pytest.fail)
+            return [] if sent is None else [sent]
+        return []
+
+
+def replication(robot: int, robots: int, policy: str = "backoff") -> Replication:
+    """An engine that can decode everything."""
+    return Replication(robot, robots, lambda *received: packet_index.ends(received[-1]), policy)
 
 
 class Team:
-    """Sessions of robots that log entries, and the radio between them."""
+    """Replication engines that append entries, and the radio between them."""
 
     def __init__(self, robots: int, policy: str, budget: Budget, *, speculates: bool) -> None:
-        self.sessions = [Session(robot, robots, policy) for robot in range(robots)]
-        members = {n: Member(session, speculates=speculates) for n, session in enumerate(self.sessions)}
+        self.engines = [replication(robot, robots, policy) for robot in range(robots)]
+        members = {n: Member(engine, speculates=speculates) for n, engine in enumerate(self.engines)}
         self.network = Network(RadioSettings(robots, 7, 10.0, budget), members)
         self.opened = 0
         """How often a round was opened to a robot."""
@@ -79,8 +73,8 @@ class Team:
         self.books: list[tuple[bytes, bytes]] = []
 
     def step(self, number: int, cells: dict[int, tuple[int, int]], logged: list[int]) -> None:
-        for robot, (session, count) in enumerate(zip(self.sessions, logged, strict=True)):
-            session.record([packets.encode([packets.Fragment(bytes([robot, number % 256]))])] * count)
+        for robot, (engine, count) in enumerate(zip(self.engines, logged, strict=True)):
+            engine.append([packets.encode([packets.Fragment(bytes([robot, number % 256]))])] * count)
         step = self.network.step(number, cells)
         self.opened += len(step.opened)
         self.sent += len(step.sent)
@@ -106,9 +100,9 @@ def test_what_is_said_for_robots_is_what_they_would_say(
             team.step(number, {robot: (x, y) for robot, (x, y) in enumerate(places)}, logged)
     assert answered.books == asked.books
     assert not answered.network.radio.protocol_errors
-    for one, other in zip(asked.sessions, answered.sessions, strict=True):
+    for one, other in zip(asked.engines, answered.engines, strict=True):
         assert [len(log) for log in one.logs] == [len(log) for log in other.logs]
-        assert (one.known == other.known).all()
+        assert (one.peers.expected == other.peers.expected).all()
     assert answered.sent <= asked.sent
 
 

@@ -11,8 +11,6 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from agent.encodings.polygons import PolygonEncoding
-from agent.exchange.gossip import EVERYONE
-from agent.exchange.outcome import Outcome
 from agent.process import AgentNode
 from agent.robot import Robot
 from agent.settings import Settings
@@ -26,6 +24,7 @@ from protocol.errors import ProtocolError
 from protocol.grid import FREE, UNKNOWN, ray_table
 from protocol.keys import Keys
 from protocol.messages import (
+    EVERYONE,
     Broadcasts,
     Close,
     Configure,
@@ -201,6 +200,13 @@ def a_small_plan() -> Plan:
     return plan
 
 
+def round_report(step: int, arrived: list[tuple[int, bytes]]) -> RoundReport:
+    """Handshakes of which the data arrived, on connections numbered from 0."""
+    carried = [ConnectionReport(number, 2, 2, len(data)) for number, (_, data) in enumerate(arrived)]
+    deliveries = [Delivery(peer, data, number) for number, (peer, data) in enumerate(arrived)]
+    return RoundReport(step, 0, carried, [], deliveries, False)
+
+
 @cache
 def sensed(step: int) -> Sense:
     """What a robot senses that drives along the corridor."""
@@ -216,7 +222,7 @@ def honest_words() -> list[tuple[bytes, object]]:
     settings = a_small_plan().robot_settings[2]
     map_encoding = PolygonEncoding(settings)
     own = np.full((HEIGHT, WIDTH), UNKNOWN, np.uint8)
-    said = []
+    said: list[tuple[bytes, object]] = []
     for step in range(1, 1 + STEPS):
         sense = sensed(step)
         scan = Scan(sense.x, sense.y, np.frombuffer(sense.readings, np.uint16).copy())
@@ -231,14 +237,13 @@ def test_hostile_data_never_stops_a_robot_nor_changes_a_saved_state(lies: list[b
     robot = Robot(a_small_plan().robot_settings[0])
     for step, lie in enumerate(lies, 1):
         robot.perceive(sensed(step))
-        robot.session.offers(0, [LIAR, 2], 1000)
-        robot.session.answers([(0, LIAR, encode([Offer(LIAR, 0)])), (1, 2, encode([Offer(2, 0)]))])
+        robot.replication.open_round(0, [LIAR, 2], 1000)
+        robot.replication.answer(
+            [Delivery(LIAR, encode([Offer(LIAR, 0)]), 0), Delivery(2, encode([Offer(2, 0)]), 1)]
+        )
         before = robot.polygons.get(LIAR)
         words, meant = honest_words()[step - 1]
-        carried = [len(lie), len(words)]
-        robot.settle(
-            Outcome(step, 0, [0, 1], [2, 2], [2, 2], carried, [0, 1], False), [(LIAR, lie), (2, words)]
-        )
+        robot.close_round(round_report(step, [(LIAR, lie), (2, words)]))
         now = robot.polygons.get(LIAR)
         if now is not before:
             assert now is not None
@@ -257,9 +262,9 @@ def test_who_contradicts_a_lie_that_another_told_of_its_map_is_not_distrusted() 
     maps = [words for words, _ in honest_words()]
 
     def hear(step: int, peer: int, map_id: int, data: bytes) -> None:
-        robot.session.offers(0, [LIAR, 2], 1000)
-        robot.session.answers([(0, peer, encode([Offer(map_id, 0)]))])
-        robot.settle(Outcome(step, 0, [0], [2], [2], [len(data)], [0], False), [(peer, data)])
+        robot.replication.open_round(0, [LIAR, 2], 1000)
+        robot.replication.answer([Delivery(peer, encode([Offer(map_id, 0)]), 0)])
+        robot.close_round(round_report(step, [(peer, data)]))
 
     robot.perceive(sensed(1))
     hear(1, LIAR, 2, forged)
@@ -279,15 +284,15 @@ def test_who_passes_on_one_of_two_stories_of_a_liar_is_not_distrusted() -> None:
         return encode([Emerge(0, corners, 1), *(Insert(i, 3 + i, 3, 0, 0) for i in range(corners)), Save()])
 
     def hear(robot: Robot, peer: int, map_id: int, data: bytes) -> None:
-        robot.session.offers(0, [peer], 1000)
-        robot.session.answers([(0, peer, encode([Offer(map_id, 0)]))])
-        robot.settle(Outcome(1, 0, [0], [2], [2], [len(data)], [0], False), [(peer, data)])
+        robot.replication.open_round(0, [peer], 1000)
+        robot.replication.answer([Delivery(peer, encode([Offer(map_id, 0)]), 0)])
+        robot.close_round(round_report(1, [(peer, data)]))
 
     for robot in (honest, deceived):
         robot.perceive(sensed(1))
     hear(deceived, LIAR, LIAR, outline(2))
     hear(honest, LIAR, LIAR, outline(6) + encode([Change(0, 5, 1), Delete(5), Save()]))
-    passed_on = honest.session.logs[LIAR].since(len(deceived.session.logs[LIAR]), None)
+    passed_on = honest.replication.logs[LIAR].read(len(deceived.replication.logs[LIAR]), None)
     hear(deceived, 0, LIAR, passed_on)
     assert [fault.peer for fault in deceived.faults] == [0]
     assert deceived.distrusted == set()
@@ -410,7 +415,7 @@ def test_who_wants_nothing_silences_nobody() -> None:
     team.explore(400)
     plain.explore(400)
     for number in (0, 2):
-        told, usual = (len(some.robots[number].session.logs[number]) for some in (team, plain))
+        told, usual = (len(some.robots[number].replication.logs[number]) for some in (team, plain))
         assert told > usual / 2
         assert team.held(number, 2 - number) == team.held(2 - number, 2 - number)
 

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from agent.exchange.session import Session
 from deploy.record.records import Records
 from deploy.record.summary import digest
 from deploy.run import in_memory
@@ -27,7 +26,7 @@ from protocol.budget import UNLIMITED, Budget
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.messages import MediumEvent, Open, OutgoingFrame, RobotFrames
 from tests.netshaper.network import Network
-from tests.netshaper.test_replies import Member
+from tests.netshaper.test_replies import Member, replication
 from worldsim import generators
 from worldsim.maps import Map
 
@@ -264,22 +263,22 @@ def test_more_robots_than_packets_can_name_maps_of_share_none() -> None:
     assert not records.lost
 
 
-# Two robots, two sessions and the real radio, without bodies.
+# Two replication engines and the real radio, without bodies.
 
 
 class Pair:
-    """Sessions of two robots that log an entry each per step, wherever they are."""
+    """Replication engines of two robots that append an entry each per step, wherever they are."""
 
     def __init__(self, range_cells: float, budget: Budget) -> None:
-        self.sessions = [Session(robot, 2) for robot in range(2)]
-        members = {robot: Member(session, speculates=False) for robot, session in enumerate(self.sessions)}
+        self.engines = [replication(robot, 2) for robot in range(2)]
+        members = {robot: Member(engine, speculates=False) for robot, engine in enumerate(self.engines)}
         self.network = Network(RadioSettings(2, 0, range_cells, budget), members)
         self.logged = [0, 0]
 
     def step(self, number: int, cells: dict[int, tuple[int, int]]) -> NDArray[np.void]:
         """Play one step; return its ledger."""
-        for robot, session in enumerate(self.sessions):
-            session.record([self.entry(robot, self.logged[robot])])
+        for robot, engine in enumerate(self.engines):
+            engine.append([self.entry(robot, self.logged[robot])])
             self.logged[robot] += 1
         return self.network.step(number, cells).rows
 
@@ -288,9 +287,9 @@ class Pair:
 
     def holds(self, robot: int, map_id: int) -> int:
         """How much of a log a robot holds; what it holds is right."""
-        log = self.sessions[robot].logs[map_id]
-        assert log.since(log.oldest, None) == b"".join(
-            self.entry(map_id, n) for n in range(log.oldest, len(log))
+        log = self.engines[robot].logs[map_id]
+        assert log.read(log.start, None) == b"".join(
+            self.entry(map_id, n) for n in range(log.start, len(log))
         )
         return len(log)
 

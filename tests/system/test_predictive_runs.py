@@ -88,7 +88,7 @@ def test_by_gossip_more_maps_travel_than_offers_can_name() -> None:
         )
     )
     team.explore(2)
-    assert all(len(robot.session.logs[65]) for robot in team.robots)
+    assert all(len(robot.replication.logs[65]) for robot in team.robots)
     assert not [fault for robot in team.robots for fault in robot.faults]
 
 

@@ -17,7 +17,7 @@ from agent.outline.approximation import approximation, repair
 from agent.outline.claims import THESIS, Drawing, DrawnClaims, layer, redraw
 from agent.outline.contour import contours
 from agent.outline.draft import Draft, Outline
-from agent.outline.edits import NumberedPolygons, edit_script
+from agent.outline.edits import NumberedPolygons
 from agent.outline.merge import rendered
 from agent.outline.objects import symbols
 from agent.outline.polygons import Polygons
@@ -40,6 +40,7 @@ from protocol.packets import (
     encode,
 )
 from tests.agent.explorations import exploration, growing_maps, real_map
+from tests.agent.outline.edit_scripts import edit_script
 
 quick = settings(deadline=None)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from agent.exchange.log import Log
+from agent.replication.log import Log
 from deploy.chaos import runs
 from deploy.chaos.byzantine import ByzantineRadios
 from deploy.chaos.case import CALM, ChaosCase, case
@@ -66,7 +66,7 @@ def run_with_defect(drawn: ChaosCase, defect: str) -> None:
                 if defect == "overrules":
                     robot.planning[known] ^= 3
                 if defect == "loses":
-                    robot.session.logs[:] = [Log() for _ in robot.session.logs]
+                    robot.replication.logs[:] = [Log() for _ in robot.replication.logs]
             checker.check(step, robot)
     checker.check_end(run.records)
 

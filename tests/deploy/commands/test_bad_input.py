@@ -1,4 +1,4 @@
-"""Bad input: what is wrong is named with what would be right, and nothing is left behind."""
+"""Bad input: errors name the value and the valid values, and no file is written."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ FILES = {
 
 @pytest.fixture
 def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A folder to work in, full of files that something is wrong with."""
+    """A working folder with faulty files."""
     for name, text in FILES.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(text)
@@ -105,7 +105,7 @@ EXPLORE = {
     "--map text.png --resolution 0.1": "text.png: is not a whole PGM or PNG picture",
     "--set robtos=3": "robtos: unknown setting; did you mean robots or robot or options?",
     "--set polygons.lasy=true": "polygons.lasy: unknown setting; did you mean lazy?",
-    "--set robots=3 --robots 4": "set = 'robots=...': --robots sets it too; leave it to one of them",
+    "--set robots=3 --robots 4": "set = 'robots=...': --robots is given, too; remove one of them",
     "--set radius": "set = 'radius': must be NAME=VALUE, as radius=0.2",
     "--set robot=3": "robot = 3: must be tables, [[robot]], of robot, sensor_range, field_of_view, speed,",
     "--map offise": "unknown map 'offise'; did you mean office? There are: unstructured, mixed, office,",
@@ -148,7 +148,7 @@ EXPLORE = {
     "--start 0,0": "cell (0, 250) is not free: robots cannot start there; murmur map show office shows free",
     "--start -50,3": "is not free: robots cannot start there",
     "--start nan,1": "start.0 = nan",
-    "--start 3": "start = '3': must be two numbers of metres, as 3.5,12",
+    "--start 3": "start = '3': must be two numbers in meters, as 3.5,12",
     "--pace 0": "pace = 0: must be 0.5 steps a second or more",
     "--view-as hologram": "view-as = 'hologram': must be one of auto, native, web, file",
     "--out full": "out = full: already exists; name a new directory, or empty this one",
@@ -173,7 +173,7 @@ EXPLORE = {
     "--map endless.yaml": "/dev/zero: cannot be read (it is a device); a map's picture must be a PGM or PNG file",
     "--map coarse.yaml": "resolution is 900000.0, not a number of metres a cell above 0, 1000 at most",
     "--map afar.yaml": "origin is [1e+308, 0.0, 0.0], not three numbers of 1e+08 at most",
-    f"--set options={5000 * '[' + 5000 * ']'}": "set = 'options=...': is nested too deeply",
+    f"--set options={5000 * '[' + 5000 * ']'}": "set = 'options=...': nested too deeply",
     "--set radius=1e6 --set sensor_range=1e6": "radius = 1e+06 m: exceeds the largest map with cells of 0.1 m",
     "--nonsense": "No such option: --nonsense",
 }
@@ -181,21 +181,21 @@ EXPLORE = {
 OTHERS = {
     "map make castle": "unknown map 'castle'; there are",
     "map make em --seed -1": "Invalid value for '--seed'",
-    "map make em --out em.png": "out = em.png: must end in .yaml; the picture is written beside it",
+    "map make em --out em.png": "out = em.png: must end in .yaml",
     "map make em --out nowhere/em.yaml": "No such file or directory",
     "map show missing.yaml": "missing.yaml: cannot be read",
-    "map show em --png nowhere/em.png": "png = nowhere/em.png: there is no folder nowhere",
+    "map show em --png nowhere/em.png": "png = nowhere/em.png: no such folder: nowhere",
     "map show em --png em.xyz": "png = em.xyz: must end in .png",
-    "new strategy numpy": "name = 'numpy': Python has a module of that name, which the file would hide",
+    "new strategy numpy": "name = 'numpy': would hide the Python module of this name",
     "compare --strategies meier,meier": "two of the scenarios are the same: strategy = meier",
     "compare --strategies meier,": "there is nothing to compare: give at least two scenarios",
     "compare --strategies meier,nope": "no strategy is called 'nope'",
     "compare --strategies meier,nearest --map room.yaml --out file": "file: cannot be created (File exists)",
-    "size --set robots=3": "set = 'robots=...': this command has a flag for it",
-    "compare --strategies meier,nearest --set seed=3": "set = 'seed=...': this command has a flag for it",
+    "size --set robots=3": "set = 'robots=...': use the flag of this command",
+    "compare --strategies meier,nearest --set seed=3": "set = 'seed=...': use the flag of this command",
     "size --robots 0..2": "robots = 0: must be greater than or equal to 1",
     "sweep lossy.toml --scheduler foo": "scheduler = 'foo': must be its address, as tcp://10.0.0.1:8786",
-    "sweep lossy.toml --plot nowhere/x.png": "plot = nowhere/x.png: there is no folder nowhere",
+    "sweep lossy.toml --plot nowhere/x.png": "plot = nowhere/x.png: no such folder: nowhere",
     "sweep lossy.toml --out runs.csv": "out = runs.csv: must end in .parquet",
     "chaos --out file": "out = file: is a file; name a directory for the scenarios of failing cases",
     "sweep lossy.toml --table x.txt": "table = x.txt: must end in .csv or .parquet",
@@ -206,19 +206,19 @@ OTHERS = {
     "replay whole --bus can": "bus = 'can': must be 'zenoh' or 'memory'",
     "report full": "full: not a run directory: scenario.toml is missing",
     "export full --mcap": "full: not a run directory: scenario.toml is missing",
-    "watch full": "full: no recording (run.rrd), and no run is under way there",
+    "watch full": "full: no recording (run.rrd), and no run in progress",
     "capture missing": "missing: No such file or directory",
     "report [/x]": "[/x]: not a run directory: scenario.toml is missing",
     "capture torn.pcapng": "torn.pcapng: not a pcapng file",
     "capture torn.pcapng --json": "torn.pcapng: not a pcapng file",
-    "capture whole --robot 1": "robot = 1: the last one of this run is 0",
+    "capture whole --robot 1": "robot = 1: must be at most 0",
     "capture": "name a run directory, or use --install-dissector",
     "capture full --kind x": "kind = 'x': there are ins, rep, del,",
     "capture full --step x": "step = 'x': must be a step, as 12, or steps, as 10-20",
-    "capture full --step 5-2": "step = '5-2': the first step comes first, as in 10-20",
+    "capture full --step 5-2": "step = '5-2': the first step must not exceed the last, as in 10-20",
     "sweep missing.toml": "experiment missing.toml: no such file, and no shipped experiment; there are:",
     "sweep broken.toml": "experiment broken.toml: not TOML",
-    "strategy": "no command is called 'strategy'; did you mean strategies? There are: explore, watch",
+    "strategy": "no such command: 'strategy'; did you mean strategies? There are: explore, watch",
     "strategies burgart": "no strategy is called 'burgart'; did you mean burgard or burgard-optimal?",
     "bench speed": "no benchmark is called 'speed'; there are: kernels, swarm, replanning",
     "run agent": "Missing option '--credential'",
@@ -246,14 +246,12 @@ OTHERS = {
     "run netshaper --listen [::]:7447": "give the address by which others know this host",
     "run netshaper --credentials full": "credentials = full: it exists already; name a new directory",
     "run netshaper --credentials file": "credentials = file: it exists already; name a new directory",
-    "fly": "no command is called 'fly'; there are: explore",
+    "fly": "no such command: 'fly'; there are: explore",
 }
 
 
 @pytest.mark.parametrize("words", [f"explore {words}" for words in EXPLORE] + list(OTHERS))
-def test_bad_input_is_named_with_what_would_be_right_and_leaves_nothing_behind(
-    desk: Path, words: str
-) -> None:
+def test_bad_input_is_explained_and_writes_no_file(desk: Path, words: str) -> None:
     complaint = OTHERS.get(words) or EXPLORE[words.removeprefix("explore ")]
     before = contents(desk)
     result = murmur(*words.split())
@@ -273,7 +271,7 @@ def test_a_scenario_may_begin_with_a_byte_order_mark(desk: Path) -> None:
     assert (desk / "[/x]" / "summary.json").exists()
 
 
-def test_several_things_that_are_wrong_are_all_named(desk: Path) -> None:
+def test_all_errors_are_reported_at_once(desk: Path) -> None:
     result = murmur("explore", "--robots", "0", "--speed", "-1", "--map-encoding", "x")
     assert result.exit_code == BAD_INPUT
     assert [line.split(" = ")[0] for line in result.stderr.splitlines()] == [
@@ -281,7 +279,7 @@ def test_several_things_that_are_wrong_are_all_named(desk: Path) -> None:
     ]
 
 
-def test_bad_input_says_nothing_on_the_channel_that_machines_read(desk: Path) -> None:
+def test_errors_do_not_go_to_standard_output(desk: Path) -> None:
     for words in (
         ["explore", "--json", "--range", "-3"],
         ["replay", "--json", "full"],
@@ -293,7 +291,7 @@ def test_bad_input_says_nothing_on_the_channel_that_machines_read(desk: Path) ->
         assert (result.exit_code, result.stdout) == (BAD_INPUT, "")
 
 
-def test_bad_input_ends_the_real_command_as_well(desk: Path) -> None:
+def test_bad_input_ends_the_installed_command(desk: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "deploy.commands.main", "explore", "--range", "-3"],
         env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[3])},
@@ -306,7 +304,7 @@ def test_bad_input_ends_the_real_command_as_well(desk: Path) -> None:
     assert not (desk / "runs").exists()
 
 
-def test_a_file_that_is_called_as_the_folder_of_runs_is_in_the_way(desk: Path) -> None:
+def test_a_file_with_the_name_of_the_runs_folder_is_reported(desk: Path) -> None:
     (desk / "runs").write_text("x")
     result = murmur("explore", "--map", "room.yaml", "--robots", "1", "--bus", "memory")
     assert result.exit_code == BAD_INPUT

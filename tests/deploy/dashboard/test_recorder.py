@@ -60,23 +60,23 @@ def test_each_robots_share_is_that_of_its_planning_map(recorded: Path) -> None:
 
 
 def test_traffic_by_type_adds_up_to_the_load(recorded: Path) -> None:
-    load = column(recorded / RECORDING, "/air/load", "scalars")
+    load = column(recorded / RECORDING, "/traffic/load", "scalars")
     for _, said in told():
         if isinstance(said, RadioReport):
             total, *groups = load[said.step]
             assert total == said.carried == np.nansum(groups)
-    budget = column(recorded / RECORDING, "/air/budget", "scalars")
+    budget = column(recorded / RECORDING, "/traffic/budget", "scalars")
     assert set(budget) == set(range(1, 41))
 
 
 def test_maps_outlines_targets_and_events_are_recorded(recorded: Path) -> None:
     file = recorded / RECORDING
     for robot in range(3):
-        pictures = column(file, f"/minds/{robot}/map", "blob")
+        pictures = column(file, f"/robots/{robot}/map", "blob")
         assert len(pictures) >= 6
-        assert column(file, f"/minds/{robot}/outlines/{robot}", "strips")
-        assert column(file, f"/minds/{robot}/target", "positions")
-        assert len(column(file, f"/ways/{robot}", "strips")) == 40
+        assert column(file, f"/robots/{robot}/outlines/{robot}", "strips")
+        assert column(file, f"/robots/{robot}/target", "positions")
+        assert len(column(file, f"/paths/{robot}", "strips")) == 40
     assert any(strips for strips in column(file, "/world/links/busy", "strips").values())
     assert any("heads for" in str(text) for text in column(file, "/events", "text").values())
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from agent.encodings.catalog import ENCODINGS
 from agent.encodings.polygon_options import PolygonOptions
-from agent.exchange.distribution import DISSEMINATIONS
+from agent.replication.policies import DISSEMINATIONS
 from agent.strategies.meier import Meier
 from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load, parse
 from deploy.scenario.tables import UNLIMITED
