@@ -149,7 +149,7 @@ EXPLORE = {
     "--start -50,3": "is not free: robots cannot start there",
     "--start nan,1": "start.0 = nan",
     "--start 3": "start = '3': must be two numbers in meters, as 3.5,12",
-    "--pace 0": "pace = 0: must be 0.5 steps a second or more",
+    "--pace 0": "pace = 0: must be 0.5 steps per second or more",
     "--view-as hologram": "view-as = 'hologram': must be one of auto, native, web, file",
     "--out full": "out = full: already exists; name a new directory, or empty this one",
     "--out file": "out = file: already exists; name a new directory",
