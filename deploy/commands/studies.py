@@ -161,7 +161,7 @@ def reproduce(
 
     with report_user_errors():
         settings = {"seed": list(range(seeds))} if seeds is not None else {}
-        found = reproduction.asked(claim or [], quick=quick, settings=settings)
+        found = reproduction.requested(claim or [], quick=quick, settings=settings)
         make_folder(out)
         runs = out / reproduction.RUNS
         with Results(runs) as results:
@@ -181,10 +181,10 @@ def reproduce(
         lines = [["claim", "", "verdict", "tests", "runs"]]
         for each in done.claims:
             counts = each.verdict.counts
-            lines.append([each.claim.id, each.claim.statement, each.verdict.word, counts, str(each.runs)])
+            lines.append([each.claim.id, each.claim.statement, each.verdict.result, counts, str(each.runs)])
             for part in each.parts:
                 report_failures(part.failures)
-        lines += [[name, "", "no experiment", "", "0"] for name in done.unasked]
+        lines += [[name, "", "no experiment", "", "0"] for name in done.without_experiment]
         print_table(terminal.table(lines))
         screen.print(f"Results: {', '.join(map(str, pages))}" + (" (quick)" if quick else ""))
     raise typer.Exit(0 if done.all_hold else 1)

@@ -154,7 +154,7 @@ class Steps:
         self._run.ask(kill(self.plan.scenario, robot))
 
     def change(self, *, bandwidth: int | str | None = None, range: float | str | None = None) -> None:
-        """Change the radio at the start of the next step; values as in a scenario. ScenarioError if they are invalid."""
+        """Change the radio at the start of the next step; values as in a scenario. ScenarioError if invalid."""
         self._run.ask(change(self.plan.scenario, self.plan.map.diagonal_m, bandwidth=bandwidth, range=range))
 
     def __enter__(self) -> Self:
