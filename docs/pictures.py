@@ -84,7 +84,7 @@ def sent(runs: dict[str, list[Step]]) -> plt.Figure:
         for group in GROUPS.values():
             size = np.array([_bytes(step, group.kinds) for step in taken])
             if size.any():
-                axes.bar(numbers, size, bottom=below, label=group.words, color=_rgb(group.color), width=1.0)
+                axes.bar(numbers, size, bottom=below, label=group.label, color=_rgb(group.color), width=1.0)
                 below += size
         axes.axhline(BUDGET, color=_rgb(ALARM), linewidth=1)
         axes.set(xlim=(0.5, len(taken) + 0.5), ylim=(0, 1.35 * BUDGET), ylabel="bytes transmitted")

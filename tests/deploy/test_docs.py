@@ -1,4 +1,4 @@
-"""Documents say what the code does: layouts, limits, tables, defaults and hex are compared with it."""
+"""Compare layouts, limits, tables, defaults and hex in the documentation with the code."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ ROOM = """
 
 
 def fences(document: str) -> dict[str, str]:
-    """The fenced blocks of a document, by what stands behind the backquotes; of several the last."""
+    """Return the fenced blocks of a document by their language; the last one of each."""
     text = (DOCS / document).read_text(encoding="utf-8")
     return dict(re.findall(r"^```(\S+)\n(.*?)^```$", text, re.M | re.S))
 
@@ -81,16 +81,16 @@ def knowledge() -> Iterator[Grid]:
 
 
 def scripts() -> Iterator[tuple[list[packets.Edit], NumberedPolygons]]:
-    """The edit scripts of the worked example, and what is held after each."""
+    """Yield the edit scripts of the worked example, each with the polygons after it."""
     held = NumberedPolygons.empty((5, 6))
     for grid in knowledge():
         exact = contours(grid, (1, 1))
         marks = refine(exact, repair(held.polygons, exact))
-        said, held = edit_script(held, approximation(exact, marks))
-        yield said, held
+        edits, held = edit_script(held, approximation(exact, marks))
+        yield edits, held
 
 
-def told(*buffers: bytes) -> list[str]:
+def described(*buffers: bytes) -> list[str]:
     return [
         f"{piece.hex(' '):18} {packets.decode(piece)[0]!r}"
         for buffer in buffers
@@ -105,25 +105,25 @@ def replication(robot: int, robots: int, dissemination: str = "backoff") -> Repl
 def worked_example() -> str:
     """An object that emerges, is changed, and is removed; three save points; then how they travel."""
     lines = []
-    units: list[bytes] = []
-    for step, (said, _) in enumerate(scripts(), 1):
-        lines += [f"# step {step}", *told(packets.encode(said))]
-        units += [packets.encode([packet]) for packet in said]
+    entries: list[bytes] = []
+    for step, (edits, _) in enumerate(scripts(), 1):
+        lines += [f"# step {step}", *described(packets.encode(edits))]
+        entries += [packets.encode([packet]) for packet in edits]
     sender, receiver = replication(0, 2), replication(1, 2)
-    sender.append(units)
+    sender.append(entries)
     (offer,) = sender.open_round(0, [1], None)
     receiver.open_round(0, [0], None)
     (answer,) = receiver.answer([Delivery(0, offer.payload, 0)])
     (data,) = sender.send_data([Delivery(1, answer.payload, 0, 0)])
-    assert data.payload == b"".join(units)
-    lines += ["# robot 0 to robot 1: news of map 0", *told(offer.payload)]
-    lines += ["# robot 1 to robot 0: I hold nothing of it yet", *told(answer.payload)]
-    lines += [f"# robot 0 to robot 1: the {len(units)} packets above, {len(data.payload)} bytes"]
+    assert data.payload == b"".join(entries)
+    lines += ["# robot 0 to robot 1: news of map 0", *described(offer.payload)]
+    lines += ["# robot 1 to robot 0: no entry yet", *described(answer.payload)]
+    lines += [f"# robot 0 to robot 1: the {len(entries)} packets above, {len(data.payload)} bytes"]
     return "\n".join(lines) + "\n"
 
 
 def block_example() -> str:
-    """A receiver that holds more than the sender knows of, and one that is told the same by two."""
+    """A receiver that holds more than the sender expects, and one that two robots offer the same map."""
     sender, receiver = replication(0, 3), replication(1, 3)
     sender.logs[2].append(5000 * [packets.encode([packets.Save()])])
     receiver.logs[2].append(4200 * [packets.encode([packets.Save()])])
@@ -132,12 +132,12 @@ def block_example() -> str:
     answer, decline = receiver.answer([Delivery(0, offer.payload, 0), Delivery(2, offer.payload, 1)])
     (data,) = sender.send_data([Delivery(1, answer.payload, 0, 2)])
     lines = [
-        "# robot 0 to robot 1: news of map 2, of which I think that you hold nothing",
-        *told(offer.payload),
+        "# robot 0 to robot 1: news of map 2, of which robot 1 probably holds nothing",
+        *described(offer.payload),
     ]
-    lines += ["# robot 1 to robot 0: I hold 1 x 4096 + 104 units", *told(answer.payload)]
-    lines += [f"# robot 0 to robot 1: units 4200 to 4999, {len(data.payload)} bytes"]
-    lines += ["# robot 1 to another that offers map 2 in the same exchange", *told(decline.payload)]
+    lines += ["# robot 1 to robot 0: it holds 1 x 4096 + 104 entries", *described(answer.payload)]
+    lines += [f"# robot 0 to robot 1: entries 4200 to 4999, {len(data.payload)} bytes"]
+    lines += ["# robot 1 to another that offers map 2 in the same round", *described(decline.payload)]
     return "\n".join(lines) + "\n"
 
 
@@ -148,11 +148,11 @@ HALL = """
     #....#.....#
     ############
 """
-"""The world of the worked example of looks."""
+"""The world of the worked example of map updates."""
 
 
-def looks_example() -> str:
-    """Three looks of a robot that drives through a hall, and how they travel by gossip."""
+def updates_example() -> str:
+    """Three scans of a robot that drives through a hall, as map updates by gossip."""
     rows = [line.strip() for line in HALL.split("\n") if line.strip()]
     truth = np.array([["?.#".index(cell) for cell in row] for row in rows], np.uint8)
     height, width = truth.shape
@@ -160,7 +160,7 @@ def looks_example() -> str:
         robot=0, robots=3, width=width, height=height, ranges_cells=[5.0] * 3, beams=72, speed_cells=3.0, seed=0,
         map_encoding="predictive", strategy="meier", dissemination="gossip", bandwidth=None, reach_cells=100.0,
     )  # fmt: skip
-    maker, gossip, hearer = (
+    maker, gossip, receiver = (
         PredictiveEncoding(settings),
         replication(0, 3, "gossip"),
         PredictiveEncoding(replace(settings, robot=1)),
@@ -174,16 +174,16 @@ def looks_example() -> str:
     for x, peers in ((1, [1]), (3, [1]), (6, [1, 2])):
         readings = cast(truth, nobody, beams, x, 2)
         change = draw(own, beams, x, 2, readings)
-        units = maker.encode_changes(own, Scan(x, 2, readings), change, delivered=True)
-        gossip.append(units)
+        entries = maker.encode_changes(own, Scan(x, 2, readings), change, delivered=True)
+        gossip.append(entries)
         frame = gossip.open_round(0, peers, None)[0].payload
         assert not gossip.close_round(RoundReport(1, 0, [], [SendReport(0, len(frame))], [], False))
-        hearer.apply(0, b"".join(units), step=1000, sender=0)
-        assert (hearer.merge(np.zeros_like(own)) == own).all()
+        receiver.apply(0, b"".join(entries), step=1000, sender=0)
+        assert (receiver.merge(np.zeros_like(own)) == own).all()
         known = int((own != UNKNOWN).sum())
         lines += [
             f"# robot 0 in cell ({x}, 2), in range {peers}: {change.cells} new cells, {known} known",
-            *told(frame),
+            *described(frame),
         ]
     return "\n".join(lines) + "\n"
 
@@ -229,8 +229,8 @@ def test_a_scan_takes_the_bytes_that_the_document_says() -> None:
 
 @pytest.mark.parametrize(
     ("fence", "made"),
-    [("example", worked_example()), ("blocks", block_example()), ("looks", looks_example())],
-    ids=["example", "blocks", "looks"],
+    [("example", worked_example()), ("blocks", block_example()), ("updates", updates_example())],
+    ids=["example", "blocks", "updates"],
 )
 def test_the_worked_example_is_what_the_code_says_to_the_byte(fence: str, made: str) -> None:
     assert fences("protocol.md")[fence] == made
@@ -279,9 +279,9 @@ def test_disseminations_are_all_described() -> None:
 
 
 def test_messages_and_their_fields_are_all_there_in_their_order() -> None:
-    told_of = [(name, made_of) for _, name, made_of, *_ in rows("bus.md", "Messages")]
+    listed = [(name, made_of) for _, name, made_of, *_ in rows("bus.md", "Messages")]
     kinds = messages._TYPES
-    assert told_of == [(kind.__name__, ", ".join(kind.__struct_fields__)) for kind in kinds]
+    assert listed == [(kind.__name__, ", ".join(kind.__struct_fields__)) for kind in kinds]
     assert [kind.__struct_config__.tag for kind in kinds] == list(range(len(kinds)))
     assert [int(row[0]) for row in rows("bus.md", "Messages")] == list(range(len(kinds)))
     assert set(messages.Record.__subclasses__()) == set(kinds)
@@ -295,8 +295,8 @@ def test_the_ledger_s_columns_and_causes_are_all_there() -> None:
 
 
 def test_the_table_of_radios_is_that_of_the_code() -> None:
-    told_of = {name: figures for name, *figures in rows("radios.md", "Radios by name")}
-    assert told_of == {
+    listed = {name: figures for name, *figures in rows("radios.md", "Radios by name")}
+    assert listed == {
         name: [
             preset.words,
             f"{preset.bits_per_s:,}",
@@ -321,8 +321,10 @@ def test_keys_and_rights_are_what_participants_put_hear_and_say() -> None:
         keys.alive("NAME"),
         keys.presence("NAME"),
     }
-    told_of = {(who, to): tuple(may.split(", ")) for who, to, may in rows("bus.md", "Rights")}
-    assert told_of == {ends: tuple(kind.__name__ for kind in kinds) for ends, kinds in RIGHTS.items()}
+    listed = {
+        (sender, receiver): tuple(kinds.split(", ")) for sender, receiver, kinds in rows("bus.md", "Rights")
+    }
+    assert listed == {ends: tuple(kind.__name__ for kind in kinds) for ends, kinds in RIGHTS.items()}
     names = {row[0] for row in rows("bus.md", "Participants")}
     assert names == {"relay", *access.participants(0), "r0, r1, ..."}
 
@@ -396,9 +398,9 @@ def test_a_file_of_one_s_own_goes_before_a_shipped_scenario(
 def test_the_run_directory_of_the_architecture_is_what_a_run_leaves(tmp_path: Path) -> None:
     out = tmp_path / "run"
     explore(load(None, {"map": "em", "robots": 2, "bus": "memory", "steps": 5}), out=out)
-    told_of = names("The run directory")
+    listed = names("The run directory")
     left = {re.sub(r"r\d+", "rN", path.name) for path in out.iterdir()}
-    assert left <= told_of
+    assert left <= listed
     assert {"summary.json", "scenario.toml", "ledger.parquet"} <= left
     assert set(json.loads((out / "summary.json").read_text())) == names("The summary")
 
