@@ -119,7 +119,7 @@ EXPLORE = {
     "--range nan": "range = 'nan': must be a distance",
     "--strategy leaders --range 3": "range = '3': leaders needs rho_lead <= range, not rho_lead = 4 m with",
     "--strategy leaders --range 5%": "range = '5%': leaders needs rho_lead <= range, not rho_lead = 4 m with a",
-    "--strategy leaders --range 5 --option rho_lead=6": "not rho_lead = 6 m with a range of 5 m: a leader that cannot",
+    "--strategy leaders --range 5 --option rho_lead=6": "not rho_lead = 6 m with a range of 5 m: no robot follows",
     "--range -5%": "range = '-5%': must be a distance",
     "--range far": "range = 'far': must be a distance",
     "--robots 0": "robots = 0: must be greater than or equal to 1",
@@ -129,7 +129,7 @@ EXPLORE = {
     "--strategy best": "no strategy is called 'best'; there are: burgard,",
     "robots=3": "no such file, and no shipped scenario",
     "--strategy agent.strategies.meier:Meyer": "agent.strategies.meier has no Meyer; did you mean Meier?",
-    "--map-encoding radio": "map_encoding = 'radio': no map encoding is called 'radio'; there are: polygons, scans, cells, predictive",
+    "--map-encoding radio": "map_encoding = 'radio': no map encoding is called 'radio'; there are: polygons,",
     "--dissemination never": "dissemination = 'never': must be 'backoff', 'thesis' or 'gossip'",
     "--bus can": "bus = 'can': must be 'zenoh' or 'memory'",
     "--option beta": "option = 'beta': must be NAME=VALUE, as beta=0.5",
@@ -255,11 +255,11 @@ def test_bad_input_is_explained_and_writes_no_file(desk: Path, words: str) -> No
     complaint = OTHERS.get(words) or EXPLORE[words.removeprefix("explore ")]
     before = contents(desk)
     result = murmur(*words.split())
-    said = result.stderr.replace("\n", " ")
-    assert result.exit_code == BAD_INPUT, said
-    assert complaint in said
-    assert "Traceback" not in said
-    assert said.startswith(("murmur: ", "Usage: "))
+    output = result.stderr.replace("\n", " ")
+    assert result.exit_code == BAD_INPUT, output
+    assert complaint in output
+    assert "Traceback" not in output
+    assert output.startswith(("murmur: ", "Usage: "))
     assert contents(desk) == before
 
 

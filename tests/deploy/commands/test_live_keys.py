@@ -1,4 +1,4 @@
-"""Keys: what is pressed is done to the run, and said; what makes no sense is said as well."""
+"""Keys: what is pressed is done to the run, and output; what makes no sense is output as well."""
 
 from __future__ import annotations
 

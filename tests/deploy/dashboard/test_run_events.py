@@ -1,4 +1,4 @@
-"""The events of a run: what is told of it becomes positions, loads and events."""
+"""The events of a run: what is reports of it becomes positions, loads and events."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from deploy.dashboard.explanation import explain
 from deploy.dashboard.run_events import RunEvents
 from netshaper.ledger import CAUSES, KIND_NUMBER, ROW
 from protocol.messages import End, Fault, Lost, RadioReport, RobotStatus, WorldReport
-from tests.deploy.small_run import small_plan, told
+from tests.deploy.small_run import reports, small_plan
 from worldsim.maps import to_world
 
 
@@ -33,8 +33,8 @@ def air(step: int, *rows: dict[str, Any]) -> RadioReport:
     return RadioReport(step, table.tobytes(), int(table["bytes"][table["carried"] == 1].sum()), b"")
 
 
-def texts(events: RunEvents, sender: str, said: object) -> list[str]:
-    return [event.text for event in events.take(sender, said)]
+def texts(events: RunEvents, sender: str, report: object) -> list[str]:
+    return [event.text for event in events.take(sender, report)]
 
 
 @pytest.fixture
@@ -75,7 +75,7 @@ def test_idleness_is_logged_once(events: RunEvents) -> None:
 def test_bytes_are_summed_by_traffic_type_and_link(events: RunEvents) -> None:
     insert, offer, target, new = (KIND_NUMBER[kind] for kind in ("ins", "conn", "targ", "em"))
     waiting = CAUSES.index("budget")
-    said = texts(
+    report = texts(
         events,
         "relay",
         air(
@@ -99,7 +99,7 @@ def test_bytes_are_summed_by_traffic_type_and_link(events: RunEvents) -> None:
     assert events.traffic.cut == 600
     assert events.traffic.links == {(0, 2): 77}
     assert events.bytes == {"ins": 60, "conn": 2, "em": 15, "targ": 3}
-    assert said == ["robot 2 reports 2 new objects", "channel full: 600 bytes over the budget"]
+    assert report == ["robot 2 reports 2 new objects", "channel full: 600 bytes over the budget"]
     assert texts(events, "relay", air(4)) == []
 
 
@@ -125,11 +125,11 @@ def test_a_breakdown_is_logged_once(events: RunEvents) -> None:
 
 
 def test_a_late_viewer_can_start_with_any_report() -> None:
-    heard = told()
+    heard = reports()
     for first in range(0, 60, 7):
         events = RunEvents(small_plan())
-        for sender, said in heard[first:]:
-            events.take(sender, said)
+        for sender, report in heard[first:]:
+            events.take(sender, report)
         assert events.step == 40
         assert sorted(events.positions) == [0, 1, 2]
 
