@@ -21,9 +21,9 @@ from deploy.record.records import Records
 from deploy.record.summary import summarize
 from deploy.run import in_memory
 from deploy.scenario.plan import Plan
-from deploy.scenario.tables import UNLIMITED
 from deploy.study.recovery import recovery
 from netshaper.ledger import KIND_NUMBER
+from protocol.budget import WORD_FOR_UNLIMITED
 from protocol.grid import FREE, UNKNOWN
 from protocol.keyed_random import keyed_random
 
@@ -151,7 +151,7 @@ def _load(plan: Plan, records: Records, carried: NDArray[np.int64]) -> Metrics:
     quarter = max(1, len(carried) // 4)
     budget = plan.scenario.bandwidth
     shares: Metrics = dict.fromkeys(METRICS[EXPLORATION])
-    if budget != UNLIMITED and budget and len(carried):
+    if budget != WORD_FOR_UNLIMITED and budget and len(carried):
         shares["load.first_quarter"] = float(carried[:quarter].mean() / int(budget))
         shares["load.last_quarter"] = float(carried[-quarter:].mean() / int(budget))
     rows = records.ledger()

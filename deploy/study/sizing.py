@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from deploy.scenario.plan import load_map
-from deploy.scenario.tables import UNLIMITED
 from deploy.study import plots
 from deploy.study.plots import Plot
 from deploy.study.results import Row, write_table
@@ -19,6 +18,7 @@ from deploy.study.runs import Case
 from deploy.study.statistics import Interval, interval, share
 from deploy.study.sweep import Sweep, of_settings, run
 from deploy.study.tables import has_finished
+from protocol.budget import WORD_FOR_UNLIMITED
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -211,7 +211,7 @@ def _options(done: Sweep, deadline: int | None, min_map_accuracy: float) -> list
     teams: dict[tuple[int, float, float], list[Case]] = {}
     for case in done.cases:
         scenario = case.scenario
-        bandwidth = math.inf if scenario.bandwidth == UNLIMITED else float(scenario.bandwidth)
+        bandwidth = math.inf if scenario.bandwidth == WORD_FOR_UNLIMITED else float(scenario.bandwidth)
         size = scenario.robots, bandwidth, scenario.range_m(diagonal_m)
         teams.setdefault(size, []).append(case)
     options = []

@@ -60,7 +60,7 @@ def test_values_are_typed_corrected_and_checked(control: Control) -> None:
     assert press(keys, "r25%\n") == "range 25% from the next step"
     assert press(keys, "k1\n") == "robot 1 will be killed at the next step"
     assert press(keys, "k7\n") == "kill: unknown robot 7; the last one is 1"
-    assert press(keys, "kx\n") == "kill: 'x' is no robot's number"
+    assert press(keys, "kx\n") == "kill: 'x' is not a robot number"
     assert "must be a whole number" in press(keys, "bmuch\n")
     assert press(keys, "k1\x1b") == HELP
     assert control._requests.qsize() == 3
