@@ -9,7 +9,7 @@ from protocol.packets import ALL_KINDS
 
 CAUSES = ("", "budget", "range", "protocol", "lost", "mute", "limit", "loss", "damaged", "full")
 """Why a frame was not carried: the budget was spent, the receiver out of range, the frame malformed, a partner dead,
-the sender's radio mute, its own limit reached. From `FIRST_ON_AIR` on: why no robot received a frame that was on the air:
+the radio mute, its own limit reached. From `FIRST_ON_AIR` on: why no robot received a frame that was on the air:
 lost, damaged, beyond the receiver's limit."""
 
 FIRST_ON_AIR = CAUSES.index("loss")

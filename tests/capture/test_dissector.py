@@ -37,6 +37,12 @@ def tshark(tmp_path_factory: pytest.TempPathFactory) -> Tshark:
     return tsharks.find(tmp_path_factory.mktemp("home"))
 
 
+KINDS: list[type[Packet]] = [
+    getattr(packets, name) for name in dict.fromkeys(layout.packet for layout in packets.LAYOUTS)
+]
+"""All kinds of packets."""
+
+
 def drawn(kind: type[Packet], chance: random.Random) -> bytes:
     """A packet of one kind: all bits of its fields set, or none, or drawn."""
     if kind is Fragment:
@@ -71,7 +77,7 @@ def test_every_packet_is_shown_by_name_and_field(tshark: Tshark, tmp_path: Path)
     golden = [
         bytes.fromhex(line.split("  ")[0]) for line in GOLDEN.read_text().splitlines() if line[0] != "#"
     ]
-    payloads = golden + [drawn(kind, chance) for kind in Packet.__subclasses__() for _ in range(30)]
+    payloads = golden + [drawn(kind, chance) for kind in KINDS for _ in range(30)]
     names = [
         "murmur.packet",
         "murmur.kind",
@@ -163,7 +169,7 @@ def test_the_dissector_accepts_exactly_the_packets_that_the_decoder_reads(
     tshark: Tshark, tmp_path: Path
 ) -> None:
     chance = random.Random(2)
-    whole = [drawn(kind, chance) for kind in Packet.__subclasses__() for _ in range(2)]
+    whole = [drawn(kind, chance) for kind in KINDS for _ in range(2)]
     payloads = [packet[:end] for packet in whole for end in range(len(packet))]
     payloads += [bytes([first]) for first in range(256)] + [bytes([first, 0]) for first in range(256)]
     payloads += [chance.randbytes(chance.randint(1, 80)) for _ in range(600)]

@@ -88,7 +88,7 @@ class Team:
         self.said: dict[int, int] = {}
         """Bytes that robots put on their antennas, by step."""
         self.moves: dict[int, Move] = {}
-        self._network = Network(plan.radio, self.robot_settings)
+        self.network = Network(plan.radio, self.robot_settings)
         self._rows: list[bytes] = []
         self._laser = ray_table(plan.world.bodies[0].range_cells, plan.world.beams)
 
@@ -124,13 +124,13 @@ class Team:
     def kill(self, robot: int) -> None:
         """Let a robot's process end."""
         self.world.remove(robot)
-        self._network.radio.lost(robot)
+        self.network.radio.lost(robot)
 
     def _play(self, senses: Mapping[int, Sense], cells: Mapping[int, Cell]) -> None:
         self.step += 1
         for robot, sense in senses.items():
             self.robot_settings[robot].perceive(sense)
-        step = self._network.step(self.step, cells)
+        step = self.network.step(self.step, cells)
         self.said[self.step] = sum(len(payload) for _, payload in step.submitted)
         self._rows.append(step.report.rows)
         self.moves = {robot: self.robot_settings[robot].decide() for robot in sorted(senses)}

@@ -96,7 +96,7 @@ def test_the_commands_of_the_document_make_the_run_that_explore_makes(tmp_path: 
             rf"run \w+ at tcp/{address}; credentials in credentials: world, recorder, view, r0, r1\n", relay
         )
         assert "\nwaiting for r0, r1, recorder, world\n" in relay
-        assert relay.endswith("\nall are here\n")
+        assert relay.endswith("\nall participants have joined\n")
         assert not world
         assert agents == ["", ""]
         assert recorder.lstrip().startswith("Explored in ")

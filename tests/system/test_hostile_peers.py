@@ -148,7 +148,7 @@ def test_a_liar_is_named_in_the_laboratorys_records() -> None:
     records = in_memory.run(small_plan(robots=3, steps=30), wrap=wrap)
     assert set(records.protocol_errors) >= {
         f"{names.robot(honest)}: heard nonsense from {names.robot(LIAR)}: "
-        "save at byte 0: nothing has changed since the last one"
+        "save at byte 0: nothing has changed since the last save point"
         for honest in (0, 2)
     }
     assert records.lost == {}

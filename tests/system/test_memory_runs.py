@@ -31,8 +31,8 @@ from worldsim import generators
 from worldsim.maps import Map
 
 SMALL = {
-    "map": "office", "robots": 3, "map_encoding": "scans", "bandwidth": "unlimited", "range": "100%", "sensor_range": 4.0,
-    "bus": "memory", "steps": 3000,
+    "map": "office", "robots": 3, "map_encoding": "scans", "bandwidth": "unlimited", "range": "100%",
+    "sensor_range": 4.0, "bus": "memory", "steps": 3000,
 }  # fmt: skip
 
 

@@ -159,14 +159,15 @@ def test_no_frame_on_the_air_is_longer_than_a_frame_may_be(
 
 def listen(team: Team, note: Any) -> None:
     """Call `note` with the columns of each step's frames."""
-    close = team._radio._close
+    radio = team.network.radio
+    close = radio._close
 
     def closing() -> Any:
         out = close()
-        note(out[-1].predictiveings.columns().rows)  # type: ignore[union-attr]
+        note(out[-1].log.columns().rows)  # type: ignore[union-attr]
         return out
 
-    team._radio._close = closing  # type: ignore[method-assign]
+    radio._close = closing  # type: ignore[method-assign]
 
 
 @pytest.mark.parametrize("dissemination", ["backoff", "gossip"])

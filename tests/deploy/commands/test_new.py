@@ -67,5 +67,5 @@ def test_a_name_that_is_none_is_refused(name: str, output: str) -> None:
 def test_nothing_is_written_over() -> None:
     Path("test_farthest.py").write_text("mine")
     result = murmur("new", "strategy", "farthest")
-    assert result.exit_code == 2 and "test_farthest.py: is there already" in result.stderr
+    assert result.exit_code == 2 and "test_farthest.py: already exists" in result.stderr
     assert not Path("farthest.py").exists()
