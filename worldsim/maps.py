@@ -242,7 +242,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
         entries = yaml.safe_load(_bytes_of(path))
     except RecursionError:
         raise MapError(
-            f"{path}: nesting is too deep; a map_server YAML file has `key: value` lines"
+            f"{path}: is nested too deeply; a map_server YAML file has `key: value` lines"
         ) from None
     except OSError as error:
         raise MapError(f"{path}: cannot be read ({error.strerror}); give a map_server YAML file") from None
