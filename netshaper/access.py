@@ -77,7 +77,7 @@ def _rules_of(keys: Keys, name: str, everyone: list[str]) -> list[dict[str, Any]
         "see": (
             "declare_subscriber",
             "egress",
-            [keys.inbox(other) for other in rights.hearers(name, everyone)],
+            [keys.inbox(other) for other in rights.receivers(name, everyone)],
         ),
     }
     return [

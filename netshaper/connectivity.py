@@ -63,13 +63,13 @@ def log_distance(
     cell_m: float,
     *,
     exponent: float,
-    db_per_metre: float,
+    db_per_meter: float,
     db_per_wall: float,
     extra_db: NDArray[np.float64] | float = 0.0,
 ) -> Links:
     """Those whose link has lost no more than a link of the range's length in the open.
 
-    The loss over d metres is ``10 exponent log10(d) + db_per_metre d`` dB, which is the site-general model of ITU-R
+    The loss over d metres is ``10 exponent log10(d) + db_per_meter d`` dB, which is the site-general model of ITU-R
     P.1238 with N = 10 exponent; each wall on the way adds to it, as in COST 231's multi-wall model, and so does
     `extra_db`, symmetric, shape (robots, robots): shadowing.
     """
@@ -79,7 +79,7 @@ def log_distance(
     away = np.hypot(x[:, None] - x, y[:, None] - y)
     near = np.maximum(away, 1e-9)
     reach = max(range_cells, 1e-9)
-    margin = 10 * exponent * np.log10(reach / near) + db_per_metre * cell_m * (range_cells - away)
+    margin = 10 * exponent * np.log10(reach / near) + db_per_meter * cell_m * (range_cells - away)
     margin -= db_per_wall * walls_crossed(walls, places) + extra_db
     # In thousandths of a dB, so that no machine's logarithm decides.
     received: Links = (np.rint(1000 * margin) >= 0) | (away == 0)

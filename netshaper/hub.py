@@ -12,11 +12,11 @@ import zenoh
 
 from netshaper import access
 from protocol import keys as names
-from protocol.fields import MOST_FRAMES
+from protocol.fields import MAX_FRAMES
 from protocol.keys import Keys
 from protocol.zenoh_bus import Certificate, Credential, ZenohBus, insert, plain_config, receive_apart, use_tls
 
-MOST_BYTES = MOST_FRAMES + (1 << 20)
+MAX_MESSAGE_BYTES = MAX_FRAMES + (1 << 20)
 """Of a message that anybody sends to the hub: whoever sends a longer one is cut off."""
 
 
@@ -52,7 +52,7 @@ def listening(endpoint: str) -> zenoh.Config:
     """A configuration of hub or router: it routes, and listens at one endpoint."""
     config = plain_config("router")
     insert(config, "listen/endpoints", [endpoint])
-    insert(config, "transport/link/rx/max_message_size", MOST_BYTES)
+    insert(config, "transport/link/rx/max_message_size", MAX_MESSAGE_BYTES)
     return config
 
 

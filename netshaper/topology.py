@@ -66,7 +66,7 @@ def links(settings: RadioSettings, step: int, cells: Mapping[int, tuple[int, int
         )
         receives = connectivity.log_distance(
             places, settings.range_cells, settings.walls, settings.cell_m,
-            exponent=options.exponent, db_per_metre=options.db_per_metre, db_per_wall=options.db_per_wall,
+            exponent=options.exponent, db_per_meter=options.db_per_meter, db_per_wall=options.db_per_wall,
             extra_db=extra,
         )  # fmt: skip
     if options.partition:

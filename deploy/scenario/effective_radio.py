@@ -33,7 +33,7 @@ def _parts(plan: Plan) -> Iterator[str]:
     yield f"range {plan.range_m:.4g} m, {options.model}"
     if options.model == "log-distance":
         yield (
-            f"{10 * options.exponent:g} dB per decade, {options.db_per_metre:g} dB per meter, "
+            f"{10 * options.exponent:g} dB per decade, {options.db_per_meter:g} dB per meter, "
             f"{options.db_per_wall:g} dB per wall, shadowing {options.shadowing_db:g} dB"
         )
     if options.burst_every:

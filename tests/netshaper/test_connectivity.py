@@ -118,7 +118,7 @@ def test_a_wall_ends_a_line_of_sight_and_a_door_opens_it() -> None:
 
 @given(st.lists(inside, min_size=1, max_size=5), st.floats(0, 12), st.floats(1, 4), st.floats(0, 3))
 def test_without_walls_and_shadowing_the_logarithmic_model_is_the_disc(
-    cells: list[Cell], range_cells: float, exponent: float, per_metre: float
+    cells: list[Cell], range_cells: float, exponent: float, per_meter: float
 ) -> None:
     places = np.array(cells, np.int64)
     away = np.hypot(*(places[:, None] - places).transpose(2, 0, 1))
@@ -129,7 +129,7 @@ def test_without_walls_and_shadowing_the_logarithmic_model_is_the_disc(
         np.full_like(ROOMS, FREE),
         0.1,
         exponent=exponent,
-        db_per_metre=per_metre,
+        db_per_meter=per_meter,
         db_per_wall=9.0,
     )
     assert (hears == disc(places, range_cells)).all()
@@ -141,7 +141,7 @@ def test_walls_only_take_away_and_links_are_mutual_and_stay_as_they_are(cells: l
     extra = shadowing(places, 0.5, seed, 8.0, 2.0)
     assert (extra == extra.T).all()
     assert (extra == shadowing(places, 0.5, seed, 8.0, 2.0)).all()
-    loss = {"exponent": 2.0, "db_per_metre": 0.0, "extra_db": extra}
+    loss = {"exponent": 2.0, "db_per_meter": 0.0, "extra_db": extra}
     walls = log_distance(places, 6.0, ROOMS, 0.5, db_per_wall=6.9, **loss)
     without = log_distance(places, 6.0, ROOMS, 0.5, db_per_wall=0.0, **loss)
     assert (walls == walls.T).all()
@@ -154,7 +154,7 @@ def test_a_wall_of_6_db_halves_the_range() -> None:
     for length in range(4, 25):
         places = np.array([(0, 0), (length, 0)])
         heard = log_distance(
-            places, 20.0, wall, 1.0, exponent=2.0, db_per_metre=0.0, db_per_wall=20 * math.log10(2)
+            places, 20.0, wall, 1.0, exponent=2.0, db_per_meter=0.0, db_per_wall=20 * math.log10(2)
         )[0, 1]
         assert heard == (length <= 10)
 

@@ -17,7 +17,7 @@ from netshaper.settings import RadioSettings
 from protocol import keys as names
 from protocol.budget import UNLIMITED, Budget
 from protocol.bus import Bus
-from protocol.fields import MOST_CONNECTIONS
+from protocol.fields import MAX_CONNECTIONS
 from protocol.grid import MAX_ROBOTS
 from protocol.keys import RELAY, Keys
 from protocol.memory_bus import MemoryHub
@@ -28,7 +28,7 @@ from protocol.messages import (
     Close,
     Delivery,
     End,
-    Fault,
+    ErrorReport,
     Lost,
     Move,
     OfferReply,
@@ -271,8 +271,8 @@ def test_what_is_not_a_robots_to_say_is_reported_and_has_no_effect(lie: object) 
     run.begin_step()
     run.say("r1", lie)
     (fault,) = run.heard(RECORDER)
-    assert isinstance(fault, Fault)
-    assert fault.who == "r1"
+    assert isinstance(fault, ErrorReport)
+    assert fault.participant == "r1"
     assert run.heard(WORLD) == []
     assert run.relay.waiting_for() == [0, 1]
     assert len(run.finish_step()) == 1
@@ -325,8 +325,8 @@ def test_numbers_that_cannot_be_end_no_phase(items: list[Any]) -> None:
     run.begin_step()
     run.radio("r1", msgspec.msgpack.encode([7, *items]))
     (fault,) = run.heard(RECORDER)
-    assert fault.who == "r1"
-    assert "must be" in fault.what
+    assert fault.participant == "r1"
+    assert "must be" in fault.reason
     assert run.relay.waiting_for() == [0, 1]
 
 
@@ -348,8 +348,8 @@ def test_a_frame_longer_than_could_be_carried_is_reported_and_not_looked_at() ->
             "r1", RobotFrames(1, 0, "offers", frames=[OutgoingFrame(0, b""), OutgoingFrame(0, bytes(size))])
         )
     faults = run.heard(RECORDER)
-    assert [fault.who for fault in faults] == 3 * ["r1"]
-    assert "a frame of 1065 bytes, where 1064 are the most" in faults[0].what
+    assert [fault.participant for fault in faults] == 3 * ["r1"]
+    assert "a frame of 1065 bytes, where 1064 are the most" in faults[0].reason
     assert run.relay.waiting_for() == [0, 1]
     (report,) = run.finish_step()
     assert report.rows == b""
@@ -365,7 +365,7 @@ def test_nor_is_a_reply_that_is_longer_than_could_be_carried(replies: Replies) -
     run.begin_step()
     run.say("r1", RobotFrames(1, 0, "offers", replies=replies))
     (fault,) = run.heard(RECORDER)
-    assert "a frame of 1065 bytes, where 1064 are the most" in fault.what
+    assert "a frame of 1065 bytes, where 1064 are the most" in fault.reason
     assert run.relay.waiting_for() == [0, 1]
 
 
@@ -383,11 +383,11 @@ def test_where_everybody_is_said_to_be_may_be_longer_than_could_be_carried() -> 
 def test_who_says_more_frames_in_a_phase_than_there_can_be_connections_again_and_again_is_given_up() -> None:
     run = Run()
     run.begin_step()
-    frames = (MOST_CONNECTIONS + 1) * [OutgoingFrame(0, encode([Offer(1, 0)]))]
+    frames = (MAX_CONNECTIONS + 1) * [OutgoingFrame(0, encode([Offer(1, 0)]))]
     said = pack(RobotFrames(1, 0, "offers", frames=frames))
     for _ in range(MAX_PROTOCOL_ERRORS + 1):
         run.radio("r1", said)
-    assert [type(message) for message in run.heard(RECORDER)] == [*MAX_PROTOCOL_ERRORS * [Fault], Lost]
+    assert [type(message) for message in run.heard(RECORDER)] == [*MAX_PROTOCOL_ERRORS * [ErrorReport], Lost]
     assert run.relay.waiting_for() == [0]
 
 

@@ -19,7 +19,7 @@ from netshaper.settings import RadioSettings
 from protocol import keys as names
 from protocol.keys import Keys, may_be_dropped
 from protocol.memory_bus import MemoryBus, MemoryHub
-from protocol.messages import Begin, End, Fault, Lost, Shutdown, Stop, Watched, pack, unpack
+from protocol.messages import Begin, End, ErrorReport, Lost, Shutdown, Stop, Watched, pack, unpack
 from protocol.zenoh_bus import join
 
 
@@ -96,7 +96,7 @@ def test_what_a_viewer_says_is_none_of_its_business() -> None:
     team.work()
     assert team.heard(names.WORLD) == []
     (fault,) = team.heard(names.RECORDER)
-    assert fault == Fault(names.VIEW, "message at byte 0: nothing is for view to say here")
+    assert fault == ErrorReport(names.VIEW, "message at byte 0: view may send no message here")
 
 
 def test_only_what_goes_to_the_viewer_may_be_dropped() -> None:

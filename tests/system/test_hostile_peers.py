@@ -31,7 +31,7 @@ from protocol.messages import (
     ConnectionReport,
     Delivery,
     End,
-    Fault,
+    ErrorReport,
     Maps,
     MediumEvent,
     Move,
@@ -475,7 +475,7 @@ def test_no_frame_stops_a_robots_process(steps: list[tuple[list[bytes], ...]]) -
         phases = [said.phase for said in antenna.said if isinstance(said, RobotFrames)]
         assert phases == ["offers", "answers", "data"]
         assert [said.step for said in antenna.said if isinstance(said, Move)] == [step]
-        faults = [said.what for said in antenna.said if isinstance(said, Fault)]
+        faults = [said.reason for said in antenna.said if isinstance(said, ErrorReport)]
         assert faults or all(_is_a_broadcast(frame) for frame in broadcasts)
     tell(End(len(steps), "enough", -1))
     maps = antenna.said[-1]

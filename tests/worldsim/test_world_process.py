@@ -18,7 +18,7 @@ from protocol.memory_bus import MemoryHub
 from protocol.messages import (
     Begin,
     End,
-    Fault,
+    ErrorReport,
     FaultEvent,
     Lost,
     Move,
@@ -229,8 +229,8 @@ def test_what_is_no_move_is_reported_and_the_robots_move_is_waited_for(lie: obje
     run.heard(names.RECORDER)
     run.move(1, lie)
     (fault,) = run.heard(names.RECORDER)
-    assert isinstance(fault, Fault)
-    assert fault.who == "r1"
+    assert isinstance(fault, ErrorReport)
+    assert fault.participant == "r1"
     assert not run.node.done
     run.stay(0)
     assert run.world.step == 1
@@ -246,7 +246,7 @@ def test_a_second_move_in_a_step_is_reported_and_the_first_one_counts() -> None:
     run.move(1, Move(1, cells_to_bytes(np.array([[4, 3]], np.int32)), 0, explored=False))
     run.move(1, Move(1, b"", 0, explored=True))
     (fault,) = run.heard(names.RECORDER)
-    assert fault == Fault("r1", "Move at byte 0: a second one for step 1")
+    assert fault == ErrorReport("r1", "Move at byte 0: a second one for step 1")
     run.stay(0)
     assert run.world.cells[1] == (4, 3)
 
