@@ -48,10 +48,10 @@ ENDED = "its process ended"
 """Cause of the loss of a robot that has left the bus."""
 
 MIN_FRAME, MAX_FRAME = 64, 1 << 24
-"""Bytes that a frame may have beyond the budget, at least; and bytes of a frame if there is no budget."""
+"""Minimum bytes that a frame may exceed the budget by, and maximum bytes of a frame without a budget."""
 
 EXTRA_PER_MAP = Held.size + Offer.size + Passed.size + Target.size
-"""Bytes of reports on a map, and of its robot's pose and target: a frame may have them whatever the budget is."""
+"""Bytes of reports on a map, and of its robot's pose and target; a frame may exceed the budget by them."""
 
 
 class RelayNode:
@@ -85,7 +85,7 @@ class RelayNode:
 
     @property
     def _max_frame_bytes(self) -> int:
-        """Bytes that a frame may have; the relay does not read longer ones."""
+        """Maximum bytes of a frame; the relay rejects longer ones."""
         limit = self._radio.settings.budget.limit
         return MAX_FRAME if limit is None else limit + self._extra_bytes
 
@@ -157,7 +157,7 @@ class RelayNode:
             self.give_up_on(names.number(name), ENDED)
 
     def _configure(self, robot: int) -> None:
-        """Send a robot its settings once both are here: the robot and its settings."""
+        """Send a robot its settings once the robot has joined and the settings have arrived."""
         name = names.robot(robot)
         if name in self._present and robot in self._settings:
             self._bus.put(self._keys.control(name, names.RELAY), self._settings[robot])
@@ -208,7 +208,7 @@ class RelayNode:
         self._report(end)
 
     def _shut_down(self) -> None:
-        """Send all participants home."""
+        """Send `Shutdown` to all participants."""
         for name in sorted(self._present | ({names.VIEW} if self._watched else set())):
             self._bus.put(self._keys.control(name, names.RELAY), pack(Shutdown()))
         self.shutting_down = True

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 MIN_FRAME = 16
-"""Bytes that a frame must have room for: the longest packet that is not made smaller, a broadcast, and a checksum."""
+"""Minimum frame size in bytes: the longest packet that cannot be split, a broadcast, and a checksum."""
 
 MAX_STEPS = 10_000
-"""Steps that a frame may be late at most."""
+"""Maximum delay of a frame in steps."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Partition:
             raise ValueError(f"groups = {[*map(list, self.groups)]}: must name robots, each at most once")
 
     def group_of(self, robot: int) -> int:
-        """The number of a robot's group; -1 for those that are in none."""
+        """Return the number of a robot's group; -1 for a robot in no group."""
         return next((number for number, group in enumerate(self.groups) if robot in group), -1)
 
 
@@ -51,12 +51,12 @@ class RadioOptions:
     Attributes
     ----------
     preset : str
-        The radio whose figures a scenario takes where it does not give its own (`netshaper.presets`).
+        The radio whose figures apply where the scenario gives none (`netshaper.presets`).
     frame_bytes : int
-        Bytes of packets that a frame holds at most; longer frames are sent as several. 0: no limit.
+        Maximum bytes of packets in a frame; longer frames are split. 0: no limit.
     model : str
-        Which robots within the communication range receive each other: ``disc``, all; ``line-of-sight``, those without
-        a wall between them; ``log-distance``, those whose link loses no more than an open link as long as the range.
+        Links within the communication range: ``disc``, all; ``line-of-sight``, links without a wall; ``log-distance``,
+        links whose path loss is at most that of an open link as long as the range.
     exponent, db_per_meter, db_per_wall, shadowing_db, shadowing_m : float
         For ``log-distance``: the growth of the loss by the distance's logarithm and by the distance, the loss per wall,
         the standard deviation of the shadowing, and the side of the squares in which it is the same.
@@ -74,7 +74,7 @@ class RadioOptions:
     checksums : bool
         Whether frames end with a checksum in any case.
     send_bytes, receive_bytes : int
-        Bytes a step that a robot can send, and take; 0: no limit of its own.
+        Bytes per step that a robot can send, and receive; 0: no limit of its own.
     duty_cycle : float
         Share of the time in which a robot may send, over an hour.
     reuse : bool

@@ -13,9 +13,9 @@ class Topology:
 
     def __init__(self) -> None:
         self.in_range: dict[int, list[int]] = {}
-        """For each robot that takes part in the step those in its range, ascending."""
+        """For each robot that takes part in the step, the robots in its range, ascending."""
         self.dead: set[int] = set()
-        """Robots that do not answer any more."""
+        """Robots that do not answer anymore."""
         self.mute: set[int] = set()
         """Robots whose radios cannot send."""
         self.deaf: set[int] = set()
@@ -53,7 +53,7 @@ class Topology:
 
 
 def links(settings: RadioSettings, step: int, cells: Mapping[int, tuple[int, int]]) -> dict[int, list[int]]:
-    """Return for each robot those in its range, by the radio's model and the partitions of a step."""
+    """Return for each robot the robots in its range, by the radio's model and the partitions of a step."""
     options = settings.options
     robots, places = sorted(cells), connectivity.places_of(cells)
     if options.model == "disc" or settings.walls is None:

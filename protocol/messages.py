@@ -490,8 +490,8 @@ class ErrorReport(Record, tag=18, frozen=True):
 
 _TYPES: tuple[type[Record], ...] = (
     Begin, Configure, Sense, Move, Positions, Open, PhaseDelivery, RobotFrames, RoundReport, Close, Lost, End, Stop,
-    Shutdown, WorldReport, RobotStatus, RadioReport, Maps, ErrorReport, Watched, Snapshot, Outlines, FaultEvent, Back, Change,
-    RelayUpdate, MapChanges, Broadcasts,
+    Shutdown, WorldReport, RobotStatus, RadioReport, Maps, ErrorReport, Watched, Snapshot, Outlines, FaultEvent, Back,
+    Change, RelayUpdate, MapChanges, Broadcasts,
 )  # fmt: skip
 _HEAD = {kind: 0x90 | len(kind.__struct_fields__) + 1 for kind in _TYPES}
 """First byte of each message: the msgpack head of a list with this number of items."""

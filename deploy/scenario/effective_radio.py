@@ -22,7 +22,7 @@ def effective_radio(plan: Plan) -> str:
 def _parts(plan: Plan) -> Iterator[str]:
     scenario, options = plan.scenario, plan.scenario.radio
     if options.preset:
-        yield f"{options.preset}, {PRESETS[options.preset].words}"
+        yield f"{options.preset}, {PRESETS[options.preset].description}"
     sharing = "each neighborhood" if options.reuse else "the team"
     rate = (
         scenario.bandwidth

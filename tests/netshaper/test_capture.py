@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from netshaper import capture, pcapng
-from netshaper.capture import CAPTURED_AT_MOST, KEPT, PART, VERDICTS, Captured
+from netshaper.capture import KEPT, MAX_PACKET, PART, VERDICTS, Captured
 from netshaper.frame_log import FrameLog, LoggedFrame, comment, receivers_of
 from netshaper.ledger import EVERYONE
 from netshaper.pcapng import CaptureError, Reader
@@ -66,7 +66,7 @@ def test_decoding_inverts_encoding(said: list[tuple[int, list[LoggedFrame]]]) ->
     for (step, seen), found in zip(wanted, read(write(said)), strict=True):
         kept = seen.payload if seen.verdict == 0 else seen.payload[:KEPT]
         assert (found.step, found.part, found.size) == (step, 0, len(seen.payload))
-        assert found.words == comment(
+        assert found.comment == comment(
             seen.verdict, seen.receiver, tuple(receivers_of(seen.receivers)), seen.reason
         )
         assert found.seen == LoggedFrame(
@@ -101,7 +101,7 @@ def test_robots_beyond_the_plain_head_are_read_back(seen: list[LoggedFrame]) -> 
     for wanted, found in zip(seen, read(write([(1, seen)])), strict=True):
         kept = wanted.payload if wanted.verdict == 0 else wanted.payload[:KEPT]
         assert found.seen == wanted._replace(payload=kept, reason="")
-        assert capture.hearers(found.seen) == receivers_of(wanted.receivers)
+        assert capture.received_by(found.seen) == receivers_of(wanted.receivers)
 
 
 @given(steps, st.integers(0, 10**6))
@@ -137,7 +137,7 @@ def test_the_capture_has_every_byte_that_the_ledger_books(robots: int, seed: int
         seen = frame.seen
         key = (seen.round, seen.connection, seen.frame, seen.sender, seen.receiver, seen.map, seen.verdict)
         found[(frame.step, *key)] += frame.size
-        heard_of += frame.size * len(capture.hearers(seen))
+        heard_of += frame.size * len(capture.received_by(seen))
     assert +found == +booked
     assert heard_of == heard
 
@@ -150,7 +150,7 @@ def test_what_is_said_between_steps_is_booked_to_the_next_one() -> None:
     step = network.step(2, {0: (0, 0), 1: (1, 1)})
     rows, first = step.rows, read(capture.head("") + step.report.frames)[0]
     assert (first.step, first.seen.sender, first.verdict, first.size) == (2, 0, "protocol", 3)
-    assert first.words == "refused: spoke out of turn"
+    assert first.comment == "refused: spoke out of turn"
     assert int(rows["bytes"][rows["cause"] > 0].sum()) == 3
 
 
@@ -167,7 +167,7 @@ def test_a_frame_too_long_for_one_packet_of_wireshark_is_several_that_hold_whole
     frames = read(write([(1, seen)]))
     assert [frame.part for frame in frames] == [0, 1, 2]
     assert b"".join(frame.seen.payload for frame in frames) == payload
-    assert all(capture.HEAD.size + frame.size <= CAPTURED_AT_MOST for frame in frames)
+    assert all(capture.HEAD.size + frame.size <= MAX_PACKET for frame in frames)
     assert all(frame.size % 2 == 0 for frame in frames)
 
 
@@ -187,7 +187,7 @@ def test_the_comment_says_comment_what_became_of_a_frame(
     receiver: int, verdict: int, hearers: int, reason: str, words: str
 ) -> None:
     seen = LoggedFrame(0, 0, 0, 1, receiver, 0, verdict, hearers, b"\xc0\x00", reason)
-    assert read(write([(1, [seen])]))[0].words == words
+    assert read(write([(1, [seen])]))[0].comment == words
 
 
 @pytest.mark.parametrize(
@@ -199,7 +199,7 @@ def test_the_comment_says_comment_what_became_of_a_frame(
             pcapng.head(1, "x", "y", "z") + plain_books.packet(0, bytes(40), 40, ""),
             "link type 1 instead of 147",
         ),
-        (capture.head("") + plain_books.packet(0, b"\x07", 1, ""), "without a head of version 1 or 2: 07"),
+        (capture.head("") + plain_books.packet(0, b"\x07", 1, ""), "without a header of version 1 or 2: 07"),
         (capture.head("") + plain_books.packet(0, b"\x01\x09" + bytes(22), 24, ""), "frame 9 and verdict 0"),
         (capture.head("") + b"\x06\x00\x00\x00\x0d\x00\x00\x00" + bytes(8), "a block of 13 bytes"),
         (capture.head("") + b"\x06\x00\x00\x00\x10\x00\x00\x00" + bytes(8), "whose two lengths differ"),
