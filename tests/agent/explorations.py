@@ -1,4 +1,4 @@
-"""What polygons are tested on: random grids, real maps, and explorations that grow a map step by step."""
+"""Test input for polygons: random grids, real maps, and explorations that grow a map step by step."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def grids(draw: st.DrawFn, max_side: int = 14) -> tuple[Grid, Cell]:
 def growing_maps(draw: st.DrawFn, max_side: int = 14) -> list[tuple[Grid, Cell]]:
     """A world that is uncovered patch by patch, in any order, also where the robot cannot see it yet.
 
-    Now and then a cell changes its mind. Objects are born, vanish, split and join.
+    Now and then a known cell changes. Objects are born, vanish, split and join.
     """
     world, robot = draw(grids(max_side))
     height, width = world.shape

@@ -75,6 +75,6 @@ def test_strategies_and_encodings_of_a_package_run_by_their_names(installed: Pat
 def test_strategies_of_a_package_are_listed_even_if_their_import_fails(installed: Path) -> None:
     listed = python(installed, "-m", "deploy.commands.main", "strategies")
     assert listed.returncode == 0, listed.stderr
-    said = " ".join(listed.stdout.split())
-    assert "our own farthest section 1 to the farthest goal" in said
-    assert "package farthest-first torn cannot be imported: RuntimeError: torn" in said
+    printed = " ".join(listed.stdout.split())
+    assert "our own farthest section 1 to the farthest goal" in printed
+    assert "package farthest-first torn cannot be imported: RuntimeError: torn" in printed

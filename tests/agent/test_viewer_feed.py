@@ -24,22 +24,22 @@ def room(width: int = 7) -> Any:
     return grid
 
 
-def test_all_is_shown_first_and_then_only_what_has_changed() -> None:
+def test_the_first_feed_has_all_maps_and_later_feeds_only_changed_maps() -> None:
     feed = ViewerFeed()
     grid = room()
     mine, other = contours(grid, (2, 2)), contours(room(9), (2, 2))
     first = feed.news(5, robot(grid, {0: mine, 2: other}))
-    assert [type(said) for said in first] == [Snapshot, Outlines, Outlines]
+    assert [type(message) for message in first] == [Snapshot, Outlines, Outlines]
     assert feed.news(10, robot(grid.copy(), {0: mine, 2: other})) == []
     grid = grid.copy()
     grid[2, 2] = 0
-    (said,) = feed.news(15, robot(grid, {0: mine, 2: other}))
-    assert isinstance(said, Snapshot)
-    assert said.step == 15
-    assert (grid_from_bytes(said.planning, said.width, said.height) == grid).all()
-    (said,) = feed.news(20, robot(grid, {0: mine, 2: mine}))
-    assert isinstance(said, Outlines)
-    assert said.map_id == 2
+    (message,) = feed.news(15, robot(grid, {0: mine, 2: other}))
+    assert isinstance(message, Snapshot)
+    assert message.step == 15
+    assert (grid_from_bytes(message.planning, message.width, message.height) == grid).all()
+    (message,) = feed.news(20, robot(grid, {0: mine, 2: mine}))
+    assert isinstance(message, Outlines)
+    assert message.map_id == 2
 
 
 def test_outlines_contain_position_object_and_kind_of_every_vertex() -> None:

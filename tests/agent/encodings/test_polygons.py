@@ -83,7 +83,7 @@ def reported(map_encoding: PolygonEncoding, steps: Sequence[tuple[Grid, Cell]]) 
     return [record(map_encoding, grid, cell) for grid, cell in steps]
 
 
-# --- telling and taking --------------------------------------------------------------------------------
+# --- encoding and decoding -----------------------------------------------------------------------------
 
 
 @given(growing_maps(), st.sampled_from([None, 50.0, 2000.0]))
@@ -136,7 +136,7 @@ def test_an_option_that_would_break_the_splitting_frequency_is_refused(option: d
         PolygonOptions(**option)
 
 
-def test_a_step_without_news_tells_nothing_more_once_all_is_exact() -> None:
+def test_a_step_without_new_cells_logs_nothing_once_the_approximation_is_exact() -> None:
     one = maker((60, 80), **EXACT)
     grid, cell = walk()[-1]
     assert record(one, grid, cell)
@@ -144,7 +144,7 @@ def test_a_step_without_news_tells_nothing_more_once_all_is_exact() -> None:
     assert record(one, grid, cell) == []
 
 
-def test_a_step_without_news_refines_on_at_the_splitting_frequency() -> None:
+def test_a_step_without_new_cells_refines_at_the_splitting_frequency() -> None:
     one = maker((60, 80), bandwidth=300.0)
     grid, cell = walk()[-1]
     sizes = []
@@ -188,7 +188,7 @@ def test_bytes_per_split_are_measured_unless_given() -> None:
 # --- merging -------------------------------------------------------------------------------------------
 
 
-def test_the_plan_is_all_approximations_merged_with_ones_own_grid() -> None:
+def test_the_planning_map_merges_all_approximations_with_the_self_explored_grid() -> None:
     shape = (60, 80)
     receiver = maker(shape, 2)
     team = TeamMap(Drawing(False, False, wide_walls=True, close_slivers=True))
@@ -371,5 +371,5 @@ def test_options_without_meaning_are_refused(wrong: dict[str, float]) -> None:
         PolygonOptions(**wrong)
 
 
-def test_the_exchange_is_found_by_its_name() -> None:
+def test_the_polygon_encoding_is_found_by_its_name() -> None:
     assert isinstance(make_encoding(settings_of((9, 9))), PolygonEncoding)

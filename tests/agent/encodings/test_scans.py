@@ -143,7 +143,7 @@ def whole(x: int, y: int, reading: int) -> list[bytes]:
     return fragments(encode_scan(Scan(x, y, np.full(BEAMS, reading, np.uint16))))
 
 
-NONSENSE = {
+MALFORMED = {
     "another packet": [encode([Save()])],
     "another packet behind a fragment": [*whole(1, 1, 0)[:1], encode([Delete(3)])],
     "bytes that are no packet": [b"\xff"],
@@ -156,7 +156,7 @@ NONSENSE = {
 }
 
 
-@pytest.mark.parametrize("packets", NONSENSE.values(), ids=list(NONSENSE))
+@pytest.mark.parametrize("packets", MALFORMED.values(), ids=list(MALFORMED))
 def test_malformed_data_is_rejected_and_changes_nothing(packets: list[bytes]) -> None:
     maker, receiver = ScanEncoding(settings_of(0)), ScanEncoding(settings_of(1))
     first, second = scans(3, 0, 2)
@@ -172,7 +172,7 @@ def test_malformed_data_is_rejected_and_changes_nothing(packets: list[bytes]) ->
 
 
 @given(st.lists(st.binary(min_size=1, max_size=63), max_size=12))
-def test_fragments_of_noise_are_refused_or_stay_within_a_laser_of_their_place(noise: list[bytes]) -> None:
+def test_fragments_of_noise_are_rejected_or_change_only_cells_within_sensor_range(noise: list[bytes]) -> None:
     receiver = ScanEncoding(settings_of(1))
     try:
         receiver.apply(0, b"".join([encode([Fragment(data)]) for data in noise]), **LATE)

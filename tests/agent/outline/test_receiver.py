@@ -51,7 +51,7 @@ SQUARE = [Emerge(0, 4, 1), *(Insert(i, i, 1, 0, 0) for i in range(4)), Save()]
 def encoded_steps(
     splits: int | None, steps: list[tuple[np.ndarray, tuple[int, int]]]
 ) -> list[tuple[bytes, Polygons]]:
-    """What a robot says in each step, and the approximation that it means."""
+    """The packets of a robot in each step, and the approximation that they encode."""
     held = NumberedPolygons.empty(steps[0][0].shape)
     stream = []
     for grid, robot in steps:

@@ -45,7 +45,7 @@ def test_hungarian_with_fewer_goals_than_robots_takes_the_cheapest_pair_first() 
     assert hungarian(costs).tolist() == [0, 1, -1]
 
 
-def test_hungarian_assigns_all_reachable_goals_and_no_other() -> None:
+def test_hungarian_assigns_all_reachable_goals_and_no_unreachable_one() -> None:
     far = np.inf
     assert hungarian(np.array([[far, far], [3.0, far]])).tolist() == [-1, 0]
     assert hungarian(np.array([[1.0, far], [1.0, 50.0]])).tolist() == [0, 1]
@@ -81,7 +81,7 @@ def test_algorithm_2_is_no_worse_than_algorithm_1_where_that_is_short_sighted() 
 
 
 @given(st.integers(1, 3), st.integers(2, 6), st.integers(0, 2**32 - 1))
-def test_algorithm_2_finds_what_brute_force_finds(robots: int, count: int, seed: int) -> None:
+def test_algorithm_2_equals_brute_force(robots: int, count: int, seed: int) -> None:
     random = np.random.default_rng(seed)
     goals = np.stack([random.integers(0, 40, count), random.integers(0, 20, count)], axis=1).astype(np.int32)
     costs = random.uniform(0, 2, (robots, count))

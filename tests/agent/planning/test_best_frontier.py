@@ -56,7 +56,7 @@ def test_the_result_equals_that_of_an_exhaustive_search(
     check(grid, x, y, appeal_of(np.random.default_rng(seed), grid, range_cells, beta))
 
 
-def test_it_is_the_same_step_by_step_of_a_real_exploration() -> None:
+def test_the_result_equals_that_of_an_exhaustive_search_at_every_step_of_a_real_exploration() -> None:
     rng = np.random.default_rng(3)
     for grid, (x, y) in exploration(real_map("fr079"), rng, 25, 40.0):
         check(grid, x, y, appeal_of(rng, grid, 40.0, 1.0))
@@ -90,7 +90,7 @@ def test_searches_reset_their_shared_memory(case: tuple[Grid, int, int]) -> None
 
 
 @given(floors())
-def test_the_frontier_met_while_flooding_is_the_frontier_of_what_is_reached(
+def test_the_frontier_found_while_flooding_is_the_frontier_of_the_reached_cells(
     case: tuple[Grid, int, int],
 ) -> None:
     grid, x, y = case
@@ -99,7 +99,7 @@ def test_the_frontier_met_while_flooding_is_the_frontier_of_what_is_reached(
     assert found.tolist() == frontier_cells(grid, reachable(floor, x, y)).tolist()
 
 
-def test_without_a_frontier_there_is_none() -> None:
+def test_without_a_frontier_the_result_is_none() -> None:
     grid = np.full((4, 5), FREE, np.uint8)
     no_robots = TradeOff(np.empty((0, 2), np.int32), np.empty(0), np.empty(0), 5.0, 1.0)
     assert best_frontier(Floor(grid), grid, 1, 1, no_robots) is None

@@ -45,7 +45,7 @@ def test_a_way_back_is_as_long_as_the_way_there(case: tuple[Grid, int, int], see
 
 
 @given(floors(), seeds)
-def test_a_search_for_some_cells_finds_what_a_search_for_all_does(
+def test_a_search_for_some_cells_equals_a_search_for_all_cells(
     case: tuple[Grid, int, int], seed: int
 ) -> None:
     grid, x, y = case

@@ -11,7 +11,7 @@ from protocol.grid import FREE, OCCUPIED
 FIELD = Field(
     rho_robots=2.0, rho_obstacles=0.5, gain_robots=0.5, gain_obstacles=0.01, gain_frontier=1.0, damping=1.5
 )
-NOBODY = np.empty((0, 2))
+NO_ROBOTS = np.empty((0, 2))
 NOWHERE = np.empty((0, 2), np.int32)
 
 
@@ -42,7 +42,7 @@ def test_the_first_euler_step_is_the_sum_of_all_forces() -> None:
 def test_nothing_is_faster_than_the_top_speed() -> None:
     floor = np.full((300, 300), FREE, np.uint8)
     path, velocity = glide(
-        floor, 0.1, (10.0, 10.0), np.zeros(2), np.array([(290, 290)], np.int32), NOBODY, FIELD, 1.0
+        floor, 0.1, (10.0, 10.0), np.zeros(2), np.array([(290, 290)], np.int32), NO_ROBOTS, FIELD, 1.0
     )
     steps = np.hypot(*np.diff(path, axis=0).T) * 0.1 / TIME_STEP
     assert steps.max() <= 1.0 + 1e-9
@@ -53,14 +53,16 @@ def test_nothing_is_faster_than_the_top_speed() -> None:
 def test_without_forces_damping_brings_a_robot_to_rest() -> None:
     floor = np.full((100, 100), FREE, np.uint8)
     velocity = np.array([1.0, 0.0])
-    _, slower = glide(floor, 0.1, (50.0, 50.0), velocity, NOWHERE, NOBODY, FIELD, 1.0)
+    _, slower = glide(floor, 0.1, (50.0, 50.0), velocity, NOWHERE, NO_ROBOTS, FIELD, 1.0)
     assert slower[0] == pytest.approx((1 - 1.5 * TIME_STEP) ** SUBSTEPS)
 
 
-def test_a_robot_slides_along_the_border_of_what_it_knows_to_be_free() -> None:
+def test_a_robot_slides_along_the_border_of_its_known_free_space() -> None:
     floor = np.full((40, 40), FREE, np.uint8)
     floor[:, 21:] = 0
-    path, _ = glide(floor, 0.1, (20.0, 20.0), np.zeros(2), np.array([(39, 30)], np.int32), NOBODY, FIELD, 1.0)
+    path, _ = glide(
+        floor, 0.1, (20.0, 20.0), np.zeros(2), np.array([(39, 30)], np.int32), NO_ROBOTS, FIELD, 1.0
+    )
     assert path[:, 0].max() < 20.5
     assert path[-1, 1] > 20.5
 

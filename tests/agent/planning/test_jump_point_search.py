@@ -42,7 +42,7 @@ def test_costs_between_cells_are_those_of_a_plain_search_to_the_last_bit(
 
 
 @given(floors(), counts, counts, seeds)
-def test_ways_among_goals_are_those_that_a_search_from_each_finds(
+def test_costs_among_goals_equal_those_of_a_search_from_each_goal(
     case: tuple[Grid, int, int], starts: int, goals: int, seed: int
 ) -> None:
     grid, *_ = case
@@ -95,7 +95,7 @@ def test_a_search_finds_the_same_whatever_was_searched_before_it() -> None:
 
 
 @pytest.mark.parametrize("kind", ["shortest", "weighted"])
-def test_ways_cost_between_cells_what_they_cost_in_the_field(kind: str) -> None:
+def test_costs_between_cells_equal_those_of_the_whole_field(kind: str) -> None:
     grid = drawn("......?", ".####..", ".#...#.", "...#...")
     starts, goals = np.array([(0, 0), (6, 3)], np.int32), np.array([(2, 2), (5, 0), (4, 3)], np.int32)
     planner = PathPlanner(grid, kind)
@@ -105,7 +105,7 @@ def test_ways_cost_between_cells_what_they_cost_in_the_field(kind: str) -> None:
 
 
 @given(floors())
-def test_what_can_be_reached_is_the_4_connected_part_of_the_floor(case: tuple[Grid, int, int]) -> None:
+def test_the_reachable_cells_are_the_4_connected_part_of_the_floor(case: tuple[Grid, int, int]) -> None:
     grid, x, y = case
     assert (reachable(Floor(grid), x, y) == np.isfinite(costs(grid, x, y))).all()
     grid[y, x] = FREE

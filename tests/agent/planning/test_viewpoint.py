@@ -90,7 +90,7 @@ def test_a_goal_in_sight_of_the_viewpoint_needs_no_way() -> None:
 
 
 @pytest.mark.parametrize("here", [(4, 2), (4, 4), END])
-def test_a_robot_at_a_viewpoint_gets_no_other(here: tuple[int, int]) -> None:
+def test_a_robot_at_a_viewpoint_gets_no_second_viewpoint(here: tuple[int, int]) -> None:
     assert look(here, [END, (8, 4)]) is None
 
 

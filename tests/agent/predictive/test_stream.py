@@ -68,7 +68,7 @@ class Scene:
         return height, width
 
     def change(self, robot: int) -> list[Cell]:
-        """See something, forget something, change one's encoding; return where from."""
+        """Draw scans and change random cells in this robot's grid; return the cells it scanned from."""
         rng, own = self.rng, self.own[robot]
         height, width = own.shape
         truth = np.random.default_rng(3).choice((FREE, FREE, OCCUPIED), own.shape).astype(np.uint8)

@@ -37,7 +37,7 @@ def engine(dissemination: str, robots: int = 2, *, robot: int = 0, acks: bool = 
 
 @given(st.integers(2, 6), variants, seeds, st.integers(1, 3), st.sampled_from((None, 30, 100, 1000)))
 @example(3, ("backoff", False), 0, 1, None)
-def test_whoever_meets_whom_logs_are_never_wrong_and_complete_in_the_end(
+def test_with_any_encounters_logs_are_never_wrong_and_complete_in_the_end(
     robots: int, variant: tuple[str, bool], seed: int, rounds: int, budget: int | None
 ) -> None:
     network = Network(robots, variant[0], seed, acks=variant[1])
@@ -133,7 +133,7 @@ def test_losing_a_fifth_of_the_frames_does_not_multiply_the_traffic(name: str, m
 
 
 @pytest.mark.parametrize(("name", "acks"), VARIANTS)
-def test_a_partition_of_a_hundred_steps_is_made_up_for(name: str, acks: bool) -> None:
+def test_logs_become_complete_after_a_partition_of_a_hundred_steps(name: str, acks: bool) -> None:
     network = Network(4, name, 2, acks=acks, loss=0.1 if acks else 0.0)
     apart: Reach = {0: [1], 1: [0], 2: [3], 3: [2]}
     for step in range(120):

@@ -295,7 +295,7 @@ def test_peers_that_keep_up_receive_new_entries_before_others_receive_old_ones()
     assert network.length(2, 0) == 11
 
 
-def test_no_entries_are_sent_that_all_in_range_lack_the_ones_before() -> None:
+def test_no_entries_are_sent_whose_predecessors_all_in_range_lack() -> None:
     network, reach = gossip(3), {0: [2], 1: [], 2: [0]}
     for _ in range(4):
         network.append(0, 2)
@@ -331,7 +331,7 @@ def test_entries_that_came_behind_a_gap_are_kept_until_it_is_filled() -> None:
     )
 
 
-def test_entries_that_were_kept_and_turn_out_false_are_replaced_when_the_true_ones_come() -> None:
+def test_false_entries_behind_a_gap_are_replaced_when_the_true_entries_arrive() -> None:
     lie = entry(0, 7)
     each = engine(2, 3, acks=True, lie=lie)
     each.open_round(0, [0, 1], None)

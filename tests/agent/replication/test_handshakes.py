@@ -103,13 +103,13 @@ def test_an_answer_that_was_not_on_the_air_changes_nothing() -> None:
     each = engine()
     each.append(entries(0, 0, 5))
     for number in range(3):
-        assert each.open_round(0, [1], None), "an answer that nobody received is no refusal"
+        assert each.open_round(0, [1], None), "an answer that no robot received is no refusal"
         each.send_data([Delivery(1, encode([Answer(3 + number)]), number, 0)])
         each.close_round(closing(ConnectionReport(number, 2, 0, 0)))
         assert each.peers.expected[1, 0] == 0
 
 
-def test_a_peer_that_declines_still_counts_as_holding_what_it_was_sent() -> None:
+def test_a_peer_that_declines_still_counts_as_holding_the_entries_sent_to_it() -> None:
     network = Network(2, "thesis")
     network.append(0, 4)
     network.round(0, everyone(2))
@@ -282,7 +282,7 @@ def truncate(network: Network) -> list[list[int]]:
     return [[log.start for log in each.logs] for each in network.engines]
 
 
-def test_entries_that_all_robots_hold_are_truncated_and_no_others() -> None:
+def test_only_entries_that_all_robots_hold_are_truncated() -> None:
     network = Network(3, "thesis")
     for robot in range(3):
         network.append(robot, 10)
@@ -362,7 +362,7 @@ def test_all_robots_hold_the_least_that_any_other_holds(team: Any) -> None:
 
 
 @given(st.integers(2, 40), st.none() | st.integers(0, 3000), policies)
-def test_a_crowd_makes_no_more_offers_than_the_medium_could_carry_answers_of(
+def test_a_crowd_makes_no_more_offers_than_the_medium_can_carry_answers_to(
     robots: int, budget: int | None, policy: str
 ) -> None:
     network = Network(robots, policy)
@@ -389,7 +389,7 @@ def test_in_a_crowd_every_robot_has_its_turn() -> None:
     assert offered[: robots - 1] == [*range(8, robots), *range(7)]
 
 
-def test_a_crowd_s_logs_reach_everyone_all_the_same() -> None:
+def test_the_logs_of_a_crowd_still_reach_all_robots() -> None:
     robots = CROWD + 4
     network = Network(robots, seed=1)
     for robot in range(robots):
@@ -517,7 +517,7 @@ def test_an_answer_to_an_offer_that_was_not_made_is_an_error() -> None:
 
 
 @pytest.mark.parametrize("claimed", [2, 3, 4095])
-def test_a_peer_that_claims_as_much_or_more_is_sent_nothing(claimed: int) -> None:
+def test_no_entries_go_to_a_peer_that_claims_as_many_or_more(claimed: int) -> None:
     each = engine()
     each.append(entries(0, 0, 2))
     each.open_round(0, [1], None)
@@ -527,7 +527,7 @@ def test_a_peer_that_claims_as_much_or_more_is_sent_nothing(claimed: int) -> Non
     assert each.delivered()
 
 
-def test_a_peer_that_claims_less_than_it_was_sent_is_not_sent_it_again() -> None:
+def test_entries_are_not_repeated_to_a_peer_that_claims_fewer_than_it_received() -> None:
     network = Network(2, "thesis")
     network.append(0, 9)
     network.round(0, everyone(2))

@@ -1,4 +1,4 @@
-"""What strategies decide, worked out by hand on small maps."""
+"""Decisions of strategies, worked out by hand on small maps."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def robot_at(x: int, y: int = 1, grid: Grid = CORRIDOR, **others: Any) -> Situat
     return Situation(step=1, grid=grid, x=x, y=y, home=(x, y), **others)
 
 
-def mind(
+def make_strategy(
     name: str, options: dict[str, Any] | None = None, grid: Grid = CORRIDOR, **settings: Any
 ) -> Strategy:
     return strategy(name)(options or {}, settings_for(grid, **settings))
@@ -42,7 +42,7 @@ def mind(
 def decide(
     name: str, situation: Situation, options: dict[str, Any] | None = None, **settings: Any
 ) -> Decision:
-    return mind(name, options, situation.grid, **settings).decide(situation)
+    return make_strategy(name, options, situation.grid, **settings).decide(situation)
 
 
 def test_alone_meier_takes_the_nearest_frontier() -> None:
@@ -73,21 +73,21 @@ def test_of_two_robots_with_close_targets_the_higher_numbered_chooses_again_once
     name: str, options: dict[str, Any]
 ) -> None:
     for robot, other, expected in ((1, 0, (14, 1)), (0, 1, (0, 1))):
-        swarm = mind(name, options, robot=robot)
+        swarm = make_strategy(name, options, robot=robot)
         assert swarm.decide(robot_at(4)).target == (0, 1)
-        heard = {other: (0, 1)}
-        news = robot_at(4, targets=heard, target_steps={other: 2}, new_targets=heard)
+        received = {other: (0, 1)}
+        news = robot_at(4, targets=received, target_steps={other: 2}, new_targets=received)
         assert swarm.decide(news).target == expected
 
 
 def test_a_target_behind_a_wall_is_no_herding() -> None:
     # Two corridors, each with frontier cells at both ends.
     grid = drawn("?...............?", "#################", "?...............?")
-    for told, expected in (((1, 2), (1, 0)), ((2, 0), (15, 0))):
-        swarm = mind("meier", {"beta": 0.1}, grid, robot=1)
+    for cell, expected in (((1, 2), (1, 0)), ((2, 0), (15, 0))):
+        swarm = make_strategy("meier", {"beta": 0.1}, grid, robot=1)
         assert swarm.decide(robot_at(5, 0, grid=grid)).target == (1, 0)
-        heard = {0: told}
-        later = robot_at(12, 0, grid=grid, targets=heard, target_steps={0: 2}, new_targets=heard)
+        received = {0: cell}
+        later = robot_at(12, 0, grid=grid, targets=received, target_steps={0: 2}, new_targets=received)
         assert swarm.decide(later).target == expected
 
 
@@ -125,7 +125,7 @@ def test_algorithm_2_counts_costs_squared() -> None:
 
 def test_burgard_replans_periodically_with_every() -> None:
     for every, expected in ((0, (0, 1)), (5, (14, 1))):
-        team = mind("burgard", {"every": every})
+        team = make_strategy("burgard", {"every": every})
         assert team.decide(robot_at(4)).target == (0, 1)
         assert team.decide(replace(robot_at(11), step=4)).target == (0, 1)
         assert team.decide(replace(robot_at(11), step=5)).target == expected
@@ -133,7 +133,7 @@ def test_burgard_replans_periodically_with_every() -> None:
 
 def test_burgard_replans_after_a_time_and_after_a_distance() -> None:
     for options in ({"after_steps": 5}, {"after_metres": 0.7}):
-        team = mind("burgard", options)
+        team = make_strategy("burgard", options)
         assert team.decide(replace(robot_at(4), step=3)).target == (0, 1)
         soon = replace(robot_at(11), step=7, traveled={0: 6.0})
         assert team.decide(soon).target == (0, 1)
@@ -150,7 +150,7 @@ def test_burgard_avoids_cells_of_high_occupancy() -> None:
 
 
 def test_greedy_draws_the_same_order_of_robots_in_all_members() -> None:
-    # Whoever comes first takes the left goal.
+    # The first robot in the order takes the left goal.
     cells = {0: (5, 1), 1: (6, 1)}
     left = []
     for step in range(1, 20):
@@ -197,30 +197,30 @@ def test_hungarian_depot_assigns_near_goals_to_robots_that_traveled_far() -> Non
 
 def test_of_two_members_with_one_target_the_higher_numbered_chooses_again() -> None:
     for robot, other, expected in ((1, 0, (14, 1)), (0, 1, (0, 1))):
-        member = mind("iterative", robot=robot)
+        member = make_strategy("iterative", robot=robot)
         assert member.decide(robot_at(4)).target == (0, 1)
-        heard = {other: (0, 1)}
+        received = {other: (0, 1)}
         there = {other: Pose(1, 1, leads=False)}
-        said = robot_at(
-            4, peers=(other,), poses=there, targets=heard, target_steps={other: 2}, new_targets=heard
+        situation = robot_at(
+            4, peers=(other,), poses=there, targets=received, target_steps={other: 2}, new_targets=received
         )
-        assert member.decide(replace(said, step=2)).target == expected
+        assert member.decide(replace(situation, step=2)).target == expected
 
 
 def test_a_member_that_is_done_makes_the_others_choose_again_once() -> None:
     opened = CORRIDOR.copy()
     opened[0, 14] = 2
     opened[2, 14] = UNKNOWN
-    told: dict[str, Any] = {"targets": {1: (12, 1)}, "target_steps": {1: 2}, "peers": (1,)}
-    told["poses"] = {1: Pose(12, 1, leads=False)}
-    member = mind("iterative")
+    teammate: dict[str, Any] = {"targets": {1: (12, 1)}, "target_steps": {1: 2}, "peers": (1,)}
+    teammate["poses"] = {1: Pose(12, 1, leads=False)}
+    member = make_strategy("iterative")
     assert member.decide(robot_at(4, grid=opened)).target == (0, 1)
-    assert member.decide(replace(robot_at(4, grid=opened, **told), step=2)).target == (0, 1)
+    assert member.decide(replace(robot_at(4, grid=opened, **teammate), step=2)).target == (0, 1)
     # Nearer to the other end by now, with the same teammate done with the same target.
-    told["poses"] = {1: Pose(2, 1, leads=False)}
-    assert member.decide(replace(robot_at(11, grid=opened, **told), step=3)).target == (0, 1)
-    told["targets"] = {1: (2, 1)}
-    assert member.decide(replace(robot_at(11, grid=opened, **told), step=4)).target == (14, 1)
+    teammate["poses"] = {1: Pose(2, 1, leads=False)}
+    assert member.decide(replace(robot_at(11, grid=opened, **teammate), step=3)).target == (0, 1)
+    teammate["targets"] = {1: (2, 1)}
+    assert member.decide(replace(robot_at(11, grid=opened, **teammate), step=4)).target == (14, 1)
 
 
 def test_allocation_strategies_straighten_their_routes() -> None:
@@ -236,7 +236,7 @@ def test_a_robot_without_a_goal_relies_on_its_teammates_for_a_limited_time() -> 
     one_frontier = CORRIDOR.copy()
     one_frontier[0, 14] = 2
     waits = robot_at(6, grid=one_frontier, peers=(0,), poses={0: Pose(1, 1, leads=False)})
-    member = mind("hungarian", {"candidates": "rfe"}, robot=1)
+    member = make_strategy("hungarian", {"candidates": "rfe"}, robot=1)
     targets = [member.decide(replace(waits, step=step)).target for step in range(1, 22)]
     assert targets == [None] * 19 + [(0, 1)] * 2
 
@@ -253,19 +253,19 @@ def test_a_robot_without_a_goal_waits_and_is_not_done() -> None:
 
 
 def test_at_goal_a_team_replans_when_a_member_arrives_and_not_when_a_goal_is_opened() -> None:
-    team = mind("hungarian", {"replan": "at-goal", "candidates": "cells"}, ranges_cells=[50.0, 50.0])
+    team = make_strategy("hungarian", {"replan": "at-goal", "candidates": "cells"}, ranges_cells=[50.0, 50.0])
     there = {1: Pose(10, 1, False)}
     first = team.decide(robot_at(4, peers=(1,), poses=there))
     assert first.target == (0, 1)
     opened = CORRIDOR.copy()
     opened[0, 0] = 2
-    told: dict[str, Any] = {"targets": {1: (14, 1)}, "target_steps": {1: 2}, "peers": (1,)}
-    assert team.decide(robot_at(3, grid=opened, poses=there, **told)).target == (0, 1)
+    teammate: dict[str, Any] = {"targets": {1: (14, 1)}, "target_steps": {1: 2}, "peers": (1,)}
+    assert team.decide(robot_at(3, grid=opened, poses=there, **teammate)).target == (0, 1)
     arrived = {1: Pose(14, 1, False)}
-    assert team.decide(robot_at(3, grid=opened, poses=arrived, **told)).target != (0, 1)
+    assert team.decide(robot_at(3, grid=opened, poses=arrived, **teammate)).target != (0, 1)
 
 
-def test_a_disc_keeps_off_what_it_would_touch() -> None:
+def test_a_disc_keeps_its_radius_from_obstacles() -> None:
     grid = np.full((15, 15), FREE, np.uint8)
     grid[7, 5:10] = 2
     grid[0, 7] = UNKNOWN
@@ -273,10 +273,10 @@ def test_a_disc_keeps_off_what_it_would_touch() -> None:
     assert all(abs(x - 7) > 4 or abs(y - 7) > 2 for x, y in path.tolist())
 
 
-def test_with_nothing_left_an_open_mission_is_done_and_a_returning_robot_drives_home() -> None:
+def test_without_frontiers_an_open_mission_is_done_and_a_returning_robot_drives_home() -> None:
     known = drawn("#######", ".......", "#######")
     assert decide("meier", robot_at(5, grid=known)).explored
-    swarm = mind("meier", {"mission": "return"}, known)
+    swarm = make_strategy("meier", {"mission": "return"}, known)
     on_the_way = swarm.decide(replace(robot_at(5, grid=known), home=(1, 1)))
     assert not on_the_way.explored
     assert on_the_way.path[-1].tolist() == [1, 1]
@@ -285,9 +285,9 @@ def test_with_nothing_left_an_open_mission_is_done_and_a_returning_robot_drives_
 
 @pytest.mark.parametrize("mission", ["open", "return"])
 @pytest.mark.parametrize("name", ["burgard", "hungarian", "mtsp"])
-def test_a_member_of_a_team_is_done_in_every_step_in_which_nothing_is_left(name: str, mission: str) -> None:
+def test_a_member_of_a_team_is_done_in_every_step_without_frontiers(name: str, mission: str) -> None:
     known = drawn("#######", ".......", "#######")
-    member = mind(name, {"mission": mission}, known)
+    member = make_strategy(name, {"mission": mission}, known)
     at_home = robot_at(5, grid=known, peers=(1,), poses={1: Pose(2, 1, False)})
     done = [member.decide(replace(at_home, step=step)).explored for step in range(1, 2 * PLAN_ALONE_AFTER)]
     assert all(done)
@@ -295,10 +295,10 @@ def test_a_member_of_a_team_is_done_in_every_step_in_which_nothing_is_left(name:
     assert not member.decide(replace(left, step=2 * PLAN_ALONE_AFTER)).explored
 
 
-def test_a_returning_robot_is_home_where_teammates_that_are_back_stop_it_again_and_again() -> None:
+def test_a_returning_robot_near_home_is_done_once_returned_teammates_block_it_for_long() -> None:
     known = np.repeat(drawn("#######", ".......", "#######"), 10, axis=1)
     for start, near in ((3, True), (60, False)):
-        swarm = mind("meier", {"mission": "return"}, known)
+        swarm = make_strategy("meier", {"mission": "return"}, known)
         at = replace(robot_at(start, grid=known), home=(0, 1), blocked="robot")
         after = [swarm.decide(replace(at, step=step)) for step in range(1, 20)]
         assert [decision.explored for decision in after] == [False] * 9 + [near] * 10
@@ -310,16 +310,16 @@ CUT_OFF = drawn("?..............?", "................", "################", "...
 
 
 @pytest.mark.parametrize("name", ["hungarian-depot", "mtsp-depot", "meier"])
-def test_a_robot_that_sees_no_way_home_explores_all_the_same(name: str) -> None:
+def test_a_robot_without_a_known_way_home_still_explores(name: str) -> None:
     cut_off = replace(robot_at(7, grid=CUT_OFF), home=(0, 3), homes={0: (0, 3)})
     assert decide(name, cut_off, {"mission": "return"}).target is not None
 
 
 @pytest.mark.parametrize("name", ["hungarian-depot", "mtsp-depot", "meier"])
-def test_a_robot_that_sees_no_way_home_for_long_is_home_where_it_is(name: str) -> None:
+def test_a_robot_without_a_way_home_for_long_ends_its_mission(name: str) -> None:
     known = np.where(CUT_OFF == UNKNOWN, FREE, CUT_OFF).astype(np.uint8)
     cut_off = replace(robot_at(7, grid=known), home=(0, 3), homes={0: (0, 3)})
-    swarm = mind(name, {"mission": "return"}, known, robots=1)
+    swarm = make_strategy(name, {"mission": "return"}, known, robots=1)
     after = [swarm.decide(replace(cut_off, step=step)) for step in range(1, 20)]
     assert [decision.explored for decision in after] == [False] * (HOME_AFTER - 1) + [True] * 10
     assert {decision.status for decision in after} == {"idle: the map shows no way home"}
@@ -332,7 +332,7 @@ def test_a_robot_that_sees_no_way_home_for_long_is_home_where_it_is(name: str) -
 
 def test_stop_scan_replan_stays_for_a_full_turn_and_then_publishes() -> None:
     settings: dict[str, Any] = {"scanner_turn": 72.0, "speed_cells": 1.0}
-    swarm = mind("stop-scan-replan", **settings)
+    swarm = make_strategy("stop-scan-replan", **settings)
     decisions = [swarm.decide(robot_at(4)) for _ in range(5)]
     assert [decision.target for decision in decisions] == [None] * 4 + [(0, 1)]
     assert [decision.publish for decision in decisions] == [True] * 5
@@ -341,29 +341,31 @@ def test_stop_scan_replan_stays_for_a_full_turn_and_then_publishes() -> None:
 
 
 def test_classical_does_not_scan_on_the_way() -> None:
-    swarm = mind("classical", scanner_turn=0.0)
+    swarm = make_strategy("classical", scanner_turn=0.0)
     assert swarm.decide(robot_at(4)).target is not None
     assert not swarm.decide(robot_at(3)).look
 
 
 def test_classical_scans_where_an_unknown_wall_stops_it() -> None:
-    swarm = mind("classical", scanner_turn=0.0)
+    swarm = make_strategy("classical", scanner_turn=0.0)
     assert swarm.decide(robot_at(4)).target is not None
     assert swarm.decide(replace(robot_at(3), blocked="wall")).look
 
 
 def test_a_robot_stopped_for_long_publishes_its_map() -> None:
-    swarm = mind("stop-scan-replan")
+    swarm = make_strategy("stop-scan-replan")
     assert swarm.decide(robot_at(4)).target == (0, 1)
-    told = [swarm.decide(replace(robot_at(3), step=step, blocked="robot")).publish for step in range(2, 14)]
-    assert sum(told) == 1
+    published = [
+        swarm.decide(replace(robot_at(3), step=step, blocked="robot")).publish for step in range(2, 14)
+    ]
+    assert sum(published) == 1
 
 
 def test_scan_replan_keeps_an_opened_target_and_continuous_replan_does_not() -> None:
     opened = CORRIDOR.copy()
     opened[0, 0] = 2
     for name, expected in (("scan-replan", (0, 1)), ("continuous-replan", (14, 1))):
-        swarm = mind(name)
+        swarm = make_strategy(name)
         assert swarm.decide(robot_at(4)).target == (0, 1)
         after = swarm.decide(robot_at(3, grid=opened))
         assert after.target == expected
@@ -372,7 +374,9 @@ def test_scan_replan_keeps_an_opened_target_and_continuous_replan_does_not() -> 
 
 def test_a_bid_is_that_of_equation_1() -> None:
     grid = drawn("??????", "......", "######")
-    bids = mind("sheng-bid", {"gain": 2.0, "distance": 0.5, "nearness": 0.25}, grid, ranges_cells=[2.0, 2.0])
+    bids = make_strategy(
+        "sheng-bid", {"gain": 2.0, "distance": 0.5, "nearness": 0.25}, grid, ranges_cells=[2.0, 2.0]
+    )
     assert isinstance(bids, ShengBid)
     goals = np.array([(0, 1), (3, 1)], np.int32)
     # In a disc of two cells around (0, 1) lie (0, 0) and (1, 0); around (3, 1) three cells.
@@ -388,7 +392,7 @@ def test_a_bid_is_that_of_equation_1() -> None:
     np.testing.assert_allclose(
         bids.bids(near, goals, PathPlanner(grid))[1], seen_by_it - 0.5 * 2 / 2 - 0.25 * 2 / 2
     )
-    # So will one that is headed there, of which no_robots knows how near it is.
+    # So will a teammate that is headed there, at an unknown distance.
     headed = replace(situation, targets={1: (5, 1)})
     np.testing.assert_allclose(bids.bids(headed, goals, PathPlanner(grid))[1], seen_by_it - 0.5 * 2 / 2)
 
@@ -415,15 +419,15 @@ def test_leaders_are_elected_over_a_scripted_sequence_of_meetings() -> None:
 
 def test_a_leader_is_sensed_within_rho_lead_and_radio_range() -> None:
     # Cells of a metre, and rho_lead is 4 m: robot 1 becomes a leader itself if it senses none.
-    def leads(x: int, *, says: bool = True, in_range: bool = True) -> bool:
-        trooper = mind("leaders", robot=1, resolution=1.0)
-        near = {0: Pose(x, 1, leads=says)}
+    def leads(x: int, *, leading: bool = True, in_range: bool = True) -> bool:
+        trooper = make_strategy("leaders", robot=1, resolution=1.0)
+        near = {0: Pose(x, 1, leads=leading)}
         trooper.decide(robot_at(10, peers=(0,) if in_range else (), poses=near))
         return trooper.leads
 
     assert not leads(6)
     assert leads(5)
-    assert leads(6, says=False)
+    assert leads(6, leading=False)
     assert leads(6, in_range=False)
 
 
@@ -448,17 +452,17 @@ def test_a_leader_takes_the_shortest_way_and_a_trooper_stops_before_the_wall() -
         "?.........",
     )
     settings = {"speed_cells": 30.0, "resolution": 1.0}
-    leader = mind("leaders", {}, grid, **settings).decide(robot_at(0, 0, grid=grid))
+    leader = make_strategy("leaders", {}, grid, **settings).decide(robot_at(0, 0, grid=grid))
     assert leader.points[-1].tolist() == [0, 3000] or leader.points[-1].tolist() == [1000, 4000]
     assert max(x for x, _ in leader.points.tolist()) >= 6500
-    trooper = mind("potential-field", {}, grid, **settings).decide(robot_at(0, 0, grid=grid))
+    trooper = make_strategy("potential-field", {}, grid, **settings).decide(robot_at(0, 0, grid=grid))
     assert max(y for _, y in trooper.points.tolist()) < 1500
 
 
 def test_a_leader_drives_around_a_teammate_that_stops_it() -> None:
     grid = np.full((9, 12), FREE, np.uint8)
     grid[4, 11] = UNKNOWN
-    leader = mind("leaders", {}, grid, speed_cells=1.0, resolution=1.0)
+    leader = make_strategy("leaders", {}, grid, speed_cells=1.0, resolution=1.0)
     for step, blocked in enumerate(("", "robot", "robot"), start=1):
         points = leader.decide(replace(robot_at(3, 4, grid=grid), step=step, blocked=blocked)).points
     around = crossed((3000, 4000), points, 100.0).tolist()
@@ -485,7 +489,7 @@ def test_a_robot_turns_around_where_an_unseen_wall_stops_it(name: str) -> None:
 
 
 def test_a_robot_without_progress_is_stalled() -> None:
-    swarm = mind("potential-field", {}, resolution=0.1)
+    swarm = make_strategy("potential-field", {}, resolution=0.1)
     # Between two frontier points at the same distance, in a closed corridor.
     stalled = [swarm.decide(replace(robot_at(7), step=step)).stalled for step in range(1, 70)]
     assert stalled.index(True) == 60
@@ -493,7 +497,7 @@ def test_a_robot_without_progress_is_stalled() -> None:
 
 def test_a_slow_leader_that_drives_is_not_stalled() -> None:
     # A hundredth of a metre a step, in cells of 0.1 m: in 60 steps it does not get away a metre.
-    leader = mind("leaders", {}, resolution=0.1, speed_cells=0.1)
+    leader = make_strategy("leaders", {}, resolution=0.1, speed_cells=0.1)
     driven = [divmod(100 * step + 500, 1000) for step in range(1, 140)]
     steps = [
         replace(robot_at(13 - cells), step=step, offset=(500 - rest, 0))

@@ -1,4 +1,4 @@
-"""Sub-teams are all that are connected, where those between pass on what they have heard."""
+"""Connected sub-teams: robots in between forward the states that they received."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ READINGS = (ray_table(5.0, 360).start[1:] - ray_table(5.0, 360).start[:-1]).asty
 
 
 class Watched(Burgard):
-    """Burgard's, remembering whom it decided with, and what it was told."""
+    """Burgard's strategy; records its last situation and sub-team."""
 
     name = "watched"
 
     def decide(self, situation: Situation) -> Any:
-        """Decide, and remember."""
-        self.told, self.members = situation, tuple(self.team(situation))
+        """Record the situation and the sub-team, then decide."""
+        self.situation, self.members = situation, tuple(self.team(situation))
         return super().decide(situation)
 
 
 class Line:
-    """Robots in a row, each of which hears those beside it, if there is nothing between."""
+    """Robots in a row; each receives from its direct neighbors unless the link is broken."""
 
     def __init__(self, robots: int, sub_team: str, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("agent.robot.strategy", lambda name: Watched)
         options = {"sub_team": sub_team}
-        self.robot_settings = [
+        self.robots = [
             Robot(
                 settings_for(
                     GRID,
@@ -54,32 +54,32 @@ class Line:
         self.step_number, self.broken = 0, False
 
     def step(self, columns: list[int]) -> None:
-        """One step, with the robots in these columns; what they broadcast is heard beside them."""
+        """Play one step with the robots in these columns; neighbors receive each broadcast."""
         self.step_number += 1
-        for mind, x in zip(self.robot_settings, columns, strict=True):
-            mind.perceive(Sense(self.step_number, x, 10, 0, b"", READINGS, ""))
+        for robot, x in zip(self.robots, columns, strict=True):
+            robot.perceive(Sense(self.step_number, x, 10, 0, b"", READINGS, ""))
         beside = {
-            one: [two for two in (one - 1, one + 1) if self.hears(one, two)]
-            for one in range(len(self.robot_settings))
+            one: [two for two in (one - 1, one + 1) if self.in_range(one, two)]
+            for one in range(len(self.robots))
         }
-        frames = {one: self.robot_settings[one].announce(peers) for one, peers in beside.items()}
+        frames = {one: self.robots[one].announce(peers) for one, peers in beside.items()}
         for one, frame in frames.items():
             assert frame is None or is_broadcast(frame)
             for other in beside[one] if frame is not None else ():
                 assert frame is not None
-                self.robot_settings[other].receive_broadcast(one, frame)
+                self.robots[other].receive_broadcast(one, frame)
             report = RoundReport(self.step_number, 0, [], [], [], frame is not None)
-            self.robot_settings[one].close_round(report)
-        for mind in self.robot_settings:
-            mind.decide()
-            assert not mind.faults
+            self.robots[one].close_round(report)
+        for robot in self.robots:
+            robot.decide()
+            assert not robot.faults
 
-    def hears(self, one: int, two: int) -> bool:
-        return 0 <= two < len(self.robot_settings) and not (self.broken and {one, two} == {0, 1})
+    def in_range(self, one: int, two: int) -> bool:
+        return 0 <= two < len(self.robots) and not (self.broken and {one, two} == {0, 1})
 
     @property
     def teams(self) -> list[tuple[int, ...]]:
-        return [mind._strategy.members for mind in self.robot_settings]  # type: ignore[attr-defined]
+        return [robot._strategy.members for robot in self.robots]  # type: ignore[attr-defined]
 
 
 def test_in_a_chain_of_three_all_plan_for_three_with_relayed_states(
@@ -90,15 +90,15 @@ def test_in_a_chain_of_three_all_plan_for_three_with_relayed_states(
         targets = set()
         for step in range(3):
             line.step([5 + step, 20, 35])
-            targets.add(line.robot_settings[0].target)
+            targets.add(line.robots[0].target)
         first, last = line.teams[0], line.teams[2]
         assert [first, last] == ends
         assert line.teams[1] == (0, 1, 2)
-    told = line.robot_settings[2]._strategy.told  # type: ignore[attr-defined]
-    assert told.connected == (0,)
-    assert told.poses[0] == Pose(6, 10, leads=False), "where it was a step ago"
-    assert told.targets[0] in targets
-    assert told.traveled[0] == 1.0
+    situation = line.robots[2]._strategy.situation  # type: ignore[attr-defined]
+    assert situation.connected == (0,)
+    assert situation.poses[0] == Pose(6, 10, leads=False), "where it was a step ago"
+    assert situation.targets[0] in targets
+    assert situation.traveled[0] == 1.0
 
 
 def test_a_robot_with_an_outdated_relayed_state_is_no_member(
@@ -118,30 +118,30 @@ def test_a_relayed_state_circulates_no_longer_than_through_a_chain_of_all_robots
     one, two = (RelayedState(settings_for(GRID, robot=robot, robots=5)) for robot in (1, 2))
     poses: dict[int, Pose] = {0: Pose(3, 4, leads=False)}
     targets: dict[int, Cell] = {0: (8, 9)}
-    said = {1: one.forward(1, [0], [2], poses, targets), 2: two.forward(1, [], [1], poses, targets)}
-    assert said == {1: [Passed(0, 1, 3, 4), Target(8, 9)], 2: []}
+    sent = {1: one.forward(1, [0], [2], poses, targets), 2: two.forward(1, [], [1], poses, targets)}
+    assert sent == {1: [Passed(0, 1, 3, 4), Target(8, 9)], 2: []}
     lasted = 0
     for step in range(1, 9):
-        for mind, other in ((one, 2), (two, 1)):
-            news = [mind.take(packet, step) for packet in said[other] if isinstance(packet, Passed)]
+        for state, other in ((one, 2), (two, 1)):
+            news = [state.take(packet, step) for packet in sent[other] if isinstance(packet, Passed)]
             assert news == ([True] if (step, other) == (1, 1) else [False] * len(news)), (
-                "no_robots's own word is news"
+                "a state is new only when it comes directly from its robot"
             )
         lasted += bool(two.connected(step, [1]))
-        said = {
+        sent = {
             1: one.forward(step + 1, [2], [2], poses, targets),
             2: two.forward(step + 1, [1], [1], poses, targets),
         }
-    assert lasted == 3 and said == {1: [], 2: []}
+    assert lasted == 3 and sent == {1: [], 2: []}
 
 
 @pytest.mark.parametrize("frame", [
     [Passed(9, 1, 3, 4)], [Passed(0, 1, 500, 4)], [Passed(0, 1, 3, 4), Target(900, 9)],
 ])  # fmt: skip
 def test_a_relayed_state_of_an_unknown_robot_or_cell_is_a_fault(frame: list[packets.AnyPacket]) -> None:
-    mind = Robot(settings_for(GRID, robot=2, robots=3, strategy="burgard", map_encoding="scans"))
-    mind.receive_broadcast(1, packets.encode(frame))
-    assert len(mind.faults) == 1
+    robot = Robot(settings_for(GRID, robot=2, robots=3, strategy="burgard", map_encoding="scans"))
+    robot.receive_broadcast(1, packets.encode(frame))
+    assert len(robot.faults) == 1
 
 
 @pytest.mark.parametrize("frame", [

@@ -25,7 +25,7 @@ HALL[1:-1, 50:] = UNKNOWN
 GAP, END = (1, 4), (49, 4)
 
 
-def mind(robot: int = 0, options: dict[str, Any] | None = None, grid: Grid = HALL) -> Repairmen:
+def make_strategy(robot: int = 0, options: dict[str, Any] | None = None, grid: Grid = HALL) -> Repairmen:
     task: Settings = settings_for(grid, robot, 2, ranges_cells=[10.0, 10.0])
     return Repairmen(options or {}, task)
 
@@ -35,7 +35,7 @@ def robot_at(x: int, y: int, grid: Grid = HALL, **others: Any) -> Situation:
 
 
 def target(x: int, options: dict[str, Any] | None = None) -> Any:
-    return mind(0, options).decide(robot_at(x, 4)).target
+    return make_strategy(0, options).decide(robot_at(x, 4)).target
 
 
 def test_a_goal_of_large_gain_comes_first_unless_a_small_frontier_is_near() -> None:
@@ -77,7 +77,7 @@ def test_a_single_robot_drives_the_shortest_tour_whatever_the_gain(x: int, first
 
 
 def both(situations: list[Situation]) -> list[Decision]:
-    return [mind(robot).decide(situation) for robot, situation in enumerate(situations)]
+    return [make_strategy(robot).decide(situation) for robot, situation in enumerate(situations)]
 
 
 def test_two_robots_in_range_divide_the_goals() -> None:
@@ -91,16 +91,16 @@ def test_two_robots_in_range_divide_the_goals() -> None:
 
 def test_a_teammate_out_of_range_is_assumed_at_its_target_for_some_time() -> None:
     away = robot_at(35, 4, targets={1: (45, 4)}, target_steps={1: 1})
-    assert mind().decide(away).target == GAP
-    assert mind().decide(replace(away, step=1 + RECALL)).target == GAP
-    assert mind().decide(replace(away, step=2 + RECALL)).target == END
+    assert make_strategy().decide(away).target == GAP
+    assert make_strategy().decide(replace(away, step=1 + RECALL)).target == GAP
+    assert make_strategy().decide(replace(away, step=2 + RECALL)).target == END
 
 
-def test_a_robot_that_waits_does_not_leave_anything_to_a_teammate_that_stands_still() -> None:
+def test_a_waiting_robot_takes_over_the_goal_of_a_teammate_that_stands_still() -> None:
     # Only the gap is left, and robot 1 is the nearer to it, but sees nothing to do.
     grid = HALL.copy()
     grid[1:-1, 50] = OCCUPIED
-    robot = mind(grid=grid)
+    robot = make_strategy(grid=grid)
     seen = [
         robot.decide(
             replace(
@@ -120,19 +120,22 @@ def test_a_robot_that_waits_does_not_leave_anything_to_a_teammate_that_stands_st
 
 @pytest.mark.parametrize(("work", "first"), [(0.0, GAP), (3.0, (32, 1))])
 def test_a_robot_with_much_expected_work_gets_fewer_other_goals(work: float, first: tuple[int, int]) -> None:
-    # A crumb is a little out of robot 1's way to the end, and more out of robot 0's to the gap, which is longer.
+    # A small frontier is a short detour on robot 1's way to the end, a longer one on robot 0's way to the gap.
     grid = HALL.copy()
     grid[0, 32] = UNKNOWN
     here = robot_at(28, 4, grid, peers=(1,), poses={1: Pose(31, 7, leads=False)})
-    assert mind(grid=grid, options={"expected_work": work, "total_length": 0.0}).decide(here).target == first
+    assert (
+        make_strategy(grid=grid, options={"expected_work": work, "total_length": 0.0}).decide(here).target
+        == first
+    )
 
 
-def test_it_replans_with_every_change_of_the_map_by_default() -> None:
+def test_repairmen_replans_after_every_map_change_by_default() -> None:
     opened = HALL.copy()
     opened[4, 0] = OCCUPIED
     opened[0, 12] = UNKNOWN
     for options, expected in (({}, (12, 1)), ({"replan": "at-goal"}, GAP)):
-        robot = mind(options=options)
+        robot = make_strategy(options=options)
         assert robot.decide(robot_at(5, 4)).target == GAP
         assert robot.decide(replace(robot_at(5, 4, opened), step=2)).target == expected
 
@@ -143,13 +146,13 @@ def test_close_small_frontiers_are_one_goal_unless_a_wall_is_between() -> None:
         grid[0, 20] = grid[0, 24] = UNKNOWN
         grid[1:-2, 22] = wall
         grid[1:-1, 50:] = OCCUPIED
-        robot, situation = mind(grid=grid), robot_at(22, 7, grid)
+        robot, situation = make_strategy(grid=grid), robot_at(22, 7, grid)
         robot.settings = settings_for(grid, 0, 2, ranges_cells=[50.0, 50.0])
         assert len(robot.goals(situation, PathPlanner(grid))) == goals
 
 
-def test_a_robot_that_drives_around_a_teammate_does_not_turn_back_to_where_it_was_stopped() -> None:
-    robot = mind()
+def test_a_robot_that_drives_around_a_teammate_does_not_turn_back() -> None:
+    robot = make_strategy()
     straight = robot.decide(robot_at(35, 4)).path[0].tolist()
     for step in (2, 3):
         around = robot.decide(replace(robot_at(35, 4, blocked="robot"), step=step)).path
@@ -172,7 +175,7 @@ def test_target_hysteresis_prevents_turns_for_small_gains_or_without_map_changes
         (0.5, news, (31, 1)),
         (0.0, grid, (31, 1)),
     ):
-        robot = mind(options={"target_hysteresis": target_hysteresis}, grid=grid)
+        robot = make_strategy(options={"target_hysteresis": target_hysteresis}, grid=grid)
         assert robot.decide(robot_at(22, 1, grid)).target == (31, 1)
         assert robot.decide(replace(robot_at(20, 1, later), step=2)).target == expected
 
@@ -182,8 +185,8 @@ def ends(robot: Repairmen, situation: Situation) -> tuple[int, int]:
     return x, y
 
 
-def test_small_frontiers_are_observed_from_viewpoints_unless_that_had_no_effect() -> None:
-    # A hall with a nook in its upper wall; no_robots knows how deep it is.
+def test_small_frontiers_are_observed_from_viewpoints_unless_an_earlier_scan_showed_nothing_new() -> None:
+    # A hall with a nook of unknown depth in its upper wall.
     grid = np.full((12, 30), OCCUPIED, np.uint8)
     grid[6:-1, 1:-1] = FREE
     grid[2:6, 20] = FREE
@@ -197,7 +200,7 @@ def test_small_frontiers_are_observed_from_viewpoints_unless_that_had_no_effect(
     assert (x, y) in {(19, 9), (20, 9)}
     assert ends(Repairmen({"viewpoint_range": 0.0}, alone), here) == (20, 2)
     assert ends(Repairmen({}, structs.replace(alone, field_of_view=90.0)), here) == (20, 2)
-    # A teammate stood before it: no news of the map, and the robot drives in, whatever it learns on the way.
+    # A teammate blocked the view, so the scan changed no cell: the robot drives in, whatever it sees on the way.
     assert ends(robot, replace(robot_at(x, y, grid), step=2)) == (20, 2)
     grid[9, 1] = OCCUPIED
     assert ends(robot, replace(robot_at(x - 2, y, grid), step=3)) == (20, 2)

@@ -17,7 +17,7 @@ from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from tests.agent.planning.planning_references import settings_for
 
 SHARED = ("burgard", "burgard-optimal", "greedy", "iterative", "hungarian", "repairmen")
-"""Strategies in which each member knows who gets what."""
+"""Strategies in which each member computes the whole assignment."""
 
 
 def half_explored(random: np.random.Generator) -> Grid:
@@ -32,7 +32,7 @@ def half_explored(random: np.random.Generator) -> Grid:
 
 
 def views(random: np.random.Generator, grid: Grid, robots: int) -> list[Situation]:
-    """What each robot knows, all in range of each other but the last, which was heard of."""
+    """The situation of each robot: all in range of each other but the last, which has only sent a target before."""
     free = PathPlanner(grid).costs(45, 30)
     free = np.argwhere(np.isfinite(free))[:, ::-1]
     cells = [(int(x), int(y)) for x, y in free[random.integers(0, len(free), robots + 1)]]
@@ -56,18 +56,20 @@ def views(random: np.random.Generator, grid: Grid, robots: int) -> list[Situatio
 
 
 def tables(name: str, seed: int, ranges: list[float], radii: list[float] | None = None) -> list[Any]:
-    """What each member of a team computes: the whole assignment, or for tours whose goals are whose."""
+    """Goals and assignment that each member of a team computes; for tours, the cluster of each goal."""
     random = np.random.default_rng(seed)
     grid = half_explored(random)
     found = []
     for robot, situation in enumerate(views(random, grid, len(ranges) - 1)):
-        bodies = {"ranges_cells": ranges, "radii_cells": radii or []}
-        mind: Any = strategy(name)({}, settings_for(grid, robot, len(ranges), **bodies))
-        planner = PathPlanner(grid, radius_cells=mind.settings.radius_cells)
-        goals = mind.goals(situation, planner)
+        sizes = {"ranges_cells": ranges, "radii_cells": radii or []}
+        planning_robot: Any = strategy(name)({}, settings_for(grid, robot, len(ranges), **sizes))
+        planner = PathPlanner(grid, radius_cells=planning_robot.settings.radius_cells)
+        goals = planning_robot.goals(situation, planner)
         if len(goals):
-            table = mind.table(situation, goals, planner)
-            share = cluster_goals(table) if name == "mtsp" else mind.assign(table, situation, planner)
+            table = planning_robot.table(situation, goals, planner)
+            share = (
+                cluster_goals(table) if name == "mtsp" else planning_robot.assign(table, situation, planner)
+            )
             found.append((goals.tolist(), share.tolist()))
     return found
 
@@ -91,8 +93,8 @@ def test_robots_of_different_sizes_compute_one_assignment(name: str, seed: int, 
     assert all(each == found[0] for each in found)
 
 
-def test_a_wide_robot_is_given_what_it_can_reach() -> None:
-    # A hall with a door of one cell; what is left to see lies in the room behind it, and to the right.
+def test_a_wide_robot_is_assigned_reachable_goals() -> None:
+    # A hall with a door of one cell; the unknown cells lie in the room behind it and to the right.
     grid = np.full((21, 40), FREE, np.uint8)
     grid[:, 10] = OCCUPIED
     grid[10, 10] = FREE
@@ -101,8 +103,10 @@ def test_a_wide_robot_is_given_what_it_can_reach() -> None:
         step=1, grid=grid, x=14, y=10, home=(14, 10), peers=(1,), poses={1: Pose(16, 10, leads=False)}
     )
     for radii, target in (([0.0, 3.0], (1, 10)), ([3.0, 0.0], (38, 10))):
-        mind = strategy("burgard")({}, settings_for(grid, radii_cells=radii, ranges_cells=[10.0, 10.0]))
-        assert mind.decide(view).target == target
+        planning_robot = strategy("burgard")(
+            {}, settings_for(grid, radii_cells=radii, ranges_cells=[10.0, 10.0])
+        )
+        assert planning_robot.decide(view).target == target
 
 
 def test_a_target_lowers_utilities_within_the_range_of_its_robot() -> None:
@@ -111,7 +115,7 @@ def test_a_target_lowers_utilities_within_the_range_of_its_robot() -> None:
     grid[:, 79] = grid[:, 0] = grid[0, 40] = UNKNOWN
     view = Situation(step=1, grid=grid, x=30, y=2, home=(30, 2), targets={0: (1, 2)}, target_steps={0: 1})
     for ranges, column in (([20.0, 200.0], 40), ([200.0, 20.0], 78)):
-        mind = strategy("meier")({"beta": 0.4}, settings_for(grid, robot=1, ranges_cells=ranges))
-        target = mind.decide(view).target
+        planning_robot = strategy("meier")({"beta": 0.4}, settings_for(grid, robot=1, ranges_cells=ranges))
+        target = planning_robot.decide(view).target
         assert target is not None
         assert abs(target[0] - column) <= 1
