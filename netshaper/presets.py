@@ -84,7 +84,7 @@ BLE_FRAME_S = (261 + 10) * 8e-6 + 2 * 150e-6
 """Bluetooth LE 1M: a full data PDU, the empty PDU in reply, and two interframe spaces."""
 
 WIFI_FRAME_S = 192e-6 + (24 + 8 + 1500 + 4) * 8e-6 + 50e-6 + 15.5 * 20e-6
-"""IEEE 802.11 at 1 Mbit/s, the rate of broadcasts: long preamble, headers, payload and checksum, DIFS, mean back-off."""
+"""IEEE 802.11 at 1 Mbit/s, the broadcast rate: long preamble, headers, payload and checksum, DIFS, mean back-off."""
 
 PRESETS = {
     "lora-sf7": _lora(7, 222, -123),
