@@ -210,7 +210,7 @@ def test_written_certificates_are_read_back_and_only_the_owner_can_read_keys(tmp
 
 def test_errors_name_missing_and_damaged_keys(tmp_path: Path) -> None:
     certificates.write(certificates.make(1, ["127.0.0.1"]), tmp_path)
-    with pytest.raises(ValueError, match=r"r1\.pem: No such file or directory; murmur keys makes"):
+    with pytest.raises(ValueError, match=r"r1\.pem: No such file or directory; murmur keys creates"):
         certificates.read(tmp_path, 2)
     (tmp_path / "r0.key").write_bytes(b"\xff")
     with pytest.raises(ValueError, match=r"r0\.key: not PEM"):
@@ -227,5 +227,5 @@ def test_a_credential_with_a_certificate_is_read_as_it_was_written(tmp_path: Pat
 @pytest.mark.parametrize("damaged", ['"x"', "{}", '{"authority": "a", "certificate": "b", "key": 1}'])
 def test_a_credential_whose_certificate_is_damaged_is_refused(damaged: str) -> None:
     text = f'{{"run": "a", "name": "r0", "hub": "tls/127.0.0.1:1", "certificate": {damaged}}}'
-    with pytest.raises(ValueError, match=r"its certificate needs the texts authority, certificate, key"):
+    with pytest.raises(ValueError, match=r"its certificate needs the strings authority, certificate, key"):
         Credential.parse(text)

@@ -112,7 +112,7 @@ EXAMPLES: list[AnyPacket] = [
     Gone(130),
     Check(0x29B1),
     Update(None, bytes(range(8))),
-    Update(2, b"surprise"),
+    Update(2, b"residual"),
     Update(3, b""),
 ]
 
