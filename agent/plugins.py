@@ -30,7 +30,7 @@ class Plugins(Generic[Base]):
 
     Attributes
     ----------
-    what : str
+    kind : str
         The kind, for error messages: ``strategy``.
     group : str
         The group of entry points.
@@ -38,7 +38,7 @@ class Plugins(Generic[Base]):
         The base class; each subclass defines a ``name``.
     """
 
-    what: str
+    kind: str
     group: str
     base: type[Base]
 
@@ -59,10 +59,10 @@ class Plugins(Generic[Base]):
             module = Path(name.replace("-", "_")).stem
             if name.endswith(".py") or Path(f"{module}.py").is_file():
                 raise ValueError(
-                    f"{module}.py is a file: give the {self.what} in it as {module}:Class, from its folder"
+                    f"{module}.py is a file: give the {self.kind} in it as {module}:Class, from its folder"
                 )
             raise ValueError(
-                f"no {self.what} is called {name!r}; {there_are([*known, *installed], name)}; or give one as "
+                f"no {self.kind} is called {name!r}; {there_are([*known, *installed], name)}; or give one as "
                 "package.module:Class"
             )
         return self.load(installed[name])
@@ -80,30 +80,30 @@ class Plugins(Generic[Base]):
             other = found.setdefault(each.name, each)
             if other.value != each.value:
                 raise ValueError(
-                    f"two packages have a {self.what} called {each.name!r}, {package(other)} and {package(each)}: "
+                    f"two packages have a {self.kind} called {each.name!r}, {package(other)} and {package(each)}: "
                     "uninstall one of them"
                 )
         return found
 
     def load(self, point: EntryPoint) -> type[Base]:
         """Import the class of an entry point; ValueError if the import fails, or the class has the wrong base."""
-        where = f"{self.what} {point.name!r} of package {package(point)}"
+        where = f"{self.kind} {point.name!r} of package {package(point)}"
         try:
-            kind = point.load()
+            loaded = point.load()
         except (Exception, SystemExit):  # foreign code may raise anything; the traceback shows it
             raise ValueError(f"{where} cannot be imported:\n{_own_traceback()}") from None
-        checked = self._checked(kind, where, point.value)
+        checked = self._checked(loaded, where, point.value)
         own: Any = vars(checked)["name"]
         if own != point.name:
             raise ValueError(
-                f"{where}: {point.value} calls itself {own!r}; the entry point must be called so too"
+                f"{where}: {point.value} has the name {own!r}; the entry point must have the same name"
             )
         return checked
 
     def _imported(self, name: str) -> type[Base]:
         module_name, _, class_name = name.partition(":")
         if not module_name or not class_name:
-            raise ValueError(f"{self.what} {name!r}: must be package.module:Class")
+            raise ValueError(f"{self.kind} {name!r}: must be package.module:Class")
         here = str(Path.cwd())
         if here not in sys.path:
             sys.path.append(here)  # last: a local file must not hide a module of this package
@@ -111,32 +111,32 @@ class Plugins(Generic[Base]):
             module = importlib.import_module(module_name)
         except ModuleNotFoundError as error:
             if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
-                raise ValueError(f"{self.what} {name!r} cannot be imported:\n{_own_traceback()}") from None
+                raise ValueError(f"{self.kind} {name!r} cannot be imported:\n{_own_traceback()}") from None
             raise ValueError(
-                f"{self.what} {name!r}: {error}; a module is looked for in this folder and on PYTHONPATH"
+                f"{self.kind} {name!r}: {error}; modules are imported from this folder and from PYTHONPATH"
             ) from None
         except (Exception, SystemExit):  # as above
-            raise ValueError(f"{self.what} {name!r} cannot be imported:\n{_own_traceback()}") from None
+            raise ValueError(f"{self.kind} {name!r} cannot be imported:\n{_own_traceback()}") from None
         if not hasattr(module, class_name):
-            there = [each for each, kind in vars(module).items() if self._is_one(kind)]
+            there = [each for each, loaded in vars(module).items() if self._is_one(loaded)]
             raise ValueError(
-                f"{self.what} {name!r}: {module_name} has no {class_name}; {there_are(there, class_name)}"
+                f"{self.kind} {name!r}: {module_name} has no {class_name}; {there_are(there, class_name)}"
             )
-        return self._checked(getattr(module, class_name), f"{self.what} {name!r}", class_name)
+        return self._checked(getattr(module, class_name), f"{self.kind} {name!r}", class_name)
 
-    def _is_one(self, kind: object) -> bool:
-        return isinstance(kind, type) and issubclass(kind, self.base) and "name" in vars(kind)
+    def _is_one(self, loaded: object) -> bool:
+        return isinstance(loaded, type) and issubclass(loaded, self.base) and "name" in vars(loaded)
 
-    def _checked(self, kind: object, where: str, named: str) -> type[Base]:
-        if not self._is_one(kind):
+    def _checked(self, loaded: object, where: str, named: str) -> type[Base]:
+        if not self._is_one(loaded):
             base = f"{self.base.__module__}.{self.base.__name__}"
-            raise ValueError(f"{where}: {named} is no subclass of {base} with a name")
+            raise ValueError(f"{where}: {named} is not a subclass of {base} with a name")
         lacks = [
-            name for name, each in inspect.getmembers(kind) if getattr(each, "__isabstractmethod__", False)
+            name for name, each in inspect.getmembers(loaded) if getattr(each, "__isabstractmethod__", False)
         ]
         if lacks:
-            raise ValueError(f"{where}: {named} leaves out what it must define: {', '.join(lacks)}")
-        return cast("type[Base]", kind)
+            raise ValueError(f"{where}: {named} does not define the abstract methods {', '.join(lacks)}")
+        return cast("type[Base]", loaded)
 
 
 def package(point: EntryPoint) -> str:

@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Atomic writing of files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def write_whole(path: Path, write: Callable[[BinaryIO], object]) -> None:
     Raises
     ------
     OSError
-        It cannot be written; the error names `path`, which is unchanged.
+        The file cannot be written; the error names `path`, which stays unchanged.
     """
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:

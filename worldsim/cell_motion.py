@@ -1,4 +1,4 @@
-"""Motion of robots: along free cells, 8-connected, without cutting corners, never two in one cell."""
+"""Cell motion: robots move along free cells, 8-connected, without cutting corners, one robot per cell."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from protocol.grid import FREE, Grid
 DIAGONAL = math.sqrt(2.0)
 
 ROUNDING = 1e-9
-"""Distance, in cells, that a robot may lack because of rounding: 0.3 m a step are 3 cells of 0.1 m."""
+"""Tolerance for rounding errors, in cells: 0.3 m per step must be 3 cells of 0.1 m."""
 
 WALL, ROBOT, INTERFERENCE, NOT_BLOCKED = "wall", "robot", "interference", ""
 """Why a robot stopped early."""
@@ -30,9 +30,9 @@ class Drive:
     length : float
         Distance driven, in cells.
     carry : float
-        Unused distance, too short for the next cell; it is added to the next step's.
+        Unused distance, too short for the next cell; the next step adds it to its own.
     blocked : str
-        Why it stopped before its path's end, unless the distance was used up.
+        Why the robot stopped before the end of its path; empty if the distance was used up.
     """
 
     cells: list[tuple[int, int]]
@@ -56,13 +56,13 @@ def drive(
     truth : uint8 array, shape (h, w)
         The true map.
     taken : bool array, shape (h, w)
-        Cells where other robots stand.
+        Cells of other robots.
     start : (x, y)
-        Where the robot stands.
+        Cell of the robot.
     path : list of (x, y)
-        Cells to enter, each a neighbour of the one before. A step to any other cell ends the path like a wall.
+        Cells to enter, each a neighbor of the previous one. Any other cell ends the path like a wall.
     way : float
-        Distance that it may drive, in cells: 1 to a 4-neighbour, `diagonal` to a diagonal one.
+        Maximum distance in cells: 1 to a 4-neighbor, `diagonal` to a diagonal neighbor.
     """
     height, width = truth.shape
     x, y = start
@@ -88,7 +88,7 @@ def drive(
 
 
 def swept(start: tuple[int, int], cells: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """All cells that a drive shows to be free: those entered, and both beside each diagonal."""
+    """Return all cells that a drive proves free: the entered cells, and both cells beside each diagonal step."""
     result: list[tuple[int, int]] = []
     x, y = start
     for next_x, next_y in cells:
@@ -100,5 +100,5 @@ def swept(start: tuple[int, int], cells: list[tuple[int, int]]) -> list[tuple[in
 
 
 def heading_of(dx: int, dy: int) -> int:
-    """Eighths of a turn from +x towards +y of a step to a neighbour."""
+    """Return the heading of a step to a neighbor, in eighths of a turn from +x toward +y."""
     return round(math.atan2(dy, dx) / (math.pi / 4)) % 8

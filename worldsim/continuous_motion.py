@@ -1,7 +1,7 @@
-"""Continuous motion: along waypoints between cells' centres, never into a wall, never two robots in a cell.
+"""Continuous motion: robots move along waypoints at any position, never into a wall, one robot per cell.
 
-Positions are integers, thousandths of a cell, so that a drive has the same result on every machine; a cell
-extends half a cell from its centre to every side.
+Positions are integers, thousandths of a cell, so that a drive has the same result on every machine. A cell
+extends half a cell from its center to every side.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from protocol.grid import FREE, Grid
 from worldsim.cell_motion import NOT_BLOCKED, ROBOT, WALL
 
 FINE = 1000
-"""Units a cell."""
+"""Resolution of positions: steps per cell."""
 
 _STRIDE = 100
 """A drive is checked at least every tenth of a cell, and every tenth of its distance if that is less than a cell."""
@@ -31,13 +31,13 @@ class Glide:
     Attributes
     ----------
     point : (x, y)
-        Where it ends, in thousandths of a cell.
+        Final position, in thousandths of a cell.
     cells : list of (x, y)
         Cells entered, in order.
     length : float
         Distance driven, in cells.
     blocked : str
-        Why it stopped before its last waypoint, unless the distance was used up.
+        Why the robot stopped before its last waypoint; empty if the distance was used up.
     """
 
     point: Point
@@ -47,25 +47,25 @@ class Glide:
 
 
 def cell_of(point: Point) -> tuple[int, int]:
-    """The cell in which a point lies; a border belongs to the cell on its right, or below."""
+    """Return the cell of a point; a border belongs to the cell on its right, or below."""
     return (point[0] + FINE // 2) // FINE, (point[1] + FINE // 2) // FINE
 
 
 def glide(truth: Grid, taken: NDArray[np.bool_], start: Point, points: list[Point], way: float) -> Glide:
-    """Move one robot along straight lines from point to point, for at most `way` cells.
+    """Move one robot along straight lines between waypoints, for at most `way` cells.
 
     Parameters
     ----------
     truth : uint8 array, shape (h, w)
         The true map.
     taken : bool array, shape (h, w)
-        Cells where other robots stand.
+        Cells of other robots.
     start : (x, y)
-        Where the robot is, in thousandths of a cell.
+        Position of the robot, in thousandths of a cell.
     points : list of (x, y)
         Waypoints, in thousandths of a cell.
     way : float
-        Distance that it may drive, in cells. The remainder is not driven if the next check would lie beyond it.
+        Maximum distance in cells. The robot stops at the last checked position within it.
     """
     stride = min(_STRIDE, max(1, int(way * _STRIDE)))
     at, length = start, 0.0
@@ -91,7 +91,7 @@ def glide(truth: Grid, taken: NDArray[np.bool_], start: Point, points: list[Poin
 
 
 def _is_passable(truth: Grid, here: tuple[int, int], there: tuple[int, int]) -> bool:
-    """Whether a robot can pass from a cell to a neighbour; through a corner only if all around it is free."""
+    """Return whether a robot can enter a neighboring cell; past a corner only if all four cells there are free."""
     height, width = truth.shape
     return all(
         0 <= x < width and 0 <= y < height and truth[y, x] == FREE

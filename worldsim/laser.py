@@ -10,7 +10,7 @@ from protocol.kernels import kernel
 from protocol.scans import HIT, NONE, Readings
 
 HEADINGS = 8
-"""Headings a full turn; heading 0 looks along +x, 2 along +y."""
+"""Headings per full turn; heading 0 points along +x, 2 along +y."""
 
 FULL_TURN = 360.0
 
@@ -24,14 +24,14 @@ def cast(
     heading: int = 0,
     field_of_view: float = FULL_TURN,
 ) -> Readings:
-    """Cast one scan from the centre of cell (x, y).
+    """Cast one scan from the center of cell (x, y).
 
     Parameters
     ----------
     truth : uint8 array, shape (h, w)
         The true map; cells that are not free are solid, and so is everything beyond the border.
     teammates : bool array, shape (h, w)
-        Where other robots stand. They end a beam but never count as a wall.
+        Cells of other robots. They end a beam but do not count as walls.
     heading : int
         Eighths of a turn, the middle of the field of view.
     field_of_view : float
@@ -83,7 +83,7 @@ def _cast(
     clear = np.uint64(0)
     for beam in range(len(start) - 1):
         first, end = np.uint64(start[beam]), np.uint64(start[beam + 1])
-        # A walk never turns back: it stays on the grid if it ends there. Where it leaves the grid, there is a wall.
+        # A beam that ends on the grid never leaves it. Beyond the border, everything counts as wall.
         on_grid = end
         while on_grid > first:
             last = on_grid - np.uint64(1)
@@ -91,7 +91,7 @@ def _cast(
                 break
             on_grid = last
         reading = end - first if on_grid == end else on_grid - first | np.uint64(HIT)
-        # What this beam has in common with the one before it, and that one has crossed, is clear.
+        # Cells shared with the previous beam are clear up to the place where that beam ended.
         known = min(np.uint64(shared[beam]), clear, on_grid - first)
         clear = on_grid - first
         for at in range(first + known, on_grid):

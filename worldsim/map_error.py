@@ -4,4 +4,4 @@ from __future__ import annotations
 
 
 class MapError(ValueError):
-    """A map that cannot be used: the message says where, what is wrong and what would be right."""
+    """A map is invalid; the message names the place, the error and a remedy."""

@@ -1,7 +1,7 @@
-"""Maps of the world: walls and floor; read and written in the format of ROS' map_server.
+"""Maps of the world, read and written in the format of ROS' map_server.
 
-A map on disk is a YAML file and the picture that it names. map_server's frame is metric, with y up and its
-origin at the lower left corner of the picture; ours is in cells, with y down (`protocol.grid`). Only
+A map on disk is a YAML file and the picture that it names. map_server's frame is in meters, with y up and the
+origin at the lower left corner of the picture. Murmur's frame is in cells, with y down (`protocol.grid`). Only
 `to_world` and `to_cell` convert between the two.
 """
 
@@ -27,20 +27,20 @@ from worldsim.map_error import MapError
 _OCCUPIED_THRESH = 0.65
 _FREE_THRESH = 0.196
 _SHADES = np.array([205, 254, 0], np.uint8)
-"""Grey values that are written for unknown, free and occupied."""
+"""Gray values of unknown, free and occupied cells in written pictures."""
 
 _FORMATS = {".png": "PNG", ".pgm": "PPM"}
-"""Pillow's name of the picture's format, by the suffix of its name."""
+"""Pillow's name of each picture format, by file suffix."""
 
 MOST_RESOLUTION = 1000.0
-"""Metres a cell: positions are told in millimetres, of 32 bits."""
+"""Maximum of meters per cell: messages contain positions in millimeters, as 32-bit integers."""
 MOST_ORIGIN = 1e8
-"""Metres: more than once around the earth."""
+"""Maximum coordinate in meters: more than twice the circumference of the earth."""
 
 
 @dataclass(frozen=True, eq=False)
 class Map:
-    """A world of cells.
+    """A map of the world as a grid of cells.
 
     Attributes
     ----------
@@ -49,15 +49,15 @@ class Map:
     cells : uint8 array of shape (height, width)
         `protocol.grid` states, row 0 on top; unknown cells can be neither seen nor entered.
     resolution : float
-        Side of a cell in metres.
+        Side of a cell in meters.
     origin : tuple of three floats
-        Pose of the lower left corner of the lower left cell in the world's frame: metres, metres, radians
-        (always 0).
+        Pose of the lower left corner of the lower left cell in the world's frame: x and y in meters, yaw in
+        radians (always 0).
 
     Raises
     ------
     MapError
-        The cells, the resolution or the origin are not as described, or no cell is free.
+        Cells, resolution or origin are invalid, or no cell is free.
     """
 
     name: str
@@ -74,13 +74,13 @@ class Map:
             raise MapError(_too_large(self.width, self.height))
         if not 0 < self.resolution <= MOST_RESOLUTION:
             raise MapError(
-                f"resolution is {self.resolution}, not a number of metres a cell above 0, {MOST_RESOLUTION:g} at most"
+                f"resolution is {self.resolution}, not a number of meters per cell above 0, {MOST_RESOLUTION:g} at most"
             )
         if not all(abs(value) <= MOST_ORIGIN for value in self.origin):
             raise MapError(f"origin is {list(self.origin)}, not three numbers of {MOST_ORIGIN:g} at most")
         if self.origin[2] != 0:
             raise MapError(
-                f"origin is turned by {self.origin[2]} rad; turn the picture instead and give a yaw of 0"
+                f"origin is rotated by {self.origin[2]} rad; rotate the picture instead and give a yaw of 0"
             )
         if not np.isin(self.cells, (UNKNOWN, FREE, OCCUPIED)).all():
             raise MapError(
@@ -91,22 +91,22 @@ class Map:
 
     @property
     def width(self) -> int:
-        """Cells from left to right."""
+        """Number of cells from left to right."""
         return int(self.cells.shape[1])
 
     @property
     def height(self) -> int:
-        """Cells from top to bottom."""
+        """Number of cells from top to bottom."""
         return int(self.cells.shape[0])
 
     @property
     def diagonal_m(self) -> float:
-        """Length of the map's diagonal in metres: with this range all robots hear each other everywhere."""
+        """Length of the map's diagonal in meters; with this radio range all robots are always connected."""
         return math.hypot(self.width, self.height) * self.resolution
 
 
 def to_world(map_: Map, x: float, y: float) -> tuple[float, float]:
-    """Return where a point of the cell frame (y down, centres at whole numbers) lies in metres, y up."""
+    """Convert a point of the cell frame (y down, centers at whole numbers) to meters, y up."""
     return (
         map_.origin[0] + (x + 0.5) * map_.resolution,
         map_.origin[1] + (map_.height - 0.5 - y) * map_.resolution,
@@ -114,7 +114,7 @@ def to_world(map_: Map, x: float, y: float) -> tuple[float, float]:
 
 
 def to_cell(map_: Map, mx: float, my: float) -> tuple[float, float]:
-    """Return where a point of the metric frame lies in the cell frame; rounded, that is the cell's index."""
+    """Convert a point in meters to the cell frame; rounding the result gives the cell's index."""
     return (
         (mx - map_.origin[0]) / map_.resolution - 0.5,
         map_.height - 0.5 - (my - map_.origin[1]) / map_.resolution,
@@ -124,9 +124,9 @@ def to_cell(map_: Map, mx: float, my: float) -> tuple[float, float]:
 def load(path: str | os.PathLike[str]) -> Map:
     """Read a map from map_server's YAML file and the PGM or PNG picture that it names.
 
-    A picture's darkness p runs from 0 (white) to 1 (black), the other way round with `negate`. A cell is
-    occupied where p > occupied_thresh, free where p < free_thresh, unknown between. Colours are averaged, including
-    opacity, as map_server does in its trinary mode. The map has the name of the YAML file.
+    A pixel's darkness p ranges from 0 (white) to 1 (black), reversed with `negate`. A cell is occupied if
+    p > occupied_thresh, free if p < free_thresh, else unknown. The channels of a color picture are averaged, including
+    opacity, as in map_server's trinary mode. The map has the name of the YAML file.
 
     Raises
     ------
@@ -141,32 +141,34 @@ def load(path: str | os.PathLike[str]) -> Map:
     occupied = _share(path, entries, "occupied_thresh")
     free = _share(path, entries, "free_thresh")
     if free > occupied:
-        raise MapError(f"{path}: free_thresh {free} is above occupied_thresh {occupied}; it must not be")
+        raise MapError(
+            f"{path}: free_thresh {free} is above occupied_thresh {occupied}; it must not be greater"
+        )
     negate = _entry(path, entries, "negate")
     if negate not in (0, 1):
         raise MapError(f"{path}: negate is {negate!r}; give 0 (white is free) or 1 (black is free)")
     mode = entries.get("mode", "trinary")
     if mode != "trinary":
-        raise MapError(f"{path}: mode is {mode!r}; only trinary is read (free, occupied, unknown)")
+        raise MapError(f"{path}: mode is {mode!r}; only trinary is supported (free, occupied, unknown)")
 
     return _from_picture(path, image, resolution, origin, (free, occupied), negate=bool(negate))
 
 
 def load_picture(path: str | os.PathLike[str], resolution: float) -> Map:
-    """Read a map from a PGM or PNG picture alone: white is free, black occupied, grey unknown.
+    """Read a map from a PGM or PNG picture without YAML file: white is free, black occupied, gray unknown.
 
-    Thresholds are map_server's usual ones, and the origin is the picture's lower left corner.
+    The thresholds are map_server's defaults; the origin is the picture's lower left corner.
 
     Parameters
     ----------
     path : path
     resolution : float
-        Metres a cell, which is a pixel.
+        Meters per cell, which is a pixel.
 
     Raises
     ------
     MapError
-        The picture is missing, broken, or holds no map.
+        The picture is missing or malformed, or contains no valid map.
     """
     path = Path(path)
     return _from_picture(
@@ -183,7 +185,7 @@ def _from_picture(
     *,
     negate: bool,
 ) -> Map:
-    """The map that `path` is called after, of a picture; `thresholds` are those of free and of occupied."""
+    """Convert a picture to the map named after `path`; `thresholds` are the free and the occupied one."""
     shade, white = _read_picture(image)
     darkness = (shade if negate else white - shade) / white
     cells = np.full(shade.shape, UNKNOWN, np.uint8)
@@ -196,18 +198,18 @@ def _from_picture(
 
 
 def save(map_: Map, yaml_path: str | os.PathLike[str], image: str | None = None) -> None:
-    """Write a map as map_server's YAML file and, beside it, a picture.
+    """Write a map as map_server's YAML file and a picture in the same directory.
 
-    Each file is written atomically, the YAML file last: a map that can be found can be read.
+    Each file is written atomically, the YAML file last, so that every YAML file has its picture.
 
     Parameters
     ----------
     map_ : Map
-        The map to write. Its name is not kept: a map has the name of its file.
+        The map to write. Its name is not stored: a map has the name of its file.
     yaml_path : path
         Path of the YAML file.
     image : str, optional
-        File name of the picture, ending in .png or .pgm. By default the YAML file's, with .png.
+        File name of the picture, ending in .png or .pgm; by default the YAML file's name with .png.
 
     Raises
     ------
@@ -220,7 +222,7 @@ def save(map_: Map, yaml_path: str | os.PathLike[str], image: str | None = None)
     image = yaml_path.with_suffix(".png").name if image is None else image
     image_format = _FORMATS.get(Path(image).suffix.lower())
     if image_format is None:
-        raise MapError(f"{image}: a map's picture is written as .png or .pgm")
+        raise MapError(f"{image}: a map's picture must be .png or .pgm")
     entries = {
         "image": image,
         "resolution": float(map_.resolution),
@@ -248,13 +250,13 @@ def _read_yaml(path: Path) -> dict[str, Any]:
         raise MapError(f"{path}: is not YAML ({' '.join(str(error).split())})") from None
     if not isinstance(entries, dict):
         raise MapError(
-            f"{path}: holds no `key: value` lines; a map_server YAML file names image, resolution, origin"
+            f"{path}: contains no `key: value` lines; a map_server YAML file names image, resolution, origin"
         )
     return entries
 
 
 def _bytes_of(path: Path) -> bytes:
-    """A file's content; OSError of one that has no end."""
+    """Read a file; raise OSError for a device, whose content may be endless."""
     if path.is_char_device() or path.is_block_device():
         raise OSError(errno.EINVAL, "it is a device")
     return path.read_bytes()
@@ -278,7 +280,7 @@ def _number(path: Path, entries: dict[str, Any], key: str) -> float:
 
 
 def _as_number(path: Path, key: str, value: Any) -> float:
-    """Parse a number; YAML reads 1e-1 as a text, ROS as a number, and so do we."""
+    """Parse a number as ROS does, which accepts 1e-1; for YAML that is a text."""
     try:
         if isinstance(value, int | float | str) and not isinstance(value, bool):
             return float(value)
@@ -297,13 +299,13 @@ def _share(path: Path, entries: dict[str, Any], key: str) -> float:
 def _origin(path: Path, entries: dict[str, Any]) -> tuple[float, float, float]:
     value = _entry(path, entries, "origin")
     if not isinstance(value, list) or len(value) != 3:
-        raise MapError(f"{path}: origin is {value!r}, not [x in metres, y in metres, yaw in radians]")
+        raise MapError(f"{path}: origin is {value!r}, not [x in meters, y in meters, yaw in radians]")
     x, y, yaw = (_as_number(path, "origin", part) for part in value)
     return x, y, yaw
 
 
 def _read_picture(path: Path) -> tuple[NDArray[np.float64], int]:
-    """Read a picture's shades, of shape (height, width), and the shade that is white."""
+    """Read a picture's gray values, of shape (height, width), and the value of white."""
     try:
         data = _bytes_of(path)
     except OSError as error:
@@ -320,15 +322,15 @@ def _read_picture(path: Path) -> tuple[NDArray[np.float64], int]:
     except Image.DecompressionBombError:
         reason = f"has more than {MAX_SIDE} x {MAX_SIDE} cells; crop it or use larger cells"
     except UnidentifiedImageError:
-        reason = "is not a whole PGM or PNG picture" if data else "is empty; give a PGM or PNG picture"
+        reason = "is not a complete PGM or PNG picture" if data else "is empty; give a PGM or PNG picture"
     except (OSError, ValueError, SyntaxError) as error:
-        reason = f"is not a whole PGM or PNG picture ({error})"
+        reason = f"is not a complete PGM or PNG picture ({error})"
     raise MapError(f"{path}: {reason}")
 
 
 def _shades(picture: Image.Image) -> tuple[NDArray[np.float64], int]:
     if picture.mode == "F":
-        raise ValueError("its shades are fractions; give whole numbers of 8 or 16 bits")
+        raise ValueError("its gray values are fractions; give whole numbers of 8 or 16 bits")
     if picture.mode.startswith("I"):
         return np.array(picture, np.float64), 65535
     if picture.mode in ("1", "L"):
@@ -339,6 +341,4 @@ def _shades(picture: Image.Image) -> tuple[NDArray[np.float64], int]:
 
 
 def _too_large(width: int, height: int) -> str:
-    return (
-        f"is {width} x {height} cells, and {MAX_SIDE} x {MAX_SIDE} is the most; crop it or use larger cells"
-    )
+    return f"is {width} x {height} cells, and the maximum is {MAX_SIDE} x {MAX_SIDE}; crop it or use larger cells"

@@ -1,20 +1,20 @@
-"""The pace at which the world opens its steps, for people who watch. It does not affect results."""
+"""Pacing of the world's steps for viewers; it does not affect results."""
 
 from __future__ import annotations
 
 import time
 
 SLOWEST = 0.5
-"""Steps a second; a world that sleeps longer does not receive the request to stop in time."""
+"""Minimum of steps per second; a world that sleeps longer does not receive the request to stop in time."""
 
 
 class Pace:
-    """A maximum of steps a second; later steps do not catch up after a slow one. The first `free` steps go unpaced.
+    """A maximum of steps per second; steps do not catch up after a slow one. The first `free` steps are not limited.
 
     Raises
     ------
     ValueError
-        Fewer steps a second than `SLOWEST`.
+        Fewer steps per second than `SLOWEST`.
     """
 
     def __init__(self, steps_per_s: float, free: int = 0) -> None:

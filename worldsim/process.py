@@ -47,7 +47,7 @@ class WorldNode:
     steps : int
         The last step.
     cell_mm : float
-        Side of a cell in millimetres, for reports.
+        Side of a cell in millimeters, for reports.
     wait : callable, optional
         Called before each step is opened; it may delay the step (`worldsim.pace`).
     revive : bool
@@ -238,7 +238,7 @@ class WorldNode:
         self._held_moves.pop(robot, None)
 
     def _start_awaited(self) -> None:
-        """Have the launcher start awaited robots whose processes have ended; continue once all have rejoined."""
+        """Ask the launcher to restart awaited robots whose processes have ended; continue once all have rejoined."""
         for robot in self._restarts.take_startable():
             self._report(FaultEvent(self._world.step + 1, robot, "restart"))
         if self._running and self._restarts.complete():
@@ -280,7 +280,7 @@ class WorldNode:
         world = self._world
         poses = np.array(
             [
-                (robot, *self._millimetres(robot), world.headings[robot] * 450)
+                (robot, *self._millimeters(robot), world.headings[robot] * 450)
                 for robot in sorted(world.cells)
             ],
             "<i4",
@@ -288,8 +288,8 @@ class WorldNode:
         driven = [round(cells * self._cell_mm) for cells in world.driven]
         return WorldReport(world.step, poses.tobytes(), driven, world.seen_cells, world.reachable_cells)
 
-    def _millimetres(self, robot: int) -> tuple[int, int]:
-        """Return a robot's position in millimetres."""
+    def _millimeters(self, robot: int) -> tuple[int, int]:
+        """Return a robot's position in millimeters."""
         (x, y), (offset_x, offset_y) = self._world.cells[robot], self._world.offsets[robot]
         scale = self._cell_mm / FINE
         return round((x * FINE + offset_x) * scale), round((y * FINE + offset_y) * scale)

@@ -332,14 +332,14 @@ def too_near(reach: float) -> NDArray[np.bool_]:
 
 
 def beams_outside(beams: int, angle: float, width: float) -> NDArray[np.bool_]:
-    """Beams that a turning scanner does not send while it turns from `angle` on by `width` degrees."""
+    """Return which beams a turning scanner does not send while it turns by `width` degrees from `angle`."""
     degrees = np.arange(beams) * (FULL_TURN / beams)
     outside: NDArray[np.bool_] = (degrees - angle) % FULL_TURN >= min(width, FULL_TURN)
     return outside
 
 
 def reachable_by_team(truth: Grid, settings: WorldSettings) -> NDArray[np.bool_]:
-    """Free cells that one of the robots can reach with its disc."""
+    """Return the free cells that at least one robot can reach with its disc."""
     found: NDArray[np.bool_] = np.zeros(truth.shape, np.bool_)
     done: set[float] = set()
     for start, body in zip(settings.starts, settings.bodies, strict=True):
@@ -351,7 +351,7 @@ def reachable_by_team(truth: Grid, settings: WorldSettings) -> NDArray[np.bool_]
 
 
 def reachable_by(truth: Grid, start: tuple[int, int], radius_cells: float) -> NDArray[np.bool_]:
-    """Free cells that a disc starting at `start` can reach with its centre, or cover from a cell that it reaches."""
+    """Return the free cells that a disc starting at `start` can reach with its center, or cover from there."""
     from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
 
     floor = enlarge(truth, radius_cells)
@@ -364,7 +364,7 @@ def reachable_by(truth: Grid, start: tuple[int, int], radius_cells: float) -> ND
 
 
 def reachable_from(truth: Grid, start: tuple[int, int]) -> NDArray[np.bool_]:
-    """Free cells that a robot can reach from `start`: without cutting corners, this is its 4-connected component."""
+    """Return the free cells that a robot can reach from `start`: its 4-connected component, as corners are not cut."""
     from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
 
     labels, _ = ndimage.label(truth == FREE)

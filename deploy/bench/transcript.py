@@ -59,7 +59,7 @@ def replay(plan: Plan, scripts: dict[str, Script]) -> float:
                 processes.start(name, _replay_client, rendezvous.credentials[name], script)
 
         def check() -> None:
-            if processes.look():
+            if processes.check():
                 raise ConnectionError(f"the benchmark's replay failed: {processes.deaths}")
 
         with closing(join(rendezvous.credentials[names.RECORDER])) as bus:

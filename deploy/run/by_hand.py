@@ -1,4 +1,7 @@
-"""Processes started by hand, each in a terminal or on a host of its own (docs/several-terminals.md)."""
+"""Processes of a run that the user starts one by one, in several terminals or on several hosts.
+
+See docs/several-terminals.md.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ from deploy.dashboard.windows import Window
 from deploy.record import run_directory
 from deploy.record.records import RecorderNode, Records
 from deploy.record.wire_bytes import Meter
-from deploy.run import preload  # noqa: F401  before the process joins: others wait for it
+from deploy.run import preload  # noqa: F401  before the process joins, since others wait for it then
 from deploy.run.exploration import Result, conclude
 from deploy.run.interrupt import Interrupt
 from deploy.run.launch import Outcome, attend
@@ -35,17 +38,18 @@ from protocol.keys import Keys
 from protocol.zenoh_bus import Credential, join
 
 SCENARIO = "scenario.toml"
-"""Lies beside the credentials: what the netshaper was given, for the others to compare theirs with."""
+"""File next to the credentials: the scenario of the netshaper, which the other processes compare with theirs."""
 STANDARD_INPUT = Path("-")
 MOST_PORT = 65535
 
 
 def serve_netshaper(
-    scenario: Scenario, listen: str, folder: Path, tell: Callable[[str], object], keys: Path | None = None
+    scenario: Scenario, listen: str, folder: Path, notify: Callable[[str], object], keys: Path | None = None
 ) -> None:
-    """Write credentials for a new run into `folder`, then be its hub and relay.
+    """Write credentials for a new run into `folder`, then serve as its hub and relay.
 
-    With `keys`, a directory that `murmur keys` made, the hub asks for its certificates, else for passwords.
+    With `keys`, a directory that `murmur keys` made, participants authenticate with its certificates, else with
+    passwords.
     """
     plan = plans.make(scenario)
     endpoint = _endpoint(listen)
@@ -62,12 +66,12 @@ def serve_netshaper(
     with closing(open_hub(run, endpoint, credentials, certificate)) as bus:
         _hand_out(credentials, folder)
         (folder / SCENARIO).write_text(scenario.to_toml(), encoding="utf-8")
-        tell(f"run {run} at {endpoint}; credentials in {folder}: {', '.join(credentials)}")
-        relay(bus, run, plan.radio, scenario.reply_timeout_s, notify=tell)
+        notify(f"run {run} at {endpoint}; credentials in {folder}: {', '.join(credentials)}")
+        relay(bus, run, plan.radio, scenario.reply_timeout_s, notify=notify)
 
 
-def serve_routing(credential: Path, listen: str, folder: Path, tell: Callable[[str], object]) -> None:
-    """Write credentials for a router's robots into `folder`, then be the router, until the hub is gone."""
+def serve_routing(credential: Path, listen: str, folder: Path, notify: Callable[[str], object]) -> None:
+    """Write credentials for a router's robots into `folder`, then serve as the router until the hub is gone."""
     read = Credential.read(credential)
     if not read.robots:
         raise ScenarioError(
@@ -79,7 +83,7 @@ def serve_routing(credential: Path, listen: str, folder: Path, tell: Callable[[s
     credentials = access.passwords(read.run, endpoint, read.robots)
     with closing(Router(read, endpoint, credentials)) as router:
         _hand_out(credentials, folder)
-        tell(
+        notify(
             f"{read.name} of run {read.run} at {endpoint}; credentials in {folder}: {', '.join(credentials)}"
         )
         router.serve()
@@ -97,7 +101,13 @@ def _hand_out(credentials: Mapping[str, Credential], folder: Path) -> None:
 
 
 def _endpoint(listen: str) -> str:
-    """The hub's address in zenoh's form, which is part of every credential; ScenarioError: nobody can listen there."""
+    """Return the hub's address in zenoh's form, as every credential contains it.
+
+    Raises
+    ------
+    ScenarioError
+        The address is malformed, or the hub cannot listen there.
+    """
     parts = re.fullmatch(r"(\[[0-9A-Fa-f:.]+\]|[^\s\[\]:]+):([0-9]{1,5})", listen)
     if parts is None or not 1 <= int(parts[2]) <= MOST_PORT:
         raise ScenarioError(
@@ -106,21 +116,21 @@ def _endpoint(listen: str) -> str:
         )
     if _is_everywhere(parts[1]):
         raise ScenarioError(
-            f"listen = {listen!r}: stands in every credential, and nobody can be reached at {parts[1]}; "
-            "give the address by which others know this host"
+            f"listen = {listen!r}: {parts[1]} cannot be reached from other hosts; "
+            "every credential contains this address: give one by which others know this host"
         )
     try:
         free_port(parts[1].strip("[]"), int(parts[2]))
     except OSError as error:
         raise ScenarioError(
-            f"listen = {listen!r}: nobody can listen there: {error.strerror}; "
-            "it must be an address of this host, and a port that is free"
+            f"listen = {listen!r}: cannot listen there: {error.strerror}; "
+            "it must be an address of this host, and a free port"
         ) from None
     return f"tcp/{listen}"
 
 
 def _is_everywhere(host: str) -> bool:
-    """Whether a host is the unspecified address, which means all of its interfaces."""
+    """Return whether a host is the unspecified address, which means all interfaces."""
     try:
         return ip_address(host.strip("[]")).is_unspecified
     except ValueError:
@@ -141,7 +151,7 @@ def serve_worldsim(scenario: Scenario, credential: Path) -> None:
 
 
 def serve_robot(credential: Path) -> None:
-    """Be the robot that the credential names; ``-`` is standard input."""
+    """Serve as the robot that the credential names; ``-`` is standard input."""
     if credential == STANDARD_INPUT:
         read = Credential.parse(sys.stdin.read(), "credential on standard input")
     else:
@@ -155,15 +165,15 @@ def serve_recorder(
     credential: Path,
     out: Path | None,
     watch: Callable[[Plan, Records], object] | None,
-    tell: Callable[[str], object] = lambda _: None,
+    notify: Callable[[str], object] = lambda _: None,
 ) -> Result:
-    """Serve as the laboratory: record the run and write its directory; `tell` is called once Ctrl-C takes effect."""
+    """Serve as the recorder: record the run and write its directory; `notify` is called once Ctrl-C takes effect."""
     _check_same(scenario, credential)
     plan = plans.make(scenario, record_maps=True)
     read = _credential(credential, names.RECORDER)
     run_directory.check_free(out)
     bus = join(read)
-    interrupt = Interrupt(tell)
+    interrupt = Interrupt(notify)
     deaths: dict[str, str] = {}
     with interrupt.caught():
         with closing(bus):
@@ -175,20 +185,20 @@ def serve_recorder(
                 )
                 recorder.configure(plan.robot_settings)
 
-                def look() -> bool:
+                def poll() -> bool:
                     if watch is not None:
                         watch(plan, recorder.records)
                     return False
 
                 try:
-                    attend(bus, recorder, interrupt.heed, look, quiet_s=math.inf)
+                    attend(bus, recorder, interrupt.heed, poll, quiet_s=math.inf)
                 except BusClosed as error:
                     deaths[names.RELAY] = str(error)
         return conclude(plan, Outcome(recorder.records, deaths), directory, time.perf_counter() - began)
 
 
 def serve_viewer(scenario: Scenario, credential: Path, out: Path, window: Window) -> None:
-    """Watch a run and record it into `out`, from now on until it is over."""
+    """Serve as a viewer: show a run and record it into `out`, from now to its end."""
     _check_same(scenario, credential)
     out.mkdir(parents=True, exist_ok=True)
     task = ViewTask(plans.make(scenario), out, port=window.port)
@@ -196,7 +206,7 @@ def serve_viewer(scenario: Scenario, credential: Path, out: Path, window: Window
 
 
 def _check_same(scenario: Scenario, credential: Path) -> None:
-    """Refuse a scenario that differs from the netshaper's, if that is next to the credential; paths may differ."""
+    """Raise ScenarioError if a scenario differs from the netshaper's next to the credential; paths may differ."""
     beside = credential.parent / SCENARIO
     if not beside.exists():
         return
@@ -204,7 +214,9 @@ def _check_same(scenario: Scenario, credential: Path) -> None:
     for key, value in ours.items():
         differs = Path(value).name != Path(theirs[key]).name if key == "map" else value != theirs[key]
         if differs:
-            raise ScenarioError(f"{key} = {value!r} here, but {theirs[key]!r} in {beside}: give all the same")
+            raise ScenarioError(
+                f"{key} = {value!r} here, but {theirs[key]!r} in {beside}: all processes need the same scenario"
+            )
 
 
 def _credential(path: Path, name: str) -> Credential:

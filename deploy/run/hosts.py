@@ -1,4 +1,7 @@
-"""Hosts of a run: which robots run where, and how SSH gets there. A TOML file, checked before anything starts."""
+"""The hosts of a run: a TOML file that assigns robots to hosts, and configures SSH.
+
+It is checked before anything starts.
+"""
 
 from __future__ import annotations
 
@@ -23,21 +26,25 @@ class _Table(BaseModel):
 
 
 class Host(_Table):
-    """One other host, and the robots that run there."""
+    """Another host, and the robots that run there."""
 
-    name: str = Field(description="what messages and logs call it")
+    name: str = Field(description="its name in messages and logs")
     ssh: str = Field(
-        "", description="where ssh goes: HOST, USER@HOST, or a name of ~/.ssh/config; empty: the name"
+        "", description="destination of ssh: HOST, USER@HOST, or a name of ~/.ssh/config; empty: the name"
     )
     port: Port | None = Field(None, description="port of its SSH server")
-    options: tuple[str, ...] = Field((), description="options of ssh, as ssh_config(5) has them")
-    command: str = Field("murmur", description="how Murmur is called there, as its shell has it")
-    robots: Whole | tuple[Whole, ...] = Field(description="how many robots run there, or which")
-    router: Truth = Field(False, description="whether they share one connection, through a router there")
+    options: tuple[str, ...] = Field((), description="options of ssh, as in ssh_config(5)")
+    command: str = Field("murmur", description="shell command that starts Murmur there")
+    robots: Whole | tuple[Whole, ...] = Field(
+        description="number of robots there, or a list of their numbers"
+    )
+    router: Truth = Field(
+        False, description="whether they share one connection through a router on that host"
+    )
 
     @field_validator("name")
     @classmethod
-    def _name_does_for_a_file(cls, value: str) -> str:
+    def _name_is_valid_file_name(cls, value: str) -> str:
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", value):
             raise ValueError("must be letters, digits, '-', '_' and dots")
         if re.fullmatch(r"relay|world|recorder|view|r[0-9]+", value):
@@ -46,9 +53,9 @@ class Host(_Table):
 
     @field_validator("ssh")
     @classmethod
-    def _is_no_option(cls, value: str) -> str:
+    def _ssh_is_no_option(cls, value: str) -> str:
         if not re.fullmatch(r"([^-\s]\S*)?", value):
-            raise ValueError("must be HOST or USER@HOST, without blanks")
+            raise ValueError("must be HOST or USER@HOST, without spaces")
         return value
 
     @field_validator("options")
@@ -61,55 +68,59 @@ class Host(_Table):
 
     @field_validator("command")
     @classmethod
-    def _command_is_something(cls, value: str) -> str:
+    def _command_is_not_empty(cls, value: str) -> str:
         if not value.strip() or "\n" in value:
             raise ValueError("must be a command on one line, as murmur or /opt/murmur/bin/murmur")
         return value
 
     @field_validator("robots")
     @classmethod
-    def _robots_are_some(cls, value: int | tuple[int, ...]) -> int | tuple[int, ...]:
+    def _robots_are_valid(cls, value: int | tuple[int, ...]) -> int | tuple[int, ...]:
         numbers = value if isinstance(value, tuple) else range(value)
         if not 1 <= len(numbers) <= MAX_ROBOTS or len(set(numbers)) < len(numbers) or min(numbers) < 0:
-            raise ValueError("must be how many, 1 or more, or a list of different numbers of robots, from 0")
+            raise ValueError(
+                "must be a number of robots, 1 or more, or a list of different robot numbers, from 0"
+            )
         return value
 
     @property
     def target(self) -> str:
-        """Where ssh goes."""
+        """The destination of ssh."""
         return self.ssh or self.name
 
 
 class Hosts(_Table):
-    """Where the hub listens, and the other hosts. Robots that are on none of them run on this one."""
+    """The hub's address, and the other hosts. All other robots run on this host."""
 
-    address: str = Field(description="the name or IP address by which the other hosts reach this one")
-    port: Port | None = Field(None, description="where the hub listens; left out: at any free port")
+    address: str = Field(description="name or IP address by which the other hosts reach this one")
+    port: Port | None = Field(None, description="port of the hub; default: any free port")
     host: tuple[Host, ...] = Field(description="the other hosts")
 
     @field_validator("address")
     @classmethod
-    def _address_can_be_reached(cls, value: str) -> str:
+    def _address_is_reachable(cls, value: str) -> str:
         if not re.fullmatch(r"[A-Za-z0-9.:_-]+", value):
             raise ValueError("must be a host's name or an IP address, as 192.168.1.10")
         if value in ("0.0.0.0", "::"):
-            raise ValueError("nobody can be reached there; give the address by which others know this host")
+            raise ValueError(
+                "cannot be reached from other hosts; give the address by which they know this host"
+            )
         return value
 
     @model_validator(mode="after")
     def _hosts_differ(self) -> Self:
         called = [host.name for host in self.host]
         if not called:
-            raise ValueError("[[host]] is missing: without another host there is no need of this file")
+            raise ValueError("[[host]] is missing: a hosts file must list at least one other host")
         if len(set(called)) < len(called):
             raise ValueError(f"[[host]] names must differ: {', '.join(called)}")
         listed = [number for host in self.host if isinstance(host.robots, tuple) for number in host.robots]
         if len(set(listed)) < len(listed):
-            raise ValueError(f"[[host]] robots: one is on two hosts: {sorted(listed)}")
+            raise ValueError(f"[[host]] robots: a robot is listed twice: {sorted(listed)}")
         return self
 
     def placing(self, robots: int) -> dict[str, list[int]]:
-        """Numbers of the robots on each other host: those that are listed, then the lowest that are left.
+        """Return the numbers of the robots on each other host: first the listed ones, then the lowest free ones.
 
         Raises
         ------
@@ -125,11 +136,11 @@ class Hosts(_Table):
         missing = [number for number in taken if number >= robots]
         if missing or sum(len(numbers) for numbers in listed.values()) < self._wanted():
             of = f"robot {min(missing)}" if missing else f"{self._wanted()} robots"
-            raise ScenarioError(f"hosts: they speak of {of}, but the scenario has robots = {robots}")
+            raise ScenarioError(f"hosts: the file assigns {of}, but the scenario has robots = {robots}")
         return {host.name: listed[host.name] for host in self.host}
 
     def _wanted(self) -> int:
-        """How many robots all other hosts have."""
+        """Return the number of robots on all other hosts."""
         return sum(host.robots if isinstance(host.robots, int) else len(host.robots) for host in self.host)
 
 
@@ -139,14 +150,14 @@ def load(path: Path) -> Hosts:
     Raises
     ------
     ScenarioError
-        It cannot be read, or a key or value is wrong; all that are wrong are named.
+        The file cannot be read, or keys or values are invalid; the message lists all of them.
     """
     path, data = read_toml(path, "hosts")
     return parse(data, f"hosts {path}")
 
 
 def parse(data: dict[str, Any], where: str = "hosts") -> Hosts:
-    """Check hosts given as a dictionary; ScenarioError names what is wrong."""
+    """Validate hosts given as a dictionary; ScenarioError lists all errors."""
     try:
         return Hosts.model_validate(data)
     except ValidationError as error:

@@ -124,18 +124,20 @@ def run(
     with contextlib.ExitStack() as stack:
         folder = logs or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         journals = journals or (folder if logs is None else folder.parent) / "journals"
-        meeting = fleet.rendezvous if fleet is not None else rendezvous or on_loopback(plan.scenario.robots)
+        rendezvous = (
+            fleet.rendezvous if fleet is not None else rendezvous or on_loopback(plan.scenario.robots)
+        )
         processes = stack.enter_context(ProcessTable(folder))
         if fleet is not None:
-            stack.enter_context(fleet.running(meeting.credentials, folder))
-        table = _relay_and_world(plan, meeting, world, wrap, captures=capture is not None)
-        table |= _robots(plan, meeting, fleet.robots if fleet is not None else set(), journals, wrap)
+            stack.enter_context(fleet.running(rendezvous.credentials, folder))
+        table = _relay_and_world(plan, rendezvous, world, wrap, captures=capture is not None)
+        table |= _robots(plan, rendezvous, fleet.robots if fleet is not None else set(), journals, wrap)
         supervisor = _Supervisor(processes, table, fleet)
-        stack.enter_context(announced(live, meeting.credentials[names.VIEW], port))
+        stack.enter_context(announced(live, rendezvous.credentials[names.VIEW], port))
         supervisor.start()
         if show is not None:
-            _start_viewer(processes, meeting, show)
-        outcome = _record(supervisor, meeting, plan, world.pause_s, heed, watch, capture, wrap)
+            _start_viewer(processes, rendezvous, show)
+        outcome = _record(supervisor, rendezvous, plan, world.pause_s, heed, watch, capture, wrap)
         if show is not None:
             outcome.view_fault = processes.await_end(names.VIEW, VIEWER_END_S)
         return outcome
@@ -146,32 +148,32 @@ ProcessEntry = tuple[Callable[..., None], *tuple[object, ...]]
 
 
 def _relay_and_world(
-    plan: Plan, meeting: Rendezvous, world: WorldTask, wrap: Wrap | None, *, captures: bool
+    plan: Plan, rendezvous: Rendezvous, world: WorldTask, wrap: Wrap | None, *, captures: bool
 ) -> dict[str, ProcessEntry]:
     """Return the processes of relay and world, by name."""
     return {
         names.RELAY: (
             serve_relay,
-            meeting.run,
-            meeting.endpoint,
-            meeting.credentials,
+            rendezvous.run,
+            rendezvous.endpoint,
+            rendezvous.credentials,
             plan.radio,
-            meeting.certificate,
+            rendezvous.certificate,
             plan.scenario.reply_timeout_s,
             world.pause_s,
             captures,
         ),
-        names.WORLD: (serve_world, meeting.credentials[names.WORLD], world, wrap),
+        names.WORLD: (serve_world, rendezvous.credentials[names.WORLD], world, wrap),
     }
 
 
 def _robots(
-    plan: Plan, meeting: Rendezvous, elsewhere: set[str], journals: Path, wrap: Wrap | None
+    plan: Plan, rendezvous: Rendezvous, elsewhere: set[str], journals: Path, wrap: Wrap | None
 ) -> dict[str, ProcessEntry]:
     """Return the processes of the robots on this host, and of the routers between them and the hub, by name."""
     table: dict[str, ProcessEntry] = {}
-    credentials = dict(meeting.credentials)
-    for router in [each for each in meeting.credentials.values() if each.robots]:
+    credentials = dict(rendezvous.credentials)
+    for router in [each for each in rendezvous.credentials.values() if each.robots]:
         if elsewhere.isdisjoint(router.robots):
             there = behind(router)
             table[router.name] = (serve_router, router, there.endpoint, there.credentials)
@@ -206,7 +208,7 @@ class _Supervisor:
             self._processes.start(name, serve, *args)
 
     def apply(self, event: FaultEvent) -> None:
-        """Do to a robot's process what a fault requires: expect its end, or restart it."""
+        """Apply a fault to a robot's process: expect its end, or restart it."""
         name = names.robot(event.robot)
         if event.kind == "restart":
             self._processes.give_up(name)
@@ -219,8 +221,8 @@ class _Supervisor:
     def check(self) -> dict[str, str]:
         """Update `deaths` and return it."""
         if self._fleet is not None:
-            self._fleet.look(self.deaths)
-        return self._processes.look()
+            self._fleet.check(self.deaths)
+        return self._processes.check()
 
     def end_lost(self, lost: Mapping[int, str]) -> None:
         """End the processes of robots that the run continues without, once each."""
@@ -241,9 +243,9 @@ class _Supervisor:
                 self._processes.await_end(names.robot(robot), FAREWELL_S)
         self.check()
         if names.RELAY in self.deaths:
-            self._processes.forget_who_left()
+            self._processes.forget_disconnected()
             if self._fleet is not None:
-                self._fleet.forget_who_left(self.deaths)
+                self._fleet.forget_disconnected(self.deaths)
 
 
 def _start_viewer(processes: ProcessTable, rendezvous: Rendezvous, show: Show) -> None:
@@ -260,7 +262,7 @@ def _start_viewer(processes: ProcessTable, rendezvous: Rendezvous, show: Show) -
 
 def _record(
     supervisor: _Supervisor,
-    meeting: Rendezvous,
+    rendezvous: Rendezvous,
     plan: Plan,
     pause_s: float,
     heed: Heed,
@@ -271,17 +273,17 @@ def _record(
     """Serve as the recorder until the run is over."""
     robots, shape = plan.scenario.robots, plan.map.cells.shape
     try:
-        bus: Bus = join(meeting.credentials[names.RECORDER])
+        bus: Bus = join(rendezvous.credentials[names.RECORDER])
     except ConnectionError as error:
         supervisor.check().setdefault(names.RELAY, str(error))
         return Outcome(Records(robots, MapHistory(shape)), supervisor.deaths)
     if wrap is not None:
         bus = wrap(names.RECORDER, bus)
-    meter = Meter(meeting.endpoint, here=True)
-    recorder = RecorderNode(bus, Keys(meeting.run), robots, shape, capture, meter, supervisor.apply)
+    meter = Meter(rendezvous.endpoint, here=True)
+    recorder = RecorderNode(bus, Keys(rendezvous.run), robots, shape, capture, meter, supervisor.apply)
     recorder.configure(plan.robot_settings)
 
-    def look() -> bool:
+    def poll() -> bool:
         if watch is not None:
             watch(recorder.records)
         supervisor.end_lost(recorder.records.lost)
@@ -291,7 +293,7 @@ def _record(
 
     with contextlib.closing(bus):
         try:
-            attend(bus, recorder, heed, look, 2 * silence_s(plan.scenario.reply_timeout_s, pause_s))
+            attend(bus, recorder, heed, poll, 2 * silence_s(plan.scenario.reply_timeout_s, pause_s))
         except BusClosed as error:
             time.sleep(POLL_S)  # the process ends a moment after it has left the bus
             supervisor.check().setdefault(names.RELAY, str(error))
@@ -299,10 +301,10 @@ def _record(
     return Outcome(recorder.records, supervisor.deaths)
 
 
-def attend(bus: Bus, recorder: RecorderNode, heed: Heed, look: Callable[[], bool], quiet_s: float) -> None:
+def attend(bus: Bus, recorder: RecorderNode, heed: Heed, poll: Callable[[], bool], quiet_s: float) -> None:
     """Serve as the recorder until all data are recorded, or no more arrive.
 
-    `look` is called a few times per second and returns whether the run has failed, which ends it.
+    `poll` is called a few times per second and returns whether the run has failed, which ends it.
 
     Raises
     ------
@@ -311,18 +313,18 @@ def attend(bus: Bus, recorder: RecorderNode, heed: Heed, look: Callable[[], bool
     """
     ending: float | None = None
     missing = -1
-    received = looked = time.monotonic()
+    received = polled = time.monotonic()
     while not recorder.done:
         message = bus.receive(POLL_S)
         now = time.monotonic()
         if message is not None:
             received = now
             recorder.handle(message)
-        if now - looked < POLL_S:
+        if now - polled < POLL_S:
             continue
-        looked = now
+        polled = now
         recorder.read_meter()
-        failed, interrupted = look(), heed(recorder)
+        failed, interrupted = poll(), heed(recorder)
         if now - received > quiet_s:
             raise BusClosed(f"no message from the relay for {quiet_s:g} s")
         is_over = recorder.records.end is not None

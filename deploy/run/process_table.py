@@ -61,7 +61,7 @@ class ProcessTable:
     Attributes
     ----------
     deaths : dict of str to str
-        Children that ended prematurely, each with its crash report; `look` updates it.
+        Children that ended prematurely, each with its crash report; `check` updates it.
     """
 
     def __init__(self, logs: Path) -> None:
@@ -106,7 +106,7 @@ class ProcessTable:
                 child.needed = False
         self.deaths.pop(name, None)
 
-    def look(self) -> dict[str, str]:
+    def check(self) -> dict[str, str]:
         """Check the children; return all premature ends so far."""
         dead = [child for child in self._children if child.needed and child.process.exitcode not in (None, 0)]
         if dead and all(child.process.exitcode == UNKNOWN and not child.has_output for child in dead):
@@ -117,7 +117,7 @@ class ProcessTable:
                 self.deaths[child.name] = child.crash_report()
         return self.deaths
 
-    def forget_who_left(self) -> None:
+    def forget_disconnected(self) -> None:
         """Remove the children from `deaths` that ended because the hub had ended."""
         for child in self._children:
             if child.process.exitcode == BROKEN_OFF:

@@ -1,11 +1,11 @@
-"""Robots of a run on another host: what `murmur run agents` does there, at the far end of the launcher's SSH.
+"""Robots of a run on another host: the process `murmur run agents`, which the launcher starts through SSH.
 
-It says which code it is, is given credentials, starts one child a robot, and passes on what they print and how they
-end. It ends when they have all ended, or when its standard input is closed: when the launcher goes, so do they.
+It reports its version, receives credentials, starts one child process per robot, and forwards their output and exit
+codes. It ends when all of them have ended, or when its standard input is closed, as it is when the launcher ends.
 
-Both ways go lines of JSON. Here to the launcher: ``{"murmur", "code", "versions"}`` once, then ``{"robot", "log"}`` and
-``{"robot", "exit", "words"}``. From the launcher: ``{"credentials": [...]}`` once, then ``{"end": NAME}``. Where a
-credential is a router's, the robots that it names join through that; of the router is spoken as if it were a robot.
+Both directions use JSON lines. To the launcher: ``{"murmur", "code", "versions"}`` once, then ``{"robot", "log"}`` and
+``{"robot", "exit", "report"}``. From the launcher: ``{"credentials": [...]}`` once, then ``{"end": NAME}``. If a
+credential is a router's, the robots that it names join through this router; messages name the router like a robot.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from protocol import keys as names
 from protocol.zenoh_bus import Credential
 
 POLL_S = 0.2
-ROOMS = ("agent", "protocol")
-"""Rooms whose code decides what a robot does and says; and what starts it and lets it in."""
+PACKAGES = ("agent", "protocol")
+"""Packages that determine the behavior of a robot."""
 STARTERS = (
     "deploy.run.remote_agents",
     "deploy.run.processes",
@@ -42,14 +42,15 @@ STARTERS = (
     "netshaper.access",
     "netshaper.router",
 )
+"""Modules that start a robot and authenticate it."""
 
 
 def code_digest() -> str:
-    """Digest of the code that a robot runs: equal digests, equal robots."""
+    """Return the digest of the code that a robot runs: robots with equal digests behave equally."""
     files = [(name, _file_of(name)) for name in STARTERS]
-    for room in ROOMS:
-        root = _file_of(room).parent
-        files += [(f"{room}/{path.relative_to(root).as_posix()}", path) for path in root.rglob("*.py")]
+    for package in PACKAGES:
+        root = _file_of(package).parent
+        files += [(f"{package}/{path.relative_to(root).as_posix()}", path) for path in root.rglob("*.py")]
     digest = hashlib.sha256()
     for name, path in sorted(files):
         digest.update(f"{name}\0".encode() + hashlib.sha256(path.read_bytes()).digest())
@@ -57,7 +58,7 @@ def code_digest() -> str:
 
 
 def _file_of(module: str) -> Path:
-    """Where a module's code is, without importing it."""
+    """Return the file of a module without importing it."""
     spec = importlib.util.find_spec(module)
     assert spec is not None and spec.origin is not None
     return Path(spec.origin)
@@ -65,50 +66,51 @@ def _file_of(module: str) -> Path:
 
 @cache
 def hello() -> dict[str, Any]:
-    """What a far end says first."""
+    """Return the first message to the launcher: the versions of Murmur, its code and its dependencies."""
     found = versions()
     return {"murmur": found.pop("murmur-robots"), "code": code_digest(), "versions": found}
 
 
 class _Channel:
-    """The way back to the launcher: standard output, for it alone; what else is printed goes where errors go."""
+    """Messages to the launcher: reserves standard output, and redirects all other output to standard error."""
 
     def __init__(self) -> None:
         sys.stdout.flush()
         self._file = os.fdopen(os.dup(1), "wb", buffering=0)
         os.dup2(2, 1)
 
-    def say(self, **words: object) -> None:
-        self._file.write(json.dumps(words).encode() + b"\n")
+    def send(self, **message: object) -> None:
+        """Send one message to the launcher."""
+        self._file.write(json.dumps(message).encode() + b"\n")
 
 
 def serve() -> None:
-    """Be the far end, from hello to the last robot's end.
+    """Run the robots of this host, from the first message to the end of the last robot.
 
     Raises
     ------
     ValueError
-        The launcher said what makes no sense.
+        The launcher sent a malformed message.
     """
     setproctitle("murmur robots")
     channel = _Channel()
     for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
         signal.signal(number, _leave)
     try:
-        channel.say(**hello())
-        # Byte by byte, so that nothing stays in a buffer that `select` does not know of.
+        channel.send(**hello())
+        # Unbuffered, because `select` does not see bytes in a buffer.
         with open(0, "rb", buffering=0, closefd=False) as orders:
             order = orders.readline()
             if order:
                 _run(_credentials(order), orders, channel)
     except BrokenPipeError:
-        pass  # the launcher is gone, and the robots with it
+        pass  # the launcher has ended, and the robots end with it
 
 
 def _run(credentials: list[Credential], orders: RawIOBase, channel: _Channel) -> None:
     from deploy.run.process_table import ProcessTable  # noqa: PLC0415
     from deploy.run.processes import serve_agent, serve_router  # noqa: PLC0415
-    from deploy.run.rendezvous import behind  # noqa: PLC0415  hello comes first
+    from deploy.run.rendezvous import behind  # noqa: PLC0415  the first message must not wait
 
     table: dict[str, tuple[Callable[..., None], *tuple[object, ...]]] = {}
     for credential in credentials:
@@ -125,12 +127,12 @@ def _run(credentials: list[Credential], orders: RawIOBase, channel: _Channel) ->
         read = dict.fromkeys(table, 0)
         running = list(table)
 
-        def forward_maps(name: str) -> None:
+        def forward_log(name: str) -> None:
             log = logs / f"{name}.log"
             text = log.read_bytes()[read[name] :] if log.exists() else b""
             if text:
                 read[name] += len(text)
-                channel.say(robot=name, log=text.decode(errors="replace"))
+                channel.send(robot=name, log=text.decode(errors="replace"))
 
         with ProcessTable(logs) as processes:
             for name, row in table.items():
@@ -141,19 +143,19 @@ def _run(credentials: list[Credential], orders: RawIOBase, channel: _Channel) ->
                     order = orders.readline()
                     is_over = not order
                     processes.give_up(_to_end(order))
-                ended, deaths = processes.ended(), processes.look()
+                ended, deaths = processes.ended(), processes.check()
                 for name in running:
-                    forward_maps(name)
+                    forward_log(name)
                     if name in ended:
-                        channel.say(robot=name, exit=ended[name], words=deaths.get(name, ""))
+                        channel.send(robot=name, exit=ended[name], report=deaths.get(name, ""))
                 running = [name for name in running if name not in ended]
                 if is_over:
                     break
 
 
 def serve_tied(serve: Callable[..., None], *args: object) -> None:
-    """Be one robot or router, and die with the far end, even if that is killed."""
-    threading.Thread(target=_die_with_parent, name="far end", daemon=True).start()
+    """Serve as one robot or router, and end with the parent process, even if that is killed."""
+    threading.Thread(target=_die_with_parent, name="parent", daemon=True).start()
     serve(*args)
 
 
@@ -165,12 +167,12 @@ def _die_with_parent() -> None:
 
 
 def _credentials(order: bytes) -> list[Credential]:
-    """The robots' credentials out of the launcher's order."""
+    """Parse the credentials in the launcher's first message."""
     try:
         listed = json.loads(order)["credentials"]
     except (ValueError, KeyError, TypeError):
         raise ValueError(
-            "standard input: must be one line of JSON, as murmur explore --hosts says it"
+            "standard input: must be one line of JSON, as murmur explore --hosts sends it"
         ) from None
     found = [Credential.parse(json.dumps(each)) for each in listed]
     for credential in found:
@@ -180,7 +182,7 @@ def _credentials(order: bytes) -> list[Credential]:
 
 
 def _to_end(order: bytes) -> str:
-    """The robot that the launcher wants ended; empty if it says nothing of the kind."""
+    """Return the robot that the launcher wants to end; empty for any other message."""
     try:
         return str(json.loads(order)["end"])
     except (ValueError, KeyError, TypeError):

@@ -37,7 +37,7 @@ class RobotState:
     x, y : float
         True position in meters, in the map's frame, y up.
     heading : float
-        Degrees, a full turn is 360; 0 looks along x, 90 along -y.
+        Degrees, a full turn is 360; 0 points along x, 90 along -y.
     cell : (x, y)
         Its cell, row 0 on top: ``grid[y, x]``.
     driven : float
@@ -184,15 +184,15 @@ class Steps:
         records, resolution = self._run.records, self.plan.map.resolution
         report = next(each for each in reversed(records.world) if each.step == number)
         robots = {}
-        for robot, x_mm, y_mm, heading in np.frombuffer(report.poses, "<i4").reshape(-1, 4).tolist():
-            mind = self._run.agents[robot].robot
-            if mind is None:
+        for index, x_mm, y_mm, heading in np.frombuffer(report.poses, "<i4").reshape(-1, 4).tolist():
+            robot = self._run.agents[index].robot
+            if robot is None:
                 continue
             x_cell, y_cell = x_mm / 1000 / resolution, y_mm / 1000 / resolution
             x, y = to_world(self.plan.map, x_cell, y_cell)
-            robots[robot] = RobotState(
-                robot, x, y, heading / 10, (round(x_cell), round(y_cell)), report.driven[robot] / 1000,
-                _unwritable(mind.own), _unwritable(mind.planning), mind.target, mind.status, mind.polygons,
+            robots[index] = RobotState(
+                index, x, y, heading / 10, (round(x_cell), round(y_cell)), report.driven[index] / 1000,
+                _unwritable(robot.own), _unwritable(robot.planning), robot.target, robot.status, robot.polygons,
             )  # fmt: skip
         rows = b"".join(records.rows[self._reported :])
         self._reported = len(records.rows)

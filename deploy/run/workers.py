@@ -122,7 +122,7 @@ class Cluster:
             self._client: Any = Client(address, timeout=self.REPLY_TIMEOUT_S, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise ValueError(
-                f"scheduler = {address!r}: {str(error) or 'nobody answers'}; give its address, as tcp://10.0.0.1:8786"
+                f"scheduler = {address!r}: {str(error) or 'no scheduler answers'}; give its address, as tcp://10.0.0.1:8786"
             ) from None
 
     def each(

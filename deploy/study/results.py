@@ -100,7 +100,7 @@ class Results:
                 os.close(self._lock)
 
     def knows(self, key: str, code: str | None, *, retry: bool = False) -> bool:
-        """Whether the table has a run, made by `code` (None: by any); with `retry`, failed runs do not count."""
+        """Return whether the table has a run, made by `code` (None: by any); with `retry`, failed runs do not count."""
         if key not in self._known or (retry and key in self._failed):
             return False
         return code is None or self._known[key] == code

@@ -283,7 +283,7 @@ def _sources() -> str:
 
 
 def is_file(name: str) -> bool:
-    """Whether the name of a map is that of a file; other maps are generated."""
+    """Return whether the name of a map is that of a file; other maps are generated."""
     return name.endswith(FILES) or Path(name).is_file()
 
 

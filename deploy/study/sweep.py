@@ -142,8 +142,8 @@ def run(
     if out is not None:
         make_folder(out.parent)
     with Results(out) as results:
-        with counting(Console(stderr=True, quiet=not progress), experiment.name) as tell:
-            make(todo, results, workers(jobs, scheduler), tell)
+        with counting(Console(stderr=True, quiet=not progress), experiment.name) as report:
+            make(todo, results, workers(jobs, scheduler), report)
         return Sweep(experiment, todo, looked_up(todo, results), results, failures(todo, results))
 
 

@@ -150,7 +150,7 @@ def described(table: Table, rows: Sequence[Row], keys: Sequence[str] | None = No
 
 
 def has_finished(row: Row) -> bool:
-    """Whether a run ended as explored with sufficient coverage; always true for other measures."""
+    """Return whether a run ended as explored with sufficient coverage; always true for other measures."""
     return row.get("finished") is None or (bool(row["finished"]) and row["coverage"] >= MIN_COVERAGE)
 
 

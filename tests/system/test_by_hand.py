@@ -138,11 +138,11 @@ def test_a_scenario_that_is_not_the_relay_s_is_refused_by_name(tmp_path: Path) -
     (tmp_path / "scenario.toml").write_text(parse(theirs).to_toml())
     ours = parse(theirs | {"robots": 3})
     with pytest.raises(
-        ScenarioError, match=r"^robots = 3 here, but 2 in .*scenario\.toml: give all the same"
+        ScenarioError, match=r"^robots = 3 here, but 2 in .*scenario\.toml: all must be the same"
     ):
         serve_worldsim(ours, tmp_path / "world.json")
     with pytest.raises(
-        ScenarioError, match=r"^robots = 3 here, but 2 in .*scenario\.toml: give all the same"
+        ScenarioError, match=r"^robots = 3 here, but 2 in .*scenario\.toml: all must be the same"
     ):
         serve_recorder(ours, tmp_path / "recorder.json", tmp_path / "run", None)
     assert not (tmp_path / "run").exists()
@@ -158,12 +158,12 @@ def test_a_relay_that_cannot_listen_leaves_no_credentials(tmp_path: Path) -> Non
             ScenarioError, match=r"^listen = '127\S+': .* Address already in use; it must be "
         ):
             serve_netshaper(scenario, listen, tmp_path / "credentials", print)
-    with pytest.raises(ScenarioError, match=r"^listen = '192\.0\.2\.7:7447': nobody can listen there: "):
+    with pytest.raises(ScenarioError, match=r"^listen = '192\.0\.2\.7:7447': cannot listen there: "):
         serve_netshaper(scenario, "192.0.2.7:7447", tmp_path / "credentials", print)
     assert not (tmp_path / "credentials").exists()
 
 
-def test_a_laboratory_that_is_not_let_in_leaves_no_directory(
+def test_recorder_that_cannot_join_leaves_no_directory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("protocol.zenoh_bus.CONNECT_S", 0.5)

@@ -156,5 +156,5 @@ def test_a_host_that_cannot_take_robots_is_named_before_anything_starts(far: Far
     with launched(tmp_path, far) as run:
         _, faults = run.communicate(timeout=PATIENCE_S)
     assert run.returncode == 2
-    assert re.fullmatch(r"murmur: host far: ssh cannot get to 10\.213\.77\.2: .*Connection refused\n", faults)
+    assert re.fullmatch(r"murmur: host far: ssh cannot reach 10\.213\.77\.2: .*Connection refused\n", faults)
     assert not (tmp_path / "run").exists()

@@ -1,4 +1,4 @@
-"""Files appear whole or not at all, and who cannot be written is named."""
+"""Atomic writing: files appear complete or not at all, and errors name the file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def fill_the_disk(file: BinaryIO) -> None:
     raise OSError(errno.ENOSPC, "No space left on device")
 
 
-def test_a_file_has_its_name_once_it_is_whole(tmp_path: Path) -> None:
+def test_file_has_its_name_once_it_is_complete(tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
 
     def write(file: BinaryIO) -> None:
@@ -29,9 +29,7 @@ def test_a_file_has_its_name_once_it_is_whole(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("before", [None, b"before"])
-def test_a_file_that_cannot_be_written_is_named_and_stays_as_it_was(
-    tmp_path: Path, before: bytes | None
-) -> None:
+def test_error_names_the_file_which_stays_unchanged(tmp_path: Path, before: bytes | None) -> None:
     path = tmp_path / "a.txt"
     if before is not None:
         path.write_bytes(before)
@@ -41,6 +39,6 @@ def test_a_file_that_cannot_be_written_is_named_and_stays_as_it_was(
     assert [each.read_bytes() for each in tmp_path.iterdir()] == ([] if before is None else [before])
 
 
-def test_a_folder_that_is_not_there_is_told_by_the_name_of_the_file(tmp_path: Path) -> None:
+def test_error_for_a_missing_directory_names_the_file(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"nowhere/a\.txt"):
         write_whole(tmp_path / "nowhere" / "a.txt", lambda file: file.write(b"x"))

@@ -1,4 +1,4 @@
-"""Motion: along free cells, at the robot's speed, around corners, and never into a teammate."""
+"""Cell motion: along free cells, at the robot's speed, around corners, and never into a teammate."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from worldsim.cell_motion import DIAGONAL, INTERFERENCE, NOT_BLOCKED, ROBOT, WALL, drive, heading_of, swept
 
-NEIGHBOURS = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if dx or dy]
+NEIGHBORS = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if dx or dy]
 Cell = tuple[int, int]
 
 
@@ -22,13 +22,13 @@ def floor(*rows: str) -> Grid:
     return np.array([[{".": FREE, "#": OCCUPIED, "?": UNKNOWN}[c] for c in row] for row in rows], np.uint8)
 
 
-def nobody(truth: Grid) -> NDArray[np.bool_]:
+def no_robots(truth: Grid) -> NDArray[np.bool_]:
     return np.zeros(truth.shape, np.bool_)
 
 
 @st.composite
 def moves(draw: st.DrawFn) -> tuple[Grid, NDArray[np.bool_], Cell, list[Cell], float]:
-    """A random world with teammates, a robot, a path which is mostly one, and a way."""
+    """Draw a random world with teammates, a robot, a mostly valid path, and a distance."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     height, width = rng.integers(1, 9, 2)
     truth = rng.choice(np.array([UNKNOWN, FREE, OCCUPIED], np.uint8), (height, width), p=[0.05, 0.85, 0.1])
@@ -38,7 +38,7 @@ def moves(draw: st.DrawFn) -> tuple[Grid, NDArray[np.bool_], Cell, list[Cell], f
     taken[start[1], start[0]] = False
     path, (x, y) = [], start
     for _ in range(rng.integers(0, 12)):
-        dx, dy = NEIGHBOURS[rng.integers(8)] if rng.random() < 0.98 else rng.integers(-2, 3, 2).tolist()
+        dx, dy = NEIGHBORS[rng.integers(8)] if rng.random() < 0.98 else rng.integers(-2, 3, 2).tolist()
         x, y = x + dx, y + dy
         path.append((x, y))
     return truth, taken, start, path, draw(st.floats(0, 12))
@@ -49,7 +49,7 @@ def length_of(cells: list[Cell]) -> float:
 
 
 @given(moves())
-def test_a_robot_enters_only_free_cells_that_nobody_stands_in(
+def test_robot_enters_only_free_cells_without_robots(
     move: tuple[Grid, NDArray[np.bool_], Cell, list[Cell], float],
 ) -> None:
     truth, taken, start, path, way = move
@@ -61,7 +61,7 @@ def test_a_robot_enters_only_free_cells_that_nobody_stands_in(
 
 
 @given(moves())
-def test_a_robot_cuts_no_corners_and_leaps_over_nothing(
+def test_robot_cuts_no_corners_and_skips_no_cells(
     move: tuple[Grid, NDArray[np.bool_], Cell, list[Cell], float],
 ) -> None:
     truth, taken, start, path, way = move
@@ -72,7 +72,7 @@ def test_a_robot_cuts_no_corners_and_leaps_over_nothing(
 
 
 @given(moves())
-def test_a_robot_drives_as_far_as_it_may_and_says_why_it_did_not(
+def test_robot_drives_its_distance_or_reports_why_it_stopped(
     move: tuple[Grid, NDArray[np.bool_], Cell, list[Cell], float],
 ) -> None:
     truth, taken, start, path, way = move
@@ -90,9 +90,9 @@ def test_a_robot_drives_as_far_as_it_may_and_says_why_it_did_not(
     if done.blocked == ROBOT:
         assert taken[ny, nx]
     elif done.blocked == WALL:
-        neighbour = max(abs(nx - x), abs(ny - y)) == 1
+        neighbor = max(abs(nx - x), abs(ny - y)) == 1
         inside = 0 <= nx < width and 0 <= ny < height
-        assert not (neighbour and inside) or truth[ny, nx] != FREE or not truth[y, nx] == truth[ny, x] == FREE
+        assert not (neighbor and inside) or truth[ny, nx] != FREE or not truth[y, nx] == truth[ny, x] == FREE
     else:
         assert done.length + length_of([(x, y), (nx, ny)]) > way
         assert done.carry == pytest.approx(way - done.length)
@@ -100,39 +100,39 @@ def test_a_robot_drives_as_far_as_it_may_and_says_why_it_did_not(
         assert done.carry == 0
 
 
-def test_a_step_to_a_4_neighbour_is_1_and_a_diagonal_one_the_root_of_2() -> None:
+def test_step_to_a_4_neighbor_has_length_1_and_a_diagonal_step_sqrt_2() -> None:
     truth = floor("...", "...", "...")
-    assert drive(truth, nobody(truth), (0, 0), [(1, 0)], 1.0).length == 1.0
-    assert drive(truth, nobody(truth), (0, 0), [(1, 1)], 1.0).cells == []
-    assert drive(truth, nobody(truth), (0, 0), [(1, 1)], 1.5).length == pytest.approx(math.sqrt(2))
+    assert drive(truth, no_robots(truth), (0, 0), [(1, 0)], 1.0).length == 1.0
+    assert drive(truth, no_robots(truth), (0, 0), [(1, 1)], 1.0).cells == []
+    assert drive(truth, no_robots(truth), (0, 0), [(1, 1)], 1.5).length == pytest.approx(math.sqrt(2))
     assert pytest.approx(math.sqrt(2)) == DIAGONAL
 
 
-def test_way_not_used_up_is_carried_over() -> None:
+def test_unused_distance_is_carried_over() -> None:
     truth = floor(".....")
     at, carry, where = (0, 0), 0.0, []
     for _ in range(8):
-        done = drive(truth, nobody(truth), at, [(x, 0) for x in range(at[0] + 1, 5)], 0.4 + carry)
+        done = drive(truth, no_robots(truth), at, [(x, 0) for x in range(at[0] + 1, 5)], 0.4 + carry)
         carry = done.carry
         at = done.cells[-1] if done.cells else at
         where.append(at[0])
     assert where == [0, 0, 1, 1, 2, 2, 2, 3]
 
 
-def test_a_speed_that_is_a_whole_number_but_for_rounding_counts_as_one() -> None:
+def test_speed_within_rounding_of_a_whole_number_counts_as_whole() -> None:
     truth = floor("....")
     speed = 0.3 / 0.1
     assert speed < 3
-    done = drive(truth, nobody(truth), (0, 0), [(1, 0), (2, 0), (3, 0)], speed)
+    done = drive(truth, no_robots(truth), (0, 0), [(1, 0), (2, 0), (3, 0)], speed)
     assert done.cells[-1] == (3, 0)
     assert done.carry == 0
 
 
-def test_no_way_is_lost_or_won_by_rounding_over_many_steps() -> None:
+def test_rounding_over_many_steps_changes_no_distance() -> None:
     truth = floor(201 * ".")
     at, carry = 0, 0.0
     for _ in range(1000):
-        done = drive(truth, nobody(truth), (at, 0), [(at + 1, 0), (at + 2, 0)], 0.2 + carry)
+        done = drive(truth, no_robots(truth), (at, 0), [(at + 1, 0), (at + 2, 0)], 0.2 + carry)
         carry = done.carry
         at += len(done.cells)
     assert at == 200
@@ -141,8 +141,8 @@ def test_no_way_is_lost_or_won_by_rounding_over_many_steps() -> None:
 @pytest.mark.parametrize("corner", ["#", "?"])
 def test_a_diagonal_step_needs_both_cells_beside_it(corner: str) -> None:
     for truth in (floor("." + corner, ".."), floor("..", corner + ".")):
-        assert drive(truth, nobody(truth), (0, 0), [(1, 1)], 9.0).blocked == WALL
-        assert drive(truth, nobody(truth), (1, 1), [(0, 0)], 9.0).blocked == WALL
+        assert drive(truth, no_robots(truth), (0, 0), [(1, 1)], 9.0).blocked == WALL
+        assert drive(truth, no_robots(truth), (1, 1), [(0, 0)], 9.0).blocked == WALL
 
 
 def test_a_teammate_beside_a_diagonal_step_does_not_stop_it() -> None:
@@ -152,36 +152,36 @@ def test_a_teammate_beside_a_diagonal_step_does_not_stop_it() -> None:
 
 def test_a_robot_stops_before_a_wall_and_before_a_teammate() -> None:
     truth = floor("...#")
-    assert drive(truth, nobody(truth), (0, 0), [(1, 0), (2, 0), (3, 0)], 9.0).cells == [(1, 0), (2, 0)]
+    assert drive(truth, no_robots(truth), (0, 0), [(1, 0), (2, 0), (3, 0)], 9.0).cells == [(1, 0), (2, 0)]
     taken = np.array([[False, False, True, False]])
     done = drive(truth, taken, (0, 0), [(1, 0), (2, 0), (3, 0)], 9.0)
     assert (done.cells, done.blocked, done.carry) == ([(1, 0)], ROBOT, 0.0)
 
 
 @pytest.mark.parametrize("step", [(0, 0), (2, 0), (0, 2), (-1, 0), (0, -1), (5, 5), (1000000, 0)])
-def test_a_step_to_no_neighbour_ends_the_path_like_a_wall(step: Cell) -> None:
+def test_step_to_a_cell_that_is_no_neighbor_ends_the_path_like_a_wall(step: Cell) -> None:
     truth = floor("...", "...", "...")
-    done = drive(truth, nobody(truth), (0, 0), [step], 9.0)
+    done = drive(truth, no_robots(truth), (0, 0), [step], 9.0)
     assert (done.cells, done.blocked) == ([], WALL)
 
 
-def test_what_was_driven_over_shows_both_cells_beside_a_diagonal() -> None:
+def test_swept_cells_include_both_cells_beside_a_diagonal() -> None:
     assert swept((0, 0), [(1, 0), (2, 1)]) == [(1, 0), (2, 0), (1, 1), (2, 1)]
     assert swept((0, 0), []) == []
 
 
 @given(moves())
-def test_all_that_was_driven_over_is_free(
+def test_swept_cells_are_free(
     move: tuple[Grid, NDArray[np.bool_], Cell, list[Cell], float],
 ) -> None:
     truth, taken, start, path, way = move
     assert all(truth[y, x] == FREE for x, y in swept(start, drive(truth, taken, start, path, way).cells))
 
 
-def test_headings_count_eighths_of_a_turn_from_x_towards_y() -> None:
+def test_headings_count_eighths_of_a_turn_from_x_toward_y() -> None:
     turn = [(1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)]
     assert [heading_of(dx, dy) for dx, dy in turn] == list(range(8))
 
 
-def test_the_reasons_to_stop_can_be_told_apart() -> None:
+def test_reasons_to_stop_differ() -> None:
     assert len({WALL, ROBOT, INTERFERENCE, NOT_BLOCKED}) == 4

@@ -1,4 +1,4 @@
-"""Continuous motion, turning scanners, round robots: what the world does with them."""
+"""Continuous motion, turning scanners and round robots in the world."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def hall(height: int = 20, width: int = 30) -> np.ndarray[tuple[int, int], np.dt
     return grid
 
 
-def nobody(
+def no_robots(
     grid: np.ndarray[tuple[int, int], np.dtype[np.uint8]],
 ) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
     return np.zeros(grid.shape, np.bool_)
@@ -34,35 +34,35 @@ def along(*points: tuple[int, int], step: int = 1, look: bool = True) -> Move:
     return Move(step, b"", 0, False, look, points=points_to_bytes(np.array(points, np.int32)))
 
 
-def test_a_robot_glides_between_cells_centres_and_all_cells_on_the_way_are_named() -> None:
+def test_robot_moves_to_any_position_and_reports_all_entered_cells() -> None:
     grid = hall()
-    drive = glide(grid, nobody(grid), (5000, 5000), [(6300, 5000), (6300, 6200)], 10.0)
+    drive = glide(grid, no_robots(grid), (5000, 5000), [(6300, 5000), (6300, 6200)], 10.0)
     assert drive.point == (6300, 6200)
     assert drive.cells == [(6, 5), (6, 6)]
     assert drive.length == pytest.approx(2.5)
     assert drive.blocked == ""
 
 
-def test_the_top_speed_ends_a_glide() -> None:
+def test_top_speed_limits_a_glide() -> None:
     grid = hall()
-    drive = glide(grid, nobody(grid), (5000, 5000), [(25000, 5000)], 4.0)
+    drive = glide(grid, no_robots(grid), (5000, 5000), [(25000, 5000)], 4.0)
     assert drive.length == pytest.approx(4.0, abs=0.1)
     assert drive.blocked == ""
 
 
 @pytest.mark.parametrize("way", [0.01, 0.05, 0.15, 0.95])
 @pytest.mark.parametrize("end", [(25000, 5000), (25000, 25000), (25000, 9000)])
-def test_slow_robots_glide_as_well_and_lose_little_of_their_way(way: float, end: tuple[int, int]) -> None:
-    drive = glide(hall(40, 40), nobody(hall(40, 40)), (5000, 5000), [end], way)
+def test_slow_robots_lose_little_of_their_distance(way: float, end: tuple[int, int]) -> None:
+    drive = glide(hall(40, 40), no_robots(hall(40, 40)), (5000, 5000), [end], way)
     assert 0.8 * way <= drive.length <= way
 
 
 def test_a_wall_and_a_teammate_stop_a_glide_before_their_cell() -> None:
     grid = hall()
-    wall = glide(grid, nobody(grid), (2000, 5000), [(-3000, 5000)], 10.0)
+    wall = glide(grid, no_robots(grid), (2000, 5000), [(-3000, 5000)], 10.0)
     assert wall.blocked == "wall"
     assert cell_of(wall.point) == (1, 5)
-    taken = nobody(grid)
+    taken = no_robots(grid)
     taken[5, 8] = True
     robot = glide(grid, taken, (5000, 5000), [(12000, 5000)], 10.0)
     assert robot.blocked == "robot"
@@ -72,12 +72,12 @@ def test_a_wall_and_a_teammate_stop_a_glide_before_their_cell() -> None:
 def test_no_corner_is_cut() -> None:
     grid = hall()
     grid[5, 6] = OCCUPIED
-    drive = glide(grid, nobody(grid), (5000, 5000), [(6000, 6000)], 10.0)
+    drive = glide(grid, no_robots(grid), (5000, 5000), [(6000, 6000)], 10.0)
     assert drive.blocked == "wall"
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_wherever_robots_are_sent_they_stay_on_free_cells_and_apart(seed: int) -> None:
+def test_robots_stay_on_free_cells_and_apart_for_any_waypoints(seed: int) -> None:
     random = np.random.default_rng(seed)
     grid = hall(12, 12)
     grid[random.random(grid.shape) < 0.2] = OCCUPIED
@@ -103,7 +103,7 @@ def test_wherever_robots_are_sent_they_stay_on_free_cells_and_apart(seed: int) -
             )
 
 
-def test_a_glide_never_exceeds_its_way() -> None:
+def test_glide_never_exceeds_its_distance() -> None:
     grid = hall()
     world = World(grid, WorldSettings((POINT,), ((5, 5),)))
     world.advance({})
@@ -112,7 +112,7 @@ def test_a_glide_never_exceeds_its_way() -> None:
     assert world.driven[0] <= 4 * POINT.speed + 1e-9
 
 
-def test_a_turning_scanner_sees_one_sector_a_step_and_all_in_a_full_turn() -> None:
+def test_turning_scanner_covers_one_sector_per_step_and_all_in_a_full_turn() -> None:
     body = Body(range_cells=5.0, field_of_view=360.0, speed=1.0, scanner_turn=72.0)
     world = World(hall(), WorldSettings((body,), ((10, 10),)))
     seen = np.zeros(360, np.int64)
@@ -124,14 +124,14 @@ def test_a_turning_scanner_sees_one_sector_a_step_and_all_in_a_full_turn() -> No
     assert (seen == 1).all()
 
 
-def test_a_scanner_that_turns_by_no_part_of_a_turn_leaves_no_gap() -> None:
+def test_scanner_whose_step_does_not_divide_a_turn_leaves_no_gap() -> None:
     seen = np.zeros(360, np.bool_)
     for step in range(math.ceil(360 / 100)):
         seen |= ~beams_outside(360, 100.0 * step % 360, 100.0)
     assert seen.all()
 
 
-def test_a_scanner_that_rests_sees_nothing_and_does_not_turn() -> None:
+def test_resting_scanner_reads_nothing_and_does_not_turn() -> None:
     body = Body(range_cells=5.0, field_of_view=360.0, speed=1.0, scanner_turn=72.0)
     world = World(hall(), WorldSettings((body,), ((10, 10),)))
     world.advance({})
@@ -142,7 +142,7 @@ def test_a_scanner_that_rests_sees_nothing_and_does_not_turn() -> None:
     assert np.flatnonzero(after != NONE)[0] == 72
 
 
-def test_a_round_robot_stops_where_it_would_touch_a_wall_or_another() -> None:
+def test_round_robot_stops_before_it_touches_a_wall_or_a_robot() -> None:
     grid = hall()
     disc = Body(range_cells=5.0, field_of_view=360.0, speed=30.0, radius_cells=2.0)
     world = World(grid, WorldSettings((disc, disc), ((15, 5), (15, 12))))
@@ -155,7 +155,7 @@ def test_a_round_robot_stops_where_it_would_touch_a_wall_or_another() -> None:
     assert world.cells[1][0] - world.cells[0][0] >= 4
 
 
-def test_what_a_round_robot_can_reach_is_what_it_covers() -> None:
+def test_reachable_cells_of_a_round_robot_are_those_it_covers() -> None:
     grid = hall(11, 21)
     grid[:, 10] = OCCUPIED
     grid[5, 10] = FREE

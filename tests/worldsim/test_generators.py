@@ -1,4 +1,4 @@
-"""The environments look like what they are called: measured on the cells, over many seeds."""
+"""The environments have the features that their names promise, measured over many seeds."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ SEEDS = range(12)
 ALL_AROUND = np.ones((3, 3), bool)
 
 
-# How a plan is measured. Rooms are what is left of the free space when a square too wide for any door is slid
-# through it; doors are the rest.
+# Measuring a plan: rooms and corridors are the morphological opening of the free space by a square wider than any
+# door; doors are the remainder.
 
 
 def rooms_and_doors(world: Map, widest_door_m: float = 1.2) -> tuple[list[Any], list[Any]]:
@@ -108,7 +108,7 @@ def check_enclosed_and_connected(world: Map) -> None:
 
 
 @pytest.mark.parametrize("name", names())
-def test_a_robot_of_half_a_metre_gets_everywhere(name: str) -> None:
+def test_a_robot_of_half_a_meter_gets_everywhere(name: str) -> None:
     """Less than a thousandth of the places where it fits may be niches that it cannot reach."""
     world = make(name, seed=5, resolution=0.1)
     fits = ndimage.distance_transform_edt(world.cells == FREE) > 2.5
@@ -158,29 +158,29 @@ def test_an_unknown_name_lists_the_known_ones() -> None:
         (
             "hilbert-2",
             {"side_m": 1.0},
-            r"side_m is 1\.0 m; with cells of 0\.1 m it must be 1\.6 m at least, and 204\.8 m, 2048",
+            r"side_m is 1\.0 m; with cells of 0\.1 m it must be at least 1\.6 m and at most 204\.8 m, 2048",
         ),
         (
             "leader-trap",
             {"resolution": 0.0},
-            r"resolution is 0\.0; it must lie above 0 and be at most 0\.4 m a cell",
+            r"resolution is 0\.0; it must be above 0 and at most 0\.4 m per cell",
         ),
         ("em", {"resolution": float("nan")}, "resolution is nan"),
-        ("office", {"resolution": 0.5}, r"resolution is 0\.5; it must lie above 0 and be at most 0\.4"),
+        ("office", {"resolution": 0.5}, r"resolution is 0\.5; it must be above 0 and at most 0\.4"),
         (
             "em",
             {"resolution": 0.001},
-            r"width_m is 21\.0 m; with cells of 0\.001 m it must be 2 m at least, and 2\.048 m",
+            r"width_m is 21\.0 m; with cells of 0\.001 m it must be at least 2 m and at most 2\.048 m",
         ),
         (
             "mixed",
             {"height_m": 5.0},
-            r"height_m is 5\.0 m; with cells of 0\.1 m it must be 18 m at least, and 204\.8 m",
+            r"height_m is 5\.0 m; with cells of 0\.1 m it must be at least 18 m and at most 204\.8 m",
         ),
         ("mixed", {"width_m": float("nan")}, "width_m is nan"),
     ],
 )
-def test_a_parameter_out_of_range_says_what_would_be_right(
+def test_error_states_the_valid_range_of_a_parameter(
     name: str, parameters: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(MapError, match=message):
@@ -370,13 +370,13 @@ def test_campus_is_large_with_buildings_and_trees() -> None:
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 4])
-def test_the_hilbert_curve_visits_every_square_once_from_neighbour_to_neighbour(order: int) -> None:
+def test_the_hilbert_curve_visits_every_square_once_from_neighbor_to_neighbor(order: int) -> None:
     curve = hilbert_curve(order)
     side = 2**order
     assert sorted(curve) == [(x, y) for x in range(side) for y in range(side)]
     assert all(abs(x0 - x1) + abs(y0 - y1) == 1 for (x0, y0), (x1, y1) in pairwise(curve))
     assert (curve[0], curve[-1]) == ((0, side - 1), (side - 1, side - 1))
-    for level in range(order):  # what makes it Hilbert's: every quarter is done before the next is begun
+    for level in range(order):  # a Hilbert curve completes every quarter before it enters the next
         step = 4**level
         parts = [{(x >> level, y >> level) for x, y in curve[i : i + step]} for i in range(0, 4**order, step)]
         assert all(len(part) == 1 for part in parts)
@@ -388,7 +388,7 @@ def test_the_hilbert_curve_of_order_two_is_the_one_that_hilbert_drew() -> None:
 
 
 def passages(world: Map, order: int) -> set[tuple[tuple[int, int], tuple[int, int]]]:
-    """Return the pairs of neighbouring squares of the board between which the way is free."""
+    """Return the pairs of neighboring squares of the board between which the way is free."""
     side = 2**order
     pitch = (world.width - 2) // side
     middle = [1 + i * pitch + pitch // 2 for i in range(side)]
@@ -429,7 +429,7 @@ def test_the_hilbert_wall_follows_the_curve_and_leaves_all_else_free(order: int)
 
 
 def arrivals(world: Map) -> float:
-    """Return how often a robot that always steps straight towards a goal, round no wall, gets there."""
+    """Return how often a robot reaches a goal if it always steps straight toward it."""
     free = world.cells == FREE
     places = np.argwhere(free)[::37]
     goals = places[::40]
@@ -453,13 +453,13 @@ def arrivals(world: Map) -> float:
     return arrived / total
 
 
-def test_the_trap_holds_who_goes_straight_and_the_rooms_let_pass() -> None:
+def test_trap_stops_robots_that_drive_straight_and_rooms_let_them_pass() -> None:
     trap, rooms = arrivals(make("leader-trap")), arrivals(make("leader-rooms"))
     assert trap < 0.35
     assert rooms > 0.65
 
 
-def test_the_leader_environments_are_ten_metres_square_with_a_convex_border() -> None:
+def test_the_leader_environments_are_ten_meters_square_with_a_convex_border() -> None:
     for name in ("leader-trap", "leader-rooms"):
         world = make(name)
         assert has_size(world, 10.0, 10.0)
@@ -476,7 +476,7 @@ def test_the_walls_of_the_trap_join_the_border_and_the_screens_stand_free() -> N
 
 
 @pytest.mark.parametrize("kind", ["office", "corridor", "unstructured"])
-def test_burgards_environments_have_cells_of_15_centimetres(kind: str) -> None:
+def test_burgards_environments_have_cells_of_15_centimeters(kind: str) -> None:
     assert make(f"burgard-{kind}").resolution == 0.15
 
 

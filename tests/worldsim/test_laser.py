@@ -1,4 +1,4 @@
-"""The laser: readings of random worlds, compared with a slow beam, and what drawing them claims."""
+"""The laser: readings in random worlds, compared with a reference beam, and the cells drawn from them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Place = tuple[Grid, NDArray[np.bool_], int, int]
 
 @st.composite
 def places(draw_: st.DrawFn) -> Place:
-    """A random world, teammates on some of its free cells, and the free cell of a robot."""
+    """Draw a random world, teammates on some of its free cells, and the free cell of a robot."""
     rng = np.random.default_rng(draw_(st.integers(0, 2**32 - 1)))
     free = draw_(st.sampled_from((0.9, 0.7, 0.5, 0.98)))
     height, width = rng.integers(1, 25, 2)
@@ -36,7 +36,7 @@ def places(draw_: st.DrawFn) -> Place:
 ray_tables = st.builds(ray_table, st.floats(1, 25), st.sampled_from((4, 36, 360)))
 
 
-def reading_by_the_book(place: Place, walk: list[list[int]]) -> int:
+def reference_reading(place: Place, walk: list[list[int]]) -> int:
     truth, teammates, x, y = place
     height, width = truth.shape
     for crossed, (dx, dy) in enumerate(walk):
@@ -48,12 +48,12 @@ def reading_by_the_book(place: Place, walk: list[list[int]]) -> int:
     return len(walk)
 
 
-def by_the_book(place: Place, laid: RayTable) -> list[int]:
-    return [reading_by_the_book(place, laid.cells[a:b].tolist()) for a, b in pairwise(laid.start.tolist())]
+def reference_readings(place: Place, laid: RayTable) -> list[int]:
+    return [reference_reading(place, laid.cells[a:b].tolist()) for a, b in pairwise(laid.start.tolist())]
 
 
 def scanned(place: Place, laid: RayTable) -> Grid:
-    """What an empty grid shows after one scan."""
+    """Return an empty grid after one scan was drawn into it."""
     truth, teammates, x, y = place
     grid = np.full_like(truth, UNKNOWN)
     draw(grid, laid, x, y, cast(truth, teammates, laid, x, y))
@@ -65,17 +65,17 @@ def test_readings_are_those_of_a_beam_followed_cell_by_cell(place: Place, laid: 
     truth, teammates, x, y = place
     readings = cast(truth, teammates, laid, x, y)
     assert readings.dtype == np.uint16
-    assert readings.tolist() == by_the_book(place, laid)
+    assert readings.tolist() == reference_readings(place, laid)
 
 
 @given(places(), ray_tables)
-def test_readings_are_such_as_their_beams_can_give(place: Place, laid: RayTable) -> None:
+def test_readings_are_valid_for_their_beams(place: Place, laid: RayTable) -> None:
     truth, teammates, x, y = place
     check_readings(cast(truth, teammates, laid, x, y), laid)
 
 
 @given(places(), ray_tables)
-def test_a_scan_drawn_claims_nothing_but_the_truth(place: Place, laid: RayTable) -> None:
+def test_drawn_scan_contains_only_true_cells(place: Place, laid: RayTable) -> None:
     truth, _, _, _ = place
     grid = scanned(place, laid)
     assert (truth[grid == FREE] == FREE).all()
@@ -83,7 +83,7 @@ def test_a_scan_drawn_claims_nothing_but_the_truth(place: Place, laid: RayTable)
 
 
 @given(places(), ray_tables)
-def test_a_teammate_is_never_drawn_as_a_wall_and_hides_what_is_behind(place: Place, laid: RayTable) -> None:
+def test_teammate_is_not_drawn_as_a_wall_and_hides_the_cells_behind_it(place: Place, laid: RayTable) -> None:
     truth, teammates, x, y = place
     grid = scanned(place, laid)
     assert (grid[teammates] != OCCUPIED).all()
@@ -92,7 +92,7 @@ def test_a_teammate_is_never_drawn_as_a_wall_and_hides_what_is_behind(place: Pla
 
 
 @given(places(), ray_tables)
-def test_a_beam_never_slips_between_walls_that_touch_at_a_corner(place: Place, laid: RayTable) -> None:
+def test_no_beam_passes_between_walls_that_touch_at_a_corner(place: Place, laid: RayTable) -> None:
     truth, _, x, y = place
     areas, _ = ndimage.label(truth == FREE)
     assert (areas[scanned(place, laid) == FREE] == areas[y, x]).all()
@@ -114,7 +114,7 @@ def test_nothing_is_seen_through_a_diagonal_wall(at: int, flip: bool) -> None:
 
 
 @given(places(), st.floats(1, 25))
-def test_the_free_neighbours_are_always_seen_free(place: Place, range_cells: float) -> None:
+def test_the_free_neighbors_are_always_seen_free(place: Place, range_cells: float) -> None:
     truth, _, x, y = place
     grid = scanned(place, ray_table(range_cells, 4))
     height, width = truth.shape
@@ -131,13 +131,13 @@ def test_nothing_beyond_the_range_is_seen(place: Place, laid: RayTable) -> None:
     assert all((xs - x) ** 2 + (ys - y) ** 2 <= far)
 
 
-def test_what_is_unknown_in_the_truth_stops_a_beam_like_a_wall() -> None:
+def test_unknown_cell_stops_a_beam_like_a_wall() -> None:
     truth = np.array([[FREE, FREE, UNKNOWN, FREE]], np.uint8)
     readings = cast(truth, np.zeros_like(truth, np.bool_), ray_table(3.0, 4), 0, 0)
     assert readings[0] == 1 | HIT
 
 
-def test_the_rim_of_the_world_stops_a_beam() -> None:
+def test_border_of_the_world_stops_a_beam() -> None:
     truth = np.full((1, 3), FREE, np.uint8)
     readings = cast(truth, np.zeros_like(truth, np.bool_), ray_table(9.0, 4), 1, 0)
     assert readings.tolist() == [1 | HIT, HIT, 1 | HIT, HIT]
@@ -151,7 +151,7 @@ def in_view(heading: int, field_of_view: float, beams: int) -> list[int]:
     return np.flatnonzero(readings != NONE).tolist()
 
 
-def test_a_laser_that_looks_all_around_reads_every_beam_whatever_its_heading() -> None:
+def test_laser_with_full_field_of_view_reads_every_beam_at_any_heading() -> None:
     assert all(in_view(heading, 360.0, 36) == list(range(36)) for heading in range(8))
 
 
@@ -167,6 +167,6 @@ def test_beams_outside_the_field_of_view_read_nothing(heading: int, field_of_vie
     assert len(wanted) >= 1
 
 
-def test_a_laser_of_180_degrees_looks_where_the_robot_is_headed() -> None:
+def test_laser_of_180_degrees_covers_the_beams_around_the_heading() -> None:
     assert in_view(2, 180.0, 8) == [0, 1, 2, 3, 4]
     assert in_view(0, 180.0, 8) == [0, 1, 2, 6, 7]

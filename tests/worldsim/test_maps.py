@@ -1,4 +1,4 @@
-"""Maps on disk: what ROS writes is read, what is written is read back, and what cannot be used says why."""
+"""Maps on disk: reading files of ROS, round trips, and error messages for invalid files."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ ENTRIES = {
     "occupied_thresh": 0.65,
     "free_thresh": 0.196,
 }
-WHITE, GREY, BLACK = 254, 205, 0
-PICTURE = b"P5\n3 2\n255\n" + bytes([WHITE, GREY, BLACK, WHITE, WHITE, WHITE])
+WHITE, GRAY, BLACK = 254, 205, 0
+PICTURE = b"P5\n3 2\n255\n" + bytes([WHITE, GRAY, BLACK, WHITE, WHITE, WHITE])
 CELLS = [[FREE, UNKNOWN, OCCUPIED], [FREE, FREE, FREE]]
 
 worlds = st.builds(
@@ -45,7 +45,7 @@ worlds = st.builds(
 
 
 def write(folder: Path, picture: bytes = PICTURE, without: str = "", **changes: object) -> Path:
-    """Write a map by hand, wrong where `changes` says so."""
+    """Write a map, with `changes` of its entries."""
     entries = {key: value for key, value in (ENTRIES | changes).items() if key != without}
     (folder / "world.pgm").write_bytes(picture)
     path = folder / "world.yaml"
@@ -54,11 +54,11 @@ def write(folder: Path, picture: bytes = PICTURE, without: str = "", **changes: 
 
 
 def save_picture(folder: Path, picture: Image.Image) -> bytes:
-    picture.save(folder / "colours.png")
-    return (folder / "colours.png").read_bytes()
+    picture.save(folder / "colors.png")
+    return (folder / "colors.png").read_bytes()
 
 
-def test_a_map_reads_white_as_free_black_as_occupied_and_grey_as_unknown(tmp_path: Path) -> None:
+def test_a_map_reads_white_as_free_black_as_occupied_and_gray_as_unknown(tmp_path: Path) -> None:
     world = load(write(tmp_path, resolution=0.05, origin=[-1.5, 2, 0]))
     assert world.name == "world"
     assert world.cells.tolist() == CELLS
@@ -94,20 +94,20 @@ def test_negate_swaps_black_and_white(tmp_path: Path, negate: object) -> None:
     assert load(write(tmp_path, picture, negate=negate)).cells.tolist() == [[FREE, UNKNOWN, OCCUPIED]]
 
 
-def test_colours_are_averaged(tmp_path: Path) -> None:
+def test_colors_are_averaged(tmp_path: Path) -> None:
     colors = np.array([[(255, 255, 255), (255, 0, 0), (0, 0, 0), (255, 255, 150)]], np.uint8)
     world = load(write(tmp_path, save_picture(tmp_path, Image.fromarray(colors))))
     assert world.cells.tolist() == [[FREE, OCCUPIED, OCCUPIED, FREE]]
 
 
-def test_opacity_counts_as_a_fourth_colour_as_it_does_for_map_server(tmp_path: Path) -> None:
+def test_opacity_counts_as_a_fourth_color_as_it_does_for_map_server(tmp_path: Path) -> None:
     colors = np.array([[(255, 255, 255, 255), (0, 0, 0, 255), (255, 255, 255, 0), (0, 0, 0, 0)]], np.uint8)
     world = load(write(tmp_path, save_picture(tmp_path, Image.fromarray(colors))))
     assert world.cells.tolist() == [[FREE, OCCUPIED, UNKNOWN, OCCUPIED]]
 
 
 @pytest.mark.parametrize("mode", ["1", "P"])
-def test_pictures_of_few_colours_are_read(tmp_path: Path, mode: str) -> None:
+def test_pictures_of_few_colors_are_read(tmp_path: Path, mode: str) -> None:
     picture = Image.fromarray(np.array([[255, 0, 255]], np.uint8)).convert(mode)
     assert load(write(tmp_path, save_picture(tmp_path, picture))).cells.tolist() == [[FREE, OCCUPIED, FREE]]
 
@@ -120,7 +120,7 @@ def test_numbers_are_read_as_ros_reads_them(tmp_path: Path) -> None:
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(worlds, st.sampled_from([None, "picture.png", "picture.pgm"]))
-def test_what_is_saved_is_loaded_with_every_cell(tmp_path: Path, world: Map, image: str | None) -> None:
+def test_saved_map_is_loaded_with_every_cell(tmp_path: Path, world: Map, image: str | None) -> None:
     path = tmp_path / "world.yaml"
     save(world, path, image)
     again = load(path)
@@ -187,7 +187,7 @@ def test_a_missing_key_is_named(tmp_path: Path, key: str) -> None:
         ({"image": ""}, "image is '', not the name of a file"),
         ({"image": "gone.pgm"}, "gone.pgm: cannot be read"),
         ({"image": "."}, "cannot be read"),
-        ({"resolution": 0}, r"resolution is 0\.0, not a number of metres a cell above 0"),
+        ({"resolution": 0}, r"resolution is 0\.0, not a number of meters per cell above 0"),
         ({"resolution": -0.1}, r"resolution is -0\.1"),
         ({"resolution": math.nan}, "resolution is nan"),
         ({"resolution": math.inf}, "resolution is inf"),
@@ -196,11 +196,11 @@ def test_a_missing_key_is_named(tmp_path: Path, key: str) -> None:
         ({"resolution": [0.1]}, r"resolution is \[0\.1\], not a number"),
         ({"resolution": None}, "resolution is None, not a number"),
         ({"resolution": 10**400}, "not a number"),
-        ({"origin": [0, 0]}, r"origin is \[0, 0\], not \[x in metres, y in metres, yaw in radians\]"),
+        ({"origin": [0, 0]}, r"origin is \[0, 0\], not \[x in meters, y in meters, yaw in radians\]"),
         ({"origin": "here"}, "origin is 'here', not"),
         ({"origin": [0, "a", 0]}, "origin is 'a', not a number"),
         ({"origin": [math.nan, 0, 0]}, r"origin is \[nan, 0\.0, 0\.0\], not three numbers of 1e\+08 at most"),
-        ({"origin": [0, 0, 0.5]}, r"origin is turned by 0\.5 rad; turn the picture instead"),
+        ({"origin": [0, 0, 0.5]}, r"origin is rotated by 0\.5 rad; rotate the picture instead"),
         ({"negate": 2}, r"negate is 2; give 0 \(white is free\) or 1 \(black is free\)"),
         ({"negate": "no"}, "negate is 'no'"),
         ({"negate": []}, r"negate is \[\]"),
@@ -208,11 +208,11 @@ def test_a_missing_key_is_named(tmp_path: Path, key: str) -> None:
         ({"free_thresh": -0.1}, r"free_thresh is -0\.1; it must lie between 0 and 1"),
         ({"free_thresh": math.nan}, "free_thresh is nan; it must lie between 0 and 1"),
         ({"free_thresh": 0.7}, r"free_thresh 0\.7 is above occupied_thresh 0\.65"),
-        ({"mode": "scale"}, "mode is 'scale'; only trinary is read"),
-        ({"mode": "raw"}, "mode is 'raw'; only trinary is read"),
+        ({"mode": "scale"}, "mode is 'scale'; only trinary is supported"),
+        ({"mode": "raw"}, "mode is 'raw'; only trinary is supported"),
     ],
 )
-def test_a_wrong_entry_is_refused_with_what_would_be_right(
+def test_error_states_the_invalid_entry_and_a_remedy(
     tmp_path: Path, changes: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(MapError, match=message) as caught:
@@ -225,8 +225,8 @@ def test_a_wrong_entry_is_refused_with_what_would_be_right(
     [
         ("image: [", "is not YAML"),
         ("image: \x00", "is not YAML"),
-        ("", "holds no `key: value` lines"),
-        ("- image", "holds no `key: value` lines"),
+        ("", "contains no `key: value` lines"),
+        ("- image", "contains no `key: value` lines"),
         ("!!python/object/apply:os.getcwd []", "is not YAML"),
     ],
 )
@@ -246,25 +246,28 @@ def test_a_missing_yaml_file_is_named(tmp_path: Path) -> None:
     ("picture", "message"),
     [
         (b"", "is empty"),
-        (b"GIF89a", "is not a whole PGM or PNG picture"),
-        (b"P5\n0 2\n255\n", "is not a whole PGM or PNG picture"),
-        (b"P5\n2", "is not a whole PGM or PNG picture"),
-        (b"P2\n2 1\n255\n1 x", "is not a whole PGM or PNG picture"),
-        (b"P2\n2 1\n255\n1 999", "is not a whole PGM or PNG picture"),
-        (b"Pf\n1 1\n-1.0\n" + bytes(4), "its shades are fractions"),
+        (b"GIF89a", "is not a complete PGM or PNG picture"),
+        (b"P5\n0 2\n255\n", "is not a complete PGM or PNG picture"),
+        (b"P5\n2", "is not a complete PGM or PNG picture"),
+        (b"P2\n2 1\n255\n1 x", "is not a complete PGM or PNG picture"),
+        (b"P2\n2 1\n255\n1 999", "is not a complete PGM or PNG picture"),
+        (b"Pf\n1 1\n-1.0\n" + bytes(4), "its gray values are fractions"),
         (b"P5\n2 2\n255\n" + bytes(4), "no cell is free; check negate and the thresholds"),
-        (b"P5\n%d 1\n255\n" % (MAX_SIDE + 1), f"is {MAX_SIDE + 1} x 1 cells, and {MAX_SIDE} x {MAX_SIDE}"),
+        (
+            b"P5\n%d 1\n255\n" % (MAX_SIDE + 1),
+            f"is {MAX_SIDE + 1} x 1 cells, and the maximum is {MAX_SIDE} x {MAX_SIDE}",
+        ),
         (b"P5\n99999 99999\n255\n", f"has more than {MAX_SIDE} x {MAX_SIDE} cells"),
     ],
 )
-def test_a_picture_that_cannot_be_used_is_named(tmp_path: Path, picture: bytes, message: str) -> None:
+def test_error_names_an_invalid_picture(tmp_path: Path, picture: bytes, message: str) -> None:
     with pytest.raises(MapError, match=message) as caught:
         load(write(tmp_path, picture))
     assert "world" in str(caught.value)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".pgm"])
-def test_a_picture_cut_off_before_its_last_cell_is_refused(tmp_path: Path, suffix: str) -> None:
+def test_truncated_picture_is_rejected(tmp_path: Path, suffix: str) -> None:
     cells = np.random.default_rng(0).integers(0, 3, (12, 9), np.uint8)
     save(Map("world", cells, 0.1), tmp_path / "world.yaml", f"world{suffix}")
     picture = tmp_path / f"world{suffix}"
@@ -287,11 +290,11 @@ def test_a_picture_cut_off_before_its_last_cell_is_refused(tmp_path: Path, suffi
         (np.ones((0, 2), np.uint8), "no cell is free"),
     ],
 )
-def test_a_map_of_wrong_cells_cannot_be_made(cells: np.ndarray[Any, Any], message: str) -> None:
+def test_map_with_invalid_cells_is_rejected(cells: np.ndarray[Any, Any], message: str) -> None:
     with pytest.raises(MapError, match=message):
         Map("world", cells, 0.1)
 
 
-def test_the_largest_map_is_taken(tmp_path: Path) -> None:
+def test_largest_map_is_accepted(tmp_path: Path) -> None:
     save(Map("world", np.ones((MAX_SIDE, MAX_SIDE), np.uint8), 0.1), tmp_path / "world.yaml")
     assert load(tmp_path / "world.yaml").width == MAX_SIDE

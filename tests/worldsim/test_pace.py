@@ -1,4 +1,4 @@
-"""The pace: steps come no faster than asked for, and what was late is not made up for."""
+"""Pacing: steps are not faster than the limit, and do not catch up after a slow one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from worldsim.pace import Pace
 
 
-def test_steps_come_no_faster_than_asked_for() -> None:
+def test_steps_are_not_faster_than_the_limit() -> None:
     pace = Pace(100.0)
     began = time.monotonic()
     for _ in range(11):
@@ -17,7 +17,7 @@ def test_steps_come_no_faster_than_asked_for() -> None:
     assert time.monotonic() - began >= 10 / 100
 
 
-def test_what_was_late_is_not_made_up_for() -> None:
+def test_steps_do_not_catch_up_after_a_slow_one() -> None:
     pace = Pace(20.0)
     pace.wait()
     time.sleep(0.2)
@@ -28,6 +28,6 @@ def test_what_was_late_is_not_made_up_for() -> None:
 
 
 @pytest.mark.parametrize("slow", [0.0, -1.0, 0.4, float("nan")])
-def test_a_pace_at_which_nobody_could_interrupt_is_refused(slow: float) -> None:
+def test_pace_too_slow_for_an_interrupt_is_rejected(slow: float) -> None:
     with pytest.raises(ValueError, match=r"must be 0.5 steps per second or more"):
         Pace(slow)

@@ -1,4 +1,4 @@
-"""The world: random teams that drive at random, and what no robot may ever do."""
+"""The world: invariants of random teams that drive at random."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from worldsim.world import MOVES_AS_PLANNED, Body, World, WorldSettings, reachab
 
 Cell = tuple[int, int]
 seeds = st.integers(0, 2**32 - 1)
-NEIGHBOURS = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if dx or dy]
+NEIGHBORS = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if dx or dy]
 
 
-def rooms(seed: int, free: float = 0.8) -> Grid:
-    """Random walls, with a free block in the middle for the robots to start in."""
+def random_walls(seed: int, free: float = 0.8) -> Grid:
+    """Return random walls around a free block in the middle, in which the robots start."""
     rng = np.random.default_rng(seed)
     truth = rng.choice(
         np.array([UNKNOWN, FREE, OCCUPIED], np.uint8), (20, 20), p=[(1 - free) / 2, free, (1 - free) / 2]
@@ -38,7 +38,7 @@ def rooms(seed: int, free: float = 0.8) -> Grid:
 def teams(draw_: st.DrawFn, /) -> World:
     seed, robots = draw_(seeds), draw_(st.integers(1, 5))
     rng = np.random.default_rng(seed)
-    truth = rooms(seed)
+    truth = random_walls(seed)
     bodies = tuple(
         Body(float(rng.uniform(1, 8)), float(rng.choice([360.0, 180.0])), float(rng.uniform(0.2, 3.5)))
         for _ in range(robots)
@@ -51,7 +51,7 @@ def random_move(rng: np.random.Generator, world: World, robot: int) -> Move:
     x, y = world.cells[robot]
     path = []
     for _ in range(rng.integers(0, 7)):
-        dx, dy = NEIGHBOURS[rng.integers(8)]
+        dx, dy = NEIGHBORS[rng.integers(8)]
         x, y = x + dx, y + dy
         path.append((x, y))
     return Move(
@@ -60,7 +60,7 @@ def random_move(rng: np.random.Generator, world: World, robot: int) -> Move:
 
 
 def random_steps(world: World, seed: int, steps: int = 12) -> list[tuple[dict[int, Cell], dict[int, Sense]]]:
-    """Drive at random; return where everyone was and what he sensed, step by step."""
+    """Drive at random; return the cells and scans of all robots for each step."""
     rng = np.random.default_rng(seed)
     history = []
     for _ in range(steps):
@@ -96,7 +96,7 @@ def test_no_robot_drives_further_than_its_speed_allows(world: World, seed: int) 
 
 
 @given(teams(), seeds)
-def test_what_a_robot_is_told_of_its_body_is_the_truth(world: World, seed: int) -> None:
+def test_robot_receives_its_true_position_and_path(world: World, seed: int) -> None:
     before = dict(world.cells)
     for cells, senses in random_steps(world, seed):
         assert list(senses) == sorted(cells)
@@ -114,25 +114,25 @@ def test_what_a_robot_is_told_of_its_body_is_the_truth(world: World, seed: int) 
 
 
 @given(teams(), seeds)
-def test_what_robots_draw_of_their_scans_is_the_truth_and_what_the_world_counts_as_seen(
+def test_cells_drawn_from_scans_are_true_and_equal_the_cells_that_the_world_counts(
     world: World, seed: int
 ) -> None:
-    told = np.zeros_like(world.truth)
+    drawn = np.zeros_like(world.truth)
     for _, senses in random_steps(world, seed):
         for robot, sense in senses.items():
             for x, y in cells_from_bytes(sense.driven):
-                told[y, x] = FREE
+                drawn[y, x] = FREE
             draw(
-                told,
+                drawn,
                 ray_table(world.settings.bodies[robot].range_cells, 36),
                 sense.x,
                 sense.y,
                 readings_of(sense),
             )
-        assert (world.truth[told == FREE] == FREE).all()
-        assert (world.truth[told == OCCUPIED] != FREE).all()
-    assert (told == world.seen).all()
-    assert world.seen_cells == np.count_nonzero((told == FREE) & world.reachable) <= world.reachable_cells
+        assert (world.truth[drawn == FREE] == FREE).all()
+        assert (world.truth[drawn == OCCUPIED] != FREE).all()
+    assert (drawn == world.seen).all()
+    assert world.seen_cells == np.count_nonzero((drawn == FREE) & world.reachable) <= world.reachable_cells
 
 
 @given(teams(), seeds)
@@ -142,7 +142,7 @@ def test_the_same_moves_give_the_same_world(world: World, seed: int) -> None:
 
 
 @given(teams(), seeds)
-def test_a_robot_that_is_lost_is_in_nobodys_way(world: World, seed: int) -> None:
+def test_lost_robot_blocks_no_other(world: World, seed: int) -> None:
     world.remove(0)
     for cells, senses in random_steps(world, seed, 3):
         assert 0 not in cells
@@ -173,21 +173,21 @@ def test_robots_move_in_the_order_of_their_numbers() -> None:
     assert world.cells == {0: (4, 0), 1: (5, 0)}
 
 
-def test_two_robots_cannot_change_places() -> None:
+def test_two_robots_cannot_swap_cells() -> None:
     world = corridor()
     world.cells = {0: (3, 0), 1: (4, 0)}
     world.advance({0: go(along(4)), 1: go(along(3))})
     assert world.cells == {0: (3, 0), 1: (4, 0)}
 
 
-def test_a_robot_is_told_why_it_stopped() -> None:
+def test_robot_receives_the_reason_for_its_stop() -> None:
     world = corridor(1, 4, 9.0)
     assert world.advance({0: go(along(1, 2, 3, 4))})[0].blocked == WALL
     assert world.cells == {0: (3, 0)}
     assert world.advance({})[0].blocked == NOT_BLOCKED
 
 
-def test_a_slow_robot_carries_its_way_over() -> None:
+def test_slow_robot_carries_unused_distance_over() -> None:
     world = corridor(1, 12, 0.4)
     where = [0]
     for _ in range(10):
@@ -218,7 +218,7 @@ def test_robots_may_differ_in_speed_and_sensor() -> None:
     assert fast[4] == NONE
 
 
-def test_a_robot_that_stays_turns_as_it_wants_and_one_that_drives_looks_ahead() -> None:
+def test_resting_robot_chooses_its_heading_and_driving_robot_faces_ahead() -> None:
     world = corridor(1)
     assert world.advance({0: go(b"", 3)})[0].heading == 3
     assert world.advance({0: go(b"", -1)})[0].heading == 7
@@ -241,14 +241,14 @@ def test_a_turning_scanner_has_read_every_beam_once_after_a_turn() -> None:
     assert read[5].tolist() == read[0].tolist()
 
 
-@pytest.mark.parametrize(("apart", "hinders"), [(2, True), (5, False)])
-def test_robots_close_to_each_other_move_as_planned_seven_times_in_ten(apart: int, hinders: bool) -> None:
+@pytest.mark.parametrize(("distance", "hinders"), [(2, True), (5, False)])
+def test_robots_close_to_each_other_move_as_planned_seven_times_in_ten(distance: int, hinders: bool) -> None:
     moved = 0
     trials = 1500
     for seed in range(trials):
         truth = np.full((3, 12), FREE, np.uint8)
         bodies = 2 * (Body(1.0, 360.0, 1.0),)
-        starts = ((2, 1), (2 + apart, 1))
+        starts = ((2, 1), (2 + distance, 1))
         world = World(truth, WorldSettings(bodies, starts, 4, seed, interference_cells=4.0))
         sense = world.advance({0: go(cells_to_bytes(np.array([(2, 2)], np.int32)))})[0]
         assert sense.blocked == (NOT_BLOCKED if world.cells[0] == (2, 2) else INTERFERENCE)
@@ -261,13 +261,13 @@ def test_robots_close_to_each_other_move_as_planned_seven_times_in_ten(apart: in
         assert moved == trials
 
 
-def test_without_interference_nobody_is_hindered() -> None:
+def test_without_interference_no_robot_is_hindered() -> None:
     world = corridor(2)
     world.cells = {0: (3, 0), 1: (4, 0)}
     assert all(world.advance({0: go(along(2))})[0].blocked != INTERFERENCE for _ in range(30))
 
 
-def test_faults_come_at_the_beginning_of_their_step_and_those_that_last_pass() -> None:
+def test_faults_occur_at_the_start_of_their_step_and_temporary_faults_end() -> None:
     stop, kill = FaultEvent(2, 0, "stop", 2), FaultEvent(3, 1, "kill")
     world = corridor(2, faults=(kill, stop))
     seen = []
@@ -277,7 +277,7 @@ def test_faults_come_at_the_beginning_of_their_step_and_those_that_last_pass() -
     assert seen == [([], [0, 1]), ([stop], [1]), ([kill], [1]), ([], [0, 1])]
 
 
-def test_who_was_lost_is_revived_where_that_was_or_beside_who_stands_there_now() -> None:
+def test_restored_robot_returns_to_its_last_cell_or_beside_the_robot_there() -> None:
     world = corridor(2)
     places = dict(world.cells)
     world.remove(0)
@@ -293,16 +293,16 @@ def test_who_was_lost_is_revived_where_that_was_or_beside_who_stands_there_now()
     assert world.truth[y, x] == FREE
 
 
-# Robots with a size, and robots that glide.
+# Robots with a radius, and continuous motion.
 
 
 @given(seeds, st.floats(0.6, 1.9))
 def test_no_disc_ever_overlaps_a_wall_or_another_disc(seed: int, radius: float) -> None:
-    truth = rooms(seed, 0.97)
+    truth = random_walls(seed, 0.97)
     truth[4:17, 4:17] = FREE
     bodies = 3 * (Body(4.0, 360.0, 2.0, 0.0, radius),)
-    apart = math.ceil(2 * radius)
-    starts = ((10, 10), (10 + apart, 10), (10, 10 + apart))
+    spacing = math.ceil(2 * radius)
+    starts = ((10, 10), (10 + spacing, 10), (10, 10 + spacing))
     world = World(truth, WorldSettings(bodies, starts, 8, seed))
     touched = np.argwhere(disc(radius)) - disc(radius).shape[0] // 2
     for cells, _ in random_steps(world, seed):
@@ -316,7 +316,7 @@ def test_no_disc_ever_overlaps_a_wall_or_another_disc(seed: int, radius: float) 
 
 
 @given(teams(), seeds)
-def test_robots_that_glide_keep_to_free_cells_of_their_own(world: World, seed: int) -> None:
+def test_gliding_robots_stay_on_free_cells_one_robot_per_cell(world: World, seed: int) -> None:
     rng = np.random.default_rng(seed)
     for _ in range(12):
         moves, before = {}, dict(world.cells)
@@ -337,25 +337,23 @@ def test_robots_that_glide_keep_to_free_cells_of_their_own(world: World, seed: i
             assert (x, y) == before[robot] or (x, y) in way
 
 
-# Where robots start, and what they can reach.
+# Start cells and reachable cells.
 
 
 @given(seeds, st.integers(1, 8), st.integers(1, 3))
-def test_robots_start_on_free_cells_apart_from_each_other_and_connected(
-    seed: int, robots: int, apart: int
-) -> None:
-    truth = rooms(seed, 0.9)
-    cells = start_cells(truth, robots, seed, apart)
+def test_start_cells_are_free_connected_and_spaced(seed: int, robots: int, spacing: int) -> None:
+    truth = random_walls(seed, 0.9)
+    cells = start_cells(truth, robots, seed, spacing)
     assert len(cells) == robots
     areas, _ = ndimage.label(truth == FREE)
     assert len({areas[y, x] for x, y in cells}) == 1
     assert all(truth[y, x] == FREE for x, y in cells)
     for n, (x, y) in enumerate(cells):
-        assert all(max(abs(x - ox), abs(y - oy)) >= apart for ox, oy in cells[:n])
-    assert cells == start_cells(truth, robots, seed, apart)
+        assert all(max(abs(x - ox), abs(y - oy)) >= spacing for ox, oy in cells[:n])
+    assert cells == start_cells(truth, robots, seed, spacing)
 
 
-def test_robots_start_in_the_largest_part_of_the_world_and_not_always_in_one_place() -> None:
+def test_robots_start_in_the_largest_component_at_varying_cells() -> None:
     truth = np.full((9, 9), OCCUPIED, np.uint8)
     truth[0, 0] = FREE
     truth[4:, 4:] = FREE
@@ -364,7 +362,7 @@ def test_robots_start_in_the_largest_part_of_the_world_and_not_always_in_one_pla
     assert all(x >= 4 and y >= 4 for x, y in firsts)
 
 
-def test_robots_start_around_the_cell_that_is_asked_for() -> None:
+def test_robots_start_around_the_requested_cell() -> None:
     truth = np.full((9, 9), FREE, np.uint8)
     cells = start_cells(truth, 5, 0, 1, (4, 4))
     assert cells[0] == (4, 4)
@@ -372,19 +370,19 @@ def test_robots_start_around_the_cell_that_is_asked_for() -> None:
 
 
 @pytest.mark.parametrize("first", [(0, 0), (-1, 3), (3, -1), (9, 3), (3, 9), (10**9, 0)])
-def test_a_start_that_is_not_free_is_refused(first: Cell) -> None:
+def test_start_cell_that_is_not_free_is_rejected(first: Cell) -> None:
     truth = np.full((9, 9), FREE, np.uint8)
     truth[0, 0] = OCCUPIED
     with pytest.raises(ValueError, match=r"cell \(.*\) is not free"):
         start_cells(truth, 1, 0, 1, first)
 
 
-def test_robots_that_are_too_wide_for_every_place_are_refused() -> None:
+def test_robots_too_wide_for_every_cell_are_rejected() -> None:
     with pytest.raises(ValueError, match="no cell is free for robots of that radius"):
         start_cells(np.full((9, 9), OCCUPIED, np.uint8), 1, 0, 1)
 
 
-def test_more_robots_than_places_are_refused_with_the_number_that_fits() -> None:
+def test_error_states_how_many_robots_fit() -> None:
     truth = np.full((1, 9), FREE, np.uint8)
     assert len(start_cells(truth, 5, 0, 2, (0, 0))) == 5
     with pytest.raises(ValueError, match="6 robots do not fit: 5 free cells"):
@@ -392,13 +390,13 @@ def test_more_robots_than_places_are_refused_with_the_number_that_fits() -> None
 
 
 @given(seeds)
-def test_reachable_is_what_a_robot_can_drive_to_without_cutting_corners(seed: int) -> None:
-    truth = rooms(seed, 0.6)
+def test_reachable_cells_need_no_cut_corners(seed: int) -> None:
+    truth = random_walls(seed, 0.6)
     found = {(10, 10)}
     queue = [(10, 10)]
     while queue:
         x, y = queue.pop()
-        for dx, dy in NEIGHBOURS:
+        for dx, dy in NEIGHBORS:
             nx, ny = x + dx, y + dy
             inside = 0 <= nx < 20 and 0 <= ny < 20 and (nx, ny) not in found
             if inside and truth[ny, nx] == truth[y, nx] == truth[ny, x] == FREE:
@@ -408,7 +406,7 @@ def test_reachable_is_what_a_robot_can_drive_to_without_cutting_corners(seed: in
     assert {(int(x), int(y)) for y, x in np.argwhere(reachable)} == found
 
 
-def test_a_diagonal_cell_counts_one_where_cells_are_counted() -> None:
+def test_diagonal_step_counts_one_with_cell_steps() -> None:
     truth = np.full((30, 30), FREE, np.uint8)
     path = np.array([(n, n) for n in range(1, 21)], np.int32)
     for cell_steps, steps in ((True, 20), (False, 29)):
@@ -421,7 +419,7 @@ def test_a_diagonal_cell_counts_one_where_cells_are_counted() -> None:
         assert world.driven[0] == pytest.approx(20 * 2**0.5)
 
 
-def test_robots_without_bodies_pass_through_and_see_through_each_other() -> None:
+def test_robots_that_do_not_collide_pass_through_and_see_through_each_other() -> None:
     truth = np.full((1, 9), FREE, np.uint8)
     for collide in (True, False):
         bodies = 2 * (Body(8.0, 360.0, 4.0),)
@@ -434,7 +432,7 @@ def test_robots_without_bodies_pass_through_and_see_through_each_other() -> None
         assert (np.frombuffer(senses[1].readings, np.uint16)[2] & HIT > 0) != collide
 
 
-def test_the_thinnest_of_those_that_live_say_when_all_is_explored() -> None:
+def test_smallest_robots_are_chosen_among_those_in_the_world() -> None:
     truth = np.full((9, 9), FREE, np.uint8)
     bodies = tuple(Body(4.0, 360.0, 1.0, 0.0, radius) for radius in (1.0, 0.0, 0.0))
     world = World(truth, WorldSettings(bodies, ((4, 4), (0, 0), (8, 8)), 4))

@@ -1,4 +1,4 @@
-"""The world's shell on the bus in memory: the barrier of a step, and how a run ends."""
+"""The world's process on the memory bus: the step barrier, and the end of a run."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ STARTS = ((2, 2), (4, 2), (6, 2))
 
 
 class Run:
-    """A world on a bus in memory, and the ends of all others, which the test speaks for."""
+    """A world on the memory bus, and the ends of all other participants, which the test uses."""
 
     def __init__(self, robots: int = 2, steps: int = 9, *, begun: bool = True, **settings: Any) -> None:
         hub = MemoryHub(KEYS.run)
@@ -51,7 +51,7 @@ class Run:
         world = World(np.full((5, 9), FREE, np.uint8), WorldSettings(bodies, STARTS[:robots], 4, **settings))
         self.world = world
         self.node = WorldNode(self.ends[names.WORLD], KEYS, world, steps, 100.0)
-        self.heard(names.RELAY)
+        self.received(names.RELAY)
         if begun:
             self.control(Begin())
 
@@ -68,11 +68,11 @@ class Run:
         self.ends[names.robot(robot)].put(KEYS.body(names.WORLD, names.robot(robot)), payload)
         self.work()
 
-    def stay(self, *robots: int, **what: Any) -> None:
+    def stay(self, *robots: int, **settings: Any) -> None:
         for robot in robots:
-            self.move(robot, Move(self.world.step, b"", 0, **({"explored": False} | what)))
+            self.move(robot, Move(self.world.step, b"", 0, **({"explored": False} | settings)))
 
-    def heard(self, name: str) -> list[Any]:
+    def received(self, name: str) -> list[Any]:
         found = []
         while (message := self.ends[name].receive()) is not None:
             if names.parts(message.key)[0] != "presence":
@@ -80,20 +80,20 @@ class Run:
         return found
 
     def ended(self) -> End | None:
-        return next((message for message in self.heard(names.RELAY) if isinstance(message, End)), None)
+        return next((message for message in self.received(names.RELAY) if isinstance(message, End)), None)
 
 
 def test_the_world_sends_the_first_senses_after_begin() -> None:
     run = Run(begun=False)
     run.work()
-    assert run.heard("r0") == []
+    assert run.received("r0") == []
     run.control(Begin())
     for number in range(2):
-        (sense,) = run.heard(names.robot(number))
+        (sense,) = run.received(names.robot(number))
         assert isinstance(sense, Sense)
         assert (sense.step, sense.x, sense.y) == (1, *STARTS[number])
-    assert run.heard(names.RELAY) == [Positions(1, [0, 1], [2, 4], [2, 2])]
-    (report,) = run.heard(names.RECORDER)
+    assert run.received(names.RELAY) == [Positions(1, [0, 1], [2, 4], [2, 2])]
+    (report,) = run.received(names.RECORDER)
     assert isinstance(report, WorldReport)
     assert np.frombuffer(report.poses, "<i4").reshape(-1, 4).tolist() == [[0, 200, 200, 0], [1, 400, 200, 0]]
 
@@ -107,16 +107,16 @@ def test_a_step_ends_when_the_last_living_robot_has_moved() -> None:
     assert run.world.cells == {0: (2, 3), 1: (4, 2)}
 
 
-def test_a_robot_only_hears_of_itself() -> None:
+def test_robot_receives_only_its_own_scans() -> None:
     run = Run()
     run.stay(0, 1)
     for number in range(2):
-        senses = [message for message in run.heard(names.robot(number)) if isinstance(message, Sense)]
+        senses = [message for message in run.received(names.robot(number)) if isinstance(message, Sense)]
         assert [(sense.x, sense.y) for sense in senses] == 2 * [STARTS[number]]
 
 
 @pytest.mark.parametrize("early", [True, False])
-def test_nobody_waits_for_a_robot_that_is_lost(early: bool) -> None:
+def test_step_does_not_wait_for_a_lost_robot(early: bool) -> None:
     run = Run()
     if early:
         run.stay(1)
@@ -128,14 +128,14 @@ def test_nobody_waits_for_a_robot_that_is_lost(early: bool) -> None:
     assert run.world.step == 3
 
 
-def test_the_loss_of_the_last_one_that_was_waited_for_ends_the_step() -> None:
+def test_loss_of_the_last_awaited_robot_ends_the_step() -> None:
     run = Run()
     run.stay(0)
     run.control(Lost(1, "its process ended"))
     assert run.world.step == 2
 
 
-def test_what_a_robot_said_that_is_lost_since_does_not_count() -> None:
+def test_move_of_a_lost_robot_does_not_count() -> None:
     run = Run()
     run.stay(1, explored=True)
     run.control(Lost(1, "its process ended"))
@@ -144,14 +144,14 @@ def test_what_a_robot_said_that_is_lost_since_does_not_count() -> None:
     assert run.world.step == 2
 
 
-def test_the_run_ends_when_the_first_robot_is_done_and_of_several_the_lowest_counts() -> None:
+def test_run_ends_with_the_lowest_of_the_robots_that_are_done_first() -> None:
     run = Run(3)
     run.stay(0)
     run.stay(1, 2, explored=True)
     assert run.ended() == End(1, EXPLORED, 1)
 
 
-def test_a_mission_that_ends_with_all_waits_for_all() -> None:
+def test_run_that_ends_with_all_waits_for_all() -> None:
     run = Run(ends_with_all=True)
     run.stay(0)
     run.stay(1, explored=True)
@@ -160,7 +160,7 @@ def test_a_mission_that_ends_with_all_waits_for_all() -> None:
     assert run.ended() == End(2, EXPLORED, 0)
 
 
-def test_the_run_ends_when_nobody_gets_on_when_steps_are_over_and_when_it_is_stopped() -> None:
+def test_run_ends_when_stalled_when_out_of_steps_and_when_stopped() -> None:
     stalled, short, stopped = Run(), Run(steps=1), Run()
     stalled.stay(0, 1, stalled=True)
     assert stalled.ended() == End(1, STALLED, -1)
@@ -179,7 +179,7 @@ def test_the_run_ends_when_all_robots_are_lost() -> None:
     assert run.ended() == End(1, ALL_LOST, -1)
 
 
-def test_the_world_goes_home_when_it_is_told_to() -> None:
+def test_world_ends_after_shutdown() -> None:
     run = Run()
     assert not run.node.done
     run.control(Shutdown())
@@ -187,7 +187,7 @@ def test_the_world_goes_home_when_it_is_told_to() -> None:
 
 
 @pytest.mark.parametrize("step", [1, 2, 4])
-def test_a_robot_breaks_down_at_the_beginning_of_the_step_that_the_scenario_names(step: int) -> None:
+def test_robot_breaks_down_at_the_start_of_the_scheduled_step(step: int) -> None:
     run = Run(faults=(FaultEvent(step, 1, "death"),))
     for number in range(1, step):
         assert run.world.step == number
@@ -195,26 +195,26 @@ def test_a_robot_breaks_down_at_the_beginning_of_the_step_that_the_scenario_name
         run.stay(0, 1)
     assert run.world.step == step
     assert list(run.world.cells) == [0]
-    heard = run.heard("r1")
-    assert isinstance(heard[-1], End)
-    assert [message.step for message in heard if isinstance(message, Sense)] == list(range(1, step))
+    messages = run.received("r1")
+    assert isinstance(messages[-1], End)
+    assert [message.step for message in messages if isinstance(message, Sense)] == list(range(1, step))
 
 
-def test_a_team_that_breaks_down_altogether_ends_the_run() -> None:
+def test_run_ends_when_all_robots_break_down() -> None:
     run = Run(faults=(FaultEvent(1, 0, "death"), FaultEvent(1, 1, "death")))
     assert run.ended() == End(1, ALL_LOST, -1)
 
 
-NONSENSE = [
+INVALID = [
     b"",
     b"\xc1",
     b"\xff\xff\xff",
     Begin(),
     Sense(1, 0, 0, 0, b"", b"", ""),
-    Lost(0, "I say so"),
-    End(1, "I say so", 1),
+    Lost(0, "invalid"),
+    End(1, "invalid", 1),
     Shutdown(),
-    Stop("I say so"),
+    Stop("invalid"),
     Move(7, b"", 0, explored=False),
     msgspec.msgpack.encode([3, -1, b"", 0, True, True, False, b""]),
     msgspec.msgpack.encode([3, 1, b"abc", 0, True, True, False, b""]),
@@ -223,12 +223,12 @@ NONSENSE = [
 ]
 
 
-@pytest.mark.parametrize("lie", NONSENSE, ids=repr)
-def test_what_is_no_move_is_reported_and_the_robots_move_is_waited_for(lie: object) -> None:
+@pytest.mark.parametrize("message", INVALID, ids=repr)
+def test_invalid_message_is_reported_and_the_step_waits_for_the_move(message: object) -> None:
     run = Run()
-    run.heard(names.RECORDER)
-    run.move(1, lie)
-    (fault,) = run.heard(names.RECORDER)
+    run.received(names.RECORDER)
+    run.move(1, message)
+    (fault,) = run.received(names.RECORDER)
     assert isinstance(fault, ErrorReport)
     assert fault.participant == "r1"
     assert not run.node.done
@@ -240,19 +240,19 @@ def test_what_is_no_move_is_reported_and_the_robots_move_is_waited_for(lie: obje
     assert run.ended() is None
 
 
-def test_a_second_move_in_a_step_is_reported_and_the_first_one_counts() -> None:
+def test_second_move_in_a_step_is_reported_and_the_first_counts() -> None:
     run = Run()
-    run.heard(names.RECORDER)
+    run.received(names.RECORDER)
     run.move(1, Move(1, cells_to_bytes(np.array([[4, 3]], np.int32)), 0, explored=False))
     run.move(1, Move(1, b"", 0, explored=True))
-    (fault,) = run.heard(names.RECORDER)
+    (fault,) = run.received(names.RECORDER)
     assert fault == ErrorReport("r1", "Move at byte 0: a second one for step 1")
     run.stay(0)
     assert run.world.cells[1] == (4, 3)
 
 
 @given(st.binary(max_size=60))
-def test_noise_on_a_robots_wire_stops_no_run(noise: bytes) -> None:
+def test_random_bytes_from_a_robot_do_not_stop_the_run(noise: bytes) -> None:
     run = Run()
     run.move(1, noise)
     run.stay(0, 1)
@@ -283,7 +283,7 @@ def test_a_move_at_the_wrong_time_has_no_effect(when: str) -> None:
         500 * [[3, 2], [2, 2]],
     ],
 )
-def test_a_path_that_cannot_be_driven_moves_a_robot_as_far_as_it_can(path: list[list[int]]) -> None:
+def test_robot_drives_the_valid_part_of_a_path(path: list[list[int]]) -> None:
     run = Run(1)
     run.move(0, Move(1, cells_to_bytes(np.array(path, np.int32)), 7, explored=False))
     assert run.world.step == 2
@@ -293,7 +293,7 @@ def test_a_path_that_cannot_be_driven_moves_a_robot_as_far_as_it_can(path: list[
 
 
 @pytest.mark.parametrize("far", [2**31 - 1, -(2**31)])
-def test_way_points_beyond_the_world_move_a_robot_as_far_as_it_can(far: int) -> None:
+def test_robot_drives_toward_waypoints_beyond_the_world(far: int) -> None:
     run = Run(1)
     points = points_to_bytes(np.array([[far, far], [0, far]], np.int32))
     run.move(0, Move(1, b"", 1, explored=False, points=points))

@@ -1,7 +1,7 @@
 """The environments of the papers, drawn from a seed: `make("office", seed=3)`.
 
-The papers show most of them only as pictures. The environments drawn here have the size and the character that
-the texts describe; a seed chooses rooms, doors and objects. Environments without random parts (`em`, `two-circles`,
+The papers show most of them only as pictures. The environments drawn here have the size and the features that
+the texts describe; a seed determines rooms, doors and objects. Environments without random parts (`em`, `two-circles`,
 `hilbert-*`, `leader-*`) are the same for all seeds.
 """
 
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class _Environment:
-    """A description, and where the function that draws it is, imported only when it is called.
+    """A description of an environment, and the function that draws it, imported on demand.
 
-    It is called with `arguments`, then a random generator, and with parameters by name.
+    The function receives `arguments`, then a random generator, and parameters by name.
     """
 
     line: str
@@ -31,7 +31,7 @@ class _Environment:
 
     def draw(self) -> Any:
         """Import the function."""
-        import importlib  # noqa: PLC0415  what draws needs numpy; who lists names does not
+        import importlib  # noqa: PLC0415  listing names must not import numpy
 
         return getattr(importlib.import_module(f"worldsim.generators.{self.module}"), self.function)
 
@@ -63,7 +63,7 @@ _ENVIRONMENTS: dict[str, _Environment] = {
         "em",
     ),
     "autolab-like": _Environment(
-        "30 x 30 m: a laboratory hall with screens, rooms on two sides, a wing (Faigl and Vanek, section 5)",
+        "30 x 30 m: a research hall with screens, rooms on two sides, a wing (Faigl and Vanek, section 5)",
         "faigl",
         "autolab",
     ),
@@ -111,12 +111,12 @@ _ENVIRONMENTS: dict[str, _Environment] = {
         for order in (1, 2, 3, 4)
     },
     "leader-trap": _Environment(
-        "10 x 10 m: rooms that hold whoever is drawn straight to the closest frontier (leader paper, Fig. 3)",
+        "10 x 10 m: rooms that trap robots attracted straight to the closest frontier (leader paper, Fig. 3)",
         "leader",
         "trap",
     ),
     "leader-rooms": _Environment(
-        "10 x 10 m: rooms behind short screens, explored with leaders and without (leader paper, Figs. 4, 5)",
+        "10 x 10 m: rooms behind short screens, with and without leaders (leader paper, Figs. 4, 5)",
         "leader",
         "rooms",
     ),
@@ -144,12 +144,12 @@ def names() -> list[str]:
 
 
 def describe(name: str) -> str:
-    """Return one line on an environment: what it is, and which section or figure it reproduces.
+    """Return one line about an environment: a description, and the section or figure that it reproduces.
 
     Raises
     ------
     MapError
-        There is no environment of that name.
+        No environment has this name.
     """
     return _environment(name).line
 
@@ -164,13 +164,13 @@ def make(name: str, seed: int = 0, **parameters: float) -> Map:
     seed : int
         Not negative. The same seed and parameters give the same cells.
     **parameters : float
-        Values to use instead of the paper's: `resolution` (metres per cell), and, if the size is variable,
-        `width_m` and `height_m`, or `side_m` (metres).
+        Values to use instead of the paper's: `resolution` (meters per cell), and, if the size is variable,
+        `width_m` and `height_m`, or `side_m` (meters).
 
     Raises
     ------
     MapError
-        The name, the seed or a parameter is not known or out of range.
+        The name or a parameter is unknown, or a value is out of range.
     """
     import inspect  # noqa: PLC0415
 

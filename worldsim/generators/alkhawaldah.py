@@ -38,7 +38,7 @@ def office_plain(
 def office_obstacles(
     random: np.random.Generator, *, width_m: float = 22.0, height_m: float = 16.0, resolution: float = 0.1
 ) -> Grid:
-    """Draw the same office, of the same seed, with furniture (Fig. 2, right)."""
+    """Draw the office of the same seed, with furniture (Fig. 2, right)."""
     cells = office_plain(random, width_m=width_m, height_m=height_m, resolution=resolution)
     count = round(0.12 * width_m * height_m)
     radii = (0.3 / resolution, 0.8 / resolution)
@@ -81,7 +81,7 @@ def _blocks(random: np.random.Generator, area: Box, most: int, road: int) -> lis
 
 
 def _building(cells: Grid, random: np.random.Generator, plot: Box, resolution: float) -> None:
-    """Put a building on its plot: a bar, an L, a U, or four wings round a court with a gate."""
+    """Put a building on its plot: a bar, an L, a U, or four wings around a court with a gate."""
     ground = cells[plot.top : plot.bottom, plot.left : plot.right]
     deep = round(random.uniform(7.0, 9.0) / resolution)
     ground = ground[:: 1 - 2 * int(random.integers(2)), :: 1 - 2 * int(random.integers(2))]
@@ -107,7 +107,7 @@ def _building(cells: Grid, random: np.random.Generator, plot: Box, resolution: f
 def hilbert(
     order: int, _random: np.random.Generator, *, side_m: float = 25.6, resolution: float = 0.1
 ) -> Grid:
-    """Draw a corridor that runs along the Hilbert curve, a wall's thickness between its turns."""
+    """Draw a corridor along the Hilbert curve, with one wall between its turns."""
     cells, pitch = _square(order, side_m, resolution)
     wall = wall_thickness(resolution)
     curve = hilbert_curve(order)
@@ -158,7 +158,7 @@ def hilbert_curve(order: int) -> list[tuple[int, int]]:
 
 
 def _square(order: int, side_m: float, resolution: float) -> tuple[Grid, int]:
-    """Return an unknown grid of 2^order squares a side, and the side of such a square in cells."""
+    """Return an unknown grid of 2^order squares per side, and the side of a square in cells."""
     pitch = length("side_m", side_m, resolution, least_m=4 * 2**order * resolution) // 2**order
     side = 2**order * pitch + wall_thickness(resolution)
     return np.full((side, side), UNKNOWN, np.uint8), pitch

@@ -1,5 +1,7 @@
-"""The three kinds of environment of the coordinated exploration experiments (Burgard et al., Fig. 8), at the
-0.15 m a cell of their simulator (section IV-C)."""
+"""The three kinds of environment of the coordinated exploration experiments (Burgard et al., Fig. 8).
+
+Their simulator has cells of 0.15 m (section IV-C).
+"""
 
 from __future__ import annotations
 

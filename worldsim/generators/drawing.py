@@ -1,7 +1,7 @@
-"""Drawing tools of all environments: free space is carved out of the unknown, objects are placed in it, and
-walls are drawn last wherever the two meet.
+"""Drawing tools of all environments.
 
-Lengths are in cells here unless a name ends in ``_m``. Corners of shapes are rounded to sixteenths of a cell
+Free space is carved out of unknown space, and objects are placed in it. Walls are drawn last, between free and unknown
+space. Lengths are in cells unless a name ends in ``_m``. Corners of shapes are rounded to sixteenths of a cell
 and filled in integer arithmetic, so that a seed gives the same cells on every machine.
 """
 
@@ -19,20 +19,20 @@ from worldsim.map_error import MapError
 _SIXTEENTHS = 16
 
 _COARSEST = 0.4
-"""Metres a cell, at most: doors and walls are lost in larger cells."""
+"""Maximum of meters per cell: larger cells do not resolve doors and walls."""
 
 Points = NDArray[np.float64]
 """Corners of a shape: float64 array of shape (n, 2), x and y."""
 
 
 def canvas(width_m: float, height_m: float, resolution: float, least_m: float) -> Grid:
-    """Return an all unknown grid for a world of this size, walls included.
+    """Return an unknown grid for a world of this size, walls included.
 
     Raises
     ------
     MapError
-        The resolution is not above 0 or too coarse for doors, a side is shorter than `least_m` or longer than
-        a map may be.
+        The resolution is not above 0 or too coarse for doors, or a side is shorter than `least_m` or too long for
+        a map.
     """
     width = length("width_m", width_m, resolution, least_m)
     height = length("height_m", height_m, resolution, least_m)
@@ -48,18 +48,18 @@ def length(name: str, side_m: float, resolution: float, least_m: float) -> int:
         As for `canvas`.
     """
     if not 0 < resolution <= _COARSEST:
-        raise MapError(f"resolution is {resolution}; it must lie above 0 and be at most {_COARSEST} m a cell")
+        raise MapError(f"resolution is {resolution}; it must be above 0 and at most {_COARSEST} m per cell")
     most_m = MAX_SIDE * resolution
     if not least_m <= side_m <= most_m:
         raise MapError(
-            f"{name} is {side_m} m; with cells of {resolution:g} m it must be {least_m:g} m at least, and "
-            f"{most_m:g} m, {MAX_SIDE} cells, at most"
+            f"{name} is {side_m} m; with cells of {resolution:g} m it must be at least {least_m:g} m and "
+            f"at most {most_m:g} m, {MAX_SIDE} cells"
         )
     return round(side_m / resolution)
 
 
 def wall_thickness(resolution: float) -> int:
-    """Return how thick walls are: 0.2 m, but one cell at least and two at most."""
+    """Return the thickness of walls: 0.2 m, but at least one cell and at most two."""
     return min(max(round(0.2 / resolution), 1), 2)
 
 
@@ -69,20 +69,20 @@ def carve(cells: Grid, left: int, top: int, right: int, bottom: int) -> None:
 
 
 def field(cells: Grid, wall: int) -> None:
-    """Free everything but a wall round the grid."""
+    """Free everything but a wall around the grid."""
     height, width = cells.shape
     carve(cells, wall, wall, width - wall, height - wall)
 
 
 def enclose(cells: Grid, wall: int) -> None:
-    """Make walls of the unknown cells next to free ones, and fill what cannot be reached.
+    """Turn unknown cells next to free ones into walls, and fill free areas that cannot be reached.
 
     Parameters
     ----------
     cells : uint8 array of shape (height, width)
-        The world; its largest area of free 4-neighbours stays.
+        The world; its largest 4-connected free area remains.
     wall : int
-        How thick walls become; they close diagonally as well.
+        Thickness of the walls; they have no diagonal gaps.
     """
     near = cells == FREE
     for _ in range(wall):
@@ -100,7 +100,7 @@ def enclose(cells: Grid, wall: int) -> None:
 
 
 def fill(cells: Grid, corners: Points, state: int) -> None:
-    """Set the cells whose centres lie inside a polygon (even-odd)."""
+    """Set the cells whose centers lie inside a polygon (even-odd)."""
     corner_x, corner_y = np.round(corners * _SIXTEENTHS).astype(np.int64).T
     low_x, low_y = (max(int(side.min()) // _SIXTEENTHS, 0) for side in (corner_x, corner_y))
     high_x, high_y = (int(side.max()) // _SIXTEENTHS + 1 for side in (corner_x, corner_y))
@@ -122,7 +122,7 @@ def disc(_random: np.random.Generator) -> Points:
 
 
 def box(random: np.random.Generator) -> Points:
-    """Return a rectangle, from square to four times as long as wide."""
+    """Return a rectangle with an aspect ratio from 1 to 4."""
     half = math.atan(random.uniform(0.25, 1.0)) / (2 * math.pi)
     return _around(np.array([half, 0.5 - half, 0.5 + half, 1 - half]) + random.random(), np.ones(4))
 
@@ -133,7 +133,7 @@ def rock(random: np.random.Generator) -> Points:
 
 
 def blob(random: np.random.Generator, corners: int, least: float) -> Points:
-    """Return a polygon with its corners all around, none nearer to the middle than `least`."""
+    """Return a star-shaped polygon, with corners at distances from `least` to 1."""
     turns = (np.arange(corners) + random.uniform(-0.3, 0.3, corners)) / corners + random.random()
     return _around(turns, random.uniform(least, 1.0, corners))
 
@@ -147,7 +147,7 @@ def angle(random: np.random.Generator) -> Points:
 
 
 Shape = Callable[[np.random.Generator], Points]
-"""Draws the corners of a shape that fits into the unit circle."""
+"""Draws the corners of a shape inside the circle of radius 1."""
 
 SHAPES: tuple[Shape, ...] = (disc, box, rock, angle)
 
@@ -170,13 +170,13 @@ def scatter(
         The world; objects become occupied in it.
     random : numpy.random.Generator
     where : bool array of shape (height, width)
-        Where centres may lie.
+        Cells in which centers may lie.
     count : int
-        Number of objects; one for which no place is found is left out.
+        Number of objects; an object for which no place is found is omitted.
     radii : (float, float)
         Radius of the smallest and the largest object, in cells; small ones are more common.
     gap : float
-        Least distance between objects, in cells: what may pass between any two.
+        Minimum distance between objects, in cells, so that robots can pass.
     shapes : tuple of Shape
         Shapes of the objects, all equally likely.
     """

@@ -1,6 +1,6 @@
-"""The four environments of the study of task allocation (Faigl and Vanek, section 5), at its 0.05 m a cell.
+"""The four environments of the study of task allocation (Faigl and Vanek, section 5), with its cells of 0.05 m.
 
-The paper gives names and sizes; the drawings here have their character, not their walls.
+The paper gives names and sizes. The environments drawn here resemble them, but their walls differ.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def em(
 def autolab(
     random: np.random.Generator, *, width_m: float = 30.0, height_m: float = 30.0, resolution: float = 0.05
 ) -> Grid:
-    """Draw a laboratory: a large hall with screens in it, rooms on two of its sides, a wing and an annex."""
+    """Draw a research hall with screens in it, rooms on two of its sides, a wing and an annex."""
     cells = canvas(width_m, height_m, resolution, least_m=20.0)
     wall = wall_thickness(resolution)
     drawn = cells[:: 1 - 2 * int(random.integers(2)), :: 1 - 2 * int(random.integers(2))]
@@ -66,7 +66,7 @@ def autolab(
 def jh(
     random: np.random.Generator, *, width_m: float = 21.0, height_m: float = 24.0, resolution: float = 0.05
 ) -> Grid:
-    """Draw an office building: a corridor runs round it, small rooms lie on both its sides."""
+    """Draw an office building: a ring corridor with small rooms on both sides."""
     cells = canvas(width_m, height_m, resolution, least_m=18.0)
     wall = wall_thickness(resolution)
     floor = inside(cells, wall)

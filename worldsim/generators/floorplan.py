@@ -1,7 +1,7 @@
 """Rooms along corridors: the floor plans of all office environments.
 
-Rooms and corridors are carved out of the unknown with a wall's thickness left between them; doors are gaps in
-what is left. A plan that runs from top to bottom is drawn on the transposed grid.
+Rooms and corridors are carved out of unknown space, with one wall between them; doors are gaps in the walls. A
+plan that runs from top to bottom is drawn on the transposed grid.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ class Box:
 
 
 def inside(cells: Grid, wall: int) -> Box:
-    """Return the box of all cells but a wall round the grid."""
+    """Return the box of all cells inside a wall around the grid."""
     height, width = cells.shape
     return Box(0, 0, width, height).shrunk(wall)
 
 
 @dataclass(frozen=True)
 class Style:
-    """How an office is built, in metres.
+    """Dimensions of an office, in meters.
 
     Attributes
     ----------
@@ -57,9 +57,9 @@ class Style:
     door_m : (float, float)
         Narrowest and widest door.
     joined : float
-        Share of neighbouring rooms with a door between them.
+        Share of neighboring rooms with a door between them.
     merged : float
-        Share of neighbouring rooms without a wall between them.
+        Share of neighboring rooms without a wall between them.
     """
 
     corridor_m: float = 2.0
@@ -78,7 +78,7 @@ class Builder:
         The world to carve into.
     random : numpy.random.Generator
     resolution : float
-        Side of a cell in metres.
+        Side of a cell in meters.
     style : Style
     """
 
@@ -99,7 +99,7 @@ class Builder:
         return round(meters / self.resolution)
 
     def offices(self, box: Box, corridors: int) -> tuple[list[Box], list[Box]]:
-        """Fill the box with parallel corridors, rooms on both sides of each, and corridors across.
+        """Fill the box with parallel corridors, rooms on both sides of each, and cross corridors.
 
         Returns
         -------
@@ -134,7 +134,7 @@ class Builder:
         return lanes, rooms
 
     def ring(self, box: Box, depth: int) -> None:
-        """Fill the box with a corridor round a core, rooms along its four outer sides and in the core."""
+        """Fill the box with a corridor around a core, rooms along its four outer sides and in the core."""
         around = depth + self.wall
         outer = box.shrunk(around)
         core = outer.shrunk(self.corridor)
@@ -151,7 +151,7 @@ class Builder:
         sideways.row(inner.top, inner.bottom, *halves[1], door_above=False)
 
     def _crossed(self, box: Box, above: Box, below: Box) -> list[tuple[int, int]]:
-        """Carve corridors across, between two lanes, and return the stretches left beside them."""
+        """Carve cross corridors between two parallel ones; return the intervals between them."""
         wanted = max(1, round(box.width * self.resolution / 12) - 1)
         stretches = self.divide(box.left, box.width, wanted + 1, self.corridor + 2 * self.wall)
         for left, _ in stretches[1:]:
@@ -193,7 +193,7 @@ class Builder:
         carve(self.cells, start, top, start + width, top + self.wall)
 
     def divide(self, start: int, length: int, count: int, gap: int) -> list[tuple[int, int]]:
-        """Divide a length into `count` uneven stretches, `gap` cells between them."""
+        """Divide a length into `count` uneven intervals, `gap` cells apart."""
         weights = self.random.uniform(0.8, 1.25, count).cumsum()
         ends = [round(float(weight / weights[-1]) * (length - gap * (count - 1))) for weight in weights]
         return [

@@ -1,7 +1,7 @@
-"""The environments of the exploration by potential fields with leaders (its Figs. 3 to 5): ten metres square.
+"""The environments of the exploration by potential fields with leaders (its Figs. 3 to 5): 10 x 10 m.
 
-A trooper is attracted straight to its closest frontier. If a wall crosses that line it stalls, and so does a
-whole team in rooms whose doors do not face the unexplored space; it slides along a short screen and past it.
+A trooper is attracted straight to its closest frontier. It stalls if a wall crosses that line, and a whole team
+stalls in rooms whose doors do not face the unexplored space. Troopers slide along a short screen and past it.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from worldsim.generators.drawing import canvas, enclose, field, wall_thickness
 _SIDE_M = 10.0
 
 _Walls = tuple[tuple[float, float, float, float], ...]
-"""Middle lines of walls, in metres: from (x, y) to (x, y)."""
+"""Center lines of walls, in meters: from (x, y) to (x, y)."""
 
 _TRAP: _Walls = (
-    (3.6, 1.2, 3.6, 5.5),  # left of the hall, then what parts the rooms there
+    (3.6, 1.2, 3.6, 5.5),  # left of the hall, then the walls between the rooms there
     (3.6, 7.8, 3.6, 10.0),
     (0.0, 3.3, 3.6, 3.3),
     (0.0, 6.6, 3.6, 6.6),
@@ -36,7 +36,7 @@ def trap(_random: np.random.Generator, *, resolution: float = 0.1) -> Grid:
 
 
 def rooms(_random: np.random.Generator, *, resolution: float = 0.1) -> Grid:
-    """Draw four rooms behind short screens that one can slide past."""
+    """Draw four rooms behind short screens that a robot can slide past."""
     return _draw(_ROOMS, resolution)
 
 

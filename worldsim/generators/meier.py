@@ -1,4 +1,4 @@
-"""The three environments of the thesis' experiments (Meier, Fig. 6.1), as its section 6 describes them."""
+"""The three environments of the thesis' experiments (Meier, Fig. 6.1), as described in section 6."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def mixed(
 def office(
     random: np.random.Generator, *, width_m: float = 25.0, height_m: float = 25.0, resolution: float = 0.1
 ) -> Grid:
-    """Draw an office floor: parallel corridors with rooms on both sides, joined by corridors across."""
+    """Draw an office floor: parallel corridors with rooms on both sides, joined by cross corridors."""
     cells = canvas(width_m, height_m, resolution, least_m=10.0)
     wall = wall_thickness(resolution)
     drawn = cells.T if random.random() < 0.5 else cells
@@ -64,7 +64,7 @@ def office(
 def two_circles(
     _random: np.random.Generator, *, width_m: float = 20.0, height_m: float = 20.0, resolution: float = 0.1
 ) -> Grid:
-    """Draw an enclosed field with two big discs (Fig. A.1); the paper shows it without its measures."""
+    """Draw an enclosed field with two big discs (Fig. A.1); the thesis does not give its dimensions."""
     cells = canvas(width_m, height_m, resolution, least_m=5.0)
     field(cells, wall_thickness(resolution))
     height, width = cells.shape
@@ -77,7 +77,7 @@ def two_circles(
 
 
 def _site(random: np.random.Generator, cells: Grid, margin: int) -> Box:
-    """Choose the site of the building: about half as wide and as deep as the field."""
+    """Choose the site of the building: roughly half as wide and as deep as the field."""
     height, width = cells.shape
     wide, deep = round(width * random.uniform(0.54, 0.66)), round(height * random.uniform(0.42, 0.5))
     left = int(random.integers(margin, width - margin - wide + 1))
@@ -86,7 +86,7 @@ def _site(random: np.random.Generator, cells: Grid, margin: int) -> Box:
 
 
 def _open_porch(cells: Grid, house: Box, room: Box) -> None:
-    """Take a corner room away: what was its door now leads outdoors."""
+    """Remove a corner room, so that its door leads outdoors."""
     left = house.left if room.left < (house.left + house.right) // 2 else room.left
     right = room.right if left == house.left else house.right
     top = house.top if room.top < (house.top + house.bottom) // 2 else room.top

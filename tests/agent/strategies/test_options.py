@@ -167,7 +167,7 @@ def test_a_class_that_is_no_strategy_or_cannot_be_imported_is_rejected() -> None
     with pytest.raises(ValueError, match=r"no_such_module.*PYTHONPATH"):
         strategy("no_such_module:Best")
     with pytest.raises(
-        ValueError, match=r"Path is no subclass of agent.strategies.base.Strategy with a name"
+        ValueError, match=r"Path is not a subclass of agent.strategies.base.Strategy with a name"
     ):
         strategy("pathlib:Path")
     with pytest.raises(ValueError, match=r"strategy 'pathlib:': must be package.module:Class"):
@@ -181,7 +181,7 @@ def test_an_incomplete_class_or_a_module_that_exits_is_rejected(
     (tmp_path / "unfinished_swarm.py").write_text(unfinished, encoding="utf-8")
     (tmp_path / "leaving_swarm.py").write_text("raise SystemExit(0)\n", encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
-    with pytest.raises(ValueError, match=r"Unfinished leaves out what it must define: choose"):
+    with pytest.raises(ValueError, match=r"Unfinished does not define the abstract methods choose"):
         strategy("unfinished_swarm:Unfinished")
     with pytest.raises(ValueError, match=r"(?s)leaving_swarm:Own' cannot be imported.*SystemExit: 0"):
         strategy("leaving_swarm:Own")

@@ -77,7 +77,7 @@ def test_help_says_how_parts_combine_line_by_line() -> None:
         ("burgart", "no strategy is called 'burgart'; did you mean burgard or burgard-optimal? There are: burgard,"),
         ("Leader", "did you mean leaders?"),
         ("zzz", "no strategy is called 'zzz'; there are: burgard,"),
-        ("pathlib:Path", "Path is no subclass of agent.strategies.base.Strategy"),
+        ("pathlib:Path", "Path is not a subclass of agent.strategies.base.Strategy"),
     ],
 )  # fmt: skip
 def test_an_unknown_name_is_bad_input_and_near_ones_are_named(wrong: str, output: str) -> None:

@@ -1,4 +1,4 @@
-"""Live control: what is done to a run takes effect, and is data of its scenario, so that it repeats."""
+"""Live control: requests take effect and become part of the scenario, so that the run can be repeated."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from deploy.scenario.scenario import ScenarioError, load, parse
 SETTINGS = {"map": "em", "robots": 3, "range": "30%", "bandwidth": 600, "steps": 60, "bus": "memory"}
 
 
-def meddled(**more: Any) -> Result:
-    """A run in which a robot is killed and the radio changed twice."""
+def controlled_run(**more: Any) -> Result:
+    """Return a run in which a robot is killed and the radio changes twice."""
     with steps(parse(SETTINGS | more)) as run:
         for step in run:
             if step.number == 10:
@@ -38,8 +38,8 @@ def carried(result: Result) -> np.ndarray[Any, Any]:
     return np.bincount(ledger["step"], ledger["bytes"] * ledger["carried"], minlength=61)
 
 
-def test_what_was_done_takes_effect_and_is_in_the_scenario_with_its_steps() -> None:
-    result = meddled()
+def test_requests_take_effect_and_enter_the_scenario_with_their_steps() -> None:
+    result = controlled_run()
     scenario = result.plan.scenario
     assert [(each.step, each.bandwidth, each.range) for each in scenario.change] == [
         (12, 100, "4.0"),
@@ -54,8 +54,8 @@ def test_what_was_done_takes_effect_and_is_in_the_scenario_with_its_steps() -> N
 
 
 @pytest.mark.parametrize("more", [{}, {"dissemination": "gossip"}, {"radio": {"loss": 0.1}}])
-def test_a_run_that_was_meddled_with_repeats_from_its_scenario(more: dict[str, Any]) -> None:
-    result = meddled(**more)
+def test_controlled_run_repeats_from_its_scenario(more: dict[str, Any]) -> None:
+    result = controlled_run(**more)
     again = explore(parse(result.plan.scenario.model_dump()), keep=False)
     assert again.summary["digest"] == result.summary["digest"]
     assert again.plan == result.plan or again.plan.scenario == result.plan.scenario
@@ -64,7 +64,7 @@ def test_a_run_that_was_meddled_with_repeats_from_its_scenario(more: dict[str, A
 
 
 @pytest.mark.parametrize("wider", ["unlimited", 5000])
-def test_a_radio_that_becomes_wider_is_used_and_nobody_is_lost_for_it(wider: str | int) -> None:
+def test_robots_use_a_higher_bandwidth_and_none_is_lost(wider: str | int) -> None:
     change = [{"step": 20, "bandwidth": wider}]
     settings = {"map_encoding": "scans", "dissemination": "gossip", "bandwidth": 6, "change": change}
     result = explore(parse(SETTINGS | settings), keep=False)
@@ -72,7 +72,7 @@ def test_a_radio_that_becomes_wider_is_used_and_nobody_is_lost_for_it(wider: str
     assert carried(result)[:20].max() <= 6 and carried(result)[20:].max() > 200
 
 
-def test_a_pause_holds_the_run_steps_are_counted_and_what_was_done_is_kept(tmp_path: Path) -> None:
+def test_pause_holds_the_run_and_requests_during_it_are_kept(tmp_path: Path) -> None:
     control, seen = Control(), []
 
     def watch(plan: Plan, records: Records) -> None:
@@ -104,7 +104,7 @@ def test_a_pause_holds_the_run_steps_are_counted_and_what_was_done_is_kept(tmp_p
     assert explore(written, keep=False).summary["digest"] == result.summary["digest"]
 
 
-def test_what_cannot_be_done_is_said_and_changes_nothing() -> None:
+def test_invalid_requests_raise_and_change_nothing() -> None:
     control = Control()
     with pytest.raises(ValueError, match="the run has not started"):
         control.kill(0)
@@ -121,7 +121,7 @@ def test_what_cannot_be_done_is_said_and_changes_nothing() -> None:
             run.change()
 
 
-def test_a_change_of_a_scenario_is_checked() -> None:
+def test_changes_in_a_scenario_are_validated() -> None:
     with pytest.raises(ScenarioError, match=r"change.*step"):
         parse(SETTINGS | {"change": [{"step": 0, "bandwidth": 3}]})
     with pytest.raises(ScenarioError, match=r"must be tables, \[\[change\]\], of step, bandwidth, range"):

@@ -1,4 +1,4 @@
-"""A run from its scenario to its directory: what is in it, that it repeats the run, and how runs may end."""
+"""A run from scenario to directory: the files, the repetition of the run, and how runs end."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ CONTRACT = {
     "raw_scan_bytes", "over_budget_steps", "undelivered",
     "approximation_error", "approximation_error_net", "explored_at", "digest", "wall_s", "steps_per_s", "versions",
 }  # fmt: skip
-"""What scripts may look for in a summary."""
+"""Keys of a summary that scripts may rely on."""
 
 LEDGER = {
     "step": "int32", "round": "int16", "connection": "int32", "frame": "int16", "sender": "int16",
@@ -83,7 +83,7 @@ def test_a_run_leaves_the_files_of_the_contract_and_nothing_else(out: Path) -> N
     }  # fmt: skip
 
 
-def test_overlap_is_what_more_than_one_robot_has_seen_itself(floor: str) -> None:
+def test_overlap_is_the_share_that_several_robots_have_seen(floor: str) -> None:
     alone = exploration.explore(scenario(floor, robots=1, steps=5), keep=False)
     assert alone.summary["overlap"] == 0
     result = exploration.explore(scenario(floor, steps=5), keep=False)
@@ -123,7 +123,7 @@ def test_the_ledger_has_the_columns_of_the_contract_and_adds_up_to_the_summary(
     assert carried | {"total": sum(carried.values())} == run.summary["bytes"]
 
 
-def test_steps_have_a_row_a_robot_in_metres_of_the_maps_frame(run: Result, out: Path) -> None:
+def test_steps_have_one_row_per_robot_in_meters_of_the_map_frame(run: Result, out: Path) -> None:
     steps = parquet.read_table(out / "steps.parquet").to_pydict()
     robots, last = run.summary["robots"], run.summary["steps"]
     assert len(steps["step"]) == robots * last
@@ -143,7 +143,7 @@ def test_steps_have_a_row_a_robot_in_metres_of_the_maps_frame(run: Result, out: 
     assert ways == run.summary["path_length"]
 
 
-def test_maps_are_written_as_they_were_in_the_robots_minds(run: Result, out: Path) -> None:
+def test_written_maps_equal_the_maps_of_the_robots(run: Result, out: Path) -> None:
     for robot, grid in run.records.planning.items():
         assert (maps.load(out / f"planning-r{robot}.yaml").cells == grid).all()
     team = np.maximum.reduce(list(run.records.own.values()))
@@ -199,11 +199,11 @@ def test_an_empty_directory_is_taken(floor: str, tmp_path: Path) -> None:
 # --- whole files or none -------------------------------------------------------------------------------
 
 
-def test_whoever_looks_while_a_run_is_written_sees_whole_files(floor: str, tmp_path: Path) -> None:
+def test_reader_sees_complete_files_while_a_run_is_written(floor: str, tmp_path: Path) -> None:
     folder = tmp_path / "run"
     worker = threading.Thread(target=exploration.explore, args=[scenario(floor)], kwargs={"out": folder})
     worker.start()
-    looks = 0
+    reads = 0
     while worker.is_alive():
         for path in folder.glob("[!.]*") if folder.exists() else ():
             if path.suffix == ".json":
@@ -214,10 +214,10 @@ def test_whoever_looks_while_a_run_is_written_sees_whole_files(floor: str, tmp_p
                 assert parquet.read_table(path).num_rows
             elif path.suffix == ".png":
                 Image.open(path).verify()
-            looks += 1
+            reads += 1
         time.sleep(0.002)
     worker.join()
-    assert looks > 20
+    assert reads > 20
 
 
 FULL_DISK = """
@@ -264,7 +264,7 @@ def test_a_directory_alone_repeats_the_run_wherever_it_is(run: Result, out: Path
 def test_a_run_of_processes_is_repeated_in_one_process(floor: str, tmp_path: Path) -> None:
     result = exploration.explore(scenario(floor, bus="zenoh", steps=15), out=tmp_path / "run")
     wire, air = result.summary["wire_bytes"], result.summary["bytes"]["total"]
-    assert wire is None or wire > air, "where the system tells, the bus moves more than was said"
+    assert wire is None or wire > air, "if the system reports it, the bus carries more bytes than the radio"
     assert run_directory.read_scenario(tmp_path / "run").bus == "zenoh"
     again = exploration.explore(load(tmp_path / "run" / "scenario.toml", {"bus": "memory"}), keep=False)
     assert again.summary["digest"] == result.summary["digest"]
@@ -297,7 +297,7 @@ def test_python_callers_get_all_that_the_command_gets(
 # --- how runs end --------------------------------------------------------------------------------------
 
 
-def test_a_run_that_is_explored_ends_with_0_and_names_who_was_first(run: Result) -> None:
+def test_explored_run_ends_with_0_and_names_the_first_robot(run: Result) -> None:
     assert run.exit_code == EXPLORED == 0
     assert run.summary["reason"] == "explored"
     assert run.summary["first_robot"] in range(3)
@@ -318,19 +318,19 @@ def test_an_interrupt_ends_a_run_after_its_step_with_everything_written(
     floor: str, tmp_path: Path, bus: str, number: int
 ) -> None:
     handler = signal.getsignal(number)
-    told: list[str] = []
+    notes: list[str] = []
 
     def watch(_: Plan, records: Records) -> None:
         if records.step >= 5:
             os.kill(os.getpid(), number)
 
     result = exploration.explore(
-        scenario(floor, bus=bus), out=tmp_path / "run", watch=watch, notify=told.append, pace=20
+        scenario(floor, bus=bus), out=tmp_path / "run", watch=watch, notify=notes.append, pace=20
     )
     assert result.exit_code == NOT_FINISHED
     assert result.summary["reason"] == "interrupted"
     assert 5 <= result.summary["steps"] < 40
-    assert told == ["ending after this step; writing the run directory"]
+    assert notes == ["ending after this step; writing the run directory"]
     assert {"summary.json", "steps.parquet", "ledger.parquet", "maps.png", "team.yaml"} <= {
         path.name for path in (tmp_path / "run").iterdir()
     }
@@ -346,7 +346,7 @@ def test_a_run_that_leaves_nothing_dies_of_an_interrupt(floor: str, bus: str) ->
 
 
 @pytest.mark.parametrize("bus", ["memory", "zenoh"])
-def test_a_death_that_the_scenario_asked_for_is_no_accident(floor: str, bus: str) -> None:
+def test_scheduled_death_is_not_reported_as_a_crash(floor: str, bus: str) -> None:
     result = exploration.explore(
         scenario(floor, bus=bus, fault=[{"robot": 0, "step": 5, "kind": "death"}]), keep=False
     )
@@ -362,7 +362,7 @@ def test_a_death_that_the_scenario_asked_for_is_no_accident(floor: str, bus: str
 
 
 @pytest.mark.parametrize("bus", ["memory", "zenoh"])
-def test_a_team_of_which_all_die_ends(floor: str, bus: str) -> None:
+def test_run_ends_when_all_robots_have_died(floor: str, bus: str) -> None:
     deaths = [{"robot": robot, "step": 4 + robot, "kind": "death"} for robot in range(3)]
     result = exploration.explore(scenario(floor, bus=bus, fault=deaths), keep=False)
     assert result.exit_code == NOT_FINISHED
@@ -378,7 +378,7 @@ def children() -> Iterator[psutil.Process]:
             continue
 
 
-def test_a_death_that_nobody_asked_for_ends_with_3_and_is_named(floor: str, tmp_path: Path) -> None:
+def test_unexpected_death_ends_with_3_and_is_named(floor: str, tmp_path: Path) -> None:
     killed: list[int] = []
 
     def watch(_: Plan, records: Records) -> None:
@@ -391,5 +391,5 @@ def test_a_death_that_nobody_asked_for_ends_with_3_and_is_named(floor: str, tmp_
     assert result.exit_code == BROKEN_OFF == 3
     assert result.summary["lost"] == {"1": "its process ended"}
     assert "SIGKILL" in result.deaths["r1"]
-    assert result.summary["finished"], "the others go on"
+    assert result.summary["finished"], "the other robots continue"
     assert (tmp_path / "run" / "ledger.parquet").exists()

@@ -1,4 +1,4 @@
-"""Faults that a scenario asks for: kills, restarts, stops, radios that fail; the same on both buses."""
+"""Faults of a scenario: kills, restarts, stops and radio failures, the same on both buses."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def run(floor: str, *faults: tuple[Any, ...], out: Path | None = None, **setting
     return explore(parse(given | settings), out=out, keep=out is not None)
 
 
-def said(result: Result, robot: int) -> list[int]:
-    """Steps in which a robot reported."""
+def report_steps(result: Result, robot: int) -> list[int]:
+    """Return the steps in which a robot reported its status."""
     return [report.step for report in result.records.statuses[robot]]
 
 
@@ -82,9 +82,9 @@ def test_processes_with_all_kinds_of_faults_give_the_digest_of_memory(floor: str
     }  # fmt: skip
 
 
-def test_a_killed_robot_says_nothing_more_and_hands_in_nothing(floor: str) -> None:
+def test_killed_robot_sends_no_status_and_no_map(floor: str) -> None:
     result = run(floor, (10, 1, "kill"))
-    assert max(said(result, 1)) == 9
+    assert max(report_steps(result, 1)) == 9
     assert sorted(result.records.own) == [0, 2]
     assert result.exit_code == EXPLORED
     assert result.records.killed == {1}
@@ -92,19 +92,19 @@ def test_a_killed_robot_says_nothing_more_and_hands_in_nothing(floor: str) -> No
 
 @pytest.mark.parametrize("dissemination", ["backoff", "thesis", "gossip"])
 @pytest.mark.parametrize("map_encoding", ["polygons", "scans", "predictive"])
-def test_a_restarted_robot_gets_back_from_teammates_what_it_had_told(
+def test_restarted_robot_recovers_from_teammates_what_it_had_sent(
     floor: str, map_encoding: str, dissemination: str
 ) -> None:
     settings = {"map_encoding": map_encoding, "dissemination": dissemination, "bandwidth": "unlimited"}
     before = run(floor, steps=20, **settings).records
     after = run(floor, (20, 1, "restart"), steps=30, **settings).records
-    told = (before.planning[0] == FREE) & (before.own[1] == FREE) & (before.own[0] != FREE)
-    assert told.sum() > 50
-    assert ((after.planning[1] == FREE) & told).sum() >= 0.97 * told.sum()
-    assert ((after.own[1] == FREE) & told).sum() < told.sum()
+    sent = (before.planning[0] == FREE) & (before.own[1] == FREE) & (before.own[0] != FREE)
+    assert sent.sum() > 50
+    assert ((after.planning[1] == FREE) & sent).sum() >= 0.97 * sent.sum()
+    assert ((after.own[1] == FREE) & sent).sum() < sent.sum()
 
 
-def test_restarts_cost_no_byte_before_they_come(floor: str) -> None:
+def test_restart_costs_no_byte_before_it_occurs(floor: str) -> None:
     def carried(*faults: tuple[Any, ...], dissemination: str, map_encoding: str) -> list[tuple[int, int]]:
         ledger = run(floor, *faults, steps=20, dissemination=dissemination, map_encoding=map_encoding).ledger
         return ledger.filter(ledger["step"] < 20).select("step", "bytes").rows()
@@ -117,15 +117,15 @@ def test_restarts_cost_no_byte_before_they_come(floor: str) -> None:
             )
 
 
-def test_a_stopped_robot_goes_on_where_it_was_as_if_nothing_had_been(floor: str) -> None:
+def test_stopped_robot_continues_at_the_same_place(floor: str) -> None:
     result = run(floor, (10, 1, "stop", 5))
-    assert not {10, 11, 12, 13, 14} & set(said(result, 1))
-    assert {9, 15} <= set(said(result, 1))
+    assert not {10, 11, 12, 13, 14} & set(report_steps(result, 1))
+    assert {9, 15} <= set(report_steps(result, 1))
     places = result.steps.filter(result.steps["robot"] == 1).rows_by_key("step", named=True)
     assert len({(row["x"], row["y"]) for step in range(9, 15) for row in places[step]}) == 1
 
 
-def test_a_mute_robot_s_words_are_booked_as_mute_and_a_deaf_one_hears_nothing(floor: str) -> None:
+def test_ledger_marks_frames_of_a_mute_robot_and_a_deaf_robot_receives_none(floor: str) -> None:
     ledger = run(floor, (5, 1, "mute", 10), (20, 2, "deaf", 10), steps=40).ledger
     mute = ledger.filter((ledger["sender"] == 1) & ledger["step"].is_between(5, 14))
     assert len(mute)
@@ -138,7 +138,7 @@ def test_a_mute_robot_s_words_are_booked_as_mute_and_a_deaf_one_hears_nothing(fl
 
 
 @pytest.mark.parametrize("dissemination", ["backoff", "gossip"])
-def test_who_was_deaf_for_a_while_hears_then_what_the_others_said(floor: str, dissemination: str) -> None:
+def test_robot_receives_missed_updates_after_it_was_deaf(floor: str, dissemination: str) -> None:
     records = run(
         floor,
         (5, 2, "deaf", 20),
@@ -152,13 +152,13 @@ def test_who_was_deaf_for_a_while_hears_then_what_the_others_said(floor: str, di
     assert (records.own[2] == FREE)[others].mean() < 0.9
 
 
-def test_all_are_killed_and_one_comes_back_and_finishes(floor: str) -> None:
+def test_one_restarted_robot_finishes_after_all_were_killed(floor: str) -> None:
     result = run(floor, (10, 0, "kill"), (10, 1, "kill"), (10, 2, "kill"), (15, 2, "restart"), steps=600)
     assert result.exit_code == EXPLORED
     assert result.summary["first_robot"] == 2
 
 
-WRONG = [
+INVALID = [
     ([(5, 3, "kill")], r"fault at step 5: kill of robot 3: the last robot is 2"),
     ([(5, 1, "kill"), (9, 1, "stop")], r"fault at step 9: stop of robot 1: it is gone by then \(kill\)"),
     ([(5, 1, "death"), (9, 1, "restart")], r"it is gone by then \(death\)"),
@@ -169,7 +169,7 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("faults", "words"), WRONG)
-def test_faults_that_cannot_be_are_refused(floor: str, faults: list[tuple[Any, ...]], words: str) -> None:
-    with pytest.raises(ScenarioError, match=words):
+@pytest.mark.parametrize(("faults", "message"), INVALID)
+def test_invalid_faults_are_rejected(floor: str, faults: list[tuple[Any, ...]], message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
         run(floor, *faults)

@@ -1,4 +1,4 @@
-"""Hosts files: what is right, what is wrong, and which robots go where."""
+"""Hosts files: validation, and the assignment of robots to hosts."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ def hosts(*robots: object, **more: Any) -> Hosts:
     )
 
 
-def test_listed_robots_go_where_they_are_listed_and_counts_take_the_lowest_left() -> None:
+def test_counts_take_the_lowest_robots_that_no_host_lists() -> None:
     assert hosts([1, 4], 2, 1).placing(8) == {"rack-0": [1, 4], "rack-1": [0, 2], "rack-2": [3]}
 
 
-def test_a_file_is_read(tmp_path: Path) -> None:
+def test_hosts_file_is_read(tmp_path: Path) -> None:
     path = tmp_path / "hosts.toml"
-    path.write_text('address = "lab"\nport = 7447\n[[host]]\nname = "a"\nssh = "me@a"\nrobots = 3\n')
+    path.write_text('address = "hub"\nport = 7447\n[[host]]\nname = "a"\nssh = "me@a"\nrobots = 3\n')
     read = load(path)
     assert (read.address, read.port, read.host[0].target, read.host[0].command) == (
-        "lab",
+        "hub",
         7447,
         "me@a",
         "murmur",
@@ -48,7 +48,7 @@ def test_a_file_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"address": "0.0.0.0"}, r"address = '0\.0\.0\.0': nobody can be reached there"),
+        ({"address": "0.0.0.0"}, r"address = '0\.0\.0\.0': cannot be reached from other hosts"),
         ({"address": "10.0.0.1 x"}, r"address = '10\.0\.0\.1 x': must be a host's name"),
         ({"port": 70000}, r"port = 70000: .*less than or equal to 65535"),
         ({"host": []}, r"\[\[host\]\] is missing"),
@@ -61,8 +61,11 @@ def test_a_file_is_read(tmp_path: Path) -> None:
         ({"host": [{"name": "a/b", "robots": 1}]}, r"host\.0\.name = 'a/b': must be letters"),
         ({"host": [{"name": "r1", "robots": 1}]}, r"host\.0\.name = 'r1': is the name of a process"),
         ({"host": [{"name": "a", "robots": 1, "router": 1}]}, r"host\.0\.router = 1: .*valid boolean"),
-        ({"host": [{"name": "a", "robots": 0}]}, r"host\.0\.robots = 0: must be how many"),
-        ({"host": [{"name": "a", "robots": [1, 1]}]}, r"must be how many, 1 or more, or a list of different"),
+        ({"host": [{"name": "a", "robots": 0}]}, r"host\.0\.robots = 0: must be a number of robots"),
+        (
+            {"host": [{"name": "a", "robots": [1, 1]}]},
+            r"must be a number of robots, 1 or more, or a list of different",
+        ),
         (
             {"host": [{"name": "a", "robots": 1, "ssh": "-oProxyCommand=x"}]},
             r"ssh = .*must be HOST or USER@HOST",
@@ -75,11 +78,11 @@ def test_a_file_is_read(tmp_path: Path) -> None:
         ({"host": 2 * [{"name": "a", "robots": 1}]}, r"\[\[host\]\] names must differ: a, a"),
         (
             {"host": [{"name": "a", "robots": [1]}, {"name": "b", "robots": [1, 2]}]},
-            r"one is on two hosts: \[1, 1, 2\]",
+            r"a robot is listed twice: \[1, 1, 2\]",
         ),
     ],
 )
-def test_what_is_wrong_is_named_with_what_would_be_right(changes: dict[str, Any], message: str) -> None:
+def test_error_states_the_invalid_value_and_the_expected_form(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
         hosts(1, **changes)
 
@@ -87,17 +90,17 @@ def test_what_is_wrong_is_named_with_what_would_be_right(changes: dict[str, Any]
 @pytest.mark.parametrize(
     ("robots", "message"),
     [
-        ((3, 2), r"they speak of 5 robots, but the scenario has robots = 4"),
-        (([4],), r"they speak of robot 4, but the scenario has robots = 4"),
-        (([0, 1, 2], 2), r"they speak of 5 robots, but"),
+        ((3, 2), r"the file assigns 5 robots, but the scenario has robots = 4"),
+        (([4],), r"the file assigns robot 4, but the scenario has robots = 4"),
+        (([0, 1, 2], 2), r"the file assigns 5 robots, but"),
     ],
 )
-def test_hosts_with_more_robots_than_the_run_are_refused(robots: tuple[object, ...], message: str) -> None:
+def test_hosts_with_more_robots_than_the_run_are_rejected(robots: tuple[object, ...], message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
         hosts(*robots).placing(4)
 
 
-def test_ssh_is_given_the_options_before_its_own_and_asks_for_nothing() -> None:
+def test_options_of_the_hosts_file_come_first_and_ssh_never_asks_for_a_password() -> None:
     (host,) = hosts(
         1, host=[{"name": "a", "ssh": "me@a", "port": 22, "robots": 1, "options": ["BatchMode=no"]}]
     ).host
@@ -111,7 +114,7 @@ def test_ssh_is_given_the_options_before_its_own_and_asks_for_nothing() -> None:
 DOCUMENT = (Path(__file__).parents[3] / "docs" / "hosts.md").read_text(encoding="utf-8")
 
 
-def test_the_document_s_hosts_files_are_right() -> None:
+def test_hosts_files_in_the_documentation_are_valid() -> None:
     files = re.findall(r"^```toml\n(.*?)^```$", DOCUMENT, re.M | re.S)
     two_laptops, rack = (parse(tomllib.loads(text)) for text in files)
     assert two_laptops.placing(4) == {"second": [0, 1]}
@@ -121,8 +124,8 @@ def test_the_document_s_hosts_files_are_right() -> None:
     }
 
 
-def test_every_setting_stands_in_the_document_with_its_default() -> None:
-    told_of = dict(re.findall(r"^\| `([a-z.]+)` \| (.*?) \| .* \|$", DOCUMENT, re.M))
+def test_documentation_lists_every_setting_with_its_default() -> None:
+    documented = dict(re.findall(r"^\| `([a-z.]+)` \| (.*?) \| .* \|$", DOCUMENT, re.M))
     plain: dict[object, str] = {None: "-", "": '`""`', (): "`()`", False: "`false`"}
     wanted = {}
     for prefix, kind in (("", Hosts), ("host.", Host)):
@@ -132,4 +135,4 @@ def test_every_setting_stands_in_the_document_with_its_default() -> None:
                 value = "required" if info.is_required() else plain.get(default, f'`"{default}"`')
                 wanted[prefix + name] = value
                 assert f"| {value} | {info.description} |" in DOCUMENT, name
-    assert told_of == wanted
+    assert documented == wanted

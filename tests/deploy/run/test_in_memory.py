@@ -1,4 +1,4 @@
-"""Runs in one process: what one leaves behind."""
+"""Runs in one process leave no objects behind."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from murmur import Scenario
     ("map_encoding", "dissemination", "strategy"),
     [("polygons", "backoff", "meier"), ("scans", "gossip", "burgard"), ("predictive", "gossip", "repairmen")],
 )
-def test_a_run_that_nobody_holds_is_gone_at_once(
+def test_run_without_references_is_freed_at_once(
     map_encoding: str, dissemination: str, strategy: str
 ) -> None:
-    # A sweep makes thousands of them in one process, and memory of cycles is given back late.
+    # A sweep makes thousands of runs in one process, and memory in reference cycles is freed late.
     fault = [{"kind": "restart", "robot": 1, "step": 3}]
     scenario = Scenario(
         robots=2,

@@ -1,4 +1,4 @@
-"""What the entry points of a run's processes ask of the system, in a process of its own."""
+"""Scheduling policy of a run's processes, tested in a separate process."""
 
 import os
 import subprocess
@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-TURN = """
+PROGRAM = """
 import os
 import threading
 from deploy.run.processes import schedule_as_batch
@@ -21,8 +21,8 @@ print(*policies)
 
 
 @pytest.mark.skipif(not hasattr(os, "SCHED_BATCH"), reason="the system has no such policy")
-def test_who_waits_for_a_turn_interrupts_nobody_nor_do_its_threads() -> None:
-    command = [sys.executable, "-c", TURN]
+def test_batch_policy_applies_to_the_process_and_its_threads() -> None:
+    command = [sys.executable, "-c", PROGRAM]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
 
     assert done.stdout.split() == [str(os.SCHED_BATCH)] * 2

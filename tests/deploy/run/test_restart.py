@@ -1,4 +1,4 @@
-"""What dies unasked is started again: robots where they fell, and the run where relay or world die."""
+"""Restarts after unexpected ends: a robot where it died, the whole run if relay or world die."""
 
 from __future__ import annotations
 
@@ -38,22 +38,22 @@ def killing(name: str, step: int, number: signal.Signals = signal.SIGKILL) -> Ca
 
 
 @pytest.mark.parametrize("name", ["world", "relay"])
-def test_a_run_whose_world_or_relay_dies_goes_on_to_the_digest_of_an_undisturbed_one(
+def test_run_whose_world_or_relay_dies_reaches_the_digest_of_an_undisturbed_run(
     tmp_path: Path, name: str
 ) -> None:
     plain = explore(scenario(bus="memory"), keep=False)
-    told: list[str] = []
+    notes: list[str] = []
     result = explore(
-        scenario(), out=tmp_path / "run", watch=killing(name, 10), notify=told.append, pace=20, restart=True
+        scenario(), out=tmp_path / "run", watch=killing(name, 10), notify=notes.append, pace=20, restart=True
     )
-    assert len(told) == 1, result.summary
-    assert name in told[0]
+    assert len(notes) == 1, result.summary
+    assert name in notes[0]
     assert (result.exit_code, result.deaths) == (EXPLORED, {})
     assert result.summary["digest"] == plain.summary["digest"]
     assert why_unrepeatable(result.summary) == ""
 
 
-def test_a_robot_that_is_killed_comes_back_and_the_run_ends_explored(tmp_path: Path) -> None:
+def test_killed_robot_rejoins_and_the_run_ends_explored(tmp_path: Path) -> None:
     result = explore(scenario(), out=tmp_path / "run", watch=killing("r1", 5), pace=20, restart=True)
     assert (result.exit_code, result.deaths, result.summary["lost"]) == (EXPLORED, {}, {})
     ((step, robot),) = result.summary["returned"]
@@ -64,13 +64,13 @@ def test_a_robot_that_is_killed_comes_back_and_the_run_ends_explored(tmp_path: P
     assert {report.step for report in result.records.statuses[1]} >= {1, result.summary["steps"]}
 
 
-def test_the_only_robot_is_waited_for(tmp_path: Path) -> None:
+def test_run_waits_for_its_only_robot(tmp_path: Path) -> None:
     result = explore(scenario(robots=1), out=tmp_path / "run", watch=killing("r0", 5), pace=20, restart=True)
     assert result.exit_code == EXPLORED
     assert [robot for _, robot in result.summary["returned"]] == [0]
 
 
-def test_what_cannot_be_restarted_is_said_before_anything_starts() -> None:
+def test_run_that_cannot_be_restarted_is_rejected_before_anything_starts() -> None:
     with pytest.raises(ScenarioError, match="has no processes that could die"):
         explore(scenario(bus="memory"), keep=False, restart=True)
     with pytest.raises(ScenarioError, match="40 robots can start 1 times each, not 2 times"):

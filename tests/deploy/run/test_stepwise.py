@@ -1,4 +1,4 @@
-"""A run step by step: what each step shows agrees with what is recorded, and it is the run that `explore` makes."""
+"""Stepwise runs: each step agrees with the records, and the result with that of `explore`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from protocol.grid import FREE, UNKNOWN
 SMALL = {"map": "em", "robots": 2, "steps": 12, "fault": [{"robot": 1, "step": 8, "kind": "death"}]}
 
 
-def test_step_by_step_is_the_run_of_explore_and_shows_what_that_records() -> None:
+def test_stepwise_run_equals_the_run_of_explore_and_its_records() -> None:
     result = explore(keep=False, bus="memory", **SMALL)
     run = steps(**SMALL)
     carried, known = [], 0

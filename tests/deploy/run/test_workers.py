@@ -1,4 +1,4 @@
-"""Who makes runs: a pool here, or a cluster; each run once, whatever dies."""
+"""Parallel runs in a local pool or on a cluster: each run is executed once, even if processes die."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_each_case_has_its_outcome_once() -> None:
     assert sorted((case.value, outcome) for case, outcome in outcomes) == [(3, 9), (4, 16), (5, 25)]
 
 
-def test_a_process_that_dies_is_told_of_its_own_run_only() -> None:
+def test_process_that_dies_fails_its_own_run_only() -> None:
     outcomes = dict(LocalPool(2).each(numbers(1, 2, 3, 4), dies_at_2))
     assert outcomes == dict(zip(numbers(1, 2, 3, 4), (1, DIED, 9, 16), strict=True))
 
@@ -66,7 +66,7 @@ def process(number: Number) -> int:
     return os.getpid()
 
 
-def test_a_process_that_dies_between_two_runs_costs_none() -> None:
+def test_process_that_dies_between_two_runs_fails_no_run() -> None:
     outcomes = []
     for _, worker in LocalPool(1).each(numbers(1, 2), process):
         outcomes.append(worker)
@@ -77,7 +77,7 @@ def test_a_process_that_dies_between_two_runs_costs_none() -> None:
     assert len(set(outcomes)) == 2
 
 
-def test_who_takes_no_more_outcomes_ends_the_others_at_once() -> None:
+def test_closing_the_iterator_ends_the_other_runs_at_once() -> None:
     began = time.monotonic()
     outcomes = LocalPool(2).each(numbers(1, 2, 3, 4), waits_unless_it_is_1)
     assert next(outcomes) == (Number("1"), 1)
@@ -88,7 +88,7 @@ def test_who_takes_no_more_outcomes_ends_the_others_at_once() -> None:
 
 
 def test_ctrl_c_ends_the_wait_for_a_long_run_at_once() -> None:
-    importlib.import_module("polars")  # which handles signals in its own way
+    importlib.import_module("polars")  # which changes the handling of signals
     began = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         for _ in LocalPool(2).each(numbers(1, 2), waits_unless_it_is_1):
@@ -96,7 +96,7 @@ def test_ctrl_c_ends_the_wait_for_a_long_run_at_once() -> None:
     assert time.monotonic() - began < 30
 
 
-def test_a_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_error_names_an_unreachable_scheduler(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Cluster, "REPLY_TIMEOUT_S", 1)
     with pytest.raises(ValueError, match=r"scheduler = 'tcp://127.0.0.1:9': .*give its address"):
         Cluster("tcp://127.0.0.1:9")
@@ -114,9 +114,9 @@ def cluster(tmp_path: Path) -> Iterator[str]:
     file = tmp_path / "scheduler.json"
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "DASK_DISTRIBUTED__WORKER__DAEMON": "False"}
 
-    def start(*words: str) -> subprocess.Popen[bytes]:
+    def start(*arguments: str) -> subprocess.Popen[bytes]:
         return subprocess.Popen(
-            [sys.executable, "-m", *words], cwd=tmp_path, env=environment,
+            [sys.executable, "-m", *arguments], cwd=tmp_path, env=environment,
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
 
@@ -135,7 +135,7 @@ def cluster(tmp_path: Path) -> Iterator[str]:
             process.wait()
 
 
-def test_a_worker_of_a_cluster_that_is_killed_loses_nothing_and_nothing_counts_twice(cluster: str) -> None:
+def test_killed_cluster_worker_loses_no_run_and_repeats_none(cluster: str) -> None:
     todo = numbers(*range(20))
     outcomes, killed = [], None
     for case, outcome in Cluster(cluster).each(todo, slow_square):
