@@ -138,11 +138,11 @@ def test_a_scenario_that_is_not_the_relay_s_is_refused_by_name(tmp_path: Path) -
     (tmp_path / "scenario.toml").write_text(parse(theirs).to_toml())
     ours = parse(theirs | {"robots": 3})
     with pytest.raises(
-        ScenarioError, match=r"^robots = 3 here, but 2 in .*scenario\.toml: all must be the same"
+        ScenarioError, match=r"^robots = 3 here, but 2 in .*scenario\.toml: all processes need the same"
     ):
         serve_worldsim(ours, tmp_path / "world.json")
     with pytest.raises(
-        ScenarioError, match=r"^robots = 3 here, but 2 in .*scenario\.toml: all must be the same"
+        ScenarioError, match=r"^robots = 3 here, but 2 in .*scenario\.toml: all processes need the same"
     ):
         serve_recorder(ours, tmp_path / "recorder.json", tmp_path / "run", None)
     assert not (tmp_path / "run").exists()
