@@ -298,7 +298,7 @@ def test_the_table_of_radios_is_that_of_the_code() -> None:
     listed = {name: figures for name, *figures in rows("radios.md", "Radios by name")}
     assert listed == {
         name: [
-            preset.words,
+            preset.description,
             f"{preset.bits_per_s:,}",
             f"{preset.bandwidth:,}",
             str(preset.frame_bytes),

@@ -31,7 +31,7 @@ from protocol.messages import (
     ConnectionReport,
     Delivery,
     End,
-    Fault,
+    ErrorReport,
     Maps,
     MediumEvent,
     Move,
@@ -149,7 +149,7 @@ def test_a_byzantine_robot_is_named_in_the_records() -> None:
 
     records = in_memory.run(small_plan(robots=3, steps=30), wrap=wrap)
     assert set(records.protocol_errors) >= {
-        f"{names.robot(honest)}: heard nonsense from {names.robot(BYZANTINE)}: "
+        f"{names.robot(honest)}: malformed message from {names.robot(BYZANTINE)}: "
         "save at byte 0: nothing has changed since the last save point"
         for honest in (0, 2)
     }
@@ -486,7 +486,7 @@ def test_no_frame_stops_a_robots_process(steps: list[tuple[list[bytes], ...]]) -
         phases = [message.phase for message in antenna.sent if isinstance(message, RobotFrames)]
         assert phases == ["offers", "answers", "data"]
         assert [message.step for message in antenna.sent if isinstance(message, Move)] == [step]
-        faults = [message.what for message in antenna.sent if isinstance(message, Fault)]
+        faults = [message.reason for message in antenna.sent if isinstance(message, ErrorReport)]
         assert faults or all(_is_a_broadcast(frame) for frame in broadcasts)
     deliver(End(len(steps), "enough", -1))
     maps = antenna.sent[-1]

@@ -43,7 +43,7 @@ EXAMPLES: tuple[messages.Record, ...] = (
     messages.RobotStatus(3, 4, 4, 9, 0, -1, 0, "idle", 1),
     messages.RadioReport(3, bytes(7), 0, b"frames"),
     messages.Maps(0, 1, 1, b"\x01", b"\x01"),
-    messages.Fault("r0", "I say so"),
+    messages.ErrorReport("r0", "I say so"),
     messages.Watched(here=True),
     messages.Back(0),
     messages.FaultEvent(3, 0, "kill"),
@@ -154,7 +154,7 @@ def test_a_forbidden_message_is_a_fault_with_its_sender_s_name_and_changes_nothi
     assert records.lost == {}
     assert records.protocol_error_count > 100
     assert {fault.split(":")[0] for fault in records.protocol_errors} <= {rogue, "r0", "r2"}
-    reason = f"{'nothing is' if rogue == names.VIEW else 'not'} for {rogue} to say"
+    reason = f"{rogue} may {'send no message' if rogue == names.VIEW else 'not send it'} here"
     assert any(fault.startswith(f"{rogue}: ") and reason in fault for fault in records.protocol_errors)
 
 
@@ -171,7 +171,7 @@ def test_over_zenoh_a_forbidden_message_changes_nothing(tmp_path: Path, rogue: s
     assert records.lost == {}
     assert records.protocol_error_count > 100
     assert {fault.split(":")[0] for fault in records.protocol_errors} <= {rogue, "r0", "r2"}
-    assert any(f"not for {rogue} to say" in fault for fault in records.protocol_errors)
+    assert any(f"{rogue} may not send it here" in fault for fault in records.protocol_errors)
 
 
 NOISE = (

@@ -107,7 +107,7 @@ def test_robots_join_through_a_router_that_was_started_by_hand(
     ("output", "message"),
     [
         ("", "credential on standard input: not JSON"),
-        ("{}", "credential on standard input: needs the texts run, name, hub, password"),
+        ("{}", "credential on standard input: needs the strings run, name, hub, password"),
         (
             '{"run": "a", "name": "recorder", "hub": "tcp/127.0.0.1:1", "password": "x"}',
             "'recorder' is not the name of a robot",

@@ -10,7 +10,7 @@ import pytest
 from deploy.dashboard.explanation import explain
 from deploy.dashboard.run_events import RunEvents
 from netshaper.ledger import CAUSES, KIND_NUMBER, ROW
-from protocol.messages import End, Fault, Lost, RadioReport, RobotStatus, WorldReport
+from protocol.messages import End, ErrorReport, Lost, RadioReport, RobotStatus, WorldReport
 from tests.deploy.small_run import reports, small_plan
 from worldsim.maps import to_world
 
@@ -111,7 +111,7 @@ def test_losses_protocol_errors_and_the_end_are_logged(events: RunEvents) -> Non
     assert lost.text == "robot 1 is lost: its process ended"
     assert not events.in_range
     assert not events.targets
-    assert texts(events, "relay", Fault("r0", "spoke out of turn")) == [
+    assert texts(events, "relay", ErrorReport("r0", "spoke out of turn")) == [
         "r0 sent a malformed message: spoke out of turn"
     ]
     assert texts(events, "relay", End(9, "explored", 0)) == ["explored; robot 0 finished first"]
