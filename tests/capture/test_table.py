@@ -43,7 +43,7 @@ def as_json(*arguments: object) -> dict[str, Any]:
     return shown
 
 
-def test_the_totals_are_those_of_the_run(run: Result) -> None:
+def test_the_totals_equal_those_of_the_run(run: Result) -> None:
     assert run.directory is not None
     shown = as_json(run.directory)
     without_total = [
@@ -102,7 +102,7 @@ def test_an_incomplete_capture_is_shown_with_a_note(run: Result, tmp_path: Path)
     whole = (run.directory / "radio.pcapng").read_bytes()
     cut = tmp_path / "cut.pcapng"
     cut.write_bytes(whole[:-5])
-    assert "an incomplete packet" in murmur(cut).splitlines()[-1]
+    assert "an incomplete block" in murmur(cut).splitlines()[-1]
     assert as_json(cut)["frames"] == as_json(run.directory)["frames"][:-1]
 
 
