@@ -1,4 +1,4 @@
-"""A robot's shell: it turns bus messages into calls of `Robot`, and its answers into messages."""
+"""The agent process: it turns bus messages into calls of `Robot`, and the results into messages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from protocol.messages import (
     Close,
     Configure,
     End,
-    Fault,
+    ErrorReport,
     FaultEvent,
     Maps,
     MediumEvent,
@@ -36,10 +36,10 @@ from protocol.messages import (
 
 
 class AgentNode:
-    """One robot's process; `done` once it has been told to shut down, or has been `killed`.
+    """One robot's process; `done` once it has received `Shutdown` or a fault has `killed` it.
 
-    A robot that may begin more than once needs a journal (`agent.identity`). Robots that run in one process are given
-    the same `common` memory (`Robot.share`).
+    A robot that may restart needs a journal (`agent.identity`). Robots in one process share the memory `common`
+    (`Robot.share`).
     """
 
     def __init__(
@@ -52,15 +52,15 @@ class AgentNode:
     ) -> None:
         self.done = False
         self.killed = False
-        """Whether it is to end at once, without another word."""
+        """Whether the process must end at once, without sending another message."""
         self._identity = Identity(journal) if journal is not None else None
         self._common = common
         self._bus = bus
         self._number = number
         self._name = names.robot(number)
-        self._to_air = keys.radio_tx(self._name)
+        self._to_relay = keys.radio_tx(self._name)
         self._to_world = keys.body(names.WORLD, self._name)
-        self._to_lab = keys.control(names.RECORDER, self._name)
+        self._to_recorder = keys.control(names.RECORDER, self._name)
         self._to_viewer = keys.control(names.VIEW, self._name)
         self.robot: Robot | None = None
         self._unconfigured: list[object] = []
@@ -79,33 +79,33 @@ class AgentNode:
         try:
             self._take(rights.read(*message))
         except ProtocolError as error:
-            self._fault(str(error))
+            self._report_error(str(error))
 
-    def _take(self, said: object) -> None:
-        """Take what relay or world says."""
-        if isinstance(said, Configure):
-            self._begin(Settings.decode(said.settings))
+    def _take(self, message: object) -> None:
+        """Take a decoded message of relay or world."""
+        if isinstance(message, Configure):
+            self._begin(Settings.decode(message.settings))
             waiting, self._unconfigured = self._unconfigured, []
-            for message in waiting:
-                self._take(message)
-        elif isinstance(said, Shutdown):
+            for earlier in waiting:
+                self._take(earlier)
+        elif isinstance(message, Shutdown):
             self.done = True
-        elif isinstance(said, FaultEvent):
+        elif isinstance(message, FaultEvent):
             self.killed = self.done = True
-        elif isinstance(said, Watched):
-            self._viewer_feed = ViewerFeed() if said.here else None
+        elif isinstance(message, Watched):
+            self._viewer_feed = ViewerFeed() if message.here else None
         elif self.robot is None:
-            self._unconfigured.append(said)
-        elif isinstance(said, RelayUpdate):
-            self._take_events(self.robot, said.events)
-        elif isinstance(said, Sense):
-            self._sense(self.robot, said)
-        elif isinstance(said, End):
-            self._show(said.step)
-            self._hand_in_maps()
+            self._unconfigured.append(message)
+        elif isinstance(message, RelayUpdate):
+            self._take_events(self.robot, message.events)
+        elif isinstance(message, Sense):
+            self._sense(self.robot, message)
+        elif isinstance(message, End):
+            self._show(message.step)
+            self._report_maps()
 
     def _begin(self, settings: Settings) -> None:
-        """Begin a life; if there was one before, all of it but the journal is gone."""
+        """Begin an incarnation; of an earlier one, only the journal remains."""
         if self._identity is not None:
             settings = self._identity.begin(settings)
         self.robot = Robot(settings)
@@ -135,17 +135,18 @@ class AgentNode:
             elif isinstance(event, Close):
                 self._decide(robot, began)
             else:
-                frames = respond(robot, event, self._fault)
+                frames = respond(robot, event, self._report_error)
                 if frames is not None:
-                    self._bus.put(self._to_air, pack(frames))
+                    self._bus.put(self._to_relay, pack(frames))
             self._work += time.perf_counter() - began
 
     def _decide(self, robot: Robot, began: float) -> None:
+        """End a step: move, and report errors and status."""
         move = robot.decide()
         work = round(1e6 * (self._work + time.perf_counter() - began))
         self._bus.put(self._to_world, pack(move))
         for fault in robot.faults:
-            self._fault(f"heard nonsense from {names.robot(fault.peer)}: {fault.reason}")
+            self._report_error(f"malformed message from {names.robot(fault.peer)}: {fault.reason}")
         robot.faults.clear()
         x, y = robot.target or (-1, -1)
         backlog = robot.replication.undelivered()
@@ -156,20 +157,20 @@ class AgentNode:
         if self._step % SHOWN_EVERY == 0:
             self._show(self._step)
 
-    def _hand_in_maps(self) -> None:
+    def _report_maps(self) -> None:
         if self.robot is not None:
             height, width = self.robot.own.shape
             own, planning = self.robot.own.tobytes(), self.robot.planning.tobytes()
             maps = Maps(self._number, width, height, own, planning)
-            self._bus.put(self._to_lab, pack(maps))
+            self._bus.put(self._to_recorder, pack(maps))
 
-    def _fault(self, what: str) -> None:
-        self._report(Fault(self._name, clip(what)))
+    def _report_error(self, reason: str) -> None:
+        self._report(ErrorReport(self._name, clip(reason)))
 
     def _report(self, message: Record) -> None:
-        """Tell the laboratory, and the viewer if there is one."""
+        """Send a message to the recorder, and to the viewer if there is one."""
         payload = pack(message)
-        self._bus.put(self._to_lab, payload)
+        self._bus.put(self._to_recorder, payload)
         if self._viewer_feed is not None:
             self._bus.put(self._to_viewer, payload)
 
@@ -179,7 +180,7 @@ class AgentNode:
             return
         if self._recorder_feed is not None:
             for report in self._recorder_feed.changes(step, self.robot):
-                self._bus.put(self._to_lab, pack(report))
+                self._bus.put(self._to_recorder, pack(report))
         if self._viewer_feed is not None:
-            for news in self._viewer_feed.news(step, self.robot):
-                self._bus.put(self._to_viewer, pack(news))
+            for message in self._viewer_feed.news(step, self.robot):
+                self._bus.put(self._to_viewer, pack(message))

@@ -18,11 +18,11 @@ from protocol.messages import (
 )
 
 ReportError = Callable[[str], None]
-"""Takes errors of teammates that belong to no map."""
+"""Callback for protocol errors of teammates that belong to no map."""
 
 
 def respond(robot: Robot, event: MediumEvent, report_error: ReportError) -> RobotFrames | None:
-    """Let a robot take an event; return the frames that it sends then, None if it is not its turn."""
+    """Pass an event to a robot; return the frames that it sends in response, None if the relay expects none."""
     match event:
         case Open():
             broadcast = robot.announce(event.peers) if event.round == 0 else None
@@ -38,7 +38,7 @@ def respond(robot: Robot, event: MediumEvent, report_error: ReportError) -> Robo
 
 
 def open_round(replication: Replication, event: Open, broadcast: bytes = b"") -> RobotFrames:
-    """Return the frames of a robot at the beginning of a round, with its pose and target."""
+    """Return the frames of a robot at the beginning of a round; `broadcast` is its pose and target."""
     frames = replication.open_round(event.round, event.peers, event.budget.limit)
     replies = replication.speculative()
     return RobotFrames(event.step, event.round, "offers", broadcast, frames, replication.priority, replies)

@@ -23,7 +23,7 @@ from agent.strategies.base import Cell, Decision
 from agent.strategies.registry import strategy
 from agent.team_state import TeamState
 from protocol import packet_index, packets
-from protocol.fields import MOST_ON_THE_WAY
+from protocol.fields import MAX_WAY_CELLS
 from protocol.grid import UNKNOWN, Grid, ray_table
 from protocol.messages import Move, RoundReport, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
 from protocol.scans import Scan, check_readings, draw
@@ -177,12 +177,12 @@ class Robot:
         self._idle_steps = self._idle_steps + 1 if decision.explored else 0
         return Move(
             sense.step,
-            cells_to_bytes(decision.path[:MOST_ON_THE_WAY]),
+            cells_to_bytes(decision.path[:MAX_WAY_CELLS]),
             decision.heading,
             self._idle_steps > self._sure_after,
             decision.look,
             decision.stalled,
-            points_to_bytes(decision.points[:MOST_ON_THE_WAY]),
+            points_to_bytes(decision.points[:MAX_WAY_CELLS]),
         )
 
     def _apply(self, decision: Decision) -> None:

@@ -45,7 +45,7 @@ OPTIONS = {
         "frame_bytes": "bytes of packets per frame; 0: no limit",
         "model": "connectivity: disc, line-of-sight, log-distance",
         "exponent": "log-distance: path loss exponent",
-        "db_per_metre": "log-distance: loss per meter, dB",
+        "db_per_meter": "log-distance: loss per meter, dB",
         "db_per_wall": "log-distance: loss per wall, dB",
         "shadowing_db": "log-distance: standard deviation of shadowing, dB",
         "shadowing_m": "log-distance: side of the squares with constant shadowing, meters",

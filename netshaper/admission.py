@@ -1,11 +1,11 @@
 """Admission: the relay parses each submitted frame once and refuses those that break the protocol.
 
-The packet index found here travels with the frame: by it the medium cuts frames at the budget, and the ledger counts
-packets. Nothing that a robot sends is believed:
+The packet index found here travels with the frame: the medium uses it to cut frames at the budget, and the ledger to
+count packets. The relay trusts no robot, and accepts only these frames:
 
     broadcast   a pose, a target, or both, then those of other robots, in the first round of a step
     offer       one offer of an existing map, for one robot, once per round
-    answer      an answer behind at most two blocks, or a decline
+    answer      an answer after at most two blocks, or a decline
     data        whole packets, no offers, broadcasts or checksums
     news        as data and reports, for all robots, once per round (gossip)
     other       reports and offers, then log entries, for one robot, once per round (imperfect radio, no gossip)
@@ -29,11 +29,11 @@ from protocol.packet_index import NO_PACKETS, PacketIndex
 from protocol.packets import Check, From, FromEarly, Held, HeldEarly, Offer
 
 Begins = Offer | From | FromEarly
-"""Packets that say of which map the next ones are."""
+"""Packets that select the map of the packets after them."""
 
 
 class Content(NamedTuple):
-    """What a payload holds: the index of its packets, the kind of frame, its map (-1: none), and a protocol error."""
+    """A parsed payload: the index of its packets, the kind of frame, its map (-1: none), and a protocol error."""
 
     packets: PacketIndex
     kind: int
@@ -51,7 +51,7 @@ class Admission:
         self._frame_bytes = settings.options.frame_bytes
 
     def broadcast(self, sender: int, payload: bytes, round_number: int) -> tuple[Frame, str]:
-        """Read a pose and target for all; return the frame and what is wrong with it, if anything."""
+        """Read a broadcast of pose and target; return the frame and the error text, empty if it is valid."""
         problem = "" if not round_number and is_broadcast(payload) else NO_BROADCAST
         return Frame(BROADCAST, sender, EVERYONE, payload, index_or_none(payload)), problem
 
@@ -178,7 +178,7 @@ def read_any(payload: bytes, maps: int) -> Content:
 
 
 def _wrong_in_any(index: PacketIndex, reports: Sequence[packets.AnyPacket], maps: int) -> str:
-    """Return what does not belong into a frame of reports and offers, then log entries, if anything."""
+    """Return the error text of a frame of reports and offers, then log entries; empty if it is valid."""
     if not index.kinds:
         return "nothing in it"
     of_a_map = [each for each in reports if isinstance(each, Begins | Held | HeldEarly)]
@@ -195,7 +195,7 @@ def _wrong_in_any(index: PacketIndex, reports: Sequence[packets.AnyPacket], maps
 
 
 def _first_of(index: PacketIndex, unwanted: Sequence[str]) -> str:
-    """Return the first of these names of packets that a frame holds, nothing if it holds none."""
+    """Return the first of these packet names that a frame holds, empty if it holds none."""
     return next((name for name in unwanted if KIND_NUMBER[name] in index.kinds), "")
 
 

@@ -1,7 +1,7 @@
-"""Airtime: how many bytes each robot may still send and receive in a step, and who sends first.
+"""Airtime: how many bytes each robot may still send and receive in a step, and the order of senders.
 
-A medium on which everyone listens before sending serves high priorities first. `Shares` keeps a robot from crowding
-the others out: a robot that had more than half of the recent airtime waits for all others.
+On a medium with carrier sense, high priorities are served first. `Shares` prevents starvation: a robot that used more
+than half of the recent airtime sends after all others.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from protocol.budget import UNLIMITED, Budget
 from protocol.packet_index import PacketIndex
 
 RECENT = 8
-"""Steps that count as recent, roughly: what a robot sent before fades."""
+"""Time constant, in steps, of the exponential average of bytes that a robot sent."""
 
 MAX_PRIORITY = 255
-"""The highest priority; a robot that claims a higher one gets this one."""
+"""The highest priority; higher values are clipped to it."""
 
 
 class Shares:
-    """How much each robot had of the recent airtime.
+    """Recent airtime of each robot.
 
     Parameters
     ----------
@@ -34,20 +34,20 @@ class Shares:
     def rank(self, robot: int, priority: int) -> tuple[bool, int]:
         """Return the rank of a robot's frames: the lowest is sent first."""
         limit = self.budget.limit
-        crowds = limit is not None and 2 * self._sent.get(robot, 0) > limit * RECENT
-        return crowds, -min(max(priority, 0), MAX_PRIORITY)
+        over_half = limit is not None and 2 * self._sent.get(robot, 0) > limit * RECENT
+        return over_half, -min(max(priority, 0), MAX_PRIORITY)
 
     def book(self, robot: int, size: int) -> None:
-        """Note that a robot has sent so many bytes."""
+        """Record that a robot has sent `size` bytes."""
         self._sent[robot] = self._sent.get(robot, 0) + size
 
     def next_step(self) -> None:
-        """Let older bytes fade."""
+        """Discount older bytes."""
         self._sent = {robot: sent * (RECENT - 1) // RECENT for robot, sent in self._sent.items()}
 
 
 HOUR = 3600
-"""Steps over which a duty cycle is kept."""
+"""Steps over which a duty cycle holds."""
 
 
 class Airtime:
@@ -66,7 +66,7 @@ class Airtime:
     send, receive : sequence of int
         Bytes per step that each robot can send and receive; 0: no limit.
     duty_cycle : float
-        Share of an hour's bytes that each robot may send. It is saved up for at most an hour, and full at first.
+        Share of an hour's bytes that each robot may send: a token bucket that holds an hour's share, full at first.
     """
 
     def __init__(
@@ -105,14 +105,14 @@ class Airtime:
             self._saved = [min(saved + self._earned, HOUR * self._earned) for saved in self._saved]
 
     def shared(self, robot: int) -> Budget:
-        """Return what is left of the budget that a robot shares with others."""
+        """Return the remaining budget that a robot shares with others."""
         if not self._reuse or self._budget.unlimited:
             return self._left
         around = (robot, *self._neighbors.get(robot, ()))
         return self._budget.minus(max(self._used[each] for each in around))
 
     def own(self, robot: int) -> Budget:
-        """Return what is left of the bytes that a robot itself can send."""
+        """Return the remaining bytes that a robot itself can send."""
         left = UNLIMITED
         if self._can_send[robot]:
             left = Budget(self._can_send[robot] - self._sent[robot])
@@ -125,7 +125,7 @@ class Airtime:
         return self.shared(robot).least(self.own(robot))
 
     def book(self, robot: int, size: int) -> None:
-        """Note that a robot has sent so many bytes."""
+        """Record that a robot has sent `size` bytes."""
         self._left = self._left.minus(size)
         if self._reuse:
             for each in (robot, *self._neighbors.get(robot, ())):
@@ -135,11 +135,11 @@ class Airtime:
             self._saved[robot] -= size
 
     def set_left(self, left: Budget) -> None:
-        """Note what is left of the budget that the whole team shares."""
+        """Set the remaining budget that the whole team shares."""
         self._left = left
 
     def receives(self, robot: int, size: int) -> bool:
-        """Note that a robot receives so many bytes; False if they exceed its limit."""
+        """Record that a robot receives `size` bytes; return False if they exceed its limit."""
         most = self._can_receive[robot]
         if most and self._received[robot] + size > most:
             return False
@@ -155,16 +155,16 @@ def cut_into_frames(index: PacketIndex, room: Budget, frame_limit: Budget, tail:
     index : PacketIndex
         The packets.
     room : Budget
-        Bytes that may be sent.
+        Remaining budget.
     frame_limit : Budget
-        Bytes that one frame may have.
+        Maximum bytes of one frame.
     tail : int
-        Bytes that each frame has behind its packets.
+        Bytes of each frame after its packets.
 
     Returns
     -------
     list of int
-        For each frame, in order, the number of the packet behind its last one. Packets behind the last frame did not
+        For each frame, in order, the number of the packet after its last one. Packets after the last frame did not
         fit.
     """
     stops: list[int] = []

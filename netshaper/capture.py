@@ -1,22 +1,22 @@
 """Capture: every frame that robots sent, carried or not, as a packet for Wireshark (docs/capture.md).
 
-A packet is a head of 24 bytes, big-endian, and then the frame's bytes. If a robot's number is 64 or more, the head is
-of version 2, with 52 bytes:
+A packet is a header of 24 bytes, big-endian, and then the frame's bytes. If a robot's number is 64 or more, the header
+has version 2 and 52 bytes:
 
     version   u8   1           2
     frame     u8   offer, answer, data, broadcast, news (`FRAMES`)
     verdict   u8   carried, budget, range, protocol, lost, mute, limit, loss, damaged, full (`VERDICTS`)
     round     u8
     sender    i8          i16
-    receiver  i8          i16  -1 for all; other negative numbers are no robots
+    receiver  i8          i16  -1 for all; no other negative numbers
     map       i8          i16  -1 for none
-    part      u8          u16  counts the packets of a frame that is too long for one, from 0
+    part      u8          u16  number of this packet, from 0, if a frame needs several
     step      u32
     connection i32 -1 for none
-    hearers   u64         u256 bit r is set if robot r received it
+    receivers u64         u256 bit r is set if robot r received it
 
-A data frame that was cut is two packets: the carried part and the rest. Of bytes that were not on the air only the
-first 64 are kept, and the size. The time is the step in seconds plus the packet's position within the step in
+A data frame that was cut is two packets: the carried part and the rest. Of bytes that were not on the air, the file
+keeps the first 64 and the size. The time is the step in seconds plus the packet's position within the step in
 microseconds, so that equal runs write equal files.
 """
 
@@ -59,20 +59,20 @@ LINK_TYPE = 147
 """LINKTYPE_USER0, which the dissector reads."""
 
 VERSION, WIDE = 1, 2
-"""Versions of the head: the plain one, and the one for large teams."""
+"""Versions of the header: the short one, and the one for large teams."""
 HEAD = struct.Struct(">BBBBbbbBIiQ")
 WIDE_HEAD = struct.Struct(">BBBBhhhHIi32s")
 NARROW = 64
-"""Robots that the plain head can name."""
+"""Number of robots that the short header supports."""
 
 KEPT = 64
-"""Bytes kept of a frame that was not carried."""
+"""Bytes stored of a frame that was not carried."""
 
-CAPTURED_AT_MOST = 262_144
+MAX_PACKET = 262_144
 """Bytes of the longest packet that Wireshark reads."""
 
 PART = 200_000
-"""Bytes of a frame in one packet, at most."""
+"""Maximum bytes of a frame in one packet."""
 
 VERDICTS = ("carried", *CAUSES[1:])
 
@@ -83,13 +83,13 @@ _SECOND = 1_000_000
 class Captured:
     """One packet of a capture, read back.
 
-    `seen` has the kept bytes of a frame's `part`, `size` is the size of that part; `words` is the comment.
+    `seen` has the stored bytes of a frame's `part`, `size` is the size of that part.
     """
 
     step: int
     part: int
     size: int
-    words: str
+    comment: str
     seen: LoggedFrame
 
     @property
@@ -99,7 +99,7 @@ class Captured:
 
 
 def head(description: str) -> bytes:
-    """Begin the file of a run; `description` is shown as that of its interface."""
+    """Return the beginning of a run's file; `description` is that of its interface."""
     return pcapng.head(LINK_TYPE, "Murmur", "radio", description)
 
 
@@ -115,7 +115,7 @@ def read(reader: pcapng.Reader) -> Iterator[Captured]:
     Raises
     ------
     CaptureError
-        The file or a packet of it was not written by this module.
+        The file or one of its packets has another format.
     """
     for packet in reader:
         if reader.link_type != LINK_TYPE:
@@ -125,14 +125,14 @@ def read(reader: pcapng.Reader) -> Iterator[Captured]:
         head = _HEADS.get(packet.data[0]) if packet.data else None
         if head is None or len(packet.data) < head.size:
             found = packet.data[: HEAD.size].hex()
-            raise CaptureError(f"a packet without a head of version {VERSION} or {WIDE}: {found}")
-        _, frame, verdict, round_number, sender, receiver, map_id, part, step, connection, heard = (
+            raise CaptureError(f"a packet without a header of version {VERSION} or {WIDE}: {found}")
+        _, frame, verdict, round_number, sender, receiver, map_id, part, step, connection, received = (
             head.unpack_from(packet.data)
         )
         if frame >= len(FRAMES) or verdict >= len(VERDICTS):
-            raise CaptureError(f"a packet with frame {frame} and verdict {verdict}, which mean nothing")
+            raise CaptureError(f"a packet with frame {frame} and verdict {verdict}, which are unknown")
         kept = packet.data[head.size :]
-        mask = heard if isinstance(heard, int) else int.from_bytes(heard, "big")
+        mask = received if isinstance(received, int) else int.from_bytes(received, "big")
         seen = LoggedFrame(round_number, connection, frame, sender, receiver, map_id, verdict, mask, kept)
         yield Captured(step, part, packet.size - head.size, packet.comment, seen)
 
@@ -140,7 +140,7 @@ def read(reader: pcapng.Reader) -> Iterator[Captured]:
 _HEADS = {VERSION: HEAD, WIDE: WIDE_HEAD}
 
 
-def hearers(seen: LoggedFrame) -> list[int]:
+def received_by(seen: LoggedFrame) -> list[int]:
     """Return the robots that received a frame."""
     return receivers_of(seen.receivers)
 
@@ -148,7 +148,7 @@ def hearers(seen: LoggedFrame) -> list[int]:
 _PACKET_HEAD = 28
 """Bytes before the data in an enhanced packet block."""
 _BLOCK = _PACKET_HEAD + WIDE_HEAD.size + 24
-"""Bytes of a block at most, but for the frame's own and the comment's."""
+"""Maximum bytes of a block without the frame and the comment."""
 _COMMENT = pcapng.COMMENT
 _PACKET = pcapng.PACKET
 
@@ -167,7 +167,7 @@ def _big(out: Bytes, at: int, value: int, size: int) -> None:
 
 @kernel("int64(uint8[::1], int64, int64, int64[::1], int64, boolean)")
 def _write_head(out: Bytes, at: int, step: int, row: Rows, part: int, wide: bool) -> int:
-    """Write the head that goes before a frame, without receivers; return where it ends."""
+    """Write the header of a frame, without receivers; return its end."""
     out[at] = WIDE if wide else VERSION
     out[at + 1] = row[FRAME]
     out[at + 2] = row[VERDICT]
@@ -187,7 +187,7 @@ def _write_head(out: Bytes, at: int, step: int, row: Rows, part: int, wide: bool
 
 @kernel(f"int64(uint8[::1], int64, {packet_index.FRAME}, int64)")
 def _write_comment(out: Bytes, at: int, text: Bytes, block: int) -> int:
-    """Write a comment, and the end of the options; return where they end."""
+    """Write a comment and the end-of-options mark; return their end."""
     _little(out, at, _COMMENT, 2)
     _little(out, at + 2, len(text), 2)
     at += 4
@@ -214,7 +214,7 @@ def _encode(
     text_at: Rows,
     on_air: int,
 ) -> Bytes:
-    """Write enhanced packet blocks (`netshaper.pcapng.packet`), each with a head, a frame's part and its comment."""
+    """Write enhanced packet blocks (`netshaper.pcapng.packet`), each with a header, frame part and comment."""
     room = 0
     for each in range(len(rows)):
         size = rows[each, END] - rows[each, BEGIN]

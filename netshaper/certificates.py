@@ -1,9 +1,9 @@
-"""Certificates of a run: an authority made for it alone, and one certificate a participant.
+"""Certificates of a run: an authority for this run alone, and one certificate per participant.
 
-The authority's private key is thrown away once it has signed: nobody can be added later, not even by who made the
-run. The relay's certificate may only be shown by a server, all others only by clients, so that no robot can pass
-itself off as the hub. Common names are the participants' names, which the hub's access control goes by. A router's
-certificate names, as alternative names, the robots for which it speaks; these have none of their own.
+The authority's private key is discarded after signing, so no participant can be added later. The relay's certificate is
+valid only for a server and all others only for clients, so a robot cannot impersonate the hub. The common name is the
+participant's name, by which the hub's access control identifies it. A router's certificate lists the robots that it
+represents as alternative names; these robots have no certificates.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from protocol.zenoh_bus import Certificate, Credential
 
 AUTHORITY = "authority.pem"
 DAYS = 30
-CLOCKS_DIFFER = datetime.timedelta(days=1)
-"""A certificate holds from so long before it was made, for hosts whose clocks are behind."""
+CLOCK_SKEW = datetime.timedelta(days=1)
+"""A certificate becomes valid this long before its creation, for hosts whose clocks are behind."""
 
 
 def make(
@@ -41,31 +41,31 @@ def make(
     Parameters
     ----------
     robots : int
-        How many robots the run has.
+        Number of robots of the run.
     addresses : sequence of str
-        Names or IP addresses by which participants reach the hub; they refuse one that shows no such certificate.
+        Names or IP addresses of the hub; participants refuse a hub whose certificate has another address.
     days : int
-        For how long the certificates hold.
+        Validity of the certificates.
     routers : mapping of str to sequence of str, optional
-        The names of the robots that join through each router, by its name.
+        The names of the robots that join through each router, by router name.
 
     Raises
     ------
     ValueError
-        An address is neither an IP address nor a host's name.
+        An address is neither an IP address nor a host name.
     """
-    known_as = x509.SubjectAlternativeName([_known_as(address) for address in addresses])
+    known_as = x509.SubjectAlternativeName([_host(address) for address in addresses])
     signer = ec.generate_private_key(ec.SECP256R1())
     now = datetime.datetime.now(datetime.UTC)
 
     def build(name: str, key: ec.EllipticCurvePublicKey, path_length: int | None) -> x509.CertificateBuilder:
         return (
             x509.CertificateBuilder()
-            .subject_name(_called(name))
-            .issuer_name(_called("murmur"))
+            .subject_name(_common_name(name))
+            .issuer_name(_common_name("murmur"))
             .public_key(key)
             .serial_number(x509.random_serial_number())
-            .not_valid_before(now - CLOCKS_DIFFER)
+            .not_valid_before(now - CLOCK_SKEW)
             .not_valid_after(now + datetime.timedelta(days=days))
             .add_extension(x509.BasicConstraints(path_length is not None, path_length), critical=True)
         )
@@ -73,7 +73,7 @@ def make(
     authority = _pem(build("murmur", signer.public_key(), 0).sign(signer, hashes.SHA256()))
     made = {}
     routers = routers or {}
-    behind = {robot for speaks_for in routers.values() for robot in speaks_for}
+    behind = {robot for group in routers.values() for robot in group}
     at_hub = [name for name in access.participants(robots) if name not in behind]
     for name in (names.RELAY, *at_hub, *routers):
         is_hub = name == names.RELAY
@@ -84,23 +84,23 @@ def make(
         if is_hub:
             builder = builder.add_extension(known_as, critical=False)
         if name in routers:
-            speaks_for = x509.SubjectAlternativeName(map(x509.DNSName, routers[name]))
-            builder = builder.add_extension(speaks_for, critical=False)
+            robot_names = x509.SubjectAlternativeName(map(x509.DNSName, routers[name]))
+            builder = builder.add_extension(robot_names, critical=False)
         made[name] = Certificate(authority, _pem(builder.sign(signer, hashes.SHA256())), _private(key))
     return made
 
 
 def credentials(run: str, hub: str, certificates: Mapping[str, Certificate]) -> dict[str, Credential]:
-    """Credentials of all clients who have a certificate, by name."""
+    """Return the credentials of all clients with a certificate, by name."""
     return {
-        name: Credential(run, name, hub, certificate=certificate, robots=_speaks_for(name, certificate))
+        name: Credential(run, name, hub, certificate=certificate, robots=_robots_of(name, certificate))
         for name, certificate in certificates.items()
         if name != names.RELAY
     }
 
 
-def _speaks_for(name: str, certificate: Certificate) -> tuple[str, ...]:
-    """The robots for which a router speaks; nobody else speaks for another."""
+def _robots_of(name: str, certificate: Certificate) -> tuple[str, ...]:
+    """Return the robots that a router represents; empty for other participants."""
     if not name.startswith(names.ROUTER):
         return ()
     read = x509.load_pem_x509_certificate(certificate.certificate.encode())
@@ -109,12 +109,12 @@ def _speaks_for(name: str, certificate: Certificate) -> tuple[str, ...]:
 
 
 def write(certificates: Mapping[str, Certificate], folder: Path) -> list[Path]:
-    """Write ``authority.pem``, and ``NAME.pem`` and ``NAME.key`` of all; keys are for their owner's eyes only.
+    """Write ``authority.pem``, and ``NAME.pem`` and ``NAME.key`` of each participant; only their owner can read keys.
 
     Raises
     ------
     FileExistsError
-        There is something of that name already.
+        A file with one of these names already exists.
     """
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     texts = {AUTHORITY: (0o644, next(iter(certificates.values())).authority)}
@@ -129,12 +129,12 @@ def write(certificates: Mapping[str, Certificate], folder: Path) -> list[Path]:
 
 
 def read(folder: Path, robots: int) -> dict[str, Certificate]:
-    """Read what `write` wrote, of relay and all clients; robots that join through a router have nothing there.
+    """Read the output of `write` for relay and all clients; robots behind a router have no files.
 
     Raises
     ------
     ValueError
-        Something is missing or not PEM; the message names the file.
+        A file is missing or not PEM; the message names it.
     """
 
     def text(name: str) -> str:
@@ -142,11 +142,11 @@ def read(folder: Path, robots: int) -> dict[str, Certificate]:
         try:
             found = path.read_text(encoding="ascii")
         except OSError as error:
-            raise ValueError(f"keys {path}: {error.strerror}; murmur keys makes what a run needs") from None
+            raise ValueError(f"keys {path}: {error.strerror}; murmur keys creates the files") from None
         except ValueError:
             found = ""
         if "-----BEGIN " not in found:
-            raise ValueError(f"keys {path}: is not PEM")
+            raise ValueError(f"keys {path}: not PEM")
         return found
 
     def of(name: str) -> Certificate:
@@ -154,12 +154,12 @@ def read(folder: Path, robots: int) -> dict[str, Certificate]:
 
     authority = text(AUTHORITY)
     routers = {path.stem: of(path.stem) for path in sorted(folder.glob(f"{names.ROUTER}*.pem"))}
-    behind = {robot for name, certificate in routers.items() for robot in _speaks_for(name, certificate)}
+    behind = {robot for name, certificate in routers.items() for robot in _robots_of(name, certificate)}
     at_hub = [name for name in access.participants(robots) if name not in behind]
     return {name: of(name) for name in (names.RELAY, *at_hub)} | routers
 
 
-def _known_as(address: str) -> x509.GeneralName:
+def _host(address: str) -> x509.GeneralName:
     try:
         return x509.IPAddress(ip_address(address.strip("[]")))
     except ValueError:
@@ -173,7 +173,7 @@ def _known_as(address: str) -> x509.GeneralName:
     return x509.DNSName(address)
 
 
-def _called(name: str) -> x509.Name:
+def _common_name(name: str) -> x509.Name:
     return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
 
 

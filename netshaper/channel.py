@@ -1,9 +1,9 @@
-"""Channel: whether a frame arrives at a receiver, and whether it is late, damaged or duplicated.
+"""Channel model: loss, delay, damage and duplication of frames.
 
-Frames are lost independently of each other. In bursts more of them are lost: then the link between two robots is bad
-for some steps (the two-state chain of Gilbert and Elliott). A receiver finds a flipped bit by the checksum and drops
-the frame. All random draws belong to the frame and its receiver (`protocol.keyed_random`), so other robots in range
-change nothing. A perfect radio has a channel without any of this.
+Frames are lost independently of each other. During a burst, a link is bad for some steps and loses more frames (the
+two-state chain of Gilbert and Elliott). A receiver finds a flipped bit by the checksum and drops
+the frame. Random draws are keyed by frame and receiver (`protocol.keyed_random`), so other robots in range do not
+change them. The channel of a perfect radio has none of these effects.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ RECEIVED, LOSS, DAMAGED = (CAUSES.index(cause) for cause in ("", "loss", "damage
 
 
 class Reception(NamedTuple):
-    """What one robot receives of frames that belong together.
+    """The part of a frame sequence that one robot receives.
 
-    `frames`: those before the first one that did not arrive, without checksums; frames behind a gap are of no use.
-    `cause`: why frames are missing, in `CAUSES`. `delays`: for each copy, after how many steps it arrives.
+    `frames`: those before the first missing one, without checksums; frames after a gap are discarded. `cause`: the
+    cause of missing frames, in `CAUSES`. `delays`: for each copy, the steps until it arrives.
     """
 
     frames: list[bytes]
@@ -45,7 +45,7 @@ class Channel:
         self._bad: NDArray[np.bool_] = np.zeros((robots, robots), np.bool_)
 
     def next_step(self, step: int) -> None:
-        """Let bursts begin and end."""
+        """Begin and end bursts."""
         if self._options.burst_every:
             draws = keyed_random(self._seed, "bursts", step).random(self._bad.shape)
             self._bad = next_bursts(self._bad, draws, self._options.burst_every, self._options.burst_steps)
@@ -59,7 +59,7 @@ class Channel:
         frames: Sequence[bytes],
         receivers: Sequence[int],
     ) -> list[Reception]:
-        """Carry frames that belong together to each receiver; `number` tells a sender's frames of a round apart."""
+        """Carry a sequence of frames to each receiver; `number` is its position among those of the sender and round."""
         options = self._options
         if options.lossless:
             return [Reception(list(frames), RECEIVED, [0])] * len(receivers)
@@ -96,14 +96,14 @@ class Channel:
 def next_bursts(
     bad: NDArray[np.bool_], draws: NDArray[np.float64], every: float, steps: float
 ) -> NDArray[np.bool_]:
-    """Return the links that are bad in the next step, symmetric; of the uniform `draws` the upper half counts."""
+    """Return the links that are bad in the next step, symmetric, by the upper triangle of the uniform `draws`."""
     both = np.triu(draws, 1)
     both = both + both.T
     return np.where(bad, both >= 1 / steps, both < 1 / every) & ~np.eye(len(bad), dtype=np.bool_)
 
 
 def chance_of_damage(size: int, bit_errors: float) -> float:
-    """Return the probability that a frame of so many bytes has a flipped bit."""
+    """Return the probability that a frame of `size` bytes has a flipped bit."""
     return float(1 - (1 - bit_errors) ** (8 * size))
 
 
@@ -115,7 +115,7 @@ def flip(frame: bytes, bit_errors: float, random: np.random.Generator) -> bytes:
 
 
 def with_checksum(frame: bytes) -> bytes:
-    """Return a frame with its checksum behind it: CRC-16 with x^16 + x^12 + x^5 + 1, as in IEEE 802.15.4 and LoRa."""
+    """Append the checksum to a frame: CRC-16 with x^16 + x^12 + x^5 + 1, as in IEEE 802.15.4 and LoRa."""
     return frame + packets.encode([Check(binascii.crc_hqx(frame, 0))])
 
 

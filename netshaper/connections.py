@@ -1,7 +1,7 @@
 """Connections of a round of handshakes: each is one offer, its answer and its data, from one robot to another.
 
-The relay collects the frames phase by phase and delivers each phase's frames together. In the end the medium carries
-the connections one by one (`netshaper.medium`), and both ends get a report.
+The relay collects the frames phase by phase and delivers each phase's frames together. Then the medium carries the
+connections one by one (`netshaper.medium`), and both ends receive a report.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ class Connections:
     Attributes
     ----------
     first : int
-        The number of the first one.
+        The number of the first connection.
     senders, receivers, maps : list of int
-        The robot that offers a map, the robot that it is offered to, and the map.
+        The robot that offers a map, the robot that receives the offer, and the map.
     frames : three lists of Frame or None
         The offer, the answer and the data of each.
     lost : list of int

@@ -25,13 +25,13 @@ Places = NDArray[np.int64]
 
 
 def in_range(cells: Mapping[int, Cell], range_cells: float) -> dict[int, list[int]]:
-    """For each robot the teammates at most `range_cells` away (cell centres), in ascending order."""
+    """Return for each robot the teammates at most `range_cells` away (cell centers), in ascending order."""
     robots = sorted(cells)
     return named(robots, disc(places_of(cells), range_cells))
 
 
 def places_of(cells: Mapping[int, Cell]) -> Places:
-    """Where robots are, by ascending number."""
+    """Return the cells of robots, by ascending number."""
     return np.array([cells[robot] for robot in sorted(cells)], np.int64).reshape(-1, 2)
 
 
@@ -44,14 +44,14 @@ def named(robots: Sequence[int], links: Links) -> dict[int, list[int]]:
 
 
 def disc(places: Places, range_cells: float) -> Links:
-    """Those within the range."""
+    """Return the links between robots within the range."""
     x, y = places.T
     near: Links = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2 <= range_cells * range_cells
     return near
 
 
 def line_of_sight(places: Places, range_cells: float, walls: Grid) -> Links:
-    """Those within the range with no wall between them."""
+    """Return the links between robots within the range without a wall between them."""
     open_to: Links = walls_crossed(walls, places) == 0
     return disc(places, range_cells) & open_to
 
@@ -63,15 +63,15 @@ def log_distance(
     cell_m: float,
     *,
     exponent: float,
-    db_per_metre: float,
+    db_per_meter: float,
     db_per_wall: float,
     extra_db: NDArray[np.float64] | float = 0.0,
 ) -> Links:
-    """Those whose link has lost no more than a link of the range's length in the open.
+    """Return the links whose path loss is at most that of an open link as long as the range.
 
-    The loss over d metres is ``10 exponent log10(d) + db_per_metre d`` dB, which is the site-general model of ITU-R
-    P.1238 with N = 10 exponent; each wall on the way adds to it, as in COST 231's multi-wall model, and so does
-    `extra_db`, symmetric, shape (robots, robots): shadowing.
+    The loss over d meters is ``10 exponent log10(d) + db_per_meter d`` dB, which is the site-general model of ITU-R
+    P.1238 with N = 10 exponent; each wall on the line adds to it, as in COST 231's multi-wall model. `extra_db` is
+    the shadowing, symmetric, shape (robots, robots).
     """
     if math.isinf(range_cells):
         return np.ones((len(places), len(places)), np.bool_)
@@ -79,9 +79,9 @@ def log_distance(
     away = np.hypot(x[:, None] - x, y[:, None] - y)
     near = np.maximum(away, 1e-9)
     reach = max(range_cells, 1e-9)
-    margin = 10 * exponent * np.log10(reach / near) + db_per_metre * cell_m * (range_cells - away)
+    margin = 10 * exponent * np.log10(reach / near) + db_per_meter * cell_m * (range_cells - away)
     margin -= db_per_wall * walls_crossed(walls, places) + extra_db
-    # In thousandths of a dB, so that no machine's logarithm decides.
+    # Rounded to thousandths of a dB, so that results do not depend on the machine's logarithm.
     received: Links = (np.rint(1000 * margin) >= 0) | (away == 0)
     return received
 
@@ -89,9 +89,9 @@ def log_distance(
 def shadowing(
     places: Places, cell_m: float, seed: int, deviation_db: float, square_m: float
 ) -> NDArray[np.float64]:
-    """What is lost beyond the mean between any two places, in dB: normal, the same in squares of a side of `square_m`.
+    """Return the shadowing between any two places, in dB: normal, constant within squares of side `square_m`.
 
-    It belongs to the two squares, not to robots or steps: robots that stand still keep their links.
+    It depends on the two squares, not on robots or steps: robots that stand still keep their links.
     """
     squares = [(int(x * cell_m // square_m), int(y * cell_m // square_m)) for x, y in places.tolist()]
     return np.array(
@@ -101,7 +101,7 @@ def shadowing(
 
 @lru_cache(maxsize=1 << 16)
 def _drawn_between(seed: int, one: Cell, other: Cell) -> float:
-    """A standard normal number that belongs to two squares."""
+    """Draw the standard normal number of a pair of squares."""
     return float(keyed_random(seed, "shadowing", *one, *other).standard_normal())
 
 
@@ -117,9 +117,9 @@ def parted(robots: Sequence[int], partitions: Sequence[Partition], step: int) ->
 
 @kernel("int64[:,::1](uint8[:,::1], int64[:,::1])")
 def walls_crossed(grid: Grid, places: Places) -> NDArray[np.int64]:
-    """Count the walls between any two places: runs of occupied cells on the straight way between the cells' centres.
+    """Count the walls between any two places: runs of occupied cells on the straight line between the cell centers.
 
-    The way moves between 4-neighbours only, and from the smaller cell to the larger, so it is the same from both ends.
+    The line visits 4-neighbors only, from the smaller cell to the larger, so it is the same from both ends.
     """
     count = len(places)
     walls = np.zeros((count, count), np.int64)

@@ -20,16 +20,16 @@ from protocol.packet_index import NO_PACKETS, PacketIndex, index_of
 ) = range(14)  # fmt: skip
 COLUMNS = 14
 """Columns of a row, one row per frame or part of a frame with one verdict. The first seven are those of `LoggedFrame`;
-the others say where in `Columns.texts`, `receivers`, `payload`, `kinds` and `sizes` the rest of it is."""
+the others are positions in `Columns.texts`, `receivers`, `payload`, `kinds` and `sizes`."""
 
 MALFORMED = -1
-"""In `PACKETS_FROM`: the bytes are no packets."""
+"""In `PACKETS_FROM`: the bytes do not decode as packets."""
 
 TEXT_OF_CAUSE = (
     "delivered", "cut by budget", "out of range", "refused", "a partner died", "the sender is mute",
     "beyond the sender's own limit", "lost on the air", "damaged on the air", "beyond the hearer's own limit",
 )  # fmt: skip
-"""What became of a frame to one robot, as text, by the number of its verdict."""
+"""Comment text of each verdict, for a frame to one robot."""
 
 Rows = NDArray[np.int64]
 
@@ -37,8 +37,8 @@ Rows = NDArray[np.int64]
 class Frame(NamedTuple):
     """A frame that a robot sends.
 
-    `kind`: as in `netshaper.ledger.FRAMES`. `packets`: their index, `NO_PACKETS` if the bytes are none. `map_id`: -1 if
-    it is of no map. `number`: its position among the frames that the sender submitted, its broadcast included.
+    `kind`: as in `netshaper.ledger.FRAMES`. `packets`: their index, `NO_PACKETS` if malformed. `map_id`: -1 if it
+    belongs to no map. `number`: its position among the frames that the sender submitted, its broadcast included.
     """
 
     kind: int
@@ -51,10 +51,10 @@ class Frame(NamedTuple):
 
 
 class LoggedFrame(NamedTuple):
-    """One frame, or the part of it with one verdict, as a test or a reader of captures sees it.
+    """One frame, or the part of it with one verdict, as tests and readers of captures use it.
 
-    `frame` counts in `netshaper.ledger.FRAMES`, `verdict` in `CAUSES`; `receivers` is a mask, bit r for robot r;
-    `reason`: why it was refused, or what else became of it.
+    `frame` is an index in `netshaper.ledger.FRAMES`, `verdict` in `CAUSES`; `receivers` is a mask, bit r for robot r;
+    `reason`: why it was refused, or a note on its delivery.
     """
 
     round: int
@@ -105,7 +105,7 @@ class FrameLog:
     def add(
         self, round_number: int, frame: Frame, verdict: int, receivers: Sequence[int] = (), reason: str = ""
     ) -> None:
-        """Log a frame, or a part of one, that has one verdict as a whole and belongs to no connection."""
+        """Log a frame, or a part of one, with one verdict and without a connection."""
         self._add(round_number, -1, frame, verdict, receivers, reason)
 
     def _add(
@@ -165,7 +165,7 @@ class FrameLog:
         return log
 
     def columns(self) -> Columns:
-        """Return all of it as arrays."""
+        """Return the log as arrays."""
         texts = [text.encode() for text in self._texts]
         text_at = np.zeros(len(texts) + 1, np.int64)
         np.cumsum([len(text) for text in texts], out=text_at[1:])
@@ -181,7 +181,7 @@ class FrameLog:
 
 
 def index_or_none(payload: bytes) -> PacketIndex:
-    """Return the packets of a frame, `NO_PACKETS` if the bytes are none."""
+    """Return the packet index of a frame, `NO_PACKETS` if the bytes are malformed."""
     try:
         return index_of(payload)
     except ProtocolError:
@@ -195,7 +195,7 @@ def receivers_of(mask: int) -> list[int]:
 
 @lru_cache(maxsize=1 << 12)
 def comment(verdict: int, receiver: int, receivers: tuple[int, ...], reason: str) -> str:
-    """Say what became of a frame: a packet's comment in the capture."""
+    """Return the comment of a frame in the capture: its fate, receivers and reason."""
     text = TEXT_OF_CAUSE[verdict]
     if verdict:
         return f"{text}: {reason}" if reason else text

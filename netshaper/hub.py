@@ -12,35 +12,35 @@ import zenoh
 
 from netshaper import access
 from protocol import keys as names
-from protocol.fields import MOST_FRAMES
+from protocol.fields import MAX_FRAMES
 from protocol.keys import Keys
 from protocol.zenoh_bus import Certificate, Credential, ZenohBus, insert, plain_config, receive_apart, use_tls
 
-MOST_BYTES = MOST_FRAMES + (1 << 20)
-"""Of a message that anybody sends to the hub: whoever sends a longer one is cut off."""
+MAX_MESSAGE_BYTES = MAX_FRAMES + (1 << 20)
+"""Maximum size of a message to the hub; the hub disconnects the sender of a longer one."""
 
 
 def open_hub(
     run: str, endpoint: str, credentials: Mapping[str, Credential], certificate: Certificate | None = None
 ) -> ZenohBus:
-    """Listen at `endpoint` for the holders of `credentials`: all clients of the run, routers among them.
+    """Listen at `endpoint` for the holders of `credentials`: all clients of the run, including routers.
 
-    Passwords are asked for at ``tcp/HOST:PORT``. At ``tls/HOST:PORT`` the hub shows its own `certificate`, and asks for
-    one of the same authority whose common name is that of a participant.
+    At ``tcp/HOST:PORT`` clients authenticate with passwords. At ``tls/HOST:PORT`` the hub shows its own `certificate`;
+    clients need a certificate of the same authority with a participant's name as common name.
 
     Raises
     ------
     ConnectionError
-        The address cannot be listened at.
+        The hub cannot listen at this address.
     """
     keys = Keys(run)
     config = listening(endpoint)
     by = access.PASSWORDS if certificate is None else access.CERTIFICATES
-    insert(config, "access_control", access.rules(keys, access.speaking(credentials), by))
+    insert(config, "access_control", access.rules(keys, access.represented(credentials), by))
     if certificate is not None:
         receive_apart()
         use_tls(config, certificate, "listen")
-    with asking(config, {} if certificate is not None else credentials):
+    with password_check(config, {} if certificate is not None else credentials):
         try:
             session = zenoh.open(config)
         except zenoh.ZError as error:
@@ -49,16 +49,16 @@ def open_hub(
 
 
 def listening(endpoint: str) -> zenoh.Config:
-    """A configuration of hub or router: it routes, and listens at one endpoint."""
+    """Return the configuration of a hub or router, which routes and listens at one endpoint."""
     config = plain_config("router")
     insert(config, "listen/endpoints", [endpoint])
-    insert(config, "transport/link/rx/max_message_size", MOST_BYTES)
+    insert(config, "transport/link/rx/max_message_size", MAX_MESSAGE_BYTES)
     return config
 
 
 @contextlib.contextmanager
-def asking(config: zenoh.Config, credentials: Mapping[str, Credential]) -> Iterator[None]:
-    """Have a session that is opened meanwhile ask for the passwords of `credentials`; none: for no passwords."""
+def password_check(config: zenoh.Config, credentials: Mapping[str, Credential]) -> Iterator[None]:
+    """Make a session that is opened in this context check the passwords of `credentials`, if there are any."""
     with tempfile.TemporaryDirectory() as folder:
         if credentials:
             dictionary = Path(folder) / "passwords"
@@ -69,6 +69,6 @@ def asking(config: zenoh.Config, credentials: Mapping[str, Credential]) -> Itera
 
 
 def _reason(error: zenoh.ZError) -> str:
-    """The system's error message within zenoh's: the part before the first line of source."""
-    words = re.split(r"(?: \(os error \d+\))? at \S+\.rs:\d+", str(error), maxsplit=1)[0]
-    return words.rsplit(": ", 1)[-1]
+    """Return the operating system's error message within zenoh's: the part before the first source location."""
+    message = re.split(r"(?: \(os error \d+\))? at \S+\.rs:\d+", str(error), maxsplit=1)[0]
+    return message.rsplit(": ", 1)[-1]

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from protocol.packets import ALL_KINDS
 
 CAUSES = ("", "budget", "range", "protocol", "lost", "mute", "limit", "loss", "damaged", "full")
-"""Why a frame was not carried: the budget was spent, the receiver out of range, the frame malformed, a partner dead,
-the radio mute, its own limit reached. From `FIRST_ON_AIR` on: why no robot received a frame that was on the air:
-lost, damaged, beyond the receiver's limit."""
+"""Causes why a frame was not carried: the budget was spent, the receiver out of range, the frame malformed, a partner
+dead, the sender's radio mute, its own limit reached. From `FIRST_ON_AIR` on, the frame was on the air, but no robot
+received it: it was lost, damaged, or beyond the receiver's limit."""
 
 FIRST_ON_AIR = CAUSES.index("loss")
 
@@ -48,7 +48,7 @@ ROW = np.dtype(
 
 KIND_NUMBER = {kind: number for number, kind in enumerate(ALL_KINDS)}
 MALFORMED = -1
-"""The kind of bytes that are no packets."""
+"""The kind of bytes that do not decode as packets."""
 
 
 def sort_rows(rows: NDArray[np.void]) -> NDArray[np.void]:
@@ -57,17 +57,17 @@ def sort_rows(rows: NDArray[np.void]) -> NDArray[np.void]:
 
 
 def balance(rows: NDArray[np.void]) -> dict[int, tuple[int, int, int, int]]:
-    """Book each step: (said, carried, cut, heard by unicast receivers), in bytes.
+    """Return for each step the bytes (sent, carried, cut, received by unicast receivers).
 
-    The identity of the medium is said = carried + cut, and what is carried by unicast is heard once.
+    The medium conserves bytes: sent = carried + cut, and each unicast byte that is carried is received once.
     """
     result: dict[int, tuple[int, int, int, int]] = {}
     for step in np.unique(rows["step"]):
         these = rows[rows["step"] == step]
-        said = int(these["bytes"].sum())
+        sent = int(these["bytes"].sum())
         carried = int(these["bytes"][these["carried"] == 1].sum())
         cut = int(these["bytes"][these["carried"] == 0].sum())
         unicast = (these["receiver"] != EVERYONE) & (these["carried"] == 1)
-        heard = int((these["bytes"] * these["received_by"])[unicast].sum())
-        result[int(step)] = (said, carried, cut, heard)
+        received = int((these["bytes"] * these["received_by"])[unicast].sum())
+        result[int(step)] = (sent, carried, cut, received)
     return result

@@ -1,6 +1,6 @@
 """The medium: it carries frames as far as the budget allows, and logs every frame and its fate.
 
-Bytes on the air count, whoever receives them; a broadcast counts once; unused budget lapses. A frame of several packets
+All bytes on the air count against the budget, a broadcast once; unused budget lapses. A frame of several packets
 is cut at a packet boundary where the budget ends. In a round of handshakes the first packet that does not fit closes
 the medium for the rest of the step; in other rounds a shorter frame may still use the rest.
 """
@@ -122,9 +122,9 @@ class Medium:
         return carried
 
     def carry(self, frame: Frame, receivers: Sequence[int]) -> int:
-        """Put a frame on the air as far as there is room; return the bytes of its packets that were carried.
+        """Put a frame on the air as far as the budget allows; return the bytes of its packets that were carried.
 
-        Data and news are cut at a packet boundary, other frames go whole or not at all.
+        Data and news are cut at a packet boundary; other frames are sent whole or not at all.
         """
         sender, index = frame.sender, frame.packets
         shared = self.airtime.shared(sender)
@@ -144,7 +144,7 @@ class Medium:
         return index.ends[sent - 1] if sent else 0
 
     def play(self, connections: Connections) -> NDArray[np.int64]:
-        """Put connections on the air one by one, frame by frame, as far as there is room.
+        """Put connections on the air one by one, frame by frame, as far as the budget allows.
 
         A frame that is lost is the last of its connection, and so is a missing one.
 
@@ -178,7 +178,7 @@ class Medium:
         return carried
 
     def arrivals(self, receives: Callable[[int], bool]) -> tuple[list[Arrival], list[Arrival]]:
-        """Take what has arrived by now: broadcasts, and other frames."""
+        """Remove and return the frames that have arrived by now: broadcasts, and other frames."""
         due = [each for each in self._coming if each.due <= self._step]
         self._coming = [each for each in self._coming if each.due > self._step]
         due = [
@@ -223,7 +223,7 @@ class Medium:
         return piece._replace(payload=payload, packets=index)
 
     def _accept(self, receiver: int, reception: Reception) -> Reception:
-        """Return what a robot receives if it can receive only so many bytes in a step."""
+        """Cut a reception at the limit of bytes that the robot can receive per step."""
         for number, payload in enumerate(reception.frames):
             if not self.airtime.receives(receiver, len(payload) + self._tail):
                 return Reception(reception.frames[:number], _FULL, reception.delays)
@@ -242,7 +242,7 @@ class Medium:
                 self._coming.append(Arrival(self._step + delay, receivers, delivery, frame.kind == BROADCAST))
 
     def _log_piece(self, piece: Frame, number: int, got: dict[int, Reception]) -> None:
-        """Log a frame that was on the air, its receivers, and what happened on the way to others."""
+        """Log a frame that was on the air, its receivers, and why others missed it."""
         received = [receiver for receiver, reception in got.items() if number < len(reception.frames)]
         missed = {
             receiver: reception.cause for receiver, reception in got.items() if receiver not in received
@@ -275,15 +275,15 @@ def _play(
     rows: Rows,
     receivers: Rows,
 ) -> tuple[int, int, int]:
-    """Play connections in their order; return the rows and receivers written, and what is left of the budget.
+    """Play connections in their order; return the rows and receivers written, and the remaining budget.
 
     `ends`: shape (4, connections), senders, receivers, maps and lost frames. `sizes`, `counts`: bytes and packets of
     each frame, connection by connection, three each; a missing frame has the size -1. `packets`: bytes of each packet.
-    `most`: bytes that one frame on the air may have.
+    `most`: maximum bytes of one frame on the air.
     """
     written = received = begin = packet = 0
     for each in range(ends.shape[1]):
-        # Frames behind a missing one were not sent; those behind a lost one were.
+        # Frames after a missing one were not sent; frames after a lost one were.
         playing = True
         for kind in range(3):
             size, count = sizes[3 * each + kind], counts[3 * each + kind]
@@ -306,7 +306,7 @@ def _play(
                 while kind == DATA and stop < packet + count and admitted + packets[stop] <= left:
                     admitted += packets[stop]
                     stop += 1
-                left = 0  # what is left over is too small for the next packet: closed
+                left = 0  # the remaining budget is too small for the next packet: the medium closes
             else:
                 left -= size
             carried[each, kind] = admitted

@@ -1,4 +1,4 @@
-"""pcapng, the file format of packet captures (draft-ietf-opsawg-pcapng), as far as a radio needs it.
+"""pcapng, the file format of packet captures (draft-ietf-opsawg-pcapng): the subset that a radio capture needs.
 
 One section, one interface, one enhanced packet block per frame; all little-endian. Blocks are self-contained,
 so a file that a killed process left behind can be read up to its last complete block.
@@ -23,7 +23,7 @@ _OPTION = struct.Struct("<HH")
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """One packet of a file: its time in microseconds, the bytes kept of it, its true size, its comment."""
+    """One packet of a file: its time in microseconds, its stored bytes, its original size, its comment."""
 
     time_us: int
     data: bytes
@@ -32,7 +32,7 @@ class Packet:
 
 
 class CaptureError(ValueError):
-    """A file that is not a Murmur capture; the message says where and why."""
+    """A file is not a Murmur capture; the message has position and reason."""
 
 
 def head(link_type: int, application: str, name: str, description: str) -> bytes:
@@ -44,17 +44,17 @@ def head(link_type: int, application: str, name: str, description: str) -> bytes
 
 
 class Reader:
-    """The packets of a file that begins as `head` wrote it, one after the other.
+    """Iterator over the packets of a file whose beginning `head` wrote.
 
     Raises
     ------
     CaptureError
-        While iterating: it is not such a file, or a block is malformed.
+        While iterating: the file has another format, or a block is malformed.
     """
 
     def __init__(self, file: BinaryIO) -> None:
         self.torn = 0
-        """Bytes of an unfinished block at the end of the file, which are left out."""
+        """Bytes of an unfinished block at the end of the file, which the reader skips."""
         self.link_type = -1
         self._file = file
         self._offset = 0
@@ -71,15 +71,15 @@ class Reader:
                 return
             kind, size = _BLOCK.unpack(opening)
             if size % 4 or size < _BLOCK.size + 4:
-                raise self._broken(f"a block of {size} bytes")
+                raise self._malformed(f"a block of {size} bytes")
             body = self._file.read(size - _BLOCK.size)
             if len(body) < size - _BLOCK.size:
                 self.torn = len(opening) + len(body)
                 return
             if int.from_bytes(body[-4:], "little") != size:
-                raise self._broken("a block whose two lengths differ")
+                raise self._malformed("a block whose two lengths differ")
             if kind == SECTION and int.from_bytes(body[:4], "little") != _MAGIC:
-                raise self._broken("a big-endian section")
+                raise self._malformed("a big-endian section")
             if kind == INTERFACE:
                 self.link_type = int.from_bytes(body[:2], "little")
             if kind == PACKET:
@@ -88,12 +88,12 @@ class Reader:
 
     def _read_packet(self, body: bytes) -> Packet:
         if len(body) < _PACKET.size - _BLOCK.size:
-            raise self._broken("a packet without a head")
+            raise self._malformed("a packet without a head")
         _, high, low, kept, size = struct.unpack_from("<5I", body)
         start = _PACKET.size - _BLOCK.size
         end = start + kept + -kept % 4
         if end > len(body):
-            raise self._broken("a packet longer than its block")
+            raise self._malformed("a packet longer than its block")
         comment = ""
         while end + _OPTION.size <= len(body):
             code, length = _OPTION.unpack_from(body, end)
@@ -105,8 +105,8 @@ class Reader:
                 break
         return Packet(high << 32 | low, body[start : start + kept], size, comment)
 
-    def _broken(self, what: str) -> CaptureError:
-        return CaptureError(f"broken at byte {self._offset}: {what}")
+    def _malformed(self, reason: str) -> CaptureError:
+        return CaptureError(f"malformed at byte {self._offset}: {reason}")
 
 
 def _block(kind: int, body: bytes) -> bytes:

@@ -1,7 +1,7 @@
-"""Radios by name: what a frame holds, what a second carries, how far it reaches indoors (docs/radios.md).
+"""Radio presets: payload of a frame, throughput, and indoor range (docs/radios.md).
 
-None of the figures is a guess: a frame's time on the air follows from the standard's or the maker's layout of frames,
-the rate from frames sent back to back, and the range from the site-general model of ITU-R P.1238 in an office.
+All figures follow from sources. The standard or the datasheet gives a frame's time on the air; frames sent back to back
+give the rate. The range follows from the site-general model of ITU-R P.1238 in an office.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ OFFICE_900, OFFICE_2400 = 33.0, 30.0
 """ITU-R P.1238: distance power loss coefficient N in an office, at 0.9 and at 2.4 GHz."""
 
 MARGIN_DB = 16.4
-"""What shadowing takes away in one place of twenty: 1.64 standard deviations of 10 dB (P.1238, office)."""
+"""Fade margin exceeded in one place of twenty: 1.64 standard deviations of 10 dB (P.1238, office)."""
 
 LORA_HEAD = 13
-"""Bytes of a LoRaWAN frame that are no payload: MHDR, FHDR without options, FPort, MIC."""
+"""Bytes of a LoRaWAN frame besides the payload: MHDR, FHDR without options, FPort, MIC."""
 
 
 @dataclass(frozen=True)
@@ -25,19 +25,19 @@ class Preset:
 
     Attributes
     ----------
-    words : str
-        What it is.
+    description : str
+        Radio standard and parameters.
     bits_per_s : int
-        Its bit rate on the air.
+        Bit rate on the air.
     frame_bytes : int
-        Payload of a frame at most.
+        Maximum payload of a frame.
     frame_s : float
-        Seconds of air that a full frame takes, all between frames included.
+        Airtime of a full frame in seconds, including the gap to the next frame.
     range_m : int
-        Usual range indoors.
+        Typical indoor range.
     """
 
-    words: str
+    description: str
     bits_per_s: int
     frame_bytes: int
     frame_s: float
@@ -45,14 +45,14 @@ class Preset:
 
     @property
     def bandwidth(self) -> int:
-        """Bytes of payload a second."""
+        """Bytes of payload per second."""
         return int(self.frame_bytes / self.frame_s)
 
 
 def lora_airtime(spreading: int, size: int) -> float:
-    """Seconds that a LoRa frame of `size` bytes is on the air: 125 kHz, coding rate 4/5, explicit head, CRC.
+    """Return the airtime in seconds of a LoRa frame of `size` bytes: 125 kHz, coding rate 4/5, explicit header, CRC.
 
-    Semtech SX1276 datasheet, 4.1.1.7; the low data rate is optimised for where a symbol is longer than 16 ms.
+    Semtech SX1276 datasheet, 4.1.1.7; with low data rate optimization if a symbol is longer than 16 ms.
     """
     symbol = 2**spreading / 125e3
     slow = 2 if symbol > 0.016 else 0
@@ -61,7 +61,7 @@ def lora_airtime(spreading: int, size: int) -> float:
 
 
 def indoor_range_m(power_dbm: float, sensitivity_dbm: float, megahertz: float, coefficient: float) -> int:
-    """Metres at which 19 of 20 places of an office floor hear it (ITU-R P.1238, site-general, one floor)."""
+    """Return the range in meters with 95 % coverage of an office floor (ITU-R P.1238, site-general, one floor)."""
     loss = power_dbm - sensitivity_dbm - MARGIN_DB
     return round(10 ** ((loss - (20 * math.log10(megahertz) - 28)) / coefficient))
 
@@ -77,14 +77,14 @@ def _lora(spreading: int, payload: int, sensitivity_dbm: float) -> Preset:
 
 
 ZIGBEE_FRAME_S = (6 + 127) * 32e-6 + 3.5 * 320e-6 + 128e-6 + 192e-6 + 640e-6
-"""IEEE 802.15.4, 2.4 GHz: synchronisation and a full PSDU at 32 us a byte, mean back-off, listening, turning around,
-long spacing."""
+"""IEEE 802.15.4, 2.4 GHz: synchronization and a full PSDU at 32 us per byte, mean back-off, carrier
+sense, turnaround, long spacing."""
 
 BLE_FRAME_S = (261 + 10) * 8e-6 + 2 * 150e-6
-"""Bluetooth LE 1M: a full data PDU, the empty one that answers it, and two spaces between frames."""
+"""Bluetooth LE 1M: a full data PDU, the empty PDU in reply, and two interframe spaces."""
 
 WIFI_FRAME_S = 192e-6 + (24 + 8 + 1500 + 4) * 8e-6 + 50e-6 + 15.5 * 20e-6
-"""IEEE 802.11 at 1 Mbit/s, the rate of broadcasts: long preamble, heads, payload and sum, DIFS, mean back-off."""
+"""IEEE 802.11 at 1 Mbit/s, the broadcast rate: long preamble, headers, payload and checksum, DIFS, mean back-off."""
 
 PRESETS = {
     "lora-sf7": _lora(7, 222, -123),

@@ -17,7 +17,7 @@ from protocol import keys as names
 from protocol import rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
-from protocol.fields import MOST_WORD, clip
+from protocol.fields import MAX_NAME, clip
 from protocol.keys import Keys
 from protocol.messages import (
     Back,
@@ -26,7 +26,7 @@ from protocol.messages import (
     Close,
     Configure,
     End,
-    Fault,
+    ErrorReport,
     FaultEvent,
     Lost,
     MediumEvent,
@@ -47,11 +47,11 @@ from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_ERRORS
 ENDED = "its process ended"
 """Cause of the loss of a robot that has left the bus."""
 
-LEAST_FRAME, MOST_FRAME = 64, 1 << 24
-"""Bytes that a frame may have beyond the budget, at least; and bytes of a frame if there is no budget."""
+MIN_FRAME, MAX_FRAME = 64, 1 << 24
+"""Minimum bytes that a frame may exceed the budget by, and maximum bytes of a frame without a budget."""
 
 EXTRA_PER_MAP = Held.size + Offer.size + Passed.size + Target.size
-"""Bytes of reports on a map, and of its robot's pose and target: a frame may have them whatever the budget is."""
+"""Bytes of reports on a map, and of its robot's pose and target; a frame may exceed the budget by them."""
 
 
 class RelayNode:
@@ -69,7 +69,7 @@ class RelayNode:
         self._radio = Radio(settings)
         self._captures = captures
         robots = self._robots = [names.robot(number) for number in range(settings.robots)]
-        self._extra_bytes = max(LEAST_FRAME, settings.maps * EXTRA_PER_MAP)
+        self._extra_bytes = max(MIN_FRAME, settings.maps * EXTRA_PER_MAP)
         self._keys_to_robots = [keys.radio_rx(robot, names.RELAY) for robot in robots]
         self._expected = {names.WORLD, names.RECORDER, *robots}
         self._present: set[str] = set()
@@ -84,10 +84,10 @@ class RelayNode:
         """Protocol errors of each participant in this step."""
 
     @property
-    def _most_bytes(self) -> int:
-        """Bytes that a frame may have; the relay does not read longer ones."""
+    def _max_frame_bytes(self) -> int:
+        """Maximum bytes of a frame; the relay rejects longer ones."""
         limit = self._radio.settings.budget.limit
-        return MOST_FRAME if limit is None else limit + self._extra_bytes
+        return MAX_FRAME if limit is None else limit + self._extra_bytes
 
     def missing(self) -> list[str]:
         """Participants that have not joined yet; empty once the run has begun."""
@@ -157,7 +157,7 @@ class RelayNode:
             self.give_up_on(names.number(name), ENDED)
 
     def _configure(self, robot: int) -> None:
-        """Send a robot its settings once both are here: the robot and its settings."""
+        """Send a robot its settings once the robot has joined and the settings have arrived."""
         name = names.robot(robot)
         if name in self._present and robot in self._settings:
             self._bus.put(self._keys.control(name, names.RELAY), self._settings[robot])
@@ -208,7 +208,7 @@ class RelayNode:
         self._report(end)
 
     def _shut_down(self) -> None:
-        """Send all participants home."""
+        """Send `Shutdown` to all participants."""
         for name in sorted(self._present | ({names.VIEW} if self._watched else set())):
             self._bus.put(self._keys.control(name, names.RELAY), pack(Shutdown()))
         self.shutting_down = True
@@ -223,8 +223,10 @@ class RelayNode:
             *[len(reply.answer) for reply in replies.offers],
             *map(len, replies.loads),
         )
-        if longest > self._most_bytes:
-            reason = f"a frame of {longest} bytes, where {self._most_bytes} are the most that can be carried"
+        if longest > self._max_frame_bytes:
+            reason = (
+                f"a frame of {longest} bytes, where {self._max_frame_bytes} are the most that can be carried"
+            )
             raise ProtocolError("RobotFrames", 0, reason)
 
     def _send(self, outgoing: list[Outgoing]) -> None:
@@ -254,7 +256,7 @@ class RelayNode:
         """Report a protocol error; give up on a robot that causes too many in a step."""
         self._protocol_errors[name] += 1
         if self._protocol_errors[name] <= MAX_PROTOCOL_ERRORS:
-            self._report(Fault(name[:MOST_WORD], clip(reason)))
+            self._report(ErrorReport(name[:MAX_NAME], clip(reason)))
         elif name in self._robots:
             self.give_up_on(names.number(name), TOO_MANY_ERRORS)
 

@@ -7,11 +7,11 @@ A round of handshakes, on a perfect radio without gossip, has three phases:
 
     offers    all robots send their poses and targets (first round) and offers; poses and targets go on the air
     answers   each receiver of offers answers every one, in the drawn order
-    data      each sender of offers has the answers, and sends what its teammates lack
+    data      each sender of offers has the answers, and sends missing entries
     (play)    the connections go on the air in the drawn order until the budget is spent; both ends get reports
 
 Every other round has one phase: robots broadcast, or send frames to one robot, and the relay puts them on the air by
-priority and fair share. Replies follow in the next round. Senders learn what was on the air, not what arrived.
+priority and fair share. Replies follow in the next round. Senders learn which bytes were on the air, not which arrived.
 
 A phase ends when all robots that it concerns have answered or are dead. A further round begins while some budget is
 left. A frame that is malformed, out of range or out of turn is logged as such and delivered to no robot.
@@ -69,11 +69,11 @@ class ToRobot(NamedTuple):
 
 
 Outgoing = ToRobot | Account
-"""What the radio returns, in order; at the end of a step its account."""
+"""Items that the radio returns, in order; the account comes at the end of a step."""
 
 
 class Radio:
-    """The radio of one run: feed it positions and the frames of robots, and pass on what it returns."""
+    """The radio of one run: it takes positions and the frames of robots, and returns events and accounts."""
 
     def __init__(self, settings: RadioSettings) -> None:
         self.settings = settings
@@ -99,7 +99,7 @@ class Radio:
         self._connections = Connections()
         self._speculations: dict[int, Speculation] = {}
         self._budget_at_open = UNLIMITED
-        """What was left of the budget when the round began."""
+        """The remaining budget when the round began."""
         self._broadcast_sent: dict[int, bool] = {}
         """Robots that broadcast a pose or target in this round, and whether it was on the air."""
 
@@ -287,8 +287,8 @@ class Radio:
     def _send_broadcasts(self, broadcasts: list[Frame]) -> None:
         """Put poses and targets on the air.
 
-        Gossip shares the medium with them as if they were those of one robot more: behind the first one they get no
-        more bytes than this share.
+        With gossip, all broadcasts together get the share of one robot: after the first one, their bytes may not
+        exceed this share.
         """
         share, medium = UNLIMITED, self._medium
         if self.settings.gossip and self.settings.budget.limit is not None:
@@ -390,7 +390,7 @@ class Radio:
         return out
 
     def _reply(self, robot: int, kind: int, deliveries: Sequence[Delivery]) -> list[OutgoingFrame] | None:
-        """Answer for a robot with its speculative replies; None if it has to be asked."""
+        """Answer for a robot with its speculative replies; None if the relay has to ask it."""
         speculation = self._speculations.get(robot)
         if speculation is None:
             return None

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
-LEAST_FRAME = 16
-"""Bytes that a frame must have room for: the longest packet that is not made smaller, a broadcast, and a checksum."""
+MIN_FRAME = 16
+"""Minimum frame size in bytes: the longest packet that cannot be split, a broadcast, and a checksum."""
 
-MOST_STEPS = 10_000
-"""Steps that a frame may be late at most."""
+MAX_STEPS = 10_000
+"""Maximum delay of a frame in steps."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Partition:
             raise ValueError(f"groups = {[*map(list, self.groups)]}: must name robots, each at most once")
 
     def group_of(self, robot: int) -> int:
-        """The number of a robot's group; -1 for those that are in none."""
+        """Return the number of a robot's group; -1 for a robot in no group."""
         return next((number for number, group in enumerate(self.groups) if robot in group), -1)
 
 
@@ -51,13 +51,13 @@ class RadioOptions:
     Attributes
     ----------
     preset : str
-        The radio whose figures a scenario takes where it does not give its own (`netshaper.presets`).
+        The radio whose figures apply where the scenario gives none (`netshaper.presets`).
     frame_bytes : int
-        Bytes of packets that a frame holds at most; longer frames are sent as several. 0: no limit.
+        Maximum bytes of packets in a frame; longer frames are split. 0: no limit.
     model : str
-        Which robots within the communication range receive each other: ``disc``, all; ``line-of-sight``, those without
-        a wall between them; ``log-distance``, those whose link loses no more than an open link as long as the range.
-    exponent, db_per_metre, db_per_wall, shadowing_db, shadowing_m : float
+        Links within the communication range: ``disc``, all; ``line-of-sight``, links without a wall; ``log-distance``,
+        links whose path loss is at most that of an open link as long as the range.
+    exponent, db_per_meter, db_per_wall, shadowing_db, shadowing_m : float
         For ``log-distance``: the growth of the loss by the distance's logarithm and by the distance, the loss per wall,
         the standard deviation of the shadowing, and the side of the squares in which it is the same.
     loss : float
@@ -74,7 +74,7 @@ class RadioOptions:
     checksums : bool
         Whether frames end with a checksum in any case.
     send_bytes, receive_bytes : int
-        Bytes a step that a robot can send, and take; 0: no limit of its own.
+        Bytes per step that a robot can send, and receive; 0: no limit of its own.
     duty_cycle : float
         Share of the time in which a robot may send, over an hour.
     reuse : bool
@@ -88,7 +88,7 @@ class RadioOptions:
     frame_bytes: int = 0
     model: Literal["disc", "line-of-sight", "log-distance"] = "disc"
     exponent: float = 2.0
-    db_per_metre: float = 0.0
+    db_per_meter: float = 0.0
     db_per_wall: float = 6.9
     shadowing_db: float = 0.0
     shadowing_m: float = 5.0
@@ -112,16 +112,16 @@ class RadioOptions:
             value = getattr(self, name)
             if not least <= value <= most:
                 raise ValueError(f"{name} = {value:g}: must be {least:g} to {most:g}")
-        if 0 < self.frame_bytes < LEAST_FRAME:
+        if 0 < self.frame_bytes < MIN_FRAME:
             raise ValueError(
-                f"frame_bytes = {self.frame_bytes}: must be 0 (no limit), or {LEAST_FRAME} or more"
+                f"frame_bytes = {self.frame_bytes}: must be 0 (no limit), or {MIN_FRAME} or more"
             )
         if 0 < self.burst_every < 1:
             raise ValueError(f"burst_every = {self.burst_every:g}: must be 0 (no bursts), or 1 step or more")
         for name in ("send_bytes", "receive_bytes"):
-            if 0 < getattr(self, name) < LEAST_FRAME:
+            if 0 < getattr(self, name) < MIN_FRAME:
                 raise ValueError(
-                    f"{name} = {getattr(self, name)}: must be 0 (no limit), or {LEAST_FRAME} or more"
+                    f"{name} = {getattr(self, name)}: must be 0 (no limit), or {MIN_FRAME} or more"
                 )
         if self.duty_cycle <= 0:
             raise ValueError("duty_cycle = 0: must be above 0, as 0.01 for 1 %; 1: no limit")
@@ -149,7 +149,7 @@ _MOST = 1e6
 _BOUNDS = (
     ("frame_bytes", 0, 65535),
     ("exponent", 0.1, 10),
-    ("db_per_metre", 0, 1000),
+    ("db_per_meter", 0, 1000),
     ("db_per_wall", 0, 1000),
     ("shadowing_db", 0, 100),
     ("shadowing_m", 0.01, _MOST),
@@ -157,8 +157,8 @@ _BOUNDS = (
     ("burst_loss", 0, 1),
     ("burst_every", 0, _MOST),
     ("burst_steps", 1, _MOST),
-    ("delay", 0, MOST_STEPS),
-    ("jitter", 0, MOST_STEPS),
+    ("delay", 0, MAX_STEPS),
+    ("jitter", 0, MAX_STEPS),
     ("duplication", 0, 1),
     ("bit_errors", 0, 1),
     ("send_bytes", 0, 2**31 - 1),

@@ -25,7 +25,7 @@ class Speculation(NamedTuple):
 
 
 def answers(speculation: Speculation, offers: Sequence[Delivery]) -> list[OutgoingFrame] | None:
-    """Answer offers for a robot; None if it has to be asked."""
+    """Answer offers for a robot; None if the relay has to ask it."""
     known = {reply.offer: reply.answer for reply in speculation.replies.offers}
     taken: set[int] = set()
     frames: list[OutgoingFrame] = []
@@ -40,7 +40,7 @@ def answers(speculation: Speculation, offers: Sequence[Delivery]) -> list[Outgoi
 
 
 def data(speculation: Speculation, answered: Sequence[Delivery], room: Budget) -> list[OutgoingFrame] | None:
-    """Send data for a robot, in all no more than `room`, after answers to its offers; None if it has to be asked."""
+    """Send at most `room` bytes of data for a robot, after answers to its offers; None if the relay has to ask it."""
     replies, loads = speculation.replies.answers, speculation.replies.loads
     frames: list[OutgoingFrame] = []
     for answer in answered:

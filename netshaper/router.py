@@ -1,8 +1,8 @@
 """A router between the robots of one host and the hub: Zenoh's own router mode, with the hub's access control.
 
-Robots join it by passwords on the loopback, as they would a hub; it joins the hub over mutual TLS, as one client that
-speaks for all of them. So a host needs one connection, however many robots it has. It routes, and knows nothing of what
-is said.
+Robots join it with passwords over the loopback interface, like a hub. The router joins the hub over mutual TLS, as one
+client that represents all of them, so a host needs one connection for any number of robots. A router forwards messages
+without decoding them.
 """
 
 from __future__ import annotations
@@ -11,46 +11,46 @@ import time
 from collections.abc import Mapping
 
 from netshaper import access
-from netshaper.hub import asking, listening
+from netshaper.hub import listening, password_check
 from protocol.keys import Keys
 from protocol.zenoh_bus import Credential, insert, open_connected, receive_apart
 
-LOOK_S, TIMES = 0.25, 2
-"""How often the hub is looked for, and how often running it must be missing before it is gone."""
+CHECK_S, MAX_MISSES = 0.25, 2
+"""Interval between checks for the hub, and consecutive failed checks after which the hub counts as lost."""
 
 
 class Router:
-    """One host's router, from the moment that the hub has let it in.
+    """One host's router, connected to the hub.
 
     Parameters
     ----------
     credential : Credential
-        The router's own, for the hub; it names the robots.
+        The router's credential for the hub; it names the robots.
     endpoint : str
-        Where the robots find it.
+        Address at which the router listens for its robots.
     credentials : mapping of str to Credential
-        What they show, by name.
+        The robots' credentials for the router, by name.
 
     Raises
     ------
     ConnectionError
-        The hub does not answer or refuses the credential, or the endpoint is taken.
+        The hub does not answer or refuses the credential, or the endpoint is in use.
     """
 
     def __init__(self, credential: Credential, endpoint: str, credentials: Mapping[str, Credential]) -> None:
         receive_apart()
         config = listening(endpoint)
         insert(config, "access_control", access.router_rules(Keys(credential.run), credential.robots))
-        with asking(config, credentials):
+        with password_check(config, credentials):
             self._session = open_connected(config, credential)
 
     def serve(self) -> None:
-        """Route until the hub is gone. That is for the robots to tell of: it may be how the run ends."""
+        """Route until the hub is lost. The robots report the loss, because a run may also end this way."""
         missing = 0
-        while missing < TIMES:
-            time.sleep(LOOK_S)
+        while missing < MAX_MISSES:
+            time.sleep(CHECK_S)
             missing = 0 if self._session.info.routers_zid() else missing + 1
 
     def close(self) -> None:
-        """Leave the hub and the robots."""
+        """Disconnect from the hub and the robots."""
         self._session.close()  # type: ignore[no-untyped-call]

@@ -28,7 +28,7 @@ class RadioSettings:
     gossip : bool
         Whether maps are broadcast; else robots offer them to each other.
     incarnations : int
-        How often a robot may begin. Each incarnation has a map of its own.
+        Maximum number of starts of a robot. Each incarnation has a map of its own.
     options : RadioOptions
     cell_m : float
         Side of a cell in meters.
@@ -56,7 +56,7 @@ class RadioSettings:
 
     @property
     def maps(self) -> int:
-        """How many maps there can be."""
+        """Maximum number of maps."""
         return self.robots * self.incarnations
 
     @property
@@ -71,7 +71,7 @@ class RadioSettings:
 
     @property
     def frame_limit(self) -> Budget:
-        """Bytes that a frame may have."""
+        """Maximum bytes of a frame."""
         return Budget(self.options.frame_bytes) if self.options.frame_bytes else UNLIMITED
 
     @property
@@ -81,5 +81,5 @@ class RadioSettings:
 
     @property
     def packet_bytes(self) -> int | None:
-        """Bytes that a packet may have for a frame to hold it; None: any number."""
+        """Maximum bytes of a packet, so that a frame can hold it; None: no limit."""
         return self.options.frame_bytes - self.checksum_bytes if self.options.frame_bytes else None

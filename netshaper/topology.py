@@ -13,9 +13,9 @@ class Topology:
 
     def __init__(self) -> None:
         self.in_range: dict[int, list[int]] = {}
-        """For each robot that takes part in the step those in its range, ascending."""
+        """For each robot that takes part in the step, the robots in its range, ascending."""
         self.dead: set[int] = set()
-        """Robots that do not answer any more."""
+        """Robots that do not answer anymore."""
         self.mute: set[int] = set()
         """Robots whose radios cannot send."""
         self.deaf: set[int] = set()
@@ -53,7 +53,7 @@ class Topology:
 
 
 def links(settings: RadioSettings, step: int, cells: Mapping[int, tuple[int, int]]) -> dict[int, list[int]]:
-    """Return for each robot those in its range, by the radio's model and the partitions of a step."""
+    """Return for each robot the robots in its range, by the radio's model and the partitions of a step."""
     options = settings.options
     robots, places = sorted(cells), connectivity.places_of(cells)
     if options.model == "disc" or settings.walls is None:
@@ -66,7 +66,7 @@ def links(settings: RadioSettings, step: int, cells: Mapping[int, tuple[int, int
         )
         receives = connectivity.log_distance(
             places, settings.range_cells, settings.walls, settings.cell_m,
-            exponent=options.exponent, db_per_metre=options.db_per_metre, db_per_wall=options.db_per_wall,
+            exponent=options.exponent, db_per_meter=options.db_per_meter, db_per_wall=options.db_per_wall,
             extra_db=extra,
         )  # fmt: skip
     if options.partition:

@@ -45,7 +45,7 @@ class MemoryHub:
             self._inbox(name)
 
     def join(self, name: str) -> MemoryBus:
-        """Open the end of `name` and report it to the relay; the relay also learns who joined before it."""
+        """Open the end of `name` and report it to the relay; the relay receives one for each earlier participant."""
         inbox = self._inbox(name)
         if inbox.here:
             raise ValueError(f"{name} is already on the bus")

@@ -3,8 +3,8 @@
 A message is a msgpack list: its number, then its fields in order. The type of each field limits its range and length
 (`protocol.fields`), so a receiver rejects all other bytes. `protocol.rights` has the senders and receivers of each.
 
-Cells go as little-endian int16 pairs (`cells_to_bytes`), readings as little-endian uint16 (`protocol.scans`), grids at
-two bits a cell.
+Cells are little-endian int16 pairs (`cells_to_bytes`), readings little-endian uint16 (`protocol.scans`), grids two bits
+per cell.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from protocol.budget import Budget
 from protocol.errors import ProtocolError
 from protocol.fields import (
-    MOST_CONNECTIONS,
-    MOST_FRAME,
-    MOST_FRAMES,
-    Books,
+    MAX_CONNECTIONS,
+    MAX_FRAME,
+    MAX_FRAMES,
+    Blocks,
     CellCount,
     CellCountOrNone,
     CellIndices,
@@ -41,6 +41,7 @@ from protocol.fields import (
     Frame,
     FrameNumber,
     Frames,
+    Name,
     Poses,
     Priority,
     Readings,
@@ -56,12 +57,11 @@ from protocol.fields import (
     Vertices,
     WayCells,
     WayPoints,
-    Word,
 )
 from protocol.grid import Grid
 
 MAX_EVENTS = 8
-"""Events that the relay sends a robot at once."""
+"""Maximum number of events in one `RelayUpdate`."""
 
 EVERYONE = -1
 """The receiver of a broadcast."""
@@ -86,8 +86,8 @@ class Sense(Record, tag=2, frozen=True):
     """World to robot, once per step: its position, the cells that it entered, its laser readings.
 
     `x`, `y`: cell. `heading`: eighths of a turn from +x towards +y. `driven`: cells entered since the last
-    step. `readings`: one a beam (`protocol.scans`). `blocked`: why the last move stopped short. `offset_x`,
-    `offset_y`: where in its cell it is, in thousandths of a cell from the centre.
+    step. `readings`: one per beam (`protocol.scans`). `blocked`: why the last move stopped short. `offset_x`,
+    `offset_y`: position within its cell, in thousandths of a cell from the center.
     """
 
     step: Step
@@ -108,9 +108,9 @@ class Sense(Record, tag=2, frozen=True):
 class Move(Record, tag=3, frozen=True):
     """Robot to world: the cells to drive next, in order; the heading to take if it stays; whether it is done.
 
-    `explored` says that no reachable frontier is left on its planning grid, and that it is where its mission
-    ends; `stalled`, that it sees no way on. `look`: whether its scanner works on the way. `points`, where
-    there are any, are way points to drive along instead of cells (`points_to_bytes`).
+    `explored`: its planning grid has no reachable frontier, and the robot is at the end of its mission. `stalled`: it
+    cannot make progress. `look`: whether it scans on the way. `points`: if not empty, way points to drive along
+    instead of cells (`points_to_bytes`).
     """
 
     step: Step
@@ -129,7 +129,7 @@ class Move(Record, tag=3, frozen=True):
 
 
 class Positions(Record, tag=4, frozen=True):
-    """World to relay, once per step: the true cells of the robots, and radios that cannot send or receive."""
+    """World to relay, once per step: true cells of robots, and robots whose radios cannot send or receive."""
 
     step: Step
     robots: RobotNumbers
@@ -140,7 +140,7 @@ class Positions(Record, tag=4, frozen=True):
 
     def __post_init__(self) -> None:
         if not len(self.robots) == len(self.x) == len(self.y):
-            raise ValueError("robots, x and y are not as many")
+            raise ValueError("robots, x and y have different lengths")
 
 
 class Part(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
@@ -159,7 +159,7 @@ class OutgoingFrame(Part, frozen=True):
 
 
 class Delivery(Part, frozen=True):
-    """In an event of the relay: a frame that arrived. `connection` and `map_id`: -1 for none."""
+    """In a relay event: a received frame. `connection` and `map_id`: -1 for none."""
 
     sender: RobotNumber
     payload: Frame
@@ -177,24 +177,24 @@ class ConnectionReport(Part, frozen=True):
 
 
 class SendReport(Part, frozen=True):
-    """In a `RoundReport`: how many bytes were on the air of frame number `frame` of a `RobotFrames`."""
+    """In a `RoundReport`: the bytes on the air of frame number `frame` of a `RobotFrames`."""
 
     frame: FrameNumber
     sent: Count
 
 
 class OfferReply(Part, frozen=True):
-    """In `Replies`: how a robot answers the first `offer` with these bytes."""
+    """In `Replies`: the answer of a robot to the first offer with the bytes `offer`."""
 
     offer: Frame
     answer: Frame
 
 
 class AnswerReply(Part, frozen=True):
-    """In `Replies`: how a robot replies to the answer to one of its offers.
+    """In `Replies`: the reply of a robot to the answer to one of its offers.
 
-    After the answer `up_to_date` it sends nothing. After the answer `behind` it sends the frame number `load` of
-    `Replies.loads`, as far as there is room; the relay has to ask it if `load` is -1.
+    After the answer `up_to_date` it sends nothing. After the answer `behind` it sends frame `load` of `Replies.loads`,
+    cut at the budget; the relay has to ask it if `load` is -1.
     """
 
     up_to_date: Frame
@@ -202,12 +202,12 @@ class AnswerReply(Part, frozen=True):
     load: Connection
 
 
-OutgoingFrames = Annotated[list[OutgoingFrame], msgspec.Meta(max_length=MOST_CONNECTIONS)]
-Deliveries = Annotated[list[Delivery], msgspec.Meta(max_length=MOST_CONNECTIONS)]
-ConnectionReports = Annotated[list[ConnectionReport], msgspec.Meta(max_length=MOST_CONNECTIONS)]
-SendReports = Annotated[list[SendReport], msgspec.Meta(max_length=MOST_CONNECTIONS)]
-OfferReplies = Annotated[list[OfferReply], msgspec.Meta(max_length=MOST_CONNECTIONS)]
-AnswerReplies = Annotated[list[AnswerReply], msgspec.Meta(max_length=MOST_CONNECTIONS)]
+OutgoingFrames = Annotated[list[OutgoingFrame], msgspec.Meta(max_length=MAX_CONNECTIONS)]
+Deliveries = Annotated[list[Delivery], msgspec.Meta(max_length=MAX_CONNECTIONS)]
+ConnectionReports = Annotated[list[ConnectionReport], msgspec.Meta(max_length=MAX_CONNECTIONS)]
+SendReports = Annotated[list[SendReport], msgspec.Meta(max_length=MAX_CONNECTIONS)]
+OfferReplies = Annotated[list[OfferReply], msgspec.Meta(max_length=MAX_CONNECTIONS)]
+AnswerReplies = Annotated[list[AnswerReply], msgspec.Meta(max_length=MAX_CONNECTIONS)]
 
 
 class Replies(Part, frozen=True):
@@ -241,7 +241,7 @@ class RobotFrames(Record, tag=7, frozen=True):
 
     step: Step
     round: Round
-    phase: Word
+    phase: Name
     broadcast: Frame = b""
     frames: OutgoingFrames = []
     priority: Priority = 0
@@ -249,7 +249,7 @@ class RobotFrames(Record, tag=7, frozen=True):
 
 
 class Open(Record, tag=5, frozen=True):
-    """Event: a round begins; the robots `peers` are in range, and `budget` is what may be sent in it.
+    """Event: a round begins; the robots `peers` are in range, and the robot may send `budget` bytes in it.
 
     The robot answers with the frames of the phase ``offers``, and in round 0 with its pose and target.
     """
@@ -276,7 +276,7 @@ class PhaseDelivery(Record, tag=6, frozen=True):
 
     step: Step
     round: Round
-    phase: Word
+    phase: Name
     deliveries: Deliveries
     answered_by_relay: bool = False
 
@@ -303,7 +303,7 @@ class Close(Record, tag=9, frozen=True):
 
 
 MediumEvent = Open | Broadcasts | PhaseDelivery | RoundReport | Close
-"""What happens on the medium, as a robot sees it."""
+"""An event of the medium that concerns a robot."""
 
 
 class RelayUpdate(Record, tag=25, frozen=True):
@@ -341,7 +341,7 @@ class FaultEvent(Record, tag=22, frozen=True, order=True):
 
     step: Step
     robot: RobotNumber
-    kind: Word
+    kind: Name
     steps: Step = 0
 
 
@@ -380,10 +380,10 @@ class Watched(Record, tag=19, frozen=True):
 
 
 class WorldReport(Record, tag=14, frozen=True):
-    """World to recorder, once per step: the truth.
+    """World to recorder, once per step: ground truth.
 
-    `poses`: int32 rows (robot, x in mm, y in mm, heading in tenths of a degree). `seen`: free cells that the
-    team's lasers have truly seen; `reachable`: all that can be reached. `driven`: mm that each robot drove.
+    `poses`: int32 rows (robot, x in mm, y in mm, heading in tenths of a degree). `seen`: free cells that the team's
+    lasers have observed. `reachable`: free cells that robots can reach. `driven`: mm that each robot drove.
     """
 
     step: Step
@@ -400,9 +400,8 @@ class WorldReport(Record, tag=14, frozen=True):
 class RobotStatus(Record, tag=15, frozen=True):
     """Robot to recorder, once per step: its target, its map, and its computing time (not a result).
 
-    `error`: cells in which its map and what it has told of it differ (Eq. 6.1); `exact_error`: what that would be if
-    it had told all exactly, -1 if that is not measured. `backlog`: units of its own map's log that have not reached a
-    teammate yet, all teammates counted.
+    `error`: cells in which its map differs from the map that its log describes (Eq. 6.1). `exact_error`: the same for a
+    lossless log, -1 if not measured. `backlog`: own log entries not delivered yet, summed over all teammates.
     """
 
     step: Step
@@ -423,9 +422,9 @@ class RadioReport(Record, tag=16, frozen=True):
     """
 
     step: Step
-    rows: Books
+    rows: Blocks
     carried: Count
-    frames: Books
+    frames: Blocks
 
 
 class Maps(Record, tag=17, frozen=True):
@@ -482,20 +481,20 @@ class Outlines(Record, tag=21, frozen=True):
             raise ValueError(f"{len(self.vertices)} bytes of vertices are not rows of four int16")
 
 
-class Fault(Record, tag=18, frozen=True):
-    """Relay, world or robot to recorder: participant `who` caused a protocol error; the run continues."""
+class ErrorReport(Record, tag=18, frozen=True):
+    """Relay, world or robot to recorder: `participant` caused a protocol error; the run continues."""
 
-    who: Word
-    what: Text
+    participant: Name
+    reason: Text
 
 
 _TYPES: tuple[type[Record], ...] = (
     Begin, Configure, Sense, Move, Positions, Open, PhaseDelivery, RobotFrames, RoundReport, Close, Lost, End, Stop,
-    Shutdown, WorldReport, RobotStatus, RadioReport, Maps, Fault, Watched, Snapshot, Outlines, FaultEvent, Back, Change,
-    RelayUpdate, MapChanges, Broadcasts,
+    Shutdown, WorldReport, RobotStatus, RadioReport, Maps, ErrorReport, Watched, Snapshot, Outlines, FaultEvent, Back,
+    Change, RelayUpdate, MapChanges, Broadcasts,
 )  # fmt: skip
 _HEAD = {kind: 0x90 | len(kind.__struct_fields__) + 1 for kind in _TYPES}
-"""The first byte of each message: a list of so many items."""
+"""First byte of each message: the msgpack head of a list with this number of items."""
 
 _write = msgspec.msgpack.Encoder().encode
 
@@ -505,43 +504,41 @@ def pack(message: Record) -> bytes:
     return _write(message)
 
 
-def unpacker(kinds: tuple[type[Record], ...], whose: str = "nobody") -> Callable[[bytes], Any]:
-    """Make what reads messages of these kinds, all that `whose` may send, and rejects others with ProtocolError.
+def unpacker(kinds: tuple[type[Record], ...], sender: str) -> Callable[[bytes], Any]:
+    """Return a decoder of the messages that `sender` may send; it rejects all others with ProtocolError.
 
-    It does not read bytes that are longer than any of them can be.
+    It rejects a payload that is longer than the longest of these messages before it decodes it.
     """
     if not kinds:
-        return partial(_refuse_all, whose)
+        return partial(_refuse_all, sender)
     read: Callable[[bytes], Any] = msgspec.msgpack.Decoder(Union[kinds]).decode  # noqa: UP007  a union of a tuple
-    most = max(map(most_bytes, kinds))
+    most = max(map(max_bytes, kinds))
 
     def unpack_one(payload: bytes) -> Any:
         if len(payload) > most:
-            raise ProtocolError(
-                "message", 0, f"{len(payload)} bytes, of which {whose} may say {most} at most"
-            )
+            raise ProtocolError("message", 0, f"{len(payload)} bytes; {sender} may send at most {most}")
         try:
             message = read(payload)
         except (msgspec.DecodeError, RecursionError, UnicodeDecodeError):
-            return _read_field_by_field(payload, kinds, whose)
-        # Fields that have a default must be there as well.
+            return _read_field_by_field(payload, kinds, sender)
+        # Fields with a default must be present as well.
         if payload[0] != _HEAD[type(message)]:
-            return _read_field_by_field(payload, kinds, whose)
+            return _read_field_by_field(payload, kinds, sender)
         return message
 
     return unpack_one
 
 
-def most_bytes(kind: type[Record]) -> int:
-    """Bytes of the longest message of a kind: what its fields may be, each with the longest head of msgpack."""
-    return _most_bytes(inspect.type_info(kind))
+def max_bytes(kind: type[Record]) -> int:
+    """Bytes of the longest message of a kind: its fields at their maximum, each with the longest head of msgpack."""
+    return _max_bytes(inspect.type_info(kind))
 
 
 HEAD_BYTES = 9
-"""Of a number, or of the length of anything in msgpack, at most."""
+"""Maximum size of a number, or of a length field, in msgpack."""
 
 
-def _most_bytes(kind: inspect.Type) -> int:
+def _max_bytes(kind: inspect.Type) -> int:
     match kind:
         case inspect.BytesType(max_length=int(most)):
             return HEAD_BYTES + most
@@ -549,19 +546,19 @@ def _most_bytes(kind: inspect.Type) -> int:
             return HEAD_BYTES + 4 * most
         case inspect.ListType(item_type=item, max_length=int(most)):
             frames = _frames_in(item)
-            item_bytes = _most_bytes(item) - frames * MOST_FRAME
-            return HEAD_BYTES + most * item_bytes + (MOST_FRAMES if frames else 0)
+            item_bytes = _max_bytes(item) - frames * MAX_FRAME
+            return HEAD_BYTES + most * item_bytes + (MAX_FRAMES if frames else 0)
         case inspect.UnionType(types=kinds):
-            return max(map(_most_bytes, kinds))
+            return max(map(_max_bytes, kinds))
         case inspect.StructType(fields=parts):
-            return HEAD_BYTES + sum(_most_bytes(part.type) for part in parts)
+            return HEAD_BYTES + sum(_max_bytes(part.type) for part in parts)
         case inspect.IntType() | inspect.BoolType() | inspect.NoneType():
             return HEAD_BYTES
-    raise TypeError(f"{kind} has no longest value")
+    raise TypeError(f"{kind} has no maximum size")
 
 
 def _frames_in(kind: inspect.Type) -> int:
-    """How many frames an item of a list holds; all frames of a list have `MOST_FRAMES` bytes at most."""
+    """Count the frames in an item of a list; all frames of a list have at most `MAX_FRAMES` bytes."""
     match kind:
         case inspect.BytesType():
             return 1
@@ -570,16 +567,16 @@ def _frames_in(kind: inspect.Type) -> int:
     return 0
 
 
-unpack = unpacker(_TYPES, "a message")
-"""Read a message of any kind, whoever said it; ProtocolError if it is none."""
+unpack = unpacker(_TYPES, "a participant")
+"""Decode a message of any kind, from any sender; ProtocolError if it is malformed."""
 
 
-def _refuse_all(whose: str, _: bytes) -> Any:
-    raise ProtocolError("message", 0, f"nothing is for {whose} to say here")
+def _refuse_all(sender: str, _: bytes) -> Any:
+    raise ProtocolError("message", 0, f"{sender} may send no message here")
 
 
-def _read_field_by_field(payload: bytes, kinds: tuple[type[Record], ...], whose: str) -> Any:
-    """Read a message slowly, and say what is wrong with it."""
+def _read_field_by_field(payload: bytes, kinds: tuple[type[Record], ...], sender: str) -> Any:
+    """Decode a message field by field, so that the ProtocolError names the malformed field."""
     try:
         items = msgspec.msgpack.decode(payload)
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
@@ -593,7 +590,7 @@ def _read_field_by_field(payload: bytes, kinds: tuple[type[Record], ...], whose:
         raise ProtocolError("message", 0, "not a list that begins with the number of a message")
     kind = _TYPES[items[0]]
     if kind not in kinds:
-        raise ProtocolError(kind.__name__, 0, f"not for {whose} to say")
+        raise ProtocolError(kind.__name__, 0, f"{sender} may not send it here")
     wanted = get_type_hints(kind, include_extras=True)
     if len(items) != len(wanted) + 1:
         raise ProtocolError(kind.__name__, 0, f"{len(items) - 1} fields instead of {len(wanted)}")
@@ -601,8 +598,8 @@ def _read_field_by_field(payload: bytes, kinds: tuple[type[Record], ...], whose:
         try:
             msgspec.msgpack.decode(msgspec.msgpack.encode(value), type=annotation)
         except (msgspec.MsgspecError, RecursionError):
-            said = f"{name} must be {_shown(annotation)}, not {_brief(value)}"
-            raise ProtocolError(kind.__name__, 0, said) from None
+            reason = f"{name} must be {_shown(annotation)}, not {_brief(value)}"
+            raise ProtocolError(kind.__name__, 0, reason) from None
     try:
         return kind(*items[1:])
     except ValueError as error:
@@ -610,23 +607,23 @@ def _read_field_by_field(payload: bytes, kinds: tuple[type[Record], ...], whose:
 
 
 def _brief(value: Any) -> str:
-    """The beginning of what stands in a field."""
+    """Abbreviate the value of a field for an error text."""
     if isinstance(value, list | dict):
         return f"a {type(value).__name__} of {len(value)}"
     return repr(value[:40] if isinstance(value, str | bytes) else value)[:40]
 
 
 def _shown(annotation: Any) -> str:
-    """A field's type in words."""
+    """Describe the type of a field for an error text."""
     if get_origin(annotation) in (Union, UnionType):
         return " or ".join(map(_shown, get_args(annotation)))
     if get_origin(annotation) is not Annotated:
         return getattr(annotation, "__name__", str(annotation))
     kind, limits = get_args(annotation)
     if get_origin(kind) is list:
-        return f"list of {_shown(get_args(kind)[0])}, {limits.max_length} at most"
+        return f"list of {_shown(get_args(kind)[0])}, at most {limits.max_length}"
     if limits.max_length is not None:
-        return f"{kind.__name__} of length {limits.max_length} at most"
+        return f"{kind.__name__} of length at most {limits.max_length}"
     most = limits.le if limits.le is not None else limits.lt - 1
     return f"{kind.__name__} from {limits.ge} to {most}"
 
@@ -637,21 +634,21 @@ def cells_to_bytes(cells: NDArray[np.int32]) -> bytes:
 
 
 def cells_from_bytes(data: bytes) -> NDArray[np.int32]:
-    """Read what `cells_to_bytes` wrote; ProtocolError if it cannot be pairs."""
+    """Read the output of `cells_to_bytes`; ProtocolError if the length does not fit."""
     if len(data) % 4:
         raise ProtocolError("cells", 0, f"{len(data)} bytes are not pairs of int16")
     return np.frombuffer(data, "<i2").astype(np.int32).reshape(-1, 2)
 
 
 def grid_to_bytes(grid: Grid) -> bytes:
-    """Write a grid, two bits a cell, the first in the highest; each row filled up to a whole byte."""
+    """Write a grid, two bits per cell, the first cell in the highest bits; each row is padded to a whole byte."""
     padded = np.zeros((grid.shape[0], -(-grid.shape[1] // 4) * 4), np.uint8)
     padded[:, : grid.shape[1]] = grid
     return (padded[:, ::4] << 6 | padded[:, 1::4] << 4 | padded[:, 2::4] << 2 | padded[:, 3::4]).tobytes()
 
 
 def grid_from_bytes(data: bytes, width: int, height: int) -> Grid:
-    """Read what `grid_to_bytes` wrote; ProtocolError if it is not a grid of that size."""
+    """Read the output of `grid_to_bytes`; ProtocolError if the length does not fit that size."""
     row = -(-width // 4)
     if width < 1 or height < 1 or len(data) != row * height:
         raise ProtocolError("grid", 0, f"{len(data)} bytes are not {width} x {height} cells")
@@ -666,7 +663,7 @@ def points_to_bytes(points: NDArray[np.int32]) -> bytes:
 
 
 def points_from_bytes(data: bytes) -> NDArray[np.int32]:
-    """Read what `points_to_bytes` wrote; ProtocolError if it cannot be pairs."""
+    """Read the output of `points_to_bytes`; ProtocolError if the length does not fit."""
     if len(data) % 8:
         raise ProtocolError("points", 0, f"{len(data)} bytes are not pairs of int32")
     return np.frombuffer(data, "<i4").astype(np.int32).reshape(-1, 2)

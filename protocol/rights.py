@@ -1,7 +1,7 @@
-"""Who may say what to whom: one table for relay, world, laboratory, viewer and robots, and for access control.
+"""Rights table: the messages that each participant may send to each other participant.
 
-Nothing that is said is believed without it: each participant reads its messages with `read`, which refuses what is not
-its sender's to say, before anything of it is unpacked that would be longer than what it may say.
+Every receiver decodes its messages with `read`. It rejects messages that the sender may not send, and payloads longer
+than any message that the sender may send. The hub's access control (`netshaper.access`) uses the same table.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from protocol.messages import (
     Close,
     Configure,
     End,
-    Fault,
+    ErrorReport,
     FaultEvent,
     Lost,
     MapChanges,
@@ -42,44 +42,44 @@ from protocol.messages import (
 )
 
 ROBOT = "robot"
-"""Stands in the table for each robot."""
+"""Role of every robot in the table."""
 
 RIGHTS: dict[tuple[str, str], tuple[type[Record], ...]] = {
     (RELAY, WORLD): (Begin, Close, Lost, Back, Stop, FaultEvent, Shutdown, Watched),
     (RELAY, ROBOT): (Configure, RelayUpdate, End, Shutdown, Watched),
-    (RELAY, RECORDER): (Lost, Back, End, Shutdown, RadioReport, Fault, Change),
-    (RELAY, VIEW): (Lost, Back, End, Shutdown, RadioReport, Fault, Change),
+    (RELAY, RECORDER): (Lost, Back, End, Shutdown, RadioReport, ErrorReport, Change),
+    (RELAY, VIEW): (Lost, Back, End, Shutdown, RadioReport, ErrorReport, Change),
     (WORLD, RELAY): (Positions, Lost, End),
     (WORLD, ROBOT): (Sense, End, FaultEvent),
-    (WORLD, RECORDER): (WorldReport, FaultEvent, Fault),
-    (WORLD, VIEW): (WorldReport, FaultEvent, Fault),
+    (WORLD, RECORDER): (WorldReport, FaultEvent, ErrorReport),
+    (WORLD, VIEW): (WorldReport, FaultEvent, ErrorReport),
     (RECORDER, RELAY): (Configure, Lost, Stop, FaultEvent, Change, Shutdown),
     (ROBOT, RELAY): (RobotFrames,),
     (ROBOT, WORLD): (Move,),
-    (ROBOT, RECORDER): (RobotStatus, MapChanges, Outlines, Maps, Fault),
-    (ROBOT, VIEW): (RobotStatus, Fault, Snapshot, Outlines),
+    (ROBOT, RECORDER): (RobotStatus, MapChanges, Outlines, Maps, ErrorReport),
+    (ROBOT, VIEW): (RobotStatus, ErrorReport, Snapshot, Outlines),
 }
-"""What who says (first) may say to whom (second); a viewer says nothing."""
+"""Messages allowed from a sender (first key) to a receiver (second key); a viewer sends none."""
 
 RADIO = (RobotFrames, RelayUpdate)
-"""What goes on the radio plane: the packets of robots, and what the relay makes of them."""
+"""Messages of the radio plane: the frames of robots, and the relay's events."""
 
 BODY = {(WORLD, ROBOT), (ROBOT, WORLD)}
-"""Who speaks to whom on the body plane; all others do on the control plane."""
+"""Sender and receiver of messages on the body plane; other pairs use the control plane."""
 
 
 MAX_PROTOCOL_ERRORS = 1000
-"""Who says more in a step that makes no sense is given up."""
-TOO_MANY_ERRORS = f"said more than {MAX_PROTOCOL_ERRORS} things in a step that make no sense"
+"""A robot that causes more protocol errors in a step counts as lost."""
+TOO_MANY_ERRORS = f"sent more than {MAX_PROTOCOL_ERRORS} malformed messages in a step"
 
 
 def read(key: str, payload: bytes) -> Any:
-    """Read a message that came under a key.
+    """Decode a message that was received under a key.
 
     Raises
     ------
     ProtocolError
-        It is no message, too long for one, a field is wrong, or it is not for its sender to say to its receiver.
+        The message is malformed or too long, or its sender may not send it to its receiver.
     """
     return _reader(key)(payload)
 
@@ -94,11 +94,11 @@ def _reader(key: str) -> Callable[[bytes], Any]:
 @lru_cache(maxsize=1 << 10)
 def _reader_of(plane: str, ends: tuple[str, str], sender: str) -> Callable[[bytes], Any]:
     kinds = tuple(kind for kind in RIGHTS.get(ends, ()) if plane == plane_of(kind, ends))
-    return unpacker(kinds, sender or "nobody")
+    return unpacker(kinds, sender or "an unnamed sender")
 
 
 def plane_of(kind: type[Record], ends: tuple[str, str]) -> str:
-    """The plane on which a message goes from the first to the second of two roles."""
+    """Return the plane of a message between `ends`: the roles of its sender and receiver."""
     if kind in RADIO:
         return "radio"
     return "body" if ends in BODY else "control"
@@ -109,14 +109,14 @@ def _role(name: str) -> str:
 
 
 def may_put(keys: Keys, name: str) -> list[str]:
-    """The keys that a participant may put messages and frames under; `*` stands for any name."""
+    """Return the keys under which a participant may put messages and frames; `*` stands for any name."""
     role = _role(name)
     radio = [keys.radio_tx(name)] if role == ROBOT else []
     return radio + [_key(keys, name, role, receiver) for sender, receiver in RIGHTS if sender == role]
 
 
-def hearers(name: str, everyone: list[str]) -> list[str]:
-    """Of all participants, those to whom one may say anything."""
+def receivers(name: str, everyone: list[str]) -> list[str]:
+    """Return the participants to which participant `name` may send any message."""
     role = _role(name)
     return [other for other in [RELAY, *everyone] if other != name and (role, _role(other)) in RIGHTS]
 

@@ -87,13 +87,13 @@ class Credential:
         certificate = data.get("certificate") if isinstance(data, dict) else None
         wanted = ["run", "name", "hub", *(["password"] if certificate is None else [])]
         if not isinstance(data, dict) or any(not isinstance(data.get(key), str) for key in wanted):
-            raise ValueError(f"{where}: needs the texts {', '.join(wanted)}")
+            raise ValueError(f"{where}: needs the strings {', '.join(wanted)}")
         parts = [field.name for field in fields(Certificate)]
         if certificate is not None and (
             not isinstance(certificate, dict)
             or any(not isinstance(certificate.get(key), str) for key in parts)
         ):
-            raise ValueError(f"{where}: its certificate needs the texts {', '.join(parts)}")
+            raise ValueError(f"{where}: its certificate needs the strings {', '.join(parts)}")
         Keys(data["run"])
         port = re.fullmatch(r"(?:tcp|tls)/\S+:([0-9]{1,5})", data["hub"])
         if port is None or not 0 < int(port[1]) < 1 << 16:

@@ -11,7 +11,7 @@ from protocol import keys as names
 from protocol import messages, rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
-from protocol.fields import MOST_WORD, clip
+from protocol.fields import MAX_NAME, clip
 from protocol.keys import Keys
 from protocol.messages import (
     Back,
@@ -198,10 +198,10 @@ class WorldNode:
         """Schedule a fault that was requested during the run; one without a step occurs in the next."""
         known = event.kind in KINDS and event.robot < len(self._body_keys)
         if not known:
-            self._report(messages.Fault(names.RECORDER, f"not a fault of a robot of this run: {event}"))
+            self._report(messages.ErrorReport(names.RECORDER, f"not a fault of a robot of this run: {event}"))
         elif event.kind == "restart" and not self._restarts.may_restart(event.robot):
             reason = f"robot {event.robot} cannot be restarted again"
-            self._report(messages.Fault(names.RECORDER, reason))
+            self._report(messages.ErrorReport(names.RECORDER, reason))
         else:
             step = max(event.step, self._world.step + 1)
             self._world.faults.add(FaultEvent(step, event.robot, event.kind, event.steps))
@@ -264,7 +264,7 @@ class WorldNode:
         """Report a malformed or inconsistent message; give up on a robot that sends too many in one step."""
         self._protocol_errors[sender] += 1
         if self._protocol_errors[sender] <= MAX_PROTOCOL_ERRORS:
-            self._report(messages.Fault(sender[:MOST_WORD], clip(reason)))
+            self._report(messages.ErrorReport(sender[:MAX_NAME], clip(reason)))
         elif self._protocol_errors[sender] == MAX_PROTOCOL_ERRORS + 1 and names.is_robot(sender):
             self.give_up_on(names.number(sender), TOO_MANY_ERRORS)
 

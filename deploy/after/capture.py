@@ -50,7 +50,7 @@ class Filter:
         """Whether a frame with packets of these kinds matches."""
         seen = frame.seen
         return (
-            (self.robot is None or self.robot in (seen.sender, seen.receiver, *capture.hearers(seen)))
+            (self.robot is None or self.robot in (seen.sender, seen.receiver, *capture.received_by(seen)))
             and (self.kind is None or self.kind in kinds)
             and (self.steps is None or self.steps[0] <= frame.step <= self.steps[1])
             and (not self.refused or seen.verdict != CARRIED)
@@ -206,7 +206,7 @@ def _row(frame: Captured) -> str:
         FRAMES[seen.frame],
         frame.size,
         ", ".join(contents),
-        frame.words,
+        frame.comment,
     )
 
 
@@ -240,8 +240,8 @@ def _to_json(frame: Captured) -> dict[str, Any]:
         "frame": FRAMES[seen.frame],
         "part": frame.part,
         "verdict": frame.verdict,
-        "words": frame.words,
-        "hearers": capture.hearers(seen),
+        "words": frame.comment,
+        "hearers": capture.received_by(seen),
         "bytes": frame.size,
         "kept": len(seen.payload),
         "packets": decoded,

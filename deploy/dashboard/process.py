@@ -20,7 +20,7 @@ from protocol import rights
 from protocol.bus import BusClosed, Message
 from protocol.errors import ProtocolError
 from protocol.fields import clip
-from protocol.messages import Fault, Shutdown
+from protocol.messages import ErrorReport, Shutdown
 from protocol.zenoh_bus import Credential, join
 
 RECORDING = "run.rrd"
@@ -70,7 +70,7 @@ class ViewNode:
         try:
             self._show(sender, rights.read(*message))
         except ProtocolError as error:
-            self._show(sender, Fault(sender, clip(str(error))))
+            self._show(sender, ErrorReport(sender, clip(str(error))))
 
     def _show(self, sender: str, report: object) -> None:
         if isinstance(report, Shutdown):

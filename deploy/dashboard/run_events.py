@@ -15,7 +15,7 @@ from deploy.scenario.plan import Plan
 from netshaper.ledger import CAUSES, EVERYONE, KIND_NUMBER, ROW
 from protocol import keys as names
 from protocol.budget import UNLIMITED, Budget
-from protocol.messages import Change, End, Fault, Lost, RadioReport, RobotStatus, WorldReport
+from protocol.messages import Change, End, ErrorReport, Lost, RadioReport, RobotStatus, WorldReport
 from worldsim.maps import to_world
 
 BUDGET = CAUSES.index("budget")
@@ -100,8 +100,8 @@ class RunEvents:
             return [Event(self.step, f"robot {report.robot} is lost: {report.cause}", 2)]
         if isinstance(report, Change):
             return self._change(report)
-        if isinstance(report, Fault):
-            return [Event(self.step, f"{report.who} sent a malformed message: {report.what}", 2)]
+        if isinstance(report, ErrorReport):
+            return [Event(self.step, f"{report.participant} sent a malformed message: {report.reason}", 2)]
         if isinstance(report, End):
             return [Event(self.step, self._ending(report), 1)]
         return []

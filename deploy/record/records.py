@@ -25,7 +25,7 @@ from protocol.messages import (
     Change,
     Configure,
     End,
-    Fault,
+    ErrorReport,
     FaultEvent,
     Lost,
     MapChanges,
@@ -228,9 +228,11 @@ class RecorderNode:
                 self._record_fault_event(message)
             case Change():
                 records.changes.append(message)
-            case Fault():
+            case ErrorReport():
                 reported_by_core = sender in (names.RELAY, names.WORLD)
-                records.note_protocol_error(message.who if reported_by_core else sender, message.what)
+                records.note_protocol_error(
+                    message.participant if reported_by_core else sender, message.reason
+                )
             case End():
                 records.end = message
             case Maps():

@@ -22,7 +22,7 @@ def effective_radio(plan: Plan) -> str:
 def _parts(plan: Plan) -> Iterator[str]:
     scenario, options = plan.scenario, plan.scenario.radio
     if options.preset:
-        yield f"{options.preset}, {PRESETS[options.preset].words}"
+        yield f"{options.preset}, {PRESETS[options.preset].description}"
     sharing = "each neighborhood" if options.reuse else "the team"
     rate = (
         scenario.bandwidth
@@ -33,7 +33,7 @@ def _parts(plan: Plan) -> Iterator[str]:
     yield f"range {plan.range_m:.4g} m, {options.model}"
     if options.model == "log-distance":
         yield (
-            f"{10 * options.exponent:g} dB per decade, {options.db_per_metre:g} dB per meter, "
+            f"{10 * options.exponent:g} dB per decade, {options.db_per_meter:g} dB per meter, "
             f"{options.db_per_wall:g} dB per wall, shadowing {options.shadowing_db:g} dB"
         )
     if options.burst_every:

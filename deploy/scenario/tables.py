@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from netshaper.radio_options import LEAST_FRAME
+from netshaper.radio_options import MIN_FRAME
 from protocol.budget import WORD_FOR_UNLIMITED
 from protocol.messages import FaultEvent
 
@@ -20,7 +20,7 @@ Whole = Annotated[int, Field(strict=True)]
 Meters = Annotated[float, Field(strict=True, ge=-MAX_METERS, le=MAX_METERS)]
 Positive = Annotated[float, Field(strict=True, gt=0, le=MAX_METERS)]
 NotNegative = Annotated[float, Field(strict=True, ge=0, le=MAX_METERS)]
-LimitOrNone = Annotated[int | None, Field(strict=True, ge=LEAST_FRAME, le=MAX_INTEGER)]
+LimitOrNone = Annotated[int | None, Field(strict=True, ge=MIN_FRAME, le=MAX_INTEGER)]
 Degrees = Annotated[float, Field(strict=True, le=360)]
 
 

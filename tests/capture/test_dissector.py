@@ -24,7 +24,7 @@ from protocol.errors import ProtocolError
 from protocol.packets import ALL_KINDS, Fragment, Packet, Update
 from tests.capture import tshark as tsharks
 from tests.capture.tshark import Tshark
-from tests.netshaper import plain_books
+from tests.netshaper import plain_ledger
 
 GOLDEN = Path(__file__).parents[1] / "protocol" / "golden" / "packets.txt"
 VALUES = ("index", "x", "y", "side", "occupied", "object", "count", "inside", "block", "leads", "data",
@@ -192,10 +192,10 @@ def test_the_dissector_accepts_exactly_the_packets_that_the_decoder_reads(
 def test_a_malformed_header_causes_no_lua_error(tshark: Tshark, tmp_path: Path) -> None:
     chance = random.Random(3)
     head = HEAD.pack(capture.VERSION, 2, 0, 0, 0, 1, 0, 0, 1, 0, 2)
-    blocks = [plain_books.packet(n, head[:n], n, "") for n in range(1, HEAD.size)]
-    blocks += [plain_books.packet(n, chance.randbytes(n), n, "") for n in range(24, 60)]
-    blocks += [plain_books.packet(n, b"\x01" + chance.randbytes(n), n + 1, "") for n in range(23, 400)]
-    blocks += [plain_books.packet(n, head + b"\x40" * 9, 24 + 9 + n, "") for n in range(9)]
+    blocks = [plain_ledger.packet(n, head[:n], n, "") for n in range(1, HEAD.size)]
+    blocks += [plain_ledger.packet(n, chance.randbytes(n), n, "") for n in range(24, 60)]
+    blocks += [plain_ledger.packet(n, b"\x01" + chance.randbytes(n), n + 1, "") for n in range(23, 400)]
+    blocks += [plain_ledger.packet(n, head + b"\x40" * 9, 24 + 9 + n, "") for n in range(9)]
     file = tmp_path / "heads.pcapng"
     file.write_bytes(capture.head("a test") + b"".join(blocks))
     assert len(tshark.fields(file, ["murmur.broken"])) == len(blocks)

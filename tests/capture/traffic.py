@@ -169,7 +169,7 @@ def _identity(captured: list[Captured]) -> Any:
 
 def _together(parts: list[Captured]) -> CapturedFrame:
     first = parts[0]
-    received = {robot for part in parts for robot in capture.hearers(part.seen)}
+    received = {robot for part in parts for robot in capture.received_by(part.seen)}
     return CapturedFrame(
         first.step,
         first.seen.round,

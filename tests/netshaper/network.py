@@ -1,4 +1,4 @@
-"""A network of robots around the real radio: it plays whole steps in one thread and logs what happened in each.
+"""A network of robots around the real radio: it plays whole steps in one thread and logs their events.
 
 A robot is anything that takes an event of the medium and returns the messages that it sends then. The order in which
 the relay reads messages of different robots is drawn from `interleaving`.
@@ -42,7 +42,7 @@ class Delivered(NamedTuple):
 
 @dataclass
 class Step:
-    """What happened in one step."""
+    """The events, frames and account of one step."""
 
     rows: NDArray[np.void] = field(default_factory=lambda: np.empty(0, ROW))
     carried: int = -1
@@ -112,7 +112,7 @@ class Network:
     def step(
         self, number: int, cells: Mapping[int, tuple[int, int]], deaths: Mapping[int, int] | None = None
     ) -> Step:
-        """Play one step; each of the robots in `deaths` dies after so many messages. Silent robots are given up."""
+        """Play one step; `deaths` has the number of messages after which a robot dies. Silent robots count as lost."""
         step = Step()
         self._take(step, self.radio.begin(number, cells))
         done = 0
@@ -129,7 +129,7 @@ class Network:
                 self._take(step, self.radio.submit(robot, message))
             elif step.carried < 0:
                 silent = self.radio.waiting_for()
-                assert silent, "the step does not end, though no robot is waited for"
+                assert silent, "the step does not end, although the relay waits for no robot"
                 for robot in silent:
                     self.kill(robot, step)
             else:

@@ -1,4 +1,4 @@
-"""Scenes for the radio: robots that keep to the protocol, lie, or say nothing, where they stand, and who dies when."""
+"""Scenes for the radio: correct, byzantine and silent robots, their positions, and their deaths."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from hypothesis import strategies as st
 from netshaper.settings import RadioSettings
 from protocol.budget import UNLIMITED, Budget
 from tests.netshaper.network import Network, Step
-from tests.netshaper.scripted_robots import Gossiper, Liar, Mute, Robot
+from tests.netshaper.scripted_robots import ByzantineRobot, Gossiper, Mute, Robot
 
 seeds = st.integers(0, 2**32 - 1)
 budgets = st.sampled_from((*map(Budget, (0, 1, 2, 3, 5, 7, 20, 64, 150, 1000)), UNLIMITED))
-kinds = st.lists(st.sampled_from((Robot, Robot, Robot, Liar, Mute)), min_size=1, max_size=6)
+kinds = st.lists(st.sampled_from((Robot, Robot, Robot, ByzantineRobot, Mute)), min_size=1, max_size=6)
 
 
 @st.composite
 def scenes(
     draw: st.DrawFn, robots: Any = kinds
 ) -> tuple[RadioSettings, dict[int, Robot], list[Any], list[Any]]:
-    """Settings, robots, their cells in each step, and who dies when."""
+    """Settings, robots, their cells in each step, and the deaths."""
     classes, seed = draw(robots), draw(seeds)
     count = len(classes)
     settings = RadioSettings(
@@ -40,8 +40,8 @@ def scenes(
 
 @st.composite
 def gossip(draw: st.DrawFn, honest: bool = False) -> Any:
-    """As `scenes`, of robots whose maps travel by gossip."""
-    classes = (Gossiper, Gossiper, Mute) if honest else (Gossiper, Gossiper, Liar, Mute)
+    """As `scenes`, with robots that gossip."""
+    classes = (Gossiper, Gossiper, Mute) if honest else (Gossiper, Gossiper, ByzantineRobot, Mute)
     teams = st.lists(st.sampled_from(classes), min_size=1, max_size=6)
     settings, *rest = draw(scenes(teams))
     return replace(settings, gossip=True), *rest

@@ -1,4 +1,4 @@
-"""Robots that follow a script: their frames depend on their seed and on the events that they get, on nothing else."""
+"""Robots that follow a script: their frames depend only on their seed and on the events that they receive."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from protocol.messages import (
 
 
 class Robot:
-    """A robot that keeps to the protocol, and offers, answers and sends as its seed has it."""
+    """A correct robot; its seed determines its offers, answers and data."""
 
     def __init__(self, number: int, robots: int, seed: int) -> None:
         self.number = number
@@ -44,7 +44,7 @@ class Robot:
         rng = self.draw(event.step, event.round, 0)
         frames = []
         broadcast = self.target(rng) if event.round == 0 and rng.random() < 0.6 else b""
-        # Drawn for all, so that a teammate more or less in range changes nothing for the others.
+        # Drawn for all robots, so that a teammate in or out of range does not change the others' draws.
         for peer in range(self.robots):
             maps = rng.permutation(self.robots)[: rng.integers(0, 3)].tolist()
             block = int(rng.integers(64))
@@ -113,15 +113,15 @@ class Gossiper(Robot):
         return [RobotFrames(event.step, event.round, "offers", broadcast, frames, priority)]
 
 
-class Liar(Robot):
-    """A robot that sends anything at any time, but ends its phases, at last, as it should."""
+class ByzantineRobot(Robot):
+    """A byzantine robot: it sends arbitrary frames at any time, but ends each phase correctly."""
 
     def noise(self, rng: np.random.Generator, step: int) -> list[RobotFrames]:
         return [
             RobotFrames(
                 step,
                 int(rng.integers(0, 3)),
-                ("offers", "answers", "data", "nonsense")[rng.integers(4)],
+                ("offers", "answers", "data", "unknown")[rng.integers(4)],
                 self.frame(rng) if rng.random() < 0.3 else b"",
                 self.frames(rng),
             )
@@ -171,7 +171,7 @@ class Liar(Robot):
 
 
 class Mute(Robot):
-    """A robot that is there and sends nothing at all."""
+    """A robot that has joined and sends nothing."""
 
     def opens(self, _event: Open) -> list[RobotFrames]:
         return []

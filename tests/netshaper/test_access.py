@@ -1,7 +1,7 @@
 """Access control, with a rogue that holds the valid credential of robot r1 and speaks plain Zenoh.
 
-Whatever it tries, nothing gets in or out but what r1 may say and hear. Each test shows as well that the same
-channel works for those who may use it. All is done twice: at the hub, and at a router through which robots join.
+The hub passes only messages that r1 may send or receive. Each test also shows that the channel works for authorized
+participants. All tests run twice: at the hub, and at a router through which robots join.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ FORBIDDEN = [
 
 
 class Guarded:
-    """A run of three robots of which the second one is a rogue; with a router they all join through that."""
+    """A run of three robots, the second of them a rogue; with a router, all of them join through it."""
 
     def __init__(self, stack: ExitStack, *, routed: bool) -> None:
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
@@ -77,11 +77,11 @@ class Guarded:
             self.ends[name] = join(self.credentials[name])
             stack.callback(self.ends[name].close)
         for _ in range(4):
-            self.hear(RELAY)
+            self.receive(RELAY)
         self._stack = stack
 
     def _hub_behind_router(self, stack: ExitStack) -> Bus:
-        """A hub that asks for certificates, and a router at this run's endpoint."""
+        """A hub that requires certificates, and a router at this run's endpoint."""
         hub, routers = f"tls/127.0.0.1:{free_port()}", {ROUTER: ["r0", "r1", "r2"]}
         made = certificates.make(3, ["127.0.0.1"], routers=routers)
         issued = certificates.credentials(KEYS.run, hub, made)
@@ -92,28 +92,28 @@ class Guarded:
         return relay
 
     def rogue(self, mode: str) -> zenoh.Session:
-        """Open a session with r1's credential; it is connected, for what it may say is heard."""
+        """Open a session with r1's credential; return once the relay receives its messages."""
         session = zenoh.open(rogue_config(mode, self.endpoint, "r1", self.credentials["r1"].password, 5000))
         self._stack.callback(close, session)
         deadline = time.monotonic() + SOON_S
         relay = self.ends[RELAY]
         while relay.receive(0) is None:
-            assert time.monotonic() < deadline, "the rogue cannot even say what it may"
+            assert time.monotonic() < deadline, "the rogue's permitted messages do not arrive"
             session.put(KEYS.radio_tx("r1"), b"knock", congestion_control=BLOCK)
             time.sleep(0.01)
         session.put(KEYS.radio_tx("r1"), b"I am in", congestion_control=BLOCK)
-        while self.hear(RELAY).payload != b"I am in":
+        while self.receive(RELAY).payload != b"I am in":
             pass
         return session
 
-    def hear(self, name: str) -> Message:
+    def receive(self, name: str) -> Message:
         message = self.ends[name].receive(SOON_S)
-        assert message is not None, f"{name} heard nothing"
+        assert message is not None, f"{name} received nothing"
         return message
 
     def legitimate_traffic(self) -> list[tuple[str, Message]]:
-        """Use every channel as it is meant; return what each receiver heard."""
-        heard = []
+        """Use every channel as intended; return the message of each receiver."""
+        received = []
         for sender, key, receiver in [
             (RELAY, KEYS.radio_rx("r0", "r2"), "r0"),
             (RELAY, KEYS.control("r0", RELAY), "r0"),
@@ -126,13 +126,13 @@ class Guarded:
             ("r0", KEYS.control(RECORDER, "r0"), RECORDER),
         ]:
             self.ends[sender].put(key, b"secret")
-            message = self.hear(receiver)
+            message = self.receive(receiver)
             assert message == Message(key, b"secret")
-            heard.append((receiver, message))
-        return heard
+            received.append((receiver, message))
+        return received
 
-    def nothing_else_is_heard(self) -> None:
-        """Nobody has anything in the inbox: all hear the next legitimate word first."""
+    def no_other_message_arrived(self) -> None:
+        """Check that all inboxes are empty: each end receives the next legitimate message first."""
         self.legitimate_traffic()
         for name, end in self.ends.items():
             assert end.receive(0) is None, name
@@ -182,11 +182,11 @@ def guarded(request: pytest.FixtureRequest) -> Iterator[Guarded]:
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_a_robot_may_use_its_own_channels_whatever_it_speaks_them_with(guarded: Guarded, mode: str) -> None:
+def test_a_robot_may_use_its_own_channels_with_any_client(guarded: Guarded, mode: str) -> None:
     rogue = guarded.rogue(mode)
     inbox = rogue.declare_subscriber(KEYS.inbox("r1"), zenoh.handlers.FifoChannel(100))
     token = rogue.liveliness().declare_token(KEYS.alive("r1"))
-    assert guarded.hear(RELAY) == Message(KEYS.presence("r1"), b"1")
+    assert guarded.receive(RELAY) == Message(KEYS.presence("r1"), b"1")
     for key, receiver in [
         (KEYS.radio_tx("r1"), RELAY),
         (KEYS.control_tx("r1"), RELAY),
@@ -194,15 +194,15 @@ def test_a_robot_may_use_its_own_channels_whatever_it_speaks_them_with(guarded: 
         (KEYS.control(RECORDER, "r1"), RECORDER),
     ]:
         rogue.put(key, b"mine", congestion_control=BLOCK)
-        assert guarded.hear(receiver) == Message(key, b"mine")
+        assert guarded.receive(receiver) == Message(key, b"mine")
     guarded.ends[RELAY].put(KEYS.control("r1", RELAY), b"yours")
     assert inbox.recv().payload.to_bytes() == b"yours"
     undeclare(token)
-    assert guarded.hear(RELAY) == Message(KEYS.presence("r1"), b"0")
+    assert guarded.receive(RELAY) == Message(KEYS.presence("r1"), b"0")
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_what_a_rogue_puts_in_the_name_of_others_or_into_their_ears_is_heard_by_nobody(
+def test_messages_that_a_rogue_puts_under_other_names_reach_no_participant(
     guarded: Guarded, mode: str
 ) -> None:
     rogue = guarded.rogue(mode)
@@ -210,24 +210,26 @@ def test_what_a_rogue_puts_in_the_name_of_others_or_into_their_ears_is_heard_by_
         rogue.put(key, b"forged", congestion_control=BLOCK)
         publisher = rogue.declare_publisher(key, congestion_control=BLOCK)
         publisher.put(b"forged")
-    # Behind all this on the same wire: once it is here, nothing of the above is on its way.
+    # On the same connection, after all messages above: once it arrives, none of them is on its way.
     rogue.put(KEYS.radio_tx("r1"), b"mine", congestion_control=BLOCK)
-    assert guarded.hear(RELAY) == Message(KEYS.radio_tx("r1"), b"mine")
-    guarded.nothing_else_is_heard()
+    assert guarded.receive(RELAY) == Message(KEYS.radio_tx("r1"), b"mine")
+    guarded.no_other_message_arrived()
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_what_a_rogue_deletes_is_noticed_by_nobody(guarded: Guarded, mode: str) -> None:
+def test_deletions_of_a_rogue_have_no_effect(guarded: Guarded, mode: str) -> None:
     rogue = guarded.rogue(mode)
     for key in [*FORBIDDEN, KEYS.radio_tx("r1"), KEYS.body(WORLD, "r1"), KEYS.control_tx("r1")]:
         rogue.delete(key, congestion_control=BLOCK)
     rogue.put(KEYS.control_tx("r1"), b"mine", congestion_control=BLOCK)
-    assert guarded.hear(RELAY) == Message(KEYS.control_tx("r1"), b"mine")
-    guarded.nothing_else_is_heard()
+    assert guarded.receive(RELAY) == Message(KEYS.control_tx("r1"), b"mine")
+    guarded.no_other_message_arrived()
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_a_rogue_that_listens_to_everything_hears_nothing_but_its_own(guarded: Guarded, mode: str) -> None:
+def test_a_rogue_that_subscribes_to_all_keys_receives_only_its_own_messages(
+    guarded: Guarded, mode: str
+) -> None:
     rogue = guarded.rogue(mode)
     ears = [
         rogue.declare_subscriber(key, zenoh.handlers.FifoChannel(1000))
@@ -241,7 +243,7 @@ def test_a_rogue_that_listens_to_everything_hears_nothing_but_its_own(guarded: G
     ]
     own = rogue.declare_subscriber(KEYS.inbox("r1"), zenoh.handlers.FifoChannel(1000))
     token = rogue.liveliness().declare_token(KEYS.alive("r1"))
-    assert guarded.hear(RELAY) == Message(KEYS.presence("r1"), b"1")
+    assert guarded.receive(RELAY) == Message(KEYS.presence("r1"), b"1")
     guarded.legitimate_traffic()
     guarded.ends[RELAY].put(KEYS.control("r1", RELAY), b"yours")
     guarded.ends[WORLD].put(KEYS.body("r1", WORLD), b"yours")
@@ -269,28 +271,28 @@ def test_a_rogue_cannot_announce_others(guarded: Guarded, mode: str) -> None:
             f"murmur/{KEYS.run}/alive/x/r0",
         )
     ]
-    # Its own name is heard, after all the others were refused.
+    # The relay receives its own name, after the hub has rejected all others.
     tokens.append(rogue.liveliness().declare_token(KEYS.alive("r1")))
-    assert guarded.hear(RELAY) == Message(KEYS.presence("r1"), b"1")
+    assert guarded.receive(RELAY) == Message(KEYS.presence("r1"), b"1")
     guarded.ends["r0"].close()
-    assert guarded.hear(RELAY) == Message(KEYS.presence("r0"), b"0")
+    assert guarded.receive(RELAY) == Message(KEYS.presence("r0"), b"0")
     guarded.ends["r0"] = join(guarded.credentials["r0"])
-    assert guarded.hear(RELAY) == Message(KEYS.presence("r0"), b"1")
+    assert guarded.receive(RELAY) == Message(KEYS.presence("r0"), b"1")
     for token in tokens:
         undeclare(token)
-    assert guarded.hear(RELAY) == Message(KEYS.presence("r1"), b"0")
-    guarded.nothing_else_is_heard()
+    assert guarded.receive(RELAY) == Message(KEYS.presence("r1"), b"0")
+    guarded.no_other_message_arrived()
     guarded.ends["r0"].close()
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_a_rogue_cannot_learn_who_is_there(guarded: Guarded, mode: str) -> None:
+def test_a_rogue_cannot_list_participants(guarded: Guarded, mode: str) -> None:
     rogue = guarded.rogue(mode)
     seen = rogue.liveliness().declare_subscriber(
         KEYS.alive("*"), zenoh.handlers.FifoChannel(100), history=True
     )
     guarded.ends["r2"].close()
-    assert guarded.hear(RELAY) == Message(KEYS.presence("r2"), b"0")
+    assert guarded.receive(RELAY) == Message(KEYS.presence("r2"), b"0")
     found = rogue.liveliness().get(KEYS.alive("*"), zenoh.handlers.FifoChannel(100), timeout=0.3)
     assert iter_replies(found) == []
     assert drained(seen.handler) == []
@@ -306,7 +308,7 @@ def iter_replies(handler: Any) -> list[Any]:
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_a_rogue_can_neither_ask_nor_answer_questions(guarded: Guarded, mode: str) -> None:
+def test_a_rogue_can_neither_send_nor_answer_queries(guarded: Guarded, mode: str) -> None:
     rogue = guarded.rogue(mode)
     asked: list[str] = []
 
@@ -322,7 +324,7 @@ def test_a_rogue_can_neither_ask_nor_answer_questions(guarded: Guarded, mode: st
     for key in ("**", f"murmur/{KEYS.run}/**", f"murmur/{KEYS.run}/secret", "@/**"):
         replies = iter_replies(rogue.get(key, zenoh.handlers.FifoChannel(100), timeout=0.3))
         foreign = [r for r in replies if r.ok is not None and r.ok.payload.to_bytes() != b"forged"]
-        # What it can see under @ is its own session's status.
+        # Under @ it can see only its own session's status.
         assert all(str(rogue.info.zid()) in str(r.ok.key_expr) for r in foreign)
     asked.clear()
     for key in (KEYS.radio_rx("r0", "r2"), KEYS.radio_rx("r1", "r0")):
@@ -340,18 +342,18 @@ def test_a_rogue_can_neither_ask_nor_answer_questions(guarded: Guarded, mode: st
     [
         *((mode, user, password) for mode in MODES for user, password in [("r1", "wrong"), (None, None)]),
         ("client", "r1", ""),
-        ("client", "nobody", "x"),
+        ("client", "unknown", "x"),
         ("client", RELAY, ""),
     ],
 )
-def test_without_a_valid_credential_nobody_gets_in(
+def test_the_hub_refuses_clients_without_a_valid_credential(
     guarded: Guarded, mode: str, user: str | None, password: str | None
 ) -> None:
     with ExitStack() as stack:
         try:
             rogue = zenoh.open(rogue_config(mode, guarded.endpoint, user, password))
         except zenoh.ZError:
-            guarded.nothing_else_is_heard()
+            guarded.no_other_message_arrived()
             return
         stack.callback(close, rogue)
         recording_bus = rogue.declare_subscriber("**", zenoh.handlers.FifoChannel(1000))
@@ -360,12 +362,12 @@ def test_without_a_valid_credential_nobody_gets_in(
             rogue.put(key, b"forged", allowed_destination=zenoh.Locality.REMOTE)
         time.sleep(0.2)
         assert list(rogue.info.routers_zid()) == []
-        guarded.nothing_else_is_heard()
+        guarded.no_other_message_arrived()
         assert drained(recording_bus.handler) == []
         undeclare(token)
 
 
-def test_a_password_of_another_robot_opens_no_door_and_the_person_is_told_why(
+def test_a_password_of_another_robot_is_refused_with_the_reason(
     guarded: Guarded, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("protocol.zenoh_bus.CONNECT_S", 0.5)
@@ -382,7 +384,7 @@ def test_two_hubs_cannot_share_an_endpoint(guarded: Guarded) -> None:
         open_hub("other", guarded.endpoint, access.issue("other", guarded.endpoint, 1))
 
 
-def test_credentials_are_made_anew_for_each_run() -> None:
+def test_each_run_has_new_credentials() -> None:
     one, other = (access.issue("run", "tcp/127.0.0.1:7447", 3) for _ in range(2))
     passwords = [credential.password for credential in [*one.values(), *other.values()]]
     assert len(set(passwords)) == len(passwords)
@@ -395,7 +397,7 @@ def test_a_credential_of_one_run_does_not_open_the_next(guarded: Guarded) -> Non
         zenoh.open(rogue_config("client", guarded.endpoint, old.name, old.password))
 
 
-def test_each_name_may_put_and_hear_only_under_its_own() -> None:
+def test_each_participant_may_put_and_receive_only_under_its_own_name() -> None:
     rules = access.rules(KEYS, {name: [name] for name in access.participants(2)})
     assert rules["default_permission"] == "deny"
     assert {subject["id"] for subject in rules["subjects"]} == set(access.participants(2))

@@ -1,4 +1,4 @@
-"""Who speaks how long: packets stay whole, the budget is kept, and nobody shouts the others down."""
+"""Airtime: packets stay whole, transmissions respect the budget, and no robot starves the others."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from protocol.budget import UNLIMITED, Budget
 from protocol.packets import Fragment, encode
 
 
-def test_the_more_urgent_goes_first_and_nobody_is_more_urgent_than_the_most() -> None:
+def test_the_higher_priority_is_sent_first_and_priorities_are_clipped() -> None:
     shares = Shares(Budget(100))
     assert shares.rank(0, 7) < shares.rank(1, 3)
     assert shares.rank(0, MAX_PRIORITY) == shares.rank(1, 10**9)
     assert shares.rank(0, 0) == shares.rank(1, -5)
 
 
-def test_who_takes_all_the_air_waits_for_the_others_after_a_while_and_is_heard_again_later() -> None:
+def test_a_robot_that_uses_most_airtime_is_deferred_and_recovers_later() -> None:
     shares = Shares(Budget(100))
     steps = 0
     while shares.rank(0, MAX_PRIORITY) < shares.rank(1, 0):
@@ -34,7 +34,7 @@ def test_who_takes_all_the_air_waits_for_the_others_after_a_while_and_is_heard_a
     assert shares.rank(0, MAX_PRIORITY) < shares.rank(1, 0)
 
 
-def test_without_a_limit_nobody_takes_the_air_from_others() -> None:
+def test_without_a_limit_no_robot_is_deferred() -> None:
     shares = Shares(UNLIMITED)
     shares.book(0, 10**9)
     assert shares.rank(0, 1) < shares.rank(1, 0)
@@ -50,7 +50,7 @@ def test_one_budget_is_spent_by_all() -> None:
     assert [air.room(robot).limit for robot in range(4)] == [40] * 4
 
 
-def test_who_cannot_hear_each_other_shares_no_air_where_neighbourhoods_have_budgets() -> None:
+def test_with_spatial_reuse_robots_out_of_range_share_no_airtime() -> None:
     air = Airtime(Budget(100), 4, reuse=True)
     air.next_step(LINE)
     air.book(0, 60)
@@ -60,11 +60,11 @@ def test_who_cannot_hear_each_other_shares_no_air_where_neighbourhoods_have_budg
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 50)), max_size=30))
-def test_nobody_has_more_than_a_budget_around_it(said: list[tuple[int, int]]) -> None:
+def test_no_neighborhood_exceeds_the_budget(transmissions: list[tuple[int, int]]) -> None:
     air = Airtime(Budget(100), 4, reuse=True)
     air.next_step(LINE)
     around = dict.fromkeys(LINE, 0)
-    for robot, size in said:
+    for robot, size in transmissions:
         if air.room(robot).fits(size):
             air.book(robot, size)
             for each in (robot, *LINE[robot]):
@@ -73,7 +73,7 @@ def test_nobody_has_more_than_a_budget_around_it(said: list[tuple[int, int]]) ->
     assert all(air.room(robot).limit == 100 - max(around[r] for r in (robot, *LINE[robot])) for robot in LINE)
 
 
-def test_a_duty_cycle_is_kept_over_an_hour_and_what_is_saved_is_bounded() -> None:
+def test_a_duty_cycle_holds_over_an_hour_and_saved_airtime_is_bounded() -> None:
     air = Airtime(Budget(100), 1, duty_cycle=0.01)
     sent = []
     for _ in range(2 * HOUR):
@@ -81,12 +81,12 @@ def test_a_duty_cycle_is_kept_over_an_hour_and_what_is_saved_is_bounded() -> Non
         size = min(100, air.room(0).limit or 0)
         air.book(0, size)
         sent.append(size)
-    # Saved up at first: an hour's bytes; and then what comes in.
+    # The bucket begins with an hour's bytes, and then refills step by step.
     assert sum(sent) == pytest.approx(3 * HOUR, abs=2)
     assert sum(sent[HOUR:]) == pytest.approx(HOUR, abs=2)
 
 
-def test_a_robot_sends_and_takes_no_more_than_it_can() -> None:
+def test_a_robot_sends_and_receives_no_more_than_its_limits() -> None:
     air = Airtime(UNLIMITED, 2, send=[50, 0], receive=[0, 30])
     air.next_step({0: [1], 1: [0]})
     assert (air.room(0), air.room(1)) == (Budget(50), UNLIMITED)
@@ -106,7 +106,7 @@ def test_a_robot_sends_and_takes_no_more_than_it_can() -> None:
     st.none() | st.sampled_from((16, 20)),
     st.sampled_from((0, 3)),
 )
-def test_frames_hold_whole_packets_and_no_more_than_there_is_room_for(
+def test_frames_hold_whole_packets_within_budget_and_frame_limit(
     sizes: list[int], room: int | None, most: int | None, tail: int
 ) -> None:
     payload = b"".join(encode([Fragment(bytes(size))]) for size in sizes)

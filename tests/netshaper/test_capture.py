@@ -1,4 +1,4 @@
-"""The capture: what the ledger books is in the file, byte for byte, and a file that was cut opens."""
+"""The capture: the file has every byte of the ledger, and a truncated file can be read."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from netshaper import capture, pcapng
-from netshaper.capture import CAPTURED_AT_MOST, KEPT, PART, VERDICTS, Captured
+from netshaper.capture import KEPT, MAX_PACKET, PART, VERDICTS, Captured
 from netshaper.frame_log import FrameLog, LoggedFrame, comment, receivers_of
 from netshaper.ledger import EVERYONE
 from netshaper.pcapng import CaptureError, Reader
@@ -18,9 +18,9 @@ from netshaper.settings import RadioSettings
 from protocol.budget import Budget
 from protocol.messages import OutgoingFrame, RobotFrames
 from protocol.packets import Delete, Save, encode
-from tests.netshaper import plain_books
+from tests.netshaper import plain_ledger
 from tests.netshaper.network import Network
-from tests.netshaper.scripted_robots import Liar, Robot
+from tests.netshaper.scripted_robots import ByzantineRobot, Robot
 
 small = st.integers(-1, 63)
 logged_frames = st.builds(
@@ -61,12 +61,12 @@ def test_a_file_begins_as_every_pcapng_file_does() -> None:
 
 
 @given(steps)
-def test_decoding_inverts_encoding(said: list[tuple[int, list[LoggedFrame]]]) -> None:
-    wanted = [(step, seen) for step, frames in said for seen in frames]
-    for (step, seen), found in zip(wanted, read(write(said)), strict=True):
+def test_decoding_inverts_encoding(frames_by_step: list[tuple[int, list[LoggedFrame]]]) -> None:
+    wanted = [(step, seen) for step, frames in frames_by_step for seen in frames]
+    for (step, seen), found in zip(wanted, read(write(frames_by_step)), strict=True):
         kept = seen.payload if seen.verdict == 0 else seen.payload[:KEPT]
         assert (found.step, found.part, found.size) == (step, 0, len(seen.payload))
-        assert found.words == comment(
+        assert found.comment == comment(
             seen.verdict, seen.receiver, tuple(receivers_of(seen.receivers)), seen.reason
         )
         assert found.seen == LoggedFrame(
@@ -93,22 +93,22 @@ wide_frames = st.builds(
 
 @given(st.integers(0, 2**32 - 1), st.lists(logged_frames | wide_frames, max_size=8))
 def test_the_kernel_writes_what_is_written_block_by_block(step: int, seen: list[LoggedFrame]) -> None:
-    assert capture.encode(step, FrameLog.of(seen).columns()) == plain_books.blocks(step, seen)
+    assert capture.encode(step, FrameLog.of(seen).columns()) == plain_ledger.blocks(step, seen)
 
 
 @given(st.lists(wide_frames, max_size=5))
-def test_robots_beyond_the_plain_head_are_read_back(seen: list[LoggedFrame]) -> None:
+def test_robots_beyond_the_short_header_are_read_back(seen: list[LoggedFrame]) -> None:
     for wanted, found in zip(seen, read(write([(1, seen)])), strict=True):
         kept = wanted.payload if wanted.verdict == 0 else wanted.payload[:KEPT]
         assert found.seen == wanted._replace(payload=kept, reason="")
-        assert capture.hearers(found.seen) == receivers_of(wanted.receivers)
+        assert capture.received_by(found.seen) == receivers_of(wanted.receivers)
 
 
 @given(steps, st.integers(0, 10**6))
 def test_a_file_that_was_cut_anywhere_opens_up_to_its_last_whole_packet(
-    said: list[tuple[int, list[LoggedFrame]]], cut: int
+    frames_by_step: list[tuple[int, list[LoggedFrame]]], cut: int
 ) -> None:
-    head, whole = len(capture.head("a test")), write(said)
+    head, whole = len(capture.head("a test")), write(frames_by_step)
     cut = head + cut % (len(whole) - head + 1)
     reader = Reader(io.BytesIO(whole[:cut]))
     found = list(capture.read(reader))
@@ -117,32 +117,32 @@ def test_a_file_that_was_cut_anywhere_opens_up_to_its_last_whole_packet(
 
 
 @given(st.integers(1, 4), st.integers(0, 2**32 - 1), st.sampled_from((None, 0, 7, 60, 500)))
-def test_the_capture_has_every_byte_that_the_ledger_books(robots: int, seed: int, budget: int | None) -> None:
-    script = {n: (Liar if n == 0 else Robot)(n, robots, seed) for n in range(robots)}
+def test_the_capture_has_every_byte_of_the_ledger(robots: int, seed: int, budget: int | None) -> None:
+    script = {n: (ByzantineRobot if n == 0 else Robot)(n, robots, seed) for n in range(robots)}
     network = Network(RadioSettings(robots, seed, 6.0, Budget(budget)), script)
     file = capture.head("a test")
-    booked: Counter[tuple[int, ...]] = Counter()
-    said = heard = 0
+    logged: Counter[tuple[int, ...]] = Counter()
+    frames_by_step = received = 0
     names = ("step", "round", "connection", "frame", "sender", "receiver", "map", "cause")
     for number in range(1, 4):
         step = network.step(number, {n: (2 * n, number) for n in range(robots)})
         file += step.report.frames
         for row in step.rows:
-            booked[tuple(int(row[name]) for name in names)] += int(row["bytes"])
-        said += sum(len(payload) for _, payload in step.submitted)
-        heard += int((step.rows["bytes"] * step.rows["received_by"]).sum())
+            logged[tuple(int(row[name]) for name in names)] += int(row["bytes"])
+        frames_by_step += sum(len(payload) for _, payload in step.submitted)
+        received += int((step.rows["bytes"] * step.rows["received_by"]).sum())
     found: Counter[tuple[int, ...]] = Counter()
-    heard_of = 0
+    captured = 0
     for frame in read(file):
         seen = frame.seen
         key = (seen.round, seen.connection, seen.frame, seen.sender, seen.receiver, seen.map, seen.verdict)
         found[(frame.step, *key)] += frame.size
-        heard_of += frame.size * len(capture.hearers(seen))
-    assert +found == +booked
-    assert heard_of == heard
+        captured += frame.size * len(capture.received_by(seen))
+    assert +found == +logged
+    assert captured == received
 
 
-def test_what_is_said_between_steps_is_booked_to_the_next_one() -> None:
+def test_frames_sent_between_steps_are_logged_in_the_next_one() -> None:
     network = Network(RadioSettings(2, 0, 9.0), {n: Robot(n, 2, 0) for n in range(2)})
     network.step(1, {0: (0, 0), 1: (1, 1)})
     late = OutgoingFrame(1, encode([Save(), Save(), Save()]))
@@ -150,11 +150,11 @@ def test_what_is_said_between_steps_is_booked_to_the_next_one() -> None:
     step = network.step(2, {0: (0, 0), 1: (1, 1)})
     rows, first = step.rows, read(capture.head("") + step.report.frames)[0]
     assert (first.step, first.seen.sender, first.verdict, first.size) == (2, 0, "protocol", 3)
-    assert first.words == "refused: spoke out of turn"
+    assert first.comment == "refused: spoke out of turn"
     assert int(rows["bytes"][rows["cause"] > 0].sum()) == 3
 
 
-def test_times_tell_the_step_in_seconds_and_the_place_in_it_in_microseconds() -> None:
+def test_times_are_the_step_in_seconds_and_the_position_in_it_in_microseconds() -> None:
     seen = LoggedFrame(0, 0, 2, 0, 1, 0, 0, 2, b"\xf0")
     reader = Reader(io.BytesIO(write([(7, [seen, seen]), (8, [seen])])))
     assert [packet.time_us for packet in reader] == [7_000_000, 7_000_001, 8_000_000]
@@ -163,16 +163,16 @@ def test_times_tell_the_step_in_seconds_and_the_place_in_it_in_microseconds() ->
 def test_a_frame_too_long_for_one_packet_of_wireshark_is_several_that_hold_whole_packets() -> None:
     payload = encode([Delete(n % 4096) for n in range(PART + 1)])
     seen = [LoggedFrame(0, 0, 2, 0, 1, 0, 0, 2, payload)]
-    assert capture.encode(1, FrameLog.of(seen).columns()) == plain_books.blocks(1, seen)
+    assert capture.encode(1, FrameLog.of(seen).columns()) == plain_ledger.blocks(1, seen)
     frames = read(write([(1, seen)]))
     assert [frame.part for frame in frames] == [0, 1, 2]
     assert b"".join(frame.seen.payload for frame in frames) == payload
-    assert all(capture.HEAD.size + frame.size <= CAPTURED_AT_MOST for frame in frames)
+    assert all(capture.HEAD.size + frame.size <= MAX_PACKET for frame in frames)
     assert all(frame.size % 2 == 0 for frame in frames)
 
 
 @pytest.mark.parametrize(
-    ("receiver", "verdict", "hearers", "reason", "words"),
+    ("receiver", "verdict", "receivers", "reason", "text"),
     [
         (3, 0, 0b1000, "", "delivered"),
         (EVERYONE, 0, 0b1011, "", "delivered to r0, r1, r3"),
@@ -183,11 +183,11 @@ def test_a_frame_too_long_for_one_packet_of_wireshark_is_several_that_hold_whole
         (3, 4, 0, "", "a partner died"),
     ],
 )
-def test_the_comment_says_comment_what_became_of_a_frame(
-    receiver: int, verdict: int, hearers: int, reason: str, words: str
+def test_the_comment_has_the_fate_of_a_frame(
+    receiver: int, verdict: int, receivers: int, reason: str, text: str
 ) -> None:
-    seen = LoggedFrame(0, 0, 0, 1, receiver, 0, verdict, hearers, b"\xc0\x00", reason)
-    assert read(write([(1, [seen])]))[0].words == words
+    seen = LoggedFrame(0, 0, 0, 1, receiver, 0, verdict, receivers, b"\xc0\x00", reason)
+    assert read(write([(1, [seen])]))[0].comment == text
 
 
 @pytest.mark.parametrize(
@@ -196,15 +196,15 @@ def test_the_comment_says_comment_what_became_of_a_frame(
         (b"", "not a pcapng file"),
         (b"a picture, perhaps", "not a pcapng file"),
         (
-            pcapng.head(1, "x", "y", "z") + plain_books.packet(0, bytes(40), 40, ""),
+            pcapng.head(1, "x", "y", "z") + plain_ledger.packet(0, bytes(40), 40, ""),
             "link type 1 instead of 147",
         ),
-        (capture.head("") + plain_books.packet(0, b"\x07", 1, ""), "without a head of version 1 or 2: 07"),
-        (capture.head("") + plain_books.packet(0, b"\x01\x09" + bytes(22), 24, ""), "frame 9 and verdict 0"),
+        (capture.head("") + plain_ledger.packet(0, b"\x07", 1, ""), "without a header of version 1 or 2: 07"),
+        (capture.head("") + plain_ledger.packet(0, b"\x01\x09" + bytes(22), 24, ""), "frame 9 and verdict 0"),
         (capture.head("") + b"\x06\x00\x00\x00\x0d\x00\x00\x00" + bytes(8), "a block of 13 bytes"),
         (capture.head("") + b"\x06\x00\x00\x00\x10\x00\x00\x00" + bytes(8), "whose two lengths differ"),
     ],
 )
-def test_what_is_no_capture_of_ours_is_refused_with_the_reason(file: bytes, reason: str) -> None:
+def test_other_files_are_refused_with_the_reason(file: bytes, reason: str) -> None:
     with pytest.raises(CaptureError, match=reason):
         read(file)

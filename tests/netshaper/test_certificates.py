@@ -1,4 +1,4 @@
-"""Mutual TLS: who is let in, and that the hub's rules hold for certificates as they do for passwords."""
+"""Mutual TLS: which clients the hub accepts; its rules are the same as with passwords."""
 
 from __future__ import annotations
 
@@ -54,11 +54,11 @@ class Certified:
         for name in (WORLD, RECORDER, "r0"):
             self.ends[name] = join(self.credentials[name])
             stack.callback(self.ends[name].close)
-            assert self.hear(RELAY) == Message(KEYS.presence(name), b"1")
+            assert self.receive(RELAY) == Message(KEYS.presence(name), b"1")
 
-    def hear(self, name: str) -> Message:
+    def receive(self, name: str) -> Message:
         message = self.ends[name].receive(SOON_S)
-        assert message is not None, f"{name} heard nothing"
+        assert message is not None, f"{name} received nothing"
         return message
 
     def session(self, certificate: Certificate | None, authority: str = "") -> zenoh.Session:
@@ -81,12 +81,12 @@ def certified() -> Iterator[Certified]:
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1", "[::1]"])
-def test_all_who_have_a_certificate_say_and_hear_what_they_may(address: str) -> None:
+def test_participants_with_certificates_have_their_rights(address: str) -> None:
     with ExitStack() as stack:
-        say_and_hear(Certified(stack, address))
+        check_rights(Certified(stack, address))
 
 
-def say_and_hear(certified: Certified) -> None:
+def check_rights(certified: Certified) -> None:
     for sender, key, receiver in [
         ("r0", KEYS.radio_tx("r0"), RELAY),
         ("r0", KEYS.body(WORLD, "r0"), WORLD),
@@ -94,8 +94,8 @@ def say_and_hear(certified: Certified) -> None:
         (WORLD, KEYS.body("r0", WORLD), "r0"),
         (RELAY, KEYS.radio_rx("r0", "r1"), "r0"),
     ]:
-        certified.ends[sender].put(key, b"said")
-        assert certified.hear(receiver) == Message(key, b"said")
+        certified.ends[sender].put(key, b"sent")
+        assert certified.receive(receiver) == Message(key, b"sent")
 
 
 def test_a_rogue_with_a_robots_certificate_is_held_to_that_robots_rules(certified: Certified) -> None:
@@ -110,12 +110,12 @@ def test_a_rogue_with_a_robots_certificate_is_held_to_that_robots_rules(certifie
             own, congestion_control=BLOCK, allowed_destination=zenoh.Locality.REMOTE
         )
         publisher.put(b"mine")
-        assert certified.hear(RELAY) == Message(own, b"mine")
+        assert certified.receive(RELAY) == Message(own, b"mine")
         certified.ends[RELAY].put(KEYS.control("r0", RELAY), b"secret")
         certified.ends[WORLD].put(KEYS.body("r0", WORLD), b"secret")
-        assert {certified.hear("r0").payload for _ in range(2)} == {b"secret"}
+        assert {certified.receive("r0").payload for _ in range(2)} == {b"secret"}
         certified.ends["r0"].put(KEYS.control_tx("r0"), b"last")
-        assert certified.hear(RELAY) == Message(KEYS.control_tx("r0"), b"last")
+        assert certified.receive(RELAY) == Message(KEYS.control_tx("r0"), b"last")
         for name, end in certified.ends.items():
             assert end.receive(0) is None, name
         assert recording_bus.handler.try_recv() is None
@@ -124,7 +124,9 @@ def test_a_rogue_with_a_robots_certificate_is_held_to_that_robots_rules(certifie
         rogue.close()  # type: ignore[no-untyped-call]
 
 
-def test_nobody_gets_in_without_a_certificate_or_with_one_of_another_run(certified: Certified) -> None:
+def test_the_hub_refuses_clients_without_a_certificate_or_with_one_of_another_run(
+    certified: Certified,
+) -> None:
     with pytest.raises(zenoh.ZError):
         certified.session(None)
     other = certificates.make(2, ["127.0.0.1"])["r1"]
@@ -133,7 +135,7 @@ def test_nobody_gets_in_without_a_certificate_or_with_one_of_another_run(certifi
         certified.session(mixed, authority="not of this run")
 
 
-def test_who_is_not_let_in_is_told_what_may_be_wrong(
+def test_a_refused_client_gets_possible_reasons(
     certified: Certified, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("protocol.zenoh_bus.CONNECT_S", 0.4)
@@ -153,10 +155,10 @@ def test_who_is_not_let_in_is_told_what_may_be_wrong(
         ("router@a", "127.0.0.1", "127.0.0.1"),
     ],
 )
-def test_a_robot_does_not_take_another_for_the_hub(
+def test_a_robot_rejects_another_robot_as_hub(
     impostor: str, address: str, at: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Neither a robot's or router's certificate does for a hub, nor that of a hub which is to be elsewhere."""
+    """Certificates that are not valid for this hub: those of a robot or router, or of a hub at another address."""
     monkeypatch.setattr("protocol.zenoh_bus.CONNECT_S", 0.4)
     made = certificates.make(2, [address], routers={"router@a": ["r0"]} if impostor == "router@a" else None)
     with closing(socket.socket(socket.AF_INET6 if ":" in at else socket.AF_INET)) as probe:
@@ -187,12 +189,12 @@ def test_names_usages_and_dates_are_those_of_the_participants() -> None:
 
 
 @pytest.mark.parametrize("address", ["", "10.0.0.1:7447", "a b", "-x", "http://hub"])
-def test_an_address_that_is_none_is_refused(address: str) -> None:
+def test_an_invalid_address_is_refused(address: str) -> None:
     with pytest.raises(ValueError, match=r"must be a host's name or IP address"):
         certificates.make(1, [address])
 
 
-def test_what_is_written_is_read_again_and_keys_are_for_their_owner_only(tmp_path: Path) -> None:
+def test_written_certificates_are_read_back_and_only_the_owner_can_read_keys(tmp_path: Path) -> None:
     made = certificates.make(2, ["127.0.0.1"])
     folder = tmp_path / "keys"
     written = certificates.write(made, folder)
@@ -201,17 +203,17 @@ def test_what_is_written_is_read_again_and_keys_are_for_their_owner_only(tmp_pat
     for path in written:
         mode = stat.S_IMODE(path.stat().st_mode)
         assert mode & 0o077 == 0 if path.suffix == ".key" else mode & 0o222 == 0o200
-    assert not any("murmur" in path.name for path in written), "the authority's key is not kept"
+    assert not any("murmur" in path.name for path in written), "the authority's key is not stored"
     with pytest.raises(FileExistsError):
         certificates.write(made, folder)
 
 
-def test_keys_that_are_missing_or_damaged_are_named(tmp_path: Path) -> None:
+def test_errors_name_missing_and_damaged_keys(tmp_path: Path) -> None:
     certificates.write(certificates.make(1, ["127.0.0.1"]), tmp_path)
-    with pytest.raises(ValueError, match=r"r1\.pem: No such file or directory; murmur keys makes"):
+    with pytest.raises(ValueError, match=r"r1\.pem: No such file or directory; murmur keys creates"):
         certificates.read(tmp_path, 2)
     (tmp_path / "r0.key").write_bytes(b"\xff")
-    with pytest.raises(ValueError, match=r"r0\.key: is not PEM"):
+    with pytest.raises(ValueError, match=r"r0\.key: not PEM"):
         certificates.read(tmp_path, 1)
 
 
@@ -225,5 +227,5 @@ def test_a_credential_with_a_certificate_is_read_as_it_was_written(tmp_path: Pat
 @pytest.mark.parametrize("damaged", ['"x"', "{}", '{"authority": "a", "certificate": "b", "key": 1}'])
 def test_a_credential_whose_certificate_is_damaged_is_refused(damaged: str) -> None:
     text = f'{{"run": "a", "name": "r0", "hub": "tls/127.0.0.1:1", "certificate": {damaged}}}'
-    with pytest.raises(ValueError, match=r"its certificate needs the texts authority, certificate, key"):
+    with pytest.raises(ValueError, match=r"its certificate needs the strings authority, certificate, key"):
         Credential.parse(text)

@@ -1,4 +1,4 @@
-"""What becomes of frames: lost, damaged, late and doubled as often as asked for, by draws that nothing else changes."""
+"""Channel model: loss, damage, delay and duplication at the given rates, by independent draws."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ frames = st.lists(st.binary(min_size=1, max_size=40), min_size=1, max_size=4)
 
 
 def rate(options: RadioOptions, cause: int, size: int = 20) -> float:
-    channel, heard = Channel(options, 1, 5), []
+    channel, receptions = Channel(options, 1, 5), []
     frame = with_checksum(bytes(size - 3)) if options.sums else bytes(size)
     for step in range(1, 1500):
         channel.next_step(step)
-        heard += channel.carry(step, 0, 0, 0, [frame], [1, 2, 3, 4])
-    return sum(reception.cause == cause for reception in heard) / len(heard)
+        receptions += channel.carry(step, 0, 0, 0, [frame], [1, 2, 3, 4])
+    return sum(reception.cause == cause for reception in receptions) / len(receptions)
 
 
 def test_a_perfect_channel_delivers_all_at_once() -> None:
@@ -40,12 +40,12 @@ def test_a_perfect_channel_delivers_all_at_once() -> None:
     assert [tuple(each) for each in got] == 2 * [([b"a", b"b"], RECEIVED, [0])]
 
 
-def test_frames_are_lost_as_often_as_asked_for() -> None:
+def test_frames_are_lost_at_the_given_rate() -> None:
     assert rate(RadioOptions(loss=0.2), LOSS) == pytest.approx(0.2, abs=0.02)
 
 
-def test_bursts_last_and_come_as_long_and_as_often_as_asked_for() -> None:
-    # In bursts of 10 steps after 30 good ones a quarter of the time is bad.
+def test_bursts_have_the_given_length_and_frequency() -> None:
+    # With bursts of 10 steps after 30 good steps, links are bad a quarter of the time.
     options = RadioOptions(burst_every=30, burst_steps=10, burst_loss=0.8)
     assert rate(options, LOSS) == pytest.approx(0.25 * 0.8, abs=0.04)
     bad = np.zeros((4, 4), np.bool_)
@@ -63,42 +63,42 @@ def test_bursts_last_and_come_as_long_and_as_often_as_asked_for() -> None:
     assert np.mean(runs) == pytest.approx(10, rel=0.2)
 
 
-def test_frames_are_damaged_as_often_as_their_bits_say() -> None:
+def test_frames_are_damaged_at_the_rate_of_bit_errors() -> None:
     expected = 1 - 0.999 ** (8 * 20)
     assert chance_of_damage(20, 0.001) == pytest.approx(expected)
     assert rate(RadioOptions(bit_errors=0.001), DAMAGED) == pytest.approx(expected, abs=0.02)
 
 
 @given(frames, st.integers(0, 99), st.integers(0, 2), st.integers(0, 3))
-def test_what_one_robot_hears_depends_on_nobody_else(
-    said: list[bytes], seed: int, delay: int, jitter: int
+def test_a_robot_s_reception_does_not_depend_on_other_robots(
+    frames: list[bytes], seed: int, delay: int, jitter: int
 ) -> None:
     options = RadioOptions(
         loss=0.3, delay=delay, jitter=jitter, duplication=0.5, bit_errors=0.002, burst_every=3, burst_loss=0.7
     )
-    said = [with_checksum(frame) for frame in said]
+    frames = [with_checksum(frame) for frame in frames]
     alone, all_of_them = Channel(options, seed, 4), Channel(options, seed, 4)
     for channel in (alone, all_of_them):
         channel.next_step(1)
-    (one,) = alone.carry(1, 0, 0, 0, said, [2])
-    assert all_of_them.carry(1, 0, 0, 0, said, [1, 2, 3])[1] == one
+    (one,) = alone.carry(1, 0, 0, 0, frames, [2])
+    assert all_of_them.carry(1, 0, 0, 0, frames, [1, 2, 3])[1] == one
     assert all(delay <= late <= delay + jitter for late in one.delays)
     assert len(one.delays) in (1, 2)
-    assert (one.cause == RECEIVED) == (len(one.frames) == len(said))
-    assert one.frames == [without_checksum(frame) for frame in said[: len(one.frames)]]
+    assert (one.cause == RECEIVED) == (len(one.frames) == len(frames))
+    assert one.frames == [without_checksum(frame) for frame in frames[: len(one.frames)]]
 
 
-def test_frames_are_doubled_and_late_as_often_as_asked_for() -> None:
+def test_frames_are_duplicated_and_delayed_at_the_given_rates() -> None:
     channel = Channel(RadioOptions(duplication=0.25, delay=2, jitter=3), 5, 5)
-    heard = [r for step in range(400) for r in channel.carry(step, 0, 0, 0, [b"x"], [1, 2, 3, 4])]
-    assert np.mean([len(each.delays) == 2 for each in heard]) == pytest.approx(0.25, abs=0.04)
-    late = np.bincount([each.delays[0] for each in heard])
+    receptions = [r for step in range(400) for r in channel.carry(step, 0, 0, 0, [b"x"], [1, 2, 3, 4])]
+    assert np.mean([len(each.delays) == 2 for each in receptions]) == pytest.approx(0.25, abs=0.04)
+    late = np.bincount([each.delays[0] for each in receptions])
     assert late[:2].sum() == 0
     assert late[2:] == pytest.approx(400, rel=0.2)
 
 
 @given(st.binary(max_size=60))
-def test_a_checksum_is_the_ccitt_one_and_fits_what_it_was_made_of(frame: bytes) -> None:
+def test_a_checksum_is_the_ccitt_one_and_matches_its_frame(frame: bytes) -> None:
     summed = with_checksum(frame)
     assert without_checksum(summed) == frame
     register = 0

@@ -1,4 +1,4 @@
-"""Who hears whom: the same from both sides; a disc, or less where walls, shadowing and partitions are in the way."""
+"""Connectivity: links are symmetric; walls, shadowing and partitions only remove links of the disc."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ places = st.dictionaries(
 
 
 @given(places, st.floats(0, 50) | st.integers(0, 50).map(float))
-def test_a_robot_hears_exactly_those_within_the_range(
+def test_a_robot_receives_exactly_the_robots_within_the_range(
     cells: dict[int, tuple[int, int]], range_cells: float
 ) -> None:
-    heard = in_range(cells, range_cells)
-    assert list(heard) == sorted(cells)
-    for one, peers in heard.items():
+    reachable = in_range(cells, range_cells)
+    assert list(reachable) == sorted(cells)
+    for one, peers in reachable.items():
         assert peers == [
             other
             for other in sorted(cells)
@@ -45,23 +45,23 @@ def test_a_robot_hears_exactly_those_within_the_range(
 
 
 @given(places, st.floats(0, 50))
-def test_hearing_is_mutual(cells: dict[int, tuple[int, int]], range_cells: float) -> None:
-    heard = in_range(cells, range_cells)
-    assert all(one in heard[other] for one, peers in heard.items() for other in peers)
+def test_reception_is_mutual(cells: dict[int, tuple[int, int]], range_cells: float) -> None:
+    reachable = in_range(cells, range_cells)
+    assert all(one in reachable[other] for one, peers in reachable.items() for other in peers)
 
 
-def test_a_robot_exactly_at_the_range_is_heard() -> None:
+def test_a_robot_exactly_at_the_range_is_received() -> None:
     assert in_range({0: (0, 0), 1: (3, 4)}, 5.0) == {0: [1], 1: [0]}
     assert in_range({0: (0, 0), 1: (3, 4)}, math.nextafter(5.0, 0)) == {0: [], 1: []}
 
 
 @pytest.mark.parametrize("count", [1, 3])
-def test_without_a_limit_everyone_hears_everyone(count: int) -> None:
+def test_without_a_limit_all_robots_receive_each_other(count: int) -> None:
     cells = {robot: (2000 * robot, 0) for robot in range(count)}
     assert in_range(cells, math.inf) == {r: [o for o in range(count) if o != r] for r in range(count)}
 
 
-def test_at_range_0_only_robots_in_one_cell_would_hear_each_other() -> None:
+def test_at_range_0_only_robots_in_one_cell_receive_each_other() -> None:
     assert in_range({0: (1, 1), 1: (1, 2)}, 0.0) == {0: [], 1: []}
 
 
@@ -83,7 +83,7 @@ inside = st.tuples(st.integers(1, 10), st.integers(1, 4))
 
 
 def plain_walls(grid: Grid, one: Cell, other: Cell) -> int:
-    """Walls on the way between two cells, walked border by border with fractions."""
+    """Count the walls between two cells, border by border in exact fractions."""
     (x, y), (end_x, end_y) = sorted((one, other))
     way = [(x, y)]
     while (x, y) != (end_x, end_y):
@@ -118,30 +118,30 @@ def test_a_wall_ends_a_line_of_sight_and_a_door_opens_it() -> None:
 
 @given(st.lists(inside, min_size=1, max_size=5), st.floats(0, 12), st.floats(1, 4), st.floats(0, 3))
 def test_without_walls_and_shadowing_the_logarithmic_model_is_the_disc(
-    cells: list[Cell], range_cells: float, exponent: float, per_metre: float
+    cells: list[Cell], range_cells: float, exponent: float, per_meter: float
 ) -> None:
     places = np.array(cells, np.int64)
     away = np.hypot(*(places[:, None] - places).transpose(2, 0, 1))
     assume((np.abs(away - range_cells) > 0.01).all())  # at the very border thousandths of a dB decide
-    hears = log_distance(
+    links = log_distance(
         places,
         range_cells,
         np.full_like(ROOMS, FREE),
         0.1,
         exponent=exponent,
-        db_per_metre=per_metre,
+        db_per_meter=per_meter,
         db_per_wall=9.0,
     )
-    assert (hears == disc(places, range_cells)).all()
+    assert (links == disc(places, range_cells)).all()
 
 
 @given(st.lists(inside, min_size=2, max_size=5), st.integers(0, 99))
-def test_walls_only_take_away_and_links_are_mutual_and_stay_as_they_are(cells: list[Cell], seed: int) -> None:
+def test_walls_only_remove_links_and_links_are_mutual_and_constant(cells: list[Cell], seed: int) -> None:
     places = np.array(cells, np.int64)
     extra = shadowing(places, 0.5, seed, 8.0, 2.0)
     assert (extra == extra.T).all()
     assert (extra == shadowing(places, 0.5, seed, 8.0, 2.0)).all()
-    loss = {"exponent": 2.0, "db_per_metre": 0.0, "extra_db": extra}
+    loss = {"exponent": 2.0, "db_per_meter": 0.0, "extra_db": extra}
     walls = log_distance(places, 6.0, ROOMS, 0.5, db_per_wall=6.9, **loss)
     without = log_distance(places, 6.0, ROOMS, 0.5, db_per_wall=0.0, **loss)
     assert (walls == walls.T).all()
@@ -153,13 +153,13 @@ def test_a_wall_of_6_db_halves_the_range() -> None:
     wall[0, 3] = OCCUPIED
     for length in range(4, 25):
         places = np.array([(0, 0), (length, 0)])
-        heard = log_distance(
-            places, 20.0, wall, 1.0, exponent=2.0, db_per_metre=0.0, db_per_wall=20 * math.log10(2)
+        reachable = log_distance(
+            places, 20.0, wall, 1.0, exponent=2.0, db_per_meter=0.0, db_per_wall=20 * math.log10(2)
         )[0, 1]
-        assert heard == (length <= 10)
+        assert reachable == (length <= 10)
 
 
-def test_shadowing_is_spread_as_it_is_asked_for() -> None:
+def test_shadowing_has_the_given_deviation() -> None:
     places = np.array([(x, y) for x in range(0, 60, 4) for y in range(0, 24, 4)])
     drawn = shadowing(places, 1.0, 3, 8.0, 2.0)[np.triu_indices(len(places), 1)]
     assert abs(drawn.mean()) < 0.5
@@ -171,5 +171,5 @@ def test_a_partition_keeps_groups_apart_while_it_lasts() -> None:
     robots = [0, 1, 2, 4, 5]
     assert parted(robots, [partition], 4).all()
     assert parted(robots, [partition], 8).all()
-    hears = named(robots, parted(robots, [partition], 5))
-    assert hears == {0: [1], 1: [0], 2: [], 4: [5], 5: [4]}
+    links = named(robots, parted(robots, [partition], 5))
+    assert links == {0: [1], 1: [0], 2: [], 4: [5], 5: [4]}

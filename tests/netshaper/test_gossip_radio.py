@@ -1,4 +1,4 @@
-"""The radio where maps travel by gossip: who is heard, who goes first, what is refused."""
+"""The radio with gossip: receivers, order of senders, and refused frames."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.netshaper.scripted_robots import Gossiper
 
 
 class Sends(Gossiper):
-    """A robot that sends the same in every round: a target, a frame, a priority."""
+    """A robot that sends the same frames in every round: a target, a frame, a priority."""
 
     def __init__(self, number: int, broadcast: bytes, *frames: OutgoingFrame, priority: int = 0) -> None:
         super().__init__(number, 0, 0)
@@ -37,23 +37,23 @@ def update(size: int) -> OutgoingFrame:
 
 
 @given(gossip())
-def test_news_are_heard_by_all_in_range_and_both_ends_are_told_what_was_carried(scene: Any) -> None:
+def test_news_reach_all_robots_in_range_and_reports_have_the_carried_bytes(scene: Any) -> None:
     for step in play(scene, deadly=False):
         reach = {robot: event.peers for robot, event in step.opened}
         carried: Counter[tuple[int, int]] = Counter()
-        heard: Counter[int] = Counter()
+        received: Counter[int] = Counter()
         for row in step.rows[(step.rows["frame"] == NEWS) & (step.rows["carried"] == 1)]:
             sender, size = int(row["sender"]), int(row["bytes"])
             assert int(row["received_by"]) == len(reach[sender])
             carried[sender, int(row["round"])] += size
-            heard[sender] += size * len(reach[sender])
-        told = Counter({(robot, r.round): sum(each.sent for each in r.sent) for robot, r in step.reports})
-        assert +told == +carried
+            received[sender] += size * len(reach[sender])
+        reported = Counter({(robot, r.round): sum(each.sent for each in r.sent) for robot, r in step.reports})
+        assert +reported == +carried
         delivered: Counter[int] = Counter()
         for frame in step.delivered:
             if frame.kind == "data":
                 delivered[frame.sender] += len(frame.payload)
-        assert delivered == +heard
+        assert delivered == +received
 
 
 @given(gossip())
@@ -84,7 +84,7 @@ def test_news_of_the_highest_priority_go_first_and_a_shorter_packet_may_use_the_
         (encode([Save()]), 1, "sent to one robot"),
     ],
 )
-def test_what_are_no_news_is_refused_and_booked(payload: bytes, receiver: int, reason: str) -> None:
+def test_frames_that_are_not_news_are_refused_and_logged(payload: bytes, receiver: int, reason: str) -> None:
     network = Network(
         RadioSettings(2, 0, math.inf, UNLIMITED, 1, gossip=True),
         {0: Sends(0, b"", OutgoingFrame(receiver, payload)), 1: Sends(1, b"")},

@@ -1,4 +1,4 @@
-"""The radio as it is, with robots that keep to the protocol, lie, say nothing, or die: its books balance."""
+"""The imperfect radio with correct, byzantine, silent and dying robots: the ledger conserves bytes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from netshaper.ledger import CAUSES, EVERYONE, FIRST_ON_AIR, KIND_NUMBER
 from netshaper.radio_options import RadioOptions
 from tests.netshaper.network import Step
 from tests.netshaper.scenes import gossip, play, scenes
-from tests.netshaper.scripted_robots import Liar, Mute
+from tests.netshaper.scripted_robots import ByzantineRobot, Mute
 
 troubles = st.builds(
     RadioOptions,
@@ -38,9 +38,11 @@ def troubled(draw: st.DrawFn) -> Any:
 
 @settings(max_examples=60)
 @given(troubled())
-def test_every_byte_is_booked_and_no_limit_is_passed_whatever_robots_say(scene: Any) -> None:
+def test_every_byte_is_logged_and_no_limit_is_exceeded_whatever_robots_send(scene: Any) -> None:
     chosen, robots, _, deaths = scene
-    in_turn = not any(deaths) and not any(isinstance(robot, Liar | Mute) for robot in robots.values())
+    in_turn = not any(deaths) and not any(
+        isinstance(robot, ByzantineRobot | Mute) for robot in robots.values()
+    )
     for step in play(scene):
         rows = step.rows
         carried, cause, sums = rows["carried"] == 1, rows["cause"], rows["kind"] == KIND_NUMBER["sum"]
@@ -48,8 +50,11 @@ def test_every_byte_is_booked_and_no_limit_is_passed_whatever_robots_say(scene: 
         assert (carried == ((cause == 0) | (cause >= FIRST_ON_AIR))).all()
         unicast = carried & (rows["receiver"] != EVERYONE)
         assert (rows["received_by"][unicast] == (cause[unicast] == 0)).all()
-        said, booked = sum(len(payload) for _, payload in step.submitted), step.bytes_where(~(carried & sums))
-        assert booked == said or not in_turn, "what is said between steps is booked in the next one"
+        submitted, logged = (
+            sum(len(payload) for _, payload in step.submitted),
+            step.bytes_where(~(carried & sums)),
+        )
+        assert logged == submitted or not in_turn, "the next step's ledger has the bytes sent between steps"
         for robot in range(chosen.robots):
             own = step.bytes_where(carried & (rows["sender"] == robot))
             assert chosen.budget.fits(own)
@@ -60,13 +65,13 @@ def test_every_byte_is_booked_and_no_limit_is_passed_whatever_robots_say(scene: 
 
 @settings(max_examples=15)
 @given(troubled())
-def test_the_order_in_which_robots_speak_up_changes_nothing(scene: Any) -> None:
+def test_the_order_in_which_robots_submit_changes_nothing(scene: Any) -> None:
     def books(steps: list[Step]) -> list[Any]:
-        return [sorted(step.rows.tolist()) for step in steps if not said_out_of_turn(step)]
+        return [sorted(step.rows.tolist()) for step in steps if not sent_out_of_turn(step)]
 
     one, other = (play(scene, interleaving, deadly=False) for interleaving in (0, 1))
     assert books(one) == books(other)
 
 
-def said_out_of_turn(step: Step) -> bool:
+def sent_out_of_turn(step: Step) -> bool:
     return bool((step.rows["cause"] == CAUSES.index("protocol")).any())

@@ -1,4 +1,4 @@
-"""The ledger: rows in one order, whatever the order in which they were booked, and books that balance."""
+"""The ledger: the order of rows does not depend on the order of logging, and the balance conserves bytes."""
 
 from __future__ import annotations
 
@@ -13,20 +13,22 @@ rows = st.lists(st.tuples(*[st.integers(-2, 3)] * len(ROW.names or ())), max_siz
 
 
 @given(rows, st.randoms())
-def test_sorting_forgets_the_order_of_booking(booked: list[tuple[int, ...]], random: object) -> None:
-    shuffled = list(booked)
+def test_sorting_does_not_depend_on_the_order_of_logging(
+    logged: list[tuple[int, ...]], random: object
+) -> None:
+    shuffled = list(logged)
     random.shuffle(shuffled)  # type: ignore[attr-defined]
-    ours, theirs = sort_rows(np.array(booked, ROW)), sort_rows(np.array(shuffled, ROW))
+    ours, theirs = sort_rows(np.array(logged, ROW)), sort_rows(np.array(shuffled, ROW))
     assert ours.tobytes() == theirs.tobytes()
-    assert ours.tolist() == sorted(booked)
+    assert ours.tolist() == sorted(logged)
 
 
-def test_the_books_of_each_step_say_what_was_said_carried_cut_and_heard() -> None:
-    def row(step: int, receiver: int, size: int, carried: int, heard: int) -> tuple[int, ...]:
-        return (step, 0, 0, 0, 0, receiver, 0, 0, 1, size, carried, 0 if carried else 1, heard)
+def test_the_balance_of_each_step_has_sent_carried_cut_and_received_bytes() -> None:
+    def row(step: int, receiver: int, size: int, carried: int, received: int) -> tuple[int, ...]:
+        return (step, 0, 0, 0, 0, receiver, 0, 0, 1, size, carried, 0 if carried else 1, received)
 
-    booked = [row(1, 1, 5, 1, 1), row(1, 1, 7, 0, 0), row(1, EVERYONE, 3, 1, 4), row(2, 1, 2, 1, 1)]
-    assert balance(np.array(booked, ROW)) == {1: (15, 8, 7, 5), 2: (2, 2, 0, 2)}
+    logged = [row(1, 1, 5, 1, 1), row(1, 1, 7, 0, 0), row(1, EVERYONE, 3, 1, 4), row(2, 1, 2, 1, 1)]
+    assert balance(np.array(logged, ROW)) == {1: (15, 8, 7, 5), 2: (2, 2, 0, 2)}
 
 
 def test_every_kind_and_every_cause_has_a_number() -> None:

@@ -1,4 +1,4 @@
-"""The books of a step against the rows that one gets by reading every packet."""
+"""The ledger rows of a step against a reference that decodes every packet."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from netshaper.frame_log import FrameLog, LoggedFrame
 from netshaper.ledger import CAUSES, ROW
 from netshaper.ledger_rows import ledger_rows
 from protocol.packets import encode
-from tests.netshaper import plain_books
+from tests.netshaper import plain_ledger
 from tests.protocol.test_packets import streams
 
 small = st.integers(-1, 255)
@@ -32,4 +32,4 @@ logged_frames = st.builds(
 @given(st.integers(0, 2**31 - 1), st.lists(logged_frames, max_size=8))
 def test_rows_are_those_of_reading_every_packet(step: int, seen: list[LoggedFrame]) -> None:
     rows = np.frombuffer(ledger_rows(step, FrameLog.of(seen).columns()), ROW)
-    assert rows.tolist() == plain_books.rows(step, seen)
+    assert rows.tolist() == plain_ledger.rows(step, seen)

@@ -1,4 +1,4 @@
-"""The medium against a slow model: packets go on the air one by one until one finds no room."""
+"""The medium against a slow model that sends packet by packet until one exceeds the budget."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ targets = st.booleans()
 events = st.lists(connections | targets, max_size=10)
 budgets = st.just(UNLIMITED) | st.builds(Budget, st.integers(0, 600))
 
-Words = list[tuple[str, list[Packet]]]
+Frames = list[tuple[str, list[Packet]]]
 
 
-def words_of(event: object) -> Words:
-    """What an event says, frame by frame."""
+def frames_of(event: object) -> Frames:
+    """The frames of an event: kind and packets."""
     if isinstance(event, bool):
         return [("target", [Target(1, 2)])]
     assert isinstance(event, tuple)
     answer, sent = event
-    words: Words = [("offer", [Offer(0, 0)])]
+    content: Frames = [("offer", [Offer(0, 0)])]
     if answer is not None:
-        words.append(("answer", answer))
+        content.append(("answer", answer))
         if sent is not None:
-            words.append(("data", sent))
-    return words
+            content.append(("data", sent))
+    return content
 
 
 def a_medium(budget: Budget, step: int = 1) -> Medium:
@@ -54,7 +54,7 @@ def frame(kind: int, sender: int, receiver: int, payload: bytes) -> Frame:
 
 
 def play(medium: Medium, event: object) -> None:
-    frames = [encode(packets_) for _, packets_ in words_of(event)]
+    frames = [encode(packets_) for _, packets_ in frames_of(event)]
     if isinstance(event, bool):
         medium.broadcast(frame(BROADCAST, 0, EVERYONE, frames[0]), [1] if event else [])
     else:
@@ -66,27 +66,27 @@ def play(medium: Medium, event: object) -> None:
 
 def rows(medium: Medium) -> list[tuple[int, ...]]:
     """The ledger's rows of a step."""
-    booked: list[tuple[int, ...]] = np.frombuffer(medium.close().report().rows, ROW).tolist()
-    return booked
+    logged: list[tuple[int, ...]] = np.frombuffer(medium.close().report().rows, ROW).tolist()
+    return logged
 
 
 def carried_by_the_book(events_: list[object], budget: Budget) -> tuple[int, int]:
-    """Bytes said and carried: handshakes and targets go whole, data packet by packet."""
-    said = carried = 0
+    """Bytes submitted and carried: handshakes and targets are sent whole, data packet by packet."""
+    submitted = carried = 0
     open_ = True
     for event in events_:
         broken = False
-        for kind, words in words_of(event):
-            pieces = [encode([packet]) for packet in words] if kind == "data" else [encode(words)]
+        for kind, content in frames_of(event):
+            pieces = [encode([packet]) for packet in content] if kind == "data" else [encode(content)]
             for piece in pieces:
-                said += len(piece)
+                submitted += len(piece)
                 if broken or not open_:
                     continue
                 if not budget.fits(carried + len(piece)):
                     open_, broken = False, True
                     continue
                 carried += len(piece)
-    return said, carried
+    return submitted, carried
 
 
 @given(events, budgets)
@@ -94,14 +94,14 @@ def test_the_medium_carries_what_the_slow_model_carries(events_: list[object], b
     medium = a_medium(budget)
     for event in events_:
         play(medium, event)
-    said, carried = carried_by_the_book(events_, budget)
+    submitted, carried = carried_by_the_book(events_, budget)
     assert medium.carried == carried
     assert budget.fits(carried)
     left = medium.airtime.shared(0)
     assert left == budget.minus(carried) or left.spent
-    booked = rows(medium)
-    assert sum(row[9] for row in booked if row[10]) == carried
-    assert sum(row[9] for row in booked) == said
+    logged = rows(medium)
+    assert sum(row[9] for row in logged if row[10]) == carried
+    assert sum(row[9] for row in logged) == submitted
 
 
 @given(events, budgets)
@@ -109,14 +109,14 @@ def test_rows_count_packets_kind_by_kind(events_: list[object], budget: Budget) 
     medium = a_medium(budget)
     for event in events_:
         play(medium, event)
-    words = [packet for event in events_ for _, said in words_of(event) for packet in said]
-    booked = rows(medium)
+    content = [packet for event in events_ for _, submitted in frames_of(event) for packet in submitted]
+    logged = rows(medium)
     for number, kind in enumerate(packets.ALL_KINDS):
-        these = [row for row in booked if row[7] == number]
-        assert sum(row[8] for row in these) == sum(packet.name == kind for packet in words)
+        these = [row for row in logged if row[7] == number]
+        assert sum(row[8] for row in these) == sum(packet.name == kind for packet in content)
 
 
-def test_a_broadcast_is_booked_with_the_number_of_those_who_heard_it() -> None:
+def test_a_broadcast_is_logged_with_its_number_of_receivers() -> None:
     medium = a_medium(Budget(10), step=3)
     assert medium.broadcast(frame(BROADCAST, 2, EVERYONE, encode([Target(1, 2)])), [0, 1, 4])
     assert rows(medium) == [(3, 0, -1, 3, 2, EVERYONE, -1, packets.ALL_KINDS.index("targ"), 1, 3, 1, 0, 3)]

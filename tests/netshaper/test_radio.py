@@ -1,4 +1,4 @@
-"""The radio: budget, order and books, with robots that keep to the protocol, lie, say nothing, or die."""
+"""The radio: budget, order and ledger, with correct, byzantine, silent and dying robots."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from protocol.messages import (
 from protocol.packets import Answer, Decline, Delete, Offer, Save, Target, encode
 from tests.netshaper.network import Network, Step
 from tests.netshaper.scenes import gossip, play, scenes, seeds
-from tests.netshaper.scripted_robots import Liar, Mute, Robot
+from tests.netshaper.scripted_robots import ByzantineRobot, Mute, Robot
 
 either = st.one_of(scenes(), gossip())
 
@@ -62,51 +62,51 @@ def test_no_step_carries_more_than_its_budget(scene: Any) -> None:
 
 
 @given(either)
-def test_every_byte_that_was_said_is_booked_once_carried_or_cut(scene: Any) -> None:
+def test_every_submitted_byte_is_logged_once_as_carried_or_cut(scene: Any) -> None:
     settings, robots, cells, deaths = scene
-    # A last step in which nobody lives books what was said after the one before had closed.
+    # A last step without living robots logs the frames sent after the previous step closed.
     steps = play((settings, robots, [*cells, {}], [*deaths, {}]))
-    said: Counter[int] = Counter()
-    booked: Counter[int] = Counter()
+    sent: Counter[int] = Counter()
+    logged: Counter[int] = Counter()
     for step in steps:
         for sender, payload in step.submitted:
-            said[sender] += len(payload)
+            sent[sender] += len(payload)
         for row in step.rows:
-            booked[int(row["sender"])] += int(row["bytes"])
+            logged[int(row["sender"])] += int(row["bytes"])
         for whole, carried, cut, _ in balance(step.rows).values():
             assert whole == carried + cut
-    assert +said == +booked
+    assert +sent == +logged
 
 
 @given(scenes())
-def test_what_is_carried_to_one_robot_is_heard_by_it_and_by_nobody_else(scene: Any) -> None:
+def test_only_the_receiver_of_a_unicast_frame_receives_it(scene: Any) -> None:
     for step in play(scene):
-        for _, carried, _, heard in balance(step.rows).values():
+        for _, carried, _, received in balance(step.rows).values():
             broadcast = (step.rows["receiver"] == EVERYONE) & (step.rows["carried"] == 1)
-            assert heard == carried - step.bytes_where(broadcast)
-        booked: Counter[tuple[int, int]] = Counter()
+            assert received == carried - step.bytes_where(broadcast)
+        logged: Counter[tuple[int, int]] = Counter()
         for row in step.rows[unicast_data(step)]:
-            booked[int(row["sender"]), int(row["receiver"])] += int(row["bytes"])
+            logged[int(row["sender"]), int(row["receiver"])] += int(row["bytes"])
         delivered: Counter[tuple[int, int]] = Counter()
         for frame in step.delivered:
             if frame.kind == "data":
                 delivered[frame.sender, frame.receiver] += len(frame.payload)
-        assert delivered == booked
+        assert delivered == logged
 
 
 @given(scenes())
-def test_a_broadcast_counts_once_whoever_hears_it(scene: Any) -> None:
+def test_a_broadcast_counts_once_for_any_number_of_receivers(scene: Any) -> None:
     for step in play(scene, deadly=False):
         rows = step.rows[(step.rows["frame"] == BROADCAST) & (step.rows["carried"] == 1)]
         assert (rows["bytes"] == 3).all()
         assert (rows["packets"] == 1).all()
         assert len(set(rows["sender"].tolist())) == len(rows)
-        heard = Counter(frame.sender for frame in step.delivered if frame.kind == "broadcast")
-        assert heard == +Counter(dict(rows[["sender", "received_by"]].tolist()))
+        received = Counter(frame.sender for frame in step.delivered if frame.kind == "broadcast")
+        assert received == +Counter(dict(rows[["sender", "received_by"]].tolist()))
 
 
 @given(scenes())
-def test_the_first_packet_that_finds_no_room_closes_the_medium(scene: Any) -> None:
+def test_the_first_packet_beyond_the_budget_closes_the_medium(scene: Any) -> None:
     budget = scene[0].budget
     for step in play(scene):
         admitted = step.rows[(step.rows["carried"] == 1) | (step.rows["cause"] == CAUSES.index("budget"))]
@@ -133,7 +133,7 @@ def _by_robot(report: tuple[int, RoundReport]) -> tuple[int, int]:
 
 
 @given(scenes())
-def test_a_receiver_gets_its_offers_in_the_order_in_which_they_are_played(scene: Any) -> None:
+def test_a_receiver_gets_its_offers_in_their_order_on_the_air(scene: Any) -> None:
     for step in play(scene):
         for receiver, event in step.phases:
             numbers = [each.connection for each in event.deliveries]
@@ -160,7 +160,7 @@ def test_both_ends_of_a_connection_get_the_same_report(scene: Any) -> None:
 
 
 @given(scenes())
-def test_what_was_cut_was_cut_between_packets(scene: Any) -> None:
+def test_frames_are_cut_between_packets(scene: Any) -> None:
     for step in play(scene):
         for frame in step.delivered:
             if frame.kind == "data":
@@ -168,7 +168,7 @@ def test_what_was_cut_was_cut_between_packets(scene: Any) -> None:
 
 
 @given(scenes())
-def test_a_robot_out_of_range_hears_nothing(scene: Any) -> None:
+def test_a_robot_out_of_range_receives_nothing(scene: Any) -> None:
     settings, _, cells, _ = scene
     for where, step in zip(cells, play(scene), strict=True):
         for frame in step.delivered:
@@ -180,7 +180,7 @@ def test_a_robot_out_of_range_hears_nothing(scene: Any) -> None:
 
 
 @given(scenes())
-def test_everyone_who_lives_is_told_of_every_exchange_while_the_medium_is_open_and_of_the_end(
+def test_living_robots_get_every_round_while_the_medium_is_open_and_the_end(
     scene: Any,
 ) -> None:
     settings, robots, cells, deaths = scene
@@ -195,11 +195,13 @@ def test_everyone_who_lives_is_told_of_every_exchange_while_the_medium_is_open_a
             assert len(opened) == (settings.rounds if settings.robots > 1 else 0) or closed
 
 
-@given(scenes(st.lists(st.sampled_from((Robot, Robot, Liar, Liar)), min_size=2, max_size=6)))
-def test_who_lies_harms_nobody_who_does_not(scene: Any) -> None:
+@given(
+    scenes(st.lists(st.sampled_from((Robot, Robot, ByzantineRobot, ByzantineRobot)), min_size=2, max_size=6))
+)
+def test_byzantine_robots_do_not_harm_correct_robots(scene: Any) -> None:
     settings, robots, cells, _ = scene
     settings = replace(settings, budget=UNLIMITED)
-    byzantine = {number for number, robot in robots.items() if isinstance(robot, Liar)}
+    byzantine = {number for number, robot in robots.items() if isinstance(robot, ByzantineRobot)}
     silent = {n: Quiet(n, len(robots), 0) if n in byzantine else robot for n, robot in robots.items()}
     none: list[Any] = [{} for _ in cells]
     for first, second in zip(
@@ -209,7 +211,7 @@ def test_who_lies_harms_nobody_who_does_not(scene: Any) -> None:
 
 
 class Quiet(Robot):
-    """A robot that takes part and has nothing to send."""
+    """A robot that takes part and sends no frames."""
 
     def opens(self, event: Open) -> list[RobotFrames]:
         return [RobotFrames(event.step, event.round, "offers")]
@@ -219,7 +221,7 @@ class Quiet(Robot):
 
 
 def _among(step: Step, without: set[int]) -> list[Any]:
-    """What the others said to each other, but for the numbers of connections, which count everyone's."""
+    """The rows between the other robots, without connection numbers, which count all connections."""
     rows = step.rows[~np.isin(step.rows["sender"], [*without])]
     rows = rows[~np.isin(rows["receiver"], [*without])]
     return sorted((row[1], *row[3:]) for row in rows.tolist())
@@ -271,7 +273,7 @@ TARGET_12 = encode([Target(1, 2)])
 TOGETHER = {0: (0, 0), 1: (3, 4)}
 
 
-def booked(step: Step) -> list[tuple[str, int, int, int, bool, str]]:
+def logged(step: Step) -> list[tuple[str, int, int, int, bool, str]]:
     """Rows as (frame, sender, receiver, bytes, carried, cause)."""
     frames = ("offer", "answer", "data", "broadcast")
     return [
@@ -284,7 +286,7 @@ def booked(step: Step) -> list[tuple[str, int, int, int, bool, str]]:
 
 def test_a_connection_puts_its_offer_its_answer_and_its_data_on_the_air() -> None:
     step = network_of(Sends(0, (1, OFFER_0), data=encode([Save(), Save()])), Sends(1)).step(1, TOGETHER)
-    assert booked(step) == [
+    assert logged(step) == [
         ("offer", 0, 1, 2, True, ""),
         ("answer", 1, 0, 2, True, ""),
         ("data", 0, 1, 2, True, ""),
@@ -326,7 +328,7 @@ def test_the_budget_is_spent_on_targets_then_connection_by_connection_packet_by_
     assert other.deliveries == ([Delivery(0, data[: carried[3]], 0, 0)] if carried[3] else [])
 
 
-def test_once_closed_the_medium_stays_closed_for_smaller_frames_and_later_exchanges() -> None:
+def test_once_closed_the_medium_stays_closed_for_smaller_frames_and_later_rounds() -> None:
     robots = Sends(0, (1, OFFER_0), data=encode([packets.Fragment(bytes(63))])), Sends(1, (0, OFFER_0))
     step = network_of(*robots, budget=Budget(50), rounds=2).step(1, TOGETHER)
     assert [event.round for number, event in step.opened if number == 0] == [0]
@@ -334,7 +336,7 @@ def test_once_closed_the_medium_stays_closed_for_smaller_frames_and_later_exchan
     assert not step.rows["carried"][cut:].any()
 
 
-def test_a_later_exchange_has_what_is_left_of_the_budget() -> None:
+def test_a_later_round_has_the_remaining_budget() -> None:
     robots = Sends(0, (1, OFFER_0), data=encode([Save()])), Sends(1)
     step = network_of(*robots, budget=Budget(50), rounds=3).step(1, TOGETHER)
     assert [event.budget.limit for number, event in step.opened if number == 0] == [50, 45, 45]
@@ -345,31 +347,31 @@ def test_the_next_step_has_its_whole_budget_again() -> None:
     assert [network.step(number, TOGETHER).carried for number in (1, 2, 3)] == [4, 4, 4]
 
 
-def test_a_target_is_heard_by_all_in_range_and_booked_once() -> None:
+def test_a_target_reaches_all_robots_in_range_and_is_logged_once() -> None:
     step = network_of(Sends(0, broadcast=TARGET_12), Sends(1), Sends(2), range_cells=5.0).step(
         1, {0: (0, 0), 1: (3, 4), 2: (4, 4)}
     )
-    assert booked(step) == [("broadcast", 0, EVERYONE, 3, True, "")]
+    assert logged(step) == [("broadcast", 0, EVERYONE, 3, True, "")]
     assert step.rows["received_by"].tolist() == [1]
     assert [frame.receiver for frame in step.delivered] == [1]
 
 
-def test_a_target_that_nobody_hears_is_on_the_air_all_the_same() -> None:
+def test_a_target_without_receivers_is_still_on_the_air() -> None:
     step = network_of(Sends(0, broadcast=TARGET_12), Sends(1), range_cells=1.0).step(1, TOGETHER)
-    assert booked(step) == [("broadcast", 0, EVERYONE, 3, True, "")]
+    assert logged(step) == [("broadcast", 0, EVERYONE, 3, True, "")]
     assert step.rows["received_by"].tolist() == [0]
 
 
-def test_a_frame_to_a_robot_out_of_range_is_booked_and_not_passed_on() -> None:
+def test_a_frame_to_a_robot_out_of_range_is_logged_and_not_delivered() -> None:
     step = network_of(Sends(0, (1, OFFER_0)), Sends(1), range_cells=4.9).step(1, TOGETHER)
-    assert booked(step) == [("offer", 0, 1, 2, False, "range")]
+    assert logged(step) == [("offer", 0, 1, 2, False, "range")]
     assert step.delivered == []
 
 
 @pytest.mark.parametrize("receiver", [0, 2, 63, -99])
-def test_a_frame_to_oneself_or_to_nobody_is_out_of_range(receiver: int) -> None:
+def test_a_frame_to_its_sender_or_to_no_robot_is_out_of_range(receiver: int) -> None:
     step = network_of(Sends(0, (receiver, OFFER_0)), Sends(1)).step(1, {0: (0, 0), 1: (0, 1)})
-    assert booked(step) == [("offer", 0, receiver, 2, False, "range")]
+    assert logged(step) == [("offer", 0, receiver, 2, False, "range")]
 
 
 @pytest.mark.parametrize(
@@ -384,23 +386,23 @@ def test_a_frame_to_oneself_or_to_nobody_is_out_of_range(receiver: int) -> None:
         b"\xc0\x00\xf0",
     ],
 )
-def test_an_offer_that_is_none_is_booked_with_its_cause_and_reported(payload: bytes) -> None:
+def test_a_malformed_offer_is_logged_with_its_cause_and_reported(payload: bytes) -> None:
     network = network_of(Sends(0, (1, payload)), Sends(1))
     step = network.step(1, TOGETHER)
     assert {
-        (sender, receiver, carried, cause) for _, sender, receiver, _, carried, cause in booked(step)
+        (sender, receiver, carried, cause) for _, sender, receiver, _, carried, cause in logged(step)
     } == {(0, 1, False, "protocol")}
     assert step.bytes_where(step.rows["bytes"] > 0) == len(payload)
     assert step.delivered == []
     assert [robot for robot, _ in network.radio.protocol_errors] == [0]
 
 
-def test_a_map_is_offered_to_a_robot_once_an_exchange() -> None:
+def test_a_map_is_offered_to_a_robot_once_per_round() -> None:
     network = network_of(
         Sends(0, (1, OFFER_0), (1, encode([Offer(0, 3)])), (1, encode([Offer(1, 0)]))), Sends(1)
     )
     step = network.step(1, TOGETHER)
-    offers = sorted(row for row in booked(step) if row[0] == "offer")
+    offers = sorted(row for row in logged(step) if row[0] == "offer")
     assert offers == [
         ("offer", 0, 1, 2, False, "protocol"),
         ("offer", 0, 1, 2, True, ""),
@@ -409,13 +411,13 @@ def test_a_map_is_offered_to_a_robot_once_an_exchange() -> None:
     assert [robot for robot, _ in network.radio.protocol_errors] == [0]
 
 
-def test_bytes_that_are_no_packets_have_a_kind_of_their_own() -> None:
+def test_malformed_bytes_have_their_own_kind() -> None:
     step = network_of(Sends(0, (1, b"\xff\xff\xff")), Sends(1)).step(1, TOGETHER)
     assert step.rows[["kind", "packets", "bytes"]].tolist() == [(MALFORMED, 1, 3)]
 
 
 @pytest.mark.parametrize("payload", [b"\xff", OFFER_0, TARGET_12 + TARGET_12, b"\x80\x01"])
-def test_a_broadcast_of_anything_but_one_target_is_refused(payload: bytes) -> None:
+def test_a_broadcast_other_than_one_target_is_refused(payload: bytes) -> None:
     network = network_of(Sends(0, broadcast=payload), Sends(1))
     step = network.step(1, TOGETHER)
     assert not step.rows["carried"].any()
@@ -430,7 +432,7 @@ def test_a_second_target_in_a_step_is_refused() -> None:
 
     network = network_of(Insists(0, broadcast=TARGET_12), Sends(1), rounds=2)
     step = network.step(1, TOGETHER)
-    assert booked(step) == [
+    assert logged(step) == [
         ("broadcast", 0, EVERYONE, 3, True, ""),
         ("broadcast", 0, EVERYONE, 3, False, "protocol"),
     ]
@@ -439,7 +441,7 @@ def test_a_second_target_in_a_step_is_refused() -> None:
 @pytest.mark.parametrize(
     "data", [b"\xff", b"\x80\x01", b"\xf2\x00", b"\xfc\x01", OFFER_0, TARGET_12, encode([Save()]) + b"\xd0"]
 )
-def test_data_that_is_malformed_or_no_data_is_booked_and_passed_on_to_nobody(data: bytes) -> None:
+def test_malformed_data_is_logged_and_not_delivered(data: bytes) -> None:
     network = network_of(Sends(0, (1, OFFER_0), data=data), Sends(1))
     step = network.step(1, TOGETHER)
     refused = step.rows[step.rows["frame"] == DATA]
@@ -449,7 +451,7 @@ def test_data_that_is_malformed_or_no_data_is_booked_and_passed_on_to_nobody(dat
     assert network.radio.protocol_errors
 
 
-def test_data_for_an_offer_that_was_not_answered_is_refused_and_booked() -> None:
+def test_data_for_an_offer_that_was_not_answered_is_refused_and_logged() -> None:
     class Impatient(Sends):
         def reply_to(self, event: PhaseDelivery, deliveries: Sequence[Delivery]) -> list[OutgoingFrame]:
             (answer,) = deliveries
@@ -461,7 +463,7 @@ def test_data_for_an_offer_that_was_not_answered_is_refused_and_booked() -> None
 
     network = network_of(Impatient(0, (1, OFFER_0), (1, encode([Offer(1, 0)]))), Choosy(1))
     step = network.step(1, TOGETHER)
-    assert sorted(booked(step)) == [
+    assert sorted(logged(step)) == [
         ("answer", 1, 0, 2, True, ""),
         ("data", 0, 1, 1, False, "protocol"),
         ("offer", 0, 1, 2, True, ""),
@@ -471,9 +473,7 @@ def test_data_for_an_offer_that_was_not_answered_is_refused_and_booked() -> None
 
 
 @given(seeds, st.permutations([(peer, map_id) for peer in (1, 2) for map_id in (0, 1, 2)]))
-def test_the_order_in_which_a_robot_says_its_offers_changes_nothing(
-    seed: int, order: list[tuple[int, int]]
-) -> None:
+def test_the_order_of_a_robot_s_offers_changes_nothing(seed: int, order: list[tuple[int, int]]) -> None:
     def played(pairs: list[Any]) -> list[Any]:
         offers = [(peer, encode([Offer(map_id, 0)])) for peer, map_id in pairs]
         robots = {0: Sends(0, *offers, data=encode(3 * [Delete(1)])), 1: Sends(1), 2: Sends(2)}
@@ -484,19 +484,19 @@ def test_the_order_in_which_a_robot_says_its_offers_changes_nothing(
     assert played(order) == played(sorted(order))
 
 
-def test_what_is_said_while_the_medium_is_closed_is_booked_in_the_next_step() -> None:
+def test_frames_sent_while_the_medium_is_closed_are_logged_in_the_next_step() -> None:
     network = network_of(Sends(0, late=TARGET_12), Sends(1))
-    assert booked(network.step(1, TOGETHER)) == []
-    assert booked(network.step(2, TOGETHER)) == [("data", 0, EVERYONE, 3, False, "protocol")]
+    assert logged(network.step(1, TOGETHER)) == []
+    assert logged(network.step(2, TOGETHER)) == [("data", 0, EVERYONE, 3, False, "protocol")]
 
 
 @pytest.mark.parametrize("robots", [1, 2, 3])
-def test_a_step_without_words_carries_nothing(robots: int) -> None:
+def test_a_step_without_frames_carries_nothing(robots: int) -> None:
     step = network_of(*map(Sends, range(robots))).step(1, {robot: (robot, 0) for robot in range(robots)})
     assert (step.carried, len(step.rows)) == (0, 0)
 
 
-def test_a_step_in_which_nobody_lives_ends_at_once() -> None:
+def test_a_step_without_living_robots_ends_at_once() -> None:
     step = network_of(Sends(0), Sends(1)).step(1, {})
     assert (step.carried, len(step.rows)) == (0, 0)
 
@@ -506,7 +506,7 @@ def test_a_step_in_which_nobody_lives_ends_at_once() -> None:
 
 @pytest.mark.parametrize("moment", range(40))
 @pytest.mark.parametrize("victim", [0, 1])
-def test_a_death_at_any_moment_stalls_nobody_and_is_booked(victim: int, moment: int) -> None:
+def test_a_death_at_any_moment_stalls_no_robot_and_is_logged(victim: int, moment: int) -> None:
     data = encode([Save(), Save()])
     robots = [
         Sends(n, *((peer, encode([Offer(n, 0)])) for peer in range(3) if peer != n), data=data)
@@ -515,16 +515,16 @@ def test_a_death_at_any_moment_stalls_nobody_and_is_booked(victim: int, moment: 
     network = Network(RadioSettings(3, 7, 10.0), dict(enumerate(robots)))
     step = network.step(1, TOGETHER | {2: (1, 1)}, {victim: moment})
     assert set(step.closed) - network.dead == {0, 1, 2} - network.dead
-    ((said, carried, cut, heard),) = balance(step.rows).values()
-    assert said == carried + cut == sum(len(payload) for _, payload in step.submitted)
-    assert heard == carried
+    ((sent, carried, cut, received),) = balance(step.rows).values()
+    assert sent == carried + cut == sum(len(payload) for _, payload in step.submitted)
+    assert received == carried
     lost = step.rows[step.rows["cause"] == CAUSES.index("lost")]
     assert all(victim in (row["sender"], row["receiver"]) for row in lost)
     assert not (step.rows["cause"] == CAUSES.index("protocol")).any()
     assert not network.radio.protocol_errors
 
 
-def test_data_for_a_robot_that_died_in_between_is_lost_and_costs_nothing() -> None:
+def test_data_for_a_robot_that_died_in_between_is_lost_and_uses_no_budget() -> None:
     network = network_of(Sends(0), Sends(1), budget=Budget(4))
     radio = network.radio
     assert len(radio.begin(1, {0: (0, 0), 1: (0, 1)})) == 2

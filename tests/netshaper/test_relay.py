@@ -1,4 +1,4 @@
-"""The relay's shell on the bus in memory: who has to be there, who may say what, and who died."""
+"""The relay process on the memory bus: required participants, their rights, and losses."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from netshaper.settings import RadioSettings
 from protocol import keys as names
 from protocol.budget import UNLIMITED, Budget
 from protocol.bus import Bus
-from protocol.fields import MOST_CONNECTIONS
+from protocol.fields import MAX_CONNECTIONS
 from protocol.grid import MAX_ROBOTS
 from protocol.keys import RELAY, Keys
 from protocol.memory_bus import MemoryHub
@@ -28,7 +28,7 @@ from protocol.messages import (
     Close,
     Delivery,
     End,
-    Fault,
+    ErrorReport,
     Lost,
     Move,
     OfferReply,
@@ -52,7 +52,7 @@ WORLD, RECORDER = names.WORLD, names.RECORDER
 
 
 class Run:
-    """A relay on a bus in memory, and the ends of all others, which the test speaks for."""
+    """A relay on a memory bus, and the other ends, which the test operates."""
 
     def __init__(self, robots: int = 2, *, begun: bool = True, budget: Budget = UNLIMITED) -> None:
         self.hub = MemoryHub(KEYS.run)
@@ -63,7 +63,7 @@ class Run:
         if begun:
             for name in (WORLD, RECORDER, *self.robots):
                 self.join(name)
-            assert self.heard(WORLD) == [Begin()]
+            assert self.received(WORLD) == [Begin()]
 
     def join(self, name: str) -> None:
         self.ends[name] = self.hub.join(name)
@@ -77,7 +77,7 @@ class Run:
         while (message := self._relay_bus.receive()) is not None:
             self.relay.handle(message)
 
-    def say(self, name: str, message: object) -> None:
+    def send(self, name: str, message: object) -> None:
         if isinstance(message, RobotFrames):
             self.radio(name, pack(message))
         else:
@@ -89,8 +89,8 @@ class Run:
         self.ends[sender].put(KEYS.radio_tx(sender), payload)
         self.work()
 
-    def listen_to_the_relay(self, note: Callable[[str], object]) -> None:
-        """Have the key noted of all that the relay puts from now on."""
+    def record_keys(self, note: Callable[[str], object]) -> None:
+        """Call `note` with the key of each message that the relay puts from now on."""
         put = self._relay_bus.put
 
         def put_and_note(key: str, payload: bytes) -> None:
@@ -99,50 +99,50 @@ class Run:
 
         self._relay_bus.put = put_and_note
 
-    def heard(self, name: str) -> list[Any]:
-        """All messages of the relay since last time, and the events in its updates."""
+    def received(self, name: str) -> list[Any]:
+        """Return the relay's messages since the last call, with the events of its updates."""
         found: list[Any] = []
         while (message := self.ends[name].receive()) is not None:
             assert names.parts(message.key)[3] == names.RELAY
-            said = unpack(message.payload)
-            found += said.events if isinstance(said, RelayUpdate) else [said]
+            decoded = unpack(message.payload)
+            found += decoded.events if isinstance(decoded, RelayUpdate) else [decoded]
         return found
 
     def begin_step(self, step: int = 1) -> None:
         numbers = [names.number(name) for name in self.robots if name in self.ends]
-        self.say(WORLD, Positions(step, numbers, numbers, numbers))
+        self.send(WORLD, Positions(step, numbers, numbers, numbers))
 
     def finish_step(self, step: int = 1) -> list[RadioReport]:
-        """Let robots be silent until the medium closes; return what the laboratory is told."""
+        """Let robots send empty frames until the medium closes; return the recorder's reports."""
         for _ in range(2):
             for name in self.robots:
-                for message in self.heard(name) if name in self.ends else []:
+                for message in self.received(name) if name in self.ends else []:
                     if isinstance(message, Open):
-                        self.say(name, RobotFrames(step, message.round, "offers"))
-        return [message for message in self.heard(RECORDER) if isinstance(message, RadioReport)]
+                        self.send(name, RobotFrames(step, message.round, "offers"))
+        return [message for message in self.received(RECORDER) if isinstance(message, RadioReport)]
 
 
-def test_the_run_begins_when_everyone_is_here_and_not_before() -> None:
+def test_the_run_begins_when_all_participants_have_joined_and_not_before() -> None:
     run = Run(begun=False)
     for name, missing in [(WORLD, [RECORDER, "r0", "r1"]), ("r1", [RECORDER, "r0"]), (RECORDER, ["r0"])]:
         run.join(name)
         assert run.relay.missing() == sorted(missing)
-        assert run.heard(WORLD) == []
+        assert run.received(WORLD) == []
     run.join("r0")
     assert run.relay.missing() == []
-    assert run.heard(WORLD) == [Begin()]
+    assert run.received(WORLD) == [Begin()]
 
 
-def test_who_leaves_before_the_beginning_is_waited_for_again() -> None:
+def test_the_relay_waits_again_for_a_participant_that_leaves_before_the_beginning() -> None:
     run = Run(begun=False)
     for name in (WORLD, RECORDER, "r0"):
         run.join(name)
     run.leave("r0")
     run.join("r1")
-    assert run.heard(WORLD) == []
+    assert run.received(WORLD) == []
     assert run.relay.missing() == ["r0"]
     run.join("r0")
-    assert run.heard(WORLD) == [Begin()]
+    assert run.received(WORLD) == [Begin()]
 
 
 def test_a_step_opens_the_medium_for_all_and_ends_with_a_report() -> None:
@@ -151,91 +151,91 @@ def test_a_step_opens_the_medium_for_all_and_ends_with_a_report() -> None:
     assert run.relay.waiting_for() == [0, 1]
     (report,) = run.finish_step()
     assert (report.step, report.carried, report.rows) == (1, 0, b"")
-    assert [type(message) for message in run.heard("r0")] == [Close]
+    assert [type(message) for message in run.received("r0")] == [Close]
 
 
-def test_what_a_robot_is_told_goes_out_at_one_go_and_the_books_once_all_are_told() -> None:
+def test_the_relay_sends_a_robot_s_events_at_once_and_the_ledger_after_all_of_them() -> None:
     run = Run(robots=3)
     run.begin_step()
-    told: list[str] = []
-    run.listen_to_the_relay(lambda key: told.append(names.parts(key)[2]))
+    receivers: list[str] = []
+    run.record_keys(lambda key: receivers.append(names.parts(key)[2]))
     for sender, number in zip(run.robots, range(3), strict=True):
         target, offer = encode([Target(number, 1)]), encode([Offer(number, 0)])
         others = [receiver for receiver in range(3) if receiver != number]
         offers = [OutgoingFrame(receiver, offer) for receiver in others]
-        run.say(sender, RobotFrames(1, 0, "offers", target, offers))
-    assert told == ["r0", "r1", "r2"], "two targets, two offers and the turn, each"
-    told.clear()
+        run.send(sender, RobotFrames(1, 0, "offers", target, offers))
+    assert receivers == ["r0", "r1", "r2"], "two targets, two offers and the phase, each"
+    receivers.clear()
     for phase in ("answers", "data"):
         for robot in run.robots:
-            run.say(robot, RobotFrames(1, 0, phase))
+            run.send(robot, RobotFrames(1, 0, phase))
     for robot in run.robots:
-        run.say(robot, RobotFrames(1, 1, "offers"))
-    assert told[-5:] == ["r0", "r1", "r2", WORLD, RECORDER]
+        run.send(robot, RobotFrames(1, 1, "offers"))
+    assert receivers[-5:] == ["r0", "r1", "r2", WORLD, RECORDER]
 
 
-def test_a_robot_that_dies_is_reported_and_nobody_waits_for_it() -> None:
+def test_a_robot_that_dies_is_reported_and_the_relay_does_not_wait_for_it() -> None:
     run = Run()
     run.begin_step()
     run.leave("r1")
-    assert run.heard(WORLD) == [Lost(1, "its process ended")]
-    assert run.heard(RECORDER) == [Lost(1, "its process ended")]
+    assert run.received(WORLD) == [Lost(1, "its process ended")]
+    assert run.received(RECORDER) == [Lost(1, "its process ended")]
     assert run.relay.waiting_for() == [0]
     assert len(run.finish_step()) == 1
 
 
-def test_a_robot_that_is_given_up_is_reported_once_also_when_it_leaves_later() -> None:
+def test_a_lost_robot_is_reported_once_even_if_it_leaves_later() -> None:
     run = Run()
     run.begin_step()
-    run.relay.give_up_on(1, "it said nothing")
+    run.relay.give_up_on(1, "it sent nothing")
     run.leave("r1")
-    assert run.heard(WORLD) == [Lost(1, "it said nothing")]
+    assert run.received(WORLD) == [Lost(1, "it sent nothing")]
 
 
-def test_a_robot_that_dies_before_it_has_handed_in_its_maps_is_reported_too() -> None:
+def test_a_robot_that_dies_before_it_has_sent_its_maps_is_reported_too() -> None:
     run = Run()
-    run.say(WORLD, End(7, "explored", 0))
-    assert run.heard(RECORDER) == [End(7, "explored", 0)]
+    run.send(WORLD, End(7, "explored", 0))
+    assert run.received(RECORDER) == [End(7, "explored", 0)]
     run.leave("r1")
-    assert run.heard(RECORDER) == [Lost(1, "its process ended")]
+    assert run.received(RECORDER) == [Lost(1, "its process ended")]
 
 
-def test_when_the_world_dies_the_run_is_over_for_everyone_once() -> None:
+def test_when_the_world_dies_the_run_ends_once_for_all() -> None:
     run = Run()
     run.begin_step()
     run.leave(WORLD)
     for name in (RECORDER, "r0", "r1"):
-        assert [m for m in run.heard(name) if isinstance(m, End)] == [End(-1, "the world died", -1)]
-    run.say(RECORDER, Shutdown())
+        assert [m for m in run.received(name) if isinstance(m, End)] == [End(-1, "the world died", -1)]
+    run.send(RECORDER, Shutdown())
     for name in (RECORDER, "r0", "r1"):
-        assert run.heard(name) == [Shutdown()]
+        assert run.received(name) == [Shutdown()]
         run.leave(name)
     assert run.relay.done
 
 
-def test_a_world_that_dies_after_the_end_ends_nothing_again() -> None:
+def test_a_world_that_dies_after_the_end_does_not_end_the_run_again() -> None:
     run = Run()
-    run.say(WORLD, End(7, "explored", 0))
+    run.send(WORLD, End(7, "explored", 0))
     run.leave(WORLD)
-    assert run.heard(RECORDER) == [End(7, "explored", 0)]
+    assert run.received(RECORDER) == [End(7, "explored", 0)]
 
 
 @pytest.mark.parametrize("ended", [False, True])
-def test_when_the_laboratory_dies_everyone_goes_home(ended: bool) -> None:
+def test_when_the_recorder_dies_all_participants_shut_down(ended: bool) -> None:
     run = Run()
     if ended:
-        run.say(WORLD, End(7, "explored", 0))
+        run.send(WORLD, End(7, "explored", 0))
     run.leave(RECORDER)
     for name in (WORLD, "r0", "r1"):
-        assert run.heard(name)[-1] == Shutdown()
+        assert run.received(name)[-1] == Shutdown()
         run.leave(name)
     assert run.relay.done
 
 
-def test_the_relay_is_done_when_all_have_been_sent_home_and_have_left() -> None:
+def test_the_relay_is_done_when_all_have_received_shutdown_and_left() -> None:
     run = Run()
-    run.say(WORLD, End(7, "explored", 0))
-    run.say(RECORDER, Shutdown())
+    run.send(WORLD, End(7, "explored", 0))
+    run.send(RECORDER, Shutdown())
     for name in (WORLD, RECORDER, "r0", "r1"):
         assert run.relay.shutting_down
         assert not run.relay.done
@@ -243,10 +243,10 @@ def test_the_relay_is_done_when_all_have_been_sent_home_and_have_left() -> None:
     assert run.relay.done
 
 
-def test_a_stop_of_the_laboratory_is_passed_on_to_the_world() -> None:
+def test_the_relay_forwards_a_stop_of_the_recorder_to_the_world() -> None:
     run = Run()
-    run.say(RECORDER, Stop("interrupted"))
-    assert run.heard(WORLD) == [Stop("interrupted")]
+    run.send(RECORDER, Stop("interrupted"))
+    assert run.received(WORLD) == [Stop("interrupted")]
 
 
 @pytest.mark.parametrize(
@@ -266,14 +266,14 @@ def test_a_stop_of_the_laboratory_is_passed_on_to_the_world() -> None:
     ],
     ids=repr,
 )
-def test_what_is_not_a_robots_to_say_is_reported_and_has_no_effect(lie: object) -> None:
+def test_messages_that_a_robot_may_not_send_are_reported_and_have_no_effect(lie: object) -> None:
     run = Run()
     run.begin_step()
-    run.say("r1", lie)
-    (fault,) = run.heard(RECORDER)
-    assert isinstance(fault, Fault)
-    assert fault.who == "r1"
-    assert run.heard(WORLD) == []
+    run.send("r1", lie)
+    (fault,) = run.received(RECORDER)
+    assert isinstance(fault, ErrorReport)
+    assert fault.participant == "r1"
+    assert run.received(WORLD) == []
     assert run.relay.waiting_for() == [0, 1]
     assert len(run.finish_step()) == 1
 
@@ -282,11 +282,11 @@ def test_what_is_not_a_robots_to_say_is_reported_and_has_no_effect(lie: object) 
 def test_noise_on_a_robots_wire_stops_no_run(noise: bytes) -> None:
     run = Run()
     run.begin_step()
-    run.say("r1", noise)
+    run.send("r1", noise)
     run.radio("r1", noise)
     frames = [OutgoingFrame(0, noise), OutgoingFrame(EVERYONE, noise)]
-    run.say("r1", RobotFrames(1, 0, "data", noise, frames))
-    run.say("r1", RobotFrames(1, 0, "offers", noise, frames))
+    run.send("r1", RobotFrames(1, 0, "data", noise, frames))
+    run.send("r1", RobotFrames(1, 0, "offers", noise, frames))
     assert len(run.finish_step()) == 1
 
 
@@ -298,10 +298,10 @@ def test_noise_on_a_robots_wire_stops_no_run(noise: bytes) -> None:
         RobotFrames(2**31 - 1, 0, "offers", frames=[OutgoingFrame(0, encode([Offer(1, 0)]), 2**31 - 1)]),
     ],
 )
-def test_strange_numbers_at_the_end_of_a_phase_stop_no_run(message: RobotFrames) -> None:
+def test_invalid_numbers_at_the_end_of_a_phase_stop_no_run(message: RobotFrames) -> None:
     run = Run()
     run.begin_step()
-    run.say("r1", message)
+    run.send("r1", message)
     assert run.relay.waiting_for() == [0]
 
 
@@ -320,36 +320,36 @@ REPLIES = [[], b"", [], []]
     ],
     ids=repr,
 )
-def test_numbers_that_cannot_be_end_no_phase(items: list[Any]) -> None:
+def test_invalid_numbers_end_no_phase(items: list[Any]) -> None:
     run = Run()
     run.begin_step()
     run.radio("r1", msgspec.msgpack.encode([7, *items]))
-    (fault,) = run.heard(RECORDER)
-    assert fault.who == "r1"
-    assert "must be" in fault.what
+    (fault,) = run.received(RECORDER)
+    assert fault.participant == "r1"
+    assert "must be" in fault.reason
     assert run.relay.waiting_for() == [0, 1]
 
 
 @pytest.mark.parametrize("receiver", [1, 2, 9, 64, MAX_ROBOTS - 1])
-def test_a_frame_for_a_number_that_no_teammate_has_is_booked_as_out_of_range(receiver: int) -> None:
+def test_a_frame_for_an_unknown_robot_is_logged_as_out_of_range(receiver: int) -> None:
     run = Run()
     run.begin_step()
-    run.say("r1", RobotFrames(1, 0, "offers", frames=[OutgoingFrame(receiver, encode([Offer(1, 0)]))]))
+    run.send("r1", RobotFrames(1, 0, "offers", frames=[OutgoingFrame(receiver, encode([Offer(1, 0)]))]))
     (report,) = run.finish_step()
     rows = np.frombuffer(report.rows, ROW)
     assert [(row["sender"], row["bytes"], CAUSES[row["cause"]]) for row in rows] == [(1, 2, "range")]
 
 
-def test_a_frame_longer_than_could_be_carried_is_reported_and_not_looked_at() -> None:
+def test_a_frame_longer_than_the_limit_is_reported_and_not_decoded() -> None:
     run = Run(budget=Budget(1000))
     run.begin_step()
     for size in (1065, 1 << 24, 20 << 20):
-        run.say(
+        run.send(
             "r1", RobotFrames(1, 0, "offers", frames=[OutgoingFrame(0, b""), OutgoingFrame(0, bytes(size))])
         )
-    faults = run.heard(RECORDER)
-    assert [fault.who for fault in faults] == 3 * ["r1"]
-    assert "a frame of 1065 bytes, where 1064 are the most" in faults[0].what
+    faults = run.received(RECORDER)
+    assert [fault.participant for fault in faults] == 3 * ["r1"]
+    assert "a frame of 1065 bytes, where 1064 are the most" in faults[0].reason
     assert run.relay.waiting_for() == [0, 1]
     (report,) = run.finish_step()
     assert report.rows == b""
@@ -360,43 +360,46 @@ def test_a_frame_longer_than_could_be_carried_is_reported_and_not_looked_at() ->
     Replies([], bytes(1065), [], []),
     Replies([], b"", [AnswerReply(b"", b"", 0)], [bytes(1065)]),
 ], ids=["answer", "decline", "data"])  # fmt: skip
-def test_nor_is_a_reply_that_is_longer_than_could_be_carried(replies: Replies) -> None:
+def test_a_reply_longer_than_the_limit_is_reported_and_not_decoded(replies: Replies) -> None:
     run = Run(budget=Budget(1000))
     run.begin_step()
-    run.say("r1", RobotFrames(1, 0, "offers", replies=replies))
-    (fault,) = run.heard(RECORDER)
-    assert "a frame of 1065 bytes, where 1064 are the most" in fault.what
+    run.send("r1", RobotFrames(1, 0, "offers", replies=replies))
+    (fault,) = run.received(RECORDER)
+    assert "a frame of 1065 bytes, where 1064 are the most" in fault.reason
     assert run.relay.waiting_for() == [0, 1]
 
 
-def test_where_everybody_is_said_to_be_may_be_longer_than_could_be_carried() -> None:
+def test_a_broadcast_of_relayed_positions_may_exceed_the_budget() -> None:
     run = Run(robots=40, budget=Budget(150))
     run.begin_step()
-    said = encode(
+    sent = encode(
         [Pose(1, 1, 0), *(packet for r in range(1, 40) for packet in (Passed(r, 1, 2, 2), Target(3, 3)))]
     )
-    run.say("r0", RobotFrames(1, 0, "offers", said))
-    assert run.heard(RECORDER) == []
+    run.send("r0", RobotFrames(1, 0, "offers", sent))
+    assert run.received(RECORDER) == []
     assert 0 not in run.relay.waiting_for()
 
 
-def test_who_says_more_frames_in_a_phase_than_there_can_be_connections_again_and_again_is_given_up() -> None:
+def test_a_robot_that_repeatedly_exceeds_the_connections_of_a_phase_is_lost() -> None:
     run = Run()
     run.begin_step()
-    frames = (MOST_CONNECTIONS + 1) * [OutgoingFrame(0, encode([Offer(1, 0)]))]
-    said = pack(RobotFrames(1, 0, "offers", frames=frames))
+    frames = (MAX_CONNECTIONS + 1) * [OutgoingFrame(0, encode([Offer(1, 0)]))]
+    sent = pack(RobotFrames(1, 0, "offers", frames=frames))
     for _ in range(MAX_PROTOCOL_ERRORS + 1):
-        run.radio("r1", said)
-    assert [type(message) for message in run.heard(RECORDER)] == [*MAX_PROTOCOL_ERRORS * [Fault], Lost]
+        run.radio("r1", sent)
+    assert [type(message) for message in run.received(RECORDER)] == [
+        *MAX_PROTOCOL_ERRORS * [ErrorReport],
+        Lost,
+    ]
     assert run.relay.waiting_for() == [0]
 
 
 def test_a_target_is_passed_on_with_its_sender() -> None:
     run = Run()
     run.begin_step()
-    run.heard("r0")
-    run.say("r1", RobotFrames(1, 0, "offers", encode([Target(3, 4)])))
-    run.say("r0", RobotFrames(1, 0, "offers"))
+    run.received("r0")
+    run.send("r1", RobotFrames(1, 0, "offers", encode([Target(3, 4)])))
+    run.send("r0", RobotFrames(1, 0, "offers"))
     message = run.ends["r0"].receive()
     assert message is not None
     assert message.key == KEYS.radio_rx("r0", RELAY)

@@ -1,4 +1,4 @@
-"""Replies told beforehand: the same goes on the air as if each robot had been asked, in fewer messages."""
+"""Speculative replies: the relay carries the same frames as if it asked each robot, with fewer messages."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class Team:
     st.sampled_from((UNLIMITED, *map(Budget, (0, 9, 40, 300)))),
     st.integers(0, 1000),
 )
-def test_what_is_said_for_robots_is_what_they_would_say(
+def test_replies_of_the_relay_are_those_of_the_robots(
     robots: int, policy: str, budget: Budget, seed: int
 ) -> None:
     random = np.random.default_rng(seed)
@@ -106,7 +106,7 @@ def test_what_is_said_for_robots_is_what_they_would_say(
     assert answered.sent <= asked.sent
 
 
-def test_where_all_is_as_it_seems_a_robot_speaks_once_an_exchange() -> None:
+def test_without_losses_a_robot_sends_one_message_per_round() -> None:
     asked, answered = (Team(3, "backoff", UNLIMITED, speculates=each) for each in (False, True))
     cells = {robot: (robot, 0) for robot in range(3)}
     for number in range(1, 11):
@@ -116,7 +116,7 @@ def test_where_all_is_as_it_seems_a_robot_speaks_once_an_exchange() -> None:
     assert asked.sent > 2 * asked.opened
 
 
-def test_who_lies_about_its_replies_is_refused_like_one_who_says_them() -> None:
+def test_wrong_speculative_replies_are_refused_like_wrong_frames() -> None:
     radio = Radio(RadioSettings(2, 0, 10.0))
     radio.begin(1, {0: (0, 0), 1: (1, 0)})
     offer, answer = (packets.encode([packet]) for packet in (packets.Offer(0, 0), packets.Answer(0)))
@@ -141,7 +141,7 @@ def test_who_lies_about_its_replies_is_refused_like_one_who_says_them() -> None:
         [[], b"", []],
     ],
 )
-def test_replies_that_do_not_fit_together_are_no_message(replies: list[Any]) -> None:
+def test_inconsistent_replies_are_refused(replies: list[Any]) -> None:
     with pytest.raises(ProtocolError, match="replies must be Replies"):
         unpack(msgspec.msgpack.encode([7, 1, 0, "offers", b"", [], 0, replies]))
     fitting = Replies([OfferReply(b"a", b"b")], b"f", [AnswerReply(b"c", b"d", 0)], [b"e"])

@@ -1,6 +1,6 @@
-"""Routers: for whom they may speak, and how they and the hub miss each other.
+"""Routers: the robots that they may represent, and how router and hub detect each other's loss.
 
-What robots may do at one stands in `test_access`.
+`test_access` has the tests of robots' rights at a router.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ class Routed:
         for name in (WORLD, "r2"):
             self.ends[name] = join(self.credentials[name])
             stack.callback(self.ends[name].close)
-            assert self.hear(RELAY) == Message(KEYS.presence(name), b"1")
+            assert self.receive(RELAY) == Message(KEYS.presence(name), b"1")
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self.passwords = access.passwords(KEYS.run, self.endpoint, ["r0", "r1"])
 
-    def hear(self, name: str) -> Message:
+    def receive(self, name: str) -> Message:
         message = self.ends[name].receive(SOON_S)
-        assert message is not None, f"{name} heard nothing"
+        assert message is not None, f"{name} received nothing"
         return message
 
 
@@ -65,21 +65,21 @@ def free_port() -> int:
         return port
 
 
-def test_robots_behind_a_router_have_no_certificate_and_it_says_for_whom_it_speaks(routed: Routed) -> None:
+def test_robots_behind_a_router_have_no_certificate_and_the_router_s_lists_them(routed: Routed) -> None:
     assert routed.made.keys() == {RELAY, WORLD, names.RECORDER, names.VIEW, "r2", ROUTER}
     assert routed.credentials[ROUTER].robots == ("r0", "r1")
     assert routed.credentials["r2"].robots == ()
 
 
 @pytest.mark.parametrize("mode", ["client", "peer", "router"])
-def test_a_rogue_with_a_router_s_certificate_speaks_for_its_robots_and_for_nobody_else(
+def test_a_rogue_with_a_router_s_certificate_represents_only_the_router_s_robots(
     routed: Routed, mode: str
 ) -> None:
     rogue = open_connected(plain_config(mode), routed.credentials[ROUTER])
     try:
         recording_bus = rogue.declare_subscriber("**", zenoh.handlers.FifoChannel(1000))
         tokens = [rogue.liveliness().declare_token(KEYS.alive(name)) for name in ("r2", ROUTER, "r1")]
-        assert routed.hear(RELAY) == Message(KEYS.presence("r1"), b"1")
+        assert routed.receive(RELAY) == Message(KEYS.presence("r1"), b"1")
         for key in (
             KEYS.radio_tx("r2"),
             KEYS.control_tx("r2"),
@@ -93,35 +93,35 @@ def test_a_rogue_with_a_router_s_certificate_speaks_for_its_robots_and_for_nobod
             rogue.put(key, b"forged", congestion_control=BLOCK, allowed_destination=zenoh.Locality.REMOTE)
         own = KEYS.radio_tx("r0")
         rogue.put(own, b"its robot's", congestion_control=BLOCK)
-        assert routed.hear(RELAY) == Message(own, b"its robot's")
+        assert routed.receive(RELAY) == Message(own, b"its robot's")
         routed.relay.put(KEYS.radio_rx("r2", "r0"), b"secret")
-        assert routed.hear("r2") == Message(KEYS.radio_rx("r2", "r0"), b"secret")
+        assert routed.receive("r2") == Message(KEYS.radio_rx("r2", "r0"), b"secret")
         routed.ends["r2"].put(KEYS.body(WORLD, "r2"), b"secret")
-        assert routed.hear(WORLD) == Message(KEYS.body(WORLD, "r2"), b"secret")
+        assert routed.receive(WORLD) == Message(KEYS.body(WORLD, "r2"), b"secret")
         for name, end in routed.ends.items():
             assert end.receive(0) is None, name
-        heard = []
+        received = []
         while (sample := recording_bus.handler.try_recv()) is not None:
-            heard.append(str(sample.key_expr))
-        assert set(heard) <= {own}
+            received.append(str(sample.key_expr))
+        assert set(received) <= {own}
         del tokens
     finally:
         rogue.close()  # type: ignore[no-untyped-call]
 
 
-def test_robots_hear_the_hub_through_a_router_and_both_notice_when_it_is_gone(routed: Routed) -> None:
+def test_robots_reach_the_hub_through_a_router_and_both_detect_its_loss(routed: Routed) -> None:
     router = Router(routed.credentials[ROUTER], routed.endpoint, routed.passwords)
     with closing(join(routed.passwords["r0"])) as robot:
-        assert routed.hear(RELAY) == Message(KEYS.presence("r0"), b"1")
+        assert routed.receive(RELAY) == Message(KEYS.presence("r0"), b"1")
         routed.ends[WORLD].put(KEYS.body("r0", WORLD), b"seen")
         assert robot.receive(SOON_S) == Message(KEYS.body("r0", WORLD), b"seen")
         router.close()
-        assert routed.hear(RELAY) == Message(KEYS.presence("r0"), b"0")
+        assert routed.receive(RELAY) == Message(KEYS.presence("r0"), b"0")
         with pytest.raises(BusClosed, match=r"^r0: the connection to the hub was lost$"):
             robot.receive(SOON_S)
 
 
-def test_a_router_ends_when_its_hub_does(routed: Routed) -> None:
+def test_a_router_ends_after_its_hub(routed: Routed) -> None:
     with closing(Router(routed.credentials[ROUTER], routed.endpoint, routed.passwords)) as router:
         serving = threading.Thread(target=router.serve)
         serving.start()
@@ -132,7 +132,7 @@ def test_a_router_ends_when_its_hub_does(routed: Routed) -> None:
         assert not serving.is_alive()
 
 
-def test_a_router_that_the_hub_refuses_says_so(routed: Routed, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_router_that_the_hub_refuses_reports_it(routed: Routed, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("protocol.zenoh_bus.CONNECT_S", 0.4)
     stranger = certificates.make(3, ["127.0.0.1"], routers={ROUTER: ["r0"]})[ROUTER]
     hub = routed.credentials[ROUTER].hub

@@ -1,4 +1,4 @@
-"""The viewer, as the relay and the bus treat it: told of, never waited for, never listened to."""
+"""The viewer at relay and bus: it is announced, the run never waits for it, and its messages are rejected."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from netshaper.settings import RadioSettings
 from protocol import keys as names
 from protocol.keys import Keys, may_be_dropped
 from protocol.memory_bus import MemoryBus, MemoryHub
-from protocol.messages import Begin, End, Fault, Lost, Shutdown, Stop, Watched, pack, unpack
+from protocol.messages import Begin, End, ErrorReport, Lost, Shutdown, Stop, Watched, pack, unpack
 from protocol.zenoh_bus import join
 
 
 class Team:
-    """A relay on the memory bus, and everyone whom it may hear of."""
+    """A relay on the memory bus, and its participants."""
 
     def __init__(self, *order: str) -> None:
         self.hub = MemoryHub("test")
@@ -41,47 +41,47 @@ class Team:
         while (message := self.bus.receive()) is not None:
             self.relay.handle(message)
 
-    def heard(self, name: str) -> list[Any]:
-        said = []
+    def received(self, name: str) -> list[Any]:
+        messages = []
         while (message := self.ends[name].receive()) is not None:
-            said.append(unpack(message.payload))
-        return said
+            messages.append(unpack(message.payload))
+        return messages
 
 
-def test_a_run_begins_without_a_viewer_and_tells_one_that_comes_late() -> None:
+def test_a_run_begins_without_a_viewer_and_announces_one_that_joins_late() -> None:
     team = Team(names.RECORDER, names.WORLD, "r0")
-    assert team.heard(names.WORLD) == [Begin()]
+    assert team.received(names.WORLD) == [Begin()]
     team.ends[names.VIEW] = team.come(names.VIEW)
-    assert team.heard(names.WORLD) == team.heard("r0") == [Watched(here=True)]
-    assert team.heard(names.RECORDER) == []
+    assert team.received(names.WORLD) == team.received("r0") == [Watched(here=True)]
+    assert team.received(names.RECORDER) == []
     team.ends[names.VIEW].close()
     team.work()
-    assert team.heard(names.WORLD) == team.heard("r0") == [Watched(here=False)]
+    assert team.received(names.WORLD) == team.received("r0") == [Watched(here=False)]
 
 
-def test_who_comes_after_the_viewer_is_told_of_it() -> None:
+def test_participants_that_join_after_the_viewer_are_notified() -> None:
     team = Team(names.VIEW, names.WORLD, "r0", names.RECORDER)
-    assert team.heard(names.WORLD) == [Watched(here=True), Begin()]
-    assert team.heard("r0") == [Watched(here=True)]
-    assert team.heard(names.RECORDER) == []
+    assert team.received(names.WORLD) == [Watched(here=True), Begin()]
+    assert team.received("r0") == [Watched(here=True)]
+    assert team.received(names.RECORDER) == []
 
 
-def test_the_viewer_hears_what_the_laboratory_hears() -> None:
+def test_the_viewer_receives_the_recorder_s_reports() -> None:
     team = Team(names.VIEW, names.WORLD, "r0", names.RECORDER)
     team.ends["r0"].close()
     team.work()
     lost = Lost(0, "its process ended")
-    assert team.heard(names.RECORDER) == team.heard(names.VIEW) == [lost]
+    assert team.received(names.RECORDER) == team.received(names.VIEW) == [lost]
     team.ends[names.WORLD].put(team.hub.keys.control_tx(names.WORLD), pack(End(3, "explored", 0)))
     team.work()
-    assert team.heard(names.RECORDER) == team.heard(names.VIEW) == [End(3, "explored", 0)]
+    assert team.received(names.RECORDER) == team.received(names.VIEW) == [End(3, "explored", 0)]
 
 
-def test_the_relay_goes_home_though_the_viewer_stays() -> None:
+def test_the_relay_ends_though_the_viewer_stays() -> None:
     team = Team(names.VIEW, names.WORLD, "r0", names.RECORDER)
     team.ends[names.RECORDER].put(team.hub.keys.control_tx(names.RECORDER), pack(Shutdown()))
     team.work()
-    assert team.heard(names.VIEW) == [Shutdown()]
+    assert team.received(names.VIEW) == [Shutdown()]
     for name in (names.WORLD, "r0", names.RECORDER):
         assert not team.relay.done
         team.ends[name].close()
@@ -89,17 +89,17 @@ def test_the_relay_goes_home_though_the_viewer_stays() -> None:
     assert team.relay.done
 
 
-def test_what_a_viewer_says_is_none_of_its_business() -> None:
+def test_messages_of_a_viewer_are_protocol_errors() -> None:
     team = Team(names.VIEW, names.WORLD, "r0", names.RECORDER)
-    team.heard(names.WORLD)
+    team.received(names.WORLD)
     team.ends[names.VIEW].put(team.hub.keys.control_tx(names.VIEW), pack(Stop("I am bored")))
     team.work()
-    assert team.heard(names.WORLD) == []
-    (fault,) = team.heard(names.RECORDER)
-    assert fault == Fault(names.VIEW, "message at byte 0: nothing is for view to say here")
+    assert team.received(names.WORLD) == []
+    (fault,) = team.received(names.RECORDER)
+    assert fault == ErrorReport(names.VIEW, "message at byte 0: view may send no message here")
 
 
-def test_only_what_goes_to_the_viewer_may_be_dropped() -> None:
+def test_only_messages_to_the_viewer_may_be_dropped() -> None:
     keys = Keys("run")
     assert may_be_dropped(keys.control(names.VIEW, "r0"))
     for key in (
@@ -109,7 +109,7 @@ def test_only_what_goes_to_the_viewer_may_be_dropped() -> None:
         assert not may_be_dropped(key)
 
 
-def test_a_viewer_may_say_nothing_by_the_hubs_own_rules() -> None:
+def test_the_hub_s_rules_let_a_viewer_send_nothing() -> None:
     rules = access.rules(Keys("run"), {name: [name] for name in access.participants(2)})
     (policy,) = (policy for policy in rules["policies"] if policy["subjects"] == [names.VIEW])
     allowed = [rule for rule in rules["rules"] if rule["id"] in policy["rules"]]
@@ -132,7 +132,7 @@ def be_viewer(credential: access.Credential, ready: Any) -> None:
 
 
 @pytest.mark.parametrize("stopped", [False, True])
-def test_reports_to_a_viewer_that_hangs_hold_nobody_up(stopped: bool) -> None:
+def test_reports_to_a_viewer_that_hangs_delay_no_participant(stopped: bool) -> None:
     run, endpoint = secrets.token_hex(4), f"tcp/127.0.0.1:{free_port()}"
     keys, credentials = Keys(run), access.issue(run, endpoint, 1)
     hub = open_hub(run, endpoint, credentials)
@@ -151,19 +151,19 @@ def test_reports_to_a_viewer_that_hangs_hold_nobody_up(stopped: bool) -> None:
         for round_ in range(200):
             robot.put(keys.control(names.VIEW, "r0"), os.urandom(200_000))
             robot.put(keys.control_tx("r0"), str(round_).encode())
-        heard = []
-        while len(heard) < 200:
+        received = []
+        while len(received) < 200:
             message = hub.receive(10)
             assert message is not None
             if "/control/tx/" in message.key:
-                heard.append(int(message.payload))
+                received.append(int(message.payload))
         took = time.monotonic() - began
     finally:
         process.kill()
         process.join()
         robot.close()
         hub.close()
-    assert heard == list(range(200))
+    assert received == list(range(200))
     assert took < 4  # where it waits, zenoh gives a stopped peer up after 5 s
 
 

@@ -1,4 +1,4 @@
-"""Boxes of changes: whatever is put in is covered, by a few boxes."""
+"""Boxes of changes: a few boxes cover all changes."""
 
 from __future__ import annotations
 

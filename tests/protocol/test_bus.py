@@ -1,4 +1,4 @@
-"""The contract of all buses, run against the one in memory and the one on Zenoh."""
+"""The contract of the bus interface, for the memory bus and the Zenoh bus."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from protocol.zenoh_bus import join
 KEYS = Keys("contract")
 RELAY, WORLD, RECORDER, R0, R1 = names.RELAY, names.WORLD, names.RECORDER, "r0", "r1"
 SOON_S = 5.0
-"""How long a message may take that must come."""
+"""Maximum time until a message arrives."""
 
 
 @dataclass
@@ -35,15 +35,15 @@ class Rendezvous:
         return self.ends[name]
 
     def receive(self, name: str) -> Message:
-        """The next message of `name`, which must come."""
+        """Wait for the next message of `name`."""
         message = self.ends[name].receive(SOON_S)
         assert message is not None, f"{name} received nothing"
         return message
 
     def everything_before_a_fence(self) -> dict[str, list[Message]]:
-        """What each end has received, once all that was put so far must have arrived.
+        """Return the messages that each end has received, once all earlier messages must have arrived.
 
-        Each participant in turn puts a word for the relay, which then puts one for all.
+        Each participant in turn puts a marker for the relay, which then puts one for each participant.
         """
         received: dict[str, list[Message]] = {name: [] for name in self.ends}
         for name in self.ends:
@@ -61,7 +61,7 @@ class Rendezvous:
 
 @pytest.fixture(params=["memory", "zenoh"])
 def rendezvous(request: pytest.FixtureRequest) -> Iterator[Rendezvous]:
-    """Relay, world, laboratory and two robots; the relay has read that they came."""
+    """Relay, world, recorder and two robots; the relay has read their presence messages."""
     with ExitStack() as stack:
         if request.param == "memory":
             hub = MemoryHub(KEYS.run)

@@ -1,4 +1,4 @@
-"""The fan: walks of beams over cells, compared with a slow traversal in exact fractions."""
+"""The ray table: the cells that beams cross, compared with a slow traversal in exact fractions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Kernels are compiled when they are called, once an installation, and the error stream says so."""
+"""Kernels are compiled at the first call, once per installation, with a note on the error stream."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_the_first_call_compiles_all_kernels_and_the_next_reads_the_cache(tmp_pa
     printed = fresh.stderr.splitlines()
     assert printed == ["compiling for this machine, once: 0 of 3 kernels, now sums", "compiled 3 kernels"]
     cached = call(tmp_path)
-    assert cached.stdout == "12 1 0\n", "only what is called is loaded"
+    assert cached.stdout == "12 1 0\n", "only called kernels are loaded"
     assert cached.stderr == ""
 
 

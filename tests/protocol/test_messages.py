@@ -1,4 +1,4 @@
-"""Messages: all of them round trip, and nothing is read that is not one."""
+"""Messages: all of them round trip, and the decoder rejects all other bytes."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def fields_of(kind: type[messages.Record]) -> dict[str, inspect.Type]:
 
 
 def values(kind: inspect.Type) -> st.SearchStrategy[Any]:
-    """What a field may be; lengths up to 5, and the longest."""
+    """Values of a field; lengths up to 5, and the maximum."""
     match kind:
         case inspect.IntType():
             assert kind.ge is not None
@@ -114,7 +114,7 @@ ROWS: dict[type[messages.Record], dict[str, int]] = {
     messages.WorldReport: {"poses": 16},
     messages.Outlines: {"vertices": 8},
 }
-said = a_message()
+any_message = a_message()
 
 
 def test_every_message_is_known() -> None:
@@ -122,12 +122,12 @@ def test_every_message_is_known() -> None:
     assert [kind.__struct_config__.tag for kind in KINDS_IN_ORDER] == list(range(28))
 
 
-@given(said)
+@given(any_message)
 def test_decoding_inverts_encoding(message: Any) -> None:
     assert unpack(pack(message)) == message
 
 
-@given(said)
+@given(any_message)
 def test_a_message_is_a_msgpack_list_of_its_number_and_its_fields(message: Any) -> None:
     kind = type(message)
     fields = (getattr(message, name) for name in kind.__annotations__)
@@ -139,7 +139,7 @@ def test_a_message_is_a_msgpack_list_of_its_number_and_its_fields(message: Any) 
     assert unpack(msgpack.packb(items)) == message
 
 
-@given(said, st.data())
+@given(any_message, st.data())
 def test_a_field_of_a_wrong_type_or_out_of_its_range_is_refused_by_name(
     message: Any, data: st.DataObject
 ) -> None:
@@ -179,16 +179,16 @@ def wrong_for(kind: inspect.Type) -> st.SearchStrategy[Any]:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_message_is_longer_than_its_kind_may_be(kind: type[messages.Record]) -> None:
-    most = messages.most_bytes(kind)
+    most = messages.max_bytes(kind)
     assert most < 1 << 32
     read = messages.unpacker((kind,), "r1")
     if most < 1 << 24:
-        with pytest.raises(ProtocolError, match=f"{most + 1} bytes, of which r1 may say {most} at most"):
+        with pytest.raises(ProtocolError, match=f"{most + 1} bytes; r1 may send at most {most}"):
             read(bytes(most + 1))
 
 
 def test_fields_that_do_not_fit_together_are_refused() -> None:
-    with pytest.raises(ProtocolError, match="not as many"):
+    with pytest.raises(ProtocolError, match="different lengths"):
         unpack(msgpack.packb([4, 1, [0, 1], [2], [2], [], []]))
     with pytest.raises(ProtocolError, match="replies must be Replies"):
         unpack(msgpack.packb([7, 1, 0, "offers", b"", [], 0, [[], b"", [[b"", b"", 0]], []]]))
@@ -206,8 +206,8 @@ def test_fields_that_do_not_fit_together_are_refused() -> None:
         unpack(msgpack.packb([17, 0, 3, 2, bytes(6), bytes(5)]))
 
 
-@given(said, st.integers(-3, 3))
-def test_a_message_with_fields_missing_or_to_spare_is_refused(message: Any, more: int) -> None:
+@given(any_message, st.integers(-3, 3))
+def test_a_message_with_missing_or_additional_fields_is_refused(message: Any, more: int) -> None:
     items = msgpack.unpackb(pack(message))
     changed = [*items, *more * [0]] if more > 0 else items[: max(len(items) + more, 1)]
     if len(changed) != len(items):
@@ -237,7 +237,7 @@ def test_a_message_with_fields_missing_or_to_spare_is_refused(message: Any, more
     ],
     ids=repr,
 )
-def test_what_does_not_begin_with_the_number_of_a_message_is_none(nothing: object) -> None:
+def test_bytes_without_a_message_number_are_refused(nothing: object) -> None:
     with pytest.raises(ProtocolError, match="number of a message"):
         unpack(msgpack.packb(nothing))
 
@@ -266,7 +266,7 @@ def test_random_bytes_are_a_message_or_a_protocol_error(noise: bytes) -> None:
     assert type(message) in KINDS
 
 
-@given(said, st.data())
+@given(any_message, st.data())
 def test_a_message_cut_off_or_followed_by_more_is_refused(message: Any, data: st.DataObject) -> None:
     payload = pack(message)
     cut = data.draw(st.integers(0, len(payload) - 1))
@@ -275,21 +275,21 @@ def test_a_message_cut_off_or_followed_by_more_is_refused(message: Any, data: st
             unpack(broken)
 
 
-def test_numbers_beyond_a_field_are_no_numbers_at_all() -> None:
+def test_numbers_beyond_a_field_are_refused() -> None:
     sense = Sense(1, 2, 3, 4, b"", b"", "")
     with pytest.raises(ProtocolError, match="x must be int from 0 to 2047, not True"):
         unpack(pack(Sense(1, True, 3, 4, b"", b"", "")))
     assert unpack(pack(sense)) == sense
 
 
-def test_a_list_of_anything_but_frames_is_refused() -> None:
+def test_a_list_of_other_items_than_frames_is_refused() -> None:
     for wrong in ([1], [b"frame"], [OutgoingFrame(1.0, b"")], [OutgoingFrame(1, "text")], [None]):  # type: ignore[arg-type]
         with pytest.raises(ProtocolError, match=r"frames must be list of OutgoingFrame"):
             unpack(pack(RobotFrames(1, 0, "offers", b"", wrong)))  # type: ignore[arg-type]
 
 
-def test_a_message_of_another_kind_is_refused_where_one_is_expected() -> None:
-    with pytest.raises(ProtocolError, match="Begin at byte 0: not for r1 to say"):
+def test_a_message_of_an_unexpected_kind_is_refused() -> None:
+    with pytest.raises(ProtocolError, match="Begin at byte 0: r1 may not send it here"):
         messages.unpacker((End,), "r1")(pack(Begin()))
 
 
@@ -304,7 +304,7 @@ def test_cells_round_trip(cells: list[tuple[int, int]]) -> None:
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 5])
-def test_cells_that_are_no_pairs_are_refused(size: int) -> None:
+def test_bytes_that_are_not_pairs_of_cells_are_refused(size: int) -> None:
     with pytest.raises(ProtocolError, match=f"{size} bytes are not pairs"):
         cells_from_bytes(bytes(size))
 
@@ -313,7 +313,7 @@ def test_cells_are_little_endian_pairs() -> None:
     assert cells_to_bytes(np.array([[1, -2], [258, 3]], np.int32)).hex() == "0100feff02010300"
 
 
-def test_a_long_value_is_shortened_in_the_complaint() -> None:
+def test_a_long_value_is_shortened_in_the_error_text() -> None:
     with pytest.raises(ProtocolError) as caught:
         unpack(pack(Move(1, "a" * 10_000, 0, explored=False)))  # type: ignore[arg-type]
     assert len(str(caught.value)) < 150

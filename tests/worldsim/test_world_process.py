@@ -18,7 +18,7 @@ from protocol.memory_bus import MemoryHub
 from protocol.messages import (
     Begin,
     End,
-    Fault,
+    ErrorReport,
     FaultEvent,
     Lost,
     Move,
@@ -229,8 +229,8 @@ def test_invalid_message_is_reported_and_the_step_waits_for_the_move(message: ob
     run.received(names.RECORDER)
     run.move(1, message)
     (fault,) = run.received(names.RECORDER)
-    assert isinstance(fault, Fault)
-    assert fault.who == "r1"
+    assert isinstance(fault, ErrorReport)
+    assert fault.participant == "r1"
     assert not run.node.done
     run.stay(0)
     assert run.world.step == 1
@@ -246,7 +246,7 @@ def test_second_move_in_a_step_is_reported_and_the_first_counts() -> None:
     run.move(1, Move(1, cells_to_bytes(np.array([[4, 3]], np.int32)), 0, explored=False))
     run.move(1, Move(1, b"", 0, explored=True))
     (fault,) = run.received(names.RECORDER)
-    assert fault == Fault("r1", "Move at byte 0: a second one for step 1")
+    assert fault == ErrorReport("r1", "Move at byte 0: a second one for step 1")
     run.stay(0)
     assert run.world.cells[1] == (4, 3)
 

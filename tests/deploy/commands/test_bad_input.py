@@ -175,7 +175,7 @@ EXPLORE = {
     "--map afar.yaml": "origin is [1e+308, 0.0, 0.0], not three numbers of 1e+08 at most",
     f"--set options={5000 * '[' + 5000 * ']'}": "set = 'options=...': nested too deeply",
     "--set radius=1e6 --set sensor_range=1e6": "radius = 1e+06 m: exceeds the largest map with cells of 0.1 m",
-    "--nonsense": "No such option: --nonsense",
+    "--unknown-flag": "No such option: --unknown-flag",
 }
 
 OTHERS = {
@@ -224,8 +224,8 @@ OTHERS = {
     "run agent": "Missing option '--credential'",
     "run agent --credential missing.json": "credential missing.json: No such file or directory",
     "run agent --credential broken.json": "credential broken.json: not JSON",
-    "run agent --credential list.json": "credential list.json: needs the texts run, name, hub, password",
-    "run agent --credential short.json": "credential short.json: needs the texts run, name, hub, password",
+    "run agent --credential list.json": "credential list.json: needs the strings run, name, hub, password",
+    "run agent --credential short.json": "credential short.json: needs the strings run, name, hub, password",
     "run agent --credential nowhere.json": "hub = 'the hub': must be as tcp/127.0.0.1:7447",
     "run agent --credential deep.json": "credential deep.json: not JSON",
     "run agent --credential star.json": "a run cannot be called 'a*': use letters, digits",

@@ -1,4 +1,4 @@
-"""The events of a run: what is reports of it becomes positions, loads and events."""
+"""Events of a run: reports become positions, loads and events."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from deploy.dashboard.explanation import explain
 from deploy.dashboard.run_events import RunEvents
 from netshaper.ledger import CAUSES, KIND_NUMBER, ROW
-from protocol.messages import End, Fault, Lost, RadioReport, RobotStatus, WorldReport
+from protocol.messages import End, ErrorReport, Lost, RadioReport, RobotStatus, WorldReport
 from tests.deploy.small_run import reports, small_plan
 from worldsim.maps import to_world
 
@@ -111,7 +111,7 @@ def test_losses_protocol_errors_and_the_end_are_logged(events: RunEvents) -> Non
     assert lost.text == "robot 1 is lost: its process ended"
     assert not events.in_range
     assert not events.targets
-    assert texts(events, "relay", Fault("r0", "spoke out of turn")) == [
+    assert texts(events, "relay", ErrorReport("r0", "spoke out of turn")) == [
         "r0 sent a malformed message: spoke out of turn"
     ]
     assert texts(events, "relay", End(9, "explored", 0)) == ["explored; robot 0 finished first"]
@@ -125,10 +125,10 @@ def test_a_breakdown_is_logged_once(events: RunEvents) -> None:
 
 
 def test_a_late_viewer_can_start_with_any_report() -> None:
-    heard = reports()
+    received = reports()
     for first in range(0, 60, 7):
         events = RunEvents(small_plan())
-        for sender, report in heard[first:]:
+        for sender, report in received[first:]:
             events.take(sender, report)
         assert events.step == 40
         assert sorted(events.positions) == [0, 1, 2]

@@ -1,4 +1,4 @@
-"""Ledger and capture of a step, packet by packet and block by block: what the kernels that write them must equal."""
+"""Ledger and capture of a step, packet by packet and block by block: a plain reference for the kernels."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ def rows(step: int, seen: Iterable[LoggedFrame]) -> list[Row]:
 def counted(payload: bytes) -> list[tuple[int, int, int]]:
     """The number of each kind in a frame, how many there are, and their bytes."""
     try:
-        said = packets.decode(payload)
+        content = packets.decode(payload)
     except ProtocolError:
         return [(MALFORMED, 1, len(payload))]
-    number = Counter(KIND_NUMBER[packet.name] for packet in said)
+    number = Counter(KIND_NUMBER[packet.name] for packet in content)
     size = Counter[int]()
-    for packet in said:
+    for packet in content:
         size[KIND_NUMBER[packet.name]] += len(packets.encode([packet]))
     return [(kind, number[kind], size[kind]) for kind in sorted(number)]
 
@@ -45,26 +45,26 @@ def blocks(step: int, seen: Iterable[LoggedFrame]) -> bytes:
     """The capture."""
     written: list[bytes] = []
     for each in seen:
-        words = comment(each.verdict, each.receiver, tuple(receivers_of(each.receivers)), each.reason)
+        text = comment(each.verdict, each.receiver, tuple(receivers_of(each.receivers)), each.reason)
         for part, (kept, size) in enumerate(parts(each)):
             head = head_of(step, each, part)
             time = step * 1_000_000 + min(len(written), 999_999)
-            written.append(packet(time, head + kept, len(head) + size, words))
+            written.append(packet(time, head + kept, len(head) + size, text))
     return b"".join(written)
 
 
 def head_of(step: int, seen: LoggedFrame, part: int) -> bytes:
-    """The narrow head, where all robots' numbers fit into it."""
+    """The header of version 1 if all robot numbers fit into it, else of version 2."""
     wide = max(seen.sender, seen.receiver, seen.map, seen.receivers.bit_length() - 1) >= 64
-    heard = seen.receivers.to_bytes(32, "big") if wide else seen.receivers
+    received = seen.receivers.to_bytes(32, "big") if wide else seen.receivers
     return (WIDE_HEAD if wide else HEAD).pack(
         WIDE if wide else VERSION, seen.frame, seen.verdict, seen.round, seen.sender, seen.receiver, seen.map,
-        part, step, seen.connection, heard,
+        part, step, seen.connection, received,
     )  # fmt: skip
 
 
 def parts(seen: LoggedFrame) -> Iterator[tuple[bytes, int]]:
-    """What is kept of a frame, packet by packet of the capture, and the size of each."""
+    """The stored bytes of a frame, packet by packet of the capture, and the size of each."""
     rest = seen.payload
     if not on_air(seen.verdict):
         yield rest[:KEPT], len(rest)
@@ -80,9 +80,12 @@ def parts(seen: LoggedFrame) -> Iterator[tuple[bytes, int]]:
 
 def packet(time_us: int, data: bytes, size: int, comment: str) -> bytes:
     """One enhanced packet block with a comment."""
-    said = comment.encode()
+    encoded = comment.encode()
     tail = (
-        bytes(-len(data) % 4) + struct.pack("<HH", pcapng.COMMENT, len(said)) + said + bytes(-len(said) % 4)
+        bytes(-len(data) % 4)
+        + struct.pack("<HH", pcapng.COMMENT, len(encoded))
+        + encoded
+        + bytes(-len(encoded) % 4)
     )
     tail += bytes(4)
     length = 28 + len(data) + len(tail) + 4
