@@ -38,6 +38,7 @@ check: $(VENV)/dev.stamp
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python tests/retired_words.py
 
 bench: $(VENV)/dev.stamp
 	$(BIN)/murmur bench

@@ -66,7 +66,7 @@ class BroadcastCursors:
     """Offsets at which each robot's next broadcast of its own log begins, as far as that is known without a header.
 
     A robot that received the last broadcast, or was in range then, knows where the next one begins, so the header
-    (`From`) is left out. On a medium that loses frames nobody can know.
+    (`From`) is left out. On a medium that loses frames no peer can know.
 
     Parameters
     ----------

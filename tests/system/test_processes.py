@@ -95,7 +95,7 @@ def test_a_killed_robot_is_reported_and_the_others_finish(tmp_path: Path) -> Non
 
 
 def test_a_robot_that_hangs_is_named_and_ended_and_the_others_finish(tmp_path: Path) -> None:
-    with swarm(tmp_path / "run", "--set", "patience=1.0") as process:
+    with swarm(tmp_path / "run", "--set", "reply_timeout_s=1.0") as process:
         wait_for_steps(process)
         stopped = child(process, "r1")
         stopped.suspend()
@@ -111,7 +111,7 @@ def test_a_robot_that_hangs_is_named_and_ended_and_the_others_finish(tmp_path: P
 
 @pytest.mark.parametrize("name", ["relay", "world"])
 def test_a_relay_or_world_that_hangs_ends_the_run_and_is_named(tmp_path: Path, name: str) -> None:
-    with swarm(tmp_path / "run", *SLOW, "--set", "patience=0.5") as process:
+    with swarm(tmp_path / "run", *SLOW, "--set", "reply_timeout_s=0.5") as process:
         wait_for_steps(process)
         family = descendants(process)
         child(process, name).suspend()
