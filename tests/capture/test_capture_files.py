@@ -40,7 +40,7 @@ def on_both(tmp_path_factory: pytest.TempPathFactory) -> list[Result]:
 
 @pytest.fixture
 def running(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
-    """A swarm of processes that has said something already, and its run directory."""
+    """A run of processes that has sent some frames, and its run directory."""
     run = tmp_path / "run"
     arguments = ["explore", "--robots", "3", "--bandwidth", "500", "--steps", "100000", "--out", str(run)]
     with subprocess.Popen(
@@ -68,12 +68,12 @@ def test_the_file_is_the_same_on_both_buses(on_both: list[Result]) -> None:
     assert len(read(memory)[0]) > 100
 
 
-def test_wire_bytes_are_known_of_processes_only_and_change_no_digest(on_both: list[Result]) -> None:
+def test_wire_bytes_are_known_only_with_processes_and_change_no_digest(on_both: list[Result]) -> None:
     memory, zenoh = (result.summary for result in on_both)
     assert memory["wire_bytes"] is None
     assert memory["digest"] == zenoh["digest"]
     if zenoh["wire_bytes"] is None:
-        pytest.skip("this kernel does not tell of other processes' sockets (sock_diag)")
+        pytest.skip("this kernel does not report other processes' sockets (sock_diag)")
     assert zenoh["wire_bytes"] > 2 * zenoh["bytes"]["total"], "each byte crosses the wire twice"
 
 

@@ -63,7 +63,7 @@ def test_keys_are_resolved_from_the_declarations_of_both_ends() -> None:
 
 
 @given(st.lists(st.integers(0, 200), max_size=6))
-def test_batches_may_come_in_any_pieces(cuts: list[int]) -> None:
+def test_batches_may_arrive_in_any_pieces(cuts: list[int]) -> None:
     sent = batch(FRAME, push(0, "a", b"1"), push(0, "b", b"2")) + batch(FRAME, push(0, "c", b"3"))
     ends = sorted({0, len(sent), *(min(cut, len(sent)) for cut in cuts)})
     session = Session()

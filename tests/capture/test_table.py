@@ -43,7 +43,7 @@ def as_json(*arguments: object) -> dict[str, Any]:
     return shown
 
 
-def test_the_totals_are_those_of_the_run(run: Result) -> None:
+def test_the_totals_equal_those_of_the_run(run: Result) -> None:
     assert run.directory is not None
     shown = as_json(run.directory)
     without_total = [

@@ -74,7 +74,7 @@ def traffic(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 
 @pytest.fixture(scope="module")
-def said(traffic: Traffic) -> list[CapturedFrame]:
+def captured(traffic: Traffic) -> list[CapturedFrame]:
     return frames(traffic.run)
 
 
@@ -116,8 +116,8 @@ def test_connections_carry_only_messages_of_their_owner(traffic: Traffic) -> Non
     for connection in traffic.connections.values():
         me = connection.name
         is_robot = me in others
-        said_of = {key for key, _ in connection.puts[UP]}
-        heard_of = {key for key, _ in connection.puts[DOWN]}
+        sent_keys = {key for key, _ in connection.puts[UP]}
+        received_keys = {key for key, _ in connection.puts[DOWN]}
         allowed_up = {f"control/tx/{me}", f"control/rx/recorder/{me}"}
         allowed_down = {f"control/rx/{me}/relay"}
         if is_robot:
@@ -128,36 +128,40 @@ def test_connections_carry_only_messages_of_their_owner(traffic: Traffic) -> Non
             allowed_down |= {f"body/rx/world/{robot}" for robot in others}
         else:
             allowed_down |= {f"control/rx/recorder/{name}" for name in {*others, "world", "relay"}}
-        assert said_of <= allowed_up
-        assert heard_of <= allowed_down
+        assert sent_keys <= allowed_up
+        assert received_keys <= allowed_down
         if is_robot:
             listens = {key for kind, key in connection.declared[DOWN] if kind == "subscriber"}
-            assert listens == {"*/tx/**", "*/rx/world/**", "*/rx/recorder/**"}, "it learns who else listens"
+            assert listens == {"*/tx/**", "*/rx/world/**", "*/rx/recorder/**"}, (
+                "a robot learns of other subscribers"
+            )
 
 
 def test_the_relay_received_all_frames_of_each_robot_in_order_and_counted_every_byte(
-    traffic: Traffic, said: list[CapturedFrame]
+    traffic: Traffic, captured: list[CapturedFrame]
 ) -> None:
     for robot in traffic.robots:
-        words = traffic.of(f"r{robot}").submitted()
-        for (step, round_number), booked in in_rounds([frame for frame in said if frame.sender == robot]):
-            opening = words.pop((step, round_number, "offers"))
-            firsts = [frame for frame in booked if FRAMES[frame.frame] in ("broadcast", "offer")]
-            # The relay has an order of its own for offers.
-            assert sorted(map(_said, firsts)) == sorted(frames_of(opening))
+        messages = traffic.of(f"r{robot}").submitted()
+        for (step, round_number), logged in in_rounds([frame for frame in captured if frame.sender == robot]):
+            opening = messages.pop((step, round_number, "offers"))
+            firsts = [frame for frame in logged if FRAMES[frame.frame] in ("broadcast", "offer")]
+            # The relay orders offers differently.
+            assert sorted(map(_content, firsts)) == sorted(frames_of(opening))
             for phase, name in (("answer", "answers"), ("data", "data")):
-                these = [frame for frame in booked if FRAMES[frame.frame] == phase]
-                asked = words.pop((step, round_number, name), None)
+                these = [frame for frame in logged if FRAMES[frame.frame] == phase]
+                asked = messages.pop((step, round_number, name), None)
                 if asked is None:
-                    assert all(_is_beforehand(frame, opening.replies) for frame in these)
+                    assert all(_is_speculative(frame, opening.replies) for frame in these)
                     continue
                 for frame, (receiver, payload) in zip(these, frames_of(asked), strict=True):
                     assert receiver == _receiver(frame)
                     assert frame.is_payload(payload), (frame, payload.hex())
-        assert not any(frames_of(left) for left in words.values()), f"r{robot} said frames that nobody booked"
+        assert not any(frames_of(left) for left in messages.values()), (
+            f"r{robot} sent frames that the ledger lacks"
+        )
 
 
-def test_a_robot_hands_over_beforehand_what_it_is_rarely_asked_for(traffic: Traffic) -> None:
+def test_robots_hand_over_most_replies_speculatively(traffic: Traffic) -> None:
     for robot in traffic.robots:
         phases = Counter(phase for _, _, phase in traffic.of(f"r{robot}").submitted())
         assert phases["offers"] > phases["answers"] + phases["data"]
@@ -167,53 +171,56 @@ def _receiver(frame: CapturedFrame) -> str:
     return "all" if frame.receiver < 0 else f"r{frame.receiver}"
 
 
-def _said(frame: CapturedFrame) -> tuple[str, bytes]:
+def _content(frame: CapturedFrame) -> tuple[str, bytes]:
     assert frame.is_payload(frame.known)
     return _receiver(frame), frame.known
 
 
-def _is_beforehand(frame: CapturedFrame, replies: Replies) -> bool:
-    """Whether a robot has handed the frame over with its offers; data may go no further than there was room."""
+def _is_speculative(frame: CapturedFrame, replies: Replies) -> bool:
+    """Whether a robot handed the frame over with its offers; data may be cut to the room that was left."""
     if FRAMES[frame.frame] == "answer":
         return frame.known in (*(reply.answer for reply in replies.offers), replies.decline)
     return any(frame.size <= len(load) and load.startswith(frame.known) for load in replies.loads)
 
 
 def test_each_robot_received_exactly_the_carried_frames_in_order(
-    traffic: Traffic, said: list[CapturedFrame]
+    traffic: Traffic, captured: list[CapturedFrame]
 ) -> None:
     for robot in traffic.robots:
-        assert traffic.of(f"r{robot}").radio(DOWN) == relayed_to(said, robot)
+        assert traffic.of(f"r{robot}").radio(DOWN) == relayed_to(captured, robot)
 
 
-def test_bytes_on_the_wire_are_those_of_the_ledger(traffic: Traffic, said: list[CapturedFrame]) -> None:
+def test_bytes_on_the_wire_equal_those_of_the_ledger(traffic: Traffic, captured: list[CapturedFrame]) -> None:
     ledger = pyarrow.parquet.read_table(traffic.run / run_directory.LEDGER).to_pylist()
-    words = {robot: traffic.of(f"r{robot}").submitted() for robot in traffic.robots}
+    messages = {robot: traffic.of(f"r{robot}").submitted() for robot in traffic.robots}
     asked = sum(
-        len(payload) for these in words.values() for each in these.values() for _, payload in frames_of(each)
+        len(payload)
+        for these in messages.values()
+        for each in these.values()
+        for _, payload in frames_of(each)
     )
     phases = dict(zip(PHASES, ("offers", "offers", "answers", "data"), strict=True))
-    beforehand = sum(
+    speculative = sum(
         frame.size
-        for frame in said
-        if (frame.step, frame.round, phases[frame.frame]) not in words[frame.sender]
+        for frame in captured
+        if (frame.step, frame.round, phases[frame.frame]) not in messages[frame.sender]
     )
     down = sum(len(payload) for robot in traffic.robots for _, payload in traffic.of(f"r{robot}").radio(DOWN))
     carried = [row for row in ledger if row["carried"]]
-    told = [
+    truncated = [
         row
         for row in ledger
         if not row["carried"] and row["frame"] in PHASES[1:3] and row["cause"] == "budget"
     ]
-    assert asked + beforehand == sum(row["bytes"] for row in ledger)
+    assert asked + speculative == sum(row["bytes"] for row in ledger)
     assert down == sum(row["bytes"] * row["received_by"] for row in carried) + sum(
-        row["bytes"] for row in told
+        row["bytes"] for row in truncated
     )
-    assert sum(frame.carried for frame in said) == sum(row["bytes"] for row in carried) > 0
+    assert sum(frame.carried for frame in captured) == sum(row["bytes"] for row in carried) > 0
 
 
-def test_long_messages_are_fragmented_and_joined(traffic: Traffic, said: list[CapturedFrame]) -> None:
-    longest = max(frame.carried for frame in said)
+def test_long_messages_are_fragmented_and_joined(traffic: Traffic, captured: list[CapturedFrame]) -> None:
+    longest = max(frame.carried for frame in captured)
     fragmented = sum(traffic.of(f"r{robot}").session.fragmented for robot in traffic.robots)
     maps = len(traffic.robots)
     if longest > 1 << 16:
@@ -227,7 +234,7 @@ def test_the_meter_counts_the_bytes_on_the_wire(traffic: Traffic, capsys: pytest
     bytes_of = traffic.overhead()
     total = sum(bytes_of.values())
     if summary["wire_bytes"] is None:
-        pytest.skip("this kernel does not tell of other processes' sockets (sock_diag)")
+        pytest.skip("this kernel does not report other processes' sockets (sock_diag)")
     assert 0 <= total - summary["wire_bytes"] <= GOODBYE * len(traffic.connections)
     with capsys.disabled():
         print(f"\n{describe(bytes_of, summary['bytes']['total'])}")

@@ -28,33 +28,33 @@ def _join(server: socket.socket) -> tuple[socket.socket, socket.socket]:
     return client, server.accept()[0]
 
 
-def _say(here: socket.socket, there: socket.socket, size: int) -> None:
+def _send(here: socket.socket, there: socket.socket, size: int) -> None:
     here.sendall(bytes(size))
     while size:
         size -= len(there.recv(size))
 
 
-def test_it_counts_both_directions_of_all_connections(hub: socket.socket) -> None:
+def test_the_meter_counts_both_directions_of_all_connections(hub: socket.socket) -> None:
     meter = Meter(_endpoint(hub))
     one, two = _join(hub), _join(hub)
     with one[0], one[1], two[0], two[1]:
-        _say(one[0], one[1], 1000)
+        _send(one[0], one[1], 1000)
         assert meter.read() == 1000
-        _say(one[1], one[0], 30_000)
-        _say(two[0], two[1], 7)
+        _send(one[1], one[0], 30_000)
+        _send(two[0], two[1], 7)
         assert meter.read() == 31_007
 
 
-def test_it_remembers_connections_that_have_ended(hub: socket.socket) -> None:
+def test_the_meter_counts_closed_connections(hub: socket.socket) -> None:
     meter = Meter(_endpoint(hub))
     client, server = _join(hub)
     with client, server:
-        _say(client, server, 500)
+        _send(client, server, 500)
         assert meter.read() == 500
     time.sleep(0.01)
     other, server = _join(hub)
     with other, server:
-        _say(other, server, 40)
+        _send(other, server, 40)
         assert meter.read() == 540
 
 
@@ -62,7 +62,7 @@ def test_connections_of_other_processes_are_not_counted(hub: socket.socket) -> N
     with socket.create_server(("127.0.0.1", 0)) as elsewhere:
         client, server = _join(elsewhere)
         with client, server:
-            _say(client, server, 500)
+            _send(client, server, 500)
             assert Meter(_endpoint(hub)).read() == 0
 
 

@@ -1,4 +1,4 @@
-"""Run a swarm while a raw socket takes all that crosses the loopback: ``watched_swarm.py DIR SCENARIO``.
+"""Run a swarm while a raw socket captures all packets of the loopback: ``watched_swarm.py DIR SCENARIO``.
 
 The scenario is JSON. Where it may, it does so in a network namespace of its own, in which nothing else
 speaks. It leaves in DIR the run directory ``run``, ``packets.bin`` (each frame behind its length), and
@@ -31,7 +31,7 @@ SIOCSIFFLAGS, IFF_UP, IFF_RUNNING = 0x8914, 0x1, 0x40
 
 
 def leave_the_network() -> bool:
-    """Move into a network of one's own with nothing but a loopback; say whether that is allowed here."""
+    """Move into a new network namespace that has only a loopback; return whether the system allowed it."""
     if ctypes.CDLL(None, use_errno=True).unshare(CLONE_NEWNET) != 0:
         return False
     with socket.socket() as any_socket:
@@ -52,7 +52,7 @@ def channels(pid: int) -> dict[str, Any]:
             kind, _, name = str(entry.readlink()).partition(":")
             info = Path(f"/proc/{pid}/fdinfo/{entry.name}").read_text()
         except FileNotFoundError:
-            continue  # the one with which the folder was read
+            continue  # the descriptor of the directory listing itself
         inode = name.strip("[]")
         if kind == "socket":
             found["tcp" if inode in tcp else "other sockets"].append(tcp.get(inode, inode))

@@ -28,7 +28,7 @@ def small_plan(**more: object) -> Plan:
 
 
 class Listener:
-    """A watcher that keeps all that it is reports."""
+    """A watcher that keeps all reports."""
 
     def __init__(self) -> None:
         self.reports: list[tuple[str, object]] = []

@@ -53,7 +53,7 @@ ROOM = """
     #....#     #....#     #....#
     ######     ######     ######
 """
-"""What the robot of the worked example knows after each of its three steps."""
+"""The map of the worked example's robot after each of its three steps."""
 
 
 def fences(document: str) -> dict[str, str]:
@@ -165,14 +165,14 @@ def updates_example() -> str:
         replication(0, 3, "gossip"),
         PredictiveEncoding(replace(settings, robot=1)),
     )
-    own, nobody, beams = (
+    own, no_robots, beams = (
         np.full(truth.shape, UNKNOWN, np.uint8),
         np.zeros(truth.shape, np.bool_),
         ray_table(5.0, 72),
     )
     lines = []
     for x, peers in ((1, [1]), (3, [1]), (6, [1, 2])):
-        readings = cast(truth, nobody, beams, x, 2)
+        readings = cast(truth, no_robots, beams, x, 2)
         change = draw(own, beams, x, 2, readings)
         entries = maker.encode_changes(own, Scan(x, 2, readings), change, delivered=True)
         gossip.append(entries)
@@ -217,7 +217,7 @@ def test_limits_are_those_of_the_code() -> None:
     }
 
 
-def test_a_scan_takes_the_bytes_that_the_document_says() -> None:
+def test_a_scan_takes_the_documented_bytes() -> None:
     scan = encode_scan(Scan(0, 0, np.zeros(360, np.uint16)))
     on_air = fragments(scan)
     text = (DOCS / "protocol.md").read_text(encoding="utf-8")
@@ -232,12 +232,12 @@ def test_a_scan_takes_the_bytes_that_the_document_says() -> None:
     [("example", worked_example()), ("blocks", block_example()), ("updates", updates_example())],
     ids=["example", "blocks", "updates"],
 )
-def test_the_worked_example_is_what_the_code_says_to_the_byte(fence: str, made: str) -> None:
+def test_the_worked_example_equals_the_code_s_result_to_the_byte(fence: str, made: str) -> None:
     assert fences("protocol.md")[fence] == made
     assert (GOLDEN / f"{fence}.txt").read_text(encoding="utf-8") == made
 
 
-def test_the_hex_in_the_document_is_read_as_it_is_explained_there() -> None:
+def test_the_hex_in_the_document_decodes_as_explained_there() -> None:
     block = fences("protocol.md")["example"]
     receiver = Receiver((5, 6))
     models = [held.polygons.canonical() for _, held in scripts()]
@@ -278,7 +278,7 @@ def test_disseminations_are_all_described() -> None:
     assert {row[0] for row in rows("replication.md", "Disseminations")} == set(DISSEMINATIONS)
 
 
-def test_messages_and_their_fields_are_all_there_in_their_order() -> None:
+def test_the_document_lists_all_messages_and_fields_in_order() -> None:
     listed = [(name, made_of) for _, name, made_of, *_ in rows("bus.md", "Messages")]
     kinds = messages._TYPES
     assert listed == [(kind.__name__, ", ".join(kind.__struct_fields__)) for kind in kinds]
@@ -287,7 +287,7 @@ def test_messages_and_their_fields_are_all_there_in_their_order() -> None:
     assert set(messages.Record.__subclasses__()) == set(kinds)
 
 
-def test_the_ledger_s_columns_and_causes_are_all_there() -> None:
+def test_the_document_lists_all_columns_and_causes_of_the_ledger() -> None:
     assert [row[0] for row in rows("protocol.md", "The ledger")] == list(ROW.names or ())
     text = (DOCS / "protocol.md").read_text(encoding="utf-8")
     for cause in CAUSES[1:]:
@@ -309,7 +309,7 @@ def test_the_table_of_radios_is_that_of_the_code() -> None:
     }
 
 
-def test_keys_and_rights_are_what_participants_put_hear_and_say() -> None:
+def test_the_documented_keys_and_rights_are_those_of_the_code() -> None:
     keys = Keys("RUN")
     there_are = {row[0] for row in rows("bus.md", "Keys")}
     assert there_are == {
@@ -366,7 +366,7 @@ SCENARIOS = sorted(path.name for path in SHIPPED.glob("*.toml"))
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_a_shipped_scenario_can_be_run_and_says_how(name: str) -> None:
+def test_a_shipped_scenario_contains_the_command_that_runs_it(name: str) -> None:
     scenario = load(Path(name), {})
     make(scenario)
     comment = (SHIPPED / name).read_text(encoding="utf-8")
@@ -384,7 +384,7 @@ def test_a_shipped_scenario_runs(name: str) -> None:
     assert alive == ({4, 3} if name == "breakdown.toml" else {4})
 
 
-def test_a_file_of_one_s_own_goes_before_a_shipped_scenario(
+def test_a_local_file_has_precedence_over_a_shipped_scenario(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -395,7 +395,7 @@ def test_a_file_of_one_s_own_goes_before_a_shipped_scenario(
         load(Path("elsewhere") / "office.toml", {})
 
 
-def test_the_run_directory_of_the_architecture_is_what_a_run_leaves(tmp_path: Path) -> None:
+def test_the_documented_run_directory_is_that_of_a_run(tmp_path: Path) -> None:
     out = tmp_path / "run"
     explore(load(None, {"map": "em", "robots": 2, "bus": "memory", "steps": 5}), out=out)
     listed = names("The run directory")
@@ -406,7 +406,7 @@ def test_the_run_directory_of_the_architecture_is_what_a_run_leaves(tmp_path: Pa
 
 
 def names(heading: str) -> set[str]:
-    """What the first column of a table of the architecture names, several in a cell."""
+    """Names in the first column of a table of the architecture; a cell may have several."""
     return {name for row in rows("architecture.md", heading) for name in row[0].split(", ")}
 
 

@@ -1,6 +1,6 @@
-"""Fuzzing: whatever bytes come, they are read or refused in words; a short look here, ten minutes by ``make fuzz``.
+"""Fuzzing: any bytes are read or rejected with an error message; briefly here, ten minutes with ``make fuzz``.
 
-Each reader says by which error it refuses. What once broke one is a file in ``corpus``, and is read first, by all.
+Each reader has its error type. Inputs of earlier failures are files in ``corpus``; all readers read them first.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def read_messages(data: bytes) -> None:
     assert isinstance(unpack(data), Record)
 
 
-def read_as_anybody(data: bytes) -> None:
+def read_as_each_participant(data: bytes) -> None:
     keys = Keys("run")
     for sender, receiver in RIGHTS:
         names = [name.replace("robot", "r1") for name in (receiver, sender)]
@@ -83,11 +83,11 @@ def read_polygons(data: bytes) -> None:
         receiver.feed(data[at : at + 7])
 
 
-def take_units(data: bytes) -> None:
+def apply_entries(data: bytes) -> None:
     for name in ENCODINGS:
-        mind = make_encoding(replace(SETTINGS, map_encoding=name))
+        encoding = make_encoding(replace(SETTINGS, map_encoding=name))
         try:
-            mind.apply(0, data, step=1000, sender=0)
+            encoding.apply(0, data, step=1000, sender=0)
         except ProtocolError:
             continue
 
@@ -138,9 +138,9 @@ def read_map(data: bytes, folder: Path) -> None:
 READERS: dict[Callable[[bytes], None], type[Exception]] = {
     read_packets: ProtocolError,
     read_messages: ProtocolError,
-    read_as_anybody: ProtocolError,
+    read_as_each_participant: ProtocolError,
     read_polygons: ProtocolError,
-    take_units: ProtocolError,
+    apply_entries: ProtocolError,
     receive_offer: ProtocolError,
     receive_gossip: ProtocolError,
     read_journal: JournalError,
@@ -195,7 +195,7 @@ def _packed(item: object) -> bytes:
 @pytest.mark.parametrize("reader", READERS, ids=lambda reader: reader.__name__)
 @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=anything)
-def test_any_bytes_are_read_or_refused_in_words(reader: Callable[[bytes], None], data: bytes) -> None:
+def test_any_bytes_are_read_or_rejected_with_a_message(reader: Callable[[bytes], None], data: bytes) -> None:
     try:
         reader(data)
     except READERS[reader] as error:
@@ -203,7 +203,7 @@ def test_any_bytes_are_read_or_refused_in_words(reader: Callable[[bytes], None],
 
 
 @pytest.mark.parametrize("file", CORPUS, ids=lambda file: file.name)
-def test_what_once_broke_a_reader_does_not_any_more(file: Path) -> None:
+def test_inputs_of_earlier_failures_are_read_or_rejected(file: Path) -> None:
     for reader, refusal in READERS.items():
         try:
             reader(file.read_bytes())
@@ -239,7 +239,9 @@ def test_what_once_broke_a_reader_does_not_any_more(file: Path) -> None:
         max_size=7,
     ).map(lambda pairs: "\n".join(f"{key}: {value}" for key, value in pairs).encode())
 )
-def test_any_map_is_read_or_refused_in_words(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
+def test_any_map_is_read_or_rejected_with_a_message(
+    tmp_path_factory: pytest.TempPathFactory, data: bytes
+) -> None:
     try:
         read_map(data, tmp_path_factory.mktemp("map"))
     except MapError as error:

@@ -145,7 +145,7 @@ def _link(ends: list[int], delay_s: float, loss: float) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _ssh_server(host: FarHost) -> Iterator[None]:
-    """An SSH server with keys of its own, which lets in who has the key beside them."""
+    """An SSH server with its own keys, which accepts the key beside them."""
     folder = host.folder
     for name in ("id", "host_key"):
         subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", folder / name], check=True)

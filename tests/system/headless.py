@@ -1,4 +1,4 @@
-"""Rerun's viewer without a screen: it opens a recording, says what its views report, and has its picture taken."""
+"""Rerun's viewer without a screen: it opens a recording, reports its views' errors, and takes a screenshot."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Robots and the radio between them in one thread, so that a test can look into their minds at every step.
+"""Robots and the radio between them in one thread, so that a test can inspect each robot at every step.
 
-`Team` does what the shells and the bus do. Where robots stand is up to the test: they explore a `World`, or
-are put where it wants them.
+`Team` does the work of the processes and the bus. The test chooses the robots' positions: they explore a `World`, or
+stand in given cells.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ def small_plan(name: str = "office", side_m: float = 12.0, map_seed: int = 0, **
 
 
 def plan_on(world_map: Map, **settings: Any) -> Plan:
-    """Of the thesis, as far as it is not said: polygons, and targets by Meier."""
+    """A plan in memory with the thesis's map encoding (polygons) and strategy (Meier) unless set otherwise."""
     thesis = {"map_encoding": "polygons", "strategy": "meier"}
     return plans.make(parse({"bus": "memory", "sensor_range": 3.0} | thesis | settings), world_map)
 
 
 def corridor(length: int, height: int = 5) -> Map:
-    """A corridor of so many cells, with niches so that there is something to say about it."""
+    """A corridor of `length` by `height` cells, with niches in its walls so that its map is not trivial."""
     cells = np.full((height + 4, length + 2), OCCUPIED, np.uint8)
     cells[2:-2, 1:-1] = FREE
     cells[1, 3:-1:4] = FREE
@@ -53,7 +53,7 @@ def corridor(length: int, height: int = 5) -> Map:
 
 
 class Member:
-    """A robot and what its process does for it; the relay has to ask it in each phase."""
+    """A robot without its process; it sends no speculative replies, so the relay asks it in each phase."""
 
     def __init__(self, settings: Settings) -> None:
         self.robot = Robot(settings)
@@ -62,7 +62,7 @@ class Member:
         self.robot.perceive(sense)
 
     def take(self, event: MediumEvent) -> RobotFrames | None:
-        """Take an event of the relay; return the frames that the robot sends then."""
+        """Handle an event of the relay; return the frames that the robot sends in response."""
         frames = respond(self.robot, event, pytest.fail)
         return None if frames is None else replace(frames, replies=NO_REPLIES)
 
@@ -75,47 +75,55 @@ class Member:
 
 
 class Team:
-    """All robots of a plan; `robot_settings` may stand in for some of them."""
+    """All robots of a plan; the argument `members` replaces some of them."""
 
-    def __init__(self, plan: Plan, robot_settings: Mapping[int, Member] | None = None) -> None:
+    def __init__(self, plan: Plan, members: Mapping[int, Member] | None = None) -> None:
         self.plan = plan
         self.truth: Grid = plan.map.cells
         self.world = plan.make_world()
-        self.robot_settings = {
-            number: Member(settings) for number, settings in plan.robot_settings.items()
-        } | dict(robot_settings or {})
+        self.members = {number: Member(settings) for number, settings in plan.robot_settings.items()} | dict(
+            members or {}
+        )
         self.step = 0
-        self.said: dict[int, int] = {}
-        """Bytes that robots put on their antennas, by step."""
+        self.sent_bytes: dict[int, int] = {}
+        """Bytes that robots submitted to the relay, by step."""
         self.moves: dict[int, Move] = {}
-        self._network = Network(plan.radio, self.robot_settings)
+        self._network = Network(plan.radio, self.members)
         self._rows: list[bytes] = []
         self._laser = ray_table(plan.world.bodies[0].range_cells, plan.world.beams)
 
     @property
     def robots(self) -> list[Robot]:
-        return [mind.robot for _, mind in sorted(self.robot_settings.items())]
+        return [member.robot for _, member in sorted(self.members.items())]
 
     def held(self, robot: int, map_id: int) -> object:
-        """What a robot holds of a map, in a form that can be compared; None if nothing."""
-        polygons = self.robot_settings[robot].robot.polygons.get(map_id)
+        """A robot's copy of a map in a comparable form; None if it has none."""
+        polygons = self.members[robot].robot.polygons.get(map_id)
         return None if polygons is None else polygons.canonical()
 
     def ledger(self) -> NDArray[np.void]:
         return np.frombuffer(b"".join(self._rows), ROW)
 
     def explore(self, steps: int) -> None:
-        """Explore until the first robot is done, so many steps at most."""
+        """Explore until the first robot is done, for at most `steps` steps."""
         while self.step < steps and not any(move.explored for move in self.moves.values()):
             senses = self.world.advance(self.moves)
             self._play(senses, self.world.cells)
 
     def stand(self, cells: Mapping[int, Cell]) -> None:
         """Play one step with the robots in these cells."""
-        nobody = np.zeros(self.truth.shape, np.bool_)
+        no_robots = np.zeros(self.truth.shape, np.bool_)
         senses = {
             robot: Sense(
-                self.step + 1, x, y, 0, b"", cast(self.truth, nobody, self._laser, x, y).tobytes(), "", 0, 0
+                self.step + 1,
+                x,
+                y,
+                0,
+                b"",
+                cast(self.truth, no_robots, self._laser, x, y).tobytes(),
+                "",
+                0,
+                0,
             )
             for robot, (x, y) in cells.items()
         }
@@ -129,8 +137,8 @@ class Team:
     def _play(self, senses: Mapping[int, Sense], cells: Mapping[int, Cell]) -> None:
         self.step += 1
         for robot, sense in senses.items():
-            self.robot_settings[robot].perceive(sense)
+            self.members[robot].perceive(sense)
         step = self._network.step(self.step, cells)
-        self.said[self.step] = sum(len(payload) for _, payload in step.submitted)
+        self.sent_bytes[self.step] = sum(len(payload) for _, payload in step.submitted)
         self._rows.append(step.report.rows)
-        self.moves = {robot: self.robot_settings[robot].decide() for robot in sorted(senses)}
+        self.moves = {robot: self.members[robot].decide() for robot in sorted(senses)}

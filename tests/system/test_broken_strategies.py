@@ -1,4 +1,4 @@
-"""An exception in somebody's strategy: its own traceback and nothing of ours, on either bus, and where the log is."""
+"""An exception in a user's strategy: on either bus, the report has only the user's frames and the log's path."""
 
 from __future__ import annotations
 
@@ -42,7 +42,9 @@ COMMAND = (
 
 
 @pytest.mark.parametrize("bus", ["memory", "zenoh"])
-def test_an_exception_in_a_strategy_is_told_as_its_author_knows_it(tmp_path: Path, bus: str) -> None:
+def test_an_exception_in_a_strategy_is_reported_with_only_the_author_s_frames(
+    tmp_path: Path, bus: str
+) -> None:
     (tmp_path / "torn.py").write_text(STRATEGY)
     done = subprocess.run(
         [sys.executable, "-m", "deploy.commands.main", *COMMAND, "--bus", bus],
@@ -53,18 +55,18 @@ def test_an_exception_in_a_strategy_is_told_as_its_author_knows_it(tmp_path: Pat
         check=False,
     )
     assert done.returncode == 3, done.stderr
-    told = done.stderr.splitlines()
-    assert told[0] == "r0, r1 died: exit code 1; last output: Traceback (most recent call last):"
-    frames = [line.strip().split(", ")[-1] for line in told if line.startswith('  File "')]
+    lines = done.stderr.splitlines()
+    assert lines[0] == "r0, r1 died: exit code 1; last output: Traceback (most recent call last):"
+    frames = [line.strip().split(", ")[-1] for line in lines if line.startswith('  File "')]
     assert frames == ["in choose", "in worth"]
     assert f'"{tmp_path / "torn.py"}", line 14' in done.stderr
     assert "IndexError: index 7 of 7" in done.stderr
-    assert "that is in run/logs/r0.log, run/logs/r1.log" in told
+    assert "full output: run/logs/r0.log, run/logs/r1.log" in lines
     assert "IndexError" in (tmp_path / "run" / "logs" / "r0.log").read_text()
     assert done.stdout.startswith("Not finished after 3 steps: all robots are lost.")
 
 
-def test_a_result_in_python_tells_it_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_result_in_python_shows_the_exception(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "torn_too.py").write_text(STRATEGY)
     monkeypatch.chdir(tmp_path)
     result = explore(map="em", robots=1, strategy="torn_too:Torn", bus="memory", keep=False)

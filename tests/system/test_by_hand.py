@@ -38,7 +38,7 @@ def free_address() -> str:
 
 @contextmanager
 def terminals(folder: Path) -> Iterator[dict[str, subprocess.Popen[str]]]:
-    """Terminals in a folder, by what runs in them; what still runs at the end is killed."""
+    """Processes by their command, started in one folder; the context manager kills those that still run at its end."""
     running: dict[str, subprocess.Popen[str]] = {}
     (folder / "hand.toml").write_text(SCENARIO)
     try:
@@ -74,7 +74,7 @@ def digest(directory: Path) -> str:
     return read
 
 
-def test_the_commands_of_the_document_make_the_run_that_explore_makes(tmp_path: Path) -> None:
+def test_the_commands_of_the_document_give_the_same_run_as_explore(tmp_path: Path) -> None:
     address = free_address()
     *by_hand, in_memory = [command.replace(ADDRESS, address) for command in COMMANDS]
     assert [command.split()[1] for command in by_hand] == [
@@ -88,10 +88,10 @@ def test_the_commands_of_the_document_make_the_run_that_explore_makes(tmp_path: 
         for command in by_hand:
             running[command] = start(command, tmp_path)
             wait_for(tmp_path / "credentials" / "scenario.toml", running[by_hand[0]])
-        said = {command: process.communicate(timeout=PATIENCE_S) for command, process in running.items()}
+        output = {command: process.communicate(timeout=PATIENCE_S) for command, process in running.items()}
         codes = {command: process.returncode for command, process in running.items()}
-        assert set(codes.values()) == {0}, said
-        relay, world, *agents, recorder = (said[command][0] for command in by_hand)
+        assert set(codes.values()) == {0}, output
+        relay, world, *agents, recorder = (output[command][0] for command in by_hand)
         assert re.match(
             rf"run \w+ at tcp/{address}; credentials in credentials: world, recorder, view, r0, r1\n", relay
         )
@@ -107,7 +107,7 @@ def test_the_commands_of_the_document_make_the_run_that_explore_makes(tmp_path: 
     assert digest(tmp_path / "by-hand") == digest(tmp_path / "by-memory")
 
 
-def test_ctrl_c_does_in_each_terminal_what_the_document_says(tmp_path: Path) -> None:
+def test_ctrl_c_in_each_terminal_has_the_documented_effect(tmp_path: Path) -> None:
     address = free_address()
     netshaper, worldsim, r0, r1, recorder = [command.replace(ADDRESS, address) for command in COMMANDS[:-1]]
     with terminals(tmp_path) as running:
@@ -120,17 +120,17 @@ def test_ctrl_c_does_in_each_terminal_what_the_document_says(tmp_path: Path) -> 
         running[r1].send_signal(signal.SIGINT)
         running[r1].wait(PATIENCE_S)
         running[recorder].send_signal(signal.SIGINT)
-        said, faults = running[recorder].communicate(timeout=PATIENCE_S)
+        output, faults = running[recorder].communicate(timeout=PATIENCE_S)
         assert running[recorder].returncode == 3
         assert "robot 1 was lost: its process ended" in faults
-        assert "interrupted" in said
+        assert "interrupted" in output
         assert "ending after this step; writing the run directory" in faults
         for others in (netshaper, worldsim, r0):
             assert running[others].wait(PATIENCE_S) == 0, others
     assert (tmp_path / "by-hand" / "maps.png").exists()
 
 
-def test_a_scenario_that_is_not_the_relay_s_is_refused_by_name(tmp_path: Path) -> None:
+def test_a_scenario_that_differs_from_the_relay_s_is_rejected_by_setting(tmp_path: Path) -> None:
     credential = access.issue("run", "tcp/127.0.0.1:1", robots=2)
     for name in ("world", "recorder"):
         credential[name].write(tmp_path / f"{name}.json")
@@ -163,7 +163,7 @@ def test_a_relay_that_cannot_listen_leaves_no_credentials(tmp_path: Path) -> Non
     assert not (tmp_path / "credentials").exists()
 
 
-def test_recorder_that_cannot_join_leaves_no_directory(
+def test_a_recorder_that_cannot_join_leaves_no_directory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("protocol.zenoh_bus.CONNECT_S", 0.5)

@@ -20,7 +20,7 @@ from deploy.scenario.scenario import parse
 from worldsim import generators, maps
 
 BUSY_S = 60
-"""Who keeps a core busy gives up after so many seconds at the latest."""
+"""Seconds after which a process that keeps a core busy ends."""
 
 
 @pytest.fixture(scope="module")

@@ -66,7 +66,7 @@ def wait_until(true: Callable[[], object], process: subprocess.Popen[str] | None
 
 
 def has_begun(folder: Path) -> bool:
-    """Whether the robots have said something by radio."""
+    """Whether the robots have sent anything by radio."""
     capture = folder / "run" / "radio.pcapng"
     return capture.exists() and capture.stat().st_size > 5_000
 
@@ -90,7 +90,7 @@ def test_delay_and_loss_change_no_result_and_no_secret_is_on_a_command_line(
         live = json.loads((tmp_path / "run" / "live.json").read_text())
         seen |= {title(int(path.name)) for path in Path("/proc").iterdir() if path.name.isdigit()}
         there = {title(pid) for pid in far.processes()}
-        said, faults = run.communicate(timeout=PATIENCE_S)
+        output, faults = run.communicate(timeout=PATIENCE_S)
     assert run.returncode == 1, faults
     assert not faults
     assert {"murmur robots", "murmur r0", "murmur r1"} <= there
@@ -101,7 +101,7 @@ def test_delay_and_loss_change_no_result_and_no_secret_is_on_a_command_line(
     assert live["hub"].startswith("tls/10.213.77.1:" if address == NEAR else f"tls/[{address}]:")
     assert not any("PRIVATE KEY" in line or live["certificate"]["key"].split()[4] in line for line in seen)
     here = explore(load(tmp_path / "team.toml", {"bus": "memory"}), keep=False)
-    summary = json.loads(said)
+    summary = json.loads(output)
     assert summary["digest"] == here.summary["digest"]
     assert summary["wire_bytes"] > summary["bytes"]["total"]
     assert not (tmp_path / "run" / "logs").exists()
@@ -116,16 +116,16 @@ def test_a_far_robot_that_dies_is_named_with_its_host_and_the_others_finish(
         wait_until(lambda: has_begun(tmp_path), run)
         (victim,) = (pid for pid in far.processes() if title(pid) == "murmur r2")
         os.kill(victim, signal.SIGKILL)
-        said, faults = run.communicate(timeout=PATIENCE_S)
+        output, faults = run.communicate(timeout=PATIENCE_S)
     assert run.returncode == 3
     assert "r2 died: on far: killed by SIGKILL, no output" in faults
     assert "robot 2 was lost: its process ended" in faults
-    assert list(json.loads(said)["lost"]) == ["2"]
-    assert json.loads(said)["steps"] == STEPS + 10
+    assert list(json.loads(output)["lost"]) == ["2"]
+    assert json.loads(output)["steps"] == STEPS + 10
     assert far.processes() == []
 
 
-def test_a_lost_connection_is_named_with_the_robots_that_went_with_it(far: FarHost, tmp_path: Path) -> None:
+def test_a_lost_connection_is_reported_with_its_robots(far: FarHost, tmp_path: Path) -> None:
     write_inputs(tmp_path, far, "speed = 0.005\n", robots="3")
     with launched(tmp_path, far) as run:
         wait_until(lambda: has_begun(tmp_path), run)
@@ -151,7 +151,7 @@ def test_a_launcher_that_is_killed_leaves_nothing_behind(far: FarHost, tmp_path:
         wait_until(lambda: not any(title(int(pid)) for pid in near.stdout.split()))
 
 
-def test_a_host_that_cannot_take_robots_is_named_before_anything_starts(far: FarHost, tmp_path: Path) -> None:
+def test_an_unusable_host_is_reported_before_anything_starts(far: FarHost, tmp_path: Path) -> None:
     write_inputs(tmp_path, far, "", port="2223")
     with launched(tmp_path, far) as run:
         _, faults = run.communicate(timeout=PATIENCE_S)

@@ -31,8 +31,8 @@ from worldsim import generators
 from worldsim.maps import Map
 
 SMALL = {
-    "map": "office", "robots": 3, "map_encoding": "scans", "bandwidth": "unlimited", "range": "100%", "sensor_range": 4.0,
-    "bus": "memory", "steps": 3000,
+    "map": "office", "robots": 3, "map_encoding": "scans", "bandwidth": "unlimited", "range": "100%",
+    "sensor_range": 4.0, "bus": "memory", "steps": 3000,
 }  # fmt: skip
 
 
@@ -58,7 +58,7 @@ def poses(records: Records) -> list[NDArray[np.int32]]:
 
 
 def check_finished(plan: Plan, records: Records) -> None:
-    """All that can be reached has been seen, and the first robot knows it and nothing wrong."""
+    """All reachable cells were seen, the first robot to finish knows them, and no map has a wrong cell."""
     assert records.end is not None
     assert records.end.first >= 0, records.end.reason
     reachable = plan.make_world().reachable
@@ -73,7 +73,7 @@ def check_finished(plan: Plan, records: Records) -> None:
 
 
 def check_bodies(plan: Plan, records: Records) -> None:
-    """Nobody stands in a wall, nobody in another, nobody drives faster than he can."""
+    """No robot stands in a wall or in another robot's cell, and none exceeds its speed."""
     cell = 1000 * plan.map.resolution
     speed = max(body.speed for body in plan.world.bodies)
     for before, now in zip([None, *poses(records)], poses(records), strict=False):
@@ -87,12 +87,12 @@ def check_bodies(plan: Plan, records: Records) -> None:
 
 
 def check_books(plan: Plan, records: Records) -> None:
-    """Within the budget, and to the byte, in every step."""
+    """In every step the traffic is within the budget and the ledger balances to the byte."""
     budget = plan.radio.budget
-    for said, carried, cut, heard in balance(records.ledger()).values():
-        assert said == carried + cut
+    for sent, carried, cut, received in balance(records.ledger()).values():
+        assert sent == carried + cut
         assert budget.fits(carried)
-        assert heard <= carried
+        assert received <= carried
     ledger = records.ledger()
     unicast = (ledger["receiver"] >= 0) & (ledger["carried"] == 1)
     assert (ledger["received_by"][unicast] == 1).all()
@@ -116,14 +116,14 @@ RUNS = [
 
 
 @pytest.mark.parametrize("more", RUNS, ids=str)
-def test_a_team_sees_all_there_is_and_its_first_robot_knows_it(more: dict[str, Any]) -> None:
+def test_a_team_explores_all_reachable_cells_and_its_first_robot_knows_them(more: dict[str, Any]) -> None:
     plan, records = small_run(**more)
     check_finished(plan, records)
     check_bodies(plan, records)
     check_books(plan, records)
 
 
-def test_robots_that_differ_explore_together() -> None:
+def test_robots_with_different_sensors_and_speeds_explore_together() -> None:
     plan = small_plan()
     scenario = parse(
         SMALL | {"robot": [{"robot": 1, "speed": 1.0, "sensor_range": 1.0}, {"robot": 2, "speed": 0.2}]}
@@ -141,7 +141,7 @@ def test_three_robots_are_faster_than_one() -> None:
     assert small_run(robots=3)[1].step < 0.75 * small_run(robots=1)[1].step
 
 
-def test_at_a_kilobyte_a_step_no_step_carries_more() -> None:
+def test_with_a_budget_of_a_kilobyte_no_step_carries_more() -> None:
     _, records = small_run(robots=4, bandwidth=1000)
     carried = [carried for _, carried, _, _ in balance(records.ledger()).values()]
     assert max(carried) <= 1000
@@ -167,7 +167,7 @@ def test_without_reach_or_bandwidth_nothing_arrives() -> None:
     assert not (small_run(robots=3, range=0)[1].ledger()["received_by"] > 0).any()
 
 
-def test_two_runs_of_one_scenario_are_equal_in_all_but_the_time_they_took() -> None:
+def test_two_runs_of_one_scenario_differ_only_in_computing_time() -> None:
     more = {"robots": 4, "bandwidth": 1000}
     _, first = small_run(**more)
     second = in_memory.run(small_plan(**more))
@@ -192,7 +192,7 @@ def test_watching_a_run_does_not_change_it() -> None:
     assert steps == list(range(1, watched.step + 1))
 
 
-def test_a_robot_that_breaks_down_leaves_the_rest_to_the_others() -> None:
+def test_the_others_explore_the_rest_after_a_robot_breaks_down() -> None:
     deaths = [{"robot": robot, "step": step, "kind": "death"} for robot, step in ((0, 5), (2, 1))]
     plan = plans.make(parse(SMALL | {"fault": deaths}), small_map("leader-rooms"))
     records = in_memory.run(plan)
@@ -207,7 +207,7 @@ def test_a_robot_that_breaks_down_leaves_the_rest_to_the_others() -> None:
     assert records.lost == {}
 
 
-def test_a_team_that_breaks_down_altogether_ends_the_run() -> None:
+def test_a_run_ends_when_all_robots_have_broken_down() -> None:
     plan = plans.make(
         parse(SMALL | {"robots": 1, "fault": [{"robot": 0, "step": 5, "kind": "death"}]}), small_map("office")
     )
@@ -257,13 +257,13 @@ def test_any_floor_is_explored_by_any_team(
     check_books(plan, records)
 
 
-def test_more_robots_than_packets_can_name_maps_of_share_none() -> None:
+def test_a_team_with_more_robots_than_map_ids_runs_without_sharing_maps() -> None:
     records = in_memory.run(small_plan(robots=66, steps=3, map_encoding="none"))
     assert records.step == 3
     assert not records.lost
 
 
-# Two replication engines and the real radio, without bodies.
+# Two replication engines and the real radio, without robots' bodies.
 
 
 class Pair:
@@ -286,7 +286,7 @@ class Pair:
         return packets.encode([packets.Fragment(bytes([robot, number % 256, number // 256]))])
 
     def holds(self, robot: int, map_id: int) -> int:
-        """How much of a log a robot holds; what it holds is right."""
+        """The length of a robot's copy of a log; checks its entries."""
         log = self.engines[robot].logs[map_id]
         assert log.read(log.start, None) == b"".join(
             self.entry(map_id, n) for n in range(log.start, len(log))
@@ -295,7 +295,7 @@ class Pair:
 
 
 @pytest.mark.parametrize("budget", [UNLIMITED, Budget(40)])
-def test_two_robots_that_walk_apart_and_back_hear_each_other_in_range_and_only_there(budget: Budget) -> None:
+def test_two_robots_that_walk_apart_and_back_receive_entries_only_in_range(budget: Budget) -> None:
     pair = Pair(10.0, budget)
     distances = [*range(21), *range(20, 0, -1), *20 * [1]]
     together = 0
@@ -314,12 +314,12 @@ def test_two_robots_that_walk_apart_and_back_hear_each_other_in_range_and_only_t
             assert budget.fits(int(rows["bytes"][rows["carried"] == 1].sum()))
         elif distance <= 10:
             assert now == (number, number)
-    # What was logged out of range has arrived, and nothing twice.
+    # Entries that were logged out of range have arrived, each once.
     assert together == 41
     assert (pair.holds(0, 1), pair.holds(1, 0)) == (len(distances), len(distances))
 
 
-def test_a_robot_that_says_something_to_one_out_of_range_is_not_heard() -> None:
+def test_a_frame_to_a_robot_out_of_range_is_not_delivered() -> None:
     def insistent(event: MediumEvent) -> list[RobotFrames]:
         if not isinstance(event, Open):
             return []

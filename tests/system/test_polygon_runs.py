@@ -1,4 +1,4 @@
-"""Whole runs with polygons: what teammates hold, what it cost, and what passes through whom."""
+"""Whole runs with polygons: the maps that teammates hold, their cost, and forwarding through other robots."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ TABLE_6_1 = {
 
 
 class Options(dict[str, Any]):
-    """Options that can be told apart as arguments of a cached function."""
+    """Options that are hashable, as arguments of a cached function."""
 
     def __hash__(self) -> int:  # type: ignore[override]
         return hash(tuple(sorted(self.items())))
@@ -48,10 +48,10 @@ def run(rules: str, name: str = "unstructured", **settings: Any) -> tuple[Record
     return records, summarize(plan, records, 1.0)
 
 
-# --- the air -------------------------------------------------------------------------------------------
+# --- traffic -------------------------------------------------------------------------------------------
 
 
-def test_a_team_in_one_thread_is_the_run_that_shells_and_bus_make_of_it() -> None:
+def test_a_team_in_one_thread_equals_a_run_over_the_bus() -> None:
     plan = small_plan(robots=3)
     team = Team(plan)
     team.explore(1000)
@@ -80,25 +80,23 @@ def test_bytes_are_packets_times_their_size_in_table_6_1(rules: str, bandwidth: 
 
 @pytest.mark.parametrize("rules", RULES)
 @pytest.mark.parametrize("bandwidth", [60, 1000])
-def test_no_step_goes_over_its_budget_and_all_that_is_said_is_carried_or_cut(
-    rules: str, bandwidth: int
-) -> None:
+def test_no_step_exceeds_its_budget_and_every_sent_byte_is_carried_or_cut(rules: str, bandwidth: int) -> None:
     team = Team(small_plan("unstructured", robots=5, range="40%", bandwidth=bandwidth, **RULES[rules]))
     team.explore(60)
     books = balance(team.ledger())
-    assert {step: said for step, said in team.said.items() if said} == {
-        step: said for step, (said, *_) in books.items()
+    assert {step: sent for step, sent in team.sent_bytes.items() if sent} == {
+        step: sent for step, (sent, *_) in books.items()
     }
-    for said, carried, cut, _ in books.values():
+    for sent, carried, cut, _ in books.values():
         assert carried <= bandwidth
-        assert said == carried + cut
+        assert sent == carried + cut
     unicast = team.ledger()[team.ledger()["receiver"] != EVERYONE]
-    assert sum(heard for *_, heard in books.values()) == unicast["bytes"][unicast["carried"] == 1].sum()
+    assert sum(received for *_, received in books.values()) == unicast["bytes"][unicast["carried"] == 1].sum()
     cut = sum(cut for _, _, cut, _ in books.values())
     assert cut > 0, "a budget that was never spent proves nothing"
 
 
-def test_out_of_range_nothing_is_said() -> None:
+def test_robots_out_of_range_send_nothing() -> None:
     team = Team(small_plan(robots=3, range=0))
     team.explore(30)
     assert not len(team.ledger())
@@ -107,7 +105,7 @@ def test_out_of_range_nothing_is_said() -> None:
         assert (robot.planning == robot.own).all()
 
 
-def test_the_approximation_is_the_better_the_more_may_be_said() -> None:
+def test_more_bandwidth_gives_a_better_approximation() -> None:
     bandwidths = (50, 200, 1000, "unlimited")
     errors = [
         run("default", robots=4, bandwidth=bandwidth)[1]["approximation_error"] for bandwidth in bandwidths
@@ -116,7 +114,7 @@ def test_the_approximation_is_the_better_the_more_may_be_said() -> None:
     assert errors[0] > 20 * errors[-1]
 
 
-def test_the_error_is_that_of_the_robot_that_finished_first() -> None:
+def test_the_reported_error_is_that_of_the_first_robot_to_finish() -> None:
     plan = small_plan("unstructured", robots=4, bandwidth=200)
     records, summary = run("default", robots=4, bandwidth=200)
     first = summary["first_robot"]
@@ -128,7 +126,7 @@ def test_the_error_is_that_of_the_robot_that_finished_first() -> None:
 
 
 @pytest.mark.parametrize("rules", RULES)
-def test_less_what_an_exact_approximation_gets_wrong_the_error_of_an_exact_one_is_none(rules: str) -> None:
+def test_the_net_error_of_an_exact_approximation_is_zero(rules: str) -> None:
     options = RULES[rules].get("polygons", {}) | {"exact_error": True, "lazy": False}
     _, exact = run(rules, robots=2, bandwidth="unlimited", polygons=Options(options))
     assert exact["approximation_error_net"] == 0
@@ -138,7 +136,7 @@ def test_less_what_an_exact_approximation_gets_wrong_the_error_of_an_exact_one_i
     assert run(rules, robots=4, bandwidth=200)[1]["approximation_error_net"] is None
 
 
-def test_a_team_is_done_some_steps_before_it_is_sure_where_its_maps_hold_assumptions() -> None:
+def test_with_inferred_cells_a_run_ends_some_steps_after_all_is_explored() -> None:
     for rules, steps in (("default", SURE_AFTER), ("thesis", 0)):
         _, summary = run(rules, robots=4, bandwidth=200)
         assert summary["steps"] - summary["explored_at"] == steps
@@ -149,23 +147,23 @@ def test_a_robot_alone_approximates_its_map_until_it_is_exact() -> None:
     assert summary["approximation_error"] < 0.01
 
 
-# --- what teammates hold -------------------------------------------------------------------------------
+# --- maps that teammates hold --------------------------------------------------------------------------
 
 
-def test_with_unlimited_bandwidth_all_hold_at_every_step_what_its_maker_means() -> None:
+def test_with_unlimited_bandwidth_all_robots_hold_each_author_s_approximation_at_every_step() -> None:
     team = Team(small_plan("unstructured", robots=4, bandwidth="unlimited"))
     for step in range(1, 200):
         team.explore(step)
         if team.step < step:
             break
-        for map_id in team.robot_settings:
-            assert all(team.held(robot, map_id) == team.held(map_id, map_id) for robot in team.robot_settings)
+        for map_id in team.members:
+            assert all(team.held(robot, map_id) == team.held(map_id, map_id) for robot in team.members)
     assert any(move.explored for move in team.moves.values())
 
 
 @pytest.mark.parametrize("rules", RULES)
 @pytest.mark.parametrize("bandwidth", [100, "unlimited"])
-def test_once_all_stand_still_all_come_to_hold_the_same(rules: str, bandwidth: int | str) -> None:
+def test_robots_that_stand_still_come_to_hold_equal_maps(rules: str, bandwidth: int | str) -> None:
     team = Team(small_plan("office", robots=3, bandwidth=bandwidth, **RULES[rules]))
     team.explore(25)
     cells = dict(team.world.cells)
@@ -173,13 +171,15 @@ def test_once_all_stand_still_all_come_to_hold_the_same(rules: str, bandwidth: i
         team.stand(cells)
         if not any(robot.replication.undelivered() for robot in team.robots) and team.step > 30:
             break
-    for map_id in team.robot_settings:
-        assert all(team.held(robot, map_id) == team.held(map_id, map_id) for robot in team.robot_settings)
+    for map_id in team.members:
+        assert all(team.held(robot, map_id) == team.held(map_id, map_id) for robot in team.members)
 
 
 @pytest.mark.parametrize("rules", RULES)
 @pytest.mark.parametrize("name", ["office", "unstructured"])
-def test_with_unlimited_bandwidth_the_plan_of_the_first_to_end_is_the_truth(rules: str, name: str) -> None:
+def test_with_unlimited_bandwidth_the_planning_map_of_the_first_robot_to_finish_is_correct(
+    rules: str, name: str
+) -> None:
     _, summary = run(rules, name, robots=3, bandwidth="unlimited")
     assert summary["finished"]
     assert summary["coverage"] == 1
@@ -187,7 +187,7 @@ def test_with_unlimited_bandwidth_the_plan_of_the_first_to_end_is_the_truth(rule
 
 
 @pytest.mark.parametrize("rules", RULES)
-def test_at_a_kilobyte_a_step_the_team_sees_all_and_the_plan_is_nearly_right(rules: str) -> None:
+def test_at_a_kilobyte_a_step_the_team_sees_all_and_the_planning_map_is_nearly_correct(rules: str) -> None:
     _, summary = run(rules, robots=3, bandwidth=1000)
     assert summary["finished"]
     assert summary["coverage"] > 0.99
@@ -198,7 +198,7 @@ def test_at_a_kilobyte_a_step_the_team_sees_all_and_the_plan_is_nearly_right(rul
     ("name", "robots", "bandwidth", "reach", "seed"),
     [("hilbert-3", 4, 1000, "20%", 3), ("hilbert-3", 5, 250, "100%", 2), ("leader-trap", 8, 1000, "100%", 1)],
 )
-def test_an_opening_that_looks_closed_at_first_does_not_end_a_run(
+def test_an_opening_that_appears_closed_at_first_does_not_end_a_run(
     name: str, robots: int, bandwidth: int, reach: str, seed: int
 ) -> None:
     plan = plans.make(
@@ -212,8 +212,8 @@ def test_an_opening_that_looks_closed_at_first_does_not_end_a_run(
     assert summary["coverage"] > 0.99
 
 
-def what_algorithm_9_can_know(grid: Grid, robot: Cell, drawing: Drawing) -> Grid:
-    """A grid without what no exact approximation can tell: see `agent.outline.merge`."""
+def renderable_by_algorithm_9(grid: Grid, robot: Cell, drawing: Drawing) -> Grid:
+    """A grid without the cells that an exact approximation leaves undetermined: see `agent.outline.merge`."""
     areas, _ = ndimage.label(grid == FREE)
     free: NDArray[np.bool_] = areas == areas[robot[1], robot[0]]
     beside = ndimage.binary_dilation(free, ndimage.generate_binary_structure(2, 1)) & ~free
@@ -228,7 +228,7 @@ def what_algorithm_9_can_know(grid: Grid, robot: Cell, drawing: Drawing) -> Grid
 
 
 @pytest.mark.parametrize("rules", RULES)
-def test_without_a_budget_a_rendering_is_the_teammates_own_grid_as_far_as_algorithm_9_can_tell(
+def test_with_unlimited_bandwidth_a_rendering_equals_the_author_s_grid_up_to_the_limits_of_algorithm_9(
     rules: str,
 ) -> None:
     drawing = Drawing(free_inside_edges=rules == "thesis", unknown_pairs=rules == "thesis")
@@ -239,15 +239,15 @@ def test_without_a_budget_a_rendering_is_the_teammates_own_grid_as_far_as_algori
         team.explore(step)
         if team.step < step:
             break
-        for map_id, mind in team.robot_settings.items():
-            robot = mind.robot
+        for map_id, member in team.members.items():
+            robot = member.robot
             polygons = robot.polygons.get(map_id)
             if polygons is not None and described.get(map_id, (None,))[0] is not polygons:
-                known = what_algorithm_9_can_know(robot.own, team.world.cells[map_id], drawing)
+                known = renderable_by_algorithm_9(robot.own, team.world.cells[map_id], drawing)
                 described[map_id] = polygons, known
-            for other in (other for other in team.robot_settings if other != map_id):
+            for other in (other for other in team.members if other != map_id):
                 if map_id in described and team.held(other, map_id) == team.held(map_id, map_id):
-                    theirs = team.robot_settings[other].robot.polygons[map_id]
+                    theirs = team.members[other].robot.polygons[map_id]
                     assert (rendered(theirs, drawing) == described[map_id][1]).all()
                     compared += 1
     assert compared > 3 * team.step
@@ -267,7 +267,7 @@ def three_in_a_line(**settings: Any) -> Team:
 
 @pytest.mark.parametrize("rules", RULES)
 @pytest.mark.parametrize("bandwidth", [100, 1000])
-def test_a_map_reaches_who_is_out_of_its_makers_range_through_who_is_between(
+def test_a_map_reaches_a_robot_out_of_its_author_s_range_through_a_robot_in_between(
     rules: str, bandwidth: int
 ) -> None:
     team = three_in_a_line(bandwidth=bandwidth, **RULES[rules])
@@ -284,7 +284,7 @@ def test_a_map_reaches_who_is_out_of_its_makers_range_through_who_is_between(
 
 
 @pytest.mark.parametrize("rules", RULES)
-def test_from_the_dead_one_keeps_what_they_had_passed_on_and_gets_no_more(rules: str) -> None:
+def test_a_robot_keeps_the_maps_that_a_dead_robot_forwarded_and_receives_no_more_from_it(rules: str) -> None:
     team = three_in_a_line(bandwidth=80, **RULES[rules])
     meant = []
     cells = dict(IN_A_LINE)
@@ -296,7 +296,7 @@ def test_from_the_dead_one_keeps_what_they_had_passed_on_and_gets_no_more(rules:
     team.kill(B)
     del cells[B]
     kept, log = team.held(C, A), len(team.robots[C].replication.logs[A])
-    assert kept in meant, "only whole steps are taken over"
+    assert kept in meant, "only whole steps are applied"
     assert log <= len(team.robots[B].replication.logs[A])
     for _ in range(30):
         cells[A] = (1 + (cells[A][0] + 1) % 12, 4)
@@ -306,7 +306,7 @@ def test_from_the_dead_one_keeps_what_they_had_passed_on_and_gets_no_more(rules:
     assert len(team.robots[C].replication.logs[A]) == log
     assert kept != meant[-1]
 
-    cells[C] = (cells[A][0] + 4, 4)  # they meet: what was cut off is continued, not begun anew
+    cells[C] = (cells[A][0] + 4, 4)  # they meet: the interrupted transfer resumes and does not start over
     before = len(team.ledger())
     for _ in range(60):
         team.stand(cells)
@@ -318,7 +318,7 @@ def test_from_the_dead_one_keeps_what_they_had_passed_on_and_gets_no_more(rules:
     assert data["packets"].sum() == len(team.robots[C].replication.logs[A]) - log
 
 
-def test_a_robot_that_a_scenario_kills_is_not_heard_of_again_and_the_others_finish() -> None:
+def test_a_robot_that_a_scenario_kills_sends_and_receives_no_more_and_the_others_finish() -> None:
     plan = small_plan("office", robots=3, fault=[{"robot": 1, "step": 12, "kind": "death"}])
     records = in_memory.run(plan)
     summary = summarize(plan, records, 1.0)

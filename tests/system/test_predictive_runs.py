@@ -1,4 +1,4 @@
-"""Whole runs with predictive and gossip: nothing is lost, little is said, and the books are right."""
+"""Whole runs with the predictive encoding and gossip: no entry is lost, little is sent, and the ledger is correct."""
 
 from __future__ import annotations
 
@@ -31,15 +31,17 @@ def bytes_of(team: Team, kind: str) -> int:
 
 @pytest.mark.parametrize("bandwidth", [20, 50, "unlimited"])
 @pytest.mark.parametrize("base", ["team", "own"])
-def test_all_that_is_said_of_maps_is_true_however_narrow_the_medium(bandwidth: int | str, base: str) -> None:
+def test_planning_maps_are_correct_at_any_bandwidth(bandwidth: int | str, base: str) -> None:
     team = explored(robots=4, bandwidth=bandwidth, predictive={"base": base})
     for robot in team.robots:
         known = robot.planning != UNKNOWN
         assert (robot.planning == team.truth)[known].all()
-    assert bytes_of(team, "conn") == 0, "all hear each other, so nobody needs to report anything"
+    assert bytes_of(team, "conn") == 0, (
+        "all robots are in range of each other, so no robot has anything to report"
+    )
 
 
-def test_without_a_limit_every_robot_knows_all_but_what_waits_for_the_next_step() -> None:
+def test_with_unlimited_bandwidth_every_robot_knows_all_but_the_last_step_s_cells() -> None:
     team = explored(robots=4, bandwidth="unlimited")
     seen = np.max([robot.own for robot in team.robots], axis=0)
     for robot in team.robots:
@@ -48,9 +50,7 @@ def test_without_a_limit_every_robot_knows_all_but_what_waits_for_the_next_step(
 
 @pytest.mark.parametrize("map_encoding", ["predictive", "scans", "polygons", "cells"])
 @pytest.mark.parametrize("reach", ["25%", "100%"])
-def test_what_is_said_is_carried_or_cut_to_the_byte_and_never_beyond_the_budget(
-    map_encoding: str, reach: str
-) -> None:
+def test_every_sent_byte_is_carried_or_cut_within_the_budget(map_encoding: str, reach: str) -> None:
     team = Team(
         small_plan(
             "office", robots=5, map_encoding=map_encoding, dissemination="gossip", bandwidth=150, range=reach
@@ -58,15 +58,15 @@ def test_what_is_said_is_carried_or_cut_to_the_byte_and_never_beyond_the_budget(
     )
     team.explore(60)
     rows = team.ledger()
-    for step, (said, carried, cut, _) in balance(rows).items():
-        assert said == carried + cut == team.said[step]
+    for step, (sent, carried, cut, _) in balance(rows).items():
+        assert sent == carried + cut == team.sent_bytes[step]
         assert carried <= 150
     assert (rows["frame"] == NEWS).any()
     assert not [fault for robot in team.robots for fault in robot.faults]
 
 
 @pytest.mark.parametrize("map_encoding", ["predictive", "scans", "cells"])
-def test_robots_that_part_and_meet_know_all_in_the_end(map_encoding: str) -> None:
+def test_robots_that_part_and_meet_hold_equal_maps_in_the_end(map_encoding: str) -> None:
     team = explored(robots=5, map_encoding=map_encoding, bandwidth="unlimited", range="30%")
     together = dict(enumerate(team.plan.world.starts))
     for _ in range(40):
@@ -76,7 +76,7 @@ def test_robots_that_part_and_meet_know_all_in_the_end(map_encoding: str) -> Non
         assert (robot.planning == seen).all()
 
 
-def test_by_gossip_more_maps_travel_than_offers_can_name() -> None:
+def test_gossip_forwards_more_maps_than_offers_can_name() -> None:
     team = Team(
         small_plan(
             "office",
@@ -92,7 +92,7 @@ def test_by_gossip_more_maps_travel_than_offers_can_name() -> None:
     assert not [fault for robot in team.robots for fault in robot.faults]
 
 
-def test_looks_tell_where_robots_are_so_that_fewer_poses_are_told() -> None:
+def test_predictive_updates_imply_poses_so_that_fewer_pose_packets_are_sent() -> None:
     plans = [
         small_plan(
             "office",
@@ -110,15 +110,15 @@ def test_looks_tell_where_robots_are_so_that_fewer_poses_are_told() -> None:
     assert 0 < bytes_of(predictive, "pose") < 0.7 * bytes_of(laser, "pose")
 
 
-def test_predictive_by_gossip_takes_a_hundredth_of_raw_scans() -> None:
+def test_predictive_with_gossip_takes_a_hundredth_of_the_bytes_of_raw_scans() -> None:
     predictive = explored(robots=3, bandwidth="unlimited")
     laser = explored(robots=3, bandwidth="unlimited", map_encoding="scans", dissemination="backoff")
     assert 100 * bytes_of(predictive, "update") < bytes_of(laser, "scan")
 
 
-def test_targets_that_hardly_moved_are_not_told_by_gossip() -> None:
-    told, all_told = (
+def test_gossip_does_not_send_targets_that_hardly_moved() -> None:
+    fewer, every = (
         explored(robots=3, bandwidth="unlimited", map_encoding="scans", dissemination=dissemination)
         for dissemination in ("gossip", "backoff")
     )
-    assert bytes_of(told, "targ") / told.step < bytes_of(all_told, "targ") / all_told.step
+    assert bytes_of(fewer, "targ") / fewer.step < bytes_of(every, "targ") / every.step

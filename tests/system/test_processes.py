@@ -1,4 +1,4 @@
-"""Swarms of real processes: what happens when one of them dies, and that none outlives a run."""
+"""Runs of real processes: the effect of a process that dies or hangs, and that none outlives its run."""
 
 from __future__ import annotations
 
@@ -84,10 +84,10 @@ def test_a_killed_robot_is_reported_and_the_others_finish(tmp_path: Path) -> Non
     with swarm(tmp_path / "run") as process:
         wait_for_steps(process)
         child(process, "r1").kill()
-        code, said, _ = finish(process, 120)
+        code, output, _ = finish(process, 120)
     assert code == 3
-    assert "r1" in said
-    assert "SIGKILL" in said
+    assert "r1" in output
+    assert "SIGKILL" in output
     result = summary(tmp_path / "run")
     assert result["finished"]
     assert result["coverage"] == 1.0
@@ -99,10 +99,10 @@ def test_a_robot_that_hangs_is_named_and_ended_and_the_others_finish(tmp_path: P
         wait_for_steps(process)
         stopped = child(process, "r1")
         stopped.suspend()
-        code, said, _ = finish(process, 60)
+        code, output, _ = finish(process, 60)
     assert code == 3
-    assert "robot 1 was lost: timed out after 1 s" in said
-    assert "died" not in said
+    assert "robot 1 was lost: timed out after 1 s" in output
+    assert "died" not in output
     assert not stopped.is_running()
     result = summary(tmp_path / "run")
     assert result["coverage"] == 1.0
@@ -115,9 +115,9 @@ def test_a_relay_or_world_that_hangs_ends_the_run_and_is_named(tmp_path: Path, n
         wait_for_steps(process)
         family = descendants(process)
         child(process, name).suspend()
-        code, said, _ = finish(process, 30)
+        code, output, _ = finish(process, 30)
     assert code == 3
-    assert f"no message from the {name} for" in said
+    assert f"no message from the {name} for" in output
     assert not psutil.wait_procs(family, timeout=3)[1]
 
 
@@ -127,10 +127,10 @@ def test_a_killed_relay_or_world_ends_the_run_and_is_named(tmp_path: Path, name:
         wait_for_steps(process)
         family = descendants(process)
         child(process, name).kill()
-        code, said, _ = finish(process, 30)
+        code, output, _ = finish(process, 30)
     assert code == 3
-    assert f"{name} died: killed by SIGKILL" in said
-    assert " died: exit code" not in said
+    assert f"{name} died: killed by SIGKILL" in output
+    assert " died: exit code" not in output
     assert not psutil.wait_procs(family, timeout=3)[1]
     result = summary(tmp_path / "run")
     assert not result["finished"]
@@ -140,18 +140,18 @@ def test_a_killed_relay_or_world_ends_the_run_and_is_named(tmp_path: Path, name:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_ends_all_children_and_writes_what_there_is(tmp_path: Path, number: int) -> None:
+def test_an_interrupt_ends_all_children_and_writes_the_results_so_far(tmp_path: Path, number: int) -> None:
     with swarm(tmp_path / "run", *SLOW) as process:
         wait_for_steps(process)
         family = descendants(process)
         os.kill(process.pid, number)
         time.sleep(0.5)
         os.kill(process.pid, number)  # once more, for the end takes a while
-        code, said, _ = finish(process, 30)
+        code, output, _ = finish(process, 30)
     assert code == 1
-    assert said.startswith("Not finished after")
-    assert "interrupted" in said
-    assert said.endswith("ending after this step; writing the run directory\n")
+    assert output.startswith("Not finished after")
+    assert "interrupted" in output
+    assert output.endswith("ending after this step; writing the run directory\n")
     assert not psutil.wait_procs(family, timeout=3)[1]
     result = summary(tmp_path / "run")
     assert result["reason"] == "interrupted"
@@ -159,29 +159,29 @@ def test_an_interrupt_ends_all_children_and_writes_what_there_is(tmp_path: Path,
     assert (tmp_path / "run" / "maps.png").exists()
 
 
-def test_ctrl_c_which_all_in_the_terminal_get_ends_a_run_that_is_watched_to_its_last_step(
+def test_ctrl_c_to_all_processes_ends_a_run_with_a_viewer_after_a_whole_step(
     tmp_path: Path,
 ) -> None:
     out = tmp_path / "run"
     with swarm(out, "--pictures", *SLOW) as process:
         wait_for_steps(process)
         os.killpg(process.pid, signal.SIGINT)
-        code, said, _ = finish(process, 60)
-    assert code == 1, said
+        code, output, _ = finish(process, 60)
+    assert code == 1, output
     assert archive.read(out).maps.steps(0)[-1] == summary(out)["steps"]
     assert (out / "pictures" / "channel-load.png").exists()
 
 
-def test_ctrl_c_while_processes_are_being_started_ends_the_run_as_well(tmp_path: Path) -> None:
+def test_ctrl_c_while_processes_start_ends_the_run(tmp_path: Path) -> None:
     with swarm(tmp_path / "run", *SLOW) as process:
         while not any("forkserver" in " ".join(each.cmdline()) for each in descendants(process)):
             time.sleep(0.02)
         time.sleep(0.5)
         family = descendants(process)
         os.killpg(process.pid, signal.SIGINT)
-        code, said, _ = finish(process, 60)
-    assert code == 1, said
-    assert "Traceback" not in said
+        code, output, _ = finish(process, 60)
+    assert code == 1, output
+    assert "Traceback" not in output
     assert not psutil.wait_procs(family, timeout=10)[1]
 
 
@@ -218,10 +218,10 @@ def test_a_fork_server_that_is_killed_is_named_once(tmp_path: Path) -> None:
         parents = {found.ppid() for found in family}
         (server,) = [found for found in family if found.pid in parents]
         server.kill()
-        code, said, _ = finish(process, 60)
+        code, output, _ = finish(process, 60)
     assert code == 3
-    assert said.count(" died: ") == 1
-    assert "the fork server died: " in said
+    assert output.count(" died: ") == 1
+    assert "the fork server died: " in output
     assert not psutil.wait_procs(family, timeout=20)[1]
 
 

@@ -1,7 +1,8 @@
-"""The radio as it is: whatever it loses, delays, damages or keeps apart, all learn the same in the end, only later."""
+"""Imperfect radios: with loss, delay, damage or partitions, robots end with the same maps, only later."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -12,7 +13,10 @@ from deploy.run.exploration import Result, explore
 from deploy.scenario.scenario import load
 from netshaper.frame_log import BEGIN, END, VERDICT
 from netshaper.ledger import CAUSES, EVERYONE, FIRST_ON_AIR, KIND_NUMBER
+from netshaper.medium import Account
+from netshaper.radio import Outgoing
 from protocol.grid import FREE
+from tests.netshaper.network import Step
 from tests.system.team import Cell, Team, small_plan
 
 FLOOR: dict[str, Any] = {
@@ -39,7 +43,7 @@ WAYS = [
 
 @cache
 def tour() -> list[dict[int, Cell]]:
-    """Where three robots go on the floor: the same whatever they tell each other."""
+    """The cells of three robots in each step, the same for every map encoding."""
     team = Team(small_plan(side_m=10.0, map_encoding="scans", robots=3, seed=4))
     cells: list[dict[int, Cell]] = []
     while len(cells) < 40 and not any(move.explored for move in team.moves.values()):
@@ -49,7 +53,7 @@ def tour() -> list[dict[int, Cell]]:
 
 
 def walk(map_encoding: str, dissemination: str, radio: dict[str, Any], more: int) -> Team:
-    """Robots that take the tour, and then stand for some steps more."""
+    """Robots that drive the tour and then stand still for `more` steps."""
     settings = {"polygons": {"lazy": False}} if map_encoding == "polygons" else {}
     team = Team(
         small_plan(
@@ -69,7 +73,7 @@ def walk(map_encoding: str, dissemination: str, radio: dict[str, Any], more: int
 
 
 @pytest.mark.parametrize(("map_encoding", "dissemination"), WAYS)
-def test_all_robots_hold_the_same_maps_in_the_end_as_on_a_perfect_radio(
+def test_all_robots_end_with_the_same_maps_as_on_a_perfect_radio(
     map_encoding: str, dissemination: str
 ) -> None:
     perfect = walk(map_encoding, dissemination, {}, 90)
@@ -85,7 +89,7 @@ def test_all_robots_hold_the_same_maps_in_the_end_as_on_a_perfect_radio(
 
 @pytest.mark.parametrize("trouble", ["loss", "all at once"])
 @pytest.mark.parametrize(("map_encoding", "dissemination"), WAYS)
-def test_a_team_explores_all_there_is_on_any_radio(
+def test_a_team_explores_all_reachable_cells_on_any_radio(
     map_encoding: str, dissemination: str, trouble: str
 ) -> None:
     result = explore(
@@ -113,7 +117,7 @@ def explored(map_encoding: str, dissemination: str) -> Result:
 
 
 def books_balance(result: Result) -> None:
-    """What is carried by unicast is heard once, or lost, damaged or too much; each frame has its sum."""
+    """Each carried unicast frame is received once, lost, damaged or dropped; each frame has its checksum."""
     rows = result.records.ledger()
     carried, cause = rows["carried"] == 1, rows["cause"]
     assert (carried == ((cause == 0) | (cause >= FIRST_ON_AIR))).all()
@@ -131,7 +135,7 @@ def books_balance(result: Result) -> None:
 @pytest.mark.parametrize("dissemination", ["backoff", "thesis", "gossip"])
 @pytest.mark.parametrize("map_encoding", ["scans", "polygons", "predictive", "cells"])
 @pytest.mark.parametrize("loss", [0.0, 0.1])
-def test_no_frame_on_the_air_is_longer_than_a_frame_may_be(
+def test_no_transmitted_frame_exceeds_the_frame_limit(
     map_encoding: str, dissemination: str, loss: float
 ) -> None:
     radio = {"frame_bytes": 20, "loss": loss, "checksums": loss > 0}
@@ -159,14 +163,15 @@ def test_no_frame_on_the_air_is_longer_than_a_frame_may_be(
 
 def listen(team: Team, note: Any) -> None:
     """Call `note` with the columns of each step's frames."""
-    close = team._radio._close
+    take = team._network._take
 
-    def closing() -> Any:
-        out = close()
-        note(out[-1].predictiveings.columns().rows)  # type: ignore[union-attr]
-        return out
+    def taking(step: Step, outgoing: Sequence[Outgoing]) -> None:
+        for item in outgoing:
+            if isinstance(item, Account):
+                note(item.log.columns().rows)
+        take(step, outgoing)
 
-    team._radio._close = closing  # type: ignore[method-assign]
+    team._network._take = taking  # type: ignore[method-assign]
 
 
 @pytest.mark.parametrize("dissemination", ["backoff", "gossip"])
@@ -189,8 +194,8 @@ def test_the_digest_is_the_same_on_both_buses(dissemination: str) -> None:
     assert {"loss", "damaged"} <= set(runs[0].summary["undelivered"])
 
 
-def test_two_ends_of_a_corridor_speak_at_once_where_air_is_reused() -> None:
-    said = {}
+def test_with_spatial_reuse_two_ends_of_a_corridor_transmit_at_once() -> None:
+    most_bytes = {}
     for reuse in (False, True):
         radio = {"reuse": reuse, "checksums": True}
         plan = small_plan(
@@ -203,6 +208,6 @@ def test_two_ends_of_a_corridor_speak_at_once_where_air_is_reused() -> None:
         for _ in range(12):
             team.stand(cells)
         rows = team.ledger()
-        said[reuse] = np.bincount(rows["step"], rows["bytes"] * rows["carried"]).max()
-    assert said[False] <= 300
-    assert 300 < said[True] <= 600
+        most_bytes[reuse] = np.bincount(rows["step"], rows["bytes"] * rows["carried"]).max()
+    assert most_bytes[False] <= 300
+    assert 300 < most_bytes[True] <= 600

@@ -1,4 +1,4 @@
-"""A participant with a valid credential says everything that it may not, whenever it says anything at all."""
+"""A participant with a valid credential sends every message that it may not send, in every phase."""
 
 from __future__ import annotations
 
@@ -64,17 +64,17 @@ JUNK = (
 STEPS, OFTEN = 12, 8
 
 
-def everywhere(keys: Keys, name: str) -> list[str]:
-    """Where somebody speaks who may say nothing: a hub would not let it, memory does."""
+def all_keys(keys: Keys, name: str) -> list[str]:
+    """Keys for a participant without any rights: the memory bus lets it put, a hub would not."""
     return [keys.control_tx(name), keys.body("*", name)] + [
         keys.control(receiver, name) for receiver in (names.WORLD, names.RECORDER, "*")
     ]
 
 
 def forbidden(keys: Keys, name: str) -> list[Message]:
-    """All that a participant can put but may not say: every kind to everyone, and what is no message."""
+    """All messages that a participant can put but may not send: every kind to every receiver, and malformed bytes."""
     found = []
-    for key in rights.may_put(keys, name) or everywhere(keys, name):
+    for key in rights.may_put(keys, name) or all_keys(keys, name):
         for receiver in ("r0", "r2") if "*" in key else ("",):
             place = key.replace("*", receiver)
             plane, direction, first, second = names.parts(place)
@@ -88,29 +88,29 @@ def forbidden(keys: Keys, name: str) -> list[Message]:
 
 
 class Rogue:
-    """The end of the bus of who says all that it may not, whenever it has heard something: in every phase."""
+    """A bus connection that sends all forbidden messages after each received message, and so in every phase."""
 
     def __init__(self, inner: Bus, name: str, most_bytes: int = 1 << 30) -> None:
         self._inner, self._name, self._most_bytes = inner, name, most_bytes
-        self._lies: list[Message] = []
-        self._heard = Counter[str]()
+        self._messages: list[Message] = []
+        self._received = Counter[str]()
         self.put, self.close = inner.put, inner.close
 
     def receive(self, timeout_s: float | None = None) -> Message | None:
         message = self._inner.receive(timeout_s)
         if message is None:
             return None
-        if not self._lies:
-            lies = self._words(Keys(message.key.split("/")[1]))
-            self._lies = [lie for lie in lies if len(lie.payload) <= self._most_bytes]
-        told = names.parts(message.key)[0] != "presence"
-        kind = type(messages.unpack(message.payload)).__name__ if told else "presence"
-        self._heard[kind] += 1
-        for lie in self._lies if self._heard[kind] <= OFTEN else ():
-            self._inner.put(*lie)
+        if not self._messages:
+            found = self._forbidden(Keys(message.key.split("/")[1]))
+            self._messages = [each for each in found if len(each.payload) <= self._most_bytes]
+        is_message = names.parts(message.key)[0] != "presence"
+        kind = type(messages.unpack(message.payload)).__name__ if is_message else "presence"
+        self._received[kind] += 1
+        for each in self._messages if self._received[kind] <= OFTEN else ():
+            self._inner.put(*each)
         return message
 
-    def _words(self, keys: Keys) -> list[Message]:
+    def _forbidden(self, keys: Keys) -> list[Message]:
         return forbidden(keys, self._name)
 
 
@@ -120,7 +120,7 @@ def plan() -> Plan:
 
 
 class Listener:
-    """A viewer that looks at nothing, until the run is over."""
+    """A viewer that ignores all messages until the run is over."""
 
     done = False
 
@@ -146,7 +146,7 @@ def test_there_is_an_example_of_every_kind() -> None:
 
 
 @pytest.mark.parametrize("rogue", ["r1", names.WORLD, names.RECORDER, names.RELAY, names.VIEW])
-def test_what_is_not_ones_to_say_is_a_fault_with_ones_name_and_changes_nothing(rogue: str) -> None:
+def test_a_forbidden_message_is_a_fault_with_its_sender_s_name_and_changes_nothing(rogue: str) -> None:
     records = play(rogue)
     assert digest(records) == honest_digest()
     assert records.end is not None
@@ -163,7 +163,7 @@ def rogue_over_zenoh(rogue: str, name: str, bus: Bus) -> Bus:
 
 
 @pytest.mark.parametrize("rogue", ["r1", names.WORLD, names.RECORDER])
-def test_over_zenoh_what_is_not_ones_to_say_changes_nothing_either(tmp_path: Path, rogue: str) -> None:
+def test_over_zenoh_a_forbidden_message_changes_nothing(tmp_path: Path, rogue: str) -> None:
     outcome = launch.run(plan(), tmp_path / "logs", wrap=partial(rogue_over_zenoh, rogue))
     assert outcome.deaths == {}
     records = outcome.records
@@ -199,11 +199,11 @@ NOISE = (
 )
 
 
-class Babbler(Rogue):
-    """The end of the bus of a robot whose radio says noise, whenever it has heard something: in every phase."""
+class NoiseSender(Rogue):
+    """A bus connection that sends noise on its robot's radio keys after each received message."""
 
-    def _words(self, keys: Keys) -> list[Message]:
-        spoken = [
+    def _forbidden(self, keys: Keys) -> list[Message]:
+        in_messages = [
             pack(
                 messages.RobotFrames(
                     1, 0, phase, noise, [messages.OutgoingFrame(n, noise, n) for n in (-1, 0, 1, 2, 9)]
@@ -212,15 +212,15 @@ class Babbler(Rogue):
             for phase in ("offers", "answers", "data")
             for noise in NOISE
         ]
-        return [Message(keys.radio_tx(self._name), noise) for noise in (*NOISE, *spoken)]
+        return [Message(keys.radio_tx(self._name), noise) for noise in (*NOISE, *in_messages)]
 
 
 @pytest.mark.parametrize("map_encoding", ["polygons", "scans", "predictive"])
 @pytest.mark.parametrize("dissemination", ["backoff", "gossip"])
-def test_noise_on_the_radio_in_every_phase_stops_nobody(map_encoding: str, dissemination: str) -> None:
+def test_noise_on_the_radio_in_every_phase_stops_no_robot(map_encoding: str, dissemination: str) -> None:
     noisy = small_plan(robots=3, steps=STEPS, map_encoding=map_encoding, dissemination=dissemination)
     truth = noisy.map.cells
-    records = in_memory.run(noisy, wrap=lambda name, bus: Babbler(bus, name) if name == "r1" else bus)
+    records = in_memory.run(noisy, wrap=lambda name, bus: NoiseSender(bus, name) if name == "r1" else bus)
     assert records.end is not None
     assert records.end.step == STEPS
     assert records.lost.keys() <= {1}
@@ -232,7 +232,7 @@ def test_noise_on_the_radio_in_every_phase_stops_nobody(map_encoding: str, disse
 
 
 class Silent:
-    """The end of the bus of a robot that never says messages of one kind, from the `after`-th on."""
+    """A bus connection that drops its robot's messages of one kind from the `after`-th on."""
 
     def __init__(self, inner: Bus, kind: type[messages.Record], after: int) -> None:
         self._inner, self._kind, self._left = inner, kind, after
@@ -248,7 +248,7 @@ class Silent:
 
 @pytest.mark.parametrize("kind", [messages.Move, messages.RobotFrames, messages.Maps])
 @pytest.mark.parametrize("after", [0, 7])
-def test_who_does_not_say_what_is_waited_for_is_given_up_and_the_others_go_on(
+def test_a_robot_that_omits_an_expected_message_is_given_up_and_the_others_continue(
     kind: type[messages.Record], after: int
 ) -> None:
     def wrap(name: str, bus: Bus) -> Bus:
@@ -257,7 +257,7 @@ def test_who_does_not_say_what_is_waited_for_is_given_up_and_the_others_go_on(
     records = in_memory.run(plan(), wrap=wrap)
     assert records.end is not None
     assert records.end.step == STEPS
-    lost = "did not send its maps" if kind is messages.Maps else "timed out"
+    lost = "it did not send its maps" if kind is messages.Maps else "timed out"
     if kind is not messages.Maps or not after:
         assert list(records.lost) == [1]
         assert lost in records.lost[1]

@@ -1,4 +1,4 @@
-"""Whole swarms under every strategy: they finish, differ from each other, and are the same on both buses."""
+"""Whole runs with every strategy: they finish, differ from each other, and are the same on both buses."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def run(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_strategy_sees_all_there_is_or_says_that_it_has_stalled(name: str) -> None:
+def test_every_strategy_explores_all_reachable_cells_or_reports_a_stall(name: str) -> None:
     result = run(name)
     assert not result.records.protocol_errors
     if name == STALLS:
@@ -57,7 +57,7 @@ def ways_of(result: Result) -> str:
     return hashlib.sha256(b"".join(report.poses for report in result.records.world)).hexdigest()
 
 
-def test_no_two_strategies_drive_the_same_ways() -> None:
+def test_no_two_strategies_drive_the_same_paths() -> None:
     ways = {name: ways_of(run(name)) for name in NAMES}
     # The depot strategies differ from those that they build on by more than the way home.
     ways |= {f"{name}, return": ways_of(run(name, mission="return")) for name in ("hungarian", "mtsp")}
@@ -84,7 +84,9 @@ def test_a_strategy_gives_the_same_digest_on_both_buses(name: str) -> None:
 
 
 @pytest.mark.parametrize("map_encoding", [name for name in ENCODINGS if name != "polygons"])
-def test_a_strategy_of_sub_teams_goes_with_every_exchange_alike_on_both_buses(map_encoding: str) -> None:
+def test_a_sub_team_strategy_gives_equal_digests_on_both_buses_with_every_map_encoding(
+    map_encoding: str,
+) -> None:
     memory = run("burgard", map_encoding=map_encoding)
     assert memory.summary["coverage"] >= 0.99
     assert run("burgard", "zenoh", map_encoding).summary["digest"] == memory.summary["digest"]
@@ -93,19 +95,21 @@ def test_a_strategy_of_sub_teams_goes_with_every_exchange_alike_on_both_buses(ma
 @pytest.mark.long
 @pytest.mark.parametrize("map_encoding", ENCODINGS)
 @pytest.mark.parametrize("name", NAMES)
-def test_every_strategy_goes_with_every_exchange_alike_on_both_buses(name: str, map_encoding: str) -> None:
+def test_every_strategy_gives_equal_digests_on_both_buses_with_every_map_encoding(
+    name: str, map_encoding: str
+) -> None:
     digests = {run(name, bus, map_encoding).summary["digest"] for bus in ("memory", "zenoh")}
     assert len(digests) == 1
 
 
-def test_poses_and_targets_stand_on_the_ledger() -> None:
+def test_the_ledger_contains_poses_and_targets() -> None:
     kinds = run("hungarian").summary["bytes"]
     assert kinds["pose"] > kinds["targ"] > 0
     assert "targ" not in run("nearest").summary["bytes"]
     assert "pose" not in run("meier").summary["bytes"]
 
 
-def test_robots_that_return_end_where_they_began() -> None:
+def test_robots_that_return_end_at_their_starts() -> None:
     import numpy as np
 
     world = run("mtsp-depot").records.world
@@ -116,8 +120,8 @@ def test_robots_that_return_end_where_they_began() -> None:
 
 
 @pytest.mark.parametrize("name", ["hungarian", "classical"])
-def test_a_disc_whose_laser_looks_ahead_finds_the_wall_beside_its_way(name: str) -> None:
-    # With a quarter turn in view it drives into corners that it has not seen.
+def test_a_disc_with_a_narrow_field_of_view_detects_walls_beside_its_path(name: str) -> None:
+    # With a field of view of 90 degrees, the robot drives into corners that it has not seen.
     office = generators.make("office-obstacles", seed=3, resolution=0.15, width_m=12.0, height_m=10.0)
     scenario: dict[str, Any] = {
         "map": "office-obstacles", "robots": 1, "strategy": name, "bus": "memory", "map_encoding": "none",
@@ -143,7 +147,7 @@ def test_a_disc_must_see_all_walls_that_its_next_step_touches(sensor_range: floa
     plan.make(disc.model_copy(update={"radius": 0.0}), office)
 
 
-def test_robots_in_a_doorway_do_not_stand_in_each_others_way_for_good() -> None:
+def test_robots_in_a_doorway_do_not_block_each_other_forever() -> None:
     # Four of the five meet in the first doorway, two going in and two coming out.
     office = generators.make("office-plain", seed=1, resolution=0.25)
     scenario: dict[str, Any] = {

@@ -112,12 +112,12 @@ def test_all_robots_are_shown_in_the_dark_and_no_view_reports_an_error(
 @pytest.mark.parametrize("robots", [5, pytest.param(16, marks=pytest.mark.long)])
 def test_a_light_page_shows_the_dashboard_in_a_real_browser(robots: int, tmp_path: Path) -> None:
     recording = recorded(tmp_path, robots=robots, range="30%", steps=25, **OUTLINES)
-    told: list[str] = []
-    window = Window("web", told.append)
+    printed: list[str] = []
+    window = Window("web", printed.append)
     with Browser(1440, 900) as browser:
         window.open(recording)
         try:
-            assert told == [f"Dashboard: {window.address}  (until Ctrl-C)"]
+            assert printed == [f"Dashboard: {window.address}  (until Ctrl-C)"]
             assert window.address.startswith("http://127.0.0.1:")
             browser.open(f"{window.address}&persist=0&renderer=webgl&theme=light")
             png = browser.settled_picture(120.0, least=100_000)

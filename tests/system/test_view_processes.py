@@ -1,4 +1,4 @@
-"""A viewer among real processes: it comes, goes, hangs and dies, and the run is none the worse for it."""
+"""A viewer process that starts late, hangs or dies does not affect the run."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def test_a_run_that_is_terminated_leaves_a_recording_that_opens(tmp_path: Path) 
         wait_for_steps(out, process)
         family = [*psutil.Process(process.pid).children(recursive=True)]
         process.terminate()
-        code, said, _ = finish(process, 30)
-    assert code == 1, said
+        code, output, _ = finish(process, 30)
+    assert code == 1, output
     assert not psutil.wait_procs(family, timeout=3)[1]
     verify(out / RECORDING)
     assert archive.read(out).maps.steps(0)
@@ -43,13 +43,13 @@ def test_a_run_that_is_terminated_leaves_a_recording_that_opens(tmp_path: Path) 
         assert not any(view.reports for view in client.get_state().views)
 
 
-def test_a_viewer_that_is_terminated_keeps_what_it_saw(tmp_path: Path) -> None:
+def test_a_viewer_that_is_terminated_keeps_its_recording(tmp_path: Path) -> None:
     out = tmp_path / "run"
     with swarm(out, "--view-as", "file") as process:
         wait_for_steps(out, process)
         child(process, "view").terminate()
-        code, said, _ = finish(process, 60)
-    assert code == 0, said
+        code, output, _ = finish(process, 60)
+    assert code == 0, output
     verify(out / RECORDING)
     assert archive.read(out).maps.steps(0)
 
@@ -61,15 +61,15 @@ def test_a_viewer_that_hangs_or_dies_harms_nothing(number: int, tmp_path: Path) 
         wait_for_steps(out, process)
         victim = child(process, "view")
         victim.send_signal(number)
-        code, said, _ = finish(process, 60)
-    assert code == 0, said
-    assert "the viewer failed, the run was not affected" in said
+        code, output, _ = finish(process, 60)
+    assert code == 0, output
+    assert "the viewer failed, the run was not affected" in output
     assert not victim.is_running()
     assert summary(out)["finished"]
     verify(out / RECORDING)
 
 
-def test_watching_changes_no_digest_and_a_pace_is_kept(tmp_path: Path) -> None:
+def test_a_viewer_changes_no_digest_and_the_pace_is_kept(tmp_path: Path) -> None:
     short = ["--steps", "40"]
     with swarm(tmp_path / "plain", *short) as process:
         finish(process, 60)
@@ -81,7 +81,7 @@ def test_watching_changes_no_digest_and_a_pace_is_kept(tmp_path: Path) -> None:
     assert (tmp_path / "shown" / "pictures" / "maps-over-time.png").exists()
 
 
-def test_one_may_come_late_to_look_at_a_run_that_nobody_shows(tmp_path: Path) -> None:
+def test_a_viewer_can_attach_late_to_a_run_without_a_viewer(tmp_path: Path) -> None:
     out = tmp_path / "run"
     with swarm(out, "--pace", "10", "--steps", "120") as process:
         wait_for(out / LIVE, process)
@@ -96,7 +96,7 @@ def test_one_may_come_late_to_look_at_a_run_that_nobody_shows(tmp_path: Path) ->
     assert all(maps.steps(robot) for robot in range(3))
 
 
-def test_there_is_nothing_to_look_at_where_nothing_was_recorded(tmp_path: Path) -> None:
+def test_watching_a_directory_without_a_recording_is_an_error(tmp_path: Path) -> None:
     watch = [sys.executable, "-m", "deploy.commands.main", "watch", str(tmp_path), "--view-as", "file"]
     done = subprocess.run(watch, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2
@@ -104,7 +104,7 @@ def test_there_is_nothing_to_look_at_where_nothing_was_recorded(tmp_path: Path) 
 
 
 def wait_for_steps(out: Path, process: subprocess.Popen[str]) -> None:
-    """Wait until some dozens of steps are over, as the growing capture of the radio tells."""
+    """Wait until some dozens of steps are over, judged by the size of the radio capture."""
     wait_for(out / CAPTURE, process, least=60_000)
 
 

@@ -39,10 +39,10 @@ def bag() -> dict[str, list[tuple[int, Any]]]:
     topics: dict[str, list[tuple[int, Any]]] = {}
     with export_mcap(small_directory()).open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        for _, channel, message, said in reader.iter_decoded_messages():
-            second, rest = divmod(message.log_time, 10**9)
+        for _, channel, logged, message in reader.iter_decoded_messages():
+            second, rest = divmod(logged.log_time, 10**9)
             assert rest == 0
-            topics.setdefault(channel.topic, []).append((second, said))
+            topics.setdefault(channel.topic, []).append((second, message))
     return topics
 
 
@@ -66,12 +66,12 @@ def test_every_robot_has_its_topics_every_step() -> None:
 def test_poses_are_those_of_the_run_in_the_maps_frame() -> None:
     table = steps()
     for row in range(len(table["step"])):
-        second, said = bag()[f"/r{table['robot'][row]}/pose"][table["step"][row] - 1]
-        assert second == said.header.stamp.sec == table["step"][row]
-        assert said.header.frame_id == "map"
-        assert said.pose.position.x == table["x"][row]
-        assert said.pose.position.y == table["y"][row]
-        yaw = 2 * math.atan2(said.pose.orientation.z, said.pose.orientation.w)
+        second, message = bag()[f"/r{table['robot'][row]}/pose"][table["step"][row] - 1]
+        assert second == message.header.stamp.sec == table["step"][row]
+        assert message.header.frame_id == "map"
+        assert message.pose.position.x == table["x"][row]
+        assert message.pose.position.y == table["y"][row]
+        yaw = 2 * math.atan2(message.pose.orientation.z, message.pose.orientation.w)
         assert math.cos(yaw + math.radians(table["heading"][row])) == pytest.approx(1.0)
 
 
@@ -100,12 +100,12 @@ def test_a_scan_drawn_in_the_maps_frame_hits_walls_of_the_truth() -> None:
 def test_maps_are_the_planning_maps_bottom_row_first() -> None:
     maps = archive.read(small_directory()).maps
     for robot in range(3):
-        for second, said in bag()[f"/r{robot}/map"]:
+        for second, message in bag()[f"/r{robot}/map"]:
             grid = maps.planning(robot, second)
             assert grid is not None
-            data = np.array(said.data, np.int8).reshape(said.info.height, said.info.width)
+            data = np.array(message.data, np.int8).reshape(message.info.height, message.info.width)
             assert (data[::-1] == np.array([-1, 0, 100], np.int8)[grid]).all()
-            assert said.info.resolution == pytest.approx(small_plan().map.resolution)
+            assert message.info.resolution == pytest.approx(small_plan().map.resolution)
     truth = np.array(bag()["/truth"][0][1].data, np.int8)
     assert (truth == occupancy(small_plan().map.cells)).all()
 
@@ -113,8 +113,8 @@ def test_maps_are_the_planning_maps_bottom_row_first() -> None:
 def test_polygons_are_closed_and_lie_where_the_recorded_outlines_do() -> None:
     maps = archive.read(small_directory()).maps
     world = small_plan().map
-    second, said = bag()["/r0/polygons"][-1]
-    (marker,) = said.markers
+    second, message = bag()["/r0/polygons"][-1]
+    (marker,) = message.markers
     rows = np.frombuffer(maps.outlines(0, marker.id, second), "<i2").reshape(-1, 4)
     assert len(marker.points) == len(marker.colors) == 2 * len(rows)
     for row, (here, color) in zip(
@@ -129,7 +129,7 @@ def test_polygons_are_closed_and_lie_where_the_recorded_outlines_do() -> None:
 
 def test_the_radios_frames_are_those_of_the_ledger() -> None:
     ledger = archive.read(small_directory()).ledger
-    frames = [said for _, said in bag()["/radio/frames"]]
+    frames = [message for _, message in bag()["/radio/frames"]]
     whole = np.unique(
         np.column_stack(
             [ledger[name] for name in ("step", "round", "connection", "frame", "sender", "receiver", "map")]
@@ -141,13 +141,13 @@ def test_the_radios_frames_are_those_of_the_ledger() -> None:
     for kind in np.unique(ledger["kind"]):
         rows = ledger["kind"] == kind
         for name in ("packets", "bytes"):
-            told = sum(
+            total = sum(
                 amount
                 for frame in frames
                 for its, amount in zip(frame.kinds, getattr(frame, name), strict=True)
                 if its == kind
             )
-            assert told == ledger[name][rows].sum()
+            assert total == ledger[name][rows].sum()
     assert sum(frame.carried for frame in frames) == ledger["bytes"][ledger["carried"]].sum()
     assert sum(frame.refused for frame in frames) == ledger["bytes"][~ledger["carried"]].sum()
     assert all(bool(frame.cause) == (frame.refused > 0) for frame in frames)
@@ -155,16 +155,16 @@ def test_the_radios_frames_are_those_of_the_ledger() -> None:
     assert (broadcast.receiver, broadcast.connection) == (-1, -1)
 
 
-def test_each_step_tells_its_bytes_by_purpose_and_the_budget() -> None:
+def test_each_step_has_its_bytes_by_traffic_type_and_its_budget() -> None:
     ledger = archive.read(small_directory()).ledger
     assert [second for second, _ in bag()["/radio/steps"]] == list(range(1, 41))
-    for step, said in bag()["/radio/steps"]:
+    for step, message in bag()["/radio/steps"]:
         here = ledger["step"] == step
-        assert said.budget == 1000
-        assert said.carried == ledger["bytes"][here & ledger["carried"]].sum()
-        assert said.waiting == ledger["bytes"][here & (ledger["cause"] == "budget")].sum()
-        purposes = {name: getattr(said, name) for name in GROUPS}
-        assert sum(purposes.values()) == said.carried
+        assert message.budget == 1000
+        assert message.carried == ledger["bytes"][here & ledger["carried"]].sum()
+        assert message.waiting == ledger["bytes"][here & (ledger["cause"] == "budget")].sum()
+        purposes = {name: getattr(message, name) for name in GROUPS}
+        assert sum(purposes.values()) == message.carried
         corners = np.isin(ledger["kind"], GROUPS["vertices"].kinds)
         assert purposes["vertices"] == ledger["bytes"][here & ledger["carried"] & corners].sum()
 
@@ -178,7 +178,7 @@ def test_the_bag_has_the_metadata_that_ros_asks_for() -> None:
     assert information["message_count"] == sum(map(len, bag().values()))
 
 
-def test_scans_cast_again_are_those_of_the_run_bit_for_bit() -> None:
+def test_recomputed_scans_equal_those_of_the_run_bit_for_bit() -> None:
     sensed: dict[tuple[int, int], Sense] = {}
 
     def wrap(name: str, bus: Any) -> Any:
@@ -187,9 +187,9 @@ def test_scans_cast_again_are_those_of_the_run_bit_for_bit() -> None:
         def tapped(timeout_s: float | None = None) -> Any:
             message = receive(timeout_s)
             if message is not None and name[:1] == "r" and name != "relay" and "/body/" in message.key:
-                said = unpack(message.payload)
-                if isinstance(said, Sense):
-                    sensed[int(name[1:]), said.step] = said
+                content = unpack(message.payload)
+                if isinstance(content, Sense):
+                    sensed[int(name[1:]), content.step] = content
             return message
 
         bus.receive = tapped
@@ -206,7 +206,7 @@ def test_scans_cast_again_are_those_of_the_run_bit_for_bit() -> None:
     assert compared == 3 * 40
 
 
-def test_ranges_turn_with_y_up_and_tell_nothing_from_far() -> None:
+def test_ranges_turn_with_y_up_and_readings_out_of_range_are_infinite() -> None:
     beams = ray_table(10, 4)  # +x, down, -x, up on the picture
     readings = np.array([3 | HIT, 9, NONE, 0 | HIT], np.uint16)
     ranges = ranges_of(readings, beams, 0.5)
@@ -216,7 +216,7 @@ def test_ranges_turn_with_y_up_and_tell_nothing_from_far() -> None:
     assert math.isinf(ranges[3])
 
 
-def test_an_export_names_the_package_that_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_export_names_the_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     with pytest.raises(ExportError, match=r"pip install 'murmur-robots\[mcap\]'"):
         export_mcap(Path())

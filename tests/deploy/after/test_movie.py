@@ -105,7 +105,7 @@ def test_the_command_writes_a_gif_and_prints_its_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("arguments", "message"),
     [
         (["movie", "RUN", "--mp4", "--gif"], "use either --mp4 or --gif"),
         (["movie", "RUN", "RUN", "RUN"], "movie takes one run directory, or two"),
@@ -122,10 +122,10 @@ def test_the_command_writes_a_gif_and_prints_its_name(tmp_path: Path) -> None:
         (["report", "RUN", "RUN", "RUN"], "report takes one run directory, or two; with --stages only one"),
     ],
 )
-def test_invalid_requests_for_films_are_refused(words: list[str], said: str) -> None:
+def test_invalid_requests_for_films_are_refused(arguments: list[str], message: str) -> None:
     run = str(small_directory())
-    done = CliRunner().invoke(app, [word.replace("RUN", run) for word in words])
-    assert (done.exit_code, done.stderr) == (2, f"murmur: {said}\n")
+    done = CliRunner().invoke(app, [word.replace("RUN", run) for word in arguments])
+    assert (done.exit_code, done.stderr) == (2, f"murmur: {message}\n")
 
 
 def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

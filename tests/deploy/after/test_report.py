@@ -95,8 +95,8 @@ def test_a_page_shows_the_figures_of_the_summary_and_of_the_ledger(written: Path
         assert kind == "total" or f"{100 * size / summary['bytes']['total']:.1f} %" in words
     ledger = archive.read(written.parent).ledger
     for robot in range(3):
-        said = int(ledger["bytes"][ledger["carried"] & (ledger["sender"] == robot)].sum())
-        assert f"{said:,}" in words
+        sent = int(ledger["bytes"][ledger["carried"] & (ledger["sender"] == robot)].sum())
+        assert f"{sent:,}" in words
 
 
 def test_a_slider_has_a_picture_per_step_up_to_a_size_limit(
@@ -143,8 +143,8 @@ def test_a_run_without_traffic_has_a_page(tmp_path: Path) -> None:
 def test_panels_without_traffic_begin_at_zero(tmp_path: Path) -> None:
     alone = parse({"bus": "memory", "robots": 1, "steps": 3, "bandwidth": "unlimited"})
     explore(alone, out=tmp_path / "run")
-    _, load, wait, told = channel_load(archive.read(tmp_path / "run")).axes
-    assert [axes.get_ylim() for axes in (load, wait, told)] == [(0, 1)] * 3
+    _, load, wait, delivered = channel_load(archive.read(tmp_path / "run")).axes
+    assert [axes.get_ylim() for axes in (load, wait, delivered)] == [(0, 1)] * 3
 
 
 def test_other_folders_and_damaged_tables_are_refused(tmp_path: Path, directory: Path) -> None:

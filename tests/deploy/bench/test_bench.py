@@ -208,9 +208,9 @@ def test_skimage_finds_the_same_costs_without_cutting_corners(seed: int) -> None
 @pytest.mark.parametrize("seed", range(4))
 def test_numpy_draws_the_same_scan(seed: int) -> None:
     grid, cell = some_floor(seed)
-    nobody, beams = np.zeros(grid.shape, np.bool_), ray_table(25.0)
+    no_robots, beams = np.zeros(grid.shape, np.bool_), ray_table(25.0)
     mine, theirs = np.zeros_like(grid), np.zeros_like(grid)
-    draw(mine, beams, *cell, cast(grid, nobody, beams, *cell))
+    draw(mine, beams, *cell, cast(grid, no_robots, beams, *cell))
     baselines.scan_in_numpy(grid, beams, cell, theirs)
     assert (mine == theirs).all()
 

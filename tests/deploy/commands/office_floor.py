@@ -1,4 +1,4 @@
-"""What the tests of commands share: calling one, and a small floor to explore."""
+"""Helpers for tests of commands: a function that calls one, and a small floor to explore."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is made of a finished run: replays, and a disk that is full."""
+"""Commands on a finished run: replays, and errors on a full disk."""
 
 from __future__ import annotations
 

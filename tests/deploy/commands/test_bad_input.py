@@ -175,7 +175,7 @@ EXPLORE = {
     "--map afar.yaml": "origin is [1e+308, 0.0, 0.0], not three numbers of 1e+08 at most",
     f"--set options={5000 * '[' + 5000 * ']'}": "set = 'options=...': nested too deeply",
     "--set radius=1e6 --set sensor_range=1e6": "radius = 1e+06 m: exceeds the largest map with cells of 0.1 m",
-    "--nonsense": "No such option: --nonsense",
+    "--unknown-flag": "No such option: --unknown-flag",
 }
 
 OTHERS = {

@@ -1,4 +1,4 @@
-"""`murmur keys`, and a hub started by hand that asks for what it made."""
+"""`murmur keys`, and a manually started hub that requires its certificates."""
 
 from __future__ import annotations
 
@@ -69,7 +69,9 @@ def end_run(recorder: Bus, run: str) -> None:
     recorder.close()
 
 
-def test_a_hub_by_hand_asks_for_the_keys_that_were_made(tmp_path: Path, started: Callable[..., str]) -> None:
+def test_a_manually_started_hub_requires_the_generated_keys(
+    tmp_path: Path, started: Callable[..., str]
+) -> None:
     murmur("keys", str(tmp_path / "keys"), "--robots", "1")
     folder = tmp_path / "credentials"
     listen = started(serve_netshaper, parse({"map": "em", "robots": 1}), folder, tmp_path / "keys")
@@ -90,11 +92,11 @@ def test_robots_join_through_a_router_that_was_started_by_hand(
     credential = Credential.read(routed / "r0.json")
     assert credential.hub == f"tcp/{listen}"
     robot, recorder = join(credential), join(Credential.read(hub / "recorder.json"))
-    heard = None
-    while heard is None:  # until it is known at the router that the laboratory has come
+    received = None
+    while received is None:  # until the router knows the recorder's subscription
         robot.put(Keys(credential.run).control(names.RECORDER, "r0"), b"through")
-        heard = recorder.receive(0.25)
-    assert heard.payload == b"through"
+        received = recorder.receive(0.25)
+    assert received.payload == b"through"
     robot.close()
     end_run(recorder, credential.run)
     with pytest.raises(ScenarioError, match=r"world\.json is that of world; a router's is needed here"):

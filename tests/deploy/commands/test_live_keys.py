@@ -1,4 +1,4 @@
-"""Keys: what is pressed is done to the run, and output; what makes no sense is output as well."""
+"""Keys that control a run: each prints its effect, and invalid input prints an error."""
 
 from __future__ import annotations
 

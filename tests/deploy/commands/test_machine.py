@@ -1,4 +1,4 @@
-"""`murmur doctor`: what it finds, and what to do about it."""
+"""`murmur doctor`: its findings and its advice."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from tests.deploy.commands.office_floor import murmur
 
 
-def test_the_doctor_names_the_extra_of_what_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_doctor_names_the_extra_of_a_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
     found = importlib.util.find_spec
 
     def without_rerun(name: str, package: str | None = None) -> ModuleSpec | None:

@@ -12,7 +12,7 @@ def test_maps_can_be_made_shown_and_explored(floor: str) -> None:
     assert murmur("map", "make", "em", "--out", "hall.yaml").stdout.startswith("hall.yaml: 21 x 24 m")
     shown = murmur("map", "show", "hall.yaml", "--png", "hall.png.png")
     assert "hall: 420 x 480 cells of 0.05 m" in shown.stdout
-    assert {"█", " "} <= set(shown.stdout), "walls and rooms can be told apart without colours"
+    assert {"█", " "} <= set(shown.stdout), "walls and rooms are distinguishable without colors"
     assert Path("hall.png.png").exists()
     assert explore("hall.yaml", "--steps", "2").exit_code == 1
     drawing = murmur("map", "show", "office").stdout.split("\n\n")[0].splitlines()

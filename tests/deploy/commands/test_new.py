@@ -1,4 +1,4 @@
-"""`murmur new`: what it writes works as it is, wherever one stands."""
+"""`murmur new`: the generated files work unchanged, in any directory."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SHORT = ["--map", "em", "--robots", "1", "--bus", "memory", "--steps", "3", "--j
 
 
 def elsewhere(*words: str) -> subprocess.CompletedProcess[str]:
-    """Run Python in this folder, as it is for somebody who has installed Murmur."""
+    """Run Python in the working directory, with Murmur importable as if it was installed."""
     safe = {"PYTHONPATH": str(ROOT), "PYTHONSAFEPATH": "1"}
     return subprocess.run(
         [sys.executable, *words], env=os.environ | safe, capture_output=True, text=True, check=False
@@ -29,7 +29,7 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def test_a_new_strategy_passes_its_own_test_and_explores_by_the_command_that_it_names() -> None:
+def test_a_new_strategy_passes_its_test_and_explores_with_the_printed_command() -> None:
     output = murmur("new", "strategy", "my-way")
     assert output.exit_code == 0, output.stderr
     tested = elsewhere("-m", "pytest", "-q", "-p", "no:cacheprovider", "test_my_way.py")
@@ -40,31 +40,31 @@ def test_a_new_strategy_passes_its_own_test_and_explores_by_the_command_that_it_
     assert '"strategy": "my_way:MyWay"' in done.stdout
 
 
-def test_a_file_called_as_a_room_of_ours_hides_nothing() -> None:
+def test_a_local_file_with_the_name_of_a_package_does_not_shadow_it() -> None:
     Path("protocol.py").write_text("raise RuntimeError('the wrong one')\n")
     murmur("new", "strategy", "farthest")
     done = elsewhere("-m", "deploy.commands.main", "explore", "--strategy", "farthest:Farthest", *SHORT)
     assert done.returncode == 1, done.stderr
 
 
-def test_what_is_wrong_in_a_strategy_of_ones_own_is_shown_as_its_own_traceback() -> None:
-    Path("broken.py").write_text("import numpy\n\nnumpy.nonsense\n")
+def test_an_error_in_a_user_s_strategy_is_shown_with_its_traceback() -> None:
+    Path("broken.py").write_text("import numpy\n\nnumpy.unknown_name\n")
     done = elsewhere("-m", "deploy.commands.main", "explore", "--strategy", "broken:Broken")
     assert done.returncode == 2
-    assert 'broken.py", line 3' in done.stderr and "nonsense" in done.stderr
+    assert 'broken.py", line 3' in done.stderr and "unknown_name" in done.stderr
     assert "pydantic" not in done.stderr
 
 
 @pytest.mark.parametrize(
     ("name", "output"), [("My Way", "must be lower-case"), ("class", "must be lower-case")]
 )
-def test_a_name_that_is_none_is_refused(name: str, output: str) -> None:
+def test_an_invalid_name_is_rejected(name: str, output: str) -> None:
     result = murmur("new", "strategy", name)
     assert result.exit_code == 2 and output in result.stderr
     assert list(Path().iterdir()) == []
 
 
-def test_nothing_is_written_over() -> None:
+def test_no_file_is_overwritten() -> None:
     Path("test_farthest.py").write_text("mine")
     result = murmur("new", "strategy", "farthest")
     assert result.exit_code == 2 and "test_farthest.py: is there already" in result.stderr

@@ -63,7 +63,7 @@ def test_machines_get_the_same_as_json() -> None:
     assert (beta["default"], beta["help"]) == (1.0, "weight of cost against utility")
 
 
-def test_help_says_how_parts_combine_line_by_line() -> None:
+def test_help_explains_line_by_line_how_parts_combine() -> None:
     lines = [line.strip() for line in murmur("strategies", "--help").stdout.splitlines()]
     for line in COMBINING.splitlines():
         assert line.strip() in lines

@@ -1,4 +1,4 @@
-"""`murmur sweep`: what it prints and keeps, and how it ends."""
+"""`murmur sweep`: its output, its files and its exit codes."""
 
 from __future__ import annotations
 

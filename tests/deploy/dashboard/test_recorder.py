@@ -128,7 +128,7 @@ def test_a_missing_display_or_package_is_named(monkeypatch: pytest.MonkeyPatch) 
         Window("file")
 
 
-def test_a_run_that_is_shown_needs_a_directory() -> None:
+def test_a_run_with_a_viewer_needs_a_directory() -> None:
     with pytest.raises(ValueError, match="needs a directory"):
         explore(parse(SETTINGS), keep=False, window=Window("file"))
     with pytest.raises(ValueError, match=r"pace = 0.1: must be 0.5 steps per second or more"):

@@ -1,4 +1,4 @@
-"""The events of a run: what is reports of it becomes positions, loads and events."""
+"""Events of a run: reports become positions, loads and events."""
 
 from __future__ import annotations
 
@@ -125,10 +125,10 @@ def test_a_breakdown_is_logged_once(events: RunEvents) -> None:
 
 
 def test_a_late_viewer_can_start_with_any_report() -> None:
-    heard = reports()
+    received = reports()
     for first in range(0, 60, 7):
         events = RunEvents(small_plan())
-        for sender, report in heard[first:]:
+        for sender, report in received[first:]:
             events.take(sender, report)
         assert events.step == 40
         assert sorted(events.positions) == [0, 1, 2]

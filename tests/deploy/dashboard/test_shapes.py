@@ -85,7 +85,7 @@ def test_all_digits_look_different() -> None:
     assert len({str(number_strips(digit, (0.0, 0.0), 2.0)) for digit in range(10)} | {"8=3"}) == 11
 
 
-def test_a_way_keeps_its_corners_only() -> None:
+def test_a_simplified_path_keeps_only_its_corners() -> None:
     way: list[tuple[float, float]] = []
     for place in [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (2.0, 0.0), (3.0, 1.0), (4.0, 2.0), (3.0, 1.0)]:
         extend(way, place)

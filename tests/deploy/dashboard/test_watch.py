@@ -1,4 +1,4 @@
-"""Looking at runs: what says that one is under way, and what is left of one that was killed."""
+"""`murmur watch`: the file that announces a running run, and the file that a killed run leaves."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def credential(port: int) -> Credential:
     return Credential("run", "view", f"tcp/127.0.0.1:{port}", "secret")
 
 
-def test_a_run_under_way_says_how_to_look_at_it_and_for_its_owner_only(tmp_path: Path) -> None:
+def test_a_running_run_announces_its_viewer_credential_to_its_owner_only(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as hub:
         mine = credential(hub.getsockname()[1])
         with announced(tmp_path, mine, 4711):
@@ -32,7 +32,7 @@ def test_a_run_under_way_says_how_to_look_at_it_and_for_its_owner_only(tmp_path:
         assert not list(tmp_path.iterdir())
 
 
-def test_what_a_killed_run_left_behind_is_no_run(tmp_path: Path) -> None:
+def test_the_live_file_of_a_killed_run_is_ignored(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as hub:
         port = hub.getsockname()[1]
     (tmp_path / LIVE).write_text(json.dumps({**vars(credential(port)), "port": None}))
@@ -45,7 +45,7 @@ def test_a_damaged_file_is_named(tmp_path: Path) -> None:
         read_live(tmp_path)
 
 
-def test_the_newest_recording_is_looked_at(tmp_path: Path) -> None:
+def test_the_newest_recording_is_opened(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match=r"no recording \(run.rrd\)"):
         recording_of(tmp_path)
     (tmp_path / "run.rrd").touch()

@@ -27,8 +27,8 @@ class Boaster:
 
     def put(self, key: str, payload: bytes) -> None:
         if names.parts(key)[0] == "body":
-            said = rights.read(key, payload)
-            payload = pack(replace(said, explored=isinstance(said, Move)))
+            message = rights.read(key, payload)
+            payload = pack(replace(message, explored=isinstance(message, Move)))
         self._inner.put(key, payload)
 
 
@@ -53,7 +53,7 @@ def test_a_run_has_not_finished_if_a_robot_stops_before_the_team_has_seen_enough
     assert result.summary["first_robot"] == 1
 
 
-def test_the_world_decides_how_much_the_team_has_seen() -> None:
+def test_the_world_determines_the_explored_share() -> None:
     plan, records = boasted()
     for grid in records.own.values():
         assert grid.shape == plan.map.cells.shape
@@ -61,8 +61,8 @@ def test_the_world_decides_how_much_the_team_has_seen() -> None:
     assert not summarize(plan, records, 1.0)["finished"]
 
 
-class Chatterbox:
-    """The end of the bus of a robot that says the same frame ten times, out of turn, before each move."""
+class FrameRepeater:
+    """A bus connection that sends the same frame ten times, outside its phase, before each move of its robot."""
 
     def __init__(self, inner: Bus) -> None:
         self._inner = inner
@@ -70,12 +70,12 @@ class Chatterbox:
 
     def put(self, key: str, payload: bytes) -> None:
         if names.parts(key)[0] == "body":
-            said = pack(RobotFrames(1, 0, "offers", frames=10 * [OutgoingFrame(0, b"\x80\x00")]))
-            self._inner.put(key.replace("body/rx/world/r1", "radio/tx/r1"), said)
+            message = pack(RobotFrames(1, 0, "offers", frames=10 * [OutgoingFrame(0, b"\x80\x00")]))
+            self._inner.put(key.replace("body/rx/world/r1", "radio/tx/r1"), message)
         self._inner.put(key, payload)
 
 
 def test_equal_frames_that_were_not_delivered_are_counted_one_by_one() -> None:
     plan = small_plan(robots=2, steps=3)
-    records = in_memory.run(plan, wrap=lambda name, bus: Chatterbox(bus) if name == "r1" else bus)
+    records = in_memory.run(plan, wrap=lambda name, bus: FrameRepeater(bus) if name == "r1" else bus)
     assert summarize(plan, records, 1.0)["undelivered"]["protocol"] >= 20

@@ -1,4 +1,4 @@
-"""Scenarios: what is written is read, and whatever is wrong names itself, its place and what would be right."""
+"""Scenarios: they are read back as written, and errors name the setting, its place and the valid values."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ meters = st.floats(0.001, 1e6)
 
 @st.composite
 def scenarios(draw: st.DrawFn) -> dict[str, Any]:
-    """Any settings that make sense, with some of them left out."""
+    """Any valid settings, some of them left out."""
     map_encoding = draw(st.sampled_from(sorted(ENCODINGS)))
     robots = draw(st.integers(1, MAX_ROBOTS if map_encoding == "none" else MAX_MAPS))
     number = st.integers(0, robots - 1)
@@ -80,7 +80,7 @@ def test_every_setting_is_as_it_was_given(settings: dict[str, Any]) -> None:
             assert getattr(scenario, key) == settings[key]
 
 
-def test_all_settings_have_defaults_that_make_sense_and_a_line_for_people() -> None:
+def test_all_settings_have_valid_defaults_and_a_description() -> None:
     scenario = parse({})
     assert scenario == Scenario()
     assert scenario.robots == 3
@@ -170,7 +170,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("settings", "complaint"), WRONG, ids=lambda value: str(value)[:60])
-def test_what_is_wrong_names_itself_and_what_would_be_right(settings: dict[str, Any], complaint: str) -> None:
+def test_an_error_names_the_setting_and_the_valid_values(settings: dict[str, Any], complaint: str) -> None:
     with pytest.raises(ScenarioError, match=rf"^scenario: {complaint}"):
         parse(settings)
 
@@ -179,7 +179,7 @@ def test_what_is_wrong_names_itself_and_what_would_be_right(settings: dict[str, 
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
 ), max_size=4))  # fmt: skip
-def test_nonsense_of_any_kind_is_a_scenario_error(settings: dict[str, Any]) -> None:
+def test_any_invalid_settings_are_a_scenario_error(settings: dict[str, Any]) -> None:
     try:
         scenario = parse(settings)
     except ScenarioError as error:
@@ -188,7 +188,7 @@ def test_nonsense_of_any_kind_is_a_scenario_error(settings: dict[str, Any]) -> N
         assert parse(tomllib.loads(scenario.to_toml())) == scenario
 
 
-def test_all_that_is_wrong_is_said_at_once() -> None:
+def test_all_errors_are_reported_at_once() -> None:
     with pytest.raises(ScenarioError) as caught:
         parse({"robots": 0, "speed": -1.0, "colour": "red"})
     assert [line.split()[1].rstrip(":") for line in str(caught.value).splitlines()] == [
@@ -221,7 +221,7 @@ def test_a_bandwidth_is_a_number_of_bytes_or_unlimited(given_: object, wanted: o
     assert parse({"bandwidth": given_}).bandwidth == wanted
 
 
-def test_a_robot_that_differs_keeps_what_is_not_said_of_it() -> None:
+def test_a_robot_with_overrides_keeps_its_other_settings() -> None:
     scenario = parse({"speed": 0.4, "sensor_range": 3.0, "robot": [{"robot": 1, "speed": 1.0}]})
     assert [(body.sensor_range, body.speed) for body in map(scenario.body_of, range(3))] == [
         (3.0, 0.4),
@@ -236,13 +236,13 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
-def test_overrides_lie_over_the_file_and_the_file_over_the_defaults(tmp_path: Path) -> None:
+def test_overrides_replace_the_file_s_values_and_the_file_s_the_defaults(tmp_path: Path) -> None:
     path = write(tmp_path, 'robots = 5\nspeed = 0.25\nmap = "office"')
     scenario = load(path, {"robots": 2, "seed": None, "range": "10%"})
     assert (scenario.robots, scenario.speed, scenario.range, scenario.seed) == (2, 0.25, "10%", 0)
 
 
-def test_a_map_file_is_looked_for_where_maps_are_kept_if_it_is_not_beside_the_scenario(
+def test_a_map_file_that_is_not_beside_the_scenario_is_found_in_the_map_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     maps, mine = tmp_path / "maps", tmp_path / "mine"
@@ -255,7 +255,7 @@ def test_a_map_file_is_looked_for_where_maps_are_kept_if_it_is_not_beside_the_sc
     assert Path(load(write(mine, 'map = "house.yaml"'), {}).map) == mine / "house.yaml"
 
 
-def test_a_map_file_is_looked_for_beside_the_scenario(tmp_path: Path) -> None:
+def test_a_map_file_is_found_beside_the_scenario(tmp_path: Path) -> None:
     path = write(tmp_path, 'map = "maps/house.yaml"')
     assert Path(load(path, {}).map) == tmp_path / "maps" / "house.yaml"
     assert load(path, {"map": "elsewhere.yaml"}).map == "elsewhere.yaml"
@@ -274,7 +274,7 @@ def test_a_map_file_is_looked_for_beside_the_scenario(tmp_path: Path) -> None:
         ("speed = nan", "speed = nan"),
     ],
 )
-def test_a_file_that_makes_no_sense_is_named(tmp_path: Path, text: str, complaint: str) -> None:
+def test_an_invalid_file_is_named(tmp_path: Path, text: str, complaint: str) -> None:
     path = write(tmp_path, text)
     with pytest.raises(ScenarioError, match=rf"^scenario {path}: {complaint}"):
         load(path, {})
@@ -295,16 +295,16 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", sorted(SHIPPED.glob("*.toml")), ids=lambda path: path.stem)
-def test_shipped_scenarios_are_found_by_name_and_make_sense(path: Path) -> None:
+def test_shipped_scenarios_are_found_by_name_and_valid(path: Path) -> None:
     assert load(Path(path.name), {}) == load(path, {})
 
 
-def test_wrong_flags_without_a_file_are_explained_as_well() -> None:
+def test_invalid_flags_without_a_file_are_explained() -> None:
     with pytest.raises(ScenarioError, match=r"^scenario: robots = 0"):
         load(None, {"robots": 0})
 
 
-def test_help_names_every_exchange_and_every_policy_of_offers() -> None:
+def test_help_names_every_map_encoding_and_every_dissemination() -> None:
     fields = Scenario.model_fields
     assert str(fields["map_encoding"].description).endswith(": " + ", ".join(ENCODINGS))
     assert str(fields["dissemination"].description).endswith(": " + ", ".join(DISSEMINATIONS))
@@ -312,7 +312,7 @@ def test_help_names_every_exchange_and_every_policy_of_offers() -> None:
         assert parse({"dissemination": policy}).dissemination == policy
 
 
-def test_who_looks_at_crumbs_from_afar_takes_no_opening_for_a_wall_unless_told_to(
+def test_strategies_that_observe_from_a_distance_disable_wide_walls_by_default(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def wide(**settings: Any) -> bool:

@@ -1,4 +1,4 @@
-"""Where robots start: as the scenario says, each by itself or around one place, and moved about by a seed."""
+"""Start positions of robots: given one by one or around one place, and moved at random by the seed."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ def starts(**settings: Any) -> list[tuple[int, int]]:
     return list(make(Scenario(**settings), HALL).world.starts)
 
 
-def test_the_first_robots_start_where_they_are_told_and_the_others_around_the_start() -> None:
+def test_the_first_robots_start_at_the_given_starts_and_the_others_around_the_start() -> None:
     found = starts(robots=3, starts=[(1.05, 1.05), (15.05, 9.05)], start=(10.05, 5.05))
     assert found == [(10, 89), (150, 9), (100, 49)]
     assert starts(robots=1, starts=[(1.05, 1.05), (15.05, 9.05)]) == [(10, 89)]
 
 
-def test_jitter_moves_the_start_about_by_the_seed_and_no_farther_than_it_says() -> None:
+def test_jitter_moves_the_start_by_the_seed_and_no_farther_than_its_limit() -> None:
     fixed = starts(robots=3, start=(10.0, 5.0))
     found = [starts(robots=3, start=(10.0, 5.0), start_jitter=0.5, seed=seed) for seed in range(20)]
     assert all(math.dist(each[0], fixed[0]) <= 5 for each in found)
@@ -39,7 +39,7 @@ def test_jitter_moves_the_start_about_by_the_seed_and_no_farther_than_it_says() 
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "message"),
     [
         ({"start_jitter": 1.0}, "set start or starts"),
         ({"starts": [(1.0, 1.0), (1.0, 1.0)]}, "robots 0 and 1 would start in the same place"),
@@ -47,16 +47,16 @@ def test_jitter_moves_the_start_about_by_the_seed_and_no_farther_than_it_says() 
         ({"starts": [1.0]}, "starts.0 = 1.0"),
     ],
 )
-def test_a_start_that_cannot_be_is_refused(settings: dict[str, Any], said: str) -> None:
-    with pytest.raises(ScenarioError, match=said):
+def test_an_invalid_start_is_rejected(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
         starts(robots=2, **settings)
 
 
-def test_without_bodies_robots_may_start_in_one_place() -> None:
+def test_without_collisions_robots_may_start_in_one_place() -> None:
     assert starts(robots=2, starts=[(1.0, 1.0), (1.0, 1.0)], robots_collide=False)[0] == (10, 90)
 
 
-def test_a_robot_has_a_radius_and_a_scanner_of_its_own() -> None:
+def test_each_robot_may_have_its_own_radius_and_scanner() -> None:
     own = [{"robot": 1, "radius": 0.2, "scanner_turn": 72.0}]
     plan = make(Scenario(robots=2, robot=own, scanner_turn=18.0, motion="cells", robots_collide=False), HALL)
     assert [body.radius_cells for body in plan.world.bodies] == [0.0, 2.0]

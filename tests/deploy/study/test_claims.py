@@ -1,4 +1,4 @@
-"""Claims: what rules may say, what is tested by them, and the verdict that follows."""
+"""Claims: the syntax of rules, their statistical tests, and the verdict."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_the_verdict_follows_from_the_tests_of_all_cells(
     assert found.findings[0].effect.mean == pytest.approx(factors[1], rel=0.05)
 
 
-def test_pairs_of_which_one_did_not_finish_are_left_out_and_counted(tmp_path: Path) -> None:
+def test_pairs_with_an_unfinished_run_are_left_out_and_counted(tmp_path: Path) -> None:
     runs = rows(factors={1: 0.7})
     runs[1]["coverage"] = 0.5
     (finding,) = verdict(tmp_path, FASTER, runs).findings
@@ -110,12 +110,15 @@ def test_every_form_of_expectation(tmp_path: Path, rule: str, word: str) -> None
 
 
 @pytest.mark.parametrize(
-    ("rule", "said"),
+    ("rule", "message"),
     [
         ('metric = "stepz"\nexpect = "value < 3"', "'stepz' is not a metric"),
         ('metric = "steps"\nexpect = "is less"', "expect = 'is less': must be one of 'ratio < 1'"),
         ('metric = "steps"\nexpect = "ratio < 1"', "compare and to are needed for a ratio"),
-        ('metric = "steps"\nexpect = "value < 1"\ncompare = { seed = 1 }\nto = { seed = 0 }', "compare and to are needed"),
+        (
+            'metric = "steps"\nexpect = "value < 1"\ncompare = { seed = 1 }\nto = { seed = 0 }',
+            "compare and to are needed",
+        ),
         ('metric = "steps"\nexpect = "ratio < 1"\ncompare = { seed = 1 }\nto = { robots = 1 }', "the same keys"),
         ('metric = "steps"\nexpect = "falls over range"', "'range' is not in the grid; there are: robots, seed"),
         ('metric = "steps"\nexpect = "value < 1"\nby = ["range"]', "names 'range', which is not in the grid"),
@@ -128,13 +131,13 @@ def test_every_form_of_expectation(tmp_path: Path, rule: str, word: str) -> None
          "no variant is called 'x'; there are: polygons, scans"),
     ],
 )  # fmt: skip
-def test_a_rule_that_makes_no_sense_is_refused(tmp_path: Path, rule: str, said: str) -> None:
+def test_an_invalid_rule_is_rejected(tmp_path: Path, rule: str, message: str) -> None:
     with pytest.raises(ScenarioError, match=r"small\.toml") as caught:
         verdict(tmp_path, f'[[claim.rule]]\nstatement = "so"\n{rule}\n', [])
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_a_claim_needs_a_name_and_rules(tmp_path: Path) -> None:
-    for text, said in ((HEAD, "a claim needs rules"), ("[claim]\nid = 'B1'\n", "claim.paper is missing")):
-        with pytest.raises(ScenarioError, match=said):
+    for text, message in ((HEAD, "a claim needs rules"), ("[claim]\nid = 'B1'\n", "claim.paper is missing")):
+        with pytest.raises(ScenarioError, match=message):
             experiments.read(write(tmp_path, EXPERIMENT + text))

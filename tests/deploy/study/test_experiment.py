@@ -1,4 +1,4 @@
-"""Experiments: grids, variants, keys that follow, overrides, and what makes no sense."""
+"""Experiments: grids, variants, derived keys, overrides, and errors."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_single_values_replace_lists_of_the_grid_as_lists_of_one(tmp_path: Path)
     ]
 
 
-def test_maps_are_looked_for_beside_the_experiment_and_those_of_flags_where_one_is(
+def test_maps_are_found_beside_the_experiment_and_those_of_flags_in_the_working_directory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder, here = tmp_path / "there", tmp_path / "here"
@@ -56,7 +56,7 @@ def test_maps_are_looked_for_beside_the_experiment_and_those_of_flags_where_one_
         assert case.scenario.map == str(folder / "a.yaml")
 
 
-def test_an_experiment_can_rest_on_a_scenario(tmp_path: Path) -> None:
+def test_an_experiment_can_extend_a_scenario(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text("map = 'em'\nrobots = 2\n[options]\nbeta = 3.0\nreplan = 'at-goal'\n")
     text = "scenario = 'mine.toml'\n[base]\nstrategy = 'burgard'\nrobots = 4\n'options.beta' = 2.0\n"
     (case,) = runs.cases(experiments.read(write(tmp_path, text)))
@@ -70,7 +70,7 @@ def test_an_experiment_can_rest_on_a_scenario(tmp_path: Path) -> None:
         experiments.read(write(tmp_path, "scenario = 3\n"))
 
 
-def test_an_experiment_can_ask_for_the_thesis_plain_rules_and_still_say_otherwise(tmp_path: Path) -> None:
+def test_an_experiment_can_select_the_thesis_plain_rules_and_override_them(tmp_path: Path) -> None:
     text = """[base]
 thesis = true
 polygons = { lazy = true, exact_error = true }
@@ -90,13 +90,13 @@ thesis = false
 
 
 @pytest.mark.parametrize("path", sorted(experiments.SHIPPED.glob("*.toml")), ids=lambda path: path.stem)
-def test_shipped_experiments_are_found_by_name_and_make_sense(path: Path) -> None:
+def test_shipped_experiments_are_found_by_name_and_valid(path: Path) -> None:
     experiment = experiments.read(Path(path.name))
     assert experiment == experiments.read(path)
     assert runs.cases(experiments.override(experiment, {"seed": 0, "map": "em"}))
 
 
-def test_an_unknown_experiment_is_answered_with_those_there_are() -> None:
+def test_an_unknown_experiment_is_rejected_with_the_known_ones() -> None:
     with pytest.raises(
         ScenarioError,
         match=r"experiment none\.toml: no such file, and no shipped experiment; there are: claim-A1.toml",
@@ -105,7 +105,7 @@ def test_an_unknown_experiment_is_answered_with_those_there_are() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("name = 'nothing'\n", "nothing to run"),
         ("base = 3\n", "must be a table, [base]"),
@@ -160,13 +160,13 @@ def test_an_unknown_experiment_is_answered_with_those_there_are() -> None:
         ),
     ],
 )
-def test_an_experiment_that_makes_no_sense_is_refused_by_name(tmp_path: Path, text: str, said: str) -> None:
+def test_an_invalid_experiment_is_rejected_by_name(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ScenarioError, match=r"small\.toml") as caught:
         experiments.read(write(tmp_path, text))
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
-def test_a_setting_that_every_variant_has_its_own_of_is_refused(tmp_path: Path) -> None:
+def test_a_setting_that_every_variant_overrides_is_rejected(tmp_path: Path) -> None:
     experiment = experiments.read(write(tmp_path, EXPERIMENT))
     experiments.override(experiment, {"map_encoding": "scans"})
     with pytest.raises(ScenarioError, match="--set map_encoding: has no effect"):
@@ -181,19 +181,19 @@ def test_a_table_in_the_grid_sets_all_its_keys_and_goes_by_its_own(tmp_path: Pat
     assert coarse.scenario.map_options == {"resolution": 0.2}
 
 
-def test_a_dotted_name_of_what_is_no_table_is_refused(tmp_path: Path) -> None:
+def test_a_dotted_name_whose_parent_is_no_table_is_rejected(tmp_path: Path) -> None:
     text = "[base]\nradio = 'lora-sf9'\n'radio.loss' = 0.2\n"
     with pytest.raises(ScenarioError, match=r"radio = 'lora-sf9': must be a table, for 'radio\.loss' sets"):
         runs.cases(experiments.read(write(tmp_path, text)))
 
 
-def test_keys_follow_those_of_the_grid_whatever_replaces_them(tmp_path: Path) -> None:
+def test_derived_keys_follow_the_grid_s_values_and_their_overrides(tmp_path: Path) -> None:
     text = "[grid]\nmap = ['office']\nseed = [0, 1]\n[follow]\nmap_seed = 'seed'\n"
     experiment = experiments.override(experiments.read(write(tmp_path, text)), {"seed": [4, 7]})
     assert [(c.scenario.seed, c.scenario.map_seed) for c in runs.cases(experiment)] == [(4, 4), (7, 7)]
 
 
-def test_every_strategy_of_ours_is_seen_to_finish_by_an_experiment() -> None:
+def test_every_shipped_strategy_has_an_experiment_with_finished_runs() -> None:
     named = {
         name
         for path in experiments.SHIPPED.glob("finish-*.toml")

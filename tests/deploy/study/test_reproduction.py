@@ -1,4 +1,4 @@
-"""The papers' claims: all that the shipped experiments say of them, and the report of one."""
+"""The papers' claims: their shipped experiments, and the report of one claim."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def test_there_are_24_claims_and_experiments_name_no_others() -> None:
     assert sum(map(len, found.values())) == len(shipped)
 
 
-def test_first_looks_are_smaller_and_of_the_same_claims() -> None:
+def test_quick_versions_are_smaller_and_have_the_same_claims() -> None:
     whole, quick = (requested(["B1", "l1"], quick=quick, settings={}) for quick in (False, True))
     assert list(whole) == list(quick) == ["B1", "L1"]
     for name in whole:
@@ -29,7 +29,7 @@ def test_first_looks_are_smaller_and_of_the_same_claims() -> None:
         assert len(runs.cases(other)) < len(runs.cases(one)) and one.claim == other.claim
 
 
-def test_a_claim_on_real_buildings_is_undecided_where_their_maps_are_not_at_hand(
+def test_a_claim_on_real_buildings_is_undecided_without_their_maps(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("MURMUR_MAPS", "nowhere")
@@ -40,7 +40,7 @@ def test_a_claim_on_real_buildings_is_undecided_where_their_maps_are_not_at_hand
     assert judge([(experiment.claim.rules, [])]).result == UNDECIDED
 
 
-def test_a_claim_that_there_is_not_is_named() -> None:
+def test_an_unknown_claim_is_named() -> None:
     with pytest.raises(ScenarioError, match="no claim is called 'B9'; there are: M1"):
         requested(["B9"], quick=True, settings={})
 

@@ -16,7 +16,7 @@ def row(key: str, seed: int, **more: Any) -> dict[str, Any]:
     return {"key": key, "code": "c", "error": None, "seed": seed, "explored": [0.5, 1.0], **more}
 
 
-def test_a_table_is_the_same_in_whatever_order_its_runs_came(tmp_path: Path) -> None:
+def test_a_table_does_not_depend_on_the_order_of_its_runs(tmp_path: Path) -> None:
     files = []
     for name, order in (("a", (2, 0, 1)), ("b", (1, 2, 0))):
         files.append(tmp_path / f"{name}.parquet")
@@ -39,7 +39,9 @@ def test_runs_are_on_the_disk_before_the_table_is_closed(tmp_path: Path) -> None
     assert pl.read_parquet(file)["steps"].to_list() == [3]
 
 
-def test_what_a_later_run_has_and_an_earlier_has_not_is_null_and_lists_may_be_missing(tmp_path: Path) -> None:
+def test_columns_that_only_later_runs_have_are_null_in_earlier_rows_and_lists_may_be_missing(
+    tmp_path: Path,
+) -> None:
     file = tmp_path / "a.parquet"
     failed = {"key": "b", "code": "c", "error": "it fell over", "seed": 1}
     with Results(file) as table:
@@ -51,7 +53,7 @@ def test_what_a_later_run_has_and_an_earlier_has_not_is_null_and_lists_may_be_mi
         assert table.series("explored", ["a", "b"]) == {"a": [0.5, 1.0]}
 
 
-def test_a_table_that_is_open_elsewhere_is_refused(tmp_path: Path) -> None:
+def test_a_table_that_another_process_has_open_is_rejected(tmp_path: Path) -> None:
     file = tmp_path / "a.parquet"
     with Results(file), pytest.raises(ValueError, match="another process is adding runs"):
         Results(file)
@@ -60,7 +62,7 @@ def test_a_table_that_is_open_elsewhere_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"notes", b"PAR1 and no more"])
-def test_a_file_of_something_else_is_refused_and_left_alone(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_no_table_is_rejected_and_not_changed(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "notes.txt"
     file.write_bytes(content)
     with pytest.raises(ValueError, match="is not a table of runs; name a new file"):
@@ -74,7 +76,7 @@ def test_a_file_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
             Results(file)
 
 
-def test_tables_are_written_by_their_ending(tmp_path: Path) -> None:
+def test_the_file_extension_selects_the_table_format(tmp_path: Path) -> None:
     frame = pl.DataFrame({"a": [1, 2]})
     for ending, reader in ((".csv", pl.read_csv), (".parquet", pl.read_parquet)):
         results.write_table(frame, tmp_path / f"t{ending}")

@@ -1,4 +1,4 @@
-"""The runs of an experiment: each made once, kept, told apart, and refused before the first where it cannot be."""
+"""The runs of an experiment: each runs once, is kept under its key, and is validated before the first run."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def small(tmp_path: Path, text: str = EXPERIMENT, **settings: Any) -> list[Case]
     return runs.cases(experiments.override(experiments.read(write(tmp_path, text)), settings))
 
 
-def test_finished_runs_are_kept_and_not_made_again(tmp_path: Path) -> None:
+def test_finished_runs_are_kept_and_not_repeated(tmp_path: Path) -> None:
     keep, us = tmp_path / "kept.parquet", Ourselves()
     todo = small(tmp_path, robots=1)
     for some in (todo[:2], todo[:2], todo):
@@ -91,7 +91,7 @@ def test_a_run_that_fails_is_a_row_with_its_error_and_the_others_go_on(
         assert len(us.made) == 6 and not runs.failures(todo, results)
 
 
-def test_runs_of_other_code_are_made_again_unless_they_are_taken(
+def test_runs_of_other_code_are_repeated_unless_accepted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     us = Ourselves()
@@ -121,7 +121,7 @@ def test_the_code_hash_covers_user_defined_map_encodings(
     assert len(codes) == 3
 
 
-def test_a_run_is_another_with_any_other_setting_map_or_measure(tmp_path: Path) -> None:
+def test_a_run_s_key_depends_on_all_settings_the_map_and_the_measure(tmp_path: Path) -> None:
     (plain, *_), (other, *_), (slow, *_) = (
         small(tmp_path, **settings)
         for settings in ({"seed": 0}, {"seed": 0, "map": "jh-like"}, {"seed": 0, "speed": 0.2})
@@ -148,7 +148,7 @@ def test_dotted_keys_of_the_grid_set_one_key_of_a_table(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "message"),
     [
         ({"robots": [1, 0]}, "robots = 0, seed = 0, variant = polygons): robots = 0: "),
         ({"seed": None}, "seed = None: must be a whole number"),
@@ -161,10 +161,10 @@ def test_dotted_keys_of_the_grid_set_one_key_of_a_table(tmp_path: Path) -> None:
         ({"bus": "zenoh"}, "bus = 'zenoh': sweeps run on the memory bus; leave it out"),
     ],
 )
-def test_a_case_that_cannot_be_run_is_refused_by_its_place(
-    tmp_path: Path, settings: dict[str, Any], said: str
+def test_an_invalid_case_is_rejected_with_its_position(
+    tmp_path: Path, settings: dict[str, Any], message: str
 ) -> None:
     experiment = experiments.read(write(tmp_path, EXPERIMENT))
     with pytest.raises(ScenarioError) as caught:
         runs.cases(experiments.override(experiment, settings))
-    assert said in str(caught.value) and "\n" not in str(caught.value)
+    assert message in str(caught.value) and "\n" not in str(caught.value)

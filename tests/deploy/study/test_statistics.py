@@ -26,7 +26,7 @@ def test_five_numbers_are_the_quartiles_and_the_ends() -> None:
     assert statistics.five_numbers([5, 1, 3, 2, 4]) == (1, 2, 3, 4, 5)
 
 
-def test_ratios_are_told_apart_from_1_in_pairs_and_not_without_them() -> None:
+def test_ratios_differ_significantly_from_1_with_pairing_and_not_without() -> None:
     hard = np.array([100, 300, 900, 2700, 8100.0])
     noise = np.array([1.01, 0.98, 1.0, 1.02, 0.99])
     test = statistics.ratio_within((0.8 * hard * noise).tolist(), hard.tolist(), 0, 1)
@@ -67,7 +67,7 @@ def test_trends_are_page_s() -> None:
     assert statistics.trend([[2, 2, 2]] * 3, 1).p_for == 1
 
 
-def test_an_order_is_kendall_s() -> None:
+def test_rank_correlation_is_kendall_s() -> None:
     assert statistics.same_order([1, 2, 3, 4, 5], [10, 20, 30, 40, 50]).p_for == pytest.approx(1 / 120)
 
 

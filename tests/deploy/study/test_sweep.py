@@ -20,7 +20,7 @@ ROOMS: dict[str, Any] = {
 QUIET: dict[str, Any] = {"progress": False, "jobs": 1}
 
 
-def test_settings_that_are_lists_are_run_through(tmp_path: Path) -> None:
+def test_a_sweep_runs_each_value_of_a_list(tmp_path: Path) -> None:
     out = tmp_path / "runs.parquet"
     done = sweep(map="em", steps=[2, 3], seed=range(2), robots=1, out=out, **QUIET)
     assert done.runs.select("steps", "seed").rows() == [(2, 0), (2, 1), (3, 0), (3, 1)]
@@ -66,7 +66,7 @@ def test_scenarios_of_files_and_objects_are_compared_by_their_names(tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    ("scenarios", "settings", "said"),
+    ("scenarios", "settings", "message"),
     [
         ([ROOMS], {}, "nothing to compare"),
         ([ROOMS, ROOMS], {}, "two of the scenarios are the same: map = "),
@@ -75,12 +75,12 @@ def test_scenarios_of_files_and_objects_are_compared_by_their_names(tmp_path: Pa
         ([ROOMS, ROOMS | {"speed": 2.0}], {"metric": "stepz"}, "'stepz' is not a metric"),
     ],
 )
-def test_comparisons_that_make_no_sense_are_refused(scenarios: Any, settings: Any, said: str) -> None:
-    with pytest.raises(ValueError, match=said):
+def test_invalid_comparisons_are_rejected(scenarios: Any, settings: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         compare(scenarios, **settings, **QUIET)
 
 
-def test_the_smallest_team_that_is_enough_is_named(tmp_path: Path) -> None:
+def test_the_smallest_sufficient_team_is_named(tmp_path: Path) -> None:
     settings = {name: value for name, value in ROOMS.items() if name not in ("map", "robots", "bandwidth")}
     tried = {"robots": [3, 1], "bandwidth": ["unlimited", 100], "range": ["100%"], "seeds": 2}
     out = tmp_path / "runs.parquet"
@@ -109,7 +109,7 @@ def test_the_smallest_team_that_is_enough_is_named(tmp_path: Path) -> None:
     assert broken.enough is None and ": 1 of 2 runs, in " in broken.sentence
 
 
-def test_ranges_are_tried_from_the_shortest_and_the_nearest_team_is_one_that_has_finished() -> None:
+def test_the_shortest_range_of_a_finished_run_is_named() -> None:
     settings = {name: value for name, value in ROOMS.items() if name not in ("map", "robots", "bandwidth")}
     tried = {"robots": [1, 3], "bandwidth": ["unlimited"], "range": ["100%", "9"], "seeds": 1, "steps": 36}
     done = size("leader-rooms", deadline=3, **tried, **settings, **QUIET)
@@ -122,5 +122,5 @@ def test_ranges_are_tried_from_the_shortest_and_the_nearest_team_is_one_that_has
     assert "the best has 3 robots with unlimited bandwidth" in done.sentence
 
 
-def test_all_of_it_is_exported() -> None:
+def test_the_whole_module_is_exported() -> None:
     assert {"compare", "explore", "size", "sweep"} <= set(murmur.__all__)

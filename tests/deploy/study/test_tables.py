@@ -20,7 +20,7 @@ def runs(totals: tuple[int, ...] = (10, 40, 30, 40)) -> list[dict[str, Any]]:
     ]
 
 
-def test_figures_are_names_sums_and_quotients() -> None:
+def test_metrics_are_names_sums_and_quotients() -> None:
     summary = {"steps": 4, "t99": None, "bytes.ins": 6, "bytes.del": None, "bytes.conn": 2, "bytes.total": 16}
     assert metric_value(summary, "steps") == 4
     assert metric_value(summary, "bytes.ins + bytes.del / bytes.total") == 6 / 16
@@ -28,7 +28,7 @@ def test_figures_are_names_sums_and_quotients() -> None:
         assert metric_value(summary, absent) is None
 
 
-def test_figures_are_all_numbers_of_a_summary_and_no_others() -> None:
+def test_metrics_are_exactly_the_numbers_of_a_summary() -> None:
     summary = small_run().summary
     row = {**summary} | {f"{table}.{name}": n for table in TABLES for name, n in summary[table].items()}
     assert {name for name, value in summary.items() if isinstance(value, int | float)} <= {
@@ -45,7 +45,7 @@ def test_figures_are_all_numbers_of_a_summary_and_no_others() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("stepz", "'stepz' is not a metric; there are: steps, coverage,"),
         ("map", "'map' is not a metric"),
@@ -57,10 +57,10 @@ def test_figures_are_all_numbers_of_a_summary_and_no_others() -> None:
         ("steps relative to ", "no variant is called ''; there are: polygons, scans"),
     ],
 )
-def test_what_is_no_figure_is_refused_with_those_there_are(text: str, said: str) -> None:
+def test_an_unknown_metric_is_rejected_with_the_known_ones(text: str, message: str) -> None:
     with pytest.raises(ValueError, match=r"there are: |must be") as caught:
         check(text, VARIANTS)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_a_table_holds_means_by_row_and_column_and_over_all() -> None:
@@ -73,7 +73,7 @@ def test_a_table_holds_means_by_row_and_column_and_over_all() -> None:
     ]
 
 
-def test_a_figure_may_be_told_in_relation_to_another_variant_on_the_same_run() -> None:
+def test_a_metric_may_be_relative_to_another_variant_of_the_same_run() -> None:
     values = ["steps", "bytes.total relative to scans"]
     assert tabulate(Table(["robots"], [], values), runs())[:2] == [
         ["robots", *values],
@@ -82,12 +82,12 @@ def test_a_figure_may_be_told_in_relation_to_another_variant_on_the_same_run() -
     assert tabulate(Table(["robots"], ["variant"], values), runs())[1] == ["2", "5.500 0.500", "5.500 1.000"]
 
 
-def test_where_the_other_variant_has_not_run_the_relation_is_left_out() -> None:
+def test_a_relative_metric_is_left_out_if_the_other_variant_has_not_run() -> None:
     table = Table(["seed"], [], ["bytes.total relative to scans"])
     assert [line[-1] for line in tabulate(table, runs((10, 40, 30)))[1:]] == ["0.625", "-", "0.625"]
 
 
-def test_without_rows_there_is_one_of_all() -> None:
+def test_without_a_row_key_the_table_has_one_row_of_all_runs() -> None:
     assert tabulate(Table([], ["variant"], ["steps"]), runs()) == [VARIANTS, ["5.500", "5.500"]]
 
 
@@ -97,7 +97,7 @@ def test_values_may_be_lists_and_tables() -> None:
     assert [line[0] for line in table] == ["start", "[1, 2]", "[3, 4]", "all"]
 
 
-def test_means_of_what_finished_come_with_their_interval_and_how_many_did() -> None:
+def test_means_of_finished_runs_have_an_interval_and_the_number_of_finished_runs() -> None:
     counts = {"leaders": [40, 50, 60], "alone": [70, 80, 90]}
     done = [
         {"place": {"map": "m", "seed": seed, "variant": name}, "steps": steps, "finished": True,
@@ -110,7 +110,7 @@ def test_means_of_what_finished_come_with_their_interval_and_how_many_did() -> N
     assert tabulate(table, [done[3]])[1] == ["m", "none (0 of 1) 0.5000"]
 
 
-def test_runs_that_believe_themselves_done_too_early_have_not_finished() -> None:
+def test_runs_that_stop_too_early_have_not_finished() -> None:
     assert has_finished({"finished": True, "coverage": 0.99})
     assert not has_finished({"finished": True, "coverage": 0.98})
     assert not has_finished({"finished": False, "coverage": 1.0})
@@ -125,5 +125,5 @@ def test_a_described_table_has_a_row_a_cell_with_interval_and_five_numbers() -> 
     assert polygons["low"] == pytest.approx(20 - 12.706 * 10, rel=1e-3)
 
 
-def test_what_is_no_exploration_has_always_finished() -> None:
+def test_runs_without_exploration_count_as_finished() -> None:
     assert has_finished({"pixels": 3})

@@ -1,4 +1,4 @@
-"""Of A, B and C only A hears B, which is then killed: what was passed on is not lost with it (thesis, 5.1.2)."""
+"""Robot B is in range of A only and dies: with forwarding, its map is not lost (thesis, 5.1.2)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def line(map_encoding: str, *, forward_maps: bool) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("map_encoding", ["polygons", "predictive"])
-def test_without_passing_on_b_s_part_is_explored_again_and_with_it_it_is_not(map_encoding: str) -> None:
+def test_a_dead_robot_s_part_is_explored_again_only_without_forwarding(map_encoding: str) -> None:
     lost, kept = line(map_encoding, forward_maps=False), line(map_encoding, forward_maps=True)
     assert lost["recovery.exclusive"] == kept["recovery.exclusive"] > 1000
     assert lost["recovery.reexplored"] > 0.9 * lost["recovery.exclusive"]
