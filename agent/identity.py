@@ -6,7 +6,7 @@ tells map `n` in its first life, `n + r` in its second, and so on. So a number s
 life, and who hears it tells an old life from a new one, at no byte. The old life's log is the map of a robot that is
 gone: teammates go on passing it on, to all who lack it and to its maker as well, who so gets back what it had told.
 Who hears that a teammate tells of a new life knows that all that the teammate had been told is lost, and begins anew
-with it (`agent.exchange`).
+with it (`agent.replication`).
 
 Packets can name so many maps (`protocol.packets.MAX_MAPS`); that bounds robots times lives.
 """

@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from agent.exchange.gossip import EVERYONE
 from agent.identity import Identity
 from agent.journal import Journal
+from agent.radio_events import respond
 from agent.robot import Robot
 from agent.settings import Settings
 from agent.viewer_feed import SHOWN_EVERY, RecorderFeed, ViewerFeed
@@ -18,26 +18,21 @@ from protocol.errors import ProtocolError
 from protocol.fields import clip
 from protocol.keys import Keys
 from protocol.messages import (
+    Close,
     Configure,
     End,
     Fault,
     FaultEvent,
-    Heard,
     Maps,
-    MediumNote,
-    Open,
-    Outcome,
-    PhaseDelivery,
+    MediumEvent,
     Record,
+    RelayUpdate,
     RobotStatus,
-    Said,
     Sense,
     Shutdown,
     Watched,
     pack,
 )
-
-UNLIMITED = -1
 
 
 class AgentNode:
@@ -70,9 +65,8 @@ class AgentNode:
         self.robot: Robot | None = None
         self._unconfigured: list[object] = []
         """Messages that arrived before this robot's settings."""
-        self._frames: list[tuple[int, bytes]] = []
-        self._early: list[MediumNote] = []
-        """What the relay says of a step of which the world's message has not arrived yet."""
+        self._early: list[MediumEvent] = []
+        """Events of a step for which the world's message has not arrived yet."""
         self._viewer_feed: ViewerFeed | None = None
         self._recorder_feed: RecorderFeed | None = None
         self._step = 0
@@ -102,9 +96,8 @@ class AgentNode:
             self._viewer_feed = ViewerFeed() if said.here else None
         elif self.robot is None:
             self._unconfigured.append(said)
-        elif isinstance(said, Heard):
-            self._frames += zip(said.senders, said.frames, strict=True)
-            self._heed(self.robot, said.notes)
+        elif isinstance(said, RelayUpdate):
+            self._take_events(self.robot, said.events)
         elif isinstance(said, Sense):
             self._sense(self.robot, said)
         elif isinstance(said, End):
@@ -119,7 +112,6 @@ class AgentNode:
         self._recorder_feed = RecorderFeed(settings) if settings.record_maps else None
         if self._common is not None:
             self.robot.share(self._common)
-        self._frames.clear()
         self._early.clear()
         self._step = 0
 
@@ -132,67 +124,23 @@ class AgentNode:
         robot.perceive(sense)
         self._work = time.perf_counter() - began
         early, self._early = self._early, []
-        self._heed(robot, early)
+        self._take_events(robot, early)
 
-    def _heed(self, robot: Robot, notes: list[MediumNote]) -> None:
-        """Do what the relay's notes say."""
-        behind = sum(map(_frames_of, notes))
-        for note in notes:
+    def _take_events(self, robot: Robot, events: list[MediumEvent]) -> None:
+        """Take events of the medium in their order."""
+        for event in events:
             began = time.perf_counter()
-            behind -= _frames_of(note)
-            if note.step > self._step:
-                self._early.append(note)
-            elif isinstance(note, Open):
-                self._offer(robot, note)
-            elif isinstance(note, PhaseDelivery):
-                self._take_turn(robot, note, self._take_frames(robot, len(note.connections), behind))
-            elif isinstance(note, Outcome):
-                robot.settle(note, self._take_frames(robot, len(note.heard), behind))
-            else:
+            if event.step > self._step:
+                self._early.append(event)
+            elif isinstance(event, Close):
                 self._decide(robot, began)
+            else:
+                frames = respond(robot, event, self._fault)
+                if frames is not None:
+                    self._bus.put(self._to_air, pack(frames))
             self._work += time.perf_counter() - began
 
-    def _offer(self, robot: Robot, medium: Open) -> None:
-        said = robot.announce(medium.peers) if medium.round == 0 else None
-        room = None if medium.budget == UNLIMITED else medium.budget
-        offers = robot.session.offers(medium.round, medium.peers, room)
-        receivers, frames = [peer for peer, _, _ in offers], [frame for _, _, frame in offers]
-        if said is not None and medium.peers:
-            receivers.insert(0, EVERYONE)
-            frames.insert(0, said)
-        words = Said(
-            medium.step,
-            medium.round,
-            "offers",
-            [],
-            robot.session.priority,
-            receivers,
-            frames,
-            robot.session.replies(),
-        )
-        self._say(words)
-
-    def _take_turn(self, robot: Robot, turn: PhaseDelivery, heard: list[tuple[int, bytes]]) -> None:
-        """Answer the offers, or send data for the answers, that were delivered in this phase."""
-        phase = "answers" if turn.phase == "offers" else "data"
-        said: list[tuple[int, int, bytes]] = []
-        try:
-            if turn.phase == "offers":
-                offers = [(n, *frame) for n, frame in zip(turn.connections, heard, strict=True)]
-                said = robot.session.answers(offers)
-            else:
-                named = zip(turn.connections, heard, turn.maps, strict=True)
-                said = robot.session.data([(n, peer, map_id, load) for n, (peer, load), map_id in named])
-        except ProtocolError as error:
-            self._fault(str(error))
-        if turn.spoken:
-            return
-        numbers, receivers = [number for number, _, _ in said], [peer for _, peer, _ in said]
-        frames = [frame for _, _, frame in said]
-        self._say(Said(turn.step, turn.round, phase, numbers, 0, receivers, frames))
-
     def _decide(self, robot: Robot, began: float) -> None:
-        self._take_frames(robot, 0)
         move = robot.decide()
         work = round(1e6 * (self._work + time.perf_counter() - began))
         self._bus.put(self._to_world, pack(move))
@@ -200,7 +148,7 @@ class AgentNode:
             self._fault(f"heard nonsense from {names.robot(fault.peer)}: {fault.reason}")
         robot.faults.clear()
         x, y = robot.target or (-1, -1)
-        backlog = robot.session.undelivered()
+        backlog = robot.replication.undelivered()
         exact = robot.exact_error()
         errors = robot.error(), -1 if exact is None else exact
         report = RobotStatus(self._step, x, y, robot.known_cells, *errors, backlog, robot.status, work)
@@ -208,27 +156,12 @@ class AgentNode:
         if self._step % SHOWN_EVERY == 0:
             self._show(self._step)
 
-    def _take_frames(self, robot: Robot, count: int, behind: int = 0) -> list[tuple[int, bytes]]:
-        """Take `count` of the frames received, all but the last `behind` ones.
-
-        Those before them are the broadcasts of the beginning of a step.
-        """
-        end = len(self._frames) - behind
-        broadcasts, frames = self._frames[: end - count], self._frames[end - count : end]
-        del self._frames[:end]
-        for peer, payload in broadcasts:
-            robot.hear_broadcast(peer, payload)
-        return frames
-
     def _hand_in_maps(self) -> None:
         if self.robot is not None:
             height, width = self.robot.own.shape
             own, planning = self.robot.own.tobytes(), self.robot.planning.tobytes()
             maps = Maps(self._number, width, height, own, planning)
             self._bus.put(self._to_lab, pack(maps))
-
-    def _say(self, said: Said) -> None:
-        self._bus.put(self._to_air, pack(said))
 
     def _fault(self, what: str) -> None:
         self._report(Fault(self._name, clip(what)))
@@ -250,10 +183,3 @@ class AgentNode:
         if self._viewer_feed is not None:
             for news in self._viewer_feed.news(step, self.robot):
                 self._bus.put(self._to_viewer, pack(news))
-
-
-def _frames_of(note: MediumNote) -> int:
-    """How many of the frames that a robot hears with a note belong to it."""
-    if isinstance(note, PhaseDelivery):
-        return len(note.connections)
-    return len(note.heard) if isinstance(note, Outcome) else 0

@@ -30,8 +30,8 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Cells that the robot can drive in a step.
     seed : int
         The run's seed.
-    exchange : str
-        How maps travel (`agent.exchange`).
+    map_encoding : str
+        How maps are encoded (`agent.encodings`).
     strategy : str
         Which target comes next (`agent.strategies`).
     resolution : float
@@ -42,9 +42,9 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Degrees that its laser covers, around its heading.
     scanner_turn : float
         Degrees that the scanner turns and covers per step; 0 if it covers everything at once.
-    offers : str
-        When maps are told: ``backoff``, ``thesis`` (`agent.exchange.session`) or ``gossip``
-        (`agent.exchange.gossip`).
+    dissemination : str
+        Which map log entries are sent to which teammates: ``backoff``, ``thesis`` or ``gossip``
+        (`agent.replication.policies`).
     bandwidth : float or None
         Bytes a step that the team shares; None: unlimited.
     reach_cells : float

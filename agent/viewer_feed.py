@@ -47,7 +47,7 @@ class RecorderFeed:
 
     def changes(self, step: int, robot: Robot) -> list[MapChanges | Outlines]:
         """Return the cells and outlines that changed since the last call."""
-        cells = robot.own | robot.planning << 2
+        cells = robot.own | robot.planning << np.uint8(2)
         changed = np.flatnonzero(cells != self._cells)
         self._cells = cells
         reports: list[MapChanges | Outlines] = [*self._outlines.changes(step, robot)]
@@ -92,4 +92,6 @@ def polygons_of(vertices: bytes, shape: tuple[int, int]) -> Polygons:
     side = np.where(across == 0, 1 - down, 2 - across)
     start = np.append(np.flatnonzero(np.diff(rows[:, 0], prepend=-1)), len(rows)).astype(np.int32)
     flags = rows[:, 3].astype(np.uint8)
-    return Polygons(shape, x, y, side.astype(np.uint8), flags & 1, start, flags[start[:-1]] >> 1 == 1)
+    return Polygons(
+        shape, x, y, side.astype(np.uint8), flags & np.uint8(1), start, flags[start[:-1]] >> 1 == 1
+    )

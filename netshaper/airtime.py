@@ -1,61 +1,49 @@
-"""Who speaks how long: the air of one exchange shared among robots that all have something to broadcast.
+"""Airtime: how many bytes each robot may still send and receive in a step, and who sends first.
 
-As on a medium where everyone listens before speaking: the more urgent what one has to say, the shorter one waits. What
-finds no room is cut at a packet boundary, and whoever has a shorter packet may still use the rest. Who has had more
-than half of the air of late waits longer than all others (`Shares`), so that nobody can shout the others down.
+A medium on which everyone listens before sending serves high priorities first. `Shares` keeps a robot from crowding
+the others out: a robot that had more than half of the recent airtime waits for all others.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from protocol import packet_index
+from protocol.budget import UNLIMITED, Budget
+from protocol.packet_index import PacketIndex
 
-UNLIMITED = -1
+RECENT = 8
+"""Steps that count as recent, roughly: what a robot sent before fades."""
 
-LATE = 8
-"""Steps that count as of late, more or less: what was said before fades."""
-
-MOST_URGENT = 255
-"""How urgent anything can be; who says more is believed no more."""
-
-
-def fill(payloads: Sequence[bytes], left: int) -> list[int]:
-    """Return how many bytes of each frame go on the air, given in the order of speaking; `left`: the budget's rest."""
-    sizes = []
-    for payload in payloads:
-        size = len(payload) if left == UNLIMITED else packet_index.fitting(payload, left)
-        if left != UNLIMITED:
-            left -= size
-        sizes.append(size)
-    return sizes
+MAX_PRIORITY = 255
+"""The highest priority; a robot that claims a higher one gets this one."""
 
 
 class Shares:
-    """How much each robot has had of the air of late.
+    """How much each robot had of the recent airtime.
 
     Parameters
     ----------
-    budget : int
-        Bytes a step that all share.
+    budget : Budget
+        Bytes per step that all robots share.
     """
 
-    def __init__(self, budget: int) -> None:
+    def __init__(self, budget: Budget) -> None:
         self.budget = budget
-        self._had: dict[int, int] = {}
+        self._sent: dict[int, int] = {}
 
     def rank(self, robot: int, priority: int) -> tuple[bool, int]:
-        """What decides who speaks first: the least."""
-        shouts = self.budget != UNLIMITED and 2 * self._had.get(robot, 0) > self.budget * LATE
-        return shouts, -min(max(priority, 0), MOST_URGENT)
+        """Return the rank of a robot's frames: the lowest is sent first."""
+        limit = self.budget.limit
+        crowds = limit is not None and 2 * self._sent.get(robot, 0) > limit * RECENT
+        return crowds, -min(max(priority, 0), MAX_PRIORITY)
 
     def book(self, robot: int, size: int) -> None:
-        """A robot has had so many bytes of the air."""
-        self._had[robot] = self._had.get(robot, 0) + size
+        """Note that a robot has sent so many bytes."""
+        self._sent[robot] = self._sent.get(robot, 0) + size
 
     def next_step(self) -> None:
-        """Let what was said fade."""
-        self._had = {robot: had * (LATE - 1) // LATE for robot, had in self._had.items()}
+        """Let older bytes fade."""
+        self._sent = {robot: sent * (RECENT - 1) // RECENT for robot, sent in self._sent.items()}
 
 
 HOUR = 3600
@@ -63,27 +51,27 @@ HOUR = 3600
 
 
 class Airtime:
-    """How much each robot may still put on the air in a step, and how much it can still take.
+    """Budgets of a step: the shared one, and those of each robot.
 
-    A byte takes the air of who says it and of all in range of it. With one budget for all that is everybody; with a
-    budget of each neighbourhood nobody has more than a budget's worth of bytes around it.
+    A byte takes airtime of its sender and of all robots in range. With one shared budget these are all robots; with
+    spatial reuse a byte counts only in the sender's neighborhood, and no neighborhood exceeds the budget.
 
     Parameters
     ----------
-    budget : int
-        Bytes a step; `UNLIMITED` for no limit.
+    budget : Budget
+        Bytes per step.
     robots : int
     reuse : bool
-        Whether each neighbourhood has the budget, or the team.
+        Whether each neighborhood has the budget; else the team has it.
     send, receive : sequence of int
-        Bytes a step that each robot can send, and take; 0: no limit.
+        Bytes per step that each robot can send and receive; 0: no limit.
     duty_cycle : float
-        Share of an hour's bytes that each robot may send: saved up for an hour, and full at first.
+        Share of an hour's bytes that each robot may send. It is saved up for at most an hour, and full at first.
     """
 
     def __init__(
         self,
-        budget: int,
+        budget: Budget,
         robots: int,
         *,
         reuse: bool = False,
@@ -93,100 +81,101 @@ class Airtime:
     ) -> None:
         self._duty_cycle = duty_cycle
         self._reuse = reuse
-        self._most_sent = send or [0] * robots
-        self._most_taken = receive or [0] * robots
+        self._can_send = send or [0] * robots
+        self._can_receive = receive or [0] * robots
         self.set_budget(budget)
         self._saved = [HOUR * (self._earned or 0.0)] * robots
-        self._around: Mapping[int, Sequence[int]] = {}
-        self._used = self._sent = self._taken = [0] * robots
+        self._neighbors: Mapping[int, Sequence[int]] = {}
+        self._left = budget
+        self._used = self._sent = self._received = [0] * robots
 
-    def set_budget(self, budget: int) -> None:
-        """Have another budget from now on; what has been saved up stays."""
+    def set_budget(self, budget: Budget) -> None:
+        """Change the budget from the next step on; saved airtime stays."""
         self._budget = budget
-        limited = self._duty_cycle < 1 and budget != UNLIMITED
-        self._earned = self._duty_cycle * budget if limited else None
+        limited = self._duty_cycle < 1 and budget.limit is not None
+        self._earned = self._duty_cycle * (budget.limit or 0) if limited else None
 
-    def next_step(self, around: Mapping[int, Sequence[int]]) -> None:
-        """Open the air for a step, with the robots in range of each."""
-        self._around = around
+    def next_step(self, neighbors: Mapping[int, Sequence[int]]) -> None:
+        """Begin a step, with the robots in range of each."""
+        self._neighbors = neighbors
         robots = len(self._used)
-        self._used, self._sent, self._taken = [0] * robots, [0] * robots, [0] * robots
+        self._left = self._budget
+        self._used, self._sent, self._received = [0] * robots, [0] * robots, [0] * robots
         if self._earned is not None:
             self._saved = [min(saved + self._earned, HOUR * self._earned) for saved in self._saved]
 
-    def shared(self, robot: int) -> int:
-        """What is left for a robot of the budget that it shares, `UNLIMITED` for no limit."""
-        if self._budget == UNLIMITED:
-            return UNLIMITED
-        return self._budget - max(self._used[each] for each in (robot, *self._sharing(robot)))
+    def shared(self, robot: int) -> Budget:
+        """Return what is left of the budget that a robot shares with others."""
+        if not self._reuse or self._budget.unlimited:
+            return self._left
+        around = (robot, *self._neighbors.get(robot, ()))
+        return self._budget.minus(max(self._used[each] for each in around))
 
-    def own(self, robot: int) -> int:
-        """What is left of what a robot itself can send, `UNLIMITED` for no limit."""
-        limits = []
-        if self._most_sent[robot]:
-            limits.append(self._most_sent[robot] - self._sent[robot])
+    def own(self, robot: int) -> Budget:
+        """Return what is left of the bytes that a robot itself can send."""
+        left = UNLIMITED
+        if self._can_send[robot]:
+            left = Budget(self._can_send[robot] - self._sent[robot])
         if self._earned is not None:
-            limits.append(int(self._saved[robot]))
-        return min(limits, default=UNLIMITED)
+            left = left.least(Budget(int(self._saved[robot])))
+        return left
 
-    def room(self, robot: int) -> int:
-        """What a robot may put on the air, `UNLIMITED` for no limit."""
-        return least(self.shared(robot), self.own(robot))
+    def room(self, robot: int) -> Budget:
+        """Return how many bytes a robot may send."""
+        return self.shared(robot).least(self.own(robot))
 
     def book(self, robot: int, size: int) -> None:
-        """A robot has put so many bytes on the air."""
-        for each in (robot, *self._sharing(robot)):
-            self._used[each] += size
+        """Note that a robot has sent so many bytes."""
+        self._left = self._left.minus(size)
+        if self._reuse:
+            for each in (robot, *self._neighbors.get(robot, ())):
+                self._used[each] += size
         self._sent[robot] += size
         if self._earned is not None:
             self._saved[robot] -= size
 
-    def takes(self, robot: int, size: int) -> bool:
-        """Whether a robot can take so many bytes more; then it has."""
-        most = self._most_taken[robot]
-        if most and self._taken[robot] + size > most:
+    def set_left(self, left: Budget) -> None:
+        """Note what is left of the budget that the whole team shares."""
+        self._left = left
+
+    def receives(self, robot: int, size: int) -> bool:
+        """Note that a robot receives so many bytes; False if they exceed its limit."""
+        most = self._can_receive[robot]
+        if most and self._received[robot] + size > most:
             return False
-        self._taken[robot] += size
+        self._received[robot] += size
         return True
 
-    def _sharing(self, robot: int) -> Sequence[int]:
-        """Who shares the air with a robot."""
-        everyone = range(len(self._used))
-        return self._around.get(robot, ()) if self._reuse else [each for each in everyone if each != robot]
 
-
-def least(one: int, other: int) -> int:
-    """The smaller of two limits, of which `UNLIMITED` is none."""
-    return max(one, other) if UNLIMITED in (one, other) else min(one, other)
-
-
-def cut_into_frames(payload: bytes, room: int, most: int, tail: int) -> tuple[list[bytes], bytes]:
+def cut_into_frames(index: PacketIndex, room: Budget, frame_limit: Budget, tail: int) -> list[int]:
     """Cut packets into frames for the air.
 
     Parameters
     ----------
-    payload : bytes
-        Whole packets.
-    room : int
-        Bytes that there is room for, `UNLIMITED` for no limit.
-    most : int
-        Bytes that a frame holds at most, 0 for no limit.
+    index : PacketIndex
+        The packets.
+    room : Budget
+        Bytes that may be sent.
+    frame_limit : Budget
+        Bytes that one frame may have.
     tail : int
         Bytes that each frame has behind its packets.
 
     Returns
     -------
-    (frames, rest): as many whole packets as there is room for, without the tails, and those that found none.
+    list of int
+        For each frame, in order, the number of the packet behind its last one. Packets behind the last frame did not
+        fit.
     """
-    frames: list[bytes] = []
-    rest = payload
-    while rest:
-        limit = least(room, most or UNLIMITED)
-        size = len(rest) if limit == UNLIMITED else packet_index.fitting(rest, limit - tail)
-        if not size:
+    stops: list[int] = []
+    first = 0
+    while first < len(index.ends):
+        limit = room.least(frame_limit).limit
+        stop = len(index.ends) if limit is None else index.count_fitting(limit - tail, first)
+        if stop <= first:
             break
-        frames.append(rest[:size])
-        rest = rest[size:]
-        if room != UNLIMITED:
-            room -= size + tail
-    return frames, rest
+        size = index.bytes_of(first, stop)
+        room = room.minus(size.stop - size.start + tail)
+        stops.append(stop)
+        first = stop
+    return stops

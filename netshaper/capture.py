@@ -27,31 +27,33 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from netshaper import pcapng
 from netshaper.frame_log import (
     BEGIN,
+    COMMENT,
     CONNECTION,
     END,
     FRAME,
-    HEARD_FROM,
-    HEARD_TO,
     MAP,
+    PACKETS_FROM,
     RECEIVER,
+    RECEIVERS_FROM,
+    RECEIVERS_TO,
     ROUND,
     SENDER,
     VERDICT,
-    WORDS,
     Columns,
     LoggedFrame,
     Rows,
-    hearers_of,
+    receivers_of,
 )
-from netshaper.ledger import CAUSES, FIRST_ON_AIR
+from netshaper.ledger import CAUSES, FIRST_ON_AIR, FRAMES
 from netshaper.pcapng import CaptureError
 from protocol import packet_index
 from protocol.kernels import kernel
-from protocol.packet_index import TABLE, Bytes, Table, fitting_part
+from protocol.packet_index import Bytes
 
 LINK_TYPE = 147
 """LINKTYPE_USER0, which the dissector takes."""
@@ -71,8 +73,6 @@ CAPTURED_AT_MOST = 262_144
 
 PART = 200_000
 """Bytes of a frame in one packet at most."""
-
-FRAMES = ("offer", "answer", "data", "broadcast", "news")
 
 VERDICTS = ("carried", *CAUSES[1:])
 
@@ -104,9 +104,10 @@ def head(description: str) -> bytes:
     return pcapng.head(LINK_TYPE, "Murmur", "radio", description)
 
 
-def encode(step: int, seen: Columns) -> bytes:
+def encode(step: int, frames: Columns) -> bytes:
     """Write the frames of a step, in the order in which they were booked, as blocks of the file."""
-    return _encode(step, *seen, TABLE, FIRST_ON_AIR).tobytes()
+    rows, receivers, payload, _, sizes, texts, text_at = frames
+    return _encode(step, rows, receivers, payload, sizes, texts, text_at, FIRST_ON_AIR).tobytes()
 
 
 def read(reader: pcapng.Reader) -> Iterator[Captured]:
@@ -142,7 +143,7 @@ _HEADS = {VERSION: HEAD, WIDE: WIDE_HEAD}
 
 def hearers(seen: LoggedFrame) -> list[int]:
     """The robots that heard a frame."""
-    return hearers_of(seen.hearers)
+    return receivers_of(seen.receivers)
 
 
 _PACKET_HEAD = 28
@@ -167,7 +168,7 @@ def _big(out: Bytes, at: int, value: int, size: int) -> None:
 
 @kernel("int64(uint8[::1], int64, int64, int64[::1], int64, boolean)")
 def _write_head(out: Bytes, at: int, step: int, row: Rows, part: int, wide: bool) -> int:
-    """Write the head that goes before a frame, with nobody among the hearers; return where it ends."""
+    """Write the head that goes before a frame, without receivers; return where it ends."""
     out[at] = WIDE if wide else VERSION
     out[at + 1] = row[FRAME]
     out[at + 2] = row[VERDICT]
@@ -201,17 +202,24 @@ def _write_comment(out: Bytes, at: int, text: Bytes, block: int) -> int:
 
 
 @kernel(
-    f"uint8[::1](int64, int64[:,::1], int64[::1], {packet_index.FRAME}, {packet_index.FRAME}, int64[::1], "
-    "int64[:,::1], int64)"
+    f"uint8[::1](int64, int64[:,::1], int64[::1], {packet_index.FRAME}, int32[::1], {packet_index.FRAME}, "
+    "int64[::1], int64)"
 )
 def _encode(
-    step: int, rows: Rows, heard: Rows, payload: Bytes, texts: Bytes, text_at: Rows, table: Table, on_air: int
+    step: int,
+    rows: Rows,
+    receivers: Rows,
+    payload: Bytes,
+    sizes: NDArray[np.int32],
+    texts: Bytes,
+    text_at: Rows,
+    on_air: int,
 ) -> Bytes:
     """Write enhanced packet blocks (`netshaper.pcapng.packet`), each with a head, a frame's part and its comment."""
     room = 0
     for each in range(len(rows)):
         size = rows[each, END] - rows[each, BEGIN]
-        text = text_at[rows[each, WORDS] + 1] - text_at[rows[each, WORDS]]
+        text = text_at[rows[each, COMMENT] + 1] - text_at[rows[each, COMMENT]]
         parts = 1 + size // (PART // 2)
         cut = 0 < rows[each, VERDICT] < on_air
         room += (min(size, KEPT) if cut else size) + parts * (_BLOCK + text)
@@ -220,10 +228,11 @@ def _encode(
     blocks = 0
     for each in range(len(rows)):
         begin, end = rows[each, BEGIN], rows[each, END]
-        first, behind = rows[each, HEARD_FROM], rows[each, HEARD_TO]
+        first, behind = rows[each, RECEIVERS_FROM], rows[each, RECEIVERS_TO]
         wide = max(rows[each, SENDER], rows[each, RECEIVER], rows[each, MAP]) >= NARROW
-        for hearer in heard[first:behind]:
-            wide = wide or hearer >= NARROW
+        for receiver in receivers[first:behind]:
+            wide = wide or receiver >= NARROW
+        packet = rows[each, PACKETS_FROM]
         part = 0
         cut = 0 < rows[each, VERDICT] < on_air
         while True:
@@ -231,12 +240,20 @@ def _encode(
             if cut:
                 kept = min(kept, KEPT)
             elif size > PART:
-                size = kept = max(1, fitting_part(payload, begin, end, PART, table))
+                if packet >= 0:
+                    size = sizes[packet]
+                    packet += 1
+                    while size + sizes[packet] <= PART:
+                        size += sizes[packet]
+                        packet += 1
+                else:
+                    size = PART
+                kept = size
             block = at
             at += _PACKET_HEAD
             at = _write_head(out, at, step, rows[each], part, wide)
-            for hearer in heard[first:behind]:
-                out[at - 1 - hearer // 8] |= np.uint8(1 << hearer % 8)
+            for receiver in receivers[first:behind]:
+                out[at - 1 - receiver // 8] |= np.uint8(1 << receiver % 8)
             data = at - block - _PACKET_HEAD
             out[at : at + kept] = payload[begin : begin + kept]
             at += kept
@@ -244,7 +261,7 @@ def _encode(
                 out[at] = 0
                 at += 1
             at = _write_comment(
-                out, at, texts[text_at[rows[each, WORDS]] : text_at[rows[each, WORDS] + 1]], block
+                out, at, texts[text_at[rows[each, COMMENT]] : text_at[rows[each, COMMENT] + 1]], block
             )
             time = step * _SECOND + min(blocks, _SECOND - 1)
             length = at + 4 - block

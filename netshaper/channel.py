@@ -1,8 +1,9 @@
-"""What becomes of a frame on its way to one robot: heard, lost, damaged, late, or heard twice.
+"""Channel: whether a frame arrives at a receiver, and whether it is late, damaged or duplicated.
 
-Frames are lost independently of each other, and more of them in bursts, in which a link of two robots is bad for some
-steps (Gilbert and Elliott's chain of two states). A flipped bit is found by the checksum, and the frame dropped. All
-of it is drawn by the frame and its hearer (`protocol.keyed_random`), so who else is in range changes nothing.
+Frames are lost independently of each other. In bursts more of them are lost: then the link between two robots is bad
+for some steps (the two-state chain of Gilbert and Elliott). A receiver finds a flipped bit by the checksum and drops
+the frame. All random draws belong to the frame and its receiver (`protocol.keyed_random`), so other robots in range
+change nothing. A perfect radio has a channel without any of this.
 """
 
 from __future__ import annotations
@@ -20,14 +21,14 @@ from protocol import packets
 from protocol.keyed_random import keyed_random
 from protocol.packets import Check
 
-HEARD, LOSS, DAMAGED = (CAUSES.index(cause) for cause in ("", "loss", "damaged"))
+RECEIVED, LOSS, DAMAGED = (CAUSES.index(cause) for cause in ("", "loss", "damaged"))
 
 
 class Reception(NamedTuple):
-    """What one robot gets of frames that belong together.
+    """What one robot receives of frames that belong together.
 
-    `frames`: those that came before the first one that did not; of what comes behind a gap nothing can be made.
-    `cause`: why there are not all, in `CAUSES`. `delays`: after how many steps, once a copy.
+    `frames`: those before the first one that did not arrive, without checksums; frames behind a gap are of no use.
+    `cause`: why frames are missing, in `CAUSES`. `delays`: for each copy, after how many steps it arrives.
     """
 
     frames: list[bytes]
@@ -36,7 +37,7 @@ class Reception(NamedTuple):
 
 
 class Channel:
-    """All links of a run."""
+    """The links between all robots of a run."""
 
     def __init__(self, options: RadioOptions, seed: int, robots: int) -> None:
         self._options = options
@@ -56,50 +57,53 @@ class Channel:
         sender: int,
         number: int,
         frames: Sequence[bytes],
-        hearers: Sequence[int],
+        receivers: Sequence[int],
     ) -> list[Reception]:
-        """Carry frames that belong together to each of `hearers`; `number` counts what a sender says in an exchange."""
+        """Carry frames that belong together to each receiver; `number` tells a sender's frames of a round apart."""
         options = self._options
+        if options.lossless:
+            return [Reception(list(frames), RECEIVED, [0])] * len(receivers)
         random = keyed_random(self._seed, "channel", step, round_number, sender, number)
         draws = random.random((len(self._bad), 2 * len(frames) + 2))
         receptions = []
-        for hearer in hearers:
-            lost = options.burst_loss if self._bad[sender, hearer] else options.loss
-            twice, later, *mine = draws[hearer].tolist()
-            got: list[bytes] = []
-            cause = HEARD
+        for receiver in receivers:
+            lost = options.burst_loss if self._bad[sender, receiver] else options.loss
+            twice, later, *mine = draws[receiver].tolist()
+            arrived: list[bytes] = []
+            cause = RECEIVED
             for index, frame in enumerate(frames):
-                heard: bytes | None = frame
+                received: bytes | None = frame
                 if mine[2 * index] < lost:
                     cause = LOSS
                     break
                 if mine[2 * index + 1] < chance_of_damage(len(frame), options.bit_errors):
-                    key = (step, round_number, sender, number, hearer, index)
-                    heard = unsum(flip(frame, options.bit_errors, keyed_random(self._seed, "flips", *key)))
+                    key = (step, round_number, sender, number, receiver, index)
+                    received = without_checksum(
+                        flip(frame, options.bit_errors, keyed_random(self._seed, "flips", *key))
+                    )
                 elif options.sums:
-                    heard = unsum(frame)
-                if heard is None:
+                    received = without_checksum(frame)
+                if received is None:
                     cause = DAMAGED
                     break
-                got.append(heard)
+                arrived.append(received)
             delay = options.delay + int(later * (options.jitter + 1))
-            receptions.append(
-                Reception(got, cause, [delay, delay] if twice < options.duplication else [delay])
-            )
+            delays = [delay, delay] if twice < options.duplication else [delay]
+            receptions.append(Reception(arrived, cause, delays))
         return receptions
 
 
 def next_bursts(
     bad: NDArray[np.bool_], draws: NDArray[np.float64], every: float, steps: float
 ) -> NDArray[np.bool_]:
-    """The links that are bad in the next step, symmetric; `draws`: uniform numbers, of which the upper half counts."""
+    """Return the links that are bad in the next step, symmetric; of the uniform `draws` the upper half counts."""
     both = np.triu(draws, 1)
     both = both + both.T
     return np.where(bad, both >= 1 / steps, both < 1 / every) & ~np.eye(len(bad), dtype=np.bool_)
 
 
 def chance_of_damage(size: int, bit_errors: float) -> float:
-    """How likely it is that a frame of so many bytes has a flipped bit."""
+    """Return the probability that a frame of so many bytes has a flipped bit."""
     return float(1 - (1 - bit_errors) ** (8 * size))
 
 
@@ -110,12 +114,12 @@ def flip(frame: bytes, bit_errors: float, random: np.random.Generator) -> bytes:
     return bytes(np.frombuffer(frame, np.uint8) ^ np.packbits(flips))
 
 
-def with_sum(frame: bytes) -> bytes:
-    """A frame with its checksum behind it: CRC-16 with x^16 + x^12 + x^5 + 1, as in IEEE 802.15.4 and LoRa."""
+def with_checksum(frame: bytes) -> bytes:
+    """Return a frame with its checksum behind it: CRC-16 with x^16 + x^12 + x^5 + 1, as in IEEE 802.15.4 and LoRa."""
     return frame + packets.encode([Check(binascii.crc_hqx(frame, 0))])
 
 
-def unsum(frame: bytes) -> bytes | None:
-    """The frame without its checksum; None if that does not fit."""
+def without_checksum(frame: bytes) -> bytes | None:
+    """Return a frame without its checksum; None if the checksum is wrong."""
     content = frame[: -Check.size]
-    return content if with_sum(content) == frame else None
+    return content if with_checksum(content) == frame else None

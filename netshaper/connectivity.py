@@ -50,7 +50,7 @@ def disc(places: Places, range_cells: float) -> Hears:
     return near
 
 
-def line_of_predictive(places: Places, range_cells: float, walls: Grid) -> Hears:
+def line_of_sight(places: Places, range_cells: float, walls: Grid) -> Hears:
     """Those within the range with no wall between them."""
     open_to: Hears = walls_crossed(walls, places) == 0
     return disc(places, range_cells) & open_to

@@ -20,6 +20,10 @@ def on_air(cause: int) -> bool:
     return cause == 0 or cause >= FIRST_ON_AIR
 
 
+FRAMES = ("offer", "answer", "data", "broadcast", "news")
+"""The kinds of frames: those of a connection in their order, poses and targets for all, and maps for all."""
+OFFER, ANSWER, DATA, BROADCAST, NEWS = range(5)
+
 EVERYONE = -1
 """The receiver of a broadcast."""
 
@@ -37,7 +41,7 @@ ROW = np.dtype(
         ("bytes", "<i4"),
         ("carried", "<i2"),
         ("cause", "<i2"),
-        ("heard", "<i2"),
+        ("received_by", "<i2"),
     ]
 )
 """One row. `kind` counts in `ALL_KINDS`, `cause` in `CAUSES`; -1 stands for broadcast, or for no map."""
@@ -64,6 +68,6 @@ def balance(rows: NDArray[np.void]) -> dict[int, tuple[int, int, int, int]]:
         carried = int(these["bytes"][these["carried"] == 1].sum())
         cut = int(these["bytes"][these["carried"] == 0].sum())
         unicast = (these["receiver"] != EVERYONE) & (these["carried"] == 1)
-        heard = int((these["bytes"] * these["heard"])[unicast].sum())
+        heard = int((these["bytes"] * these["received_by"])[unicast].sum())
         result[int(step)] = (said, carried, cut, heard)
     return result

@@ -1,109 +1,152 @@
-"""One step's shared medium: a budget of bytes, a seeded order, what is put on the air (docs/architecture.md, A step).
+"""The medium: it carries frames as far as the budget allows, and logs every frame and its fate.
 
-What is carried counts, regardless of its receivers; a broadcast counts once; unused budget lapses. The first packet
-that does not fit closes the medium for the rest of the step.
+Bytes on the air count, whoever receives them; a broadcast counts once; unused budget lapses. A frame of several packets
+is cut at a packet boundary where the budget ends. In a round of handshakes the first packet that does not fit closes
+the medium for the rest of the step; in other rounds a shorter frame may still use the rest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from netshaper import airtime, capture
-from netshaper.frame_log import BEGIN, COLUMNS, HEARD_FROM, HEARD_TO, VERDICT, WORDS, FrameLog, Rows
-from netshaper.ledger import CAUSES, EVERYONE
-from netshaper.ledger_rows import book
-from protocol import packet_index
+from netshaper import capture
+from netshaper.airtime import Airtime, cut_into_frames
+from netshaper.channel import DAMAGED, LOSS, Channel, Reception, with_checksum
+from netshaper.connections import Connections
+from netshaper.frame_log import (
+    BEGIN,
+    COLUMNS,
+    COMMENT,
+    PACKETS_FROM,
+    RECEIVERS_FROM,
+    RECEIVERS_TO,
+    VERDICT,
+    Frame,
+    FrameLog,
+    Rows,
+)
+from netshaper.ledger import ANSWER, BROADCAST, CAUSES, DATA, NEWS
+from netshaper.ledger_rows import ledger_rows
+from netshaper.settings import RadioSettings
+from protocol.budget import Budget
 from protocol.kernels import kernel
-from protocol.messages import RadioReport
-from protocol.packet_index import TABLE, Bytes, Table, fitting_part
+from protocol.messages import Delivery, RadioReport
+from protocol.packet_index import index_of
 
-OFFER, ANSWER, DATA, BROADCAST, NEWS = range(5)
-"""The frames of a connection in their order, and broadcasts, which have none: targets and poses, and news of maps."""
+_CARRIED, _BUDGET, _LOST, _LIMIT, _FULL = (
+    CAUSES.index(cause) for cause in ("", "budget", "lost", "limit", "full")
+)
 
-UNLIMITED = airtime.UNLIMITED
+_MISSED = {LOSS: "lost to", DAMAGED: "damaged at", _FULL: "too much for"}
 
-NOTHING = -1
-"""The size of a frame that was not said."""
-
-_CARRIED, _BUDGET, _LOST = (CAUSES.index(cause) for cause in ("", "budget", "lost"))
+_NO_LIMIT = 1 << 62
 
 
-@dataclass
-class Connections:
-    """The connections of one exchange, in the order in which they are played, as columns.
+class Account(NamedTuple):
+    """All frames of a step, for ledger and capture."""
 
-    A connection is one offer, its answer and its data, from one robot to one other about one map. They are numbered
-    on from `first`.
-    """
+    step: int
+    carried: int
+    log: FrameLog
 
-    first: int = 0
-    senders: list[int] = field(default_factory=list)
-    receivers: list[int] = field(default_factory=list)
-    maps: list[int] = field(default_factory=list)
-    frames: tuple[list[bytes | None], list[bytes | None], list[bytes | None]] = field(
-        default_factory=lambda: ([], [], [])
-    )
-    """Of each the offer, the answer, the data; None where there is none."""
-    lost: list[int] = field(default_factory=list)
-    """Of each the frame whose receiver was dead when it came; -1: none."""
+    def report(self, *, captures: bool = True) -> RadioReport:
+        """Write the ledger's rows, and the frames for a capture unless there is none."""
+        if not len(self.log):
+            return RadioReport(self.step, b"", self.carried, b"")
+        frames = self.log.columns()
+        written = capture.encode(self.step, frames) if captures else b""
+        return RadioReport(self.step, ledger_rows(self.step, frames), self.carried, written)
 
-    def __len__(self) -> int:
-        return len(self.senders)
 
-    def add(self, ends: Sequence[tuple[int, int, int]], offers: Sequence[bytes]) -> None:
-        """Add connections, as (sender, receiver, map), of which the offers have been said."""
-        for sender, receiver, map_id in ends:
-            self.senders.append(sender)
-            self.receivers.append(receiver)
-            self.maps.append(map_id)
-        self.frames[OFFER].extend(offers)
-        self.frames[ANSWER].extend([None] * len(ends))
-        self.frames[DATA].extend([None] * len(ends))
-        self.lost.extend([-1] * len(ends))
+class Arrival(NamedTuple):
+    """A frame that reaches its receivers at the beginning of step `due`."""
+
+    due: int
+    receivers: Sequence[int]
+    delivery: Delivery
+    is_broadcast: bool
 
 
 class Medium:
-    """The medium during one step.
+    """The medium of a run."""
 
-    Parameters
-    ----------
-    step : int
-        The step, for the ledger.
-    budget : int
-        Bytes that the whole team may put on the air in this step; `UNLIMITED` for no limit.
-    frame_bytes : int
-        Bytes that a frame holds at most, 0 for no limit: what is longer goes on the air as several.
-    """
-
-    def __init__(self, step: int, budget: int, frame_bytes: int = 0) -> None:
-        self.step = step
-        self._frame_bytes = frame_bytes
-        self.left = budget
+    def __init__(self, settings: RadioSettings) -> None:
+        options = settings.options
+        self.airtime = Airtime(
+            settings.budget,
+            settings.robots,
+            reuse=options.reuse,
+            send=settings.send or [options.send_bytes] * settings.robots,
+            receive=settings.receive or [options.receive_bytes] * settings.robots,
+            duty_cycle=options.duty_cycle,
+        )
         self.carried = 0
-        self.predictiveings = FrameLog()
-        """What was said: of this the ledger and the capture are made."""
+        """Bytes that were on the air in this step."""
+        self._channel = Channel(options, settings.seed, settings.robots)
+        self._closes = settings.perfect
+        self._frame_limit = settings.frame_limit
+        self._tail = settings.checksum_bytes
+        self._step = 0
+        self._round = 0
+        self._log = FrameLog()
+        self._coming: list[Arrival] = []
 
-    def broadcast(self, round_number: int, sender: int, payload: bytes, hearers: Sequence[int]) -> bool:
-        """Put a target on the air, whole or not at all; say whether it was carried."""
-        size = len(payload)
-        if self.left != UNLIMITED:
-            if size > self.left:
-                self.left = 0  # what is left over is too small for this packet: closed
-                self.predictiveings.add(round_number, -1, BROADCAST, sender, EVERYONE, -1, _BUDGET, payload)
-                return False
-            self.left -= size
-        self.carried += size
-        self.predictiveings.add(round_number, -1, BROADCAST, sender, EVERYONE, -1, _CARRIED, payload, hearers)
-        return size > 0
+    def begin_step(self, step: int, neighbors: dict[int, list[int]]) -> None:
+        """Open the medium for a step, with the robots in range of each."""
+        self._step, self._round, self.carried = step, 0, 0
+        self.airtime.next_step(neighbors)
+        self._channel.next_step(step)
 
-    def play(self, round_number: int, connections: Connections) -> NDArray[np.int64]:
+    def next_round(self) -> None:
+        """Begin the next round of a step."""
+        self._round += 1
+
+    def close(self) -> Account:
+        """Close the medium, and return the account of the step."""
+        account, self._log = Account(self._step, self.carried, self._log), FrameLog()
+        return account
+
+    def refuse(self, frame: Frame, cause: str, reason: str = "") -> None:
+        """Log a frame that does not go on the air, and why."""
+        self._log.add(self._round, frame._replace(map_id=-1), CAUSES.index(cause), (), reason)
+
+    def broadcast(self, frame: Frame, receivers: Sequence[int]) -> bool:
+        """Put a pose and target on the air, whole or not at all; return whether they were carried."""
+        carried = self.carry(frame, receivers) > 0
+        if not carried and self._closes:
+            self.airtime.set_left(Budget(0))
+        return carried
+
+    def carry(self, frame: Frame, receivers: Sequence[int]) -> int:
+        """Put a frame on the air as far as there is room; return the bytes of its packets that were carried.
+
+        Data and news are cut at a packet boundary, other frames go whole or not at all.
+        """
+        sender, index = frame.sender, frame.packets
+        shared = self.airtime.shared(sender)
+        room = shared.least(self.airtime.own(sender))
+        limit = self._frame_limit
+        stops = cut_into_frames(index, room, limit, self._tail)
+        sent = stops[-1] if stops else 0
+        if sent < len(index.kinds) and frame.kind not in (DATA, NEWS):
+            stops, sent = [], 0
+        pieces = self._pieces(frame, stops)
+        self._transmit(frame, pieces, receivers)
+        if sent < len(index.kinds):
+            rest = index.bytes_of(sent, len(index.kinds))
+            cause = _BUDGET if room == shared else _LIMIT
+            cut = frame._replace(payload=frame.payload[rest], packets=index.part(sent, len(index.kinds)))
+            self._log.add(self._round, cut, cause)
+        return index.ends[sent - 1] if sent else 0
+
+    def play(self, connections: Connections) -> NDArray[np.int64]:
         """Put connections on the air one by one, frame by frame, as far as there is room.
 
-        A frame that is lost is the last of its connection, and so is one that is not there.
+        A frame that is lost is the last of its connection, and so is a missing one.
 
         Returns
         -------
@@ -113,147 +156,189 @@ class Medium:
         carried = np.zeros((len(connections), 3), np.int64)
         if not len(connections):
             return carried
-        sizes = np.array(
-            [[NOTHING if said is None else len(said) for said in frames] for frames in connections.frames],
-            np.int64,
-        )
-        payload = b"".join(
-            [said for three in zip(*connections.frames, strict=True) for said in three if said is not None]
-        )
+        frames = [frame for three in zip(*connections.frames, strict=True) for frame in three]
+        there = [frame for frame in frames if frame is not None]
+        sizes = np.array([-1 if frame is None else len(frame.payload) for frame in frames], np.int64)
+        counts = np.array([0 if frame is None else len(frame.packets.sizes) for frame in frames], np.int64)
+        packets = np.frombuffer(b"".join([frame.packets.sizes for frame in there]), np.int32)
         ends = np.array([connections.senders, connections.receivers, connections.maps, connections.lost])
-        frames = len(payload) if self._frame_bytes else 0
-        rows = np.empty((6 * len(connections) + frames, COLUMNS), np.int64)
-        hearers = np.empty(3 * len(connections) + frames, np.int64)
-        data = np.frombuffer(payload, np.uint8)
-        most = self._frame_bytes or len(payload)
-        written, heard, self.left = _play(
-            round_number, connections.first, ends, sizes, data, self.left, most, TABLE, carried, rows, hearers
-        )
+        parts = len(packets) if not self._frame_limit.unlimited else 0
+        rows = np.empty((6 * len(connections) + parts, COLUMNS), np.int64)
+        receivers = np.empty(3 * len(connections) + parts, np.int64)
+        left, most = self.airtime.shared(0).limit, self._frame_limit.limit
+        written, received, rest = _play(
+            self._round, connections.first, ends, sizes, counts, packets, _NO_LIMIT if left is None else left,
+            _NO_LIMIT if most is None else most, carried, rows, receivers,
+        )  # fmt: skip
+        if left is not None:
+            self.airtime.set_left(Budget(rest))
         self.carried += int(carried.sum())
-        self.predictiveings.extend(rows[:written], hearers[:heard], payload)
+        payloads, packet_indexes = [frame.payload for frame in there], [frame.packets for frame in there]
+        self._log.extend(rows[:written], receivers[:received], payloads, packet_indexes)
         return carried
 
-    def leave_out(self, round_number: int, sender: int, payload: bytes) -> None:
-        """Note a broadcast that has to wait, though there is room."""
-        self.predictiveings.add(round_number, -1, BROADCAST, sender, EVERYONE, -1, _BUDGET, payload)
+    def arrivals(self, receives: Callable[[int], bool]) -> tuple[list[Arrival], list[Arrival]]:
+        """Take what has arrived by now: broadcasts, and other frames."""
+        due = [each for each in self._coming if each.due <= self._step]
+        self._coming = [each for each in self._coming if each.due > self._step]
+        due = [
+            each._replace(receivers=[robot for robot in each.receivers if receives(robot)]) for each in due
+        ]
+        return [each for each in due if each.is_broadcast], [each for each in due if not each.is_broadcast]
 
-    def tell(self, round_number: int, told: Sequence[tuple[int, bytes, Sequence[int]]]) -> list[int]:
-        """Put news on the air, each as (sender, payload, hearers), as far as there is room; return the bytes of each.
+    def _pieces(self, frame: Frame, stops: Sequence[int]) -> list[Frame]:
+        """Cut a frame into frames for the air, without checksums."""
+        pieces = []
+        first = 0
+        for stop in stops:
+            payload = frame.payload[frame.packets.bytes_of(first, stop)]
+            pieces.append(frame._replace(payload=payload, packets=frame.packets.part(first, stop)))
+            first = stop
+        return pieces
 
-        What is left where not all find room is for shorter ones, in the next exchange.
-        """
-        sizes = airtime.fill([payload for _, payload, _ in told], self.left)
-        for (sender, payload, hearers), size in zip(told, sizes, strict=True):
-            for frame in airtime.cut_into_frames(payload[:size], UNLIMITED, self._frame_bytes, 0)[0]:
-                self.predictiveings.add(
-                    round_number, -1, NEWS, sender, EVERYONE, -1, _CARRIED, frame, hearers
-                )
-            if size < len(payload):
-                self.predictiveings.add(round_number, -1, NEWS, sender, EVERYONE, -1, _BUDGET, payload[size:])
-            self.carried += size
-            if self.left != UNLIMITED:
-                self.left -= size
-        return sizes
-
-    def refuse(
-        self,
-        round_number: int,
-        frame: int,
-        sender: int,
-        receiver: int,
-        payload: bytes,
-        cause: str,
-        reason: str,
-    ) -> None:
-        """Note a frame that was never admitted to the air, and why."""
-        self.predictiveings.add(
-            round_number, -1, frame, sender, receiver, -1, CAUSES.index(cause), payload, (), reason
+    def _transmit(self, frame: Frame, pieces: Sequence[Frame], receivers: Sequence[int]) -> None:
+        """Put the pieces of a frame on the air."""
+        if not pieces:
+            return
+        if self._tail:
+            pieces = [self._with_checksum(piece) for piece in pieces]
+        payloads = [piece.payload for piece in pieces]
+        size = sum(map(len, payloads))
+        self.airtime.book(frame.sender, size)
+        self.carried += size
+        receptions = self._channel.carry(
+            self._step, self._round, frame.sender, frame.number, payloads, receivers
         )
+        got = {
+            receiver: self._accept(receiver, reception)
+            for receiver, reception in zip(receivers, receptions, strict=True)
+        }
+        self._queue(frame, got)
+        for number, piece in enumerate(pieces):
+            self._log_piece(piece, number, got)
 
-    def report(self, *, captures: bool = True) -> RadioReport:
-        """Write down what was said: the ledger's rows, and the frames for a capture unless there is none."""
-        if not len(self.predictiveings):
-            return RadioReport(self.step, b"", self.carried, b"")
-        seen = self.predictiveings.columns()
-        frames = capture.encode(self.step, seen) if captures else b""
-        return RadioReport(self.step, book(self.step, seen), self.carried, frames)
+    def _with_checksum(self, piece: Frame) -> Frame:
+        payload = with_checksum(piece.payload)
+        index = piece.packets.followed_by(index_of(payload[len(piece.payload) :]))
+        return piece._replace(payload=payload, packets=index)
+
+    def _accept(self, receiver: int, reception: Reception) -> Reception:
+        """Return what a robot receives if it can receive only so many bytes in a step."""
+        for number, payload in enumerate(reception.frames):
+            if not self.airtime.receives(receiver, len(payload) + self._tail):
+                return Reception(reception.frames[:number], _FULL, reception.delays)
+        return reception
+
+    def _queue(self, frame: Frame, got: dict[int, Reception]) -> None:
+        """Queue a frame for delivery; receivers with equal receptions share one arrival."""
+        alike: dict[int, list[int]] = {}
+        for receiver, reception in got.items():
+            alike.setdefault(id(reception), []).append(receiver)
+        for receivers in alike.values():
+            reception = got[receivers[0]]
+            payload = b"".join(reception.frames)
+            delivery = Delivery(frame.sender, payload)
+            for delay in reception.delays if payload else ():
+                self._coming.append(Arrival(self._step + delay, receivers, delivery, frame.kind == BROADCAST))
+
+    def _log_piece(self, piece: Frame, number: int, got: dict[int, Reception]) -> None:
+        """Log a frame that was on the air, its receivers, and what happened on the way to others."""
+        received = [receiver for receiver, reception in got.items() if number < len(reception.frames)]
+        missed = {
+            receiver: reception.cause for receiver, reception in got.items() if receiver not in received
+        }
+        verdict = max(missed.values()) if missed and not received else _CARRIED
+        notes = [f"{_MISSED[cause]} r{receiver}" for receiver, cause in missed.items()] if received else []
+        for receiver in received:
+            delay, *again = got[receiver].delays
+            if delay:
+                notes.append(f"heard by r{receiver} in step {self._step + delay}")
+            if again:
+                notes.append(f"twice by r{receiver}")
+        self._log.add(self._round, piece, verdict, received, "" if verdict else ", ".join(notes))
 
 
 @kernel(
-    f"UniTuple(int64, 3)(int64, int64, int64[:,::1], int64[:,::1], {packet_index.FRAME}, int64, int64, int64[:,::1], "
-    "int64[:,::1], int64[:,::1], int64[::1])"
+    "UniTuple(int64, 3)(int64, int64, int64[:,::1], int64[::1], int64[::1], Array(int32, 1, 'C', readonly=True), "
+    "int64, int64, int64[:,::1], int64[:,::1], int64[::1])"
 )
 def _play(
     round_number: int,
     first: int,
     ends: Rows,
     sizes: Rows,
-    payload: Bytes,
+    counts: Rows,
+    packets: NDArray[np.int32],
     left: int,
     most: int,
-    table: Table,
     carried: Rows,
     rows: Rows,
-    hearers: Rows,
+    receivers: Rows,
 ) -> tuple[int, int, int]:
-    """Play connections in their order; return the rows and hearers written, and what is left of the budget.
+    """Play connections in their order; return the rows and receivers written, and what is left of the budget.
 
-    `ends`: shape (4, connections), senders, receivers, maps and lost frames; `sizes`: shape (3, connections), bytes of
-    each frame. The frames stand behind each other in `payload`, connection by connection. `most`: bytes that one on
-    the air holds.
+    `ends`: shape (4, connections), senders, receivers, maps and lost frames. `sizes`, `counts`: bytes and packets of
+    each frame, connection by connection, three each; a missing frame has the size -1. `packets`: bytes of each packet.
+    `most`: bytes that one frame on the air may have.
     """
-    written = heard = begin = 0
+    written = received = begin = packet = 0
     for each in range(ends.shape[1]):
-        # What comes behind a frame that is not there was not said either; what comes behind a lost one was.
+        # Frames behind a missing one were not sent; those behind a lost one were.
         playing = True
-        for frame in range(3):
-            size = sizes[frame, each]
+        for kind in range(3):
+            size, count = sizes[3 * each + kind], counts[3 * each + kind]
             if size < 0:
                 playing = False
             if not playing:
                 begin += max(0, size)
+                packet += count
                 continue
             sender, receiver = ends[0, each], ends[1, each]
-            if frame == ANSWER:
+            if kind == ANSWER:
                 sender, receiver = receiver, sender
-            admitted = size
-            lost = ends[3, each] == frame
+            admitted, stop = size, packet + count
+            lost = ends[3, each] == kind
             if lost:
-                admitted = 0
+                admitted, stop = 0, packet
                 playing = False
-            elif left >= 0:
-                if size > left:
-                    admitted = 0
-                    if frame == DATA and left > 0:
-                        admitted = fitting_part(payload, begin, begin + size, left, table)
-                    left = 0  # what is left over is too small for the next packet: closed
-                else:
-                    left -= size
-            carried[each, frame] = admitted
-            start = begin
+            elif size > left:
+                admitted, stop = 0, packet
+                while kind == DATA and stop < packet + count and admitted + packets[stop] <= left:
+                    admitted += packets[stop]
+                    stop += 1
+                left = 0  # what is left over is too small for the next packet: closed
+            else:
+                left -= size
+            carried[each, kind] = admitted
+            start, at = begin, packet
             while start < begin + size:
                 on_air = start < begin + admitted
-                end = begin + admitted if on_air else begin + size
+                end, last = (begin + admitted, stop) if on_air else (begin + size, packet + count)
                 if on_air and end - start > most:
-                    part = fitting_part(payload, start, end, most, table)
-                    end = start + part if part else end
+                    end, last = start + packets[at], at + 1
+                    while end + packets[last] - start <= most:
+                        end += packets[last]
+                        last += 1
                 row = rows[written]
                 row[0] = round_number
                 row[1] = first + each
-                row[2] = frame
+                row[2] = kind
                 row[3] = sender
                 row[4] = receiver
                 row[5] = ends[2, each]
                 verdict = _CARRIED if on_air else _LOST if lost else _BUDGET
-                row[VERDICT] = row[WORDS] = verdict
-                row[HEARD_FROM] = heard
+                row[VERDICT] = row[COMMENT] = verdict
+                row[RECEIVERS_FROM] = received
                 if on_air:
-                    hearers[heard] = receiver
-                    heard += 1
-                row[HEARD_TO] = heard
+                    receivers[received] = receiver
+                    received += 1
+                row[RECEIVERS_TO] = received
                 row[BEGIN] = start
                 row[BEGIN + 1] = end
+                row[PACKETS_FROM] = at
+                row[PACKETS_FROM + 1] = last
                 written += 1
-                start = end
+                start, at = end, last
             begin += size
-    return written, heard, left
+            packet += count
+    return written, received, left

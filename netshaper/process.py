@@ -10,9 +10,9 @@ from collections import Counter, defaultdict
 
 from msgspec.structs import replace
 
-from netshaper.imperfect import radio
-from netshaper.medium import UNLIMITED, Medium
-from netshaper.radio import Frame, Note, Outgoing, RadioSettings
+from netshaper.medium import Account
+from netshaper.radio import Outgoing, Radio
+from netshaper.settings import RadioSettings
 from protocol import keys as names
 from protocol import rights
 from protocol.bus import Bus, Message
@@ -28,13 +28,14 @@ from protocol.messages import (
     End,
     Fault,
     FaultEvent,
-    Heard,
     Lost,
+    MediumEvent,
     PhaseDelivery,
     Positions,
     RadioReport,
     Record,
-    Said,
+    RelayUpdate,
+    RobotFrames,
     Shutdown,
     Stop,
     Watched,
@@ -65,7 +66,7 @@ class RelayNode:
         """Whether all have been told that the run is over; participants that stay anyway are not waited for."""
         self._bus = bus
         self._keys = keys
-        self._radio = radio(settings)
+        self._radio = Radio(settings)
         self._captures = captures
         robots = self._robots = [names.robot(number) for number in range(settings.robots)]
         self._besides = max(LEAST_FRAME, settings.maps * BESIDES)
@@ -77,16 +78,16 @@ class RelayNode:
         self._ended = False
         self._settings: dict[int, bytes] = {}
         """Each robot's `Configure` message, for when it joins."""
-        self._for_robots: defaultdict[int, Heard] = defaultdict(lambda: Heard([], [], []))
-        """What each robot is going to be told."""
+        self._events: defaultdict[int, list[MediumEvent]] = defaultdict(list)
+        """Events that each robot has not been sent yet."""
         self._protocol_errors: Counter[str] = Counter()
         """How often each participant has made no sense in this step."""
 
     @property
     def _most_bytes(self) -> int:
         """Of a frame: what is longer is not looked at."""
-        budget = self._radio.settings.budget
-        return MOST_FRAME if budget == UNLIMITED else budget + self._besides
+        limit = self._radio.settings.budget.limit
+        return MOST_FRAME if limit is None else limit + self._besides
 
     def missing(self) -> list[str]:
         """Participants that have not joined yet; empty once the run has begun."""
@@ -112,7 +113,7 @@ class RelayNode:
                 self._take(sender, rights.read(key, payload), payload)
             except ProtocolError as error:
                 self._fault(sender, str(error))
-        if self._radio.faults:
+        if self._radio.protocol_errors:
             self._report_faults()
         self.done = self.going_home and not self._present
 
@@ -121,7 +122,7 @@ class RelayNode:
         name = names.robot(robot)
         if name in self._present:
             self._present.discard(name)
-            self._for_robots.pop(robot, None)
+            self._events.pop(robot, None)
             self._report(Lost(robot, cause))
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Lost(robot, cause)))
             self._send(self._radio.lost(robot))
@@ -168,16 +169,9 @@ class RelayNode:
 
     def _take(self, sender: str, said: object, payload: bytes) -> None:
         """Take what somebody says; ProtocolError if it makes no sense."""
-        if isinstance(said, Said):
-            beforehand = said.replies
-            frames = (*said.frames, *beforehand.answers, beforehand.decline, *beforehand.loads)
-            longest = max(map(len, frames))
-            if longest > self._most_bytes:
-                reason = (
-                    f"a frame of {longest} bytes, where {self._most_bytes} are the most that can be carried"
-                )
-                raise ProtocolError("Said", 0, reason)
-            self._send(self._radio.said(names.number(sender), said))
+        if isinstance(said, RobotFrames):
+            self._check_lengths(said)
+            self._send(self._radio.submit(names.number(sender), said))
         elif isinstance(said, Positions):
             self._protocol_errors.clear()
             cells = dict(zip(said.robots, zip(said.x, said.y, strict=True), strict=True))
@@ -217,38 +211,42 @@ class RelayNode:
             self._bus.put(self._keys.control(name, names.RELAY), pack(Shutdown()))
         self.going_home = True
 
-    def _send(self, outgoing: list[Outgoing]) -> None:
-        """Pass on what the radio gave, a message a robot: so each is woken once for all of it.
+    def _check_lengths(self, submitted: RobotFrames) -> None:
+        """Raise ProtocolError if a frame is longer than any frame that could be carried."""
+        replies = submitted.replies
+        longest = max(
+            len(submitted.broadcast),
+            len(replies.decline),
+            *[len(frame.payload) for frame in submitted.frames],
+            *[len(reply.answer) for reply in replies.offers],
+            *map(len, replies.loads),
+        )
+        if longest > self._most_bytes:
+            reason = f"a frame of {longest} bytes, where {self._most_bytes} are the most that can be carried"
+            raise ProtocolError("RobotFrames", 0, reason)
 
-        Of phases in which it has been spoken for it is told when it is to say something itself, or nothing more comes.
+    def _send(self, outgoing: list[Outgoing]) -> None:
+        """Send robots their events, in one message each.
+
+        Events of phases in which the relay has answered for a robot wait for the next one that concerns it.
         """
-        for_robots = self._for_robots
-        media: list[Medium] = []
+        accounts: list[Account] = []
         for item in outgoing:
-            if isinstance(item, Frame):
-                _, sender, payload = item
-                for robot in item.receivers:
-                    heard = for_robots[robot]
-                    heard.senders.append(sender)
-                    heard.frames.append(payload)
-            elif isinstance(item, Note):
-                heard = for_robots[item.receiver]
-                heard.senders.extend(item.senders)
-                heard.frames.extend(item.frames)
-                heard.notes.append(item.message)
+            if isinstance(item, Account):
+                accounts.append(item)
             else:
-                media.append(item)
-        for robot in sorted(for_robots):
-            if not _can_wait(for_robots[robot]):
-                self._bus.put(self._hears_at[robot], pack(for_robots.pop(robot)))
-        for medium in media:
-            self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Close(medium.step)))
-            self._report(medium.report(captures=self._captures))
+                self._events[item.robot].append(item.event)
+        for robot in sorted(self._events):
+            if not _can_wait(self._events[robot][-1]):
+                self._bus.put(self._hears_at[robot], pack(RelayUpdate(self._events.pop(robot))))
+        for account in accounts:
+            self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Close(account.step)))
+            self._report(account.report(captures=self._captures))
 
     def _report_faults(self) -> None:
-        for robot, reason in self._radio.faults:
+        for robot, reason in self._radio.protocol_errors:
             self._fault(names.robot(robot), reason)
-        self._radio.faults.clear()
+        self._radio.protocol_errors.clear()
 
     def _fault(self, who: str, reason: str) -> None:
         self._protocol_errors[who] += 1
@@ -265,6 +263,6 @@ class RelayNode:
             self._bus.put(self._keys.control(names.VIEW, names.RELAY), pack(seen))
 
 
-def _can_wait(heard: Heard) -> bool:
-    """Whether a robot has nothing to say to what it hears, for it has been spoken for."""
-    return bool(heard.notes) and isinstance(heard.notes[-1], PhaseDelivery) and heard.notes[-1].spoken
+def _can_wait(event: MediumEvent) -> bool:
+    """Return whether a robot need not act on an event, since the relay has answered for it."""
+    return isinstance(event, PhaseDelivery) and event.answered_by_relay

@@ -132,20 +132,17 @@ class RadioOptions:
         return self.checksums or self.bit_errors > 0
 
     @property
-    def perfect(self) -> bool:
-        """Whether what is put on the air is heard at once by all in range, and one budget is all there is."""
+    def lossless(self) -> bool:
+        """Whether every robot in range receives a frame at once, whole and once."""
         return not (
-            self.loss
-            or self.burst_every
-            or self.delay
-            or self.jitter
-            or self.duplication
-            or self.sums
-            or self.send_bytes
-            or self.receive_bytes
-            or self.duty_cycle < 1
-            or self.reuse
+            self.loss or self.burst_every or self.delay or self.jitter or self.duplication or self.sums
         )
+
+    @property
+    def perfect(self) -> bool:
+        """Whether the channel is lossless and the shared budget is the only limit."""
+        limited = self.send_bytes or self.receive_bytes or self.duty_cycle < 1 or self.reuse
+        return self.lossless and not limited
 
 
 _MOST = 1e6

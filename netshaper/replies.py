@@ -1,70 +1,61 @@
-"""What the relay says for robots: replies that they have told it together with their offers.
+"""Speculative replies: the relay answers for a robot that has sent its replies together with its offers.
 
-An exchange has three phases, and to ask each robot in each costs a message to it and one from it. But a robot knows
-beforehand how it would answer nearly all offers, and what it would send behind nearly all answers to its own; it says
-so (`protocol.messages.Replies`), and is asked only where something else was said. What goes on the air, and in which
-order, is the same.
+A round of handshakes has three phases, and asking each robot in each phase costs a message to it and one from it. But
+a robot knows in advance how it answers nearly all offers, and what it sends after nearly all answers to its own. It
+sends these replies in advance (`protocol.messages.Replies`), and the relay asks it only in other cases. The frames on
+the air and their order are the same.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
-from netshaper.frames import declines
-from netshaper.medium import UNLIMITED
-from protocol import packet_index
-from protocol.messages import PhaseDelivery, Replies, Said
-
-Offered = Mapping[tuple[int, int], int]
-"""Of each offer of a robot, by its receiver and map, the place among them."""
+from netshaper.admission import declines
+from protocol.budget import Budget
+from protocol.messages import Delivery, OutgoingFrame, Replies
+from protocol.packet_index import fitting
 
 
-class Beforehand(NamedTuple):
-    """What a robot has said before an exchange of what it is going to say."""
+class Speculation(NamedTuple):
+    """A robot's replies in advance, and the position of each of its offers by receiver and map."""
 
     replies: Replies
-    offered: Offered
+    offered: dict[tuple[int, int], int]
 
 
-def answers(
-    said: Beforehand, turn: PhaseDelivery, peers: Sequence[int], offers: Sequence[bytes]
-) -> Said | None:
-    """Answer offers of `peers` for a robot; None if it has to be asked."""
-    known = dict(zip(said.replies.offers, said.replies.answers, strict=True))
+def answers(speculation: Speculation, offers: Sequence[Delivery]) -> list[OutgoingFrame] | None:
+    """Answer offers for a robot; None if it has to be asked."""
+    known = {reply.offer: reply.answer for reply in speculation.replies.offers}
     taken: set[int] = set()
-    frames: list[bytes] = []
-    for map_id, offer in zip(turn.maps, offers, strict=True):
-        answer = known.get(offer)
+    frames: list[OutgoingFrame] = []
+    for offer in offers:
+        answer = known.get(offer.payload)
         if answer is None:
             return None
-        frames.append(said.replies.decline if map_id in taken else answer)
-        taken.add(map_id)
-    return Said(turn.step, turn.round, "answers", turn.connections, 0, list(peers), frames)
+        payload = speculation.replies.decline if offer.map_id in taken else answer
+        taken.add(offer.map_id)
+        frames.append(OutgoingFrame(offer.sender, payload, offer.connection))
+    return frames
 
 
-def data(
-    said: Beforehand, turn: PhaseDelivery, peers: Sequence[int], heard: Sequence[bytes], room: int
-) -> Said | None:
-    """Send for a robot, in all no more than `room`, what follows answers of `peers`; None if it has to be asked."""
-    replies = said.replies
-    numbers: list[int] = []
-    receivers: list[int] = []
-    frames: list[bytes] = []
-    for number, peer, map_id, answer in zip(turn.connections, peers, turn.maps, heard, strict=True):
-        place = said.offered[peer, map_id]
-        if place >= len(replies.load):
+def data(speculation: Speculation, answered: Sequence[Delivery], room: Budget) -> list[OutgoingFrame] | None:
+    """Send data for a robot, in all no more than `room`, after answers to its offers; None if it has to be asked."""
+    replies, loads = speculation.replies.answers, speculation.replies.loads
+    frames: list[OutgoingFrame] = []
+    for answer in answered:
+        position = speculation.offered[answer.sender, answer.map_id]
+        if position >= len(replies):
             return None
-        if answer == replies.level[place] or declines(answer):
+        reply = replies[position]
+        if answer.payload == reply.up_to_date or declines(answer.payload):
             continue
-        if answer != replies.behind[place] or replies.load[place] < 0:
+        if answer.payload != reply.behind or reply.load < 0:
             return None
-        frame = replies.loads[replies.load[place]]
-        if room != UNLIMITED:
-            frame = frame if len(frame) <= room else frame[: packet_index.fitting(frame, room)]
-            room -= len(frame)
-        if frame:
-            numbers.append(number)
-            receivers.append(peer)
-            frames.append(frame)
-    return Said(turn.step, turn.round, "data", numbers, 0, receivers, frames)
+        payload = loads[reply.load]
+        if room.limit is not None:
+            payload = payload if room.fits(len(payload)) else payload[: fitting(payload, room.limit)]
+            room = room.minus(len(payload))
+        if payload:
+            frames.append(OutgoingFrame(answer.sender, payload, answer.connection))
+    return frames

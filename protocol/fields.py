@@ -14,9 +14,9 @@ MOST_BEAMS = 3600
 MOST_ON_THE_WAY = 1 << 16
 """Cells, or way points, of a move."""
 MOST_CONNECTIONS = 1 << 13
-"""Of one robot in an exchange: 63 teammates offer it 64 maps each, and it offers them as many."""
+"""Connections of one robot in a round: 63 teammates offer it 64 maps each, and it offers them as many."""
 MOST_FRAME, MOST_FRAMES = 1 << 24, 1 << 28
-"""Bytes of what a robot says to another at one go, and of all such in a message."""
+"""Bytes of a frame, and of all frames of a list in a message."""
 MOST_WORD, MOST_TEXT = 16, 1000
 """Characters."""
 
@@ -33,9 +33,6 @@ Thousandths = Annotated[int, Meta(ge=-1000, le=1000)]
 CellCount = Annotated[int, Meta(ge=0, le=MOST_CELLS)]
 CellCountOrNone = Annotated[int, Meta(ge=-1, le=MOST_CELLS)]
 Count = Annotated[int, Meta(ge=0, lt=2**53)]
-CountOrNone = Annotated[int, Meta(ge=-1, lt=2**53)]
-Budget = Annotated[int, Meta(ge=-2, lt=2**53)]
-"""Bytes a step; -1: no limit, -2: as it is."""
 Connection = Annotated[int, Meta(ge=-1, lt=2**31)]
 Priority = Annotated[int, Meta(ge=0, le=255)]
 
@@ -45,11 +42,7 @@ Text = Annotated[str, Meta(max_length=MOST_TEXT)]
 RobotNumbers = Annotated[list[RobotNumber], Meta(max_length=MAX_ROBOTS)]
 Coordinates = Annotated[list[Coordinate], Meta(max_length=MAX_ROBOTS)]
 Distances = Annotated[list[Count], Meta(max_length=MAX_ROBOTS)]
-Connections = Annotated[list[Connection], Meta(max_length=MOST_CONNECTIONS)]
-ConnectionMaps = Annotated[list[RobotNumber], Meta(max_length=MOST_CONNECTIONS)]
-ConnectionBytes = Annotated[list[Count], Meta(max_length=MOST_CONNECTIONS)]
-Ends = Annotated[list[RobotOrNone], Meta(max_length=MOST_CONNECTIONS)]
-"""Who speaks, or is spoken to, of each frame; -1: all."""
+FrameNumber = Annotated[int, Meta(ge=0, lt=MOST_CONNECTIONS)]
 Frame = Annotated[bytes, Meta(max_length=MOST_FRAME)]
 Frames = Annotated[list[Frame], Meta(max_length=MOST_CONNECTIONS)]
 

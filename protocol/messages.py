@@ -10,7 +10,7 @@ two bits a cell.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
@@ -20,28 +20,27 @@ import numpy as np
 from msgspec import inspect
 from numpy.typing import NDArray
 
+from protocol.budget import Budget
 from protocol.errors import ProtocolError
 from protocol.fields import (
+    MOST_CONNECTIONS,
+    MOST_FRAME,
     MOST_FRAMES,
     Books,
-    Budget,
     CellCount,
     CellCountOrNone,
     CellIndices,
     Cells,
-    ConnectionBytes,
-    ConnectionMaps,
-    Connections,
+    Connection,
     Coordinate,
     CoordinateOrNone,
     Coordinates,
     Count,
-    CountOrNone,
     Distances,
     Eighths,
     EncodedSettings,
-    Ends,
     Frame,
+    FrameNumber,
     Frames,
     Poses,
     Priority,
@@ -62,8 +61,11 @@ from protocol.fields import (
 )
 from protocol.grid import Grid
 
-MOST_NOTES = 4
-"""Notes of the relay that a robot is given at one go."""
+MAX_EVENTS = 8
+"""Events that the relay sends a robot at once."""
+
+EVERYONE = -1
+"""The receiver of a broadcast."""
 
 
 class Record(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
@@ -142,141 +144,173 @@ class Positions(Record, tag=4, frozen=True):
             raise ValueError("robots, x and y are not as many")
 
 
-class Open(Record, tag=5, frozen=True):
-    """In a `Heard`: the medium is open for exchange `round_number`; these teammates are in range.
+class Part(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
+    """A struct within messages: a msgpack list of its fields in order."""
 
-    `budget` is what is left of this step's bytes, -1 for no limit. The robot says its target (in exchange
-    0) and its offers.
+
+class OutgoingFrame(Part, frozen=True):
+    """In `RobotFrames`: a frame that a robot sends.
+
+    `receiver`: `EVERYONE` for a broadcast. `connection`: the connection that it answers, -1 for none.
+    """
+
+    receiver: RobotOrNone
+    payload: Frame
+    connection: Connection = -1
+
+
+class Delivery(Part, frozen=True):
+    """In an event of the relay: a frame that arrived. `connection` and `map_id`: -1 for none."""
+
+    sender: RobotNumber
+    payload: Frame
+    connection: Connection = -1
+    map_id: RobotOrNone = -1
+
+
+class ConnectionReport(Part, frozen=True):
+    """In a `RoundReport`: the bytes of a connection's offer, answer and data that were on the air."""
+
+    connection: Connection
+    offer: Count
+    answer: Count
+    data: Count
+
+
+class SendReport(Part, frozen=True):
+    """In a `RoundReport`: how many bytes were on the air of frame number `frame` of a `RobotFrames`."""
+
+    frame: FrameNumber
+    sent: Count
+
+
+class OfferReply(Part, frozen=True):
+    """In `Replies`: how a robot answers the first `offer` with these bytes."""
+
+    offer: Frame
+    answer: Frame
+
+
+class AnswerReply(Part, frozen=True):
+    """In `Replies`: how a robot replies to the answer to one of its offers.
+
+    After the answer `up_to_date` it sends nothing. After the answer `behind` it sends the frame number `load` of
+    `Replies.loads`, as far as there is room; the relay has to ask it if `load` is -1.
+    """
+
+    up_to_date: Frame
+    behind: Frame
+    load: Connection
+
+
+OutgoingFrames = Annotated[list[OutgoingFrame], msgspec.Meta(max_length=MOST_CONNECTIONS)]
+Deliveries = Annotated[list[Delivery], msgspec.Meta(max_length=MOST_CONNECTIONS)]
+ConnectionReports = Annotated[list[ConnectionReport], msgspec.Meta(max_length=MOST_CONNECTIONS)]
+SendReports = Annotated[list[SendReport], msgspec.Meta(max_length=MOST_CONNECTIONS)]
+OfferReplies = Annotated[list[OfferReply], msgspec.Meta(max_length=MOST_CONNECTIONS)]
+AnswerReplies = Annotated[list[AnswerReply], msgspec.Meta(max_length=MOST_CONNECTIONS)]
+
+
+class Replies(Part, frozen=True):
+    """In `RobotFrames`, with offers: speculative replies of this round, by which the relay answers for the robot.
+
+    `offers`: its answer to the first offer of each map; `decline`: its answer to further ones of that map.
+    `answers`: its reply to the answer to each of its own offers, in their order.
+    """
+
+    offers: OfferReplies
+    decline: Frame
+    answers: AnswerReplies
+    loads: Frames
+
+    def __post_init__(self) -> None:
+        load = max([reply.load for reply in self.answers], default=-1)
+        if load >= len(self.loads):
+            raise ValueError(f"load {load} of {len(self.loads)} loads")
+
+
+NO_REPLIES = Replies([], b"", [], [])
+"""The relay has to ask for each reply."""
+
+
+class RobotFrames(Record, tag=7, frozen=True):
+    """Robot to relay: all frames that it sends in a phase.
+
+    `broadcast`: its pose and target for all in range, empty for none. `priority`: 0 to 255; the higher, the shorter its
+    frames wait for a free medium. `replies`, in the phase ``offers``: what it would send in the next ones.
+    """
+
+    step: Step
+    round: Round
+    phase: Word
+    broadcast: Frame = b""
+    frames: OutgoingFrames = []
+    priority: Priority = 0
+    replies: Replies = NO_REPLIES
+
+
+class Open(Record, tag=5, frozen=True):
+    """Event: a round begins; the robots `peers` are in range, and `budget` is what may be sent in it.
+
+    The robot answers with the frames of the phase ``offers``, and in round 0 with its pose and target.
     """
 
     step: Step
     round: Round
     peers: RobotNumbers
-    budget: CountOrNone
+    budget: Budget
+
+
+class Broadcasts(Record, tag=27, frozen=True):
+    """Event: poses and targets arrived."""
+
+    step: Step
+    deliveries: Deliveries
 
 
 class PhaseDelivery(Record, tag=6, frozen=True):
-    """In a `Heard`: all frames of a phase have been passed on.
+    """Event: frames of a phase arrived, each of a connection.
 
-    `connections` and `maps` say what each is about, in the order in which they were passed on.
-    After ``offers`` the robot answers; after ``answers`` it sends data. Unless the relay has `spoken` for it, by the
-    `Replies` that it had from it.
+    After ``offers`` the robot answers; after ``answers`` it sends data. It sends nothing if `answered_by_relay`: the
+    relay has answered with its speculative `Replies`.
     """
 
     step: Step
     round: Round
     phase: Word
-    connections: Connections
-    maps: ConnectionMaps
-    spoken: bool = False
-
-    def __post_init__(self) -> None:
-        if len(self.connections) != len(self.maps):
-            raise ValueError("connections and maps are not as many")
+    deliveries: Deliveries
+    answered_by_relay: bool = False
 
 
-class Replies(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
-    """In a `Said`, with offers: what a robot would reply in this exchange, so that it need not be asked.
+class RoundReport(Record, tag=8, frozen=True):
+    """Event: the end of a round; frames and bytes that it does not mention were not on the air.
 
-    `offers`, `answers`: how it answers the first offer of a map; `decline`: how any other one of that map.
-
-    Of each of its own offers, in their order: `level`, the answer behind which it has nothing to send; `behind`, the
-    one behind which it sends the frame `load` of `loads` (-1: it has to be asked), as far as there is room.
-    """
-
-    offers: Frames
-    answers: Frames
-    decline: Frame
-    level: Frames
-    behind: Frames
-    load: Connections
-    loads: Frames
-
-    def __post_init__(self) -> None:
-        if len(self.offers) != len(self.answers):
-            raise ValueError("offers and answers are not as many")
-        if not len(self.level) == len(self.behind) == len(self.load):
-            raise ValueError("level, behind and load are not as many")
-        if max(self.load, default=-1) >= len(self.loads):
-            raise ValueError(f"load {max(self.load)} of {len(self.loads)} loads")
-
-
-NO_REPLIES = Replies([], [], b"", [], [], [], [])
-"""Who says so is asked for each."""
-
-
-class Said(Record, tag=7, frozen=True):
-    """Robot to relay: all that it says in a phase.
-
-    `receivers`, `frames`: who each frame is for, -1 for all, and its packets. `connections` names them, in that
-    order; it is empty for offers, which the relay has not numbered yet. `priority`: how soon the news that it
-    broadcasts should be on the air, 0 to 255; the more, the shorter it would wait for a free medium. `replies`, in
-    the phase ``offers``: what it would say in the next ones.
+    `connections`: those of this robot. `sent`: its frames, in rounds without connections. `deliveries`: data, or frames
+    of any kind in rounds without connections. `broadcast_sent`: whether its pose and target were on the air.
     """
 
     step: Step
     round: Round
-    phase: Word
-    connections: Connections
-    priority: Priority = 0
-    receivers: Ends = []
-    frames: Frames = []
-    replies: Replies = NO_REPLIES
-
-    def __post_init__(self) -> None:
-        if len(self.receivers) != len(self.frames):
-            raise ValueError("receivers and frames are not as many")
-
-    def puts(self) -> Iterator[tuple[int, bytes]]:
-        """Each frame with its receiver, in their order."""
-        return zip(self.receivers, self.frames, strict=True)
-
-
-class Outcome(Record, tag=8, frozen=True):
-    """In a `Heard`, after the data: what was put on the air; the rest did not happen.
-
-    `connections`, `offers`, `answers`, `data` are parallel: the bytes of each frame that were carried.
-    `heard` names the connections whose data frames were passed on to this robot, in that order.
-    `broadcast` tells whether its own was carried. News that are broadcast are of connection -1.
-    """
-
-    step: Step
-    round: Round
-    connections: Connections
-    offers: ConnectionBytes
-    answers: ConnectionBytes
-    data: ConnectionBytes
-    heard: Connections
-    broadcast: bool
-
-    def __post_init__(self) -> None:
-        if not len(self.connections) == len(self.offers) == len(self.answers) == len(self.data):
-            raise ValueError("connections, offers, answers and data are not as many")
+    connections: ConnectionReports
+    sent: SendReports
+    deliveries: Deliveries
+    broadcast_sent: bool
 
 
 class Close(Record, tag=9, frozen=True):
-    """In a `Heard`, and relay to world: the medium is closed for this step; merge, choose, plan, move."""
+    """Event, and relay to world: the medium is closed for this step; merge, choose, plan, move."""
 
     step: Step
 
 
-MediumNote = Open | PhaseDelivery | Outcome | Close
-"""What the relay tells a robot of the medium."""
+MediumEvent = Open | Broadcasts | PhaseDelivery | RoundReport | Close
+"""What happens on the medium, as a robot sees it."""
 
 
-class Heard(Record, tag=25, frozen=True):
-    """Relay to robot: all that it hears and is told at one go; first the frames, of which the notes speak.
+class RelayUpdate(Record, tag=25, frozen=True):
+    """Relay to robot: events in the order in which they happened, each with its own deliveries."""
 
-    `senders`, `frames`: who said each frame, and its packets.
-    """
-
-    senders: Ends
-    frames: Frames
-    notes: Annotated[list[MediumNote], msgspec.Meta(max_length=MOST_NOTES)]
-
-    def __post_init__(self) -> None:
-        if len(self.senders) != len(self.frames):
-            raise ValueError("senders and frames are not as many")
+    events: Annotated[list[MediumEvent], msgspec.Meta(max_length=MAX_EVENTS)]
 
 
 class Lost(Record, tag=10, frozen=True):
@@ -313,15 +347,15 @@ class FaultEvent(Record, tag=22, frozen=True, order=True):
 
 
 class Change(Record, tag=24, frozen=True):
-    """Another radio: laboratory to relay, to have it; relay to laboratory: it is so from this step on.
+    """Another radio: recorder to relay, to request it; relay to recorder: it applies from this step on.
 
-    `step`: at whose beginning; from the laboratory 0 means the next. `budget`: bytes a step, -1 for no limit, -2: as it
-    is. `range_mm`: the communication range in millimetres, -1: as it is.
+    `step`: the step at whose beginning it applies; from the recorder 0 means the next. `budget`: bytes per step;
+    `range_mm`: the communication range in millimeters. None: unchanged.
     """
 
     step: Step
-    budget: Budget = -2
-    range_mm: CountOrNone = -1
+    budget: Budget | None = None
+    range_mm: Count | None = None
 
 
 class Back(Record, tag=23, frozen=True):
@@ -457,9 +491,9 @@ class Fault(Record, tag=18, frozen=True):
 
 
 _TYPES: tuple[type[Record], ...] = (
-    Begin, Configure, Sense, Move, Positions, Open, PhaseDelivery, Said, Outcome, Close, Lost, End, Stop, Shutdown,
-    WorldReport, RobotStatus, RadioReport, Maps, Fault, Watched, Snapshot, Outlines, FaultEvent, Back, Change, Heard,
-    MapChanges,
+    Begin, Configure, Sense, Move, Positions, Open, PhaseDelivery, RobotFrames, RoundReport, Close, Lost, End, Stop,
+    Shutdown, WorldReport, RobotStatus, RadioReport, Maps, Fault, Watched, Snapshot, Outlines, FaultEvent, Back, Change,
+    RelayUpdate, MapChanges, Broadcasts,
 )  # fmt: skip
 _HEAD = {kind: 0x90 | len(kind.__struct_fields__) + 1 for kind in _TYPES}
 """The first byte of each message: a list of so many items."""
@@ -514,17 +548,27 @@ def _most_bytes(kind: inspect.Type) -> int:
             return HEAD_BYTES + most
         case inspect.StrType(max_length=int(most)):
             return HEAD_BYTES + 4 * most
-        case inspect.ListType(item_type=inspect.BytesType(), max_length=int(most)):
-            return HEAD_BYTES + most * HEAD_BYTES + MOST_FRAMES
         case inspect.ListType(item_type=item, max_length=int(most)):
-            return HEAD_BYTES + most * _most_bytes(item)
+            frames = _frames_in(item)
+            item_bytes = _most_bytes(item) - frames * MOST_FRAME
+            return HEAD_BYTES + most * item_bytes + (MOST_FRAMES if frames else 0)
         case inspect.UnionType(types=kinds):
             return max(map(_most_bytes, kinds))
         case inspect.StructType(fields=parts):
             return HEAD_BYTES + sum(_most_bytes(part.type) for part in parts)
-        case inspect.IntType() | inspect.BoolType():
+        case inspect.IntType() | inspect.BoolType() | inspect.NoneType():
             return HEAD_BYTES
     raise TypeError(f"{kind} has no longest value")
+
+
+def _frames_in(kind: inspect.Type) -> int:
+    """How many frames an item of a list holds; all frames of a list have `MOST_FRAMES` bytes at most."""
+    match kind:
+        case inspect.BytesType():
+            return 1
+        case inspect.StructType(fields=parts):
+            return sum(_frames_in(part.type) for part in parts)
+    return 0
 
 
 unpack = unpacker(_TYPES, "a message")
@@ -575,7 +619,7 @@ def _brief(value: Any) -> str:
 
 def _shown(annotation: Any) -> str:
     """A field's type in words."""
-    if isinstance(annotation, UnionType):
+    if get_origin(annotation) in (Union, UnionType):
         return " or ".join(map(_shown, get_args(annotation)))
     if get_origin(annotation) is not Annotated:
         return getattr(annotation, "__name__", str(annotation))

@@ -5,8 +5,12 @@ These kernels accept exactly what `protocol.packets.decode` reads. Where they fa
 
 from __future__ import annotations
 
+from array import array
+from bisect import bisect_right
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import accumulate
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,45 +33,93 @@ FRAME = "Array(uint8, 1, 'C', readonly=True)"
 """Type of a frame in the signature of a kernel; arrays over `bytes` are read-only."""
 
 
-def kinds(frame: bytes) -> int:
-    """Return the kinds of packets in a frame: bit k is set for kind k of `ALL_KINDS`.
+class PacketIndex(NamedTuple):
+    """The packets of a frame.
+
+    Attributes
+    ----------
+    kinds : bytes
+        The number in `ALL_KINDS` of each packet.
+    sizes, ends : array of int
+        The bytes of each packet, and where in the frame it ends.
+    """
+
+    kinds: bytes
+    sizes: array[int]
+    ends: array[int]
+
+    def count_fitting(self, room: int, first: int = 0) -> int:
+        """Return how many packets fit into `room` bytes that begin with packet `first`, those before it included."""
+        begin = self.ends[first - 1] if first else 0
+        return bisect_right(self.ends, begin + room, first)
+
+    def bytes_of(self, first: int, last: int) -> slice:
+        """Return where in the frame packets `first` to `last` - 1 are."""
+        return slice(self.ends[first - 1] if first else 0, self.ends[last - 1] if last else 0)
+
+    def part(self, first: int, last: int) -> PacketIndex:
+        """Return the index of a frame of packets `first` to `last` - 1."""
+        if first == 0 and last == len(self.kinds):
+            return self
+        sizes = self.sizes[first:last]
+        return PacketIndex(self.kinds[first:last], sizes, array("i", accumulate(sizes)))
+
+    def followed_by(self, other: PacketIndex) -> PacketIndex:
+        """Return the index of a frame with the packets of another one behind its own."""
+        sizes = self.sizes + other.sizes
+        return PacketIndex(self.kinds + other.kinds, sizes, array("i", accumulate(sizes)))
+
+
+NO_PACKETS = PacketIndex(b"", array("i"), array("i"))
+"""The index of an empty frame, and of bytes that are no packets."""
+
+SHORT_FRAME = 16
+"""Bytes of a frame of which the index is kept longest: few such frames differ."""
+
+
+def index_of(frame: bytes) -> PacketIndex:
+    """Find the packets of a frame; several callers that hold the same frame get the same index.
 
     Raises
     ------
     ProtocolError
         As `protocol.packets.decode`.
     """
-    found = int(_kinds(np.frombuffer(frame, np.uint8), TABLE))
-    if found < 0:
-        decode(frame)
-    return found
+    return _index_of_short(frame) if len(frame) <= SHORT_FRAME else _index_of_long(frame)
 
 
-def fitting(frame: bytes, limit: int) -> int:
-    """Return the size of the longest prefix of a frame that has whole packets and at most `limit` bytes."""
-    return int(fitting_part(np.frombuffer(frame, np.uint8), 0, len(frame), limit, TABLE))
-
-
-def longest(frame: bytes) -> int:
-    """Return the bytes of the longest packet of a frame; ProtocolError as `ends`."""
-    return max(map(len, split(frame)), default=0)
+@lru_cache(maxsize=1 << 13)
+def _index_of_short(frame: bytes) -> PacketIndex:
+    return _find_packets(frame)
 
 
 @lru_cache(maxsize=64)
-def ends(frame: bytes) -> Sequence[int]:
-    """Return the end of each packet of a frame, as offsets; cached, because a frame can have many receivers.
+def _index_of_long(frame: bytes) -> PacketIndex:
+    return _find_packets(frame)
 
-    Raises
-    ------
-    ProtocolError
-        As `protocol.packets.decode`.
-    """
-    found = np.empty(len(frame), np.int64)
-    count = int(_ends(np.frombuffer(frame, np.uint8), TABLE, found))
+
+def _find_packets(frame: bytes) -> PacketIndex:
+    kinds = np.empty(len(frame), np.uint8)
+    ends = np.empty(len(frame), np.int32)
+    count = int(_packets(np.frombuffer(frame, np.uint8), TABLE, kinds, ends))
     if count < 0:
         decode(frame)
-    these: list[int] = found[:count].tolist()
-    return these
+    sizes = np.diff(ends[:count], prepend=np.int32(0))
+    return PacketIndex(
+        kinds[:count].tobytes(), array("i", sizes.tobytes()), array("i", ends[:count].tobytes())
+    )
+
+
+def ends(frame: bytes) -> Sequence[int]:
+    """Return where each packet of a frame ends; ProtocolError as `index_of`."""
+    return index_of(frame).ends
+
+
+def fitting(frame: bytes, room: int) -> int:
+    """Return how many bytes of a frame of whole packets fit into `room` bytes without cutting a packet."""
+    index = index_of(frame)
+    count = index.count_fitting(room)
+    return index.ends[count - 1] if count else 0
 
 
 def split(frame: bytes) -> list[bytes]:
@@ -133,23 +185,13 @@ def packet_end(data: Bytes, at: int, end: int, table: Table) -> int:
     return int(at + size)
 
 
-@kernel(f"int64({FRAME}, int64[:,::1])")
-def _kinds(data: Bytes, table: Table) -> int:
-    found = 0
-    at = 0
-    while at < len(data):
-        found |= 1 << table[data[at], 0]
-        at = packet_end(data, at, len(data), table)
-        if at < 0:
-            return -1
-    return found
-
-
-@kernel(f"int64({FRAME}, int64[:,::1], int64[::1])")
-def _ends(data: Bytes, table: Table, ends: Table) -> int:
+@kernel(f"int64({FRAME}, int64[:,::1], uint8[::1], int32[::1])")
+def _packets(data: Bytes, table: Table, kinds: Bytes, ends: NDArray[np.int32]) -> int:
+    """Note the kind and the end of each packet; return how many there are, -1 if some bytes are no packet."""
     count = 0
     at = 0
     while at < len(data):
+        kinds[count] = table[data[at], 0]
         at = packet_end(data, at, len(data), table)
         if at < 0:
             return -1
@@ -182,34 +224,3 @@ def _contents(data: Bytes, table: Table, size: int, held: int, joined: Bytes) ->
             held = 0
         at = end
     return count
-
-
-@kernel(f"int64({FRAME}, int64, int64, int64, int64[:,::1])")
-def fitting_part(data: Bytes, begin: int, end: int, limit: int, table: Table) -> int:
-    """Return how many bytes of the whole packets in ``data[begin:end]`` fit into `limit` bytes."""
-    at = begin
-    while at < end:
-        behind = packet_end(data, at, end, table)
-        if behind < 0 or behind - begin > limit:
-            break
-        at = behind
-    return at - begin
-
-
-@kernel(f"int64({FRAME}, int64, int64, int64[:,::1], int64[:,::1])")
-def count_part(data: Bytes, begin: int, end: int, table: Table, counts: Table) -> int:
-    """Count the packets and bytes of each kind in ``data[begin:end]``; return -1 if these are not whole packets.
-
-    `counts`, shape (kinds, 2), is overwritten.
-    """
-    counts[:] = 0
-    at = begin
-    while at < end:
-        behind = packet_end(data, at, end, table)
-        if behind < 0:
-            return -1
-        kind = table[data[at], 0]
-        counts[kind, 0] += 1
-        counts[kind, 1] += behind - at
-        at = behind
-    return 0

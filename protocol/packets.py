@@ -389,8 +389,10 @@ _KIND = [None if layout is None else _PACKETS[layout.packet] for layout in _BY_F
 """For each first byte the class of the packet; None: no packet starts with it."""
 _SIZE = [0 if layout is None or layout.has_length else layout.size for layout in _BY_FIRST_BYTE]
 """For each first byte the bytes of the packet; 0: the second byte has its length, or there is no such packet."""
-_FIXED = {kind: layout.fixed for kind, layout in _LAYOUT.items()}
-_PLACES = {kind: layout.places for kind, layout in _LAYOUT.items()}
+_FORM = {kind: (*layout.fixed, layout.places) for kind, layout in _LAYOUT.items()}
+"""For each packet without content: mask and value of its fixed bits, and the places of its fields."""
+_FORMS = [None if kind is None else (kind, *_FORM.get(kind, (0, 0, ()))) for kind in _KIND]
+"""For each first byte the class of the packet, and the same."""
 
 _FULL, _SHORT = int(Fragment.code, 2), int(_SHORT_FRAGMENT.code, 2)
 _UPDATE, _LAST = int(Update.code, 2), int(_LAST_UPDATE.code, 2)
@@ -431,8 +433,8 @@ def encode(packets: Iterable[Packet]) -> bytes:
             out += _write_update(packet, len(out))
             continue
         kind = type(packet)
-        number = _FIXED[kind][1]
-        for name, shift, mask, bias in _PLACES[kind]:
+        _, number, places = _FORM[kind]
+        for name, shift, mask, bias in places:
             value = getattr(packet, name) + bias
             if not 0 <= value <= mask:
                 reason = f"{name} {value - bias} is outside {-bias} to {mask - bias}"
@@ -598,18 +600,16 @@ def _layout(buffer: bytes, offset: int) -> Layout:
 
 def _read(buffer: bytes, offset: int, size: int) -> AnyPacket:
     """Read the whole packet of `size` bytes that starts at `offset`."""
-    kind = _KIND[buffer[offset]]
+    kind, fixed_mask, fixed, places = _FORMS[buffer[offset]]  # type: ignore[misc]
+    packet = buffer[offset : offset + size]
     if kind is Fragment:
-        return Fragment(content(buffer[offset : offset + size]))
+        return Fragment(content(packet))
     if kind is Update:
-        return Update(*update_fragment(buffer[offset : offset + size]))
-    assert kind is not None
-    number = int.from_bytes(buffer[offset : offset + size], "big")
-    mask, fixed = _FIXED[kind]
-    if number & mask != fixed:
+        return Update(*update_fragment(packet))
+    number = int.from_bytes(packet, "big")
+    if number & fixed_mask != fixed:
         raise _malformed(_LAYOUT[kind], number, offset)
-    values = [(number >> shift & mask) - bias for _, shift, mask, bias in _PLACES[kind]]
-    return kind(*values)  # type: ignore[return-value]
+    return kind(*[(number >> shift & mask) - bias for _, shift, mask, bias in places])  # type: ignore[return-value]
 
 
 def _malformed(layout: Layout, number: int, offset: int) -> ProtocolError:

@@ -21,7 +21,6 @@ from protocol.messages import (
     End,
     Fault,
     FaultEvent,
-    Heard,
     Lost,
     MapChanges,
     Maps,
@@ -30,8 +29,9 @@ from protocol.messages import (
     Positions,
     RadioReport,
     Record,
+    RelayUpdate,
+    RobotFrames,
     RobotStatus,
-    Said,
     Sense,
     Shutdown,
     Snapshot,
@@ -46,7 +46,7 @@ ROBOT = "robot"
 
 RIGHTS: dict[tuple[str, str], tuple[type[Record], ...]] = {
     (RELAY, WORLD): (Begin, Close, Lost, Back, Stop, FaultEvent, Shutdown, Watched),
-    (RELAY, ROBOT): (Configure, Heard, End, Shutdown, Watched),
+    (RELAY, ROBOT): (Configure, RelayUpdate, End, Shutdown, Watched),
     (RELAY, RECORDER): (Lost, Back, End, Shutdown, RadioReport, Fault, Change),
     (RELAY, VIEW): (Lost, Back, End, Shutdown, RadioReport, Fault, Change),
     (WORLD, RELAY): (Positions, Lost, End),
@@ -54,14 +54,14 @@ RIGHTS: dict[tuple[str, str], tuple[type[Record], ...]] = {
     (WORLD, RECORDER): (WorldReport, FaultEvent, Fault),
     (WORLD, VIEW): (WorldReport, FaultEvent, Fault),
     (RECORDER, RELAY): (Configure, Lost, Stop, FaultEvent, Change, Shutdown),
-    (ROBOT, RELAY): (Said,),
+    (ROBOT, RELAY): (RobotFrames,),
     (ROBOT, WORLD): (Move,),
     (ROBOT, RECORDER): (RobotStatus, MapChanges, Outlines, Maps, Fault),
     (ROBOT, VIEW): (RobotStatus, Fault, Snapshot, Outlines),
 }
 """What who says (first) may say to whom (second); a viewer says nothing."""
 
-RADIO = (Said, Heard)
+RADIO = (RobotFrames, RelayUpdate)
 """What goes on the radio plane: the packets of robots, and what the relay makes of them."""
 
 BODY = {(WORLD, ROBOT), (ROBOT, WORLD)}

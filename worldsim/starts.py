@@ -1,4 +1,4 @@
-"""Where robots start: around one cell, each at a cell of its own, and moved about by chance."""
+"""Start cells of the robots: around one cell, at a minimum distance, with an optional random offset."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ Cell = tuple[int, int]
 
 
 def start_cells(
-    truth: Grid, robots: int, seed: int, apart: int, first: Cell | None = None, given: Sequence[Cell] = ()
+    truth: Grid, robots: int, seed: int, spacing: int, first: Cell | None = None, given: Sequence[Cell] = ()
 ) -> list[Cell]:
-    """Choose where the robots start: the free cells nearest to one seeded cell, `apart` cells apart.
+    """Choose the start cells: the free cells nearest to one seeded cell, `spacing` cells apart.
 
     Parameters
     ----------
     first : (x, y), optional
         The cell to start around, instead of a seeded one.
     given : sequence of (x, y)
-        Where the first robots start; the others keep away from there.
+        Start cells of the first robots; the others keep their distance from them.
 
     Raises
     ------
     ValueError
-        No cell is free, `first` is not, or there are more robots than free cells that far apart.
+        No cell is free, `first` is not free, or too few free cells are that far apart.
     """
     chosen = list(given[:robots])
     if len(chosen) == robots:
@@ -49,7 +49,7 @@ def start_cells(
     height, width = truth.shape
     while queue and len(chosen) < robots:
         x, y = queue.popleft()
-        if all(max(abs(x - cx), abs(y - cy)) >= apart for cx, cy in chosen):
+        if all(max(abs(x - cx), abs(y - cy)) >= spacing for cx, cy in chosen):
             chosen.append((x, y))
         for nx, ny in ((x + 1, y), (x, y + 1), (x - 1, y), (x, y - 1)):
             if 0 <= nx < width and 0 <= ny < height and truth[ny, nx] == FREE and not reached[ny, nx]:
@@ -57,30 +57,30 @@ def start_cells(
                 queue.append((nx, ny))
     if len(chosen) < robots:
         raise ValueError(
-            f"{robots} robots do not fit: {len(chosen)} free cells lie {apart} cells apart around {first}"
+            f"{robots} robots do not fit: {len(chosen)} free cells lie {spacing} cells apart around {first}"
         )
     return chosen
 
 
 def _parts(truth: Grid) -> tuple[NDArray[np.int32], int]:
-    """Number the 4-connected parts of the free cells from 1 on; and how many there are."""
+    """Label the 4-connected components of the free cells from 1 on; return the labels and their number."""
     from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
 
     labels, parts = ndimage.label(truth == FREE)
     return labels, int(parts)
 
 
-def moved_about(
-    truth: Grid, cell: Cell, most: float, seed: int, robot: int, others: Sequence[Cell], apart: int
+def jittered(
+    truth: Grid, cell: Cell, most: float, seed: int, robot: int, others: Sequence[Cell], spacing: int
 ) -> Cell:
-    """Draw a cell at most `most` cells away, which can be reached from there, `apart` cells from `others`.
+    """Draw a free cell connected to `cell`, at most `most` cells away, at least `spacing` cells from `others`.
 
     Parameters
     ----------
     truth : uint8 array, shape (h, w)
-        Where the robot may be.
+        Cells where the robot's center may be.
     cell : (x, y)
-        Where it would start.
+        Start cell without the offset.
 
     Raises
     ------
@@ -92,16 +92,18 @@ def moved_about(
     ys, xs = np.nonzero(labels == labels[cell[1], cell[0]])
     near = (xs - cell[0]) ** 2 + (ys - cell[1]) ** 2 <= most * most
     for x, y in others:
-        near &= np.maximum(np.abs(xs - x), np.abs(ys - y)) >= apart
+        near &= np.maximum(np.abs(xs - x), np.abs(ys - y)) >= spacing
     around = np.flatnonzero(near)
     if not len(around):
-        raise ValueError(f"robot {robot} does not fit: no cell near {cell} is {apart} cells from the others'")
+        raise ValueError(
+            f"robot {robot} does not fit: no cell near {cell} is {spacing} cells from the others'"
+        )
     pick = around[int(keyed_random(seed, "jitter", robot).integers(len(around)))]
     return int(xs[pick]), int(ys[pick])
 
 
 def check_free(truth: Grid, cell: Cell) -> None:
-    """Raise ValueError if a robot cannot stand on a cell."""
+    """Raise ValueError if a robot's center may not be in a cell."""
     height, width = truth.shape
     x, y = cell
     if not (0 <= x < width and 0 <= y < height) or truth[y, x] != FREE:

@@ -18,8 +18,8 @@ from agent.memo_cache import NO_CACHE, MemoCache
 from agent.outline.approximation import Marks, approximation, repair
 from agent.outline.claims import Drawing
 from agent.outline.contour import Tracer
-from agent.outline.edit_reader import Saved
-from agent.outline.edits import edit_units, script_size
+from agent.outline.edit_reader import SavePoint
+from agent.outline.edits import edit_packets
 from agent.outline.exact_error import ExactError
 from agent.outline.merge import ErrorCount, TeamMap
 from agent.outline.polygons import Polygons
@@ -114,10 +114,10 @@ class PolygonEncoding(MapEncoding):
         held = self._held.held
         repaired = repair(held.polygons, exact)
         refined = refine(exact, repaired, splits, self._value)
-        packets = edit_units(held, self._approximation(exact, refined))
+        packets = edit_packets(held, self._approximation(exact, refined))
         script = b"".join(packets)
         if splits and len(refined) > len(repaired):
-            extra = len(script) - script_size(held, self._approximation(exact, repaired))
+            extra = len(script) - sum(map(len, edit_packets(held, self._approximation(exact, repaired))))
             self._allowance.spent(len(refined) - len(repaired), max(0, extra))
         self._outdated = False
         if script:
@@ -134,7 +134,7 @@ class PolygonEncoding(MapEncoding):
     def apply(self, map_id: int, frame: bytes, *, step: int, sender: int) -> None:
         """Apply edits to a received approximation."""
 
-        def check(saved: Saved) -> None:
+        def check(saved: SavePoint) -> None:
             if saved.box is not None:
                 self._reachability.check(map_id, saved.box, saved.saves, step=step, sender=sender)
 

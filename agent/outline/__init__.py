@@ -1,6 +1,6 @@
-"""Chapters 4 and 5 of the thesis: a map told as polygons, and polygons made into maps again.
+"""Grids as polygons, and polygons as grids again (thesis, chapters 4 and 5).
 
-It imports `protocol` and nothing else of ours. Begin with `contour.py`; then `approximation.py` (repair),
-`simplify.py` (refinement) and `edits.py` on the sender's side, `receiver.py`, `raster.py` and `merge.py` on the
-other.
+It imports no other package of the agent, and of the project only `protocol`. Read first `polygons.py` and `contour.py`;
+then the sender's side, `approximation.py` (repair), `simplify.py` (refinement) and `edits.py`; then the receiver's,
+`receiver.py`, `raster.py` and `merge.py`.
 """

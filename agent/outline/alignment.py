@@ -1,11 +1,10 @@
-"""What of an approximation lives on in the next one, and the minimum edit distance (section 4.2.3).
+"""Common vertices of successive approximations, and the minimum edit distance of objects (section 4.2.3).
 
-The distance needs no table of all pairs (Algorithm 4), for a vertex occurs once in an approximation. What may
-stay falls into runs, stretches of equal symbols in both cycles; a run stays as a whole or goes as a whole,
-for each vertex that goes costs more than the replacement that it makes room for saves. So the search goes
-over the runs, and there are few.
+The distance needs no table of all pairs (Algorithm 4), because a vertex occurs only once in an approximation. Vertices
+that can stay form runs: stretches of equal symbols in both cycles. A run stays or is deleted as a whole, because to
+delete a vertex costs more than the replacement that it permits saves. So the search is over the few runs.
 
-A symbol is a vertex, x, y and side, and in its lowest bit the occupancy of its edge (`agent.outline.objects.Objects`).
+A symbol is a vertex with the occupancy of its edge in the lowest bit (`agent.outline.objects.Objects`).
 """
 
 from __future__ import annotations
@@ -18,14 +17,14 @@ from protocol.packets import Delete, Insert, Replace
 
 _DELETED, _INSERTED = Delete.size, Insert.size
 _KEPT = Delete.size + Insert.size
-"""Bytes saved by a vertex that stays, against deleting and inserting it."""
+"""Bytes saved if a vertex stays, instead of a deletion and an insertion."""
 _REPLACED = Delete.size + Insert.size - Replace.size
-"""Bytes saved by a replacement, against deleting and inserting."""
+"""Bytes saved by a replacement, instead of a deletion and an insertion."""
 
 
 @kernel("int32[::1](int32[::1], int32[::1])")
-def find_twins(old: NDArray[np.int32], new: NDArray[np.int32]) -> NDArray[np.int32]:
-    """For each new symbol, the position of the old one of the same vertex (x, y, side), or -1."""
+def match_vertices(old: NDArray[np.int32], new: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return, for each new symbol, the index of the old symbol of the same vertex (x, y, side), or -1."""
     size = 16
     while size < 2 * len(old):
         size *= 2
@@ -48,7 +47,7 @@ def find_twins(old: NDArray[np.int32], new: NDArray[np.int32]) -> NDArray[np.int
     "Tuple((int32[::1], int32[::1], int32[:,::1]))"
     "(int32[::1], int32[::1], boolean[::1], int32[::1], int32[::1], boolean[::1], int32[::1])"
 )
-def kinship(
+def match_objects(
     old: NDArray[np.int32],
     old_start: NDArray[np.int32],
     old_inside: NDArray[np.bool_],
@@ -57,10 +56,10 @@ def kinship(
     new_inside: NDArray[np.bool_],
     twins: NDArray[np.int32],
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
-    """Find the objects that are as they were, and which of the others share vertices.
+    """Find the unchanged objects, and the pairs of changed objects that share vertices.
 
-    Returns, for each new object, the old one that equals it (-1: none) and where in its cycle the old list
-    begins; and the pairs (old, new) of other objects with a common vertex.
+    Returns, for each new object, the equal old one (-1: none) and the index in its cycle of the first vertex of the
+    old list; and the pairs (old, new) of other objects with a common vertex.
     """
     old_count, new_count = len(old_start) - 1, len(new_start) - 1
     equal = np.full(new_count, -1, np.int32)
@@ -109,12 +108,12 @@ def kinship(
 def align(
     old: NDArray[np.int32], new: NDArray[np.int32], twins: NDArray[np.int32]
 ) -> tuple[int, int, NDArray[np.int32]]:
-    """Align a cycle with a list at the fewest bytes of vertex packets.
+    """Align a new cycle with an old list such that the vertex packets have the fewest bytes.
 
-    ``twins[i]``, where it is a position in `old`, is the only one that may equal ``new[i]``.
+    Only the symbol at index ``twins[i]`` of `old`, if that is a valid index, can equal ``new[i]``.
 
-    Returns the bytes, where in `new` the list is to begin, and from there on for each vertex the one of
-    `old` that stays or is replaced (-1: it is inserted).
+    Returns the bytes; the index in `new` at which the new list starts; and for each vertex from there on the index of
+    the old vertex that stays or is replaced (-1: it is inserted).
     """
     m, n = len(old), len(new)
     place = np.full(m, -1, np.int64)
@@ -138,8 +137,8 @@ def align(
             at[runs], to[runs], length[runs] = i, place[i], 1
             runs += 1
 
-    # The best chain of runs for each run that may stay first. In a gap of a old and b new vertices between
-    # runs that stay, min(a, b) are replaced; the gap before the first and after the last one is one gap.
+    # For each run, find the best chain of runs that stay and start with it. In a gap of a old and b new vertices
+    # between runs that stay, min(a, b) are replaced; the gaps before the first and after the last run are one gap.
     best = _REPLACED * min(m, n)
     best_first = -1
     best_chain = np.empty(0, np.int64)
@@ -179,7 +178,7 @@ def align(
                 best_chain[c] = j
                 j = before[j]
 
-    # Write the chain out; what is new before the first run replaces as much of the old there as it can.
+    # Assign a source to each vertex; new vertices before the first run replace as many old ones there as possible.
     source = np.full(n, -1, np.int32)
     begin = 0
     if best_first >= 0:

@@ -1,13 +1,13 @@
-"""Incremental approximation: the coarse polygons that a robot tells its team (thesis, section 4.2).
+"""Incremental approximation: the coarse polygons that a robot sends to its team (thesis, section 4.2).
 
-An approximation A(t) is a set of marked points of the exact contours P(t): order and objects follow from
-P(t). So a vertex that is still a contour point is never moved, which is what makes updates cheap, and
-`repair` needs no cutting and tracing: the cases of section 4.2.1 become
+An approximation A(t) is a set of marked points of the exact contours P(t); their order and objects follow from P(t). A
+vertex that is still a contour point never moves, which keeps updates short. `repair` needs no cutting and tracing, for
+the cases of section 4.2.1 become
 
-1. vertices that vanish: their points are not met on P(t), their neighbours are joined by the contour;
-2. edges that no longer fit: refined afterwards (`agent.outline.simplify`);
-3. new objects: without marks, or with one where an object split, they get the missing ones. Splits, and the
-   joins that the thesis does not name, need nothing else: a mark belongs to the object on which it now lies.
+1. vertices that vanish: their points are not on P(t), and the contour connects their neighbors;
+2. edges that no longer fit: they are refined afterwards (`agent.outline.simplify`);
+3. new objects: they have no marks, or one after a split of an object, and get the missing ones. Splits, and merges of
+   objects, which the thesis does not mention, need nothing else: a mark belongs to the object on which it now lies.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from protocol.kernels import kernel
 from protocol.packets import MAX_OBJECTS, MAX_VERTICES
 
 Marks = NDArray[np.int32]
-"""An approximation as ascending positions in the flat arrays of its contours."""
+"""An approximation as ascending indices into the flat arrays of its contours."""
 
 
 def repair(previous: Polygons, contours: Polygons) -> Marks:
-    """Make the last approximation valid for the contours of now (section 4.2.1).
+    """Adapt the last approximation to the current contours (section 4.2.1).
 
     Parameters
     ----------
@@ -39,14 +39,14 @@ def repair(previous: Polygons, contours: Polygons) -> Marks:
     Returns
     -------
     int32 array, ascending
-        The vertices of A(t) before refinement, as positions in `contours`: all vertices of A(t - 1) that are
-        still contour points, and what objects lack to have two. An object with none begins with its
-        first point; a single vertex gets the contour point farthest from it (the first of these).
+        The vertices of A(t) before refinement, as indices into `contours`: all vertices of A(t - 1) that are
+        still contour points, and more for objects with fewer than two. An object without vertices gets its first
+        point; an object with one vertex gets the contour point farthest from it (the first of equals).
 
     Notes
     -----
-    The packets can speak of 4096 objects and 4096 vertices an object. Beyond that the outside objects with
-    the fewest contour points are left out, and an object loses the vertices that stand out least.
+    Packets can address 4096 objects and 4096 vertices per object. Beyond that, the outside objects with the fewest
+    contour points are left out, and objects lose the vertices that deviate least from a straight line.
     """
     marks = _collect(
         previous.x,
@@ -67,24 +67,24 @@ def repair(previous: Polygons, contours: Polygons) -> Marks:
 
 @lru_cache(maxsize=1)
 def _workspace(cells: int) -> NDArray[np.uint8]:
-    """Memory in which repairs on grids of one size look vertices up, a bit a side; each leaves it all 0."""
+    """Return the memory that all repairs on grids of one size share: a bit per side and cell, all 0 between repairs."""
     return np.zeros(cells, np.uint8)
 
 
 def approximation(contours: Polygons, marks: Marks, *, unknown_pairs: bool = True) -> Polygons:
     """Return the polygons that the marked contour points span.
 
-    An edge stands for the contour points from its first vertex up to the one before its second. It is
-    occupied only where all of them are (section 4.2.2): when in doubt, nothing is claimed as explored.
+    An edge represents the contour points from its first vertex up to the one before its second. It is occupied only
+    if all of them are (section 4.2.2), so that no unknown cell is reported as explored.
 
-    Without `unknown_pairs`, outside objects of two vertices and no occupied edge are left out.
+    Without `unknown_pairs`, outside objects of two vertices without an occupied edge are left out.
     """
     columns = contours.x, contours.y, contours.side, contours.occupied, contours.start, contours.inside
     return Polygons(contours.shape, *_span(*columns, marks, unknown_pairs))
 
 
 def _approximated(contours: Polygons) -> NDArray[np.bool_]:
-    """Choose the objects that are spoken of: all, or where they are too many the longest ones."""
+    """Choose the objects to approximate: all, or if there are too many, the inside one and the longest others."""
     chosen = np.ones(contours.objects, np.bool_)
     surplus = contours.objects - MAX_OBJECTS
     if surplus > 0:
@@ -96,7 +96,7 @@ def _approximated(contours: Polygons) -> NDArray[np.bool_]:
 
 
 def _coarsen(contours: Polygons, marks: Marks) -> Marks:
-    """Drop from objects beyond the vertex limit the vertices nearest to the line between their neighbours."""
+    """Drop from objects beyond the vertex limit the vertices nearest to the line between their neighbors."""
     x, y = 4 * contours.x + SIDE_X[contours.side], 4 * contours.y + SIDE_Y[contours.side]
     borders = np.searchsorted(marks, contours.start)
     kept = np.ones(len(marks), np.bool_)
@@ -116,7 +116,7 @@ def _coarsen(contours: Polygons, marks: Marks) -> Marks:
 def _farthest(
     x: NDArray[np.int16], y: NDArray[np.int16], side: NDArray[np.uint8], first: int, end: int, point: int
 ) -> int:
-    """Find the point of ``first:end`` that lies farthest from `point`, the first of equals."""
+    """Return the point of ``first:end`` that is farthest from `point`, the first of equals."""
     farthest, largest = -1, -1
     for i in range(first, end):
         along_x = 4 * (x[i] - x[point]) + SIDE_X[side[i]] - SIDE_X[side[point]]
@@ -143,6 +143,7 @@ def _collect(
     row: int,
     marked: NDArray[np.uint8],
 ) -> NDArray[np.int32]:
+    """Return the marks of `repair`; `row` is the width of the grid plus 2, `marked` the shared memory."""
     for i in range(len(old_x)):
         marked[(old_y[i] + 1) * row + old_x[i] + 1] |= 1 << old_side[i]
     marks = np.empty(len(old_x) + 2 * len(approximated), np.int32)
@@ -151,12 +152,12 @@ def _collect(
         if not approximated[k]:
             continue
         first, end, before = start[k], start[k + 1], count
-        # Case 1: what is not met here has vanished.
+        # Case 1: vertices that are not found here have vanished.
         for i in range(first, end):
             if marked[(y[i] + 1) * row + x[i] + 1] >> side[i] & 1:
                 marks[count] = i
                 count += 1
-        # Case 3: a birth, and a split that left one vertex.
+        # Case 3: a new object, and a split that left one vertex.
         if count == before:
             marks[count] = first
             count += 1
@@ -187,7 +188,7 @@ def _span(
     NDArray[np.int16], NDArray[np.int16], NDArray[np.uint8], NDArray[np.uint8], NDArray[np.int32],
     NDArray[np.bool_],
 ]:  # fmt: skip
-    """Vertices, occupancy of the edges, where the objects begin, and which is inside."""
+    """Return the columns of the polygons (`Polygons`)."""
     span_x, span_y = np.empty(len(marks), np.int16), np.empty(len(marks), np.int16)
     span_side, edge = np.empty(len(marks), np.uint8), np.empty(len(marks), np.uint8)
     span_start = np.zeros(len(start), np.int32)

@@ -1,7 +1,7 @@
-"""The claims that an approximation makes of cells: its drawing, a byte of bits a cell.
+"""Drawing of an approximation: the claims that it makes about each cell, as bits of one byte.
 
-Free area is what its inside object encloses and none of its outside objects encloses or bounds. What claim
-counts where several meet, `agent.outline.merge` says.
+The free area is enclosed by the inside object, and neither enclosed nor bounded by an outside object.
+`agent.outline.merge` resolves claims that contradict each other.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ from protocol.boxes import NO_BOXES, Boxes, clip, whole_grid
 from protocol.kernels import kernel
 
 NEAR_WALL, FREE_AREA, OUTSIDE_OCCUPIED, INSIDE_FREE, INSIDE_OCCUPIED = 1, 2, 4, 8, 16
-"""The claims of a cell; the stronger has the higher bit. A layer itself does not claim that a wall is near: whose it is
-says that."""
+"""Bits of the claims about a cell; a stronger claim has a higher bit. Layers do not contain `NEAR_WALL`: `ClaimCounts`
+adds it to the walls of robots that are near."""
 
 _WALL = OUTSIDE_OCCUPIED | INSIDE_OCCUPIED
 
 Layer = NDArray[np.uint8]
 
 
-class Tally:
-    """What several layers claim together: by what one of them claims otherwise it changes, however many they are.
+class ClaimCounts:
+    """Number of layers that make each claim about each cell, updated with the changes of single layers.
 
-    These are 255 at most. Each claim is counted by itself: the one that changes most costs no look at the others.
+    At most 255 layers can be counted.
 
     Attributes
     ----------
     claims : uint8 array, shape (h, w)
-        Which claims any of them makes, as bits.
+        Claims that any layer makes, as bits.
     """
 
     def __init__(self, shape: tuple[int, ...]) -> None:
@@ -55,24 +55,25 @@ class Tally:
         self._cells = self.claims.reshape(-1)
         self._counts = np.zeros((5, self.claims.size), np.uint8)
 
-    def count(self, news: Difference, near: bool) -> None:
-        """Count what a layer, which is near or not, claims now instead of what it did."""
-        _count(news.cells, news.before, news.after, near, self._counts, self._cells)
+    def apply(self, difference: ClaimDifference, near: bool) -> None:
+        """Apply the changes of a layer; `near`: whether its robot is near."""
+        cells, before, after, _ = difference
+        _apply(cells, before, after, near, self._counts, self._cells)
 
-    def turn(self, layer: Layer, near: bool) -> Boxes:
-        """Count a layer that was not near as one that is, or the other way round; return boxes around its claims."""
+    def set_near(self, layer: Layer, near: bool) -> Boxes:
+        """Note that the robot of a layer is near now, or not any more; return the boxes of changed claims."""
         box = np.empty((1, 4), np.int32)
-        return box if _turn(layer, near, self._counts, self._cells, box[0]) else NO_BOXES
+        return box if _set_near(layer, near, self._counts, self._cells, box[0]) else NO_BOXES
 
 
-NO_TALLY = Tally((0, 0))
+NO_COUNTS = ClaimCounts((0, 0))
 
 
-class Difference(NamedTuple):
-    """What claims of a layer are others than before.
+class ClaimDifference(NamedTuple):
+    """Changes of a layer: cells with other claims than before.
 
-    `cells`: int32 array, shape (n,), where, counted row by row. `before`, `after`: uint8 arrays, shape (n,), the claims
-    there. `boxes`: boxes around these cells.
+    `cells`: int32 array, shape (n,), indices into the flattened grid. `before`, `after`: uint8 arrays, shape (n,),
+    their claims. `boxes`: boxes that contain these cells.
     """
 
     cells: NDArray[np.int32]
@@ -82,26 +83,26 @@ class Difference(NamedTuple):
 
 
 THIN, WIDE_UNSEEN, WIDE = range(3)
-"""Walls of teammates that are taken to be wider than they are drawn: none, those one has not seen, all."""
+"""Walls of teammates that are widened: none, those that this robot has not seen itself, all."""
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """What of an approximation is drawn. By default all of it, as in the thesis.
+    """Parts of an approximation that are drawn, and inferred cells. By default as in the thesis.
 
     Attributes
     ----------
     free_inside_edges : bool
-        Draw inside edges that are labelled free. They claim cells free which their robot has not seen.
+        Draw the free edges of inside objects. They mark cells as free that their robot has not seen.
     unknown_pairs : bool
-        Draw outside objects of two vertices and no occupied edge. They are the unseen specks between beams.
+        Draw outside objects of two vertices without an occupied edge: unseen cells between beams.
     wide_walls : bool
-        Take the eight neighbours of a wall's cells for wall where nothing else is claimed of them.
+        Mark the eight neighbors of a wall's cells as wall, unless another claim exists.
     close_slivers : bool
-        Take an unknown cell for free if its neighbours on the left and right or above and below are free, and
-        not both by the robot's own predictive.
+        Mark an unknown cell as free if its neighbors on the left and right, or above and below, are free, and this
+        robot has not seen both itself.
     wide_seen_walls : bool
-        Let walls be wide that the robot has seen itself as well.
+        Widen also walls that this robot has seen itself.
     """
 
     free_inside_edges: bool = True
@@ -112,38 +113,38 @@ class Drawing:
 
     @property
     def wide(self) -> int:
-        """Which walls are wide: `THIN` for none, `WIDE_UNSEEN`, or `WIDE`."""
+        """Walls that are widened: `THIN` for none, `WIDE_UNSEEN`, or `WIDE`."""
         if not self.wide_walls:
             return THIN
         return WIDE if self.wide_seen_walls else WIDE_UNSEEN
 
 
 THESIS = Drawing()
-"""All is drawn, as Algorithm 9 says."""
+"""Everything is drawn and nothing inferred, as in Algorithm 9."""
 
 
 def layer(polygons: Polygons, drawing: Drawing = THESIS) -> Layer:
-    """Render an approximation into the claims that it makes, a byte of bits a cell."""
+    """Render an approximation; return its claims, shape (h, w)."""
     out = np.zeros(polygons.shape, np.uint8)
-    draw_anew(out, Objects.of(polygons), drawing, whole_grid(polygons.shape))
+    redraw(out, Objects.of(polygons), drawing, whole_grid(polygons.shape))
     return out
 
 
-def draw_anew(out: Layer, objects: Objects, drawing: Drawing, boxes: Boxes) -> Difference:
-    """Render the claims of an approximation in some boxes, in place of what was claimed there."""
-    wished = drawing.free_inside_edges, drawing.unknown_pairs
-    return Difference(*_render(out, objects.table, objects.pool, *wished, boxes))
+def redraw(out: Layer, objects: Objects, drawing: Drawing, boxes: Boxes) -> ClaimDifference:
+    """Render an approximation within boxes, replacing the claims there; return the changes."""
+    parts = drawing.free_inside_edges, drawing.unknown_pairs
+    return ClaimDifference(*_render(out, objects.table, objects.pool, *parts, boxes))
 
 
-class Drawn:
-    """The layer of an approximation that changes little by little.
+class DrawnClaims:
+    """The claims of an approximation that changes step by step.
 
     Parameters
     ----------
     shape : (int, int)
-        Rows and columns.
+        Height and width of the grid.
     drawing : Drawing
-        What is drawn.
+        Parts that are drawn.
     cache : MemoCache
         Cache of intermediate results, shared by the robots of this process.
     """
@@ -155,34 +156,34 @@ class Drawn:
         self._cache = cache
         self._objects: Objects | None = None
 
-    def follow(self, objects: Objects, changed: Boxes | None = None) -> Difference:
-        """Draw what has taken the place of what was drawn last; it differs in the boxes at most (None: anywhere)."""
+    def update(self, objects: Objects, changed: Boxes | None = None) -> ClaimDifference:
+        """Redraw the approximation, which differs from the last one only in the boxes `changed` (None: anywhere)."""
         drawing = self._drawing
         boxes = whole_grid(objects.shape) if changed is None or self._objects is None else changed
         change = self._objects, objects, drawing.free_inside_edges, drawing.unknown_pairs
-        news = self._cache.get(change, lambda: draw_anew(self.layer, objects, drawing, boxes))
-        self._cells[news.cells] = news.after
+        difference = self._cache.get(change, lambda: redraw(self.layer, objects, drawing, boxes))
+        self._cells[difference.cells] = difference.after
         self._objects = objects
-        return news
+        return difference
 
 
 _CHUNK = 16
-"""So many edges are looked at together: those of a chunk whose bounds a box does not touch are left out."""
+"""Edges per chunk; all edges of a chunk whose bounding box does not touch the box to be drawn are skipped."""
 
 
 @kernel("UniTuple(int64, 2)(int32)")
 def _place(symbol: int) -> tuple[int, int]:
-    """Where a vertex stands, in quarters of a cell."""
+    """Return the position of a vertex, in quarters of a cell."""
     side = symbol >> 1 & 3
     return ((symbol >> 3 & 0xFFF) - 1) * 4 + SIDE_X[side], ((symbol >> 15) - 1) * 4 + SIDE_Y[side]
 
 
 @kernel("void(int32[::1], int32[:,::1])")
 def _measure(vertices: Symbols, chunks: Boxes) -> None:
-    """Write the boxes in which the edges of each chunk of an object lie, with a cell to spare."""
+    """Write the bounding boxes of the edges of each chunk of an object, with a margin of one cell."""
     for begin in range(0, len(vertices), _CHUNK):
         end = begin + _CHUNK
-        after = vertices[end if end < len(vertices) else 0]  # where the last edge ends
+        after = vertices[end if end < len(vertices) else 0]  # end of the last edge
         x0 = x1 = after >> 3 & 0xFFF
         y0 = y1 = after >> 15
         for symbol in vertices[begin:end]:
@@ -195,7 +196,7 @@ def _measure(vertices: Symbols, chunks: Boxes) -> None:
 
 @kernel("boolean(int32[::1], int32[::1], int32[::1])")
 def _overlap(row: NDArray[np.int32], box: NDArray[np.int32], part: NDArray[np.int32]) -> bool:
-    """Write what a box and that of an object of a table have in common; whether that is anything."""
+    """Write the intersection of a box and the box of an object; return whether it is not empty."""
     part[0], part[1] = max(row[LEFT], box[0]), max(row[TOP], box[1])
     part[2], part[3] = min(row[RIGHT], box[2]), min(row[BOTTOM], box[3])
     return bool(part[0] < part[2] and part[1] < part[3])
@@ -203,7 +204,7 @@ def _overlap(row: NDArray[np.int32], box: NDArray[np.int32], part: NDArray[np.in
 
 @kernel("int64(int32[::1], int32[:,::1], int32[::1], int32[:,::1])")
 def _edges_near(vertices: Symbols, chunks: Boxes, box: NDArray[np.int32], edges: Edges) -> int:
-    """Collect the edges that may cross a column of a box, in it or above it; how many these are."""
+    """Collect the edges that may cross a column of a box, within it or above it; return their number."""
     count = 0
     for begin in range(0, len(vertices), _CHUNK):
         chunk = begin // _CHUNK
@@ -221,7 +222,7 @@ def _edges_near(vertices: Symbols, chunks: Boxes, box: NDArray[np.int32], edges:
 
 @kernel("void(uint8[:,::1], uint8[::1], int64, int64, int64)")
 def _change(counts: Layer, claims: NDArray[np.uint8], cell: int, before: int, after: int) -> None:
-    """Count of a cell that a layer claims something else of it than before."""
+    """Update the counts of a cell about which a layer makes other claims than before."""
     changed = before ^ after
     for k in range(5):
         if changed >> k & 1:
@@ -230,7 +231,7 @@ def _change(counts: Layer, claims: NDArray[np.uint8], cell: int, before: int, af
 
 
 @kernel("void(int32[::1], uint8[::1], uint8[::1], boolean, uint8[:,::1], uint8[::1])")
-def _count(
+def _apply(
     cells: NDArray[np.int32],
     before: NDArray[np.uint8],
     after: NDArray[np.uint8],
@@ -238,6 +239,7 @@ def _count(
     counts: Layer,
     claims: NDArray[np.uint8],
 ) -> None:
+    """Update the counts of all changed cells of a layer."""
     for each in range(len(cells)):
         was, now = before[each], after[each]
         if near:
@@ -259,7 +261,7 @@ def _note_change(
     count: int,
     changed: NDArray[np.int32],
 ) -> int:
-    """Note which cells have changed in a box, behind the first `count`, and a box around them; how many there are."""
+    """Append the cells of a box whose claims have changed, and write their bounding box; return the new number."""
     x0, y0 = box[0], box[1]
     height, width = before.shape
     top, bottom, left, right = height, -1, width, -1
@@ -277,8 +279,10 @@ def _note_change(
 
 
 @kernel("boolean(uint8[:,::1], boolean, uint8[:,::1], uint8[::1], int32[::1])")
-def _turn(layer: Layer, near: bool, counts: Layer, claims: NDArray[np.uint8], box: NDArray[np.int32]) -> bool:
-    """Count the walls of a layer as near, or no longer, and write the box around them; whether there are any."""
+def _set_near(
+    layer: Layer, near: bool, counts: Layer, claims: NDArray[np.uint8], box: NDArray[np.int32]
+) -> bool:
+    """Add or remove the claim `NEAR_WALL` of all walls of a layer, and write their box; return whether it has walls."""
     height, width = layer.shape
     top, bottom, left, right = height, -1, width, -1
     for y in range(height):
@@ -303,6 +307,7 @@ def _render(
     unknown_pairs: bool,
     boxes: Boxes,
 ) -> tuple[NDArray[np.int32], NDArray[np.uint8], NDArray[np.uint8], Boxes]:
+    """Render objects within boxes; return the columns of the `ClaimDifference`."""
     longest, all_chunks = 0, 0
     for row in table:
         if row[FIRST] >= 0:
@@ -311,15 +316,15 @@ def _render(
     edges = np.empty((longest, 5), np.int32)
     chunks = np.empty((all_chunks, 4), np.int32)
     measured = 0
-    chunk_of = np.full(len(table), -1, np.int32)  # where the chunks of an object begin, once measured
+    chunk_of = np.full(len(table), -1, np.int32)  # index of an object's first chunk; -1: not measured
     touched = np.empty(len(table), np.int32)
     other = INSIDE_FREE if free_inside_edges else 0
     box, part = np.empty(4, np.int32), np.empty(4, np.int32)
-    room = 0
+    capacity = 0
     for number in range(len(boxes)):
         clip(boxes[number], 0, out.shape, box)
-        room += (box[2] - box[0]) * (box[3] - box[1])
-    cells, was, now = np.empty(room, np.int32), np.empty(room, np.uint8), np.empty(room, np.uint8)
+        capacity += (box[2] - box[0]) * (box[3] - box[1])
+    cells, was, now = np.empty(capacity, np.int32), np.empty(capacity, np.uint8), np.empty(capacity, np.uint8)
     changed = np.empty((len(boxes), 4), np.int32)
     found, count = 0, 0
     for number in range(len(boxes)):

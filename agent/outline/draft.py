@@ -1,6 +1,6 @@
-"""An approximation as far as its packets have told it, read plainly, one packet after the other.
+"""Plain reader of edit packets, one after the other; it gives the error of a malformed stream.
 
-`agent.outline.receiver` reads whole pieces in one go. Where it stumbles, this form says over what.
+`agent.outline.edit_reader` reads whole chunks at once, but does not report the cause of an error.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from protocol.packets import (
 )
 
 Outline = tuple[NDArray[np.int32], bool]
-"""An object's vertices, as symbols, and whether it is the inside object."""
+"""Vertices of an object, as symbols, and whether it is the inside object."""
 
 
 class _RefusedError(Exception):
-    """What is wrong with a packet."""
+    """A packet does not fit the packets before it."""
 
 
 @dataclass
 class Draft:
-    """The approximation as far as it has been told, and the object that vertex packets speak of just now.
+    """State of an approximation between two packets.
 
     Attributes
     ----------
@@ -42,12 +42,12 @@ class Draft:
         Height and width of the grid, in cells.
     objects : dict of number to `Outline`
     open : int, optional
-        The object that is being told; `vertices` has those told so far, as symbols (`agent.outline.objects.Objects`),
-        and `count` and `inside` are as announced.
+        Number of the object that is being edited, if any. `vertices` are its current vertices, as symbols
+        (`agent.outline.objects.Objects`); `count` and `inside` are those announced.
     edited : bool
-        Whether anything has come since the last save point.
+        Whether a packet followed the last save point.
     saved : dict, optional
-        The objects as of the last save point that was applied here; None before there is one.
+        The objects at the last save point in this stream; None before the first.
     """
 
     shape: tuple[int, int]
@@ -60,12 +60,12 @@ class Draft:
     saved: dict[int, Outline] | None = None
 
     def read(self, pending: bytes, data: bytes) -> bytes:
-        """Apply a piece of the stream behind the packet begun in `pending`; return what is now pending.
+        """Apply a chunk of the stream that continues the incomplete packet `pending`; return the new incomplete packet.
 
         Raises
         ------
         ProtocolError
-            The piece makes no sense, with the first packet that does not; the draft is then of no more use.
+            A packet is malformed or does not fit; this object must not be used afterwards.
         """
         decoder = Decoder()
         decoder.pending = pending
@@ -93,19 +93,19 @@ class Draft:
             case Save():
                 self._close()
                 if not self.edited:
-                    raise _RefusedError("nothing has changed since the last one")
+                    raise _RefusedError("nothing has changed since the last save point")
                 inside = sum(is_inside for _, is_inside in self.objects.values())
                 if inside != 1:
                     raise _RefusedError(f"{inside} inside objects: there must be exactly one")
                 self.saved = dict(self.objects)
             case _:
-                raise _RefusedError("this packet does not belong in a map's stream")
+                raise _RefusedError("edit streams have no packets of this kind")
         self.edited = not isinstance(packet, Save)
 
     def _begin(self, packet: Emerge | Change) -> None:
         known = packet.object in self.objects
         if isinstance(packet, Emerge) and known:
-            raise _RefusedError(f"object {packet.object} is there already")
+            raise _RefusedError(f"object {packet.object} already exists")
         if isinstance(packet, Change) and not known:
             raise _RefusedError(f"there is no object {packet.object}")
         if not 2 <= packet.count <= MAX_VERTICES:
@@ -115,7 +115,7 @@ class Draft:
 
     def _edit_vertex(self, packet: Insert | Replace | Delete) -> None:
         if self.open is None:
-            raise _RefusedError("no object has been named that it speaks of")
+            raise _RefusedError("no object is being edited")
         last = len(self.vertices) - 1
         if isinstance(packet, Insert):
             last += 1
@@ -136,12 +136,12 @@ class Draft:
             self.vertices[packet.index] = symbol
 
     def _close(self) -> None:
-        """End the edits of the open object."""
+        """Finish the object that is being edited."""
         if self.open is None:
             return
         if len(self.vertices) != self.count:
             raise _RefusedError(
-                f"object {self.open} has {len(self.vertices)} vertices, not {self.count} as announced"
+                f"object {self.open} has {len(self.vertices)} vertices instead of the announced {self.count}"
             )
         self.objects[self.open] = np.array(self.vertices, np.int32), self.inside
         self.open = None

@@ -1,13 +1,12 @@
-"""Reading a piece of an edit stream in one go: packets in, the objects and where they have changed out.
+"""Fast reader of edit streams: applies a chunk of packets to the objects, and finds the boxes in which they changed.
 
-What has been read is left as it is, so that a piece that turns out to make no sense changes nothing, and several may
-read on from the same place. What a vertex packet changes lies in the box of the vertex and its neighbours; so a
-receiver knows what to draw anew.
+The state before the chunk is not modified. So a malformed chunk changes nothing, and several receivers can continue
+from the same state. A vertex packet changes the drawing only within the box of the vertex and its neighbors.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,33 +26,37 @@ from agent.outline.objects import (
 )
 from protocol.boxes import MAX_BOXES, NO_BOXES, Boxes, add_box, bounding_box
 from protocol.kernels import kernel
-from protocol.packets import MAX_VERTICES
+from protocol.packets import ALL_KINDS, LAYOUT_BY_BYTE, MAX_VERTICES, Edit
 
-REFUSED = -1
+_REJECTED = -1
+
+_EDITS = [ALL_KINDS.index(kind.name) for kind in get_args(Edit)]
+_SIZE = np.array([size if kind in _EDITS else 0 for kind, size, *_ in LAYOUT_BY_BYTE], np.int64)
+"""For each first byte the bytes of the edit packet; 0: it starts no edit packet."""
 
 SMALL = 3
-"""Whether an object of so few vertices is drawn at all may hang on each of them: it changes as a whole."""
+"""An object with at most so many vertices is redrawn as a whole: each vertex can decide whether it is drawn at all."""
 
 
-_OPEN, _COUNT, _INSIDE, _EDITED, _TOLD, _GAP, _BOXES, _INSIDES, _USED, _HEARD = range(10)
-"""Where the numbers of a reading are: which object is open (-1: none), how many vertices it is to have and whether it
-is inside; whether anything has come since the last save point; how many vertices of the open object have been told,
-where the gap among them is, how many boxes, inside objects and symbols in the pool there are; and bytes read."""
+_OPEN, _COUNT, _INSIDE, _EDITED, _VERTICES, _GAP, _BOXES, _INSIDES, _USED, _READ = range(10)
+"""Indices into `ReaderState.numbers`: number of the object being edited (-1: none), its announced vertices, and whether
+it is inside; whether a packet followed the last save point; current vertices of the object, and index of the gap in
+their buffer; number of boxes, of inside objects, and of used symbols in the pool; bytes read of the chunk."""
 
 
-class Reading(NamedTuple):
-    """How far a stream has been read; it may end anywhere, also while an object is being told.
+class ReaderState(NamedTuple):
+    """State of a stream after any packet, also in the middle of an object.
 
     Attributes
     ----------
     objects : Objects
-        As far as they are complete.
+        All complete objects.
     vertices : int32 array
-        Those of the open object so far, as symbols.
+        Current vertices of the object being edited, as symbols.
     boxes : int32 array, shape (n, 4)
-        Where something has changed since the last save point.
+        Boxes of changes since the last save point.
     numbers : int64 array, shape (10,)
-        See above.
+        See the constants above.
     """
 
     objects: Objects
@@ -62,80 +65,67 @@ class Reading(NamedTuple):
     numbers: NDArray[np.int64]
 
     @staticmethod
-    def nothing(shape: tuple[int, int]) -> Reading:
-        """Return the beginning of a stream that speaks of a grid of so many rows and columns."""
+    def empty(shape: tuple[int, int]) -> ReaderState:
+        """Return the state before the first packet, for a grid of `shape` (height, width)."""
         numbers = np.zeros(10, np.int64)
         numbers[_OPEN] = -1
-        return Reading(Objects.nothing(shape), np.empty(0, np.int32), NO_BOXES, numbers)
+        return ReaderState(Objects.empty(shape), np.empty(0, np.int32), NO_BOXES, numbers)
 
     @property
     def header(self) -> tuple[int, int, bool, bool]:
-        """The open object (-1: none), how many vertices it is to have, and whether inside; whether all is saved."""
+        """Object being edited (-1: none), its announced vertices, whether it is inside; whether all edits are saved."""
         number, count, inside, edited = self.numbers[: _EDITED + 1].tolist()
         return number, count, bool(inside), not edited
 
 
-class Saved(NamedTuple):
-    """What stood at the last save point of a piece, and where that differs from the save point before the piece."""
+class SavePoint(NamedTuple):
+    """The objects at the last save point of a chunk, and their changes since the last save point before the chunk."""
 
     objects: Objects
     boxes: Boxes
     box: tuple[int, int, int, int] | None
-    """The box (x0, y0, x1, y1) around them, if there are any."""
+    """The bounding box of the changes, if there are any."""
     saves: int
-    """How many save points are in the piece."""
+    """Number of save points in the chunk."""
     end: int
-    """Where in the piece the last of them ends."""
+    """Offset in the chunk behind the last save point."""
 
 
-def read(before: Reading, piece: bytes) -> tuple[int, Reading, Saved | None] | None:
-    """Read the whole packets at the beginning of a piece of a stream, up to one that is none of a map's.
+def read(before: ReaderState, chunk: bytes) -> tuple[int, ReaderState, SavePoint | None] | None:
+    """Apply the whole edit packets at the start of a chunk, up to the first packet of another kind.
 
     Parameters
     ----------
-    before : Reading
-        What came before; it is left as it is.
+    before : ReaderState
+        State before the chunk; it is not modified.
 
     Returns
     -------
     used : int
-        Bytes of the packets read; a packet that is not complete, or does not belong here, is behind them.
-    after : Reading
-    saved : Saved, optional
-        If there was a save point.
-        None instead of all if the piece makes no sense (`agent.outline.draft` says why).
+        Bytes of the applied packets; an incomplete packet, or one of another kind, follows.
+    after : ReaderState
+    saved : SavePoint, optional
+        The last save point of the chunk, if there is one.
+        Instead of these three, None if the chunk is malformed (`agent.outline.draft` finds the cause).
     """
     objects, vertices, boxes, numbers = before
-    shape, data = objects.shape, np.frombuffer(piece, np.uint8)
+    shape, data = objects.shape, np.frombuffer(chunk, np.uint8)
     table, pool, vertices, boxes, numbers, saves, end, saved_table, saved_boxes = _read(
         data, *shape, numbers, objects.table, objects.pool, vertices, boxes
     )
-    used = int(numbers[_HEARD])
-    if used == REFUSED:
+    used = int(numbers[_READ])
+    if used == _REJECTED:
         return None
     saved = None
     if saves:
         box = bounding_box(saved_boxes.tolist()) if len(saved_boxes) else None
-        saved = Saved(Objects(shape, saved_table, pool), saved_boxes, box, saves, end)
-    return used, Reading(Objects(shape, table, pool), vertices, boxes, numbers), saved
-
-
-@kernel("int64(uint8[::1], int64)")
-def _size(data: NDArray[np.uint8], at: int) -> int:
-    """Bytes of the packet that begins at `at`; 0 if it has no business in a map's stream."""
-    first = data[at]
-    if first >> 5 in (2, 3):
-        return 6
-    if first >> 5 == 4 or first >> 4 == 0xA:
-        return 2
-    if first >> 4 in (0xD, 0xE):
-        return 5
-    return 1 if first == 0xF0 else 0
+        saved = SavePoint(Objects(shape, saved_table, pool), saved_boxes, box, saves, end)
+    return used, ReaderState(Objects(shape, table, pool), vertices, boxes, numbers), saved
 
 
 @kernel("int64(int32[:,::1], int64, int32[::1])")
 def _add_box_of(boxes: Boxes, count: int, symbols: NDArray[np.int32]) -> int:
-    """Add the box of some vertices, and a cell around them."""
+    """Add the bounding box of vertices with a margin of one cell; return the number of boxes."""
     x0 = y0 = 1 << 20
     x1 = y1 = -1
     for symbol in symbols:
@@ -145,19 +135,19 @@ def _add_box_of(boxes: Boxes, count: int, symbols: NDArray[np.int32]) -> int:
     return add_box(boxes, count, x0 - 1, y0 - 1, x1 + 2, y1 + 2)
 
 
-_ROOM = MAX_VERTICES + 1
+_CAPACITY = MAX_VERTICES + 1
 
 
 @kernel("int64(int64[::1], int64)")
 def _place(n: NDArray[np.int64], index: int) -> int:
-    """Where the vertex of an index is kept: those behind the gap are at the end."""
-    return index if index < n[_GAP] else _ROOM - n[_TOLD] + index
+    """Return the place of a vertex in the gap buffer; vertices behind the gap are at the end."""
+    return index if index < n[_GAP] else _CAPACITY - n[_VERTICES] + index
 
 
 @kernel("void(int32[::1], int64[::1], int64)")
 def _move_gap(vertices: NDArray[np.int32], n: NDArray[np.int64], to: int) -> None:
-    """Move the gap before the vertex of an index: edits that are near each other move little."""
-    behind = _ROOM - n[_TOLD]
+    """Move the gap before the vertex of an index; for successive edits that is a short move."""
+    behind = _CAPACITY - n[_VERTICES]
     for i in range(n[_GAP] - 1, to - 1, -1):
         vertices[behind + i] = vertices[i]
     for i in range(n[_GAP], to):
@@ -167,16 +157,16 @@ def _move_gap(vertices: NDArray[np.int32], n: NDArray[np.int64], to: int) -> Non
 
 @kernel("UniTuple(int64, 3)(uint8[::1], int64)")
 def _header(data: NDArray[np.uint8], at: int) -> tuple[int, int, int]:
-    """Number, count of vertices and inside flag of an `Emerge` or `Change`."""
-    word = 0
+    """Return the object, count and inside flag of an `Emerge` or `Change`."""
+    packet = 0
     for i in range(5):
-        word = word << 8 | int(data[at + i])
-    return word >> 24 & 0xFFF, word >> 11 & 0x1FFF, word >> 10 & 1
+        packet = packet << 8 | int(data[at + i])
+    return packet >> 24 & 0xFFF, packet >> 11 & 0x1FFF, packet >> 10 & 1
 
 
 @kernel("int64(int32[:,::1], int64, int32[:,::1], int64)")
 def _add_box_around(boxes: Boxes, count: int, table: Table, number: int) -> int:
-    """Add the box of an object."""
+    """Add the box of an object; return the number of boxes."""
     row = table[number]
     return add_box(boxes, count, row[LEFT], row[TOP], row[RIGHT], row[BOTTOM])
 
@@ -196,47 +186,47 @@ def _apply(
     vertices: Symbols,
     boxes: Boxes,
 ) -> bool:
-    """Apply the packets from `begin` to `end`; whether all make sense.
+    """Apply the packets from `begin` to `end`; return False if one is malformed.
 
-    `vertices` are those of the open object, with a gap.
+    `vertices` is the gap buffer of the object being edited. The other arrays are modified as well.
     """
     around = np.empty(4, np.int32)
     at = begin
     while at < end:
         head = data[at]
         if head >> 5 in (2, 3, 4):
-            told = n[_TOLD]
+            length = n[_VERTICES]
             if n[_OPEN] < 0:
                 return False
             if head >> 5 == 4:
-                word = np.int64(data[at]) << 8 | data[at + 1]
-                index = word >> 1 & 0xFFF
-                if word & 1 or index >= told:
+                packet = np.int64(data[at]) << 8 | data[at + 1]
+                index = packet >> 1 & 0xFFF
+                if packet & 1 or index >= length:
                     return False
                 around[0] = around[3] = vertices[_place(n, index)]
-                around[1] = vertices[_place(n, (index + told - 1) % told)]
-                around[2] = vertices[_place(n, (index + 1) % told)]
+                around[1] = vertices[_place(n, (index + length - 1) % length)]
+                around[2] = vertices[_place(n, (index + 1) % length)]
                 _move_gap(vertices, n, index)
-                n[_TOLD] -= 1
+                n[_VERTICES] -= 1
                 at += 2
             else:
-                word = np.int64(0)
+                packet = np.int64(0)
                 for i in range(6):
-                    word = word << 8 | data[at + i]
-                index, x, y = word >> 33 & 0xFFF, word >> 21 & 0xFFF, word >> 9 & 0xFFF
+                    packet = packet << 8 | data[at + i]
+                index, x, y = packet >> 33 & 0xFFF, packet >> 21 & 0xFFF, packet >> 9 & 0xFFF
                 is_new = head >> 5 == 2
-                if word & 0x3F or x > width + 1 or y > height + 1:
+                if packet & 0x3F or x > width + 1 or y > height + 1:
                     return False
-                if index > told or (index == told and not is_new) or (is_new and told == MAX_VERTICES):
+                if index > length or (index == length and not is_new) or (is_new and length == MAX_VERTICES):
                     return False
-                around[:] = np.int32(y << 15 | x << 3 | (word >> 6 & 7))
-                if told:
-                    around[1] = vertices[_place(n, (index + told - 1) % told)]
-                    around[2] = vertices[_place(n, (index if is_new else index + 1) % told)]
+                around[:] = np.int32(y << 15 | x << 3 | (packet >> 6 & 7))
+                if length:
+                    around[1] = vertices[_place(n, (index + length - 1) % length)]
+                    around[2] = vertices[_place(n, (index if is_new else index + 1) % length)]
                 if is_new:
                     _move_gap(vertices, n, index)
                     n[_GAP] += 1
-                    n[_TOLD] += 1
+                    n[_VERTICES] += 1
                 else:
                     around[3] = vertices[_place(n, index)]
                 vertices[_place(n, index)] = around[0]
@@ -246,25 +236,25 @@ def _apply(
             n[_EDITED] = 1
             continue
 
-        # All other packets close the open object.
+        # All other packets finish the object being edited.
         if n[_OPEN] >= 0:
-            number, told = n[_OPEN], n[_TOLD]
-            if told != n[_COUNT]:
+            number, length = n[_OPEN], n[_VERTICES]
+            if length != n[_COUNT]:
                 return False
-            _move_gap(vertices, n, told)
+            _move_gap(vertices, n, length)
             known, was_inside = table[number, FIRST] >= 0, table[number, INSIDE]
-            as_a_whole = not known or min(told, table[number, LENGTH]) <= SMALL or was_inside != n[_INSIDE]
+            as_a_whole = not known or min(length, table[number, LENGTH]) <= SMALL or was_inside != n[_INSIDE]
             if known:
                 n[_INSIDES] -= was_inside
                 if as_a_whole:
                     n[_BOXES] = _add_box_around(boxes, n[_BOXES], table, number)
-            pool[n[_USED] : n[_USED] + told] = vertices[:told]
-            enter(table, number, pool, n[_USED], told, n[_INSIDE] != 0)
+            pool[n[_USED] : n[_USED] + length] = vertices[:length]
+            enter(table, number, pool, n[_USED], length, n[_INSIDE] != 0)
             n[_INSIDES] += n[_INSIDE]
-            n[_USED] += told
+            n[_USED] += length
             if as_a_whole:
                 n[_BOXES] = _add_box_around(boxes, n[_BOXES], table, number)
-            n[_OPEN], n[_TOLD], n[_GAP] = -1, 0, 0
+            n[_OPEN], n[_VERTICES], n[_GAP] = -1, 0, 0
         if head >> 4 == 0xA:
             number = (np.int64(data[at]) << 8 | data[at + 1]) & 0xFFF
             if number >= len(table) or table[number, FIRST] < 0:
@@ -287,8 +277,8 @@ def _apply(
             if count < 2 or count > MAX_VERTICES:
                 return False
             n[_OPEN], n[_COUNT], n[_INSIDE] = number, count, is_inside
-            n[_TOLD] = n[_GAP] = table[number, LENGTH] if known else 0
-            for i in range(n[_TOLD]):
+            n[_VERTICES] = n[_GAP] = table[number, LENGTH] if known else 0
+            for i in range(n[_VERTICES]):
                 vertices[i] = pool[table[number, FIRST] + i]
             n[_EDITED] = 1
             at += 5
@@ -296,13 +286,15 @@ def _apply(
 
 
 @kernel("UniTuple(int64, 5)(uint8[::1])")
-def _survey(data: NDArray[np.uint8]) -> tuple[int, int, int, int, int]:
-    """Bytes of whole packets up to one that does not belong here, how many save points there are and where the last one
-    ends (-1: nowhere), how many vertices the objects have in all that are told, and the highest of their numbers (-1:
-    there are none)."""
+def _scan(data: NDArray[np.uint8]) -> tuple[int, int, int, int, int]:
+    """Scan the packets before applying them.
+
+    Returns the bytes of whole edit packets; the number of save points and the end of the last one (-1: none); the sum
+    of all announced vertices, and the highest number of an object (-1: none).
+    """
     whole, saves, last_save, vertices, highest = 0, 0, -1, 0, -1
     while whole < len(data):
-        size = _size(data, whole)
+        size = _SIZE[data[whole]]
         if size == 0 or whole + size > len(data):
             break
         if size == 5:
@@ -317,8 +309,8 @@ def _survey(data: NDArray[np.uint8]) -> tuple[int, int, int, int, int]:
 
 
 @kernel("Tuple((int32[::1], int64))(int32[:,::1], int32[::1], int64)")
-def _with_room(table: Table, pool: Symbols, more: int) -> tuple[Symbols, int]:
-    """A pool of the objects of a table alone, which has room for more; and how much of it is used."""
+def _new_pool(table: Table, pool: Symbols, more: int) -> tuple[Symbols, int]:
+    """Copy the objects of a table to a new pool with capacity for `more` symbols; return it and its used length."""
     used = 0
     for row in table:
         if row[FIRST] >= 0:
@@ -339,7 +331,7 @@ def _with_room(table: Table, pool: Symbols, more: int) -> tuple[Symbols, int]:
     " int32[:,::1])"
 )
 def _read(
-    piece: NDArray[np.uint8],
+    chunk: NDArray[np.uint8],
     height: int,
     width: int,
     numbers: NDArray[np.int64],
@@ -348,42 +340,43 @@ def _read(
     vertices: Symbols,
     unsaved: Boxes,
 ) -> tuple[Table, Symbols, Symbols, Boxes, NDArray[np.int64], int, int, Table, Boxes]:
-    """Read on: the parts of the reading, how many save points there were, where the last one ends, and what was saved.
+    """Apply a chunk.
 
-    Nothing that is given is changed but what the pool has beyond the symbols in use, and its last number: how many
-    symbols whoever has read on farthest has written to it.
+    Returns the parts of the new state, the number of save points, the end of the last one, and the table and boxes at
+    that point. No argument is modified, except the unused part of the pool. The last element of the pool is the length
+    that any receiver has used of it.
     """
-    data = piece.copy()
-    whole, saves, last_save, announced, highest = _survey(data)
+    data = chunk.copy()
+    whole, saves, last_save, announced, highest = _scan(data)
     n = numbers.copy()
     table = np.full((max(len(old_table), highest + 1), old_table.shape[1]), -1, np.int32)
     table[: len(old_table)] = old_table
     announced += n[_COUNT]
-    # Who else has read on from here has written to the pool.
+    # Another receiver that continued from this state has written to the pool: copy it.
     if n[_USED] + announced >= len(pool) or pool[-1] != n[_USED]:
-        pool, n[_USED] = _with_room(table, pool, announced)
-    told = np.empty(_ROOM, np.int32)
-    told[: len(vertices)] = vertices
-    n[_GAP] = n[_TOLD]
+        pool, n[_USED] = _new_pool(table, pool, announced)
+    edited = np.empty(_CAPACITY, np.int32)
+    edited[: len(vertices)] = vertices
+    n[_GAP] = n[_VERTICES]
     boxes = np.empty((MAX_BOXES, 4), np.int32)
     boxes[: len(unsaved)] = unsaved
 
     saved = max(last_save, 0)
-    makes_sense = _apply(data, 0, saved, height, width, n, table, pool, told, boxes)
+    is_valid = _apply(data, 0, saved, height, width, n, table, pool, edited, boxes)
     saved_table, saved_boxes = table, boxes[: n[_BOXES]].copy()
     if last_save >= 0:
         n[_BOXES] = 0
-    if makes_sense and saved < whole:
+    if is_valid and saved < whole:
         saved_table = table.copy()
-        makes_sense = _apply(data, saved, whole, height, width, n, table, pool, told, boxes)
-    _move_gap(told, n, n[_TOLD])
-    if makes_sense:
+        is_valid = _apply(data, saved, whole, height, width, n, table, pool, edited, boxes)
+    _move_gap(edited, n, n[_VERTICES])
+    if is_valid:
         pool[-1] = n[_USED]
-    n[_HEARD] = whole if makes_sense else REFUSED
+    n[_READ] = whole if is_valid else _REJECTED
     return (
         table,
         pool,
-        told[: n[_TOLD]].copy(),
+        edited[: n[_VERTICES]].copy(),
         boxes[: n[_BOXES]].copy(),
         n,
         saves,

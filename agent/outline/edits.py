@@ -1,22 +1,20 @@
-"""Edit scripts: what a robot says of its approximation, as changes to what was said before (section 4.2.3).
+"""Edit scripts: packets that turn one approximation into the next (section 4.2.3, Algorithm 5).
 
-An approximation is a set of cycles; packets speak of numbered lists. `Held` is an approximation in the
-form in which its receivers hold it. `edit_script` finds packets that turn the old one into the new one
-(Algorithm 5): of each pair of objects the fewest bytes, with the new list beginning where most of the old one
-stays; pairs are chosen by what they save, the largest saving first. So a cyclic shift or another order of the
-objects costs nothing.
+An approximation is a set of cycles, but packets edit numbered lists. `NumberedPolygons` is an approximation in the form
+in which receivers hold it. Old and new objects are paired greedily, largest saving in bytes first. The list of a new
+object starts at the vertex for which the pair needs the fewest bytes. So a cyclic shift, or another order of the
+objects, costs nothing.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.outline.alignment import align, find_twins, kinship
+from agent.outline.alignment import align, match_objects, match_vertices
 from agent.outline.objects import Symbols, symbols
 from agent.outline.polygons import Polygons
 from protocol.kernels import kernel
@@ -24,111 +22,85 @@ from protocol.packets import (
     MAX_OBJECTS,
     Change,
     Delete,
-    Edit,
     Emerge,
     Insert,
     Remove,
     Save,
-    decode,
 )
 
 _INSERT, _DELETE, _EMERGE, _CHANGE, _REMOVE, _SAVE = (
     kind.size for kind in (Insert, Delete, Emerge, Change, Remove, Save)
 )
-_APART = _REMOVE + _EMERGE
-"""Bytes that an object costs, beside its vertices, which is told anew instead of changed."""
-_MOST_SAVED = 1 << 30
+_RECREATED = _REMOVE + _EMERGE
+"""Bytes, besides the vertices, of an object that is removed and created instead of changed."""
+_MAX_SAVING = 1 << 30
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
-    """An approximation as packets speak of it.
+class NumberedPolygons:
+    """An approximation with numbered objects and indexed vertices, as packets refer to them.
 
     Attributes
     ----------
     number : int32 array of shape (objects,), ascending
         The number of each object.
     polygons : Polygons
-        The objects in this order; `Insert`, `Replace` and `Delete` count an object's vertices from its start.
+        The objects in this order; packets index an object's vertices from its start.
     """
 
     number: NDArray[np.int32]
     polygons: Polygons
 
     @staticmethod
-    def nothing(shape: tuple[int, int]) -> Held:
-        """Return what is held before anything has been said."""
-        return Held(np.empty(0, np.int32), Polygons.nothing(shape))
+    def empty(shape: tuple[int, int]) -> NumberedPolygons:
+        """Return no objects: the state before the first packet."""
+        return NumberedPolygons(np.empty(0, np.int32), Polygons.empty(shape))
 
 
-def edit_script(held: Held, approximation: Polygons) -> tuple[list[Edit], Held]:
-    """Find the packets that turn what is held into an approximation.
+def edit_packets(held: NumberedPolygons, approximation: Polygons) -> list[bytes]:
+    """Find the packets that turn the held approximation into a new one (Algorithm 5).
 
     Parameters
     ----------
-    held : Held
-        A(t - 1), as all that was said before has left it.
+    held : NumberedPolygons
+        A(t - 1), as all packets so far have left it.
     approximation : Polygons
         A(t): at most 4096 objects of at most 4096 vertices, no vertex twice.
 
     Returns
     -------
-    list of packets
-        Removed objects, then changed ones, then new ones, each by ascending number; at the end a save
-        point. Empty where nothing has changed. In an object first vertices are deleted, the last one
-        first; then, from the first to the last, others come to stand at their final index: so it is never
-        longer than before or after.
-    Held
-        What is held after these packets.
+    list of bytes
+        Encoded packets: removed objects, then changed ones, then new ones, each by ascending number, and a save
+        point; nothing if the approximations are equal. Within an object, vertices are deleted from the last to the
+        first, then replaced or inserted from the first to the last at their final index. So it is never longer than
+        before and after.
     """
-    stream, _, number, shift = _write(held, approximation)
-    order = np.argsort(number)
-    after = Held(number[order], _rearranged(approximation, order, shift))
-    packets = decode(stream.tobytes())
-    return cast("list[Edit]", packets), after
-
-
-def edit_units(held: Held, approximation: Polygons) -> list[bytes]:
-    """As `edit_script`, as they go on the air: one piece a packet."""
-    stream, ends, _, _ = _write(held, approximation)
-    data = stream.tobytes()
+    old, new = held.polygons, approximation
+    script, ends = _script(
+        symbols(old), held.number, old.start, old.inside, symbols(new), new.start, new.inside
+    )
+    data = script.tobytes()
     return [data[begin:end] for begin, end in pairwise(ends.tolist())]
 
 
-def script_size(held: Held, approximation: Polygons) -> int:
-    """Bytes of the packets that `edit_script` finds."""
-    return len(_write(held, approximation)[0])
-
-
-def _write(
-    held: Held, approximation: Polygons
-) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
-    """Write the script: its bytes, where its packets end, and for each new object its number and where it begins."""
-    old, new = held.polygons, approximation
-    written: tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]] = _script(
-        symbols(old), held.number, old.start, old.inside, symbols(new), new.start, new.inside
-    )
-    return written
-
-
 @kernel("int64(uint8[::1], int64, int64, int64)")
-def _put(out: NDArray[np.uint8], at: int, word: int, size: int) -> int:
-    """Write a packet, most significant byte first; where the next one begins."""
+def _put(out: NDArray[np.uint8], at: int, packet: int, size: int) -> int:
+    """Write a packet, most significant byte first; return the offset behind it."""
     for i in range(size):
-        out[at + i] = word >> 8 * (size - 1 - i) & 0xFF
+        out[at + i] = packet >> 8 * (size - 1 - i) & 0xFF
     return at + size
 
 
 @kernel("int64(int64, int64, int64)")
-def _vertex_word(code: int, index: int, symbol: int) -> int:
-    """An `Insert` or a `Replace` by its code."""
+def _vertex_packet(code: int, index: int, symbol: int) -> int:
+    """Return an `Insert` or `Replace` packet as a number, without spare bits set."""
     x, y = symbol >> 3 & 0xFFF, symbol >> 15
     return code << 45 | index << 33 | x << 21 | y << 9 | (symbol & 7) << 6
 
 
 @kernel("int64(int64, int64, int64, int64)")
-def _object_word(code: int, number: int, count: int, inside: int) -> int:
-    """An `Emerge` or a `Change` by its code."""
+def _object_packet(code: int, number: int, count: int, inside: int) -> int:
+    """Return an `Emerge` or `Change` packet as a number."""
     return code << 36 | number << 24 | count << 11 | inside << 10
 
 
@@ -154,35 +126,35 @@ def _align_pair(
 @kernel(
     "int32[::1](int32[::1], int32[::1], int32[::1], int32[::1], int32[::1], int32[:,::1])",
 )
-def _succeed(
+def _pair(
     old_symbols: Symbols,
     old_start: NDArray[np.int32],
     new_symbols: Symbols,
     new_start: NDArray[np.int32],
     twins: NDArray[np.int32],
-    kin: NDArray[np.int32],
+    related: NDArray[np.int32],
 ) -> NDArray[np.int32]:
-    """Choose who takes over whose number among objects that share vertices, the largest saving first.
+    """Pair the new objects with old ones whose number they take over, the largest saving first.
 
-    Returns for each new object the old one, or -1. Where an object has split, the others emerge; where objects have
-    joined, the others are removed.
+    Returns for each new object the old one, or -1. Of the parts of a split object, all but one emerge; of merged
+    objects, all but one are removed.
     """
     successor = np.full(len(new_start) - 1, -1, np.int32)
     is_gone = np.zeros(len(old_start) - 1, np.bool_)
-    key = np.empty(len(kin), np.int64)  # by saving, then old object, then new object
-    offers = 0
-    for pair in range(len(kin)):
-        old_object, new_object = kin[pair]
+    key = np.empty(len(related), np.int64)  # orders by saving, then old object, then new object
+    candidates = 0
+    for pair in range(len(related)):
+        old_object, new_object = related[pair]
         cost, _, _ = _align_pair(
             old_symbols, old_start, new_symbols, new_start, twins, old_object, new_object
         )
         length = new_start[new_object + 1] - new_start[new_object]
-        saving = _APART + _INSERT * length - _CHANGE - cost
+        saving = _RECREATED + _INSERT * length - _CHANGE - cost
         if saving > 0:
-            key[offers] = (_MOST_SAVED - saving) << 24 | old_object << 12 | new_object
-            offers += 1
-    for one in np.sort(key[:offers]):
-        old_object, new_object = one >> 12 & 0xFFF, one & 0xFFF
+            key[candidates] = (_MAX_SAVING - saving) << 24 | old_object << 12 | new_object
+            candidates += 1
+    for each in np.sort(key[:candidates]):
+        old_object, new_object = each >> 12 & 0xFFF, each & 0xFFF
         if not is_gone[old_object] and successor[new_object] < 0:
             is_gone[old_object] = True
             successor[new_object] = old_object
@@ -190,7 +162,7 @@ def _succeed(
 
 
 @kernel(
-    "Tuple((uint8[::1], int32[::1], int32[::1], int32[::1]))"
+    "Tuple((uint8[::1], int32[::1]))"
     "(int32[::1], int32[::1], int32[::1], boolean[::1], int32[::1], int32[::1], boolean[::1])"
 )
 def _script(
@@ -201,13 +173,16 @@ def _script(
     new_symbols: Symbols,
     new_start: NDArray[np.int32],
     new_inside: NDArray[np.bool_],
-) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
+    """Return the script, and the ends of its packets (from 0)."""
     old_objects, new_objects = len(old_start) - 1, len(new_start) - 1
-    twins = find_twins(old_symbols, new_symbols)
-    equal, shift, kin = kinship(old_symbols, old_start, old_inside, new_symbols, new_start, new_inside, twins)
-    successor = _succeed(old_symbols, old_start, new_symbols, new_start, twins, kin)
+    twins = match_vertices(old_symbols, new_symbols)
+    equal, shift, related = match_objects(
+        old_symbols, old_start, old_inside, new_symbols, new_start, new_inside, twins
+    )
+    successor = _pair(old_symbols, old_start, new_symbols, new_start, twins, related)
 
-    # Numbers: those that are taken over, and for the others the lowest that nobody has.
+    # Objects without a predecessor get the lowest unused numbers, below.
     number = np.full(new_objects, -1, np.int32)
     is_taken = np.zeros(MAX_OBJECTS, np.bool_)
     for k in range(new_objects):
@@ -234,8 +209,8 @@ def _script(
         shift[k] = begin
         before = old_symbols[old_start[former] : old_start[former + 1]]
         after = new_symbols[new_start[k] : new_start[k + 1]]
-        word = _object_word(0b1110, number[k], len(after), new_inside[k])
-        size = _put(out, size, word, _EMERGE)
+        packet = _object_packet(0b1110, number[k], len(after), new_inside[k])
+        size = _put(out, size, packet, _CHANGE)
         ends[packets] = size
         packets += 1
         stays = np.zeros(len(before), np.bool_)
@@ -250,7 +225,7 @@ def _script(
         for i in range(len(after)):
             symbol = after[i + begin if i + begin < len(after) else i + begin - len(after)]
             if source[i] < 0 or before[source[i]] != symbol:
-                size = _put(out, size, _vertex_word(0b010 if source[i] < 0 else 0b011, i, symbol), _INSERT)
+                size = _put(out, size, _vertex_packet(0b010 if source[i] < 0 else 0b011, i, symbol), _INSERT)
                 ends[packets] = size
                 packets += 1
     lowest = 0
@@ -262,45 +237,15 @@ def _script(
         number[k] = lowest
         lowest += 1
         cycle = new_symbols[new_start[k] : new_start[k + 1]]
-        size = _put(out, size, _object_word(0b1101, number[k], len(cycle), new_inside[k]), _EMERGE)
+        size = _put(out, size, _object_packet(0b1101, number[k], len(cycle), new_inside[k]), _EMERGE)
         ends[packets] = size
         packets += 1
         for i in range(len(cycle)):
-            size = _put(out, size, _vertex_word(0b010, i, cycle[i]), _INSERT)
+            size = _put(out, size, _vertex_packet(0b010, i, cycle[i]), _INSERT)
             ends[packets] = size
             packets += 1
     if size:
         size = _put(out, size, 0xF0, _SAVE)
         ends[packets] = size
         packets += 1
-    return out[:size].copy(), ends[:packets].copy(), number, shift
-
-
-def _rearranged(polygons: Polygons, order: NDArray[np.int64], shift: NDArray[np.int32]) -> Polygons:
-    """Put the objects into `order`, each beginning `shift` vertices later."""
-    vertex, start = _gather(polygons.start, order, shift)
-    return Polygons(
-        polygons.shape,
-        polygons.x[vertex],
-        polygons.y[vertex],
-        polygons.side[vertex],
-        polygons.occupied[vertex],
-        start,
-        polygons.inside[order],
-    )
-
-
-@kernel("Tuple((int32[::1], int32[::1]))(int32[::1], int64[::1], int32[::1])")
-def _gather(
-    start: NDArray[np.int32], order: NDArray[np.int64], shift: NDArray[np.int32]
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    vertex = np.empty(start[-1], np.int32)
-    begins = np.zeros(len(start), np.int32)
-    count = 0
-    for i, k in enumerate(order):
-        length = start[k + 1] - start[k]
-        for j in range(length):
-            vertex[count] = start[k] + (j + shift[k]) % length
-            count += 1
-        begins[i + 1] = count
-    return vertex, begins
+    return out[:size].copy(), ends[:packets].copy()

@@ -1,4 +1,4 @@
-"""Algorithm 9 line by line, as Figure 5.6 of the thesis draws it: what `agent.outline.merge` must come to."""
+"""Algorithm 9 line by line, in the stages of Figure 5.6: the reference for `agent.outline.merge`."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from protocol.boxes import whole_grid
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 
 UNDEFINED = 3
-"""A cell of which no approximation has said anything yet (only between the stages)."""
+"""State, between the stages, of a cell that no approximation has determined yet."""
 
 
 @dataclass(frozen=True, eq=False)
 class Stages:
-    """The planning grid after each of the five steps of Figure 5.6."""
+    """The planning grid after each stage of Figure 5.6."""
 
     outside_filled: Grid
-    """(a) Outside objects are filled with unknown; all else is undefined."""
+    """(a) Outside objects are filled with unknown cells; all other cells are undefined."""
     outside_bounded: Grid
-    """(b) Their boundaries are drawn, unknown ones never over occupied ones."""
+    """(b) Their boundaries are drawn; unknown cells do not replace occupied ones."""
     inside_filled: Grid
-    """(c), (d) Within an inside object, what is undefined, or unknown but in none of the same robot's outside
-    objects, is free."""
+    """(c), (d) Within an inside object, cells become free that are undefined, or unknown and in no outside object of
+    the same robot."""
     inside_bounded: Grid
-    """(e) The boundaries of the inside objects are drawn over it, occupied ones over free ones."""
+    """(e) The boundaries of the inside objects are drawn; occupied cells replace free ones."""
     complete: Grid
-    """(f) What is undefined is unknown, and what the robot has seen itself stands. Then the guesses: what is
-    unknown beside a wall of any boundary is occupied, and unknown slivers are free."""
+    """(f) Undefined cells become unknown; the self-explored grid overrides all. With the options of `Drawing`, unknown
+    cells beside an occupied boundary become occupied, and unknown slivers free."""
 
 
 def five_stages(own: Grid, approximations: Sequence[Polygons], drawing: Drawing = THESIS) -> Stages:
-    """Merge approximations with one's own grid as Algorithm 9 does, line by line."""
+    """Merge the approximations of teammates with the self-explored grid `own` by Algorithm 9."""
     plan = np.full(own.shape, UNDEFINED, np.uint8)
     objects = [_objects(polygons, drawing) for polygons in approximations]
     outside = [[each for each in team_object if not each.inside] for team_object in objects]
@@ -96,7 +96,7 @@ class _Object:
 
 
 def _objects(polygons: Polygons, drawing: Drawing) -> list[_Object]:
-    """Rasterise each object by itself."""
+    """Rasterize each object by itself."""
     objects = []
     side, occupied = polygons.side, polygons.occupied
     places = np.column_stack([4 * polygons.x + SIDE_X[side], 4 * polygons.y + SIDE_Y[side]])

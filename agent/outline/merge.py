@@ -1,27 +1,28 @@
-"""Merging teammates' approximations with one's own map into the planning grid (section 5.2, Algorithm 9).
+"""Merging of teammates' approximations with the self-explored grid into the planning grid (section 5.2, Algorithm 9).
 
-Twice: `agent.outline.five_stages` goes step by step as Figure 5.6 does; `TeamMap` gets the same grid in an
-order-free form that is fast. There each approximation becomes a layer of bits a cell, layers are tallied, and of the
-claims that a cell has gathered the strongest counts:
+`agent.outline.five_stages` follows Figure 5.6 stage by stage. `TeamMap` computes the same grid faster, and independent
+of the order of approximations. Each approximation is drawn as claims about cells (`agent.outline.claims`). The claims
+of all teammates are counted, and the strongest claim about a cell decides:
 
-    occupied by an inside boundary > free by one > occupied by an outside boundary > free area > beside a wall
+    occupied inside edge > free inside edge > occupied outside edge > free area > beside a wall
 
-What the robot has seen itself overrides all claims. A cell of the planning grid follows from the cells around it,
-two away at most; so only where something has changed it is merged anew.
+The self-explored grid overrides all claims. A cell of the planning grid depends on the cells at most two away, so only
+the surroundings of changes are merged again.
 
-Two guesses, which the thesis does not make, keep robots from driving to what only looks unexplored
-because approximations are coarse (`Drawing`). A coarse wall runs a cell beside the true one, so who has seen
-free cells up to the true one finds unknown cells behind them: with `wide_walls` these are wall; without
-`wide_seen_walls` only beside walls that the robot has not seen itself, so that no small opening is lost. And
-approximations of areas that meet leave slivers between them: with `close_slivers` these are free.
+Two inferences, which the thesis does not make, keep robots from driving to cells that are unknown only because
+approximations are coarse (`Drawing`). First, a coarse wall can lie a cell beside the true wall. A robot that has seen
+free cells up to the true wall then finds unknown cells behind them: with `wide_walls` these become wall. Without
+`wide_seen_walls` this applies only beside walls that the robot has not seen itself, so that no small opening is lost.
+Second, approximations of adjacent areas leave slivers between them: with `close_slivers` these become free.
 
-From an approximation refined until it is exact, the teammate's own grid comes back (`rendered`) but for
-the cells of which Algorithm 9 cannot know:
+An approximation refined until it is exact gives the teammate's grid (`rendered`), except for cells that Algorithm 9
+cannot determine:
 
-- free cells that were out of the teammate's reach (not 4-connected to it) come back unknown;
-- occupied cells without a free 4-neighbour in reach, inside walls, come back unknown: no contour meets them;
-- unknown cells on the inside contour come back free, for a free edge of an inside object is drawn (stage 4).
-  With ``Drawing(free_inside_edges=False)`` they come back unknown.
+- free cells that are not 4-connected to the teammate become unknown;
+- occupied cells without a free 4-neighbor that the teammate can reach, inside walls, become unknown: no contour has
+  them;
+- unknown cells on the inside contour become free, because free edges of inside objects are drawn (stage 4). With
+  ``Drawing(free_inside_edges=False)`` they stay unknown.
 """
 
 from __future__ import annotations
@@ -37,15 +38,15 @@ from agent.outline.claims import (
     INSIDE_FREE,
     INSIDE_OCCUPIED,
     NEAR_WALL,
-    NO_TALLY,
+    NO_COUNTS,
     OUTSIDE_OCCUPIED,
     THESIS,
     THIN,
     WIDE_UNSEEN,
+    ClaimCounts,
     Drawing,
-    Drawn,
+    DrawnClaims,
     Layer,
-    Tally,
 )
 from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
@@ -55,12 +56,12 @@ from protocol.kernels import kernel
 
 
 class TeamMap:
-    """What a robot's teammates claim, merged with what it has seen itself; only what changes is done anew.
+    """Planning grid of a robot: the claims of its teammates, merged with its self-explored grid, updated incrementally.
 
     Parameters
     ----------
     drawing : Drawing
-        What of the teammates' approximations is drawn.
+        Parts of the approximations that are drawn, and inferences.
     cache : MemoCache
         Cache of intermediate results, shared by the robots of this process.
     """
@@ -68,66 +69,63 @@ class TeamMap:
     def __init__(self, drawing: Drawing = THESIS, cache: MemoCache = NO_CACHE) -> None:
         self._drawing = drawing
         self._cache = cache
-        self._drawn: dict[int, Drawn] = {}
+        self._drawn: dict[int, DrawnClaims] = {}
         self._near: Set[int] = frozenset()
-        """Teammates whose claims count as those of robots near."""
-        self._tally = NO_TALLY
+        """Teammates in range: their walls are widened."""
+        self._counts = NO_COUNTS
         self._changed: list[Boxes] = []
-        """Where claims have changed since the last merge."""
+        """Boxes of claims that have changed since the last merge."""
         self._resolved: Grid | None = None
-        """What the robot and its teammates say of each cell."""
+        """The planning grid before slivers are closed."""
         self._plan: Grid | None = None
-        """The same with slivers closed."""
+        """The planning grid."""
 
     def update(self, robot: int, approximation: Objects, changed: Boxes | None = None) -> None:
-        """Take over the approximation that `robot` has last saved.
-
-        It differs from the one before in the boxes `changed` at most (None: anywhere).
-        """
+        """Replace the approximation of `robot`, which has changed only in the boxes `changed` (None: anywhere)."""
         shape = approximation.shape
-        self._lay_out(shape)
+        self._allocate(shape)
         if robot not in self._drawn:
-            self._drawn[robot] = Drawn(shape, self._drawing, self._cache)
-        news = self._drawn[robot].follow(approximation, changed)
-        self._tally.count(news, robot in self._near)
-        self._changed.append(news.boxes)
+            self._drawn[robot] = DrawnClaims(shape, self._drawing, self._cache)
+        difference = self._drawn[robot].update(approximation, changed)
+        self._counts.apply(difference, robot in self._near)
+        self._changed.append(difference.boxes)
 
     def merged(self, own: Grid, near: Collection[int] | None = None, changed: Boxes | None = None) -> Grid:
         """Return the planning grid of a robot whose self-explored grid is `own`.
 
-        Walls are wide only of the teammates `near` (None: all): what they have just begun to see they will soon
-        tell better. `own` differs from the one merged last in the boxes `changed` at most (None: anywhere).
+        Only walls of the teammates `near` are widened (None: of all), because they will soon send better ones. `own`
+        has changed since the last call only in the boxes `changed` (None: anywhere).
 
-        The grid that is returned is written over by the next call.
+        The next call overwrites the returned grid.
         """
-        self._lay_out(own.shape)
+        self._allocate(own.shape)
         if self._drawing.wide_walls:
-            self._sort_out(self._drawn.keys() & (self._drawn if near is None else near))
+            self._set_near(self._drawn.keys() & (self._drawn if near is None else near))
         if self._resolved is None or self._plan is None or changed is None:
             self._resolved = np.zeros_like(own)
             self._plan = np.zeros_like(own) if self._drawing.close_slivers else self._resolved
             self._changed, changed = [whole_grid(own.shape)], NO_BOXES
         if self._changed or len(changed):
             claims_changed = np.concatenate([NO_BOXES, *self._changed])
-            guesses = self._drawing.wide, self._drawing.close_slivers
-            _merge(own, self._tally.claims, *guesses, claims_changed, changed, self._resolved, self._plan)
+            inferences = self._drawing.wide, self._drawing.close_slivers
+            _merge(own, self._counts.claims, *inferences, claims_changed, changed, self._resolved, self._plan)
             self._changed = []
         return self._plan
 
-    def _lay_out(self, shape: tuple[int, ...]) -> None:
-        """Begin with nothing claimed."""
-        if self._tally is NO_TALLY:
-            self._tally = Tally(shape)
+    def _allocate(self, shape: tuple[int, ...]) -> None:
+        """Allocate the counts at the first call."""
+        if self._counts is NO_COUNTS:
+            self._counts = ClaimCounts(shape)
 
-    def _sort_out(self, near: Set[int]) -> None:
-        """Note who is near."""
+    def _set_near(self, near: Set[int]) -> None:
+        """Update the claims of teammates that have become near, or are not near any more."""
         for robot in sorted(near ^ self._near):
-            self._changed.append(self._tally.turn(self._drawn[robot].layer, robot in near))
+            self._changed.append(self._counts.set_near(self._drawn[robot].layer, robot in near))
         self._near = near
 
 
 def rendered(approximation: Polygons, drawing: Drawing = THESIS) -> Grid:
-    """Return the grid that one approximation describes by itself."""
+    """Return the grid that one approximation represents."""
     team = TeamMap(drawing)
     team.update(0, Objects.of(approximation))
     return team.merged(np.zeros(approximation.shape, np.uint8))
@@ -136,28 +134,28 @@ def rendered(approximation: Polygons, drawing: Drawing = THESIS) -> Grid:
 def approximation_error(own: Grid, approximation: Polygons, drawing: Drawing = THESIS) -> int:
     """Count the cells in which a robot's grid and the rendering of its approximation differ: d(t) of Eq. 6.1.
 
-    Not 0 even for an exact approximation, for the cells of which Algorithm 9 cannot know (see above).
+    It is above 0 even for an exact approximation, because of the cells that Algorithm 9 cannot determine (see above).
     """
     return int(np.count_nonzero(own != rendered(approximation, drawing)))
 
 
 class ErrorCount:
-    """`approximation_error` of a grid and an approximation that change little by little.
+    """`approximation_error` of a grid and an approximation that change step by step.
 
     Parameters
     ----------
     drawing : Drawing
-        What is drawn; without guesses.
+        Parts that are drawn; without inferences.
     cache : MemoCache
         Cache of intermediate results, shared by the robots of this process.
     """
 
     def __init__(self, drawing: Drawing = THESIS, cache: MemoCache = NO_CACHE) -> None:
         if drawing.wide_walls or drawing.close_slivers:
-            raise ValueError(f"{drawing}: what receivers guess is no error of the approximation")
+            raise ValueError(f"{drawing}: inferences of receivers are no error of the approximation")
         self._drawing = drawing
         self._cache = cache
-        self._drawn: Drawn | None = None
+        self._drawn: DrawnClaims | None = None
         self._wrong: NDArray[np.bool_] = np.zeros((0, 0), np.bool_)
         self._count = 0
 
@@ -168,15 +166,15 @@ class ErrorCount:
         own_changed: Boxes | None = None,
         changed: Boxes | None = None,
     ) -> int:
-        """Return the error now; both differ from the last ones in the boxes at most (None: anywhere)."""
+        """Return the current error; grid and approximation have changed only in these boxes (None: anywhere)."""
         if self._drawn is None or changed is None or own_changed is None:
-            self._drawn = Drawn(approximation.shape, self._drawing, self._cache)
+            self._drawn = DrawnClaims(approximation.shape, self._drawing, self._cache)
             self._wrong = np.zeros(own.shape, np.bool_)
             self._count = 0
             own_changed = changed = whole_grid(approximation.shape)
         boxes = own_changed
         if len(changed):
-            boxes = union(boxes, self._drawn.follow(approximation, changed).boxes)
+            boxes = union(boxes, self._drawn.update(approximation, changed).boxes)
         if len(boxes):
             self._count += int(_count_wrong(own, self._drawn.layer, boxes, self._wrong))
         return self._count
@@ -184,7 +182,7 @@ class ErrorCount:
 
 @kernel("uint8(uint8, uint8, uint8)")
 def _strongest(known: int, claims: int, beside_wall: int) -> int:
-    """What a cell is by its claims and what the robot knows itself; and beside a wall."""
+    """Return the state of a cell by its strongest claim, unless the robot knows it itself."""
     cell = OCCUPIED if beside_wall else UNKNOWN
     cell = FREE if claims & FREE_AREA else cell
     cell = OCCUPIED if claims & OUTSIDE_OCCUPIED else cell
@@ -195,7 +193,7 @@ def _strongest(known: int, claims: int, beside_wall: int) -> int:
 
 @kernel("int64(uint8[:,::1], uint8[:,::1], int32[:,::1], boolean[:,::1])")
 def _count_wrong(own: Grid, claims: Layer, boxes: Boxes, wrong: NDArray[np.bool_]) -> int:
-    """Note in some boxes which cells are wrong; how many more there are than before."""
+    """Update `wrong`, the cells that differ, within boxes; return by how many their number has grown."""
     more = 0
     box = np.empty(4, np.int32)
     for number in range(len(boxes)):
@@ -212,9 +210,9 @@ def _count_wrong(own: Grid, claims: Layer, boxes: Boxes, wrong: NDArray[np.bool_
 
 @kernel("void(uint8[:,::1], uint8[:,::1], int64, int32[::1], uint8[:,::1])")
 def _resolve(own: Grid, claims: Layer, wide: int, box: NDArray[np.int32], resolved: Grid) -> None:
-    """Let the strongest claim of each cell count, and what the robot knows itself above all.
+    """Write the state of each cell in a box by its strongest claim, or by the self-explored grid.
 
-    The eight neighbours of walls of those near are beside one, if these are `wide`.
+    Depending on `wide`, the eight neighbors of the walls of near teammates count as beside a wall.
     """
     x0, x1 = box[0], box[2]
     height, width = own.shape
@@ -233,10 +231,10 @@ def _resolve(own: Grid, claims: Layer, wide: int, box: NDArray[np.int32], resolv
                 seen_here, seen_above = own[y, left:right], own[max(y - 1, 0), left:right]
                 seen_below = own[min(y + 1, height - 1), left:right]
                 for x in range(len(column)):
-                    relayed_state = here[x] if seen_here[x] != OCCUPIED else 0
-                    relayed_state |= above[x] if seen_above[x] != OCCUPIED else 0
-                    relayed_state |= below[x] if seen_below[x] != OCCUPIED else 0
-                    column[x] = relayed_state & NEAR_WALL
+                    unseen = here[x] if seen_here[x] != OCCUPIED else 0
+                    unseen |= above[x] if seen_above[x] != OCCUPIED else 0
+                    unseen |= below[x] if seen_below[x] != OCCUPIED else 0
+                    column[x] = unseen & NEAR_WALL
             for x in range(len(beside)):
                 beside[x] = walls[x] | walls[x + 1] | walls[x + 2]
         known, claimed, out = own[y, x0:x1], claims[y, x0:x1], resolved[y, x0:x1]
@@ -246,7 +244,7 @@ def _resolve(own: Grid, claims: Layer, wide: int, box: NDArray[np.int32], resolv
 
 @kernel("void(uint8[:,::1], uint8[:,::1], int32[::1], uint8[:,::1])")
 def _close_slivers(own: Grid, resolved: Grid, box: NDArray[np.int32], plan: Grid) -> None:
-    """Free the unknown cells between two free ones that the robot has not both seen itself."""
+    """Free, within a box, the unknown cells between two free ones of which the robot has not seen both itself."""
     height, width = own.shape
     for y in range(box[1], box[3]):
         for x in range(box[0], box[2]):
@@ -256,8 +254,8 @@ def _close_slivers(own: Grid, resolved: Grid, box: NDArray[np.int32], plan: Grid
             if 0 < x < width - 1 and resolved[y, x - 1] == FREE and resolved[y, x + 1] == FREE:
                 plan[y, x] = FREE if own[y, x - 1] == UNKNOWN or own[y, x + 1] == UNKNOWN else UNKNOWN
             if 0 < y < height - 1 and resolved[y - 1, x] == FREE and resolved[y + 1, x] == FREE:
-                is_heard = own[y - 1, x] == UNKNOWN or own[y + 1, x] == UNKNOWN
-                plan[y, x] = FREE if is_heard else plan[y, x]
+                is_reported = own[y - 1, x] == UNKNOWN or own[y + 1, x] == UNKNOWN
+                plan[y, x] = FREE if is_reported else plan[y, x]
 
 
 @kernel(
@@ -273,21 +271,21 @@ def _merge(
     resolved: Grid,
     plan: Grid,
 ) -> None:
-    """Bring all up to date that follows from what has changed."""
+    """Update all cells that depend on changed claims or on changed cells of the self-explored grid."""
     box = np.empty(4, np.int32)
-    spread = 0 if wide == THIN else 1
-    own_spread = 1 if wide == WIDE_UNSEEN else 0
+    margin = 0 if wide == THIN else 1
+    own_margin = 1 if wide == WIDE_UNSEEN else 0
     for number in range(len(claims_changed)):
-        clip(claims_changed[number], spread, own.shape, box)
+        clip(claims_changed[number], margin, own.shape, box)
         _resolve(own, claims, wide, box, resolved)
     for number in range(len(own_changed)):
-        clip(own_changed[number], own_spread, own.shape, box)
+        clip(own_changed[number], own_margin, own.shape, box)
         _resolve(own, claims, wide, box, resolved)
     if not close_slivers:
         return
     for number in range(len(claims_changed)):
-        clip(claims_changed[number], spread + 1, own.shape, box)
+        clip(claims_changed[number], margin + 1, own.shape, box)
         _close_slivers(own, resolved, box, plan)
     for number in range(len(own_changed)):
-        clip(own_changed[number], own_spread + 1, own.shape, box)
+        clip(own_changed[number], own_margin + 1, own.shape, box)
         _close_slivers(own, resolved, box, plan)

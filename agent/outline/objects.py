@@ -1,7 +1,7 @@
-"""Objects by the numbers that packets give them, in a form of which a new version costs what has changed.
+"""Numbered objects in a persistent form: a new version takes time and memory only for the changed objects.
 
-Vertices lie in a pool, to which they are only ever added; a table says for each number where they are. A version is a
-table: what an older one speaks of stays where it is.
+Vertices are in a pool, to which new ones are appended. A version is a table with the place of each object's vertices;
+older versions stay valid.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from agent.outline.polygons import Polygons
 from protocol.kernels import kernel
 
 FIRST, LENGTH, INSIDE, LEFT, TOP, RIGHT, BOTTOM = range(7)
-"""Columns of a table: where the vertices begin in the pool (-1: there is no such object), how many they are, whether
-they are those of the inside object, and a box around them with a cell to spare."""
+"""Columns of a table: index of the first vertex in the pool (-1: no such object), number of vertices, whether it is the
+inside object, and its bounding box with a margin of one cell."""
 
 _COLUMNS = 7
 
@@ -26,16 +26,16 @@ Symbols = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class Objects:
-    """Numbered objects; a version is equal to itself alone.
+    """One version of the numbered objects; versions are compared by identity.
 
     Attributes
     ----------
     shape : (int, int)
-        Height and width of the grid that they speak of, in cells.
+        Height and width of the grid, in cells.
     table : int32 array, shape (n, 7)
-        A row for each number.
+        One row for each number.
     pool : int32 array
-        Vertices as symbols: x, y, side, and in the lowest bit the occupancy of the edge.
+        Vertices as symbols: from the highest bits y + 1, x + 1 (12 bits), side (2), occupancy of the edge (1).
     """
 
     shape: tuple[int, int]
@@ -43,13 +43,13 @@ class Objects:
     pool: Symbols
 
     @staticmethod
-    def nothing(shape: tuple[int, int]) -> Objects:
-        """Return what there is before anything has been said."""
+    def empty(shape: tuple[int, int]) -> Objects:
+        """Return no objects."""
         return Objects(shape, np.empty((0, _COLUMNS), np.int32), np.empty(0, np.int32))
 
     @staticmethod
     def of(polygons: Polygons) -> Objects:
-        """Number some polygons from 0."""
+        """Number polygons from 0."""
         table, pool = np.empty((polygons.objects, _COLUMNS), np.int32), symbols(polygons)
         for number, inside in enumerate(polygons.inside.tolist()):
             first, end = polygons.start[number : number + 2].tolist()
@@ -63,7 +63,7 @@ class Objects:
 
 
 def symbols(polygons: Polygons) -> Symbols:
-    """Pack each vertex, x, y, side and occupancy, into one number."""
+    """Pack each vertex into one number (`Objects.pool`)."""
     packed: Symbols = _pack(polygons.x, polygons.y, polygons.side, polygons.occupied)
     return packed
 
@@ -82,7 +82,7 @@ def _pack(
 def unpack(
     vertices: Symbols,
 ) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.uint8], NDArray[np.uint8]]:
-    """Cells x and y, sides and occupancy of vertices. For other kernels."""
+    """Return x, y, side and occupancy of packed vertices."""
     n = len(vertices)
     x, y = np.empty(n, np.int16), np.empty(n, np.int16)
     side, occupied = np.empty(n, np.uint8), np.empty(n, np.uint8)
@@ -105,7 +105,7 @@ def _unpack(
     NDArray[np.int32], NDArray[np.int16], NDArray[np.int16], NDArray[np.uint8], NDArray[np.uint8],
     NDArray[np.int32], NDArray[np.bool_],
 ]:  # fmt: skip
-    """Numbers, and the columns of the polygons."""
+    """Return the numbers in use, and the columns of their polygons."""
     count = 0
     for row in table:
         count += row[FIRST] >= 0
@@ -129,7 +129,7 @@ def _unpack(
 
 @kernel("void(int32[:,::1], int64, int32[::1], int64, int64, boolean)")
 def enter(table: Table, number: int, pool: Symbols, first: int, length: int, inside: bool) -> None:
-    """Enter an object whose vertices are in the pool; it has one at least. For other kernels."""
+    """Write the row of an object whose vertices, at least one, are in ``pool[first : first + length]``."""
     x0 = y0 = 1 << 20
     x1 = y1 = -1
     for i in range(first, first + length):

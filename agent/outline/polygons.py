@@ -1,13 +1,13 @@
 """Polygons: the geometric model of an explored environment (thesis, section 3.4).
 
-One form serves the exact contours of a grid and every approximation of them, a robot's own and its
-teammates'. A polygon is an object: the one *inside* object encloses the free space and all else, each
-*outside* object stands in it and encloses what is occupied or unknown. Vertices run with the object on
-the left as one moves along (counterclockwise around an outside object on a picture with y down).
+One form serves the exact contours of a grid and all approximations of them. A polygon is called an object: the one
+*inside* object encloses the free space and all other objects; each *outside* object encloses occupied or unknown cells
+within the free space. Along its vertices the object lies on the left (counterclockwise around an outside object on a
+picture with y down).
 
-A vertex is a contour point: a non-free cell and the side on which its free neighbour lies. It stands a
-quarter of a cell off the cell's centre towards that neighbour, so that contours which share a cell do not
-touch. Cells run from -1, for one unknown cell is thought around the grid.
+A vertex is a contour point: a non-free cell, and the side on which its free neighbor lies. It is a quarter of a cell
+off the cell's center towards that neighbor, so contours that share a cell do not touch. Cell coordinates start at -1,
+because the grid has a border of one unknown cell.
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 BELOW, RIGHT, ABOVE, LEFT = 0, 1, 2, 3
-"""Sides of a cell, in the order in which a contour goes around it; the next one lies to the left."""
+"""Sides of a cell, in the order of a contour around it; each next side is reached by a turn to the left."""
 
 SIDE_X = np.array([0, 1, 0, -1], np.int64)
 SIDE_Y = np.array([1, 0, -1, 0], np.int64)
-"""Where the free neighbour on each side lies; also a vertex's offset from its centre, in quarter cells."""
+"""Direction of the neighbor on each side; also a vertex' offset from the center of its cell, in quarters of a cell."""
 
 
 @dataclass(frozen=True, eq=False)
 class Polygons:
-    """A set of closed polygons, all vertices in flat arrays behind each other.
+    """A set of closed polygons, whose vertices are concatenated in flat arrays.
 
     Attributes
     ----------
     shape : (int, int)
-        Height and width of the grid that they speak of, in cells.
+        Height and width of the grid, in cells.
     x, y : int16 arrays of shape (n,)
         Cell of each vertex.
     side : uint8 array of shape (n,)
-        Side of the cell on which the vertex stands: `BELOW`, `RIGHT`, `ABOVE` or `LEFT`.
+        Side of the cell: `BELOW`, `RIGHT`, `ABOVE` or `LEFT`.
     occupied : uint8 array of shape (n,)
-        Of exact contours: 1 where the vertex' cell is occupied, 0 where it is unknown. Of approximations: 1
-        where the edge from this vertex to the next is occupied, else it is free (inside object) or unknown.
+        In exact contours: 1 if the vertex' cell is occupied, 0 if it is unknown. In approximations: 1 if the edge
+        from this vertex to the next is occupied, 0 if it is free (inside object) or unknown (outside object).
     start : int32 array of shape (objects + 1,)
         Object ``k`` has the vertices ``start[k]:start[k + 1]``.
     inside : bool array of shape (objects,)
@@ -55,21 +55,21 @@ class Polygons:
     inside: NDArray[np.bool_]
 
     @staticmethod
-    def nothing(shape: tuple[int, int]) -> Polygons:
-        """Return the model in which nothing is explored: no objects."""
+    def empty(shape: tuple[int, int]) -> Polygons:
+        """Return no objects: an unexplored environment."""
         none16, none8 = np.empty(0, np.int16), np.empty(0, np.uint8)
         return Polygons(shape, none16, none16, none8, none8, np.zeros(1, np.int32), np.empty(0, np.bool_))
 
     @property
     def objects(self) -> int:
-        """How many polygons there are."""
+        """Number of polygons."""
         return len(self.inside)
 
     def canonical(self) -> list[tuple[bool, tuple[tuple[int, int, int, int], ...]]]:
-        """Return the polygons in a form that is equal for equal models.
+        """Return a form that does not depend on the order of objects and on where their lists start.
 
-        Each object is (inside, cycle of (x, y, side, occupied)) with the smallest vertex first, the objects
-        sorted: neither their order nor where their lists begin carries meaning.
+        Each object is (inside, cycle of (x, y, side, occupied)) with the smallest vertex first; the objects are
+        sorted.
         """
         cycles = []
         for k in range(self.objects):

@@ -1,13 +1,13 @@
-"""Drawing polygons into a grid: the cells that they enclose, and the cells of their edges.
+"""Rasterization of polygons: the cells that they enclose, and the cells of their edges.
 
-Both go by the same integer coordinates, in quarters of a cell, so that they fit: of two 4-neighbours of
-which a polygon encloses just one, at least one lies on its boundary. Free space cannot leak out.
+Both use the same integer coordinates, in quarters of a cell, so they are consistent: of two 4-neighbors of which a
+polygon encloses exactly one, at least one lies on its boundary. So free space cannot leak out.
 
-- A cell is enclosed if its centre is, by the even-odd rule.
-- An edge is drawn in one cell a column (steep ones: a row): where it passes the middle of the column, in
-  the nearest cell; in the first column, in the cell of its vertex. The last vertex is left to the edge that
-  begins there: an edge speaks of the contour points before it. An exact edge, which is straight or
-  diagonal, is drawn in just the cells of its contour points.
+- A cell is enclosed if its center is, by the even-odd rule.
+- An edge is drawn in one cell per column (steep edges: per row): the cell nearest to its point in the middle of the
+  column, and in the first column the cell of its first vertex. The cell of its last vertex belongs to the next edge,
+  because an edge represents the contour points before that vertex. An exact edge, which is straight or diagonal, is
+  drawn in exactly the cells of its contour points.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from protocol.kernels import kernel
 
 Edges = NDArray[np.int32]
-"""Shape (n, 5): where an edge begins and ends, x and y, in quarters of a cell; and whether it is occupied."""
+"""Shape (n, 5): x and y of the first and of the last vertex, in quarters of a cell; 1 if the edge is occupied."""
 
 
 @kernel("UniTuple(int64, 4)(int32[::1])")
 def _four(numbers: NDArray[np.int32]) -> tuple[int, int, int, int]:
-    """The first four numbers, wide enough for products of them."""
+    """Return the first four numbers as int64, so that products do not overflow."""
     return numbers[0], numbers[1], numbers[2], numbers[3]
 
 
@@ -35,10 +35,9 @@ def fill(
     clear_bits: int,
     box: NDArray[np.int32],
 ) -> None:
-    """Set and clear bits of the cells in a box that a polygon encloses.
+    """Set and clear bits of all cells in a box that a polygon encloses.
 
-    `edges` are those that cross a column of the box, in it or above it, at least. The box, (x0, y0, x1, y1), is on the
-    grid.
+    `edges` must contain all edges that cross a column of the box, within it or above it. The box must be on the grid.
     """
     x0, y0, x1, y1 = _four(box)
     toggles = np.zeros((y1 - y0, x1 - x0), np.uint8)
@@ -48,7 +47,7 @@ def fill(
         low_x, low_y, high_x, high_y = _four(edges[e])
         if low_x > high_x:
             low_x, low_y, high_x, high_y = high_x, high_y, low_x, low_y
-        # The edge crosses the columns whose middle lies in [low, high); all cells below it there toggle.
+        # The edge crosses the columns whose middle is in [low, high): there it toggles all cells below it.
         column, last = max((low_x + 3) >> 2, x0), min((high_x + 3) >> 2, x1) - 1
         if column > last or min(low_y, high_y) > 4 * y1:
             continue
@@ -81,7 +80,7 @@ def draw(
     clear_bits: int,
     box: NDArray[np.int32],
 ) -> None:
-    """Draw edges of a polygon, as far as they lie in a box on the grid.
+    """Draw the edges of a polygon within a box on the grid.
 
     Clears `clear_bits` in all their cells; sets `occupied_bits` on occupied edges, `other_bits` on others.
     """
@@ -93,8 +92,8 @@ def draw(
             continue
         bits = occupied_bits if edges[e, 4] else other_bits
         run, rise = b_x - a_x, b_y - a_y
-        # Along the axis of the longer extent, `at` counts columns (or rows) from the first vertex' own; the box has
-        # those from number `skipped` up to `cells`.
+        # `at` runs along the axis of the longer extent, from the column (or row) of the first vertex; the box contains
+        # its steps from `skipped` to `cells` - 1.
         flat = abs(run) >= abs(rise)
         at, last, low, high = (x, end_x, x0, x1) if flat else (y, end_y, y0, y1)
         step = 1 if last > at else -1
@@ -105,7 +104,7 @@ def draw(
             numerator, denominator, slope = a_y * run + rise * (4 * at - a_x), 4 * run, 4 * rise * step
         else:
             numerator, denominator, slope = a_x * rise + run * (4 * at - a_y), 4 * rise, 4 * run * step
-        if denominator == 0:  # both vertices are the same, which only a hostile stream says
+        if denominator == 0:  # both vertices are equal, which only a malicious stream contains
             numerator, denominator = a_y, 4
         elif denominator < 0:
             numerator, denominator, slope = -numerator, -denominator, -slope
@@ -117,7 +116,7 @@ def draw(
             if x0 <= column < x1 and y0 <= row < y1:
                 layer[row, column] = layer[row, column] & ~clear_bits | bits
             at += step
-            rest += slope  # no slope is steeper than a cell a cell
+            rest += slope  # the slope is at most one cell per cell
             if rest >= denominator:
                 rest -= denominator
                 across += 1

@@ -1,9 +1,9 @@
-"""Line simplification: where an approximation is refined next (thesis, section 4.3, Algorithm 6).
+"""Refinement of an approximation by line simplification (thesis, section 4.3, Algorithm 6).
 
-Douglas-Peucker over all polygons at once, by a priority queue over all edges: the most valuable edge is
-split at the contour point farthest from it, its two halves go back into the queue. Two vertices of an
-object halve it into two open lines, so the algorithm needs no other beginning. Distances are to the
-segment, in exact integers: coordinates count quarters of a cell.
+This is the Douglas-Peucker algorithm over all polygons at once. A priority queue holds all edges: the most valuable
+edge is split at the contour point farthest from it, and its two halves are queued. An object has at least two vertices,
+which divide it into two open lines to start with. Distances are to the segment, in exact integers: coordinates count
+quarters of a cell.
 """
 
 from __future__ import annotations
@@ -22,28 +22,28 @@ from protocol.packets import MAX_VERTICES
 
 @dataclass(frozen=True)
 class ValueFunction:
-    """What it is worth to split an edge; larger is sooner.
+    """Priority of splitting an edge; larger values first.
 
     Attributes
     ----------
     mixed : float
-        What an edge of mixed occupancy is worth beyond the distance of its farthest contour point, in cells.
+        Added to the value of an edge of mixed occupancy, in cells.
     """
 
     mixed: float
 
     def __call__(self, distance: float, mixed: bool) -> float:
-        """Value an edge by the distance of its farthest contour point, and whether its occupancy is mixed."""
+        """Return the value of an edge from the distance of its farthest contour point, in cells, and its occupancy."""
         return distance + self.mixed if mixed else distance
 
 
 by_distance = ValueFunction(0.0)
-"""An edge counts by its distance alone: the thesis' rule."""
+"""Value edges by distance alone, as in the thesis."""
 
 mixed_first = ValueFunction(1e6)
-"""Edges that stand for occupied and unknown points alike count above all others.
+"""Value edges with occupied and unknown contour points above all others.
 
-Such an edge counts as unexplored, so it sends teammates to walls that are known."""
+Teammates take such an edge for unexplored and drive to a wall that is already known."""
 
 
 def refine(
@@ -56,22 +56,22 @@ def refine(
     contours : Polygons
         The exact contours P(t).
     marks : int32 array, ascending
-        The vertices of the approximation, as positions in `contours`; at least two an object.
+        Vertices of the approximation, as indices into `contours`; at least two per object.
     splits : int, optional
-        How many edges to split; by default until the approximation is exact.
+        Number of edges to split; by default until the approximation is exact.
     value : ValueFunction
-        Which edge comes first; of equal ones the earlier in the contours.
+        Determines which edge is split first; of equal values the edge that is earlier in the contours.
 
     Returns
     -------
     int32 array, ascending
-        `marks`, and one more for each split: fewer than `splits` where the approximation is exact before.
+        `marks`, and one more for each split; fewer than `splits` if the approximation becomes exact.
 
     Notes
     -----
-    It is exact when each edge's contour points lie on it and are all occupied or all unknown. A straight
-    edge of mixed occupancy is split where the occupancy first changes. An object of 4096 vertices, the
-    most that packets can speak of, is not refined further.
+    It is exact when the contour points of each edge lie on it and are all occupied or all unknown. A straight edge of
+    mixed occupancy is split where the occupancy first changes. An object of 4096 vertices, the most that packets can
+    address, is not refined further.
     """
     if splits == 0:
         return marks
@@ -87,10 +87,10 @@ _Places = NDArray[np.int32]
 def _split_of(
     x: _Places, y: _Places, occupied: NDArray[np.uint8], first: int, end: int, a: int, b: int
 ) -> tuple[float, int, bool]:
-    """Look at the edge from point `a` to point `b` of the object ``first:end``; places in quarters of a cell.
+    """Find the split of the edge from point `a` to point `b` of the object ``first:end``.
 
-    Returns the distance of the farthest point in cells, where to split (-1: the edge is exact), and
-    whether the occupancy is mixed.
+    Coordinates are in quarters of a cell. Returns the distance of the farthest point in cells, the index of the
+    split point (-1: the edge is exact), and whether the occupancy is mixed.
     """
     i = a + 1 if a + 1 < end else first
     if i == b:
@@ -135,9 +135,9 @@ def _split_all(
     marked: NDArray[np.bool_],
     vertices: NDArray[np.int64],
 ) -> bool:
-    """Split edges (a, b, split, object) until all are exact; whether no object has too many vertices then.
+    """Split edges (a, b, split, object) until all are exact; return False if an object gets too many vertices.
 
-    Which comes first makes no difference.
+    The result does not depend on the order of splits.
     """
     waiting = np.empty((len(x) + 2, 3), np.int64)
     for edge in edges:
@@ -171,14 +171,14 @@ def _refine(
     splits: int,
     worth_of_mixed: float,
 ) -> NDArray[np.int32]:
-    """Split as many edges as wanted; all that are not exact where `splits` is negative."""
+    """Split `splits` edges; if it is negative, split until the approximation is exact."""
     x, y = np.empty(len(cell_x), np.int32), np.empty(len(cell_x), np.int32)
     for i in range(len(cell_x)):
         x[i] = 4 * cell_x[i] + SIDE_X[side[i]]
         y[i] = 4 * cell_y[i] + SIDE_Y[side[i]]
     marked = np.zeros(len(x), np.bool_)
     vertices = np.zeros(len(start) - 1, np.int64)
-    worth = np.empty(len(marks))  # of the edges that are not exact
+    worth = np.empty(len(marks))  # values of the edges that are not exact
     edges = np.empty((len(marks), 4), np.int64)
     count = 0
     most = 0
@@ -204,14 +204,14 @@ def _refine(
         so_far, so_many = marked.copy(), vertices.copy()
         if _split_all(x, y, occupied, start, edges[:count], marked, vertices):
             return np.flatnonzero(marked).astype(np.int32)
-        marked, vertices = so_far, so_many  # an object is full: now it matters which edge comes first
+        marked, vertices = so_far, so_many  # an object is full: now the order of splits matters
         splits = len(x)
 
-    # Of the edges that there are, no more than `splits` are split.
+    # At most `splits` of the present edges are split: queue only the most valuable ones.
     least = np.full(1, -np.inf)
     if splits < count and most + splits <= MAX_VERTICES:
         least = np.partition(worth[:count], count - splits)[count - splits :]
-    queue = [(0.0, 0, 0, 0, 0)]  # minus the value, the edge's two points, where to split it, its object
+    queue = [(0.0, 0, 0, 0, 0)]  # negative value, end points of the edge, split point, object
     queue.clear()
     for e in range(count):
         if worth[e] >= least[0]:

@@ -1,12 +1,12 @@
-"""Splitting frequency: how finely to approximate so that the radio can carry it (thesis, section 5.3).
+"""Splitting frequency: the fineness of the approximations that the radio has capacity for (thesis, section 5.3).
 
-All that r robots refine must reach the r - 1 others of each: s splits a step at d bytes a split cost
-r (r - 1) d s bytes. Robots are in touch with probability p, and only a part u of the medium is planned
-with, for objects emerge and robots meet in bursts. So (Eq. 5.5)
+The edits of r robots must reach r - 1 others each: s splits per step at d bytes per split cost r (r - 1) d s bytes. Two
+robots can communicate with probability p, and only a fraction u of the bandwidth b is planned with, because objects
+emerge and robots meet in bursts. So (Eq. 5.5)
 
     s = b p u / (r (r - 1) d)
 
-The thesis' sample runs (Figures 4.8, 6.18, A.2) give s itself.
+The sample runs of the thesis (Figures 4.8, 6.18, A.2) fix s.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 START_BYTES = 11.0
-"""d before anything is measured: a `Change` and an `Insert`."""
+"""Initial d: bytes of a `Change` and an `Insert`."""
 
 START_SPLITS = 20
-"""As many splits of `START_BYTES` are thought to have been seen before the first one."""
+"""Weight of the initial d in the running mean, in splits."""
 
 
 @dataclass(frozen=True)
@@ -29,17 +29,17 @@ class Splitting:
     robots : int
         Size of the team, r.
     bandwidth : float or None
-        Bytes a step for the whole team, b; None: unlimited.
+        Bytes per step for the whole team, b; None: unlimited.
     reach : float
         Communication range c, in the unit of `width` and `height`; may be infinite.
     width, height : float
-        Sides of the world.
+        Size of the environment.
     medium_use : float
-        Part u of the medium that is planned with.
+        Fraction u of the bandwidth that is planned with.
     bytes_per_split : float or None
-        Mean bytes that a split causes, d; None: measured as the run goes.
+        Mean bytes per split, d; None: measured during the run.
     fixed : float or None
-        Splits a step, whatever the medium carries; None: by Eq. 5.5.
+        Splits per step, independent of the bandwidth; None: by Eq. 5.5.
     """
 
     robots: int
@@ -62,12 +62,12 @@ class Splitting:
 
     @property
     def touch(self) -> float:
-        """Probability p that some two robots can talk, if they are spread evenly over the world (Eq. 5.6)."""
+        """Probability p that two robots can communicate, if they are spread evenly over the environment (Eq. 5.6)."""
         pairs = self.robots * (self.robots - 1) / 2
         return min(1.0, self.reach / self.width * (self.reach / self.height) * pairs)
 
     def frequency(self, bytes_per_split: float) -> float | None:
-        """Splits a step, s; None where nothing limits them: one robot, or unlimited bandwidth (Eq. 5.5)."""
+        """Return the splits per step, s (Eq. 5.5); None: unlimited, for one robot or unlimited bandwidth."""
         if self.fixed is not None:
             return self.fixed
         if self.bandwidth is None or self.robots == 1:
@@ -77,12 +77,12 @@ class Splitting:
 
 
 class SplitAllowance:
-    """Hands out whole splits step by step; fractions are carried over.
+    """Integer number of splits for each step; fractions are carried over.
 
     Parameters
     ----------
     splitting : Splitting
-        Parameters. Where ``bytes_per_split`` is None, d is the running mean of what is reported by `spent`.
+        Parameters. If ``bytes_per_split`` is None, d is the running mean of the costs reported by `spent`.
     """
 
     def __init__(self, splitting: Splitting) -> None:
@@ -93,12 +93,12 @@ class SplitAllowance:
 
     @property
     def bytes_per_split(self) -> float:
-        """d as it stands, in bytes."""
+        """Current d, in bytes."""
         given = self._splitting.bytes_per_split
         return self._bytes / self._splits if given is None else given
 
     def next_step(self) -> int | None:
-        """Return how many edges to split in this step; None: until the approximation is exact."""
+        """Return the number of edges to split in this step; None: split until the approximation is exact."""
         frequency = self._splitting.frequency(self.bytes_per_split)
         if frequency is None:
             return None
@@ -108,6 +108,6 @@ class SplitAllowance:
         return splits
 
     def spent(self, splits: int, size: int) -> None:
-        """Report that `splits` splits took `size` bytes of edits: those beyond what repair alone took."""
+        """Report that `splits` splits added `size` bytes to the edits of the repair."""
         self._splits += splits
         self._bytes += size

@@ -1,5 +1,5 @@
-"""From a planning grid to a path: frontiers and candidates, costs, utility, assignment, routes.
+"""Planning algorithms on a grid: frontiers, goal candidates, path costs, utilities, assignments, tours and routes.
 
-It imports `protocol` and nothing else of ours. Begin with `path_planner.py`, which brings costs, paths and
-frontiers of one grid together; the strategies are made of the other files.
+Begin with `path_planner.py`, which offers costs, paths and frontiers of one grid. The strategies combine the other
+files.
 """

@@ -1,7 +1,7 @@
-"""Who goes where: assignments of goals to robots, from what each way costs and each goal is worth.
+"""Assignments of goals to robots, by the costs of ways and the utilities of goals.
 
-An assignment is an int64 array with the number of each robot's goal, -1 for a robot without one. Where
-several are equally good, the robot and then the goal that come first count.
+An assignment is an int64 array with the index of each robot's goal, -1 for none. Of equally good assignments the one
+with the first robot, then the first goal counts.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from protocol.grid import Grid
 from protocol.kernels import kernel
 
 Costs = NDArray[np.float64]
-"""Shape (robots, goals); infinite where no way leads."""
+"""Shape (robots, goals); infinite without a way."""
 
 Assignment = NDArray[np.int64]
 
@@ -23,7 +23,7 @@ STARTS = 8
 
 
 def greedy(costs: Costs, order: NDArray[np.int64]) -> Assignment:
-    """One robot after the other, in the given order, takes the nearest goal left (Faigl and Vanek, GA)."""
+    """Give each robot, in the given order, the nearest goal that is left (Faigl and Vanek 2014, GA)."""
     left = costs.copy()
     given = np.full(len(costs), -1)
     for robot in order:
@@ -35,7 +35,7 @@ def greedy(costs: Costs, order: NDArray[np.int64]) -> Assignment:
 
 
 def iterative(costs: Costs) -> Assignment:
-    """All pairs by their cost: the cheapest with both robot and goal free is taken (Faigl and Vanek, IA)."""
+    """Repeatedly assign the cheapest pair whose robot and goal are both free (Faigl and Vanek 2014, IA)."""
     left = costs.copy()
     given = np.full(len(costs), -1)
     for _ in range(min(costs.shape)):
@@ -49,7 +49,7 @@ def iterative(costs: Costs) -> Assignment:
 
 
 def hungarian(costs: Costs) -> Assignment:
-    """The assignment of least total cost; with fewer goals than robots `iterative` (Faigl and Vanek, HA)."""
+    """Return the assignment of least total cost; `iterative` for fewer goals than robots (Faigl and Vanek 2014, HA)."""
     robots, goals = costs.shape
     if goals < robots:
         return iterative(costs)
@@ -65,8 +65,8 @@ def hungarian(costs: Costs) -> Assignment:
 def in_turn(grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, ranges: Costs) -> Assignment:
     """Assign goals as Algorithm 1 of Burgard et al. (section II-C) does.
 
-    The pair of best utility minus cost is taken; utilities around its goal are lowered; again, until every
-    robot has a goal. Two robots may have the same where there is nothing better.
+    Assign the pair of best utility minus cost, lower the utilities around its goal, and repeat until every robot has a
+    goal. Two robots may share a goal if no other is better.
 
     Parameters
     ----------
@@ -75,11 +75,11 @@ def in_turn(grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, 
     goals : int32 array, shape (n, 2)
         Cells (x, y).
     utility : float64 array, shape (n,)
-        What each goal is worth before anyone takes one.
+        Utility of each goal before the assignment.
     costs : float64 array, shape (m, n)
-        Weighted by beta, in the unit of utilities.
+        Costs times beta, comparable to utilities.
     ranges : float64 array, shape (m,)
-        Sensor range of each robot, in cells: it lowers utilities around the goal that this robot has.
+        Sensor range of each robot in cells; utilities around its goal are lowered within it.
     """
     worth = utility.copy()
     given = np.full(len(costs), -1)
@@ -98,10 +98,10 @@ def best_of_all(
     grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, ranges: Costs,
     random: np.random.Generator,
 ) -> Assignment:  # fmt: skip
-    """Search the assignment that `total_value` finds best (Burgard et al., Algorithm 2).
+    """Search for the assignment with the largest `total_value` (Burgard et al. 2005, Algorithm 2).
 
-    Hill climbing (one robot takes another goal, or two swap theirs) from what `in_turn` gives and from
-    `STARTS` random assignments. Parameters as `in_turn`, costs squared before they are weighted.
+    Hill climbing from the assignment of `in_turn` and from `STARTS` random ones: a robot takes another goal, or two
+    robots swap goals. Parameters are those of `in_turn`, with costs squared before they are weighted.
     """
     cost = np.where(np.isfinite(costs), costs, 1e9)
     first = in_turn(grid, goals, utility, cost, ranges)
@@ -118,7 +118,7 @@ def best_of_all(
 def total_value(
     grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, ranges: Costs, given: Assignment
 ) -> float:  # fmt: skip
-    """Sum over all robots of the utility of its goal, lowered by all others' goals, minus its cost."""
+    """Return the sum over all robots of the utility of its goal, lowered by all other goals, minus its cost."""
     total = 0.0
     for robot, goal in enumerate(given):
         others = [
@@ -134,7 +134,7 @@ def total_value(
 def _overlap(
     grid: Grid, goals: NDArray[np.int32], one: int, other: int, range_one: float, range_other: float
 ) -> float:
-    """By how much two robots with these goals and ranges lower each other's utilities, together."""
+    """Sum of the amounts by which two robots with these goals and ranges lower each other's utilities."""
     lowered = sees(grid, goals[one], goals[other], range_one)
     if range_one == range_other:
         return lowered + lowered

@@ -1,10 +1,9 @@
-"""The frontier cell of the best trade-off of utility and cost, found without a look at those that are too far.
+"""Branch-and-bound search for the frontier cell of the best trade-off of utility and cost.
 
-Thesis, section 4.4: it is the cell t with the largest U(t) - beta V(t). No utility is above 1, and each
-teammate's target that is counted lowers it or leaves it. So what has been counted so far bounds a cell's
-trade-off from above, and 1 - beta V that of all cells beyond the search. Always the cell, or the search, of
-the highest bound goes on; the first cell that is there with all targets counted is the best. Of the map
-only what lies near is looked at, and of most cells few targets are counted.
+The thesis (section 4.4) chooses the cell t with the largest U(t) - beta V(t). Utilities are at most 1, and each
+teammate's target can only lower them. So the targets counted so far give an upper bound for a cell, and 1 - beta V is
+one for all cells that the search has not reached. The search always continues with the highest bound. The first cell
+with all targets counted is the best one. It visits only near cells, and counts few targets for most of them.
 """
 
 from __future__ import annotations
@@ -23,19 +22,19 @@ from protocol.kernels import kernel
 
 
 @dataclass(frozen=True)
-class Appeal:
-    """What makes a frontier cell worth going to.
+class TradeOff:
+    """Parameters of the trade-off.
 
     Attributes
     ----------
     targets : int32 array, shape (n, 2)
-        Cells (x, y) to which teammates are headed.
+        Cells (x, y) to which teammates drive.
     weights : float64 array, shape (n,)
-        How much each counts, 0 or more.
+        Weight of each target, 0 or more.
     ranges : float64 array, shape (n,)
-        Sensor range of the robot that is headed there, in cells: utilities are lowered within it.
+        Sensor range of each of these teammates in cells; utilities around its target are lowered within it.
     scale : float
-        Sensor range in which ways are counted, in cells.
+        Sensor range that is the unit of V, in cells.
     beta : float
         Weight of cost against utility, 0 or more.
     """
@@ -48,30 +47,30 @@ class Appeal:
 
 
 def best_frontier(
-    floor: Floor, grid: Grid, x: int, y: int, appeal: Appeal
+    floor: Floor, grid: Grid, x: int, y: int, trade_off: TradeOff
 ) -> tuple[tuple[int, int], NDArray[np.int32]] | None:
     """Find the frontier cell of the largest U - beta V among those that can be reached from (x, y).
 
-    The same cell as by `agent.planning.utility.utilities` and `agent.planning.cost_field.costs` of all; of
-    equals the first, row by row.
+    The result equals that of `agent.planning.utility.utilities` and `agent.planning.cost_field.costs` for all cells. Of
+    equal cells the first counts, row by row.
 
     Parameters
     ----------
     floor : Floor
-        Where the robot may drive.
+        The cells that the robot may enter.
     grid : uint8 array, shape (h, w)
-        What is known: a frontier cell is a free one with an unknown 4-neighbour.
+        The planning grid; a frontier cell is free and has an unknown 4-neighbor.
 
     Returns
     -------
     cell : (x, y)
     way : int32 array, shape (n, 2)
-        Cells (x, y) of a shortest way there, without its start (`agent.planning.cost_field.way`).
-        None instead of both if no frontier cell can be reached.
+        Cells (x, y) of a shortest way to it, without the start (`agent.planning.cost_field.way`).
+        None instead of both if no frontier cell is reachable.
     """
     work = workspace(len(floor.free))
-    counted = appeal.targets, appeal.weights, appeal.ranges
-    cell, way = _search(floor.free, grid, x, y, *counted, appeal.scale, appeal.beta, *work)
+    counted = trade_off.targets, trade_off.weights, trade_off.ranges
+    cell, way = _search(floor.free, grid, x, y, *counted, trade_off.scale, trade_off.beta, *work)
     return None if cell < 0 else ((cell % floor.stride - 1, cell // floor.stride - 1), way)
 
 
@@ -99,7 +98,7 @@ def _search(
     buckets = begin(length, came, touched, fill, start)
     offset = offsets(stride)
     here = np.empty(2, np.int32)
-    # Minus a bound on the trade-off, the cell, how many targets have been counted, the utility that they leave.
+    # Entries: negative bound, cell, number of counted targets, utility after these.
     queue = [(0.0, buckets[0, 0], 0, 0.0)]
     queue.clear()
     level = 0

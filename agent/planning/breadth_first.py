@@ -1,8 +1,8 @@
-"""Breadth-first search for the next frontier cell, to the letter (Al-khawaldah and Nuechter, Algorithm 1).
+"""Breadth-first search for the next frontier cell, exactly as in Al-khawaldah and Nuechter 2014, Algorithm 1.
 
-A step to any of the eight neighbours counts one; a diagonal step needs both cells beside it free. A cell is of
-the frontier if it is free and one of its eight neighbours is unknown (step 2). The search ends with the first
-such cell that lies out of range of all teammates' targets (steps 4 to 6), or else takes the first of all (7).
+A step to any of the eight neighbors has length 1; a diagonal step needs both cells beside it free. A frontier cell is
+free and has an unknown 8-neighbor (step 2 of the algorithm). The search ends with the first frontier cell out of range
+of all teammates' targets (steps 4 to 6); without one it takes the first frontier cell (step 7).
 """
 
 from __future__ import annotations
@@ -14,33 +14,33 @@ from protocol.grid import FREE, UNKNOWN, Grid
 from protocol.kernels import kernel
 
 _STEPS = np.array([(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)], np.int64)
-"""Straight steps are tried before diagonal ones."""
+"""Neighbors (dx, dy): straight steps before diagonal ones."""
 
 
 def first_by_hops(
     floor: Grid, grid: Grid, start: tuple[int, int], taken: NDArray[np.int32], ranges: ArrayLike
 ) -> tuple[tuple[int, int], NDArray[np.int32]] | None:
-    """Find the first frontier cell that breadth-first search from `start` meets, and the way there.
+    """Find the first frontier cell of a breadth-first search from `start`, and the way to it.
 
     Parameters
     ----------
     floor : uint8 array, shape (h, w)
-        Where the robot may drive; its own cell counts as free.
+        The cells that the robot may enter; its own cell counts as free.
     grid : uint8 array, shape (h, w)
-        What is known.
+        The planning grid.
     start : (x, y)
         The robot's cell.
     taken : int32 array, shape (n, 2)
-        Cells (x, y) to which teammates are headed.
-    ranges : float, or one for each of taken
-        How far around each nothing is taken up while there is something else, in cells.
+        Cells (x, y) to which teammates drive.
+    ranges : float or float array, shape (n,)
+        Distance in cells within which a teammate's target excludes frontier cells.
 
     Returns
     -------
     cell : (x, y)
     way : int32 array, shape (m, 2)
-        Cells (x, y) with the fewest steps there, without its start.
-        None instead of both if no frontier cell can be reached.
+        Cells (x, y) of a way with the fewest steps, without the start.
+        None instead of both if no frontier cell is reachable.
     """
     around = np.broadcast_to(np.asarray(ranges, np.float64), len(taken)).copy()
     way = np.empty((grid.size, 2), np.int32)
@@ -52,13 +52,13 @@ def first_by_hops(
 
 
 def is_wide_frontier(grid: Grid, x: int, y: int) -> bool:
-    """Whether cell (x, y) is free with an unknown 8-neighbour."""
+    """Whether cell (x, y) is free with an unknown 8-neighbor."""
     return bool(_wide_frontier_at(grid, x, y))
 
 
 @kernel("boolean(uint8[:,::1], int64, int64)")
 def _wide_frontier_at(grid: Grid, x: int, y: int) -> bool:
-    """`is_wide_frontier`; what lies behind a corner of two occupied cells can never be seen, and does not count."""
+    """`is_wide_frontier` for kernels, without cells behind the corner of two occupied cells: they are never visible."""
     height, width = grid.shape
     if grid[y, x] != FREE:
         return False
@@ -81,7 +81,7 @@ def _search(
     ranges: NDArray[np.float64],
     way: NDArray[np.int32],
 ) -> int:
-    """Write the way to the cell that is found, backwards, and return its length; -1 if there is none."""
+    """Write the way to the found cell, backwards, and return its length; -1 if no cell is found."""
     height, width = grid.shape
     came = np.full((height, width), -1, np.int8)
     queue = np.empty((height * width, 2), np.int32)

@@ -1,11 +1,11 @@
-"""Goal candidates: which cells are worth going to.
+"""Goal candidates: a selection of the frontier cells.
 
-cells          every frontier cell that can be reached
-rfe            representatives of free edges (Faigl and Vanek, section 3.2)
-anr            the same, but no fewer than there are robots (section 4.3)
-breadth-first  one: the frontier cell nearest to the robot that no teammate is headed for (Al-khawaldah
-               and Nuechter, Algorithm 1, steps 4 to 7)
-hops           the same to the letter: steps of eight directions count one each, and so do neighbours
+cells          every reachable frontier cell
+rfe            representatives of frontier segments ("free edges" in Faigl and Vanek 2014, section 3.2)
+anr            the same, at least as many as robots (section 4.3)
+breadth-first  one cell: the nearest frontier cell that no teammate drives to (Al-khawaldah and Nuechter 2014,
+               Algorithm 1, steps 4 to 7)
+hops           the same exactly as in the paper: steps and frontier cells use all eight neighbors
 """
 
 from __future__ import annotations
@@ -24,35 +24,35 @@ from protocol.kernels import kernel
 CANDIDATES = ("cells", "rfe", "anr", "breadth-first", "hops")
 
 SEARCHED = ("breadth-first", "hops")
-"""Those that a search from the robot's own cell finds, one each."""
+"""Candidates that a search from the robot's cell finds, one cell each."""
 
 Edges = tuple[NDArray[np.int32], NDArray[np.int64]]
-"""Cells, edge after edge, and how many each edge has."""
+"""Cells, segment after segment, and the number of cells of each segment."""
 
 LEAST_CELLS = 3
-"""A free edge of fewer cells has no representative while there is one of as many (n_f = 2 in the paper)."""
+"""Shorter frontier segments have no representative unless all are shorter (n_f = 2 in the paper)."""
 
 
 def goal_candidates(
     kind: str, frontier: NDArray[np.int32], range_cells: float, robots: int
 ) -> NDArray[np.int32]:
-    """The goals that a robot, or its team, may choose from.
+    """Return the goals that a robot or its team chooses from.
 
     Parameters
     ----------
     kind : str
-        One of `CANDIDATES` that is none of `SEARCHED`.
+        One of `CANDIDATES`, but none of `SEARCHED`.
     frontier : int32 array, shape (n, 2)
-        Frontier cells (x, y) that can be reached, row by row.
+        Reachable frontier cells (x, y), row by row.
     range_cells : float
-        Sensor range of those for whom they are.
+        Sensor range in cells.
     robots : int
-        How many robots the goals are for.
+        Number of robots that choose.
 
     Returns
     -------
     int32 array, shape (m, 2)
-        Cells (x, y) of the frontier; empty only if that is.
+        Cells (x, y) of the frontier; empty only for an empty frontier.
     """
     if kind == "cells" or not len(frontier):
         return frontier
@@ -66,21 +66,21 @@ def searched_candidate(
     targets: Sequence[tuple[int, int]],
     ranges: ArrayLike,
 ) -> NDArray[np.int32]:
-    """The goal that a search from the robot's cell finds, one of `SEARCHED`.
+    """Return the goal that a search from the robot's cell finds; `kind` is one of `SEARCHED`.
 
     Parameters
     ----------
     here : (x, y)
         The robot's cell.
     targets : sequence of (x, y)
-        Where teammates are headed.
-    ranges : float, or one for each of targets
-        Sensor range of these teammates.
+        Targets of teammates.
+    ranges : float or float array, shape (n,)
+        Sensor range of each of these teammates, in cells.
 
     Returns
     -------
     int32 array, shape (1, 2) or (0, 2)
-        Empty only if no frontier cell can be reached.
+        Empty only if no frontier cell is reachable.
     """
     taken = np.array(targets, np.int32).reshape(-1, 2)
     search = planner.first_by_hops if kind == "hops" else planner.first_frontier
@@ -88,11 +88,10 @@ def searched_candidate(
     return np.array([found] if found is not None else [], np.int32).reshape(-1, 2)
 
 
-def free_edges(cells: NDArray[np.int32]) -> Edges:
-    """Part frontier cells as `components`.
+def frontier_segments(cells: NDArray[np.int32]) -> Edges:
+    """Split frontier cells into segments, as `components` does, without those of fewer than `LEAST_CELLS` cells.
 
-    Edges of fewer than `LEAST_CELLS` cells are left out, unless all are that small: they are taken up last,
-    so that nothing which can be reached stays unexplored.
+    If all segments are that small, all stay: robots visit them last, so that no reachable cell stays unexplored.
     """
     cells, sizes = components(cells)
     large = sizes >= LEAST_CELLS
@@ -100,28 +99,30 @@ def free_edges(cells: NDArray[np.int32]) -> Edges:
 
 
 def components(cells: NDArray[np.int32]) -> Edges:
-    """Part frontier cells, at least one, into 8-connected components, in the order of their first cells.
+    """Split frontier cells, at least one, into 8-connected components, in the order of their first cells.
+
+    `scipy.ndimage.label` gives the same, but takes up to 100 times as long on large grids, which it scans in full.
 
     Returns
     -------
     cells : int32 array, shape (n, 2)
-        The same, those of a component on end, in their order.
+        The same cells, component after component.
     sizes : int64 array, shape (k,)
-        How many each has.
+        Number of cells of each component.
     """
     owner = np.full(len(cells), -1)
-    _part(cells, owner)
+    _label(cells, owner)
     return cells[np.argsort(owner, kind="stable")], np.bincount(owner)
 
 
 def count_representatives(cells: ArrayLike, range_cells: float) -> NDArray[np.int64]:
-    """Eq. (1): n_r = 1 + floor(|F| / (1.8 rho) + 0.5)."""
+    """Return the number of representatives of segments: Eq. (1), n_r = 1 + floor(|F| / (1.8 rho) + 0.5)."""
     share = np.asarray(cells) / (1.8 * range_cells)
     return 1 + np.floor(share + 0.5).astype(np.int64)
 
 
 def representatives(cells: NDArray[np.int32], range_cells: float, at_least: int = 0) -> NDArray[np.int32]:
-    """Represent each free edge by the means of its clusters, each put on the cluster's cell nearest to it.
+    """Represent each frontier segment by the medoids of its clusters.
 
     Parameters
     ----------
@@ -130,15 +131,15 @@ def representatives(cells: NDArray[np.int32], range_cells: float, at_least: int 
     range_cells : float
         Sensor range rho in cells.
     at_least : int
-        How many goals there shall be (ANR): the edge with the most cells a representative gets one more
-        until there are that many, or every cell is one.
+        Least number of goals (ANR): the segment with the most cells per representative gets another one, until there
+        are enough or every cell is a representative.
 
     Returns
     -------
     int32 array, shape (m, 2)
-        Cells of the frontier, no two alike.
+        Different cells of the frontier.
     """
-    edges, sizes = free_edges(cells)
+    edges, sizes = frontier_segments(cells)
     counts = np.minimum(sizes, count_representatives(sizes, range_cells))
     while counts.sum() < min(at_least, len(cells)):
         shares = np.where(counts < sizes, sizes / counts, 0.0)
@@ -151,23 +152,23 @@ def representatives(cells: NDArray[np.int32], range_cells: float, at_least: int 
 def thin_out(
     grid: Grid, cells: NDArray[np.int32], lengths: NDArray[np.int64], gap: float
 ) -> NDArray[np.int64]:
-    """Leave out representatives that lie nearer than `gap` to one of a longer edge, and in its predictive.
+    """Remove representatives that are in sight of a representative of a longer segment and nearer to it than `gap`.
 
     Parameters
     ----------
     grid : uint8 array, shape (h, w)
-        The planning grid; occupied cells on it hide cells from each other.
+        The planning grid; occupied cells block the line of sight.
     cells : int32 array, shape (n, 2)
         Representatives (x, y).
     lengths : int64 array, shape (n,)
-        How many cells the edge of each has; of equally long ones the first counts.
+        Number of cells of each segment; of equally long segments the first counts.
     gap : float
-        In cells.
+        Distance in cells.
 
     Returns
     -------
     int64 array, shape (m,)
-        The numbers of those that stay, the longest edge's first.
+        Indices of the representatives that stay, the longest segment first.
     """
     order = np.argsort(-lengths, kind="stable")
     return order[: _thin_out(grid, cells, gap, order)]
@@ -175,7 +176,7 @@ def thin_out(
 
 @kernel("int64(uint8[:,::1], int32[:,::1], float64, int64[::1])")
 def _thin_out(grid: Grid, cells: NDArray[np.int32], gap: float, order: NDArray[np.int64]) -> int:
-    """Move those that stay to the front of `order`; return how many they are."""
+    """Move the representatives that stay to the front of `order`; return their number."""
     kept = 0
     for number in order:
         stays = True
@@ -191,8 +192,8 @@ def _thin_out(grid: Grid, cells: NDArray[np.int32], gap: float, order: NDArray[n
 
 
 @kernel("void(int32[:,::1], int64[::1])")
-def _part(cells: NDArray[np.int32], owner: NDArray[np.int64]) -> None:
-    """Number the 8-connected components of cells in the order of their first cells; `owner` is -1 before."""
+def _label(cells: NDArray[np.int32], owner: NDArray[np.int64]) -> None:
+    """Write the component of each cell to `owner`, which is -1 before; components are numbered by their first cells."""
     left, top = cells[:, 0].min() - 1, cells[:, 1].min() - 1
     at = np.full((cells[:, 1].max() - top + 2, cells[:, 0].max() - left + 2), -1, np.int32)
     for index in range(len(cells)):

@@ -1,4 +1,4 @@
-"""K-means with given seeds: no draw decides anything, so all robots cluster the same cells alike."""
+"""K-means with given seeds, so that all robots compute the same clusters of the same cells (Lloyd 1982)."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from numpy.typing import NDArray
 from protocol.kernels import kernel
 
 _ROUNDS = 30
-"""K-means ends when nothing moves, or after so many rounds."""
+"""Largest number of iterations; k-means ends earlier if no mean moves."""
 
 Points = NDArray[np.float64]
 
 
 def k_means(points: Points, seeds: Points) -> tuple[Points, NDArray[np.int64]]:
-    """Cluster points around as many means as there are seeds (Lloyd).
+    """Cluster points around as many means as there are seeds.
 
-    A cluster that runs empty keeps its mean; of equally near means the first counts.
+    An empty cluster keeps its mean; of equally near means the first counts.
 
     Parameters
     ----------
     points : float64 array, shape (n, 2)
     seeds : float64 array, shape (k, 2)
-        Where the means begin.
+        The initial means.
 
     Returns
     -------
@@ -39,25 +39,25 @@ def k_means(points: Points, seeds: Points) -> tuple[Points, NDArray[np.int64]]:
 def medoids(
     points: NDArray[np.int32], sizes: NDArray[np.int64], counts: NDArray[np.int64]
 ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Cluster the points of each of some groups and return of each cluster the point nearest to its mean.
+    """Cluster the points of each group, and return the point of each cluster that is nearest to its mean.
 
-    The means begin apart: at the first point, then always at the one farthest from all before.
+    The initial means are far apart: the first point, then always the point farthest from all means so far.
 
     Parameters
     ----------
     points : int32 array, shape (n, 2)
-        Group after group, no two of a group alike; of equally near ones the first counts.
+        Group after group, different within a group; of equally near points the first counts.
     sizes : int64 array, shape (k,)
-        How many points each group has, at least one.
+        Number of points of each group, at least one.
     counts : int64 array, shape (k,)
-        How many clusters of each, at least one and at most its points.
+        Number of clusters of each group, from one to its number of points.
 
     Returns
     -------
     found : int32 array, shape (m, 2)
-        m is the sum of `counts`, less the clusters that ran empty.
+        The medoids; m is the sum of `counts` without empty clusters.
     groups : int64 array, shape (m,)
-        Of which group each is.
+        The group of each medoid.
     """
     found = np.empty((counts.sum(), 2), np.int32)
     groups = np.empty(len(found), np.int64)

@@ -1,13 +1,13 @@
-"""Cost of reaching cells: exact shortest ways on the planning grid (thesis, section 4.4.1, Algorithm 7).
+"""Exact shortest ways on the planning grid (thesis, section 4.4.1, Algorithm 7).
 
-A way is 8-connected over free cells, 1 to a 4-neighbour and sqrt 2 to a diagonal one; a diagonal step needs
-both cells beside it free. Value iteration would give the same. Here cells are settled in buckets of width 1:
-no step is shorter, so cells of one bucket cannot improve each other and need no order among them.
+A way is 8-connected over free cells. A step to a 4-neighbor has length 1, a diagonal step sqrt 2; it needs both cells
+beside it free. The result equals that of value iteration. The search is Dijkstra's with buckets of width 1 (Dial 1969):
+no step is shorter, so the cells of a bucket cannot improve each other, and need no order.
 
-Two things make it fast. Among the equally long ways to a cell one is enough, the one that goes diagonally
-first; so a cell passes on only in the direction in which it was reached, and sideways where an obstacle has
-just ended (canonical ordering). And lengths are whole numbers, 2^42 to a cell: sums of them do not depend on
-their order, so every exact method gives the same bits.
+Two measures make it fast. Of several equally long ways to a cell one suffices, the one with its diagonal steps first.
+So the search continues from a cell only in the direction of the last step, and sideways where an obstacle has just
+ended (canonical ordering, Harabor and Grastien 2011). And lengths are integers, with 2^42 per cell: their sums do not
+depend on the order of addition, so every exact method gives the same bits.
 """
 
 from __future__ import annotations
@@ -27,28 +27,36 @@ Field = NDArray[np.float64]
 DIAGONAL = math.sqrt(2.0)
 
 SHIFT = 42
+"""Bits of a length behind the binary point."""
+
 ONE = 1 << SHIFT
-UNIT = 1.0 / ONE
 ROOT = round(DIAGONAL * ONE)
+"""Lengths of a straight and of a diagonal step, as integers."""
+
+UNIT = 1.0 / ONE
+"""Factor from an integer length to cells."""
+
 FAR = 1 << 62
+"""Length of a cell that the search has not reached."""
+
 _STEPS = np.array([(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)], np.int64)
 """Neighbours (dx, dy). Step 4 + i is the diagonal between steps i and i + 1."""
 
 
 class Floor:
-    """Where a robot may drive, laid out for the search: flat, with a barred rim.
+    """The cells that a robot may enter, as a flat array with a blocked rim.
 
     Parameters
     ----------
     grid : uint8 array, shape (h, w)
-        Free cells can be entered, all others not.
+        A robot may enter its free cells.
 
     Attributes
     ----------
     free : bool array, shape ((h + 2) * stride,)
-        Row by row, the rim included.
+        Whether each cell is free, row by row, rim included.
     stride : int
-        From a cell to the one below: w + 2.
+        Index difference of a cell and the one below: w + 2.
     """
 
     def __init__(self, grid: Grid) -> None:
@@ -58,7 +66,7 @@ class Floor:
         self.free: NDArray[np.bool_] = _laid_out(grid)
 
     def at(self, x: int, y: int) -> int:
-        """Where cell (x, y) lies in `free`."""
+        """Return the index of cell (x, y) in `free`."""
         return (y + 1) * self.stride + x + 1
 
 
@@ -76,19 +84,19 @@ def _laid_out(grid: Grid) -> NDArray[np.bool_]:
 
 @lru_cache(maxsize=1)
 def workspace(cells: int) -> tuple[NDArray[np.int64], NDArray[np.uint8], NDArray[np.int32]]:
-    """Memory that all searches on floors of one size share.
+    """Return the working memory that all searches on floors of one size share.
 
-    A length a cell, how it was reached, and a list of the cells that were. Fresh pages of memory take nearly as
-    long as a search, so each tidies up behind itself (`tidy`), and only where it has been: the next finds all
-    lengths `FAR`. Kernels hold the interpreter's lock, so no two are ever at work in here.
+    It has a length per cell, the step by which the search reached the cell, and a list of the reached cells. Fresh
+    memory pages take nearly as long as a search, so each search resets the cells that it has reached (`tidy`): the
+    next one finds all lengths `FAR`. Kernels hold the interpreter's lock, so no two searches run at the same time.
     """
     return np.full(cells, FAR, np.int64), np.zeros(cells, np.uint8), np.empty(cells, np.int32)
 
 
 def way_between(floor: Floor, start: tuple[int, int], end: tuple[int, int]) -> NDArray[np.int32] | None:
-    """Cells of a shortest way between two cells, by a search that ends there; None where none leads.
+    """Return the cells of a shortest way between two cells, without the start; None if there is none.
 
-    The same way as `way` finds in a whole field, at the price of the cells that are no farther than its end.
+    The way equals that of `way` on a whole field, but the search ends at `end`.
     """
     cells: NDArray[np.int32]
     found, cells = _lead(
@@ -98,28 +106,27 @@ def way_between(floor: Floor, start: tuple[int, int], end: tuple[int, int]) -> N
 
 
 def costs(grid: Grid, x: int, y: int) -> Field:
-    """Length of the shortest way from cell (x, y) to every cell.
+    """Return the length of the shortest way from cell (x, y) to every cell.
 
     Returns
     -------
     float64 array, shape (h, w)
-        In cells; infinite where no way leads.
+        In cells; infinite without a way.
     """
     return costs_on(Floor(grid), x, y)
 
 
 def costs_on(floor: Floor, x: int, y: int) -> Field:
-    """As `costs`, on a floor laid out before."""
+    """Return what `costs` returns, for a given `Floor`."""
     field = np.empty((floor.height, floor.width))
     _spread(floor.free, x, y, *workspace(len(floor.free)), field)
     return field
 
 
 def costs_to(floor: Floor, x: int, y: int, cells: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Length of the shortest way from cell (x, y) to each of some cells, by a search that ends with the last.
+    """Return the length of the shortest way from cell (x, y) to each of `cells`; the search ends at the last of them.
 
-    For cells that are near each other, as many as there may be: those that are spread all over the floor are found
-    sooner by `agent.planning.jump_point_search`.
+    Suited to cells near each other; for cells all over the floor `agent.planning.jump_point_search` is faster.
 
     Parameters
     ----------
@@ -129,7 +136,7 @@ def costs_to(floor: Floor, x: int, y: int, cells: NDArray[np.int32]) -> NDArray[
     Returns
     -------
     float64 array, shape (n,)
-        As `costs` has it there.
+        The values of `costs` at these cells.
     """
     found = np.empty(len(cells))
     _spread_to(floor.free, floor.stride, floor.at(x, y), cells, *workspace(len(floor.free)), found)
@@ -139,28 +146,28 @@ def costs_to(floor: Floor, x: int, y: int, cells: NDArray[np.int32]) -> NDArray[
 def nearest_first(
     floor: Floor, grid: Grid, x: int, y: int, taken: NDArray[np.int32], ranges: ArrayLike
 ) -> tuple[Field, tuple[int, int] | None]:
-    """Find the frontier cell nearest to (x, y) which lies out of range of every `taken` cell.
+    """Find the frontier cell nearest to (x, y) that is out of range of every `taken` cell.
 
-    Where there is none such, the nearest of all counts. The search ends with the bucket in which the cell
-    lies; of equally near ones the first counts, row by row.
+    Without one, the nearest of all frontier cells. The search ends with the bucket of this cell. Of equally near cells
+    the first counts, row by row.
 
     Parameters
     ----------
     floor : Floor
-        Where the robot may drive.
+        The cells that the robot may enter.
     grid : uint8 array, shape (h, w)
-        What is known: a frontier cell is a free one with an unknown 4-neighbour.
+        The planning grid; a frontier cell is free and has an unknown 4-neighbor.
     taken : int32 array, shape (n, 2)
-        Cells (x, y).
-    ranges : float, or one for each of taken
-        How far around each nothing is taken up, in cells.
+        Targets of teammates, cells (x, y).
+    ranges : float or float array, shape (n,)
+        Distance in cells within which each of them excludes frontier cells.
 
     Returns
     -------
     field : float64 array, shape (h, w)
-        As `costs` for all cells that are no farther than the one found; infinite or too large beyond.
+        The values of `costs` for cells no farther than the found one; infinite or too large beyond.
     cell : (x, y), optional
-        None if no frontier cell can be reached.
+        None if no frontier cell is reachable.
     """
     field = np.empty(grid.shape)
     work = workspace(len(floor.free))
@@ -170,9 +177,9 @@ def nearest_first(
 
 
 def way(grid: Grid, field: Field, x: int, y: int) -> NDArray[np.int32]:
-    """Cells of a shortest way from where `field` is 0 to (x, y), which it reaches, in the order of driving.
+    """Return the cells of a shortest way from the origin of `field` to (x, y), in driving order, by steepest descent.
 
-    Steepest descent; of equal neighbours the first counts, straight ones before diagonal ones.
+    `field` must be finite at (x, y). Of equal neighbors the first counts, straight steps before diagonal ones.
 
     Returns
     -------
@@ -183,7 +190,7 @@ def way(grid: Grid, field: Field, x: int, y: int) -> NDArray[np.int32]:
 
 
 def weighted_way(grid: Grid, weights: NDArray[np.float64], field: Field, x: int, y: int) -> NDArray[np.int32]:
-    """As `way`, on a field of `agent.planning.occupancy.weighted_costs`; `weights` has shape (h, w)."""
+    """Return what `way` returns, for a field and weights (shape (h, w)) of `agent.planning.occupancy`."""
     out = np.empty((grid.size, 2), np.int32)
     length = _descend(grid, weights, field, x, y, out)
     return out[:length][::-1].copy()
@@ -202,9 +209,9 @@ _Fill = NDArray[np.int64]
 def begin(
     length: _Lengths, came: NDArray[np.uint8], touched: NDArray[np.int32], fill: _Fill, start: int
 ) -> _Buckets:
-    """Put the start into the first of four empty buckets.
+    """Begin a search: put the start into the first of four empty buckets, and return them.
 
-    `fill` says how many cells are in each, and behind that how many the search has touched in all.
+    `fill` has the number of cells in each bucket, and last the number of cells that the search has reached.
     """
     buckets = np.empty((4, 1024), np.int32)
     length[start], came[start], buckets[0, 0], touched[0] = 0, 0, start, start
@@ -215,7 +222,7 @@ def begin(
 
 @kernel("void(int64[::1], uint8[::1], int32[::1], int64[::1])")
 def tidy(length: _Lengths, came: NDArray[np.uint8], touched: NDArray[np.int32], fill: _Fill) -> None:
-    """Leave the workspace as it was found."""
+    """Reset the reached cells of the workspace."""
     for at in range(fill[4]):
         length[touched[at]] = FAR
         came[touched[at]] = 0
@@ -236,14 +243,14 @@ def settle(
     level: int,
     start: int,
 ) -> _Buckets:
-    """Settle the cells of one bucket and put their neighbours into the next two; the bucket is left filled.
+    """Settle the cells of one bucket, and put their neighbors into the next two; the bucket stays filled.
 
-    `came` has the step by which each cell was reached, 8 once it is settled. Returns the buckets, larger if
-    they had to grow.
+    `came` has the step by which each cell was reached, 8 after it is settled. Returns the buckets, enlarged if
+    necessary.
     """
     ring = level & 3
     for ahead in range(1, 3):
-        # A cell passes on to eight others at most.
+        # A cell has at most eight successors.
         to = (level + ahead) & 3
         if fill[to] + 8 * fill[ring] > buckets.shape[1]:
             larger = np.empty((4, 2 * (fill[to] + 8 * fill[ring])), np.int32)
@@ -254,7 +261,7 @@ def settle(
         cell = buckets[ring, at]
         base = length[cell]
         if came[cell] == 8 or base >> SHIFT != level:
-            continue  # it comes twice, or was reached on a shorter way
+            continue  # a duplicate, or reached on a shorter way since
         direction = came[cell]
         came[cell] = 8
         if cell == start:
@@ -300,7 +307,7 @@ def settle(
 
 @kernel("int64[::1](int64)")
 def offsets(stride: int) -> NDArray[np.int64]:
-    """How far on in a flat floor each step leads, for other kernels."""
+    """Return the index difference of each step on a flat floor."""
     offset = np.empty(8, np.int64)
     for number in range(8):
         offset[number] = _STEPS[number, 1] * stride + _STEPS[number, 0]
@@ -423,9 +430,9 @@ def _spread_to_frontier(
 def way_back(
     free: NDArray[np.bool_], length: _Lengths, offset: NDArray[np.int64], end: int
 ) -> NDArray[np.int32]:
-    """Cells (x, y) of the way to a cell that a search has settled, in the order of driving; for other kernels.
+    """Return the cells (x, y) of the way to a settled cell, in driving order.
 
-    As `_descend`, in lengths instead of a field, with the same sums: the choice among ways is the same.
+    It computes the same sums as `_descend`, so it chooses the same one of several shortest ways.
     """
     stride = offset[1]
     count = (length[end] >> SHIFT) + 1  # no step is shorter than a cell
@@ -501,7 +508,7 @@ def _descend(
                 continue
             step = weight
             if number >= 4:
-                # The start may be a cell that is not free on this grid, but nothing else on a way is.
+                # On a way only the start may be a cell that is not free on this grid.
                 if grid[y, nx] != FREE or grid[ny, x] != FREE:
                     continue
                 step = weight * DIAGONAL

@@ -1,6 +1,6 @@
 """Artificial potential field: what pushes and pulls a robot, and where that leads it (leader paper, III-B).
 
-All in metres, seconds and newtons, for a robot of unit mass. The dynamics are integrated by Euler's rule with
+All in meters, seconds and newtons, for a robot of unit mass. The dynamics are integrated by Euler's rule with
 a fixed step of 0.05 s.
 """
 
@@ -33,7 +33,7 @@ class Field:
     Attributes
     ----------
     rho_robots, rho_obstacles : float
-        Ranges of repulsion, metres (Eq. 4: that of robots is the larger).
+        Ranges of repulsion, meters (Eq. 4: that of robots is the larger).
     gain_robots, gain_obstacles, gain_frontier : float
         k of Eq. (2) and k_att of Eq. (6).
     damping : float

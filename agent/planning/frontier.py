@@ -1,4 +1,4 @@
-"""The frontier: free cells that can be reached and have an unknown 4-neighbour (thesis, Eq. 4.2)."""
+"""The frontier: free cells that can be reached and have an unknown 4-neighbor (thesis, Eq. 4.2)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def frontier_cells(grid: Grid, reached: NDArray[np.bool_]) -> NDArray[np.int32]:
 
 
 def is_frontier(grid: Grid, x: int, y: int) -> bool:
-    """Whether cell (x, y) is free with an unknown 4-neighbour."""
+    """Whether cell (x, y) is free with an unknown 4-neighbor."""
     return bool(frontier_at(grid, x, y))
 
 
@@ -47,7 +47,7 @@ def frontier_at(grid: Grid, x: int, y: int) -> bool:
 
 @kernel("boolean(boolean[::1], int64, int64)")
 def is_enclosed(free: NDArray[np.bool_], cell: int, stride: int) -> bool:
-    """Whether all 4-neighbours of a cell are free on a flat floor: then it is no frontier cell. For other kernels."""
+    """Whether all 4-neighbors of a cell are free on a flat floor: then it is no frontier cell. For other kernels."""
     return bool(free[cell - 1] and free[cell + 1] and free[cell - stride] and free[cell + stride])
 
 

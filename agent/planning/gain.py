@@ -1,7 +1,7 @@
 """Information gain of frontier cells: how much there is to see from them.
 
 information_gain  unknown cells in sensor range that nobody else is about to see
-promise           the unknown area in predictive, and how much of that is likely to be floor
+promise           the unknown area in sight, and how much of that is likely to be floor
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from protocol.grid import OCCUPIED, UNKNOWN, Grid, ray_table
 from protocol.kernels import kernel
 
 BEAMS = 92
-"""Beams by which the unknown in predictive is measured."""
+"""Beams by which the unknown in sight is measured."""
 
 _LEAST_FLOOR, _MOST_FLOOR, _A_LENGTH = 0.13, 0.35, 0.3
-"""How much of the unknown in predictive of a free edge turns out to be floor that is seen from there: the least, the
+"""How much of the unknown in sight of a free edge turns out to be floor that is seen from there: the least, the
 most, and how much more for an edge as long as the sensor's range."""
 
 
@@ -73,7 +73,7 @@ def expected_gain(
 ) -> NDArray[np.float64]:
     """Predict what is to be seen from representatives of free edges.
 
-    The unknown area in predictive through what is free or unknown itself bounds it. Most of that lies behind walls
+    The unknown area in sight through what is free or unknown itself bounds it. Most of that lies behind walls
     which nobody has seen yet: the shorter the edge, the more.
 
     Parameters

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from agent.memo_cache import NO_CACHE, MemoCache, Result
-from agent.planning.best_frontier import Appeal, best_frontier
+from agent.planning.best_frontier import TradeOff, best_frontier
 from agent.planning.breadth_first import first_by_hops
 from agent.planning.cost_field import (
     Field,
@@ -54,7 +54,7 @@ class PathPlanner:
     grid : uint8 array, shape (h, w)
         As given.
     floor : uint8 array, shape (h, w)
-        The same with obstacles enlarged: where a robot's centre may be.
+        The same with obstacles enlarged: where a robot's center may be.
     """
 
     def __init__(
@@ -159,12 +159,12 @@ class PathPlanner:
         """All frontier cells that can be reached from (x, y), row by row, shape (n, 2)."""
         return reachable_frontier(self._laid_out, self.grid, x, y)
 
-    def best_frontier(self, x: int, y: int, appeal: Appeal) -> tuple[int, int] | None:
+    def best_frontier(self, x: int, y: int, trade_off: TradeOff) -> tuple[int, int] | None:
         """The frontier cell of the best trade-off of utility and length of way; None where there is none.
 
         Ways are counted by their length, of whatever kind the planner is. The way there is found at once.
         """
-        found = best_frontier(self._laid_out, self.grid, x, y, appeal)
+        found = best_frontier(self._laid_out, self.grid, x, y, trade_off)
         if found is None:
             return None
         cell, cells = found

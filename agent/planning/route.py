@@ -111,7 +111,7 @@ def _is_clear(floor: Grid, x: int, y: int, to_x: int, to_y: int) -> bool:
 
 
 def corners(floor: Grid, start: tuple[int, int], cells: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Way points for a way that need not keep to cells' centres: where it bends, and its end.
+    """Way points for a way that need not keep to cells' centers: where it bends, and its end.
 
     Parameters
     ----------
@@ -120,12 +120,12 @@ def corners(floor: Grid, start: tuple[int, int], cells: NDArray[np.int32]) -> ND
     start : (x, y)
         Where it is, in thousandths of a cell.
     cells : int32 array, shape (n, 2)
-        The cells of the way, a neighbour of the robot's cell first.
+        The cells of the way, a neighbor of the robot's cell first.
 
     Returns
     -------
     int32 array, shape (m, 2)
-        In thousandths of a cell. Where the first cell cannot be reached on a straight line, the centre of the
+        In thousandths of a cell. Where the first cell cannot be reached on a straight line, the center of the
         robot's own comes first.
     """
     points = cells * _FINE

@@ -1,7 +1,7 @@
-"""The tour of a robot that has nobody to share with: the travelling salesman's open path through many goals.
+"""The tour of a robot that has nobody to share with: the traveling salesman's open path through many goals.
 
 Nobody else passes what it leaves behind, so only the way counts, not when which goal is reached. The tour begins
-as the nearest neighbour's; then parts of it are turned around (2-opt), and up to three goals on end moved
+as the nearest neighbor's; then parts of it are turned around (2-opt), and up to three goals on end moved
 elsewhere, either way round (Or-opt), for as long as that makes it shorter.
 """
 
@@ -99,7 +99,7 @@ def _move(tour: Tour, first: int, length: int, ways: Numbers) -> bool:
 
 @kernel("void(int64[::1], float64[:,::1])")
 def _shorten(tour: Tour, ways: Numbers) -> None:
-    """Order a tour by the nearest neighbour, then improve it; its first place is the robot's own."""
+    """Order a tour by the nearest neighbor, then improve it; its first place is the robot's own."""
     for place in range(1, len(tour) - 1):
         nearest = place
         for other in range(place + 1, len(tour)):

@@ -1,8 +1,8 @@
 """Tours of a whole team through all goals: who serves which, and in which order.
 
-The problem is the k-travelling repairmen's: it counts how late each goal is reached. A goal costs its weight times
+The problem is the k-traveling repairmen's: it counts how late each goal is reached. A goal costs its weight times
 its arrival and its lateness times the square of that, so that small goals may wait for a while but not for long.
-On top counts when the last robot is done, and how far all of them drive, as for travelling salesmen: what is left
+On top counts when the last robot is done, and how far all of them drive, as for traveling salesmen: what is left
 for later has to be shared out again, so the run ends the sooner the less there is to drive in all. A robot is done
 when it has also driven what is expected behind its goals, its load: who has much of that gets less else. Goals are
 inserted one by one where they cost least; then a goal moves elsewhere, two robots swap the ends of their tours,

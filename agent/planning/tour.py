@@ -1,4 +1,4 @@
-"""Tours through goals: the travelling salesman's open path, for the cost of going to a goal first.
+"""Tours through goals: the traveling salesman's open path, for the cost of going to a goal first.
 
 Faigl and Vanek take Chained Lin-Kernighan (section 3.1); the tours of one robot are short enough to be
 solved exactly (fast-tsp, Held and Karp), and so they are the same on every machine.

@@ -1,7 +1,7 @@
 """Utility of a frontier cell: what is left to see there once teammates have been at their targets.
 
 Thesis, section 4.4.2: it starts at 1 and is lowered by P(d) for each teammate's target at distance d that has
-it in predictive (Eq. 4.4, 4.5).
+it in sight (Eq. 4.4, 4.5).
 """
 
 from __future__ import annotations
@@ -57,13 +57,13 @@ def proximity(
     return -lowered
 
 
-def in_predictive(grid: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
+def in_sight(grid: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
     """Whether no occupied cell lies on the straight line between two cells."""
-    return bool(_in_predictive(grid, x0, y0, x1, y1))
+    return bool(_in_sight(grid, x0, y0, x1, y1))
 
 
 @kernel("boolean(uint8[:,::1], int64, int64, int64, int64)")
-def _in_predictive(grid: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
+def _in_sight(grid: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
     # From the same end whichever way round it is asked, so that two robots agree.
     if (y1, x1) < (y0, x0):
         x0, y0, x1, y1 = x1, y1, x0, y0
@@ -88,7 +88,7 @@ def _in_predictive(grid: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
 def sees(grid: Grid, one: NDArray[np.int32], other: NDArray[np.int32], range_cells: float) -> float:
     """P(d) of two cells for each other, 0 where an obstacle lies between them; for other kernels."""
     distance = np.sqrt(float((one[0] - other[0]) ** 2 + (one[1] - other[1]) ** 2))
-    if distance < range_cells and _in_predictive(grid, one[0], one[1], other[0], other[1]):
+    if distance < range_cells and _in_sight(grid, one[0], one[1], other[0], other[1]):
         return float(1.0 - distance / range_cells)
     return 0.0
 

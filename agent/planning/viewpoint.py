@@ -1,4 +1,4 @@
-"""Where to look from: a cell from which what is unknown beside a goal comes into predictive, and the tour's way on is short.
+"""Where to look from: a cell from which what is unknown beside a goal comes into view, and the tour's way on is short.
 
 Who wants to know a nook need not drive into it. From where a beam reaches it over cells that are known to be free
 is certain, for beams of all scanners have the same directions; so one look from any such cell settles it.
@@ -24,8 +24,8 @@ _DIGITS = 6
 """Ways that are equal to so many decimals are equally long."""
 
 
-def vantage_cells(grid: Grid, goal: tuple[int, int], around: RayTable, reach: float) -> Cells:
-    """Find all cells from which a beam reaches an unknown 4-neighbour of a goal over free cells.
+def viewpoint_cells(grid: Grid, goal: tuple[int, int], around: RayTable, reach: float) -> Cells:
+    """Find all cells from which a beam reaches an unknown 4-neighbor of a goal over free cells.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def vantage_cells(grid: Grid, goal: tuple[int, int], around: RayTable, reach: fl
     return np.stack([x + x0, y + y0], axis=1).astype(np.int32)
 
 
-def best_vantage(
+def best_viewpoint(
     planner: PathPlanner, here: tuple[int, int], views: Iterable[Cells | None], goals: Cells, step: float
 ) -> tuple[int, int] | None:
     """Choose the cell to look from for the first goal of a tour, such that the way through it and on is short.
@@ -114,7 +114,7 @@ def _look_back(
     reach: float,
     found: NDArray[np.bool_],
 ) -> None:
-    """Mark the cells from which a beam reaches an unknown neighbour of (x, y): back along each beam, then checked."""
+    """Mark the cells from which a beam reaches an unknown neighbor of (x, y): back along each beam, then checked."""
     height, width = part.shape
     for side_x, side_y in ((x + 1, y), (x, y + 1), (x - 1, y), (x, y - 1)):
         if side_x < 0 or side_y < 0 or side_x >= width or side_y >= height:

@@ -35,18 +35,18 @@ def shortest_way(
     floor : uint8 array, shape (h, w)
         Where the robot may be.
     start : (x, y)
-        Where it is, in thousandths of a cell. If that is nearer to an obstacle than the way may come, the centre of
+        Where it is, in thousandths of a cell. If that is nearer to an obstacle than the way may come, the center of
         its cell comes first.
     goals : int32 array, shape (n, 2)
-        Free cells (x, y); their centres are meant.
+        Free cells (x, y); their centers are meant.
     most : float
-        Length of a way from the centre of its cell to a goal from cell to cell, in cells: none is shorter by any
+        Length of a way from the center of its cell to a goal from cell to cell, in cells: none is shorter by any
         means than the one that is found.
 
     Returns
     -------
     int32 array, shape (m, 2), optional
-        Way points in thousandths of a cell, the last one a goal's centre; None if no way leads to any.
+        Way points in thousandths of a cell, the last one a goal's center; None if no way leads to any.
     """
     at = np.array(start, np.int64)
     middle = (at + _HALF) // FINE * FINE

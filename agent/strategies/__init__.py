@@ -1,6 +1,6 @@
-"""Where to go next: one file a paper.
+"""Exploration strategies: they choose the next target of a robot. Each file implements one paper.
 
-They are made of the parts in `agent.planning`. Begin with `meier.py`, the shortest; `targets.py` has what all
-that drive to targets share, `base.py` what a strategy is, and `registry.py` finds one by its name. A new strategy
-is one new file here, or a class in any importable module, named ``package.module:Class``.
+Strategies combine the algorithms of `agent.planning`. Begin with `meier.py`, the shortest. `base.py` is the interface,
+`targets.py` the common part of all strategies that drive to targets, and `registry.py` finds a strategy by its name. A
+new strategy is a new file here, or a class in any importable module, named ``package.module:Class``.
 """

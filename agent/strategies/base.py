@@ -1,4 +1,4 @@
-"""What a strategy sees, and what it decides."""
+"""The interface of exploration strategies: the situation that a strategy receives, and its decision."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from protocol.grid import UNKNOWN, Grid
 Cell = tuple[int, int]
 
 _FACES = ((1, 0, 0), (0, 1, 2), (-1, 0, 4), (0, -1, 6))
-"""The four neighbours (dx, dy) and the heading that looks at each."""
+"""The four neighbors (dx, dy), and the heading toward each in eighths of a turn."""
 
 FULL_TURN = 360.0
 """Degrees."""
@@ -26,7 +26,7 @@ NO_CELLS = np.empty((0, 2), np.int32)
 
 
 class Pose(NamedTuple):
-    """Where a teammate said to be, and whether it leads."""
+    """The cell that a teammate broadcast as its pose, and whether it leads."""
 
     x: int
     y: int
@@ -35,41 +35,42 @@ class Pose(NamedTuple):
 
 @dataclass(frozen=True)
 class Situation:
-    """What one robot knows when it has to decide.
+    """Input of a robot's decision.
 
     Attributes
     ----------
     step : int
+        The current step.
     grid : uint8 array, shape (h, w)
-        Its planning grid.
+        The planning grid.
     x, y : int
-        Its cell.
+        The robot's cell.
     offset : (x, y)
-        Where in that cell it is, in thousandths of a cell from the centre.
+        The robot's position in this cell, in thousandths of a cell from the center.
     heading : int
-        Eighths of a turn.
+        The robot's heading in eighths of a turn.
     blocked : str
-        Why its last move stopped short (`worldsim.cell_motion`); empty if it did not.
+        Why the last move stopped short (`worldsim.cell_motion`); empty if it did not.
     homes : dict of robot to (x, y)
-        The depots: the cell in which it started itself, and where each teammate was first heard of.
+        The depots: this robot's start cell, and the first received pose of each teammate.
     home : (x, y)
-        Its own depot.
+        This robot's depot.
     peers : tuple of int
         Teammates in radio range, ascending.
     connected : tuple of int
-        Teammates out of radio range that are connected through others, ascending; only where poses are passed on.
+        Teammates out of radio range but connected through others, ascending; needs relayed states.
     poses : dict of robot to Pose
-        The last pose heard of each teammate that tells it, by ascending number.
+        The last received pose of each teammate, by ascending number.
     last_moved : dict of robot to step
-        When each of these was last heard to be elsewhere than before.
+        The step of the last change of each of these poses.
     traveled : dict of robot to float
-        Way in cells, straight from pose to pose: those heard of it, its own of every step.
+        Distance in cells along the received poses of a teammate, and along this robot's own poses.
     targets : dict of robot to (x, y)
-        The last target heard of each teammate that has one, by ascending number.
+        The last received target of each teammate, by ascending number.
     target_steps : dict of robot to step
-        When each of these was heard.
+        The step in which each of these targets arrived.
     new_targets : dict of robot to (x, y)
-        Those heard since the last decision.
+        Targets received since the last decision.
     """
 
     step: int
@@ -96,9 +97,9 @@ class Situation:
         return self.x, self.y
 
     def facing_the_unknown(self) -> int:
-        """Heading that looks at an unknown neighbour of its cell, for a laser that does not look everywhere.
+        """Return the heading toward an unknown neighbor of the robot's cell, for a laser with a limited field of view.
 
-        Its own heading if there is none.
+        The current heading if no neighbor is unknown.
         """
         height, width = self.grid.shape
         for dx, dy, heading in _FACES:
@@ -110,28 +111,28 @@ class Situation:
 
 @dataclass(frozen=True)
 class Decision:
-    """What a robot does until the next step.
+    """A robot's actions until the next step.
 
     Attributes
     ----------
     target : (x, y), optional
-        The cell that it is headed for.
+        The cell to which the robot drives.
     path : int32 array, shape (n, 2)
         Cells to drive over.
     points : int32 array, shape (n, 2)
-        Way points instead of cells, in thousandths of a cell.
+        Waypoints in thousandths of a cell, instead of cells.
     heading : int
-        The heading to take if it stays.
+        The heading of a robot that stays.
     explored : bool
-        It has nothing left to do.
+        Nothing is left to explore.
     stalled : bool
-        It sees no way on, though there is something left to do.
+        Frontiers are left, but the robot cannot approach them.
     look : bool
-        Whether its scanner works on the way.
+        Whether the scanner works on the way.
     publish : bool
-        Whether teammates may have all that it has seen by now, where the strategy defers_publication news.
+        Whether to publish the map changes that a strategy with `defers_publication` has held back.
     status : str
-        What it is at, for people.
+        The current activity, as text.
     """
 
     target: Cell | None = None
@@ -147,79 +148,79 @@ class Decision:
 
 @dataclass(frozen=True)
 class NoOptions:
-    """For strategies without options."""
+    """Options of a strategy without options."""
 
 
 class Strategy(ABC):
-    """An exploration strategy: a subclass with a name is found by `agent.strategies.strategy`.
+    """An exploration strategy; `agent.strategies.registry` finds subclasses by their names.
 
     Parameters
     ----------
     options : mapping
-        By name, as a scenario gives them.
+        Option values by name, from a scenario.
     settings : Settings
         The robot's task.
 
     Raises
     ------
     ValueError
-        As `check`.
+        An option is unknown or invalid (`check`).
     """
 
     name: ClassVar[str]
     summary: ClassVar[str]
-    """One line for people who choose among strategies."""
+    """One line of description, for the list of strategies."""
     source: ClassVar[str]
-    """The paper and section that it builds."""
+    """The paper and the section that describe the strategy."""
     options_type: ClassVar[type] = NoOptions
-    """The dataclass of its options (`agent.strategies.options`)."""
+    """The dataclass of the options (`agent.strategies.options`)."""
     refused: ClassVar[Mapping[str, str]] = {}
-    """Options of other strategies that make no sense here, and why."""
+    """Options of other strategies that do not apply, each with the reason."""
     publishes_target: ClassVar[bool] = True
-    """Whether its robots tell each other their targets."""
+    """Whether robots broadcast their targets."""
     publishes_pose: ClassVar[bool] = False
-    """Whether its robots tell each other where they are."""
+    """Whether robots broadcast their poses."""
     observes_from_distance: ClassVar[bool] = False
-    """Whether its robots look at crumbs from where they pass, so that more of these cost little."""
+    """Whether robots observe small frontiers from viewpoints on their way, so that these frontiers cost little."""
     forwards_state: bool = False
-    """Whether its robots pass on what teammates have told of poses and targets."""
+    """Whether robots forward the poses and targets of teammates (`agent.strategies.relayed_state`)."""
     defers_publication: bool = False
-    """Whether news waits until a decision publishes it."""
+    """Whether map changes wait until a decision publishes them."""
     leads: bool = False
-    """Whether this robot leads; it is told with its pose."""
+    """Whether this robot leads; broadcast with its pose."""
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         self.options: Any = self.check(options)
         self.settings = settings
 
     def use_shared_cache(self, cache: dict[str, Any]) -> None:
-        """Hold what follows from the planning grid together with the other robots of this process.
+        """Share results of planning with the other robots of this process; decisions do not change.
 
-        As `agent.encodings.base.MapEncoding.use_shared_cache` has it.
+        The caller passes the same `cache` to all robots, before the first step.
         """
         del cache
 
     @classmethod
     def check(cls, options: Mapping[str, Any]) -> Any:
-        """Read the options; ValueError says which is unknown, wrong, or does not go with another, and why."""
+        """Return the options as a dataclass; ValueError names an unknown, invalid or conflicting option."""
         return read_options(cls.options_type, options, cls.name, cls.refused)
 
     @classmethod
     def check_range(cls, options: Mapping[str, Any], range_m: float) -> None:
-        """Raise ValueError if robots must hear each other farther than `range_m` metres, and say why."""
+        """Raise ValueError if the options need a longer communication range than `range_m` meters."""
         del options, range_m
 
     @classmethod
     def returns(cls, options: Mapping[str, Any]) -> bool:
-        """Whether the run ends when all robots are home, not when the first has nothing left to do."""
+        """Return whether the run ends when all robots are home, not when the first has nothing left to explore."""
         del options
         return False
 
     def heading(self, situation: Situation, *, is_there: bool) -> int:
-        """Where to look from where it stands: at what is unknown if it `is_there` for that.
+        """Return the heading of a robot that stays: toward an unknown neighbor if it is at its target (`is_there`).
 
-        Around, an eighth of a turn a step, where a wall stops it and its laser does not look everywhere: a disc
-        may touch what lies beside its way.
+        A robot with a limited field of view that a wall has stopped turns by an eighth of a turn per step: its disc
+        may touch an obstacle beside its way.
         """
         if situation.blocked == "wall" and self.settings.field_of_view < FULL_TURN:
             return (situation.heading + 1) % 8
@@ -227,4 +228,4 @@ class Strategy(ABC):
 
     @abstractmethod
     def decide(self, situation: Situation) -> Decision:
-        """Decide what to do until the next step; called once a step."""
+        """Return the decision for the next step; called once per step."""

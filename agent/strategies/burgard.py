@@ -1,13 +1,12 @@
-"""Coordinated exploration (Burgard, Moors, Stachniss, Schneider 2005), and what it is compared with.
+"""Coordinated exploration (Burgard, Moors, Stachniss, Schneider 2005), and the uncoordinated baseline.
 
 nearest           each robot drives to its nearest frontier cell; maps are shared, targets are not
-burgard           Algorithm 1: the best pair of robot and frontier cell, utilities lowered, the next
-burgard-optimal   Algorithm 2: the assignment with the largest sum of U - beta V^2, searched at random
+burgard           Algorithm 1: repeatedly the best pair of robot and frontier cell, with lowered utilities
+burgard-optimal   Algorithm 2: randomized search of the assignment with the largest sum of U - beta V^2
 
-The paper assigns anew when a robot reaches its target, or when a distance or a time since the last assignment
-has passed: ``replan = "at-goal"``, `after_metres`, `after_steps`. With ``costs = "weighted"`` ways are counted as
-in section II-A, by length times occupancy on a smoothed map; that takes several times as long as counting their
-length, which is the default.
+The paper replans when a robot reaches its target, or after a distance or a time since the last assignment:
+``replan = "at-goal"``, `after_metres`, `after_steps`. With ``costs = "weighted"`` the cost of a way is its length times
+the occupancy of a smoothed map (section II-A). This takes several times as long as the length, the default.
 """
 
 from __future__ import annotations
@@ -29,25 +28,23 @@ from agent.strategies.targets import Parts, TargetStrategy
 from agent.strategies.team import Table, TeamStrategy
 
 SUB_TEAMS = ("in-range", "connected")
-"""Who decides together. ``in-range``: those who hear each other. ``connected``: also those between whom others pass
-on what they have heard, which is the paper's; every link of a chain costs a step."""
+"""The robots that decide together. ``in-range``: robots in range of each other. ``connected``, as in the paper: also
+robots connected through others, which forward their states; each hop delays a state by a step."""
 
 
 @dataclass(frozen=True)
 class Coordinated(Parts):
-    """Options of the coordinated ones."""
+    """Options of the coordinated strategies."""
 
     beta: float = option(1.0, "weight of cost against utility", least=0)
-    every: int = option(
-        0, "targets are assigned anew after so many steps at the latest; 0: never for time alone", least=0
-    )
-    after_steps: int = option(0, "and so many steps after they were last assigned; 0: never", least=0)
+    every: int = option(0, "replan in every step that is a multiple of this; 0: never", least=0)
+    after_steps: int = option(0, "replan this many steps after the last assignment; 0: never", least=0)
     after_metres: float = option(
-        0.0, "and when a member has driven so far since they were last assigned; 0: never", least=0
+        0.0, "replan when a member has driven this far since the last assignment; 0: never", least=0
     )
-    sub_team: str = option("in-range", "who decides together", SUB_TEAMS)
+    sub_team: str = option("in-range", "the robots that decide together", SUB_TEAMS)
     occ_max: float = option(
-        1.0, "cells of more occupancy on the smoothed map are barred; from 0.9 on none are", least=0
+        1.0, "cells with more occupancy on the smoothed map are obstacles; no cell from 0.9 on", least=0
     )
 
 
@@ -55,21 +52,21 @@ class Nearest(TargetStrategy):
     """Uncoordinated (Yamauchi 1998)."""
 
     name = "nearest"
-    summary = "each robot drives to its nearest frontier cell, whatever the others do"
+    summary = "each robot drives to its nearest frontier cell, without coordination"
     source = "Burgard et al. 2005, section IV-C: uncoordinated, after Yamauchi 1998"
     publishes_target = False
 
     def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
-        """Take the goal of least cost; of equals the first cell, row by row."""
+        """Return the goal of least cost; of equal goals the first, row by row."""
         best = goals[np.argmin(planner.costs(*situation.here)[goals[:, 1], goals[:, 0]])]
         return int(best[0]), int(best[1])
 
 
 class Burgard(TeamStrategy):
-    """Algorithm 1."""
+    """Algorithm 1: repeated choice of the best pair."""
 
     name = "burgard"
-    summary = "sub-teams give out frontier cells in turn, the best pair of robot and cell first"
+    summary = "sub-teams assign frontier cells one by one, the best pair of robot and cell first"
     source = "Burgard et al. 2005, Algorithm 1 (section II-C), sub-teams (II-D)"
     options_type = Coordinated
 
@@ -80,7 +77,7 @@ class Burgard(TeamStrategy):
         self._traveled: dict[int, float] = {}
 
     def is_due(self, situation: Situation) -> bool:
-        """As a team's, and after a time or a distance."""
+        """Return whether to replan: as `TeamStrategy`, and after a time or a distance."""
         every, after = self.options.every, self.options.after_steps
         return (
             super().is_due(situation)
@@ -90,7 +87,7 @@ class Burgard(TeamStrategy):
         )
 
     def planner(self, situation: Situation) -> PathPlanner:
-        """As all, without cells that are too likely to be occupied."""
+        """Return a planner that also treats cells of high occupancy as obstacles."""
         return PathPlanner(
             situation.grid,
             self.options.costs,
@@ -100,12 +97,12 @@ class Burgard(TeamStrategy):
         )
 
     def select(self, situation: Situation, planner: PathPlanner) -> tuple[Cell | None, bool]:
-        """As all, noting when, and how far all had come by then."""
+        """Choose a target; save the step and the distances that the members have driven."""
         self._assigned, self._traveled = situation.step, dict(situation.traveled)
         return super().select(situation, planner)
 
     def _has_driven(self, situation: Situation) -> bool:
-        """Whether a member has driven so far that targets are assigned anew."""
+        """Whether a member has driven `after_metres` since the last assignment."""
         most = self.options.after_metres / self.settings.resolution
         return bool(most) and any(
             situation.traveled.get(robot, 0.0) - self._traveled.get(robot, 0.0) >= most
@@ -113,7 +110,7 @@ class Burgard(TeamStrategy):
         )
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
-        """Utilities begin at 1, lowered by the targets remembered of those out of range."""
+        """Assign goals; the last targets of teammates out of range lower utilities."""
         del planner
         costs = self.options.beta * table.costs / self.settings.scale_cells
         utility = self._utility(table, situation)
@@ -127,14 +124,14 @@ class Burgard(TeamStrategy):
 
 
 class BurgardOptimal(Burgard):
-    """Algorithm 2."""
+    """Algorithm 2: randomized search of the best assignment."""
 
     name = "burgard-optimal"
-    summary = "sub-teams search the assignment with the largest sum of utilities minus squared costs"
+    summary = "sub-teams search the assignment with the largest sum of utility minus squared cost"
     source = "Burgard et al. 2005, Algorithm 2 (section IV-C)"
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
-        """Search from the same random starts in all members."""
+        """Assign goals; all members search from the same random starts."""
         del planner
         costs = self.options.beta * (table.costs / self.settings.scale_cells) ** 2
         return best_of_all(

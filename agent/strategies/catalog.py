@@ -1,4 +1,4 @@
-"""What people are told of strategies: `murmur strategies` prints it."""
+"""Descriptions of all strategies, for `murmur strategies`."""
 
 from __future__ import annotations
 
@@ -12,52 +12,53 @@ from agent.strategies.options import OptionLine, option_lines
 from agent.strategies.registry import PLUGINS, strategies, strategy
 
 COMBINING = """\
-A strategy is made of parts. Each names its own; options exchange them:
+A strategy consists of parts. Each strategy has defaults; options replace them:
 
-  candidates   which cells are worth going to
+  candidates   the goals among the frontier cells
     cells          all frontier cells
-    rfe            representatives of free edges
+    rfe            representatives of frontier segments
     anr            representatives, at least as many as robots
-    breadth-first  the nearest that nobody is headed for
-    hops           the same, counted in steps to any of eight neighbours
-    edges          representatives of all free edges, crumbs included (repairmen)
-  costs        how ways are counted
-    shortest       by their length
-    weighted       by length times occupancy of a smoothed map
-  replan       when a new target is chosen
+    breadth-first  the nearest cell that no teammate drives to
+    hops           the same, in steps to any of eight neighbors
+    edges          representatives of all frontier segments, small ones included (repairmen)
+  costs        the cost of a way
+    shortest       its length
+    weighted       its length times the occupancy of a smoothed map
+  replan       when to choose a new target
     at-goal        at the target
     at-once        when the target is no frontier any more
     after-turn     at the target, after a full turn of the scanner
-    each-step      in every step with news (repairmen)
-  mission      what comes after the last target
-    open           the run ends with the first robot that has nothing left
-    return         all drive home, then it ends
+    each-step      in every step that changes the map (repairmen)
+  mission      the end of the run
+    open           the first robot has nothing left to explore
+    return         all robots have driven home
   scan         when scanners work
-    always         on the way as well
-    at-target      only there
-  share        when teammates get what was seen
+    always         also on the way
+    at-target      only at targets
+  share        when map changes are sent to teammates
     always         at once
     at-target      when a target is reached or replaced
 
-What does not combine is refused, with the reason: breadth-first with weighted
-costs, with strategies that weigh several goals, or with teams; after-turn with
-teams; scan = at-target without after-turn; mtsp on all cells; the depot
-strategies on open missions; any of these parts with the potential field."""
+Combinations that conflict are rejected with the reason: breadth-first with
+weighted costs, with strategies that compare several goals, or with teams;
+after-turn with teams; scan = at-target without after-turn; mtsp on all cells;
+the depot strategies on open missions; any part with the potential field."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One strategy.
+    """Description of one strategy.
 
     Attributes
     ----------
     name, summary, source : str
+        Name, one line of description, and paper with section.
     options : list of OptionLine
-        With their defaults.
+        The options with their defaults.
     refused : mapping of option to reason
-        Options of others that it cannot have.
+        Options of other strategies that do not apply.
     clashes : list of str
-        Choices that it cannot have while its other options are the defaults, each with the reason.
+        Errors of option values that conflict with the defaults of the other options.
     """
 
     name: str
@@ -69,17 +70,17 @@ class Entry:
 
     @property
     def paper(self) -> str:
-        """Whose it is."""
+        """The paper, as authors and year."""
         return self.source.partition(", ")[0]
 
     @property
     def section(self) -> str:
-        """Where in the paper it is described."""
+        """The section of the paper."""
         return self.source.partition(", ")[2]
 
 
 def catalog() -> list[Entry]:
-    """All strategies by name: ours, those that have been imported, and those of installed packages."""
+    """Return all strategies by name: of this package, imported ones, and those of installed packages."""
     found = {kind.name: _entry(kind) for kind in strategies().values()}
     for name, point in PLUGINS.installed().items():
         if name not in found:
@@ -88,12 +89,12 @@ def catalog() -> list[Entry]:
 
 
 def entry(name: str) -> Entry:
-    """The strategy of that name, or the class that ``package.module:Class`` names; ValueError if there is none."""
+    """Return the strategy with this name, or the class ``package.module:Class``; ValueError if there is none."""
     return _entry(strategy(name))
 
 
 def _entry_of(point: EntryPoint) -> Entry:
-    """The strategy of an installed package; one that cannot be imported is told as that."""
+    """Describe the strategy of an installed package; if its import fails, the summary has the reason."""
     try:
         return _entry(PLUGINS.load(point))
     except ValueError as error:

@@ -1,10 +1,10 @@
-"""Task allocation with its parameters (Faigl and Vanek, section 3): representatives of frontiers, given out.
+"""Task allocation (Faigl and Vanek 2014, section 3): robots are assigned to representatives of frontier segments.
 
     greedy           GA: one robot after the other, in random order, takes the nearest goal left
     iterative        IA: the nearest pair of robot and goal first
     hungarian        HA: the assignment of least total distance
-    mtsp             MA: goals clustered around the robots, each goes where its cluster's shortest tour begins
-    hungarian-depot  HAd: distance, way from the goal to the depot, and way traveled so far (Eq. 2)
+    mtsp             MA: goals clustered around the robots, each drives to the first goal of its cluster's shortest tour
+    hungarian-depot  HAd: distance, distance from the goal to the depot, and distance traveled so far (Eq. 2)
     mtsp-depot       MAd: the tour ends at the depot
 
 Goals (rfe or anr), replanning (at-goal is the paper's GR, at-once its IR) and mission (open is OP, return RD)
@@ -33,25 +33,25 @@ from agent.strategies.team import Table, TeamStrategy, unclaimed
 
 @dataclass(frozen=True)
 class Allocation(Parts):
-    """Options of the six."""
+    """Options of all six strategies."""
 
-    candidates: str = option("anr", "which cells are worth going to", CANDIDATES)
+    candidates: str = option("anr", "the goals among the frontier cells", CANDIDATES)
 
 
 @dataclass(frozen=True)
 class DepotAllocation(Allocation):
-    """Options of those that think of the way back."""
+    """Options of the depot strategies."""
 
-    mission: str = option("return", "what comes after the last target", MISSIONS)
+    mission: str = option("return", "the end of the run", MISSIONS)
 
 
 class _Allocating(TeamStrategy):
-    """What the six share: goals claimed by those out of range are left to them, ways are straightened."""
+    """Common part of the six: goals of teammates out of range are left to them, and routes are straightened."""
 
     options_type: ClassVar[type] = Allocation
 
     def goals(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:
-        """The candidates, without those near remembered targets."""
+        """Return the candidates that are not near the last target of a teammate out of range."""
         found = super().goals(situation, planner)
         return unclaimed(situation, found, self.remembered(situation), self.settings)
 
@@ -62,59 +62,59 @@ class _Allocating(TeamStrategy):
 
 
 class Greedy(_Allocating):
-    """GA."""
+    """GA: greedy assignment."""
 
     name = "greedy"
     summary = "robots, in random order, take the nearest goal that is left"
     source = "Faigl and Vanek 2014, GA (section 3.1)"
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
-        """The order is drawn anew each time, the same for all members."""
+        """Assign goals; the order of robots is random, the same for all members."""
         del planner
         return greedy(table.costs, self.draw("order", situation).permutation(len(table.robots)))
 
 
 class Iterative(_Allocating):
-    """IA."""
+    """IA: iterative assignment."""
 
     name = "iterative"
     summary = "the nearest pair of robot and goal first, then the nearest of those left"
     source = "Faigl and Vanek 2014, IA (section 3.1), after Werger and Mataric"
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
-        """All pairs by their cost."""
+        """Assign goals to robots by the cost of the pairs."""
         del situation, planner
         return iterative(table.costs)
 
 
 class Hungarian(_Allocating):
-    """HA."""
+    """HA: Hungarian assignment."""
 
     name = "hungarian"
     summary = "the assignment of least total distance"
     source = "Faigl and Vanek 2014, HA (section 3.1)"
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
-        """The Hungarian method on distances."""
+        """Assign goals by the Hungarian method."""
         del situation, planner
         return hungarian(table.costs)
 
 
 class HungarianDepot(Hungarian):
-    """HAd."""
+    """HAd: Hungarian assignment with the way to the depot."""
 
     name = "hungarian-depot"
-    summary = "as hungarian, counting the way back to the depot and the way traveled so far"
+    summary = "as hungarian, with the distances to the depot and traveled so far added"
     source = "Faigl and Vanek 2014, HAd (section 4.1.1, Eq. 2)"
     options_type = DepotAllocation
 
     @classmethod
     def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
-        """All that clash, and a mission without a way back."""
+        """Return the conflicts of all strategies, and an open mission."""
         return super().clashes(parts) + _clash_with_open(parts)
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
-        """Eq. (2)."""
+        """Assign goals by the costs of Eq. (2)."""
         homes = np.array([situation.homes[robot] for robot in table.robots], np.int32)
         back = _way_back(planner, table.goals, homes)
         traveled = np.array([situation.traveled.get(robot, 0.0) for robot in table.robots])
@@ -124,15 +124,15 @@ class HungarianDepot(Hungarian):
 
 
 class Mtsp(_Allocating):
-    """MA."""
+    """MA: multiple traveling salesmen."""
 
     name = "mtsp"
-    summary = "goals clustered around the robots; each goes where the shortest tour of its cluster begins"
+    summary = "goals clustered around the robots; each follows its cluster's shortest tour"
     source = "Faigl and Vanek 2014, MA (section 3.1)"
 
     @classmethod
     def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
-        """All that clash, and too many goals."""
+        """Return the conflicts of all strategies, and candidates that are too many."""
         found = super().clashes(parts)
         if parts.candidates == "cells":
             reason = "a tour needs the way between every two goals; rfe and anr make few of them"
@@ -140,12 +140,12 @@ class Mtsp(_Allocating):
         return found
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
-        """Only the robot's own row says where: nobody needs the others' tours."""
+        """Assign a goal to this robot alone; the tours of the others are not needed."""
         if len(table.goals) < len(table.robots):
             return iterative(table.costs)
         given = np.full(len(table.robots), -1)
         me = table.robots.index(self.settings.robot)
-        mine = np.flatnonzero(share_out(table) == me)
+        mine = np.flatnonzero(cluster_goals(table) == me)
         mine = mine[np.isfinite(table.costs[me, mine])]
         if len(mine):
             given[me] = self._first_stop(table, mine, situation, planner)
@@ -154,7 +154,7 @@ class Mtsp(_Allocating):
     def _first_stop(
         self, table: Table, mine: NDArray[np.int64], situation: Situation, planner: PathPlanner
     ) -> int:
-        """The goal with which the shortest tour through a cluster begins; far ones may be left out of it."""
+        """Return the first goal of the shortest tour through the nearest `LONGEST` goals of a cluster."""
         costs = table.costs[table.robots.index(self.settings.robot)]
         mine = mine[np.argsort(costs[mine], kind="stable")][:LONGEST]
         cells = table.goals[mine]
@@ -165,13 +165,13 @@ class Mtsp(_Allocating):
     def _to_end(
         self, cells: NDArray[np.int32], situation: Situation, planner: PathPlanner
     ) -> NDArray[np.float64]:
-        """Cost of the way from each goal to where the tour ends: at that goal."""
+        """Cost of the way from each goal to the end of the tour; 0, as the tour ends at a goal."""
         del situation, planner
         return np.zeros(len(cells))
 
 
 class MtspDepot(Mtsp):
-    """MAd."""
+    """MAd: multiple traveling salesmen with a depot."""
 
     name = "mtsp-depot"
     summary = "as mtsp, with tours that end at the depot"
@@ -180,7 +180,7 @@ class MtspDepot(Mtsp):
 
     @classmethod
     def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
-        """All that clash, and a mission without a way back."""
+        """Return the conflicts of all strategies, and an open mission."""
         return super().clashes(parts) + _clash_with_open(parts)
 
     def _to_end(
@@ -195,17 +195,17 @@ def _way_back(
 ) -> NDArray[np.float64]:
     """Cost of the way from each goal to each depot, shape (depots, goals).
 
-    As the crow flies where none leads: a wall that teammates have told of by mistake may bar it for a while.
+    The straight distance if there is no way: a wrongly reported wall may bar it for a while.
     """
     back = planner.costs_between(homes, goals)
     straight = np.hypot(*(homes[:, None] - goals[None]).transpose(2, 0, 1))
     return np.where(np.isfinite(back), back, straight)
 
 
-def share_out(table: Table) -> NDArray[np.int64]:
-    """Cluster the goals around the robots by K-means; the number of the robot that each goal falls to.
+def cluster_goals(table: Table) -> NDArray[np.int64]:
+    """Cluster the goals around the robots by k-means; return for each goal the index of its robot.
 
-    A robot whose cluster is empty gets the goal nearest to it of those whose robot has more than one.
+    A robot with an empty cluster gets the nearest goal of a robot that has several.
     """
     _, owner = k_means(table.goals.astype(np.float64), table.cells.astype(np.float64))
     for robot in range(len(table.robots)):
@@ -223,7 +223,7 @@ def _clash_with_open(parts: Any) -> list[tuple[tuple[str, ...], str]]:
         return [
             (
                 ("mission",),
-                "its costs count the way back to the depot, which no robot of an open mission drives",
+                "its costs include the way to the depot, which no robot of an open mission drives",
             )
         ]
     return []

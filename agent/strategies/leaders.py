@@ -1,9 +1,9 @@
 """Exploration by an artificial potential field, with and without leaders (leader paper, section III).
 
     potential-field   all are troopers: repelled by robots and obstacles, drawn to the closest frontier point
-    leaders           leaders drive to their closest frontier point along the shortest way, come what may
+    leaders           leaders drive to their closest frontier point along the shortest way, without forces
 
-Robots tell each other their poses, and whether they lead. Both move continuously (`agent.planning.forces`).
+Robots broadcast their poses, and whether they lead. Both kinds move continuously (`agent.planning.forces`).
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from agent.strategies.base import Cell, Decision, Situation, Strategy
 from agent.strategies.options import option
 
 FINE = 1000
-"""Way points are told in thousandths of a cell."""
+"""Waypoints are in thousandths of a cell."""
 
 STALL_STEPS = 60
-"""A robot that has seen nothing new for so many steps, and has not got away from its place, is stalled."""
+"""A robot is stalled after this many steps without a change of its map or its place."""
 
 STALL_METRES = 1.0
-"""How far it has to get; half of what it can drive in these steps, if that is less."""
+"""Distance in meters that counts as a change of place; at most half of what the robot can drive in that time."""
 
-NOT_HERE = "robots are moved by forces, there are no targets to choose among"
+NOT_HERE = "forces move the robots, so there are no targets to choose from"
 
 
 @dataclass(frozen=True)
 class FieldOptions:
-    """Options of the field, in metres, seconds and newtons; the mass is 1 kg."""
+    """Options of the potential field, in meters, seconds and newtons; a robot has a mass of 1 kg."""
 
-    rho_robots: float = option(2.0, "range in which robots repel each other, metres")
-    rho_obstacles: float = option(0.4, "range in which the closest obstacle repels, metres")
+    rho_robots: float = option(2.0, "range in which robots repel each other, in meters")
+    rho_obstacles: float = option(0.4, "range in which the closest obstacle repels, in meters")
     gain_robots: float = option(0.2, "k of the repulsion between robots (Eq. 2)", least=0)
     gain_obstacles: float = option(0.01, "k of the repulsion of obstacles (Eq. 2)", least=0)
     gain_frontier: float = option(1.0, "k of the attraction of the closest frontier point (Eq. 6)", least=0)
@@ -50,22 +50,22 @@ class FieldOptions:
 
 
 WAYS = ("cells", "visibility")
-"""How a leader's way is found. ``cells``: from cell to cell, straightened afterwards. ``visibility``: the shortest in
-the continuous plane, by a visibility graph (III-A)."""
+"""Path planning of leaders. ``cells``: over cells, straightened afterwards. ``visibility``: the shortest way in the
+continuous plane, from a visibility graph (section III-A)."""
 
 
 @dataclass(frozen=True)
 class LeaderOptions(FieldOptions):
     """Options of `leaders`."""
 
-    way: str = option("cells", "how a leader's way is found", WAYS)
-    rho_lead: float = option(4.0, "a robot that knows of no leader so near becomes one, metres")
-    first: int = option(1, "how many robots, from number 0, lead throughout", least=0)
+    way: str = option("cells", "path planning of leaders", WAYS)
+    rho_lead: float = option(4.0, "a robot without a leader within this distance becomes one, in meters")
+    first: int = option(1, "number of permanent leaders, from robot 0 on", least=0)
     dynamic: bool = option(True, "whether others may become leaders")
 
 
 class PotentialField(Strategy):
-    """Troopers only."""
+    """A potential field in which no robot leads."""
 
     name = "potential-field"
     summary = "robots repel each other, obstacles repel them, the closest frontier draws them; it may stall"
@@ -84,7 +84,7 @@ class PotentialField(Strategy):
         )  # fmt: skip
         self._velocity = np.zeros(2)
         self._route = Route()
-        self._giving_way = YieldBehavior(settings.seed, settings.robot, settings.range_cells)
+        self._yielding = YieldBehavior(settings.seed, settings.robot, settings.range_cells)
         self._anchor: tuple[float, float] = (0.0, 0.0)
         self._anchor_step = 0
         self._known = -1
@@ -95,29 +95,29 @@ class PotentialField(Strategy):
         chosen = super().check(options)
         ranges = _ranges(chosen)
         if chosen.rho_obstacles <= 0 or any(low > high for (_, low), (_, high) in pairwise(ranges)):
-            said = ", ".join(f"{name} = {value:g}" for name, value in ranges)
-            reason = "robots must feel each other before they feel walls, and a leader before it repels them"
+            given = ", ".join(f"{name} = {value:g}" for name, value in ranges)
+            reason = "robots must react to each other before they react to walls, and to a leader before it repels them"
             raise ValueError(
-                f"{cls.name} needs 0 < {' <= '.join(name for name, _ in ranges)}, not {said}: {reason}"
+                f"{cls.name} needs 0 < {' <= '.join(name for name, _ in ranges)}, not {given}: {reason}"
             )
         return chosen
 
     @classmethod
     def check_range(cls, options: Mapping[str, Any], range_m: float) -> None:
-        """Robots must be heard as far as they are felt, or followed (Eq. 8)."""
+        """Raise ValueError unless robots receive poses from the whole range of a force or of leadership (Eq. 8)."""
         name, farthest = _ranges(cls.check(options))[-1]
         if farthest > range_m:
-            silent = {
-                "rho_robots": "a robot that cannot be heard repels nobody",
-                "rho_lead": "a leader that cannot be heard cannot be followed",
+            reasons = {
+                "rho_robots": "a robot out of radio range repels no other",
+                "rho_lead": "no robot follows a leader out of radio range",
             }
             raise ValueError(
                 f"{cls.name} needs {name} <= range, not {name} = {farthest:g} m with a range of {range_m:g} m: "
-                f"{silent[name]}"
+                f"{reasons[name]}"
             )
 
     def decide(self, situation: Situation) -> Decision:
-        """Move for a second: by forces, or ahead as a leader."""
+        """Return the motion of the next second: by forces, or along a leader's way."""
         size = self.settings.resolution
         at = situation.x + situation.offset[0] / FINE, situation.y + situation.offset[1] / FINE
         planner = PathPlanner(situation.grid, radius_cells=self.settings.radius_cells)
@@ -126,7 +126,9 @@ class PotentialField(Strategy):
             self._velocity = np.zeros(2)
         if not len(frontier):
             return Decision(
-                explored=True, heading=situation.heading, status="idle: no reachable frontier is left"
+                explored=True,
+                heading=situation.heading,
+                status="idle: no reachable frontier on the planning grid",
             )
         stalled = self._is_stalled(situation, at)
         self.leads = self.is_leader(situation)
@@ -147,30 +149,30 @@ class PotentialField(Strategy):
             points=points,
             heading=self.heading(situation, is_there=True),
             stalled=stalled,
-            status="stalled" if stalled else "leads the way" if self.leads else "is drawn to its frontier",
+            status="stalled" if stalled else "leading" if self.leads else "drawn to its closest frontier",
         )
 
     def is_leader(self, situation: Situation) -> bool:
-        """Nobody leads."""
+        """Return whether this robot leads; here none does."""
         del situation
         return False
 
     def _lead(
         self, situation: Situation, planner: PathPlanner, frontier: NDArray[np.int32]
     ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """The closest frontier cell, and way points along the shortest way to it."""
+        """Return the closest frontier cell, and waypoints of the shortest way to it."""
         costs = planner.costs(*situation.here)[frontier[:, 1], frontier[:, 0]]
         target = frontier[np.argmin(costs)]
         goal = int(target[0]), int(target[1])
         self._route.drive_to(*situation.here)
         stopped = situation.blocked == "robot"
-        self._giving_way.note(self._route, situation.here, situation.step, stopped=stopped)
+        self._yielding.note(self._route, situation.here, situation.step, stopped=stopped)
         self._route.lead(planner, situation.here, goal)
-        if self._giving_way.has_waited:
-            planner = self._giving_way.pass_by(self._route, planner, situation.here, goal, situation.step)
+        if self._yielding.has_waited:
+            planner = self._yielding.pass_by(self._route, planner, situation.here, goal, situation.step)
         start = situation.x * FINE + situation.offset[0], situation.y * FINE + situation.offset[1]
         points = None
-        if self.options.way == "visibility" and not self._giving_way.has_waited:
+        if self.options.way == "visibility" and not self._yielding.has_waited:
             points = shortest_way(planner.floor, start, frontier, float(costs.min()))
         if points is None:
             points = corners(planner.floor, start, self._route.cells)
@@ -180,7 +182,7 @@ class PotentialField(Strategy):
         return target, points
 
     def _is_stalled(self, situation: Situation, at: tuple[float, float]) -> bool:
-        """Whether it has stayed where it is, and its map as well."""
+        """Whether neither the robot's place nor its map has changed for `STALL_STEPS`."""
         known = int(np.count_nonzero(situation.grid))
         away = np.hypot(at[0] - self._anchor[0], at[1] - self._anchor[1]) * self.settings.resolution
         enough = min(STALL_METRES, STALL_STEPS / 2 * self.settings.speed_cells * self.settings.resolution)
@@ -190,10 +192,10 @@ class PotentialField(Strategy):
 
 
 class Leaders(PotentialField):
-    """Troopers and leaders."""
+    """A potential field with leaders."""
 
     name = "leaders"
-    summary = "a potential field whose leaders take the shortest way, so that no local minimum ends it"
+    summary = "a potential field whose leaders drive the shortest way, past local minima"
     source = "leader paper, sections III-A to III-C"
     options_type = LeaderOptions
 
@@ -202,23 +204,23 @@ class Leaders(PotentialField):
         self.leads = settings.robot < self.options.first
 
     def is_leader(self, situation: Situation) -> bool:
-        """Section III-C, with the robots' numbers as the hierarchy."""
+        """Return whether this robot leads (section III-C); the hierarchy is the order of robot numbers."""
         reach = self.options.rho_lead / self.settings.resolution
         sensed = [
             peer
             for peer in situation.peers
             if peer in situation.poses and situation.poses[peer].leads
-            and _apart(situation.poses[peer][:2], situation.here) <= reach
+            and _distance(situation.poses[peer][:2], situation.here) <= reach
         ]  # fmt: skip
         robot = self.settings.robot
         return elect(robot, self.leads, sensed, self.options.first, dynamic=self.options.dynamic)
 
 
 def elect(robot: int, leads: bool, leaders_sensed: list[int], first: int, *, dynamic: bool = True) -> bool:
-    """Say whether a robot leads from now on (section III-C).
+    """Return whether a robot leads from now on (section III-C).
 
-    The first ones lead throughout. Another becomes a leader when it senses none, and stops being one when it
-    senses one that is higher in the hierarchy, which is the robots' order.
+    The first robots always lead. Another robot becomes a leader when it senses none, and stops leading when it senses
+    a leader with a lower number.
     """
     if robot < first or not dynamic:
         return robot < first
@@ -228,10 +230,10 @@ def elect(robot: int, leads: bool, leaders_sensed: list[int], first: int, *, dyn
 
 
 def _ranges(chosen: FieldOptions) -> list[tuple[str, float]]:
-    """Ranges by name, in the paper's order (Eqs. 4 and 8)."""
+    """Return the ranges by name, in the order that Eqs. 4 and 8 require."""
     ranges = [("rho_obstacles", chosen.rho_obstacles), ("rho_robots", chosen.rho_robots)]
     return ranges + ([("rho_lead", chosen.rho_lead)] if isinstance(chosen, LeaderOptions) else [])
 
 
-def _apart(one: Cell, other: Cell) -> float:
+def _distance(one: Cell, other: Cell) -> float:
     return float(np.hypot(one[0] - other[0], one[1] - other[1]))

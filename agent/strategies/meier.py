@@ -1,7 +1,7 @@
-"""The thesis' decentralised coordination (sections 4.4 and 4.5): the best trade-off of utility and cost.
+"""Decentralized coordination of the thesis (sections 4.4 and 4.5): the best trade-off of utility and cost.
 
 Every robot chooses for itself the frontier cell t with the largest U(t) - beta V(t), where utilities are
-lowered around the targets that it has heard of, and V is the way's length in sensor ranges.
+lowered around the received targets of teammates, and V is the length of the way in sensor ranges.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.planning.best_frontier import Appeal
+from agent.planning.best_frontier import TradeOff
 from agent.planning.candidates import SEARCHED
 from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import utilities
@@ -20,7 +20,7 @@ from agent.strategies.base import Cell, Situation
 from agent.strategies.options import option
 from agent.strategies.targets import Parts, TargetStrategy
 
-BREADTH_FIRST_IS_ONE = "breadth-first search ends at one cell, so there is nothing left to weigh"
+BREADTH_FIRST_IS_ONE = "breadth-first search finds a single cell, so there are no goals to compare"
 
 
 @dataclass(frozen=True)
@@ -29,48 +29,48 @@ class Options(Parts):
 
     beta: float = option(1.0, "weight of cost against utility", least=0)
     half_life: float = option(
-        0.0, "steps after which a target heard of counts half; 0: it never ages", least=0
+        0.0, "steps after which a received target counts half; 0: it never ages", least=0
     )
     forget: int = option(
-        0, "steps after which a target heard of counts nothing, bit by bit less until then; 0: never", least=0
+        0, "steps over which the weight of a received target decreases to 0; 0: never", least=0
     )
-    herding: bool = option(True, "choose again when a lower-numbered robot is headed for the same place")
+    herding: bool = option(True, "choose again when a lower-numbered robot drives to the same place")
 
 
 class Meier(TargetStrategy):
-    """Utility against cost, each robot for itself."""
+    """Best trade-off of utility and cost, decided by each robot alone."""
 
     name = "meier"
-    summary = "each robot takes the frontier of best utility minus cost, and tells the others its target"
+    summary = "each robot takes the frontier of best utility minus cost, and broadcasts it"
     source = "Meier 2005, sections 4.4 and 4.5"
     options_type = Options
 
     @classmethod
     def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
-        """All that clash, and a single candidate."""
+        """Return the conflicts of all strategies, and a single candidate."""
         found = super().clashes(parts)
         if parts.candidates in SEARCHED:
             found.append((("candidates",), BREADTH_FIRST_IS_ONE))
         return found
 
     def is_due(self, situation: Situation) -> bool:
-        """As the parts say, and once for each target heard that the rule against herding speaks of."""
+        """Return whether to replan; also once for each received target that conflicts by the rule against herding."""
         return super().is_due(situation) or (self.options.herding and self.herds(situation))
 
     def select(self, situation: Situation, planner: PathPlanner) -> tuple[Cell | None, bool]:
-        """Take the largest trade-off; where all cells of the frontier are goals, those too far are not looked at."""
+        """Return the best goal; if all frontier cells are goals, a bounded search finds it without listing them."""
         if self.options.candidates != "cells" or self.options.costs != "shortest":
             return super().select(situation, planner)
         targets = np.array(list(situation.targets.values()), np.int32).reshape(-1, 2)
         weights = self._weights(situation)
         counted = np.ones(len(targets)) if weights is None else np.array(weights, np.float64)
         ranges = self.settings.ranges_of(situation.targets)
-        appeal = Appeal(targets, counted, ranges, self.settings.scale_cells, self.options.beta)
-        best = planner.best_frontier(*situation.here, appeal)
+        trade_off = TradeOff(targets, counted, ranges, self.settings.scale_cells, self.options.beta)
+        best = planner.best_frontier(*situation.here, trade_off)
         return best, best is not None
 
     def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
-        """Take the largest trade-off; of equals the first cell, row by row."""
+        """Return the goal of the best trade-off; of equal goals the first, row by row."""
         ranges = self.settings.ranges_of(situation.targets)
         worth = utilities(
             situation.grid, goals, list(situation.targets.values()), ranges, self._weights(situation)
@@ -80,7 +80,7 @@ class Meier(TargetStrategy):
         return int(goals[best, 0]), int(goals[best, 1])
 
     def _weights(self, situation: Situation) -> list[float] | None:
-        """How much each teammate's target counts: less with age, as section 7.2 wishes."""
+        """Weight of each teammate's target, which decreases with its age (proposed in section 7.2); None: all 1."""
         half_life, forget = self.options.half_life, self.options.forget
         if not half_life and not forget:
             return None

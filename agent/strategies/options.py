@@ -1,4 +1,4 @@
-"""Options of strategies: dataclasses with a line of help a field, read from a scenario and checked."""
+"""Options of strategies: dataclasses whose fields have a line of help and are checked when a scenario is read."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ Options = TypeVar("Options")
 
 
 def option(default: Any, help_line: str, choices: Iterable[str] = (), *, least: float | None = None) -> Any:
-    """Declare a field of an options dataclass: its default, a line for people, what a text or number may be."""
+    """Declare a field of an options dataclass: default, help line, allowed texts, smallest number."""
     return field(default=default, metadata={"help": help_line, "choices": tuple(choices), "least": least})
 
 
 @dataclass(frozen=True)
 class OptionLine:
-    """What people are told of an option."""
+    """Description of an option."""
 
     name: str
     default: Any
@@ -26,28 +26,28 @@ class OptionLine:
 
 
 def option_lines(kind: type) -> list[OptionLine]:
-    """All options that a dataclass declares, in its order."""
+    """Return the options that a dataclass declares, in its order."""
     return [OptionLine(item.name, item.default, **item.metadata) for item in fields(kind)]
 
 
 def read_options(
     kind: type[Options], options: Mapping[str, Any], owner: str, refused: Mapping[str, str] | None = None
 ) -> Options:
-    """Make a dataclass of options given by name.
+    """Make an options dataclass from values by name.
 
     Parameters
     ----------
     kind : type
         A dataclass whose fields are made by `option`.
     owner : str
-        Whose options they are, for messages.
+        Name of the strategy, for error messages.
     refused : mapping of name to reason, optional
-        Options that others have and this owner cannot have, and why.
+        Options of other strategies that do not apply, each with the reason.
 
     Raises
     ------
     ValueError
-        An option is unknown, refused, of the wrong type, none of its choices or less than it may be.
+        An option is unknown, does not apply, has the wrong type, or has a value that is not allowed.
     """
     known = {line.name: line for line in option_lines(kind)}
     for name, value in options.items():

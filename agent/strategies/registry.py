@@ -1,4 +1,4 @@
-"""Exploration strategies, one file a paper; found by name among the subclasses of `Strategy`.
+"""Find a strategy by its name, among the imported subclasses of `Strategy` and the plugins.
 
 A new strategy is one new file here, a class in any importable module, named ``package.module:Class``, or an entry point
 of an installed package (`agent.plugins`).
@@ -17,7 +17,7 @@ from agent.strategies.base import Strategy
 
 
 def strategies() -> dict[str, type[Strategy]]:
-    """All strategies that have been imported and are complete, by name."""
+    """Return all imported strategies without abstract methods, by name."""
     found: dict[str, type[Strategy]] = {}
     queue: list[Any] = [Strategy]
     while queue:
@@ -29,16 +29,16 @@ def strategies() -> dict[str, type[Strategy]]:
 
 
 PLUGINS: Plugins[Strategy] = Plugins("strategy", "murmur.strategies", Strategy)  # type: ignore[type-abstract]
-"""Those that are not ours."""
+"""The strategies of installed packages."""
 
 
 def strategy(name: str) -> type[Strategy]:
-    """Return the strategy called `name`: one of ours, of an installed package, or ``package.module:Class``.
+    """Return the strategy with this name, of this or an installed package, or given as ``package.module:Class``.
 
     Raises
     ------
     ValueError
-        There is none of that name (near names and those there are follow), or the class cannot be imported.
+        The name is unknown (the message lists similar names), or the class cannot be imported.
     """
     return PLUGINS.find(name, strategies())
 

@@ -1,8 +1,8 @@
-"""Teammates out of range, heard of through those between: a sub-team is all that are connected (Burgard et al., II-D).
+"""States of teammates out of range, relayed by the robots between (Burgard et al. 2005, section II-D).
 
-With each broadcast a robot passes on where its teammates are and where they are headed, and how many steps ago they
-were there (`packets.Passed`). A chain of r robots has r - 2 between its ends, and each costs a step, so what is older
-comes from a robot that is connected no more, and is dropped: word of it goes round no longer than that.
+With each broadcast a robot forwards the poses and targets of its teammates and the age of this state in steps
+(`packets.Passed`). In a chain of r robots a state takes one step for each of at most r - 2 hops. An older state comes
+from a robot that is no longer connected, so robots drop it; this also ends its circulation.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from protocol.packets import MAX_AGE, Passed, Target
 
 
 class RelayedState:
-    """What one robot has been told of others."""
+    """The relayed states that one robot has received."""
 
     def __init__(self, settings: Settings) -> None:
         self._robot = settings.robot
         self._oldest = min(settings.robots - 2, MAX_AGE)
-        """Steps after which a robot is not connected any more of which nothing new is heard."""
+        """Age in steps up to which a state shows that its robot is connected."""
         self._seen: dict[int, int] = {}
-        """The step in which each was where it is said to be."""
-        self._told_of: set[int] = set()
-        """Those of whom others have told last, not they themselves."""
+        """The step of each robot's last known state."""
+        self._relayed: set[int] = set()
+        """Robots whose last state was relayed, not received from the robot itself."""
 
     def take(self, packet: Passed, step: int) -> bool:
-        """Take what has been passed on in a step; whether it is news."""
+        """Take a relayed state that arrived in a step; return whether it is newer than the known one."""
         seen = step - packet.age
         if (
             packet.robot == self._robot
@@ -36,29 +36,29 @@ class RelayedState:
         ):
             return False
         self._seen[packet.robot] = seen
-        self._told_of.add(packet.robot)
+        self._relayed.add(packet.robot)
         return True
 
     def connected(self, step: int, peers: Collection[int]) -> tuple[int, ...]:
-        """Those out of range that are connected in a step, ascending."""
-        fresh = {robot for robot in self._told_of if step - self._seen[robot] <= self._oldest}
+        """Return the robots out of range that are connected in a step, ascending."""
+        fresh = {robot for robot in self._relayed if step - self._seen[robot] <= self._oldest}
         return tuple(sorted(fresh - set(peers)))
 
-    def passed_on(
+    def forward(
         self,
         step: int,
-        heard: Collection[int],
+        senders: Collection[int],
         peers: Collection[int],
         poses: Mapping[int, Pose],
         targets: Mapping[int, Cell],
     ) -> list[Passed | Target]:
-        """What to pass on to `peers` in a step: of the robots `heard` in the step before, and what came of others."""
-        near = [robot for robot in heard if robot in poses]
+        """Return the states to forward to `peers`: of the `senders` of the step before, and relayed ones."""
+        near = [robot for robot in senders if robot in poses]
         self._seen |= dict.fromkeys(near, step - 1)
-        self._told_of -= set(near)
-        said: list[Passed | Target] = []
+        self._relayed -= set(near)
+        states: list[Passed | Target] = []
         for robot in sorted({*near, *self.connected(step, near)}):
             if step - self._seen[robot] <= self._oldest and set(peers) - {robot}:
-                said.append(Passed(robot, step - self._seen[robot], *poses[robot][:2]))
-                said += [Target(*targets[robot])] if robot in targets else []
-        return said
+                states.append(Passed(robot, step - self._seen[robot], *poses[robot][:2]))
+                states += [Target(*targets[robot])] if robot in targets else []
+        return states

@@ -1,13 +1,13 @@
-"""Exploration with a scanner that turns (Al-khawaldah and Nuechter, section 3), and the bids it replaces.
+"""Exploration with a turning scanner (Al-khawaldah and Nuechter 2014, section 3), and the auction baselines.
 
-    stop-scan-replan     a full turn at each target, then the next one (3.1, Algorithm 1)
-    scan-replan          at the target, at once the next one (3.2)
-    continuous-replan    the next one as soon as anyone has opened the target (3.3)
-    classical            scans only at its targets, and takes the best bid (3.4)
+    stop-scan-replan     a full turn at each target, then the next target (3.1, Algorithm 1)
+    scan-replan          the next target immediately at the target (3.2)
+    continuous-replan    the next target as soon as the target is no frontier any more (3.3)
+    classical            scans at targets alone, and takes the best bid (3.4)
     sheng-bid            the quoted baseline (Eq. 1): the best bid, scanning all the time
 
-Each but the last tells what it has seen when it has reached its target, or replaces it. A scenario's
-`scanner_turn` is 72 or 18 degrees a step in the paper; with 0 a full turn takes one step.
+All but the last send map changes when they reach or replace a target. The `scanner_turn` of a scenario is 72 or 18
+degrees per step in the paper; with 0 a full turn takes one step.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from agent.strategies.meier import BREADTH_FIRST_IS_ONE
 from agent.strategies.options import option
 from agent.strategies.targets import REPLANNING, SCANNING, SHARING, Parts, TargetStrategy
 
-HERDING = "choose again when a lower-numbered robot is headed for the same place"
+HERDING = "choose again when a lower-numbered robot drives to the same place"
 
 
 @dataclass(frozen=True)
 class Turning(Parts):
     """Options of `stop-scan-replan`."""
 
-    candidates: str = option("breadth-first", "which cells are worth going to", CANDIDATES)
-    replan: str = option("after-turn", "when a new target is chosen", REPLANNING)
-    share: str = option("at-target", "when teammates get what was seen", SHARING)
+    candidates: str = option("breadth-first", "the goals among the frontier cells", CANDIDATES)
+    replan: str = option("after-turn", "when to choose a new target", REPLANNING)
+    share: str = option("at-target", "when map changes are sent to teammates", SHARING)
     herding: bool = option(False, HERDING)
 
 
@@ -44,21 +44,21 @@ class Turning(Parts):
 class Moving(Turning):
     """Options of `scan-replan`."""
 
-    replan: str = option("at-goal", "when a new target is chosen", REPLANNING)
+    replan: str = option("at-goal", "when to choose a new target", REPLANNING)
 
 
 @dataclass(frozen=True)
 class Continuous(Turning):
     """Options of `continuous-replan`."""
 
-    replan: str = option("at-once", "when a new target is chosen", REPLANNING)
+    replan: str = option("at-once", "when to choose a new target", REPLANNING)
 
 
 class Rotating(TargetStrategy):
-    """What all of them do."""
+    """Common part of these strategies."""
 
     def is_due(self, situation: Situation) -> bool:
-        """As the parts say; and, if asked to, as if robots chose one after another."""
+        """Return whether to replan; with `herding` also by the rule against herding."""
         return super().is_due(situation) or (self.options.herding and self.herds(situation))
 
 
@@ -66,21 +66,21 @@ class StopScanReplan(Rotating):
     """Stop, scan, replan, go."""
 
     name = "stop-scan-replan"
-    summary = "a full turn of the scanner at each target, then to the nearest frontier nobody is headed for"
+    summary = "a full scanner turn at each target, then to the nearest frontier without a teammate"
     source = "Al-khawaldah and Nuechter 2014, section 3.1, Algorithm 1"
     options_type = Turning
 
     @classmethod
     def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
-        """All that clash, and more than one candidate."""
+        """Return the conflicts of all strategies, and several candidates."""
         found = super().clashes(parts)
         if parts.candidates not in SEARCHED:
-            reason = "it takes the first cell that its search meets; nearest chooses among several"
+            reason = "it takes the first cell that its search finds; nearest chooses among several"
             found.append((("candidates",), reason))
         return found
 
     def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
-        """Take the cell that the search has found."""
+        """Return the cell that the search has found."""
         del situation, planner
         return int(goals[0, 0]), int(goals[0, 1])
 
@@ -89,16 +89,16 @@ class ScanReplan(StopScanReplan):
     """Scan, replan, go."""
 
     name = "scan-replan"
-    summary = "scans on the way, and goes on from each target at once"
+    summary = "scans on the way, and drives on from each target immediately"
     source = "Al-khawaldah and Nuechter 2014, section 3.2"
     options_type = Moving
 
 
 class ContinuousReplan(StopScanReplan):
-    """Continuously replanning."""
+    """Continuous replanning."""
 
     name = "continuous-replan"
-    summary = "scans on the way, and takes a new target as soon as anyone has opened the old one"
+    summary = "scans on the way, and takes a new target once the old one is no frontier"
     source = "Al-khawaldah and Nuechter 2014, section 3.3"
     options_type = Continuous
 
@@ -107,7 +107,7 @@ class ContinuousReplan(StopScanReplan):
 class Bids(Parts):
     """Options of `sheng-bid`."""
 
-    gain: float = option(1.0, "w1: weight of the share of the sensor's disc that is still unknown", least=0)
+    gain: float = option(1.0, "w1: weight of the unknown share of the sensor's disc", least=0)
     distance: float = option(0.3, "w2: weight of the way, in sensor ranges", least=0)
     nearness: float = option(
         0.05, "w3: weight of nearness, minus the distance to the nearest teammate", least=0
@@ -119,13 +119,13 @@ class Bids(Parts):
 class ClassicalBids(Bids):
     """Options of `classical`."""
 
-    replan: str = option("after-turn", "when a new target is chosen", REPLANNING)
+    replan: str = option("after-turn", "when to choose a new target", REPLANNING)
     scan: str = option("at-target", "when the scanner works", SCANNING)
-    share: str = option("at-target", "when teammates get what was seen", SHARING)
+    share: str = option("at-target", "when map changes are sent to teammates", SHARING)
 
 
 class ShengBid(Rotating):
-    """The best bid."""
+    """Best bid (Sheng et al. 2006)."""
 
     name = "sheng-bid"
     summary = "takes the frontier cell of the best bid: unknown area, distance, nearness to teammates"
@@ -135,23 +135,23 @@ class ShengBid(Rotating):
 
     @classmethod
     def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
-        """All that clash, and a single candidate."""
+        """Return the conflicts of all strategies, and a single candidate."""
         found = super().clashes(parts)
         if parts.candidates in SEARCHED:
             found.append((("candidates",), BREADTH_FIRST_IS_ONE))
         return found
 
     def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
-        """Take the largest bid; of equals the first cell, row by row."""
+        """Return the goal of the largest bid; of equal goals the first, row by row."""
         best = goals[np.argmax(self.bids(situation, goals, planner))]
         return int(best[0]), int(best[1])
 
     def bids(
         self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner
     ) -> NDArray[np.float64]:
-        """Eq. (1), g = w1 I - w2 D + w3 lambda, for each goal.
+        """Return the bid of each goal, shape (n,): Eq. (1), g = w1 I - w2 D + w3 lambda.
 
-        The paper leaves units open. Here I is the share of the disc of sensor range, and D and lambda are in
+        The paper does not define the units. Here I is the share of the disc of sensor range, and D and lambda are in
         sensor ranges, the longest of the team; lambda is minus the straight distance to the nearest teammate whose
         pose is known.
         """
@@ -174,9 +174,9 @@ class ShengBid(Rotating):
 
 
 class Classical(ShengBid):
-    """Stop, scan, plan, go."""
+    """Best bid, with scans at targets alone."""
 
     name = "classical"
-    summary = "scans only at its targets, a full turn each, and takes the best bid"
+    summary = "scans at its targets alone, a full turn each, and takes the best bid"
     source = "Al-khawaldah and Nuechter 2014, section 3.4"
     options_type = ClassicalBids

@@ -65,7 +65,7 @@ class Archive:
         changed = [
             each.range_mm / 1000
             for each in self.plan.radio.changes
-            if each.step <= step and each.range_mm >= 0
+            if each.step <= step and each.range_mm is not None
         ]
         return changed[-1] if changed else self.plan.range_m
 

@@ -12,8 +12,8 @@ from typing import Any
 
 from deploy.record.run_directory import CAPTURE, SCENARIO, read_scenario
 from netshaper import capture
-from netshaper.capture import FRAMES, VERDICTS, Captured
-from netshaper.ledger import EVERYONE, on_air
+from netshaper.capture import VERDICTS, Captured
+from netshaper.ledger import EVERYONE, FRAMES, on_air
 from netshaper.pcapng import CaptureError, Reader
 from protocol import packets
 from protocol.errors import ProtocolError

@@ -30,7 +30,7 @@ from deploy.after.archive import Archive, Table, read
 from deploy.after.recast_scans import Lasers, Rescan
 from deploy.dashboard.shapes import corner
 from deploy.record.colors import GROUPS, robot_color
-from netshaper.capture import FRAMES
+from netshaper.ledger import FRAMES
 from protocol.grid import FREE, OCCUPIED, Grid, RayTable
 from protocol.messages import Outlines
 from protocol.scans import HIT, NONE, Readings
@@ -228,7 +228,7 @@ class _Messages:
             carried=int(sizes[carried].sum()),
             refused=int(sizes[~carried].sum()),
             cause=next((cause for cause in here["cause"][rows].tolist() if cause), ""),
-            received=int(here["heard"][rows].max()),
+            received=int(here["received_by"][rows].max()),
         )
 
     def _map_reports(self) -> dict[int, list[tuple[int, Grid | Outlines]]]:

@@ -296,7 +296,7 @@ def _robots(archive: Archive) -> list[list[str]]:
         track = archive.of_robot(robot)
         sent = int(ledger["bytes"][carried & (ledger["sender"] == robot)].sum())
         unicast = carried & (ledger["receiver"] == robot) & (ledger["receiver"] != EVERYONE)
-        received = int((ledger["bytes"] * ledger["heard"])[unicast].sum())
+        received = int((ledger["bytes"] * ledger["received_by"])[unicast].sum())
         seen = track["known_cells"][~np.isnan(track["known_cells"])]
         status = summary["lost"].get(str(robot)) or next((s for s in track["status"][::-1] if s), "-")
         driven = f"{track['driven'][-1]:.1f}" if len(track["driven"]) else "-"

@@ -21,7 +21,7 @@ from agent.encodings.predictive import PredictiveEncoding
 from agent.outline.approximation import approximation, repair
 from agent.outline.claims import Drawing
 from agent.outline.contour import contours
-from agent.outline.edits import Held, edit_script
+from agent.outline.edits import NumberedPolygons, edit_packets
 from agent.outline.five_stages import five_stages
 from agent.outline.merge import TeamMap
 from agent.outline.objects import Objects
@@ -158,11 +158,11 @@ class _PolygonUpdates:
 
 def _encode_whole_map(moment: Moment, vertices: int) -> None:
     """Approximate a map by the given number of vertices, and encode all of them."""
-    nothing = Held.nothing(moment.grid.shape)
+    nothing = NumberedPolygons.empty(moment.grid.shape)
     exact = contours(moment.grid, moment.cell)
     marks = repair(nothing.polygons, exact)
     marks = refine(exact, marks, max(0, vertices - len(marks)), mixed_first)
-    edit_script(nothing, approximation(exact, marks))
+    edit_packets(nothing, approximation(exact, marks))
 
 
 def _merging(moments: Sequence[Moment], polygons: Sequence[Sequence[Polygons]]) -> Iterator[Measurement]:

@@ -48,7 +48,8 @@ def relay() -> Iterator[Measurement]:
         plan = _plan(case)
         received = record_run(plan, [names.RELAY])[0][names.RELAY].received
         radio = [rights.read(*message) for message in received if names.parts(message.key)[0] == "radio"]
-        frames = [frame for message in radio for frame in message.frames]
+        frames = [frame.payload for message in radio for frame in message.frames]
+        frames += [message.broadcast for message in radio if message.broadcast]
         relaying, decoding = [], []
         for _ in range(REPEATS):
             relaying.append(1000 * timed(partial(_relay, plan, received))[1] / len(frames))

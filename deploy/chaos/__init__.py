@@ -1,5 +1,5 @@
-"""Chaos: swarms of real code under faults that are drawn from a seed, and what must hold of them all the same.
+"""Chaos testing: swarms of the real code under random faults, with invariants that must hold in every run.
 
-Begin with `deploy.chaos.case` (what is drawn), then `invariants` (what must hold), then `runs` (running, shrinking).
-Imports the rooms up to `deploy.run`.
+`case.py` draws a run from a seed, `byzantine.py` adds robots that send hostile frames, `invariants.py` lists the
+invariants, and `runs.py` runs cases and shrinks failing ones. This package builds on `deploy.run`.
 """

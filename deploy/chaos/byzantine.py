@@ -1,11 +1,11 @@
-"""Liars: robots whose radios say what is hostile, though they have every right to speak.
+"""Byzantine robots: their radios send hostile frames, although they hold valid credentials.
 
-A liar's own mind is that of any robot. What its radio says is now and then something else: noise, bits turned over, a
-frame cut off or said twice, a well-formed packet that does not belong there or that is not true. All of it is drawn by
-the liar's number and the count of its frames, so that it lies the same on both buses.
+The control logic of a byzantine robot is that of any other robot. Its radio sometimes sends a different frame: random
+bytes, flipped bits, a truncated or repeated frame, or a well-formed packet with false content. All are drawn from the
+robot's number and its count of frames, so that they are the same on both buses.
 
-What it does not do is to counterfeit what it has seen, in words that are well formed: nobody could tell that from the
-truth but by going there. Against that there is access control, not the exchange.
+A byzantine robot does not forge map updates. No receiver could detect a well-formed, plausible forgery except by
+visiting the place; access control, not the replication protocol, protects from that.
 """
 
 from __future__ import annotations
@@ -23,28 +23,36 @@ from protocol.keyed_random import keyed_random
 from protocol.messages import pack, unpack
 from protocol.packets import Answer, Block, Decline, From, Gone, Held, Near, Offer, Pose, Remove, Save, Target
 
-LIES = 0.25
-"""Probability that a frame is another one."""
+REPLACED = 0.25
+"""Probability that a frame is replaced."""
 
-NO_UNITS = {Offer.name, Target.name, Pose.name}
-"""Kinds of packets that are no part of any log."""
+NOT_LOGGED = {Offer.name, Target.name, Pose.name}
+"""Packet types that are not part of a log."""
 
 
 @dataclass(frozen=True)
-class Lies:
-    """What is laid around the buses of participants: that of a liar lies."""
+class ByzantineRadios:
+    """A wrapper for the buses of participants: byzantine robots get a `ByzantineBus`.
+
+    Attributes
+    ----------
+    seed : int
+        Seed of the hostile frames.
+    robots : tuple of int
+        The byzantine robots.
+    """
 
     seed: int
-    byzantine: tuple[int, ...]
+    robots: tuple[int, ...]
 
     def __call__(self, name: str, bus: Bus) -> Bus:
-        """The end of the bus of `name`, or one that lies."""
-        lies = name in map(names.robot, self.byzantine)
-        return LyingBus(bus, self.seed, names.number(name)) if lies else bus
+        """Wrap the bus of the participant `name`, if it is a byzantine robot."""
+        byzantine = name in map(names.robot, self.robots)
+        return ByzantineBus(bus, self.seed, names.number(name)) if byzantine else bus
 
 
-class LyingBus:
-    """An end of the bus whose owner's radio says what is hostile now and then."""
+class ByzantineBus:
+    """An end of the bus that sometimes replaces the frames of its robot's radio."""
 
     def __init__(self, bus: Bus, seed: int, robot: int) -> None:
         self._bus = bus
@@ -54,62 +62,65 @@ class LyingBus:
         self._last = b"\xf0"
 
     def put(self, key: str, payload: bytes) -> None:
-        """Send a payload, or what a liar makes of it."""
+        """Send a message, possibly with other frames."""
         if names.parts(key)[0] == "radio":
-            said = unpack(payload)
-            payload = pack(replace(said, frames=[self._spoken(frame) for frame in said.frames]))
+            message = unpack(payload)
+            broadcast = self._transmitted(message.broadcast) if message.broadcast else b""
+            frames = [replace(each, payload=self._transmitted(each.payload)) for each in message.frames]
+            payload = pack(replace(message, broadcast=broadcast, frames=frames))
         self._bus.put(key, payload)
 
     def receive(self, timeout_s: float | None = None) -> Message | None:
-        """Return the next message, as it is."""
+        """Return the next message unchanged."""
         return self._bus.receive(timeout_s)
 
     def close(self) -> None:
         """Leave the bus."""
         self._bus.close()
 
-    def _spoken(self, true: bytes) -> bytes:
-        """A frame, or what a liar makes of it."""
+    def _transmitted(self, frame: bytes) -> bytes:
+        """The frame, or its replacement."""
         self._count += 1
         draw = keyed_random(self._seed, "lie", self._robot, self._count)
-        said = self._lie(draw, true) if draw.random() < LIES else true
-        if said != true and not true.startswith(said) and _tells_of_maps(said):
-            said = bytes(draw.bytes(20))
-        self._last = true
-        return said
+        sent = self._replacement(draw, frame) if draw.random() < REPLACED else frame
+        if sent != frame and not frame.startswith(sent) and _has_log_entries(sent):
+            sent = bytes(draw.bytes(20))
+        self._last = frame
+        return sent
 
-    def _lie(self, draw: np.random.Generator, payload: bytes) -> bytes:
+    def _replacement(self, draw: np.random.Generator, frame: bytes) -> bytes:
         kind = int(draw.integers(6))
         if kind == 0:
             return bytes(draw.bytes(int(draw.integers(1, 80))))
         if kind == 1:
-            turned = bytearray(payload)
+            flipped = bytearray(frame)
             for _ in range(int(draw.integers(1, 4))):
-                turned[int(draw.integers(len(turned)))] ^= 1 << int(draw.integers(8))
-            return bytes(turned)
+                flipped[int(draw.integers(len(flipped)))] ^= 1 << int(draw.integers(8))
+            return bytes(flipped)
         if kind == 2:
-            return payload[: int(draw.integers(len(payload) + 1))]
+            return frame[: int(draw.integers(len(frame) + 1))]
         if kind == 3:
-            return payload + payload
+            return frame + frame
         if kind == 4:
             return self._last
         return packets.encode([_packet(draw) for _ in range(int(draw.integers(1, 4)))])
 
 
-def _tells_of_maps(payload: bytes) -> bool:
-    """Whether a frame is well formed, and has units of logs in it."""
+def _has_log_entries(frame: bytes) -> bool:
+    """Whether a frame is well formed and contains log entries."""
     try:
-        return any(packets.name(piece) not in NO_UNITS for piece in packet_index.split(payload))
+        return any(packets.name(piece) not in NOT_LOGGED for piece in packet_index.split(frame))
     except ProtocolError:
         return False
 
 
 def _packet(draw: np.random.Generator) -> packets.Packet:
-    """A well-formed packet of no truth."""
+    """A well-formed packet with random content."""
     number, index = int(draw.integers(64)), int(draw.integers(4096))
-    few = int(draw.integers(6))
-    all_kinds: list[packets.Packet] = [
-        Offer(few, number), Answer(index), Block(number), Decline(), From(few, index), Held(few, index), Near(few),
-        Gone(few), Pose(index % 2048, few, few % 2), Save(), Remove(index), Target(index % 2048, number),
+    small = int(draw.integers(6))
+    types: list[packets.Packet] = [
+        Offer(small, number), Answer(index), Block(number), Decline(), From(small, index), Held(small, index),
+        Near(small), Gone(small), Pose(index % 2048, small, small % 2), Save(), Remove(index),
+        Target(index % 2048, number),
     ]  # fmt: skip
-    return all_kinds[int(draw.integers(len(all_kinds)))]
+    return types[int(draw.integers(len(types)))]

@@ -1,9 +1,9 @@
-"""A storm: a scenario, faults and liars, all drawn from one seed.
+"""A chaos case: a scenario, faults and byzantine robots, all drawn from one seed.
 
-First comes the safety phase, in which robots are killed, restarted and stopped, radios go mute and deaf, and teams are
-parted. By `CALM` all of that has healed, but for robots that stay dead; at least one lives. Then the rest must finish:
-the liveness phase. A medium that loses, delays, repeats or damages what is said does so all the time, one that becomes
-wider or narrower stays so, and liars lie all the time.
+A run begins with a safety phase: robots are killed, restarted and stopped, their radios fail to send or to receive, and
+teams are partitioned. By the step `CALM` all faults have healed, except for robots that stay dead; at least one robot
+lives. In the following liveness phase the remaining robots must finish. Loss, delay, duplication and bit errors of the
+medium, changes of its bandwidth, and byzantine robots last for the whole run.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from deploy.scenario.scenario import Scenario, parse
 from protocol.keyed_random import keyed_random
 
 CALM = 120
-"""The step by which faults have healed."""
+"""The step by which all faults have healed."""
 
 STEPS = 3000
-"""Steps in which a team must have finished."""
+"""The step by which a team must have finished."""
 
 MAPS = (
     "leader-rooms",
@@ -40,16 +40,16 @@ LASTING = ("stop", "mute", "deaf")
 
 @dataclass(frozen=True)
 class ChaosCase:
-    """One run of chaos.
+    """One run under random faults.
 
     Attributes
     ----------
     seed : int
-        What all was drawn from.
+        The seed of all random choices.
     scenario : Scenario
-        What is run, with its faults.
-    liars : tuple of int
-        Robots whose radios say what is hostile (`deploy.chaos.byzantine`).
+        The run, with its faults.
+    byzantine : tuple of int
+        Robots whose radios send hostile frames (`deploy.chaos.byzantine`).
     """
 
     seed: int
@@ -57,26 +57,26 @@ class ChaosCase:
     byzantine: tuple[int, ...] = ()
 
     def smaller(self) -> list[ChaosCase]:
-        """Storms with one thing less each, for finding what a failure needs."""
+        """Cases with one fault less each, for shrinking a failing case."""
         base = self.scenario.model_dump()
         faults = base["fault"]
         kept = [faults[:at] + faults[at + 1 :] for at in range(len(faults))]
         changes = [{"fault": fault} for fault in kept]
-        changes += [{key: _PLAIN[key]} for key in ("radio", "change") if base[key] != _PLAIN[key]]
-        less: list[ChaosCase] = [replace(self, byzantine=()) for _ in range(1 if self.byzantine else 0)]
+        changes += [{key: _DEFAULTS[key]} for key in ("radio", "change") if base[key] != _DEFAULTS[key]]
+        cases: list[ChaosCase] = [replace(self, byzantine=()) for _ in range(1 if self.byzantine else 0)]
         for change in changes:
             try:
-                less.append(replace(self, scenario=parse(base | change)))
+                cases.append(replace(self, scenario=parse(base | change)))
             except ValueError:
-                continue  # a restart of a robot that is not killed any more may be one too many
-        return less
+                continue  # a restart may be invalid without the kill before it
+        return cases
 
 
-_PLAIN = Scenario().model_dump()
+_DEFAULTS = Scenario().model_dump()
 
 
 def case(seed: int) -> ChaosCase:
-    """Draw a storm."""
+    """Draw a case."""
     draw = keyed_random(seed, "storm")
     robots = int(draw.integers(2, 6))
     map_encoding = str(draw.choice(["polygons", "polygons", "scans", "predictive"]))
@@ -106,9 +106,9 @@ def case(seed: int) -> ChaosCase:
 
 
 def _faults(draw: np.random.Generator, robots: int) -> list[dict[str, Any]]:
-    """What befalls each robot, in its order; one of them lives at the end, or is restarted."""
+    """The faults of each robot in their order; at least one robot lives at the end."""
     faults: list[dict[str, Any]] = []
-    spared = int(draw.integers(robots))
+    survivor = int(draw.integers(robots))
     for robot in range(robots):
         step, alive = 1, True
         for _ in range(int(draw.integers(4))):
@@ -122,13 +122,13 @@ def _faults(draw: np.random.Generator, robots: int) -> list[dict[str, Any]]:
                 step += fault["steps"]
             alive = kind != "kill"
             faults.append(fault)
-        if not alive and (robot == spared or draw.random() < 0.5):
+        if not alive and (robot == survivor or draw.random() < 0.5):
             faults.append({"step": step + int(draw.integers(1, 10)), "robot": robot, "kind": "restart"})
     return faults
 
 
 def _radio(draw: np.random.Generator, robots: int) -> dict[str, Any]:
-    """A medium that loses, delays, repeats and damages what is said, or parts the team for a while."""
+    """A medium that loses, delays, duplicates and damages frames, or partitions the team for a while."""
     radio: dict[str, Any] = {}
     if draw.random() < 0.5:
         radio["loss"] = float(draw.choice([0.05, 0.2]))

@@ -1,18 +1,18 @@
-"""What must hold of every swarm, whatever befalls it: checked of each robot in each step, and at the end.
+"""Invariants of every swarm under any faults: checked for each robot in each step, and at the end of a run.
 
-In each step, of each honest robot in the life that it is in:
+In each step, for each honest robot in its current incarnation:
 
-- its own grid says of no cell otherwise than the world is;
-- what it has once known of its own it still knows, and its planning grid says the same of these cells;
-- no log of a teammate's map becomes shorter: what it held at a save point it still holds.
+- Its own grid agrees with the world in every known cell.
+- It never loses a known cell of its own grid, and its planning grid agrees with its own grid in these cells.
+- The logs of its teammates' maps never become shorter.
 
 At the end:
 
-- the run has ended by itself, and a robot was done;
-- of the cells that can be reached those that live know `ENOUGH` or more;
-- no step has carried more than its budget; what was said was carried or cut, to the byte, and what was carried to one
-  was heard once;
-- where nobody lies: what a robot holds of a life's log is what was written in that life.
+- The run has ended by itself, after a robot finished its exploration.
+- The living robots together know at least `MIN_KNOWN` of the reachable cells.
+- No step has carried more than its budget. Each transmitted byte was delivered or truncated, and each delivered unicast
+  byte was received once.
+- Without byzantine robots, each log that a robot holds of another incarnation agrees with the log written there.
 """
 
 from __future__ import annotations
@@ -26,108 +26,112 @@ from deploy.scenario.plan import Plan
 from netshaper.ledger import balance
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 
-ENOUGH = 0.97
-"""Part of the reachable free cells that those who live know at the end."""
+MIN_KNOWN = 0.97
+"""Share of the reachable free cells that the living robots must know at the end."""
 
 
-class Violation(AssertionError):  # noqa: N818  it is what it is called
-    """Something that must hold does not: the message says what, of whom and when."""
+class InvariantError(AssertionError):
+    """An invariant is violated; the message names the robot, the step and the values."""
 
 
-class Watcher:
-    """Checks a run as it goes, robot by robot.
+class InvariantChecker:
+    """Checks a run robot by robot while it goes on.
 
     Parameters
     ----------
     plan : Plan
-    liars : tuple of int
-        Robots of which nothing is asked.
+    byzantine : tuple of int
+        Robots without any guarantee.
+
+    Attributes
+    ----------
+    known : float
+        Share of the reachable free cells that the living robots know at the end.
     """
 
     def __init__(self, plan: Plan, byzantine: tuple[int, ...]) -> None:
         self.known = 0.0
-        """Part of the reachable free cells that those who live know at the end."""
         self._plan = plan
-        self._liars = byzantine
+        self._byzantine = byzantine
         self._truth: Grid = np.where(plan.map.cells == FREE, FREE, OCCUPIED).astype(np.uint8)
-        self._lives: dict[tuple[int, int], Robot] = {}
+        self._incarnations: dict[tuple[int, int], Robot] = {}
         self._checked: dict[int, tuple[Robot, int]] = {}
-        """Of each robot the life that it is in, and the step that was checked last."""
+        """The current incarnation of each robot, and its last checked step."""
         self._own: dict[int, Grid] = {}
-        self._held: dict[int, list[int]] = {}
+        self._lengths: dict[int, list[int]] = {}
 
-    def inspect(self, step: int, robot: Robot) -> None:
-        """Check a robot, once a step, when the step is over.
+    def check(self, step: int, robot: Robot) -> None:
+        """Check a robot once per step, at the end of the step.
 
         Raises
         ------
-        Violation
-            Something does not hold.
+        InvariantError
+            An invariant is violated.
         """
         number = robot.settings.robot
-        incarnation, last = self._checked.get(number, (None, -1))
-        if number in self._liars or (incarnation is robot and last == step):
+        previous, last = self._checked.get(number, (None, -1))
+        if number in self._byzantine or (previous is robot and last == step):
             return
-        self._lives[number, robot.settings.incarnation] = robot
+        self._incarnations[number, robot.settings.incarnation] = robot
         self._checked[number] = robot, step
-        held = [len(log) for log in robot.session.logs]
-        who = f"step {step}: robot {number}"
+        lengths = [len(log) for log in robot.replication.logs]
+        name = f"step {step}: robot {number}"
         known = robot.own != UNKNOWN
         if (robot.own != self._truth)[known].any():
-            raise Violation(f"{who} has seen what is not so")
+            raise InvariantError(f"{name}: own grid differs from the world")
         if step and (robot.planning != robot.own)[known].any():
-            raise Violation(f"{who} plans on cells otherwise than it has seen them")
-        if incarnation is robot:
+            raise InvariantError(f"{name}: planning grid differs from own grid")
+        if previous is robot:
             if (robot.own == UNKNOWN)[self._own[number] != UNKNOWN].any():
-                raise Violation(f"{who} does not know any more what it has seen")
-            for map_id, (then, now) in enumerate(zip(self._held[number], held, strict=True)):
-                if now < then and map_id != robot.settings.own_map:
-                    raise Violation(f"{who} held {then} units of map {map_id}, and now {now}")
-        self._own[number], self._held[number] = robot.own.copy(), held
+                raise InvariantError(f"{name}: a known cell has become unknown")
+            for map_id, (before, now) in enumerate(zip(self._lengths[number], lengths, strict=True)):
+                if now < before and map_id != robot.settings.own_map:
+                    raise InvariantError(f"{name}: log of map {map_id} shrank from {before} to {now} entries")
+        self._own[number], self._lengths[number] = robot.own.copy(), lengths
 
-    def conclude(self, records: Records) -> None:
-        """Check the end of a run; Violation if something does not hold."""
+    def check_end(self, records: Records) -> None:
+        """Check the end of a run; InvariantError if an invariant is violated."""
         summary = summarize(self._plan, records, 1.0)
         if not summary["finished"]:
-            raise Violation(f"nobody was done: the run ended because of: {summary['reason']}")
+            raise InvariantError(f"no robot finished: the run ended with {summary['reason']!r}")
         if records.lost:
-            raise Violation(f"robots were lost: {records.lost}")
+            raise InvariantError(f"robots were lost: {records.lost}")
         if summary["over_budget_steps"]:
-            raise Violation(f"{summary['over_budget_steps']} steps carried more than the budget")
-        self._check_books(records)
+            raise InvariantError(f"{summary['over_budget_steps']} steps carried more than the budget")
+        self._check_accounting(records)
         reachable = self._plan.make_world().reachable
-        honest = [grid for robot, grid in records.planning.items() if robot not in self._liars]
+        honest = [grid for robot, grid in records.planning.items() if robot not in self._byzantine]
         if honest:
             known = np.logical_or.reduce([grid == FREE for grid in honest]) & reachable
             self.known = float(known.sum() / reachable.sum())
-            if self.known < ENOUGH:
-                raise Violation(f"those who live know {self.known:.3f} of the world, not {ENOUGH} of it")
-        if not self._liars:
+            if self.known < MIN_KNOWN:
+                raise InvariantError(f"the living robots know {self.known:.3f} of the world, not {MIN_KNOWN}")
+        if not self._byzantine:
             self._check_logs()
 
-    def _check_books(self, records: Records) -> None:
+    def _check_accounting(self, records: Records) -> None:
         rows = records.ledger()
-        for step, (said, carried, cut, heard) in balance(rows).items():
+        for step, (sent, carried, cut, received) in balance(rows).items():
             unicast = (rows["step"] == step) & (rows["receiver"] >= 0) & (rows["carried"] == 1)
-            to_one = int(rows["bytes"][unicast].sum())
-            if said != carried + cut or (heard != to_one and self._plan.radio.perfect):
-                raise Violation(
-                    f"step {step}: {said} bytes were said, {carried} carried, {cut} cut; "
-                    f"of {to_one} to one robot {heard} were heard"
+            unicast_bytes = int(rows["bytes"][unicast].sum())
+            if sent != carried + cut or (received != unicast_bytes and self._plan.radio.perfect):
+                raise InvariantError(
+                    f"step {step}: {sent} bytes sent, {carried} carried, {cut} truncated; "
+                    f"{received} of {unicast_bytes} unicast bytes received"
                 )
 
     def _check_logs(self) -> None:
-        """What is held of a log is what its maker wrote."""
+        """Check that each log that a robot holds agrees with the log of its author."""
         robots = self._plan.scenario.robots
-        for (number, incarnation), robot in self._lives.items():
-            for map_id, log in enumerate(robot.session.logs):
-                maker = self._lives.get((map_id % robots, map_id // robots))
-                if maker is None or maker is robot:
+        for (number, incarnation), robot in self._incarnations.items():
+            for map_id, log in enumerate(robot.replication.logs):
+                author = self._incarnations.get((map_id % robots, map_id // robots))
+                if author is None or author is robot:
                     continue
-                written = maker.session.logs[map_id]
-                first = max(log.oldest, written.oldest)
-                held = log.since(first, None) if first < len(log) else b""
-                if held != written.since(first, None)[: len(held)]:
-                    raise Violation(
-                        f"robot {number} in life {incarnation} holds units of map {map_id} that nobody wrote"
+                written = author.replication.logs[map_id]
+                first = max(log.start, written.start)
+                held = log.read(first, None) if first < len(log) else b""
+                if held != written.read(first, None)[: len(held)]:
+                    raise InvariantError(
+                        f"robot {number}, incarnation {incarnation}: log of map {map_id} differs from its author's"
                     )

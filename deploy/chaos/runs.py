@@ -1,4 +1,4 @@
-"""Running storms: in memory, some of them again as processes; and finding out what a failure needs."""
+"""Run chaos cases in memory, repeat some as processes, and shrink failing ones."""
 
 from __future__ import annotations
 
@@ -7,22 +7,39 @@ import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from deploy.chaos.byzantine import Lies
+from deploy.chaos.byzantine import ByzantineRadios
 from deploy.chaos.case import ChaosCase, case
-from deploy.chaos.invariants import Violation, Watcher
+from deploy.chaos.invariants import InvariantChecker, InvariantError
 from deploy.record.summary import digest
 from deploy.run import launch
 from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 
-AGAIN_EVERY = 10
-"""So many runs in memory, and one of them again as processes."""
+AS_PROCESSES_EVERY = 10
+"""One of this many cases is repeated as processes."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What came of a storm: what went wrong, if anything did, and what was seen of it."""
+    """The result of a case.
+
+    Attributes
+    ----------
+    case : ChaosCase
+    failure : str
+        The violated invariant or the error; empty if all invariants hold.
+    digest : str
+        Digest of the run.
+    steps : int
+        Number of steps.
+    wall_s : float
+        Duration of the run in memory.
+    known : float
+        Share of the reachable cells that the living robots know at the end.
+    as_processes : bool
+        Whether the case was repeated as processes.
+    """
 
     case: ChaosCase
     failure: str
@@ -30,67 +47,65 @@ class Verdict:
     steps: int = 0
     wall_s: float = 0.0
     known: float = 0.0
-    again: bool = False
-    """Whether it was run again as processes."""
+    as_processes: bool = False
 
     @property
     def line(self) -> str:
-        """What was run, and what came of it, in a line."""
-        this, map_id = self.case, self.case.scenario
-        byzantine = f", liars {list(this.byzantine)}" if this.byzantine else ""
+        """Case and result in one line of text."""
+        case, scenario = self.case, self.case.scenario
+        byzantine = f", byzantine robots {list(case.byzantine)}" if case.byzantine else ""
         return (
-            f"seed {this.seed}: {map_id.robots} robots on {map_id.map}, {map_id.strategy}, {map_id.map_encoding} by "
-            f"{map_id.dissemination}, {len(map_id.fault)} faults{byzantine}: {self.steps} steps, known {self.known:.3f}, "
-            f"digest {self.digest[:12]}"
+            f"seed {case.seed}: {scenario.robots} robots on {scenario.map}, {scenario.strategy}, "
+            f"{scenario.map_encoding}, {scenario.dissemination}, {len(scenario.fault)} faults{byzantine}: "
+            f"{self.steps} steps, known {self.known:.3f}, digest {self.digest[:12]}"
         )
 
 
-def weather(drawn: ChaosCase, *, again: bool = False) -> Verdict:
-    """Run a storm in memory and check it; with `again` as processes as well, whose digest must be the same."""
+def run_case(drawn: ChaosCase, *, as_processes: bool = False) -> Verdict:
+    """Run a case in memory with all checks; with `as_processes` repeat it and compare the digests."""
     plan = plans.make(drawn.scenario)
-    watcher = Watcher(plan, drawn.byzantine)
-    lies = Lies(drawn.seed, drawn.byzantine)
+    checker = InvariantChecker(plan, drawn.byzantine)
+    radios = ByzantineRadios(drawn.seed, drawn.byzantine)
     began = time.perf_counter()
     try:
-        under_way = MemoryRun(plan, wrap=lies)
-        for step in under_way.steps():
-            for agent in under_way.agents:
+        run = MemoryRun(plan, wrap=radios)
+        for step in run.steps():
+            for agent in run.agents:
                 if agent.robot is not None and not agent.done:
-                    watcher.inspect(step, agent.robot)
-        records = under_way.records
-        watcher.conclude(records)
-    except Violation as violation:
+                    checker.check(step, agent.robot)
+        checker.check_end(run.records)
+    except InvariantError as violation:
         return Verdict(drawn, str(violation))
-    except Exception as error:  # whatever it is, it is a finding
-        where = traceback.extract_tb(error.__traceback__)[-1]
-        return Verdict(drawn, f"{type(error).__name__}: {error} ({where.filename}:{where.lineno})")
-    found, wall_s = digest(records), time.perf_counter() - began
-    failure = _as_processes(plan, lies, found) if again else ""
-    return Verdict(drawn, failure, found, records.step, wall_s, watcher.known, again)
+    except Exception as error:  # any error is a finding
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        return Verdict(drawn, f"{type(error).__name__}: {error} ({frame.filename}:{frame.lineno})")
+    found, wall_s = digest(run.records), time.perf_counter() - began
+    failure = _run_as_processes(plan, radios, found) if as_processes else ""
+    return Verdict(drawn, failure, found, run.records.step, wall_s, checker.known, as_processes)
 
 
-def storms(first: int, runs: int) -> Iterator[Verdict]:
-    """Run the storms of seeds `first` to `first + runs - 1`."""
+def run_cases(first: int, runs: int) -> Iterator[Verdict]:
+    """Run the cases of the seeds `first` to `first + runs - 1`."""
     for seed in range(first, first + runs):
-        yield weather(case(seed), again=seed % AGAIN_EVERY == 0)
+        yield run_case(case(seed), as_processes=seed % AS_PROCESSES_EVERY == 0)
 
 
-def shrink(verdict: Verdict, tell: Callable[[ChaosCase], object] = lambda _: None) -> Verdict:
-    """Leave out of a storm that fails what it does not need in order to fail; any failure counts."""
+def shrink(verdict: Verdict, report: Callable[[ChaosCase], object] = lambda _: None) -> Verdict:
+    """Remove faults from a failing case as long as it still fails, in whichever way."""
     smaller = True
     while smaller:
         smaller = False
-        for less in verdict.case.smaller():
-            tell(less)
-            found = weather(less, again=verdict.again)
+        for candidate in verdict.case.smaller():
+            report(candidate)
+            found = run_case(candidate, as_processes=verdict.as_processes)
             if found.failure:
                 verdict, smaller = found, True
                 break
     return verdict
 
 
-def _as_processes(plan: Plan, lies: Lies, expected: str) -> str:
-    outcome = launch.run(plan, None, wrap=lies)
+def _run_as_processes(plan: Plan, radios: ByzantineRadios, expected: str) -> str:
+    outcome = launch.run(plan, None, wrap=radios)
     if outcome.deaths:
         return f"as processes: {outcome.deaths}"
     found = digest(outcome.records)

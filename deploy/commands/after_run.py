@@ -1,4 +1,4 @@
-"""Commands on a finished run: `murmur report`, `export`, `replay` and `capture`."""
+"""Commands on a finished run: `murmur report`, `export`, `movie`, `replay` and `capture`."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from deploy.commands.console import (
     report_user_errors,
     screen,
 )
-from deploy.commands.flags import JsonFlag, family
+from deploy.commands.flags import JsonFlag, command_family
 from deploy.scenario.scenario import ScenarioError, load
 
-app = family()
+app = command_family()
 
 
 @app.command()
 def report(
     directories: Annotated[
-        list[Path], typer.Argument(metavar="DIR [OTHER]", help="a run directory, or two to be compared")
+        list[Path], typer.Argument(metavar="DIR [OTHER]", help="a run directory, or two to compare")
     ],
     stages: Annotated[
         int | None,
         typer.Option(
-            metavar="STEP", help="draw instead how a robot merges at that step: pictures/merging.png"
+            metavar="STEP", help="instead, draw how a robot merges maps at this step: pictures/merging.png"
         ),
     ] = None,
-    robot: Annotated[int, typer.Option(metavar="N", help="whose merging (with --stages)")] = 0,
+    robot: Annotated[int, typer.Option(metavar="N", help="robot for --stages")] = 0,
 ) -> None:
     """Write an HTML page of a run, with pictures and a slider; or compare two runs.
 
@@ -44,12 +44,12 @@ def report(
     with report_user_errors():
         directory, *others = directories
         if len(others) > (1 if stages is None else 0):
-            raise ValueError("a report is of one run, or compares two; stages are of one")
+            raise ValueError("report takes one run directory, or two; with --stages only one")
         if stages is not None:
-            screen.print(f"{_draw_stages(directory, robot, stages)}: the stages of merging")
+            screen.print(f"{_draw_stages(directory, robot, stages)}: stages of merging")
             return
         page = write_report(directory, *others)
-        screen.print(f"{page}: the {'runs' if others else 'run'} on one page, including pictures")
+        screen.print(f"{page}: report of the {'runs' if others else 'run'}")
 
 
 def _draw_stages(directory: Path, robot: int, step: int) -> Path:
@@ -72,25 +72,25 @@ def export(
         bool, typer.Option("--mcap", help="a ROS 2 bag in MCAP, for Foxglove and ROS tools")
     ] = False,
 ) -> None:
-    """Export a run to formats of other programs: poses, scans, maps and polygons."""
+    """Export poses, scans, maps, outlines and radio traffic of a run to formats of other programs."""
     from deploy.after.export import export_mcap  # noqa: PLC0415
 
     with report_user_errors():
         if not mcap:
-            raise ScenarioError("export: no format given; choose --mcap")
+            raise ScenarioError("no format given; use --mcap")
         written = export_mcap(directory)
-        screen.print(f"{written}: open it in Foxglove, or play {written.parent} with ros2 bag")
+        screen.print(f"{written}: for Foxglove, or ros2 bag play {written.parent}")
 
 
 @app.command()
 def movie(
     directories: Annotated[
         list[Path],
-        typer.Argument(metavar="DIR [OTHER]", help="a run directory, or two to be shown side by side"),
+        typer.Argument(metavar="DIR [OTHER]", help="a run directory, or two to show side by side"),
     ],
-    mp4: Annotated[bool, typer.Option("--mp4", help="a film for any player or page (the default)")] = False,
-    gif: Annotated[bool, typer.Option("--gif", help="a GIF, for places that take pictures only")] = False,
-    rate: Annotated[float, typer.Option(metavar="STEPS_PER_S", help="how fast it runs")] = 10.0,
+    mp4: Annotated[bool, typer.Option("--mp4", help="write an MP4 (default)")] = False,
+    gif: Annotated[bool, typer.Option("--gif", help="write a GIF")] = False,
+    rate: Annotated[float, typer.Option(metavar="STEPS_PER_S", help="speed of the film")] = 10.0,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="the file (default: movie.mp4 or .gif in DIR)")
     ] = None,
@@ -104,9 +104,9 @@ def movie(
 
     with report_user_errors():
         if len(directories) > 2:
-            raise ValueError("a film shows one run, or two side by side")
+            raise ValueError("movie takes one run directory, or two")
         if mp4 and gif:
-            raise ValueError("--mp4 and --gif are two films: choose one")
+            raise ValueError("use either --mp4 or --gif")
         with counting(errors, "pictures") as progress:
             path = write_movie(directories, GIF if gif else MP4, out, rate=rate, progress=progress)
         screen.print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
@@ -120,7 +120,7 @@ def replay(
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Repeat a run from its directory alone, and check that its digest is the same."""
+    """Repeat a run from its directory, and check that its digest is the same."""
     from deploy.record import run_directory  # noqa: PLC0415
     from deploy.run import exploration  # noqa: PLC0415
     from deploy.run.repeat import why_unrepeatable  # noqa: PLC0415
@@ -131,7 +131,7 @@ def replay(
             scenario = load(directory / run_directory.SCENARIO, {"bus": bus})
         before = run_directory.read_summary(directory)
         if reason := why_unrepeatable(before):
-            raise ScenarioError(f"{directory}: this run cannot be repeated: {reason}")
+            raise ScenarioError(f"{directory}: cannot be repeated: {reason}")
         with progress(shown=not as_json) as watch:
             result = exploration.explore(scenario, keep=False, watch=watch)
         report_deaths(result.deaths)
@@ -159,7 +159,7 @@ def show_capture(
         str | None, typer.Option(metavar="KIND", help="only frames with packets of this kind, such as update")
     ] = None,
     step: Annotated[str | None, typer.Option(metavar="S|S-T", help="only these steps")] = None,
-    refused: Annotated[bool, typer.Option("--refused", help="only frames that were not carried")] = False,
+    refused: Annotated[bool, typer.Option("--refused", help="only refused or lost frames")] = False,
     packets: Annotated[
         bool, typer.Option("--packets", help="list every packet with its bytes and fields")
     ] = False,
@@ -173,9 +173,9 @@ def show_capture(
         bool, typer.Option("--json", help="print JSON: all frames with their packets")
     ] = False,
 ) -> None:
-    """Show the radio traffic of a run, frame by frame, and why frames were refused.
+    """Show the radio traffic of a run, frame by frame, with the verdict on each frame.
 
-    To see it in Wireshark: murmur capture --install-dissector, then wireshark DIR/radio.pcapng
+    To open it in Wireshark: murmur capture --install-dissector, then wireshark DIR/radio.pcapng
     """
     from deploy.after import capture  # noqa: PLC0415
     from deploy.after.wireshark.install import install  # noqa: PLC0415

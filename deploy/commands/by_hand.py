@@ -1,4 +1,4 @@
-"""`murmur run`: one process of a run, started by hand (docs/several-terminals.md)."""
+"""`murmur run`: start one process of a run (docs/several-terminals.md)."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Annotated
 import typer
 
 from deploy.commands.console import errors, progress, report_result, report_user_errors, screen
-from deploy.commands.flags import JsonFlag, OutOption, Subcommands, ViewAs, family
+from deploy.commands.flags import JsonFlag, OutOption, Subcommands, ViewAs, command_family
 from deploy.scenario.scenario import load
 
-app = family()
+app = command_family()
 run_app = typer.Typer(
     cls=Subcommands,
     no_args_is_help=True,
@@ -21,7 +21,7 @@ run_app = typer.Typer(
 
 app.add_typer(run_app, name="run")
 
-SameScenario = Annotated[
+ScenarioOfRun = Annotated[
     Path | None,
     typer.Argument(metavar="SCENARIO.toml", help="the scenario file, the same for all processes of a run"),
 ]
@@ -29,10 +29,8 @@ SameScenario = Annotated[
 
 @run_app.command("netshaper")
 def run_netshaper(
-    scenario: SameScenario = None,
-    listen: Annotated[
-        str, typer.Option(metavar="HOST:PORT", help="where the hub listens")
-    ] = "127.0.0.1:7447",
+    scenario: ScenarioOfRun = None,
+    listen: Annotated[str, typer.Option(metavar="HOST:PORT", help="address of the hub")] = "127.0.0.1:7447",
     credentials: Annotated[
         Path, typer.Option(metavar="DIR", help="new directory for the credential files, one per participant")
     ] = Path("credentials"),
@@ -41,7 +39,7 @@ def run_netshaper(
         typer.Option(metavar="DIR", help="certificates of murmur keys: mutual TLS instead of passwords"),
     ] = None,
 ) -> None:
-    """Start the radio relay: the hub that all other processes join. It writes their credentials and waits for them."""
+    """Start the radio relay and hub, which all other processes join; it writes their credentials."""
     from deploy.run.by_hand import serve_netshaper  # noqa: PLC0415
 
     with report_user_errors():
@@ -53,9 +51,9 @@ def run_worldsim(
     credential: Annotated[
         Path, typer.Option(metavar="FILE", help="world.json of the netshaper's credentials")
     ],
-    scenario: SameScenario = None,
+    scenario: ScenarioOfRun = None,
 ) -> None:
-    """Start the world simulator: it owns the map and the clock, and begins once all processes have joined."""
+    """Start the world simulator, with the map and the clock; the run begins when all processes have joined."""
     from deploy.run.by_hand import serve_worldsim  # noqa: PLC0415
 
     with report_user_errors():
@@ -68,7 +66,7 @@ def run_agent(
         Path, typer.Option(metavar="FILE", help="rN.json of the netshaper's credentials; -: standard input")
     ],
 ) -> None:
-    """Start one robot. It receives everything else over the bus."""
+    """Start one robot; it receives its settings over the bus."""
     from deploy.run.by_hand import serve_robot  # noqa: PLC0415
 
     with report_user_errors():
@@ -77,7 +75,7 @@ def run_agent(
 
 @run_app.command("agents")
 def run_agents() -> None:
-    """Start robots for murmur explore --hosts on another host, which speaks over standard input and output."""
+    """Start robots for `murmur explore --hosts` on another host; it uses standard input and output."""
     from deploy.run.remote_agents import serve  # noqa: PLC0415
 
     with report_user_errors():
@@ -90,13 +88,13 @@ def run_router(
         Path, typer.Option(metavar="FILE", help="router@NAME.json of the netshaper's credentials")
     ],
     listen: Annotated[
-        str, typer.Option(metavar="HOST:PORT", help="where its robots find it")
+        str, typer.Option(metavar="HOST:PORT", help="address of the router")
     ] = "127.0.0.1:7448",
     credentials: Annotated[
-        Path, typer.Option(metavar="DIR", help="new directory for its robots' credential files")
+        Path, typer.Option(metavar="DIR", help="new directory for the credential files of its robots")
     ] = Path("routed"),
 ) -> None:
-    """Start a router: its robots join it, and share its connection to the hub (docs/hosts.md)."""
+    """Start a router, whose robots share one connection to the hub (docs/hosts.md)."""
     from deploy.run.by_hand import serve_routing  # noqa: PLC0415
 
     with report_user_errors():
@@ -108,11 +106,11 @@ def run_view(
     credential: Annotated[
         Path, typer.Option(metavar="FILE", help="view.json of the netshaper's credentials")
     ],
-    scenario: SameScenario = None,
+    scenario: ScenarioOfRun = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="directory for the recording")] = Path(),
     view_as: ViewAs = "auto",
 ) -> None:
-    """Start a viewer: it may join and leave during the run, which does not wait for it."""
+    """Start a viewer; it may join and leave at any time."""
     from deploy.dashboard.windows import Window  # noqa: PLC0415
     from deploy.run.by_hand import serve_viewer  # noqa: PLC0415
 
@@ -129,11 +127,11 @@ def run_recorder(
     credential: Annotated[
         Path, typer.Option(metavar="FILE", help="recorder.json of the netshaper's credentials")
     ],
-    scenario: SameScenario = None,
+    scenario: ScenarioOfRun = None,
     out: OutOption = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Start the laboratory: it records the run and writes its directory at the end."""
+    """Start the recorder, which writes the run directory at the end."""
     from deploy.run.by_hand import serve_recorder  # noqa: PLC0415
 
     with report_user_errors():

@@ -1,4 +1,4 @@
-"""`murmur chaos`: swarms under faults that are drawn from seeds."""
+"""`murmur chaos`: run swarms under random faults and check invariants."""
 
 from __future__ import annotations
 
@@ -8,69 +8,69 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deploy.commands.console import errors, report_user_errors, screen
-from deploy.commands.flags import family
+from deploy.commands.flags import command_family
 
 if TYPE_CHECKING:
     from deploy.chaos.runs import Verdict
 
-app = family()
+app = command_family()
 
 
 @app.command()
 def chaos(
-    runs: Annotated[int, typer.Option(min=1, metavar="N", help="how many storms")] = 100,
-    seed: Annotated[int, typer.Option(min=0, metavar="S", help="seed of the first; the others follow")] = 0,
+    runs: Annotated[int, typer.Option(min=1, metavar="N", help="number of runs")] = 100,
+    seed: Annotated[int, typer.Option(min=0, metavar="S", help="seed of the first run")] = 0,
     shrink: Annotated[
-        bool, typer.Option("--shrink/--no-shrink", help="find out what a failure needs, and write it down")
+        bool, typer.Option("--shrink/--no-shrink", help="reduce failing cases to the faults they need")
     ] = True,
     out: Annotated[
-        Path, typer.Option(metavar="DIR", help="where the scenarios of failures are written")
+        Path, typer.Option(metavar="DIR", help="directory for the scenarios of failing cases")
     ] = Path(),
-    verbose: Annotated[bool, typer.Option("--verbose", help="a line a run")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", help="print a line per run")] = False,
 ) -> None:
-    """Run swarms of real code under kills, restarts, stops, failing radios and liars, all drawn from a seed each.
+    """Run swarms of real code under kills, restarts, stops, radio faults and byzantine robots, drawn from seeds.
 
-    Each run is checked step by step; once faults have healed the rest must finish. One of ten runs again as processes,
-    and must have the same digest. A seed that fails is printed with the command that repeats it. Exit code 1: one has
-    failed.
+    Each run is checked step by step; after the faults have healed the remaining robots must finish. One of ten runs is
+    repeated as processes and must have the same digest. For a failing seed the command prints how to repeat it. Exit
+    code 1: a run has failed.
     """
-    from deploy.chaos import runs as storms  # noqa: PLC0415
+    from deploy.chaos.runs import run_cases  # noqa: PLC0415
+    from deploy.chaos.runs import shrink as shrink_case  # noqa: PLC0415
     from deploy.study.progress import counting  # noqa: PLC0415
 
     failed: list[Verdict] = []
-    steps, wall_s, again, least = 0, 0.0, 0, 1.0
+    steps, wall_s, repeated, min_known = 0, 0.0, 0, 1.0
     with report_user_errors():
         if out.exists() and not out.is_dir():
-            raise ValueError(f"out = {out}: is a file; name a folder for the scenarios of failures")
-        with counting(errors, "chaos") as tell:
-            for done, verdict in enumerate(storms.storms(seed, runs), 1):
+            raise ValueError(f"out = {out}: is a file; name a directory for the scenarios of failing cases")
+        with counting(errors, "chaos") as progress:
+            for done, verdict in enumerate(run_cases(seed, runs), 1):
                 steps, wall_s = steps + verdict.steps, wall_s + verdict.wall_s
-                again += verdict.again and not verdict.failure
+                repeated += verdict.as_processes and not verdict.failure
                 if verdict.failure:
                     failed.append(verdict)
                     errors.print(f"seed {verdict.case.seed}: {verdict.failure}")
-                    errors.print(f"  again: murmur chaos --runs 1 --seed {verdict.case.seed}")
+                    errors.print(f"  repeat: murmur chaos --runs 1 --seed {verdict.case.seed}")
                     if shrink:
-                        errors.print(f"  {_write(storms.shrink(verdict), out)}")
+                        errors.print(f"  {_write(shrink_case(verdict), out)}")
                 else:
-                    least = min(least, verdict.known)
+                    min_known = min(min_known, verdict.known)
                     if verbose:
                         screen.print(verdict.line)
-                tell(done, runs)
-        held = runs - len(failed)
-        pace = f", {60 * steps / wall_s:.0f} steps a minute" if wall_s else ""
+                progress(done, runs)
+        pace = f" at {60 * steps / wall_s:.0f} steps per minute" if wall_s else ""
         screen.print(
-            f"{held} of {runs} storms hold: {steps} steps{pace}; {again} of them again as processes, with the same "
-            f"digest; those who lived knew {100 * least:.1f} % or more"
+            f"{runs - len(failed)} of {runs} runs passed: {steps} steps{pace}; {repeated} repeated as processes with "
+            f"the same digest; living robots knew at least {100 * min_known:.1f} % of the map"
         )
     raise typer.Exit(1 if failed else 0)
 
 
 def _write(verdict: Verdict, folder: Path) -> str:
-    """Write the smallest storm that fails as a scenario; say where it is, and what is in it."""
+    """Write the smallest failing case as a scenario; return a description."""
     case = verdict.case
     path = folder / f"chaos-{case.seed}.toml"
     folder.mkdir(parents=True, exist_ok=True)
     path.write_text(f"# {verdict.failure}\n" + case.scenario.to_toml(), encoding="utf-8")
-    byzantine = f", and liars {list(case.byzantine)}" if case.byzantine else ""
-    return f"{path} has what it takes: {len(case.scenario.fault)} faults{byzantine}: {verdict.failure}"
+    byzantine = f" and byzantine robots {list(case.byzantine)}" if case.byzantine else ""
+    return f"smallest failing case: {path}, {len(case.scenario.fault)} faults{byzantine}: {verdict.failure}"

@@ -1,4 +1,4 @@
-"""What commands print: results, progress, and errors that the user can fix, with their exit codes."""
+"""Terminal output of commands: results, progress, and errors that the user can fix, with their exit codes."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ BAD_INPUT, BROKEN_OFF = 2, 3
 
 errors = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 screen = Console(highlight=False, soft_wrap=True, markup=False)
-"""Without markup: names, paths and process output that are printed may contain brackets."""
+"""Without markup, because names, paths and process output may contain brackets."""
 
-PAPER_WIDTH = 160
-"""Columns of a table that is written to a file or another program."""
+FILE_WIDTH = 160
+"""Columns of a table printed to a file or another program."""
 
 
 def report_result(result: Any, *, as_json: bool) -> int:
@@ -32,7 +32,7 @@ def report_result(result: Any, *, as_json: bool) -> int:
     for robot, cause in sorted(result.records.lost.items()):
         errors.print(f"robot {robot} was lost: {cause}")
     for fault in result.records.protocol_errors[:5]:
-        errors.print(f"malformed message: {fault}")
+        errors.print(f"protocol error: {fault}")
     if as_json:
         print(json.dumps(result.summary))
     else:
@@ -43,18 +43,18 @@ def report_result(result: Any, *, as_json: bool) -> int:
 
 
 def report_deaths(deaths: dict[str, str], logs: Path | None = None) -> None:
-    """Print which processes died, and their last words, those that several said once; `logs` is where the rest is."""
-    said: dict[str, list[str]] = {}
-    for name, words in deaths.items():
-        said.setdefault(words, []).append(name)
-    for words, names in said.items():
-        errors.print(f"{', '.join(names)} died: {words}")
-        if "\n" in words and logs is not None:
-            errors.print(f"that is in {', '.join(str(logs / f'{name}.log') for name in names)}")
+    """Print the processes that died, with their last output, and the log files in folder `logs`."""
+    names_by_output: dict[str, list[str]] = {}
+    for name, output in deaths.items():
+        names_by_output.setdefault(output, []).append(name)
+    for output, names in names_by_output.items():
+        errors.print(f"{', '.join(names)} died: {output}")
+        if "\n" in output and logs is not None:
+            errors.print(f"full output: {', '.join(str(logs / f'{name}.log') for name in names)}")
 
 
 def explain_difference(before: dict[str, Any], now: dict[str, Any]) -> None:
-    """Print where two runs that should be equal differ: settings first."""
+    """Print the differences between two runs that should be equal: settings first."""
     from deploy.record.run_directory import MAP  # noqa: PLC0415
 
     errors.print("Replay differs: the digest has changed.")
@@ -62,14 +62,14 @@ def explain_difference(before: dict[str, Any], now: dict[str, Any]) -> None:
     for key in (*settings, "steps", "coverage", "map_accuracy", "bytes", "versions"):
         is_copy = key == "map" and now[key] == Path(MAP).stem
         if before[key] != now[key] and not is_copy:
-            errors.print(f"  {key}: {before[key]} then, {now[key]} now")
+            errors.print(f"  {key}: was {before[key]}, is {now[key]}")
 
 
-def progress(*, shown: bool, below: Callable[[], str] = lambda: "") -> Any:
-    """A progress line, and what is said `below` it, on the error stream, which is not piped to other programs."""
+def progress(*, shown: bool, message: Callable[[], str] = lambda: "") -> Any:
+    """A progress line with a `message` below it, on the error stream, which is not piped to other programs."""
     from deploy.commands import terminal  # noqa: PLC0415
 
-    return terminal.progress(errors, shown=shown, below=below)
+    return terminal.progress(errors, shown=shown, message=message)
 
 
 class report_user_errors:  # noqa: N801  used like a statement
@@ -82,7 +82,7 @@ class report_user_errors:  # noqa: N801  used like a statement
         if isinstance(error, ValueError):
             fail(str(error), BAD_INPUT)
         if isinstance(error, RecursionError):
-            fail("what was given is nested too deeply", BAD_INPUT)
+            fail("input nested too deeply", BAD_INPUT)
         if isinstance(error, OSError) and not isinstance(error, BrokenPipeError):
             fail(*_explain(error))
 

@@ -1,4 +1,4 @@
-"""`murmur doctor`: checks the installation. Each check prints what it found, and what to do if it failed."""
+"""`murmur doctor`: check the installation. Each check prints its finding, and advice if it failed."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ Check = tuple[str, Callable[[], str]]
 
 
 def examine(screen: Console) -> bool:
-    """Run all checks and print their findings; whether all passed."""
-    well = True
+    """Run all checks and print their findings; return whether all passed."""
+    passed = True
     for name, check in _checks():
         try:
-            screen.print(Text.assemble(("ok", "green"), f"    {name}: {check()}"))
+            screen.print(Text.assemble(("ok", "green"), f"     {name}: {check()}"))
         except Exception as error:
-            well = False
-            screen.print(Text.assemble(("wrong", "red"), f" {name}: {error}"))
-    return well
+            passed = False
+            screen.print(Text.assemble(("failed", "red"), f" {name}: {error}"))
+    return passed
 
 
 def _checks() -> Iterator[Check]:
     yield "python", _python
     yield "packages", _packages
     yield "kernels", _kernels
-    yield "a swarm in memory", lambda: _swarm("memory")
-    yield "a swarm on Zenoh", lambda: _swarm("zenoh")
+    yield "swarm on the memory bus", lambda: _swarm("memory")
+    yield "swarm on Zenoh", lambda: _swarm("zenoh")
     yield "viewer", _viewer
 
 
@@ -45,14 +45,13 @@ def _packages() -> str:
 
 
 def _kernels() -> str:
-    """Kernels must come from the cache: compiling them would delay a robot's first step."""
+    """Check that kernels come from the cache: compiling them would delay a robot's first step."""
     import deploy.run.preload  # noqa: F401, PLC0415
     from protocol.kernels import compiled, loaded  # noqa: PLC0415
 
     if loaded() == 0:
         raise RuntimeError(
-            f"all {compiled()} were compiled anew: numba cannot keep its cache beside the code or in "
-            "NUMBA_CACHE_DIR; name a folder there that can be written"
+            f"no cache: all {compiled()} kernels were compiled again; set NUMBA_CACHE_DIR to a writable folder"
         )
     return f"{loaded()} loaded from the cache, {compiled()} compiled now"
 
@@ -66,12 +65,12 @@ def _swarm(bus: str) -> str:
         result = exploration.explore(scenario, out=Path(folder) / "run")
     if result.deaths or result.records.lost:
         raise RuntimeError(f"processes died: {result.deaths or result.records.lost}")
-    return f"{result.summary['steps']} steps, {result.summary['steps_per_s']} a second"
+    return f"{result.summary['steps']} steps, {result.summary['steps_per_s']} steps/s"
 
 
 def _viewer() -> str:
     import importlib.util  # noqa: PLC0415
 
     if importlib.util.find_spec("rerun") is None:
-        return "not installed; `--view` needs the extra `view` (pip install 'murmur-robots[view]')"
-    return "Rerun is installed"
+        return "not installed; --view needs it: pip install 'murmur-robots[view]'"
+    return "Rerun installed"

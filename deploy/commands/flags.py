@@ -1,7 +1,9 @@
-"""Flags shared by several commands, their help texts, and the parsing of their values."""
+"""Flags shared by several commands: those derived from the scenario's settings, and the parsing of values."""
 
 from __future__ import annotations
 
+import functools
+import inspect
 import json
 import sys
 from collections.abc import Callable
@@ -11,21 +13,80 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from deploy.commands.console import BAD_INPUT, fail
+from deploy.commands.console import BAD_INPUT, fail, report_user_errors
+
+SETTINGS = {
+    "World": {"map": "FILE|NAME", "map_seed": "S", "start": "X,Y"},
+    "Robots": {"robots": "N", "strategy": "NAME", "sensor_range": "METERS", "speed": "METERS"},
+    "Radio": {
+        "range": "METERS|P%", "bandwidth": "BYTES|unlimited", "map_encoding": "NAME", "dissemination": "NAME",
+    },
+    "Run": {"seed": "S", "steps": "MAX", "bus": "zenoh|memory"},
+}  # fmt: skip
+"""Settings of a scenario with a flag of their own, by group of the help, each with the metavar of its value."""
+
+WORLD, ROBOTS, RADIO, RUN = SETTINGS
+VIEW = "View"
+"""Groups of flags in the help of a command."""
 
 
-def family() -> typer.Typer:
-    """The commands of one file, for `deploy.commands.main` to find by name."""
-    return typer.Typer(rich_markup_mode=None)
+def setting_flags(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command a flag for each of `SETTINGS` but those in `without`.
+
+    The command receives the settings that the user gave as the dictionary `settings`. Its other flags follow those of
+    the settings; its first parameter, the argument, precedes them.
+    """
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        own = inspect.signature(command, eval_str=True).parameters
+        first, *rest = [
+            (each.name, each.annotation, each.default) for each in own.values() if each.name != "settings"
+        ]
+        flags = [
+            (name, _flag(name, metavar, group), None)
+            for group, names in SETTINGS.items()
+            for name, metavar in names.items()
+            if name not in without
+        ]
+
+        @functools.wraps(command)
+        def with_settings(**given: Any) -> None:
+            settings = {name: given.pop(name) for name, *_ in flags}
+            settings = {name: value for name, value in settings.items() if value is not None}
+            if "start" in settings:
+                with report_user_errors():
+                    settings["start"] = position(settings["start"])
+            command(**given, settings=settings)
+
+        with_settings.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+            [
+                inspect.Parameter(
+                    name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation
+                )
+                for name, annotation, default in [first, *flags, *rest]
+            ]
+        )
+        with_settings.__annotations__ = {name: annotation for name, annotation, _ in [first, *flags, *rest]}
+        return with_settings
+
+    return decorate
 
 
-def default(name: str) -> str:
-    """Help text of a scenario setting: what it is, and its default."""
+def _flag(name: str, metavar: str, group: str) -> Any:
+    """The annotation of a setting's flag: its type, its description and its default."""
     from deploy.scenario.scenario import Scenario  # noqa: PLC0415  not all commands have settings
 
     info = Scenario.model_fields[name]
-    has_one = info.default is not None and info.default_factory is None
-    return f"{info.description}" + (f" (default {info.default})" if has_one else "")
+    kind = info.annotation if info.annotation in (int, float) else str
+    has_default = info.default is not None and info.default_factory is None
+    text = f"{info.description}" + (f" (default {info.default})" if has_default else "")
+    flag = "--" + name.replace("_", "-")
+    return Annotated[kind | None, typer.Option(flag, help=text, metavar=metavar, rich_help_panel=group)]
+
+
+def command_family() -> typer.Typer:
+    """The commands of one module, for `deploy.commands.main` to find by name."""
+    return typer.Typer(rich_markup_mode=None)
 
 
 def preformatted(text: str) -> str:
@@ -33,14 +94,14 @@ def preformatted(text: str) -> str:
     return text.replace("\n\n", "\n\n\b\n")
 
 
-def to_be_written(*suffixes: str) -> Callable[[typer.CallbackParam, Path | None], Path | None]:
-    """The check of a flag that names a file to be written: how it ends, and that its folder is there."""
+def output_file(*suffixes: str) -> Callable[[typer.CallbackParam, Path | None], Path | None]:
+    """The check of a flag that names an output file: its suffix, and that its folder exists."""
 
     def checked(flag: typer.CallbackParam, path: Path | None) -> Path | None:
         if path is not None and path.suffix not in suffixes:
             fail(f"{flag.name} = {path}: must end in {' or '.join(suffixes)}", BAD_INPUT)
         if path is not None and not path.parent.is_dir():
-            fail(f"{flag.name} = {path}: there is no folder {path.parent}", BAD_INPUT)
+            fail(f"{flag.name} = {path}: no such folder: {path.parent}", BAD_INPUT)
         return path
 
     return checked
@@ -55,33 +116,27 @@ OutOption = Annotated[
 JsonFlag = Annotated[bool, typer.Option("--json", help="print the results as JSON and nothing else")]
 ViewAs = Annotated[
     str,
-    typer.Option(metavar="native|web|file", help="how to show it; auto: a window if there is a display"),
+    typer.Option(
+        metavar="native|web|file", help="type of viewer (default: a window, or a web page without a display)"
+    ),
 ]
 
 
-def setting(name: str, kind: Any, metavar: str, group: str) -> Any:
-    """A flag that overrides a setting of the scenario, in a group of the help."""
-    flag = "--" + name.replace("_", "-")
-    return Annotated[
-        kind | None, typer.Option(flag, help=default(name), metavar=metavar, rich_help_panel=group)
-    ]
-
-
 class Subcommands(TyperGroup):
-    """A command of commands, whose help says the first sentence of each to its end."""
+    """A command with subcommands; its help lists the first sentence of each in full."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write the list for help; what is longer than a line goes on in the next."""
+        """Write the list of subcommands."""
         with formatter.section("Commands"):
-            whole = [(name, self.commands[name]) for name in self.list_commands(ctx)]
-            formatter.write_dl([(name, each.get_short_help_str(sys.maxsize)) for name, each in whole])
+            commands = [(name, self.commands[name]) for name in self.list_commands(ctx)]
+            formatter.write_dl([(name, each.get_short_help_str(sys.maxsize)) for name, each in commands])
 
 
 class GroupedCommand(TyperCommand):
-    """A command with so many flags that its help shows them in groups."""
+    """A command whose help lists flags by group, as plain text; typer itself groups flags only in Rich boxes."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the flags of each group under its name, in the order in which groups come first."""
+        """Write the flags of each group under its name, in the order in which groups first occur."""
         groups: dict[str, list[tuple[str, str]]] = {}
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx)
@@ -93,28 +148,28 @@ class GroupedCommand(TyperCommand):
                 formatter.write_dl(records)
 
 
-def pair(text: str) -> tuple[float, float]:
-    """Parse a position, X,Y in metres; ValueError if it is malformed."""
+def position(text: str) -> tuple[float, float]:
+    """Parse a position, X,Y in meters; ValueError if it is malformed."""
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:
-        raise ValueError(f"start = {text!r}: must be two numbers of metres, as 3.5,12") from None
+        raise ValueError(f"start = {text!r}: must be two numbers in meters, as 3.5,12") from None
     return x, y
 
 
 def named_values(texts: list[str], flag: str, example: str) -> dict[str, Any]:
-    """Parse NAME=VALUE texts of a flag, values as JSON where possible; ValueError says what is wrong."""
+    """Parse NAME=VALUE texts of a flag, values as JSON where possible; ValueError if a text is malformed."""
     values: dict[str, Any] = {}
     for text in texts:
         name, sign, value = text.partition("=")
         if not sign or not name:
             raise ValueError(f"{flag} = {text!r}: must be NAME=VALUE, as {example}")
         if name in values:
-            raise ValueError(f"{flag} = {text!r}: {name} is given twice; give it once, as {example}")
+            raise ValueError(f"{flag} = {text!r}: {name} is given twice")
         try:
             values[name] = json.loads(value)
         except RecursionError:
-            raise ValueError(f"{flag} = '{name}=...': is nested too deeply") from None
+            raise ValueError(f"{flag} = '{name}=...': nested too deeply") from None
         except ValueError:
             values[name] = value
     return values

@@ -1,4 +1,4 @@
-"""`murmur keys`: the certificates by which the participants of a run know each other (docs/hosts.md)."""
+"""`murmur keys`: certificates that authenticate the participants of a run (docs/hosts.md)."""
 
 from __future__ import annotations
 
@@ -9,36 +9,36 @@ from typing import Annotated
 import typer
 
 from deploy.commands.console import report_user_errors, screen
-from deploy.commands.flags import family
+from deploy.commands.flags import command_family
 from deploy.scenario.scenario import ScenarioError
 from protocol import keys as names
 
-app = family()
+app = command_family()
 
 
 @app.command()
 def keys(
     directory: Annotated[
-        Path, typer.Argument(metavar="DIR", help="where they go; nothing there is overwritten")
+        Path, typer.Argument(metavar="DIR", help="output folder; existing files are kept")
     ] = Path("keys"),
-    robots: Annotated[int, typer.Option(metavar="N", min=1, help="how many robots the run has")] = 3,
+    robots: Annotated[int, typer.Option(metavar="N", min=1, help="number of robots")] = 3,
     address: Annotated[
         list[str] | None,
-        typer.Option(metavar="HOST", help="where participants reach the hub; repeatable (default 127.0.0.1)"),
+        typer.Option(metavar="HOST", help="address of the hub; repeatable (default 127.0.0.1)"),
     ] = None,
     router: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME=0,1,...",
-            help="these robots join through a router of that name (murmur run router); repeatable",
+            help="robots that join through router NAME (murmur run router); repeatable",
         ),
     ] = None,
-    days: Annotated[int, typer.Option(metavar="N", min=1, max=3650, help="for how long they hold")] = 30,
+    days: Annotated[int, typer.Option(metavar="N", min=1, max=3650, help="days until they expire")] = 30,
 ) -> None:
-    """Make a run's own authority, and one certificate and private key a participant.
+    """Create a certificate authority for a run, and a certificate and private key for each participant.
 
-    The authority's key is not kept: what is not made now cannot be added. `murmur explore --hosts` makes its own
-    anew for each run and needs none of this; it is for processes started by hand (murmur run netshaper --keys DIR).
+    The authority's key is not stored, so that certificates cannot be added later. Use it for processes started by hand
+    (murmur run netshaper --keys DIR); `murmur explore --hosts` creates its own certificates for each run.
     """
     from netshaper import certificates  # noqa: PLC0415
 
@@ -47,20 +47,20 @@ def keys(
         made = certificates.make(robots, known_as, days, _routers(router or [], robots))
         written = certificates.write(made, directory)
         screen.print(
-            f"{len(written)} files in {directory}, for a hub at {', '.join(known_as)}; they hold {days} days.\n"
-            f"murmur run netshaper --keys {directory} puts each one's into its credential."
+            f"{len(written)} files in {directory}, for a hub at {', '.join(known_as)}; valid for {days} days.\n"
+            f"Next: murmur run netshaper --keys {directory}"
         )
 
 
 def _routers(given: list[str], robots: int) -> dict[str, list[str]]:
-    """The robots' names behind each router, by its name."""
+    """Parse --router: the names of the robots behind each router."""
     found: dict[str, list[str]] = {}
     for text in given:
         parts = re.fullmatch(r"([A-Za-z0-9][A-Za-z0-9._-]*)=([0-9]{1,4}(?:,[0-9]{1,4})*)", text)
         if parts is None:
             raise ScenarioError(f"router = {text!r}: must be NAME=0,1,..., as rack-1=0,1")
         found[names.router(parts[1])] = [names.robot(int(number)) for number in parts[2].split(",")]
-    behind = [robot for speaks_for in found.values() for robot in speaks_for]
+    behind = [robot for robots_behind in found.values() for robot in robots_behind]
     for robot in behind:
         if behind.count(robot) > 1 or names.number(robot) >= robots:
             raise ScenarioError(

@@ -1,4 +1,4 @@
-"""Keys that control a run from the terminal that started it: only where that is a terminal."""
+"""Keyboard control of a run, from the terminal that started it."""
 
 from __future__ import annotations
 
@@ -14,71 +14,71 @@ from deploy.scenario.tables import UNLIMITED
 
 HELP = "space pause, s step, + - speed, k kill, b bandwidth, r range"
 ASKING = {"k": "kill robot", "b": "bandwidth", "r": "range"}
-"""Keys after which a value is typed, and Enter."""
+"""Keys that ask for a value, which ends with Enter."""
 SPEEDS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
-"""Steps a second that + and - go through; behind the last one there is no limit."""
+"""Speeds in steps per second, for + and -; above the last one, the speed is unlimited."""
 
 
 class Keys:
-    """Turns keys into what is done to a run.
+    """Translates key presses into control of a run.
 
     Attributes
     ----------
-    words : str
-        What is to be shown: what is typed, what was done, or what was wrong with it.
+    message : str
+        The line to show: the input so far, a confirmation, an error, or the list of keys.
     """
 
     def __init__(self, control: Control) -> None:
-        self.words = HELP
+        self.message = HELP
         self._control = control
         self._asked = ""
         self._typed = ""
 
     def press(self, key: str) -> None:
-        """Take a key."""
+        """Handle a key press."""
         if self._asked:
             self._type(key)
         elif key == " ":
             (self._control.resume if self._control.paused else self._control.pause)()
-            self.words = "paused: space goes on, s steps" if self._control.paused else HELP
+            self.message = "paused: space continues, s steps" if self._control.paused else HELP
         elif key == "s":
             self._control.step()
-            self.words = "paused: space goes on, s steps"
+            self.message = "paused: space continues, s steps"
         elif key in "+-":
             self._control.set_speed(_next_speed(self._control.speed, faster=key == "+"))
             speed = self._control.speed
-            self.words = f"{speed:g} steps a second" if speed else "as fast as it goes"
+            self.message = f"{speed:g} steps/s" if speed else "unlimited speed"
         elif key in ASKING:
             self._asked, self._typed = key, ""
-            self.words = f"{ASKING[key]}: "
+            self.message = f"{ASKING[key]}: "
 
     def _type(self, key: str) -> None:
         if key in "\r\n":
             asked, self._asked = self._asked, ""
-            self.words = self._do(asked, self._typed.strip())
+            self.message = self._do(asked, self._typed.strip())
         elif key == "\x1b":
-            self._asked, self.words = "", HELP
+            self._asked, self.message = "", HELP
         else:
             self._typed = self._typed[:-1] if key in "\x7f\b" else self._typed + key
-            self.words = f"{ASKING[self._asked]}: {self._typed}"
+            self.message = f"{ASKING[self._asked]}: {self._typed}"
 
     def _do(self, asked: str, value: str) -> str:
         try:
             if asked == "k":
                 self._control.kill(_robot(value))
-                return f"robot {value} is killed with the next step"
+                return f"robot {value} will be killed at the next step"
             if asked == "b":
                 self._control.change(bandwidth=value)
-                return f"bandwidth {value} from the next step on" + ("" if value == UNLIMITED else " [bytes]")
+                return f"bandwidth {value}{'' if value == UNLIMITED else ' B'} from the next step"
             self._control.change(range=value)
         except ValueError as error:
             return str(error)
-        return f"range {value} from the next step on"
+        return f"range {value} from the next step"
 
 
 @contextlib.contextmanager
 def controlled(control: Control | None) -> Iterator[Callable[[], str]]:
-    """Read keys as long as the block lasts; yields what says what is to be shown beside the progress."""
+    """Read keys within the block; yields a function that returns the line to show below the progress."""
     if control is None:
         yield lambda: ""
         return
@@ -102,7 +102,7 @@ def controlled(control: Control | None) -> Iterator[Callable[[], str]]:
     tty.setcbreak(stdin)
     reader.start()
     try:
-        yield lambda: keys.words
+        yield lambda: keys.message
     finally:
         os.write(over, b".")
         reader.join()
@@ -111,8 +111,8 @@ def controlled(control: Control | None) -> Iterator[Callable[[], str]]:
         termios.tcsetattr(stdin, termios.TCSADRAIN, before)
 
 
-def is_at_terminal() -> bool:
-    """Whether keys can be read, and what they do can be shown."""
+def at_terminal() -> bool:
+    """Whether keys can be read and messages shown."""
     return sys.stdin.isatty() and sys.stderr.isatty() and os.name == "posix"
 
 
@@ -124,5 +124,5 @@ def _next_speed(now: float | None, *, faster: bool) -> float | None:
 
 def _robot(text: str) -> int:
     if not text.isdecimal():
-        raise ValueError(f"kill: {text!r} is no robot's number")
+        raise ValueError(f"kill: {text!r} is not a robot number")
     return int(text)

@@ -9,14 +9,14 @@ from typing import Annotated, Any
 import typer
 
 from deploy.commands.console import errors, report_user_errors, screen
-from deploy.commands.flags import JsonFlag, family, named_values, to_be_written
+from deploy.commands.flags import JsonFlag, command_family, named_values, output_file
 
-app = family()
+app = command_family()
 
 
 @app.command()
 def doctor() -> None:
-    """Check that this installation works: versions, compiled kernels, the bus on loopback, a small swarm."""
+    """Check that this installation works: versions, compiled kernels, a small swarm on each bus."""
     from deploy.commands.doctor import examine  # noqa: PLC0415
 
     raise typer.Exit(0 if examine(screen) else 1)
@@ -34,7 +34,7 @@ def bench(
     ] = None,
     robots: Annotated[
         list[int] | None,
-        typer.Option(min=1, max=256, metavar="N", help="a team size for scale and strategies; repeatable"),
+        typer.Option(min=1, max=256, metavar="N", help="team size for scale and strategies; repeatable"),
     ] = None,
     maps: Annotated[
         list[str] | None,
@@ -42,11 +42,9 @@ def bench(
     ] = None,
     strategies: Annotated[
         list[str] | None,
-        typer.Option("--strategy", metavar="NAME", help="who competes (default: all); repeatable"),
+        typer.Option("--strategy", metavar="NAME", help="strategy to compare (default: all); repeatable"),
     ] = None,
-    seeds: Annotated[
-        int, typer.Option(min=1, metavar="N", help="seeds of each map and team for strategies")
-    ] = 3,
+    seeds: Annotated[int, typer.Option(min=1, metavar="N", help="seeds per map and team for strategies")] = 3,
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -57,12 +55,12 @@ def bench(
         Path | None,
         typer.Option(
             metavar="FILE.png",
-            callback=to_be_written(".png"),
-            help="draw the league table, or what scale measures",
+            callback=output_file(".png"),
+            help="draw the league table, or the results of scale",
         ),
     ] = None,
     jobs: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="processes for strategies (default: one a core)")
+        int | None, typer.Option(min=1, metavar="N", help="processes for strategies (default: one per core)")
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -80,7 +78,7 @@ def bench(
 
         if picture is not None and names and "scale" not in names:
             raise ValueError(
-                f"picture = {str(picture)!r}: it shows what scale or strategies measures; name one of them"
+                f"picture = {str(picture)!r}: only scale and strategies draw pictures; name one of them"
             )
         figures = run_benchmarks(names or [], (lambda _: None) if as_json else screen.print, robots or [])
         if picture is not None:

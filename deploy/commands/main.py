@@ -1,6 +1,6 @@
-"""`murmur` and its commands: a table of names, and the module that implements each.
+"""The `murmur` command: a table of its commands, and the module that implements each.
 
-Commands are imported only when they are called, so that help and short commands start quickly.
+A command is imported only when it is called, so that help and short commands start quickly.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ PACKAGE = "murmur-robots"
 """The distribution's name."""
 
 
-class Place(NamedTuple):
+class Entry(NamedTuple):
     """A command's module, and its line in the list of commands."""
 
     module: str
@@ -23,27 +23,27 @@ class Place(NamedTuple):
 
 
 COMMANDS = {
-    "explore": Place("explore", "Explore a building with a swarm of robots, and watch them finish."),
-    "watch": Place("explore", "View a run in progress, or the recording of one."),
-    "strategies": Place("strategies", "List the exploration strategies, or show one with all its options."),
-    "new": Place("new", "Write the beginning of something of your own: a strategy."),
-    "map": Place("maps", "List, make and show maps."),
-    "report": Place(
+    "explore": Entry("explore", "Explore a building with a swarm of robots."),
+    "watch": Entry("explore", "View a run in progress, or the recording of one."),
+    "strategies": Entry("strategies", "List the exploration strategies, or show one with all its options."),
+    "new": Entry("new", "Write a template of a new strategy, with its test."),
+    "map": Entry("maps", "List, make and show maps."),
+    "report": Entry(
         "after_run", "Write an HTML page of a run, with pictures and a slider; or compare two runs."
     ),
-    "movie": Place("after_run", "Film a run, step by step, or two side by side."),
-    "capture": Place("after_run", "Show the radio traffic of a run, frame by frame."),
-    "export": Place("after_run", "Export a run to formats of other programs."),
-    "replay": Place("after_run", "Repeat a run and check that its digest is the same."),
-    "sweep": Place("studies", "Run a scenario over a grid of settings and print a table."),
-    "compare": Place("studies", "Run scenarios, strategies or map encodings on the same seeds, and compare."),
-    "size": Place("studies", "Try teams, bandwidths and ranges in a building, and say which is enough."),
-    "reproduce": Place("studies", "Run the papers' experiments and judge their claims."),
-    "chaos": Place("chaos", "Run swarms under faults drawn from seeds, and check what must hold of them."),
-    "keys": Place("keys", "Make the certificates of a run whose hub asks for them."),
-    "run": Place("by_hand", "Start one process of a run by hand."),
-    "bench": Place("machine", "Benchmark this machine, as ratios against yardsticks of the same run."),
-    "doctor": Place("machine", "Check that this installation works."),
+    "movie": Entry("after_run", "Film a run, step by step, or two side by side."),
+    "capture": Entry("after_run", "Show the radio traffic of a run, frame by frame."),
+    "export": Entry("after_run", "Export a run to formats of other programs."),
+    "replay": Entry("after_run", "Repeat a run and check that its digest is the same."),
+    "sweep": Entry("studies", "Run a scenario over a grid of settings and print a table."),
+    "compare": Entry("studies", "Compare scenarios, strategies or map encodings on the same seeds."),
+    "size": Entry("studies", "Find the smallest sufficient team, bandwidth and range for a building."),
+    "reproduce": Entry("studies", "Repeat the experiments of the papers, and judge their claims."),
+    "chaos": Entry("chaos", "Run swarms under random faults, and check their invariants."),
+    "keys": Entry("keys", "Create certificates for the participants of a run."),
+    "run": Entry("by_hand", "Start one process of a run by hand."),
+    "bench": Entry("machine", "Benchmark this machine: ratios to references of the same run."),
+    "doctor": Entry("machine", "Check that this installation works."),
 }
 
 
@@ -55,24 +55,24 @@ class Commands(TyperGroup):
         return list(COMMANDS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Import a command; None if there is none of that name."""
+        """Import a command; None if the name is unknown."""
         if cmd_name not in COMMANDS:
             return None
         family = importlib.import_module(f"deploy.commands.{COMMANDS[cmd_name].module}")
         return typer.main.get_group(family.app).get_command(ctx, cmd_name)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the command that is meant; of one that there is not, say which are near."""
+        """Find a command; for an unknown name, suggest similar ones."""
         if args and args[0] not in COMMANDS and not args[0].startswith("-"):
             from protocol.errors import there_are  # noqa: PLC0415
 
-            ctx.fail(f"no command is called {args[0]!r}; {there_are(COMMANDS, args[0])}")
+            ctx.fail(f"no such command: {args[0]!r}; {there_are(COMMANDS, args[0])}")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
-        """Write the list for help, without importing any."""
+        """Write the list of commands for help, without importing any."""
         with formatter.section("Commands"):
-            formatter.write_dl([(name, place.line) for name, place in COMMANDS.items()])
+            formatter.write_dl([(name, entry.line) for name, entry in COMMANDS.items()])
 
 
 app = typer.Typer(
@@ -81,14 +81,14 @@ app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="""Robot swarms that map a building together over a radio of fifty bytes a second.
+    help="""Robot swarms that map a building together over a radio of fifty bytes per second.
 
     \b
     Start with:  murmur explore --robots 5        (five robots explore and map an office)
-    then open the picture that it names, and try:  murmur map list,  murmur strategies,  murmur doctor
+    Then open the picture that it prints, and try:  murmur map list,  murmur strategies,  murmur doctor
 
-    Exit codes: 0 explored, 1 not finished (or a replay that differs), 2 bad input, 3 a process died
-    or the disk is full.""",
+    Exit codes: 0 explored, 1 not finished (or replay differs), 2 bad input, 3 a process died or the disk
+    is full.""",
 )
 
 

@@ -9,9 +9,9 @@ import typer
 from rich.text import Text
 
 from deploy.commands.console import report_user_errors, screen
-from deploy.commands.flags import Subcommands, family, to_be_written
+from deploy.commands.flags import Subcommands, command_family, output_file
 
-app = family()
+app = command_family()
 maps_app = typer.Typer(
     cls=Subcommands, no_args_is_help=True, rich_markup_mode=None, help="List, make and show maps."
 )
@@ -20,7 +20,7 @@ app.add_typer(maps_app, name="map")
 
 @maps_app.command("list")
 def map_list() -> None:
-    """List the environments that can be generated; the YAML file of a ROS map can be used instead."""
+    """List the generators of maps; the YAML file of a ROS map can be used instead."""
     from worldsim import generators  # noqa: PLC0415
 
     names = generators.names()
@@ -35,13 +35,13 @@ def map_make(
     seed: Annotated[int, typer.Option(min=0, metavar="S", help="seed of the generator")] = 0,
     out: Annotated[Path | None, typer.Option(metavar="FILE.yaml", help="default: NAME.yaml here")] = None,
 ) -> None:
-    """Make a map and write it as ROS map_server reads it: a YAML file and its picture."""
+    """Make a map and write it in the format of ROS map_server: a YAML file and its picture."""
     from worldsim import generators, maps  # noqa: PLC0415
 
     with report_user_errors():
         path = out or Path(f"{name}.yaml")
         if path.suffix not in (".yaml", ".yml"):
-            raise ValueError(f"out = {path}: must end in .yaml; the picture is written beside it")
+            raise ValueError(f"out = {path}: must end in .yaml")
         maps.save(generators.make(name, seed=seed), path)
         screen.print(f"{path}: {generators.describe(name)}, seed {seed}")
 
@@ -51,14 +51,16 @@ def map_show(
     file: Annotated[str, typer.Argument(metavar="FILE|NAME", help="a map file, or a generator's name")],
     seed: Annotated[int, typer.Option(min=0, metavar="S", help="the generator's seed")] = 0,
     resolution: Annotated[
-        float | None, typer.Option(metavar="M", help="metres a cell, of a generated map or a picture")
+        float | None, typer.Option(metavar="M", help="meters per cell of a generated map or a picture")
     ] = None,
     png: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.png", callback=to_be_written(".png"), help="draw it there, with metres"),
+        typer.Option(
+            metavar="FILE.png", callback=output_file(".png"), help="draw the map with axes in meters"
+        ),
     ] = None,
 ) -> None:
-    """Show a map in the terminal, with its figures."""
+    """Show a map in the terminal, with its size."""
     from deploy.commands.sketch import sketch  # noqa: PLC0415
     from deploy.scenario.finding_maps import find_map  # noqa: PLC0415
 

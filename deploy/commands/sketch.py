@@ -1,4 +1,4 @@
-"""Maps as text, two cells to a character."""
+"""Maps as text, two cells per character."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from rich.text import Text
 from protocol.grid import FREE, OCCUPIED, Grid
 
 COLORS = ("grey50", "white", "black")
-"""Colours of unknown, free and occupied cells in a sketch."""
+"""Colors of unknown, free and occupied cells."""
 
 INK = {(2, 2): "█", (2, 1): "▀", (2, 0): "▀", (1, 2): "▄", (0, 2): "▄", (0, 0): "░"}
-"""Characters for an upper and a lower cell if there are no colours; free cells are blank."""
+"""Characters for an upper and a lower cell without colors; free cells are blank."""
 
 
 def sketch(grid: Grid, console: Console) -> Text:
-    """Draw a grid with half-block characters, as wide as `console`, in colours if it supports them."""
+    """Draw a grid with half-block characters, as wide as `console`, in colors if it supports them."""
     scale = max(1, -(-grid.shape[1] // max(20, console.width - 1)))
     whole = np.pad(grid, [(0, -grid.shape[0] % (2 * scale)), (0, -grid.shape[1] % scale)], mode="edge")
     blocks = whole.reshape(whole.shape[0] // scale, scale, whole.shape[1] // scale, scale)

@@ -1,4 +1,4 @@
-"""`murmur strategies`: list the strategies and their options."""
+"""`murmur strategies`: list strategies and their options."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import typer
 from agent.strategies.catalog import COMBINING, catalog, entry
 from deploy.commands import strategy_pages as pages
 from deploy.commands.console import report_user_errors, screen
-from deploy.commands.flags import family, preformatted
+from deploy.commands.flags import command_family, preformatted
 
-app = family()
+app = command_family()
 
 
 @app.command(
@@ -23,13 +23,13 @@ def strategies(
         str | None,
         typer.Argument(metavar="NAME", help="the strategy to show, or a class package.module:Class"),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="print all their data as JSON")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="print all data as JSON")] = False,
 ) -> None:
     """List the exploration strategies, or show one with all its options."""
     with report_user_errors():
         entries = catalog() if name is None else [entry(name)]
         if as_json:
-            print(json.dumps(pages.for_machines(entries)))
+            print(json.dumps(pages.as_json(entries)))
         else:
             pages.console(screen).print(
                 pages.listing(entries) if name is None else pages.page(entries[0], name)

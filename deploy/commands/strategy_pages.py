@@ -1,4 +1,4 @@
-"""What `murmur strategies` prints: all strategies, paper by paper, or one with all its options."""
+"""Output of `murmur strategies`: all strategies by paper, or one strategy with all its options."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from agent.strategies.catalog import Entry
 from deploy.scenario.scenario import Scenario
 
 WIDTH = 100
-"""Maximum columns; a narrower terminal is used fully."""
+"""Maximum width in columns."""
 
 
 def console(terminal: Console) -> Console:
@@ -24,7 +24,7 @@ def console(terminal: Console) -> Console:
 
 
 def listing(entries: list[Entry]) -> RenderableType:
-    """All strategies, paper by paper: the name, where the paper describes it, and what it does."""
+    """All strategies by paper: name, section of the paper, and summary."""
     lines = []
     for paper, group in groupby(sorted(entries, key=lambda entry: (entry.paper, entry.name)), _paper):
         lines.append(Text(paper))
@@ -33,15 +33,15 @@ def listing(entries: list[Entry]) -> RenderableType:
             lines.append(Text(f"      {entry.summary}"))
         lines.append(Text(""))
     default = Scenario.model_fields["strategy"].default
-    lines.append(Text(f"The default is {default}. One with all its options: murmur strategies NAME"))
-    lines.append(Text("How parts combine: murmur strategies --help"))
+    lines.append(Text(f"Default: {default}. Options of a strategy: murmur strategies NAME"))
+    lines.append(Text("Combinations: murmur strategies --help"))
     return Group(*lines)
 
 
 def page(entry: Entry, called: str) -> RenderableType:
-    """One strategy: what it does, its options with defaults and choices, and those that it does not accept.
+    """One strategy: its summary, its options with defaults and choices, and the options that it does not accept.
 
-    `called` is the name by which it was asked for, which runs it as well.
+    `called` is the name that the user gave, which `murmur explore` accepts as well.
     """
     lines: list[RenderableType] = [
         Text.assemble((entry.name, "bold"), f": {entry.summary}"),
@@ -54,19 +54,19 @@ def page(entry: Entry, called: str) -> RenderableType:
         table.add_column()
         table.show_header = True
         for option in entry.options:
-            what = option.help + (f": {', '.join(option.choices)}" if option.choices else "")
+            description = option.help + (f": {', '.join(option.choices)}" if option.choices else "")
             bound = "" if option.least is None else f" (at least {option.least:g})"
-            table.add_row(option.name, _shown(option.default), what + bound)
+            table.add_row(option.name, _shown(option.default), description + bound)
         lines += [table, Text("")]
     for reason, names in _by_reason(entry):
-        lines.append(Text(f"It takes no {', '.join(names)}: {reason}."))
+        lines.append(Text(f"Not accepted: {', '.join(names)}: {reason}."))
     lines += [Text(f"{clash}.") for clash in entry.clashes]
     lines.append(Text(f"\nmurmur explore --strategy {called} --option NAME=VALUE"))
     return Group(*lines)
 
 
-def for_machines(entries: list[Entry]) -> dict[str, Any]:
-    """All data of strategies, by name."""
+def as_json(entries: list[Entry]) -> dict[str, Any]:
+    """All data of strategies, by name, for JSON."""
     return {
         entry.name: {
             "summary": entry.summary,

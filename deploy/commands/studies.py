@@ -1,4 +1,4 @@
-"""Many runs: `murmur sweep`, `reproduce`, `compare`, `size`."""
+"""Commands for many runs: `murmur sweep`, `reproduce`, `compare`, `size`."""
 
 from __future__ import annotations
 
@@ -11,28 +11,32 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from deploy.commands.console import PAPER_WIDTH, errors, fail, report_user_errors, screen
-from deploy.commands.flags import family, named_values, to_be_written
+from deploy.commands.console import FILE_WIDTH, errors, fail, report_user_errors, screen
+from deploy.commands.flags import (
+    GroupedCommand,
+    command_family,
+    named_values,
+    output_file,
+    setting_flags,
+)
 
-app = family()
+app = command_family()
 
 JobsOption = Annotated[int | None, typer.Option(min=1, metavar="N", help="processes (default: one per core)")]
 SchedulerOption = Annotated[
     str | None,
-    typer.Option(
-        metavar="ADDRESS", help="run on the workers of a Dask scheduler instead, as tcp://10.0.0.1:8786"
-    ),
+    typer.Option(metavar="ADDRESS", help="run on the workers of a Dask scheduler, as tcp://10.0.0.1:8786"),
 ]
 SeedsOption = Annotated[int | None, typer.Option(min=1, metavar="N", help="run the seeds 0 to N - 1")]
 SetOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--set", metavar="KEY=VALUE", help="a setting of all runs, or a list to run through; repeatable"
+        "--set", metavar="KEY=VALUE", help="a setting of all runs, or a list of its values; repeatable"
     ),
 ]
-RetryFlag = Annotated[bool, typer.Option("--retry", help="run failed runs of the table again")]
+RetryFlag = Annotated[bool, typer.Option("--retry", help="repeat failed runs of the table")]
 AnyCodeFlag = Annotated[
-    bool, typer.Option("--any-code", help="take runs of the table that other versions of the code have made")
+    bool, typer.Option("--any-code", help="reuse runs made by other versions of the code")
 ]
 
 
@@ -48,20 +52,20 @@ def sweep(
     variant: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="run only this variant; repeatable")
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="only what the file's [quick] says")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="apply the [quick] section of the file")] = False,
     out: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE.parquet",
-            callback=to_be_written(".parquet"),
-            help="the table of runs; those already in it are not repeated",
+            callback=output_file(".parquet"),
+            help="the table of runs; existing runs are reused",
         ),
     ] = None,
     table: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE.csv|.parquet",
-            callback=to_be_written(".csv", ".parquet"),
+            callback=output_file(".csv", ".parquet"),
             help="write means, intervals and quartiles",
         ),
     ] = None,
@@ -69,14 +73,14 @@ def sweep(
         Path | None,
         typer.Option(
             metavar="FILE.png",
-            callback=to_be_written(".png"),
+            callback=output_file(".png"),
             help="draw the file's plots (FILE-2.png and so on for more)",
         ),
     ] = None,
     retry: RetryFlag = False,
     any_code: AnyCodeFlag = False,
 ) -> None:
-    """Run a scenario over a grid of settings, on the memory bus, and print the table that the file defines."""
+    """Run a scenario over a grid of settings, on the memory bus, and print the table defined in the file."""
     from deploy.commands import terminal  # noqa: PLC0415
     from deploy.run.workers import workers  # noqa: PLC0415
     from deploy.study import experiment as experiments  # noqa: PLC0415
@@ -117,20 +121,20 @@ def reproduce(
     claim: Annotated[
         list[str] | None, typer.Argument(metavar="CLAIM...", help="as B1 M4 (default: all 24)")
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="fewer seeds, smaller grids: a first look")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="fewer seeds and smaller grids")] = False,
     seeds: SeedsOption = None,
     jobs: JobsOption = None,
     scheduler: SchedulerOption = None,
     out: Annotated[
         Path,
         typer.Option(
-            metavar="STEM", help="writes STEM.md, STEM.html, and the folder STEM with pictures and tables"
+            metavar="STEM", help="output: STEM.md, STEM.html, and folder STEM with pictures and tables"
         ),
     ] = Path("reproduction"),
     retry: RetryFlag = False,
     any_code: AnyCodeFlag = False,
 ) -> None:
-    """Run the experiments of the papers, and say of each claim whether it holds here (exit code 1: not all do)."""
+    """Repeat the experiments of the papers, and judge each of their claims (exit code 1: not all hold)."""
     from deploy.commands import terminal  # noqa: PLC0415
     from deploy.run.workers import workers  # noqa: PLC0415
     from deploy.study import reproduction  # noqa: PLC0415
@@ -152,9 +156,9 @@ def reproduce(
                     any_code=any_code,
                     retry=retry,
                 )
-            words = ["murmur reproduce", *(claim or []), *(["--quick"] if quick else [])]
-            words += [f"--seeds {seeds}"] if seeds is not None else []
-            pages = reproduction.write(done, out, " ".join(words))
+            command = ["murmur reproduce", *(claim or []), *(["--quick"] if quick else [])]
+            command += [f"--seeds {seeds}"] if seeds is not None else []
+            pages = reproduction.write(done, out, " ".join(command))
         lines = [["claim", "", "verdict", "tests", "runs"]]
         for each in done.claims:
             counts = each.verdict.counts
@@ -163,13 +167,12 @@ def reproduce(
                 report_failures(part.failures)
         lines += [[name, "", "no experiment", "", "0"] for name in done.unasked]
         print_table(terminal.table(lines))
-        screen.print(
-            f"Everything is in {' and '.join(map(str, pages))}" + ("; a first look." if quick else ".")
-        )
+        screen.print(f"Results: {', '.join(map(str, pages))}" + (" (quick)" if quick else ""))
     raise typer.Exit(0 if done.all_hold else 1)
 
 
-@app.command()
+@app.command(cls=GroupedCommand)
+@setting_flags("map", "seed", "bus")
 def compare(
     scenario: Annotated[
         list[Path] | None, typer.Argument(metavar="A.toml B.toml ...", help="scenarios to compare")
@@ -188,19 +191,23 @@ def compare(
     set_: SetOption = None,
     jobs: JobsOption = None,
     scheduler: SchedulerOption = None,
-    out: Annotated[
-        Path, typer.Option(metavar="DIR", help="where pictures, means and runs are written")
-    ] = Path("comparison"),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="folder for pictures, means and runs")] = Path(
+        "comparison"
+    ),
+    *,
+    settings: dict[str, Any],
 ) -> None:
-    """Run scenarios, strategies or map encodings on the same seeds, and say which is better."""
+    """Compare scenarios, strategies or map encodings on the same seeds, with confidence intervals."""
     from deploy.study import comparison  # noqa: PLC0415
 
     with report_user_errors():
-        settings = other_settings(set_ or [], comparison.compare, "robots=4")
+        settings |= other_settings(set_ or [], comparison.compare, "radius=0.2", settings)
         choices = {"strategy": strategies, "map_encoding": map_encodings}
-        given = [(key, words(names)) for key, names in choices.items() if names is not None]
+        given = [(key, items(names)) for key, names in choices.items() if names is not None]
         if len(given) + bool(scenario) != 1:
-            raise ValueError("give scenario files, --strategies or --map-encodings: one of them")
+            raise ValueError("give either scenario files, --strategies or --map-encodings")
+        if twice := [key for key, _ in given if key in settings]:
+            raise ValueError(f"{twice[0]} = {settings[twice[0]]!r}: is compared; remove this flag")
         compared: Any = [{key: name} for key, names in given for name in names] or scenario
         if map_:
             settings["map"] = map_ if len(map_) > 1 else map_[0]
@@ -211,23 +218,24 @@ def compare(
             )
         report_failures(done.sweep.failures)
         if not done.sweep.rows:
-            fail("no run has ended without an error", 3)
+            fail("all runs failed", 3)
         print_means(done.sweep)
         for sentence in done.verdicts:
             screen.print(f"{sentence}.")
         files = done.write(out)
-        screen.print(f"Everything is in {out}; look at {files[0]} and {files[1]}.")
+        screen.print(f"Results: {out} (start with {files[0]} and {files[1]})")
 
 
-@app.command()
+@app.command(cls=GroupedCommand)
+@setting_flags("map", "robots", "range", "bandwidth", "seed", "bus")
 def size(
     map_: Annotated[str, typer.Option("--map", metavar="FILE|NAME", help="the building")] = "office",
     robots: Annotated[str, typer.Option(metavar="2..8|2,4", help="numbers of robots to try")] = "2..8",
     bandwidth: Annotated[
-        str, typer.Option(metavar="BYTES,...", help="bandwidths to try, bytes a step")
+        str, typer.Option(metavar="BYTES,...", help="bandwidths to try, in bytes per step")
     ] = "100,1000,10000",
     range_: Annotated[
-        str, typer.Option("--range", metavar="METRES|P%,...", help="communication ranges to try")
+        str, typer.Option("--range", metavar="METERS|P%,...", help="communication ranges to try")
     ] = "30%,100%",
     deadline: Annotated[
         int | None, typer.Option(min=1, metavar="STEPS", help="an exploration may take so long")
@@ -239,54 +247,58 @@ def size(
     set_: SetOption = None,
     jobs: JobsOption = None,
     scheduler: SchedulerOption = None,
-    out: Annotated[
-        Path, typer.Option(metavar="DIR", help="where curves, the table and runs are written")
-    ] = Path("size"),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="folder for curves, the table and runs")] = Path(
+        "size"
+    ),
+    *,
+    settings: dict[str, Any],
 ) -> None:
-    """Try teams, bandwidths and ranges in a building, and say which is enough."""
+    """Find the smallest team, bandwidth and range that are sufficient for a building."""
     from deploy.study import sizing  # noqa: PLC0415
 
     with report_user_errors():
-        settings = other_settings(set_ or [], sizing.size, "map_encoding=predictive")
+        settings |= other_settings(set_ or [], sizing.size, "radius=0.2", settings)
         runs = out / "runs.parquet"
         with stopping(runs):
             done = sizing.size(
                 map_,
                 robots=whole_numbers(robots, "robots"),
-                bandwidth=[int(word) if word.isdecimal() else word for word in words(bandwidth)],
-                range=words(range_),
-                deadline=deadline, min_map_accuracy=min_map_accuracy, seeds=seeds, jobs=jobs, scheduler=scheduler, out=runs,
-                **settings,
+                bandwidth=[int(item) if item.isdecimal() else item for item in items(bandwidth)],
+                range=items(range_),
+                deadline=deadline, min_map_accuracy=min_map_accuracy,
+                seeds=seeds, jobs=jobs, scheduler=scheduler, out=runs, **settings,
             )  # fmt: skip
         report_failures(done.sweep.failures)
         if not done.sweep.rows:
-            fail("no run has ended without an error", 3)
+            fail("all runs failed", 3)
         print_means(done.sweep)
         screen.print(done.sentence)
         files = done.write(out)
-        screen.print(f"Everything is in {out}; look at {files[0]}.")
+        screen.print(f"Results: {out} (start with {files[0]})")
     raise typer.Exit(0 if done.enough is not None else 1)
 
 
-def other_settings(texts: list[str], study: Callable[..., Any], example: str) -> dict[str, Any]:
-    """The settings that --set names for a study; ValueError if the study has a flag for one of them."""
+def other_settings(
+    texts: list[str], study: Callable[..., Any], example: str, flags: dict[str, Any]
+) -> dict[str, Any]:
+    """The settings given with --set; ValueError if the command has a flag for one of them."""
     settings = named_values(texts, "set", example)
     for name in settings:
-        if name in (*inspect.signature(study).parameters, "seed"):
-            raise ValueError(f"set = '{name}=...': this command has a flag for it (--help); leave it to that")
+        if name in (*inspect.signature(study).parameters, *flags, "seed"):
+            raise ValueError(f"set = '{name}=...': use the flag of this command (--help)")
     return settings
 
 
-def words(text: str) -> list[str]:
-    """The words of a list with commas."""
-    return [word.strip() for word in text.split(",") if word.strip()]
+def items(text: str) -> list[str]:
+    """The items of a comma-separated list."""
+    return [item.strip() for item in text.split(",") if item.strip()]
 
 
 def whole_numbers(text: str, flag: str) -> list[int]:
     """Parse ``2..8`` or ``2,4,8``; ValueError if it is neither."""
     first, dots, last = text.partition("..")
     try:
-        numbers = list(range(int(first), int(last) + 1)) if dots else [int(word) for word in words(text)]
+        numbers = list(range(int(first), int(last) + 1)) if dots else [int(item) for item in items(text)]
     except ValueError:
         numbers = []
     if not numbers:
@@ -307,7 +319,7 @@ def print_means(sweep: Any) -> None:
 
 @contextmanager
 def stopping(out: Path | None) -> Iterator[None]:
-    """Ctrl-C says how to go on."""
+    """On Ctrl-C, print how to continue."""
     try:
         yield
     except KeyboardInterrupt:
@@ -316,7 +328,7 @@ def stopping(out: Path | None) -> Iterator[None]:
 
 @contextmanager
 def running(name: str, out: Path | None) -> Iterator[Any]:
-    """Show the progress of many runs; Ctrl-C says how to go on."""
+    """Show the progress of many runs; on Ctrl-C, print how to continue."""
     from deploy.study.progress import counting  # noqa: PLC0415
 
     with stopping(out), counting(errors, name) as tell:
@@ -324,12 +336,12 @@ def running(name: str, out: Path | None) -> Iterator[Any]:
 
 
 def print_table(table: Any) -> None:
-    """Print a table as wide as the terminal, or wide enough for a file."""
-    paper = screen if screen.is_terminal else Console(width=PAPER_WIDTH, highlight=False, markup=False)
+    """Print a table, as wide as the terminal or `FILE_WIDTH`."""
+    paper = screen if screen.is_terminal else Console(width=FILE_WIDTH, highlight=False, markup=False)
     paper.print(table)
 
 
 def report_failures(causes: dict[str, int]) -> None:
-    """Print why runs failed."""
+    """Print the causes of failed runs."""
     for cause, count in causes.items():
         errors.print(f"{count} run{'s' if count > 1 else ''} failed: {cause}")

@@ -1,4 +1,4 @@
-"""Terminal output: progress during a run, its figures at the end."""
+"""Terminal output of a run: its progress, and its figures at the end."""
 
 from __future__ import annotations
 
@@ -16,39 +16,44 @@ from rich.text import Text
 from deploy.record.records import Records
 from deploy.record.run_directory import PICTURE, PICTURES
 from deploy.scenario.plan import Plan
-from netshaper.medium import UNLIMITED
 
 Watch = Callable[[Plan, Records], object]
 
+KIND_LABELS = {
+    "conn": "handshakes", "targ": "targets", "save": "ends of updates", "scan": "scans", "update": "map updates",
+    "pose": "poses", "sum": "checksums",
+}  # fmt: skip
+"""Labels of packet kinds; edits of polygons (ins, rep, ...) keep the names of the thesis."""
 
-class _WithWords(Progress):
-    """A progress line with another line below it, if there is anything to say."""
 
-    def __init__(self, below: Callable[[], str], *columns: ProgressColumn, **options: Any) -> None:
-        self._below = below
+class _ProgressWithMessage(Progress):
+    """A progress line with a message below it."""
+
+    def __init__(self, message: Callable[[], str], *columns: ProgressColumn, **options: Any) -> None:
+        self._message = message
         super().__init__(*columns, **options)
 
     def get_renderables(self) -> Iterator[RenderableType]:
-        """The line, and what stands below it."""
+        """The progress line, and the message if there is one."""
         yield self.make_tasks_table(self.tasks)
-        if words := self._below():
-            yield Text(words, style="dim", overflow="ellipsis", no_wrap=True)
+        if message := self._message():
+            yield Text(message, style="dim", overflow="ellipsis", no_wrap=True)
 
 
 @contextlib.contextmanager
 def progress(
-    console: Console, *, shown: bool, below: Callable[[], str] = lambda: ""
+    console: Console, *, shown: bool, message: Callable[[], str] = lambda: ""
 ) -> Iterator[Watch | None]:
     """A progress line, if `console` is a terminal: step, explored share, bytes of the budget, robots alive.
 
-    What `below` gives stands below it. It begins with the first step: until then others may have to say something,
-    as that kernels are compiled.
+    `message` returns a line to print below it. The progress line starts with the first step, so that other output is
+    possible before it, for example that kernels are compiled.
     """
     if not shown or not console.is_terminal:
         yield None
         return
-    bar = _WithWords(
-        below,
+    bar = _ProgressWithMessage(
+        message,
         TextColumn("step {task.fields[step]:>5}"),
         BarColumn(),
         TextColumn("{task.percentage:>5.1f} % explored"),
@@ -63,13 +68,13 @@ def progress(
     def watch(plan: Plan, records: Records) -> None:
         if records.step:
             bar.start()
-        budgets = [plan.radio.budget, *(each.budget for each in records.changes if each.budget >= UNLIMITED)]
-        of = "" if budgets[-1] == UNLIMITED else f" of {budgets[-1]}"
+        budgets = [plan.radio.budget, *(each.budget for each in records.changes if each.budget is not None)]
+        of = "" if budgets[-1].unlimited else f" of {budgets[-1]}"
         bar.update(
             task,
             completed=records.explored,
             step=records.step,
-            medium=f"{records.carried}{of} B on the air",
+            medium=f"{records.carried}{of} B transmitted",
             alive=plan.scenario.robots - len(records.lost.keys() | records.killed),
         )
 
@@ -96,20 +101,19 @@ def summary_lines(summary: dict[str, Any], directory: Path | None) -> list[str]:
         lines.append(f"Explored in {summary['steps']} steps; robot {summary['first_robot']} finished first.")
     else:
         lines.append(f"Not finished after {summary['steps']} steps: {summary['reason']}.")
-    agreement = summary["map_accuracy"]
+    accuracy = summary["map_accuracy"]
     lines.append(
-        f"The team saw {100 * summary['coverage']:.2f} % of what can be reached"
-        + (f"; the planning map has {100 * agreement:.2f} % of it right." if agreement is not None else ".")
+        f"The team saw {100 * summary['coverage']:.2f} % of the reachable area"
+        + (f"; map accuracy {100 * accuracy:.2f} %." if accuracy is not None else ".")
     )
     total = summary["bytes"]["total"]
     kinds = [(kind, size) for kind, size in summary["bytes"].items() if kind != "total"]
-    shares = ", ".join(f"{kind} {100 * size / total:.1f} %" for kind, size in kinds) if total else "nothing"
-    lines.append(f"On the air: {total} bytes ({shares}).")
-    lines.append(
-        f"{summary['wall_s']:.1f} s, {summary['steps_per_s']} steps a second on bus {summary['bus']}."
+    shares = ", ".join(
+        f"{KIND_LABELS.get(kind, kind)} {100 * size / total:.1f} %" for kind, size in kinds if size
     )
+    lines.append(f"Transmitted: {total:,} B" + (f" ({shares})." if shares else "."))
+    lines.append(f"{summary['wall_s']:.1f} s, {summary['steps_per_s']} steps/s on the {summary['bus']} bus.")
     if directory is not None:
         shown = [str(directory / name) for name in (PICTURE, PICTURES) if (directory / name).exists()]
-        look = f"; look at {' and '.join(shown)}" if shown else ""
-        lines.append(f"Everything is in {directory}{look}.")
+        lines.append(f"Results: {directory}" + (f" (pictures: {', '.join(shown)})" if shown else ""))
     return lines

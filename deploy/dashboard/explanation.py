@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from deploy.scenario.plan import Plan
-from netshaper.medium import UNLIMITED
 
 TEXT = """\
 **{robots} robots explore an unknown building.** Sensor range: {sensor:g} m. Radio: {medium}.
@@ -22,7 +21,7 @@ def map_id(plan: Plan) -> str:
     """Explain the dashboard, in markdown, with the figures of this run."""
     budget = plan.radio.budget
     polygons = plan.scenario.map_encoding == "polygons"
-    medium = "unlimited bandwidth" if budget == UNLIMITED else f"{budget} bytes a step (a second)"
+    medium = "unlimited bandwidth" if budget.unlimited else f"{budget} bytes a step (a second)"
     medium += f", range {plan.range_m:.0f} m"
     return TEXT.format(
         robots=plan.scenario.robots,
@@ -31,7 +30,7 @@ def map_id(plan: Plan) -> str:
         chosen=" Tabs show one robot each." if plan.scenario.robots > 1 else "",
         circles="Circles: radio range. " if shows_range(plan) else "",
         outlines=OUTLINES if polygons else "What it has not seen itself it was told.",
-        budget="" if budget == UNLIMITED else "Red: the limit. ",
+        budget="" if budget.unlimited else "Red: the limit. ",
     )
 
 

@@ -28,7 +28,6 @@ from deploy.record.colors import (
     robot_color,
 )
 from deploy.scenario.plan import Plan
-from netshaper.medium import UNLIMITED
 from protocol import keys as names
 from protocol.grid import FREE
 from protocol.messages import (
@@ -217,8 +216,8 @@ class Recorder:
         used = {group for group in GROUPS if any(kind in events.bytes for kind in GROUPS[group].kinds)}
         load = [air.groups[group] if group in used else NAN for group in GROUPS]
         self._log("air/load", rr.Scalars([air.carried, *load]))
-        if events.budget != UNLIMITED:
-            self._log("air/budget", rr.Scalars(events.budget))
+        if events.budget.limit is not None:
+            self._log("air/budget", rr.Scalars(events.budget.limit))
         here = events.positions
         busy = {pair: size for pair, size in sorted(air.talks.items()) if pair[0] in here and pair[1] in here}
         quiet = sorted(events.in_range - busy.keys())

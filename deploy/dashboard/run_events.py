@@ -13,8 +13,8 @@ from deploy.dashboard.shapes import Point, extend
 from deploy.record.colors import GROUPS
 from deploy.scenario.plan import Plan
 from netshaper.ledger import CAUSES, EVERYONE, KIND_NUMBER, ROW
-from netshaper.medium import UNLIMITED
 from protocol import keys as names
+from protocol.budget import UNLIMITED, Budget
 from protocol.messages import Change, End, Fault, Lost, RadioReport, RobotStatus, WorldReport
 from worldsim.maps import to_world
 
@@ -76,7 +76,7 @@ class RunEvents:
     bytes: dict[str, int] = field(default_factory=dict)
     """Bytes carried so far, by packet kind."""
     idle: set[int] = field(default_factory=set)
-    budget: int = UNLIMITED
+    budget: Budget = UNLIMITED
     """Bytes that the team may put on the air in this step."""
     range_m: float = 0.0
     _full: bool = False
@@ -152,7 +152,7 @@ class RunEvents:
         self.traffic = StepTraffic(groups, cut, _talks(carried))
         events = _emergences(report.step, carried)
         full = cut > 0
-        if full != self._full and self.budget != UNLIMITED:
+        if full != self._full and not self.budget.unlimited:
             self._full = full
             if full:
                 events.append(Event(report.step, f"channel full: {cut} bytes wait", 1))
@@ -182,10 +182,10 @@ class RunEvents:
 
     def _change(self, change: Change) -> list[Event]:
         words = []
-        if change.budget >= UNLIMITED:
+        if change.budget is not None:
             self.budget = change.budget
-            words.append("unlimited" if self.budget == UNLIMITED else f"{self.budget} bytes a step")
-        if change.range_mm >= 0:
+            words.append("unlimited" if self.budget.unlimited else f"{self.budget} bytes a step")
+        if change.range_mm is not None:
             self.range_m = change.range_mm / 1000
             words.append(f"range {self.range_m:.1f} m")
         return [Event(change.step, f"the radio now: {', '.join(words)}", 2)]

@@ -1,5 +1,5 @@
-"""The results of a run: records as they come in, the summary, the run directory, pictures of maps.
+"""The results of a run: recorded reports, summary, run directory, pictures of maps.
 
-It builds on `scenario`. Start with `records.py`, what the laboratory receives; `summary.py` computes figures and the
-digest from it, `run_directory.py` writes everything.
+This package builds on `scenario`. `records.py` receives the reports of a run; `summary.py` computes metrics and the
+digest from them; `run_directory.py` writes all results.
 """

@@ -1,4 +1,4 @@
-"""Colours of robots, cells and packets, the same on the dashboard and in all pictures."""
+"""Colors of robots, cells and packets, the same on the dashboard and in all pictures."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ ROBOTS: tuple[Color, ...] = (
     (214, 39, 40), (31, 119, 180), (44, 160, 44), (255, 127, 14), (148, 103, 189),
     (0, 158, 168), (227, 86, 180), (140, 86, 75), (150, 150, 0), (70, 70, 200),
 )  # fmt: skip
-"""Robots' colours, in turn: distinguishable, and readable on white as well as on black."""
+"""Colors of robots in turn: distinguishable, and readable on white and on black."""
 
 INK, PAPER, GREY = (20, 24, 30), (255, 255, 255), (128, 134, 142)
 IN_RANGE, SIGNAL, ALARM = (120, 150, 190), (0, 190, 90), (240, 60, 50)
 """Robots in range of each other; robots exchanging data in this step; the budget's line and losses."""
 
 TEAM, QUIET = (138, 132, 118), (172, 178, 186)
-"""What is about all robots together; robots beside the one that is looked at. To be seen on white and on black."""
+"""Data of the whole team; robots other than the selected one. Both are visible on white and on black."""
 
 CELLS: tuple[Color, ...] = ((176, 182, 190), PAPER, (20, 24, 30))
 """Unknown, free, occupied."""
 
 FALSE_WALL, UNSEEN, WRONG_FREE = (226, 40, 40), (255, 200, 92), (40, 110, 235)
 MAP_ERRORS: tuple[Color, ...] = ((222, 225, 229), PAPER, (84, 90, 98), FALSE_WALL, UNSEEN, WRONG_FREE)
-"""What is wrong on a map, in the order of `deploy.record.map_errors`; what is right stays pale beside it."""
+"""Errors of a map in strong colors, correct cells in pale ones, in the order of `deploy.record.map_errors`."""
 
 
 @dataclass(frozen=True)
 class Group:
-    """A traffic type: its label, its packet kinds, its color."""
+    """Packet types of one purpose, with a description and a color."""
 
     label: str
     kinds: tuple[str, ...]
@@ -48,18 +48,20 @@ GROUPS: dict[str, Group] = {
     "saves": Group("ends of updates", ("save",), (135, 141, 150)),
     "sums": Group("checksums", ("sum",), (150, 120, 90)),
 }
-"""Traffic types, by name."""
+"""Purposes of the transmitted bytes."""
 
 assert sorted(kind for group in GROUPS.values() for kind in group.kinds) == sorted(ALL_KINDS)
 
 
 def robot_color(robot: int) -> Color:
-    """The colour of a robot: after all of `ROBOTS` darker ones, then paler ones; thirty in all."""
+    """The color of a robot: `ROBOTS`, then darker, then paler shades; thirty in total."""
     color, turn = ROBOTS[robot % len(ROBOTS)], robot // len(ROBOTS) % 3
     return (color, mix(color, INK, 0.4), mix(color, PAPER, 0.35))[turn]
 
 
 def mix(color: Color, other: Color, share: float) -> Color:
-    """A colour with a share of another one in it."""
-    red, green, blue = (round(own * (1 - share) + its * share) for own, its in zip(color, other, strict=True))
+    """Mix a share of another color into a color."""
+    red, green, blue = (
+        round(own * (1 - share) + added * share) for own, added in zip(color, other, strict=True)
+    )
     return red, green, blue

@@ -1,4 +1,4 @@
-"""The columns of a run's tables, with types, units and meanings: the tables are made by it, and docs from it."""
+"""The columns of a run's tables: names, types, units and meanings. Tables and their documentation derive from it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 
 class Column(NamedTuple):
-    """A column of a parquet file: arrow's name of its type, and what is in it."""
+    """A column of a parquet file: name, Arrow type and meaning."""
 
     name: str
     type: str
@@ -14,38 +14,38 @@ class Column(NamedTuple):
 
 
 STEPS = (
-    Column("step", "int32", "the step, from 1; one is one second"),
-    Column("robot", "int32", "the robot's number, from 0; a robot that is dead or lost has no row"),
-    Column("x", "double", "metres to the right, in the map's frame"),
-    Column("y", "double", "metres upwards, in the map's frame"),
-    Column("heading", "double", "degrees; 0 looks along x, 90 along -y"),
-    Column("driven", "double", "metres driven since the start"),
-    Column("team_seen", "double", "share of what can be reached that the team has seen, 0 to 1"),
-    Column("target_x", "double", "metres, as x, of the cell that it is headed for; null: it has no target"),
-    Column("target_y", "double", "metres, as y"),
-    Column("known_cells", "int32", "cells of its own map that are known"),
-    Column("backlog", "int32", "packets of its logs that a teammate lacks, summed over teammates"),
-    Column("status", "string", "what it says that it does"),
-    Column("work_us", "int32", "microseconds that its process has worked in this step"),
+    Column("step", "int32", "the step, from 1; one step is one second"),
+    Column("robot", "int32", "the robot's number, from 0; killed and lost robots have no row"),
+    Column("x", "double", "meters to the right, in the map's frame"),
+    Column("y", "double", "meters upwards, in the map's frame"),
+    Column("heading", "double", "degrees; 0 points along x, 90 along -y"),
+    Column("driven", "double", "meters driven since the start"),
+    Column("team_seen", "double", "share of the reachable cells that the team has seen, 0 to 1"),
+    Column("target_x", "double", "meters, as x, of the target cell; null: no target"),
+    Column("target_y", "double", "meters, as y"),
+    Column("known_cells", "int32", "number of known cells on the robot's own map"),
+    Column("backlog", "int32", "log entries that teammates lack, summed over teammates"),
+    Column("status", "string", "the robot's activity"),
+    Column("work_us", "int32", "processor time of the robot in this step, in microseconds"),
 )
 """One row per step and robot (``steps.parquet``)."""
 
 LEDGER = (
     Column("step", "int32", "the step, from 1"),
     Column("round", "int16", "the round within the step, from 0"),
-    Column("connection", "int32", "within the step, in the order of processing; -1: none"),
+    Column("connection", "int32", "the connection within the step, in processing order; -1: none"),
     Column("frame", "int16", "0 offer, 1 answer, 2 data, 3 broadcast, 4 news"),
-    Column("sender", "int16", "the robot that sent it"),
-    Column("receiver", "int16", "the robot that it was for; -1: broadcast"),
-    Column("map", "int16", "whose map the connection is about; -1: none"),
-    Column("kind", "string", "the kind of packet: ins, rep, ..., scan, pose; malformed"),
+    Column("sender", "int16", "the sending robot"),
+    Column("receiver", "int16", "the addressed robot; -1: broadcast"),
+    Column("map", "int16", "the map that the connection transfers; -1: none"),
+    Column("kind", "string", "packet type: ins, rep, ..., scan, pose; malformed"),
     Column("packets", "int32", "number of packets"),
     Column("bytes", "int32", "bytes of these packets"),
-    Column("carried", "bool", "whether they were on the air"),
-    Column("cause", "string", "why not, or why nobody heard them; empty if all went well"),
-    Column("heard", "int16", "number of robots that received them"),
+    Column("carried", "bool", "whether they were transmitted"),
+    Column("cause", "string", "why they were not transmitted, or not received; empty if they were"),
+    Column("received_by", "int16", "number of robots that received them"),
 )
-"""One row per frame and kind of packet in it (``ledger.parquet``)."""
+"""One row per frame and packet type in it (``ledger.parquet``)."""
 
 MAP_CHANGES = (
     Column("robot", "int16", "the robot whose maps changed"),
@@ -55,7 +55,7 @@ MAP_CHANGES = (
     Column("own", "uint8", "the cell on the robot's own map: 0 unknown, 1 free, 2 occupied"),
     Column("planning", "uint8", "the cell on its planning map, which includes its teammates' maps"),
 )
-"""One row per cell that changed (``map_changes.parquet``)."""
+"""One row per changed cell (``map_changes.parquet``)."""
 
 OUTLINES = (
     Column("robot", "int16", "the robot that holds the outlines"),
@@ -63,7 +63,7 @@ OUTLINES = (
     Column("map", "int16", "the robot whose map they describe"),
     Column("vertices", "binary", "int16 rows of four (`protocol.messages.Outlines`)"),
 )
-"""One row per set of outlines that changed (``outlines.parquet``); only if maps travel as polygons."""
+"""One row per changed set of outlines (``outlines.parquet``); only for the polygon encoding."""
 
 FILES = {
     "steps.parquet": STEPS,
@@ -74,7 +74,7 @@ FILES = {
 
 
 def schema(columns: tuple[Column, ...]) -> Any:
-    """The arrow schema of such columns."""
-    import pyarrow as pa  # noqa: PLC0415  half a second that the command line need not wait for
+    """The Arrow schema of the columns."""
+    import pyarrow as pa  # noqa: PLC0415  takes half a second to import
 
     return pa.schema([(column.name, pa.type_for_alias(column.type)) for column in columns])

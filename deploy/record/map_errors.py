@@ -1,4 +1,4 @@
-"""What is wrong on a robot's map: its difference to the true one, cell by cell."""
+"""Errors of a robot's map: its differences from the true map, cell by cell."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from numpy.typing import NDArray
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 
 IRRELEVANT, RIGHT, WALL, FALSE_WALL, UNSEEN, WRONG_FREE = range(6)
-"""Unknown where nobody can go; free as in truth; no floor, as in truth; and the three errors."""
+"""Unknown and unreachable; correctly free; correctly not free; and the three errors."""
 
 ERRORS = {
-    FALSE_WALL: "wall where there is none",
-    UNSEEN: "not known",
-    WRONG_FREE: "floor where there is none",
+    FALSE_WALL: "false wall",
+    UNSEEN: "unknown",
+    WRONG_FREE: "false floor",
 }
-"""The errors in words."""
+"""Text of the errors."""
 
 
 def compare(grid: Grid, truth: Grid, reachable: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Say of each cell of a map what it is.
+    """Classify each cell of a map.
 
     Parameters
     ----------
     grid, truth : uint8 arrays, shape (h, w)
         A robot's map, and the true one, of unknown, free and occupied cells.
     reachable : bool array, shape (h, w)
-        Free cells that can be explored: only there does a robot miss anything that it does not know.
+        Free cells that can be explored; unknown cells are errors only there.
 
     Returns
     -------
@@ -43,6 +43,6 @@ def compare(grid: Grid, truth: Grid, reachable: NDArray[np.bool_]) -> NDArray[np
     return found
 
 
-def share_right(errors: NDArray[np.uint8], reachable: NDArray[np.bool_]) -> float:
-    """The part of the reachable cells that a map has right."""
+def share_correct(errors: NDArray[np.uint8], reachable: NDArray[np.bool_]) -> float:
+    """The share of the reachable cells that are correct on a map."""
     return float((errors[reachable] == RIGHT).mean())

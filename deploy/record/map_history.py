@@ -160,7 +160,7 @@ class MapHistory:
         grids = self._of(robot)
         if not grids.steps or grids.steps[0] > step:
             return None
-        return (grids.at(step) >> shift & 3).reshape(self._shape)
+        return (grids.at(step) >> np.uint8(shift) & np.uint8(3)).reshape(self._shape)
 
 
 def _check_order(report: MapChanges | Outlines, before: Sequence[int]) -> None:

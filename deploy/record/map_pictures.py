@@ -1,4 +1,4 @@
-"""Pictures of a run: the world with the robots' paths, and what is right and wrong on each robot's map."""
+"""Pictures of a run: the world with the robots' paths, and the errors of each robot's map."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from deploy.record import colors
 from deploy.record.colors import Color
-from deploy.record.map_errors import ERRORS, compare, share_right
+from deploy.record.map_errors import ERRORS, compare, share_correct
 from deploy.record.records import Records
 from deploy.scenario.plan import Plan
 from protocol.grid import Grid
@@ -33,23 +33,23 @@ CELLS = ListedColormap(["#c3c7cc", "#ffffff", "#20242a"])
 MAP_ERRORS = ListedColormap([tuple(part / 255 for part in color) for color in colors.MAP_ERRORS])
 
 PAGE_WIDTH, PAGE_SHAPE = 14.4, 1.4
-"""Of the picture of all maps: its width in inches, and about its width over its height."""
+"""Width of the picture of all maps in inches, and its approximate ratio of width to height."""
 HEAD, FOOT, TICKS = 0.4, 0.5, 0.3
-"""Inches over and under all panels, and for the figures at an axis."""
+"""Space in inches above and below all panels, and for the tick labels of an axis."""
 SPACING = ((6, 1, 0.28, 0.3), (30, 2, 0.28, 0.3), (90, 3, 0.14, 0.2), (math.inf, 5, 0.1, 0.16))
-"""Up to so many robots: the side of the two large panels in those of robots; inches between panels, and of a title."""
+"""Per maximum number of robots: size of the two large panels in robot panels; gap and title height in inches."""
 SHADES = 24
-"""Parts of a path with a shade each."""
+"""Number of shades along a path."""
 
 
 def rgb(color: Color) -> Rgb:
-    """A colour as matplotlib takes it."""
+    """Convert a color for matplotlib."""
     red, green, blue = color
     return red / 255, green / 255, blue / 255
 
 
 def robot_color(robot: int) -> Rgb:
-    """The colour of a robot in all pictures."""
+    """The color of a robot in all pictures."""
     return rgb(colors.robot_color(robot))
 
 
@@ -59,7 +59,7 @@ def save(path: Path, figure: Figure, dpi: int) -> None:
 
 
 def draw_map(path: Path, world_map: Map) -> None:
-    """Draw a map with metres on its axes."""
+    """Draw a map with meters on its axes."""
     figure = Figure(figsize=(7, 7 * world_map.height / world_map.width + 0.6), layout="constrained")
     axes = figure.add_subplot()
     show_grid(axes, world_map, world_map.cells)
@@ -75,57 +75,57 @@ def draw_maps(path: Path, plan: Plan, records: Records, summary: dict[str, Any])
 
 
 def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure:
-    """Draw the world with all paths, and how the team's and each robot's map differ from it, on one page.
+    """Draw the world with all paths, and the errors of the team's and of each robot's map, on one page.
 
-    A robot's map is its planning grid; the team's is the union of what its members have seen themselves.
+    A robot's map is its planning grid; the team's map is the union of the self-explored grids.
     """
     robots = sorted(records.planning)
     figure, (world, team, *panels) = _page(len(robots), plan.map.height / plan.map.width)
     show_grid(world, plan.map, plan.map.cells)
     draw_paths(world, plan, records)
-    world.set_title("the world and the ways driven", fontsize=11, pad=4)
+    world.set_title("the world and the robots' paths", fontsize=11, pad=4)
     seen = np.maximum.reduce([records.own[robot] for robot in sorted(records.own)])
     reachable = plan.make_world().reachable
     _show_errors(team, plan, compare(seen, plan.map.cells, reachable))
-    team.set_title(f"what the team has seen: {_percent(summary['coverage'])}", fontsize=11, pad=4)
+    team.set_title(f"seen by the team: {_percent(summary['coverage'])}", fontsize=11, pad=4)
     size = min(11.0, 3.2 + 3.0 * panels[0].get_position().width * PAGE_WIDTH) if panels else 0
     for panel, robot in zip(panels, robots, strict=True):
         is_first = robot == summary["first_robot"]
         errors = compare(records.planning[robot], plan.map.cells, reachable)
         _show_errors(panel, plan, errors)
         _bare(panel)
-        right = _percent(share_right(errors, reachable))
+        right = _percent(share_correct(errors, reachable))
         if size > 8:
-            title = f"robot {robot}: {right} right" + (", done first" if is_first else "")
+            title = f"robot {robot}: {right} correct" + (", finished first" if is_first else "")
         else:
             title = f"{robot}: {right}" + (" \N{CHECK MARK}" if is_first else "")
         panel.set_title(title, fontsize=size, color=robot_color(robot), pad=4)
     bandwidth = summary["bandwidth"]
-    medium = bandwidth if isinstance(bandwidth, str) else f"{bandwidth} bytes a step"
+    medium = bandwidth if isinstance(bandwidth, str) else f"{bandwidth} bytes per step"
     top = 1 - 0.26 / figure.get_figheight()
     figure.suptitle(
         f"{plan.map.name}: {counted(summary['robots'], 'robot')}, {summary['map_encoding']}, {medium}; "
-        f"{summary['steps']} steps, {summary['bytes']['total'] / 1000:.0f} kB on the air",
+        f"{summary['steps']} steps, {summary['bytes']['total'] / 1000:.0f} kB transmitted",
         y=top, va="center",
     )  # fmt: skip
-    _explain(figure, records)
+    _draw_legend(figure, records)
     return figure
 
 
 def show_grid(axes: Axes, world_map: Map, grid: Grid) -> None:
-    """Show a grid of the world's cells, with metres on the axes."""
+    """Show a grid of the world's cells, with meters on the axes."""
     axes.imshow(grid, cmap=CELLS, vmin=0, vmax=2, extent=_extent(world_map), interpolation="nearest")
     axes.tick_params(labelsize=7)
     axes.set_xlabel("m", fontsize=7, labelpad=1)
 
 
 def draw_paths(axes: Axes, plan: Plan, records: Records) -> None:
-    """Draw the ways of the robots: pale at first, a dot each `mark_steps`, each robot's number at its end."""
+    """Draw the robots' paths: pale at the start, a dot every `mark_steps`, the robot's number at the end."""
     every = mark_steps(records.step)
     figure = axes.get_figure()
     assert isinstance(figure, Figure)
     size = min(1.5, axes.get_position().width * figure.get_figwidth() / 3.6)
-    for robot, steps, places in _ways(plan, records):
+    for robot, steps, places in _paths(plan, records):
         color = np.array(robot_color(robot))
         bounds = np.linspace(0, len(places) - 1, min(SHADES, len(places)) + 1).round().astype(int)
         parts = [places[a : b + 1] for a, b in pairwise(bounds)]
@@ -133,14 +133,14 @@ def draw_paths(axes: Axes, plan: Plan, records: Records) -> None:
         axes.add_collection(LineCollection(parts, colors=shades, linewidths=size, capstyle="round", zorder=2))
         marks = places[steps % every == 0]
         axes.plot(*marks.T, "o", color=color, markersize=2.4 * size, markeredgewidth=0, zorder=3)
-    for _, _, places in _ways(plan, records):
+    for _, _, places in _paths(plan, records):
         start: dict[str, Any] = {
             "markerfacecolor": "white",
             "markeredgecolor": "black",
             "markeredgewidth": 0.7,
         }
         axes.plot(*places[0], "s", markersize=2.4 * size, zorder=4, **start)
-    for robot, _, places in _ways(plan, records):
+    for robot, _, places in _paths(plan, records):
         disc: dict[str, Any] = {
             "color": robot_color(robot),
             "markeredgecolor": "white",
@@ -154,18 +154,18 @@ def draw_paths(axes: Axes, plan: Plan, records: Records) -> None:
 
 
 def mark_steps(last: int) -> int:
-    """Steps from one dot on a way to the next: a round number, some ten dots in a run."""
+    """Steps between two dots on a path: a round number, for about ten dots per run."""
     rough = max(1.0, last / 10)
-    unit = 10 ** math.floor(math.log10(rough))
-    return int(next(unit * factor for factor in (1, 2, 5, 10) if unit * factor >= rough))
+    power = 10 ** math.floor(math.log10(rough))
+    return int(next(power * factor for factor in (1, 2, 5, 10) if power * factor >= rough))
 
 
-def _ways(plan: Plan, records: Records) -> Iterator[tuple[int, NDArray[np.int64], NDArray[np.float64]]]:
-    """Each robot, the steps at which it was somewhere, and where: shape (n, 2), metres in the map's frame."""
+def _paths(plan: Plan, records: Records) -> Iterator[tuple[int, NDArray[np.int64], NDArray[np.float64]]]:
+    """For each robot its steps and positions, shape (n, 2), in meters in the map's frame."""
     if not records.world:
         return
     poses = [np.frombuffer(report.poses, "<i4").reshape(-1, 4) for report in records.world]
-    steps = np.repeat([report.step for report in records.world], [len(some) for some in poses])
+    steps = np.repeat([report.step for report in records.world], [len(of_step) for of_step in poses])
     track = np.concatenate(poses)
     cell, (left, bottom, _) = plan.map.resolution, plan.map.origin
     x = left + track[:, 1] / 1000 + cell / 2
@@ -177,20 +177,20 @@ def _ways(plan: Plan, records: Records) -> Iterator[tuple[int, NDArray[np.int64]
 
 
 def _page(robots: int, shape: float) -> tuple[Figure, list[Axes]]:
-    """A page with two large panels, and one for each of the robots, for maps of height over width `shape`."""
+    """A page with two large panels and one panel per robot, for maps of ratio `shape` of height to width."""
     _, large, gap, title = next(row for row in SPACING if robots <= row[0])
 
     def rows_of(columns: int) -> int:
         return max(large, -(-(robots + 2 * large * large) // columns))
 
-    def unfitness(columns: int) -> float:
+    def penalty(columns: int) -> float:
         rows = rows_of(columns)
-        unit = (PAGE_WIDTH - gap) / columns - gap
-        height = rows * (unit * shape + title + gap) + HEAD + FOOT
+        side = (PAGE_WIDTH - gap) / columns - gap
+        height = rows * (side * shape + title + gap) + HEAD + FOOT
         spare = 1 - (robots + 2 * large * large) / (rows * columns)
         return abs(math.log(PAGE_WIDTH / height / PAGE_SHAPE)) + spare
 
-    columns = min(range(2 * large, 2 * large + robots + 2), key=unfitness)
+    columns = min(range(2 * large, 2 * large + robots + 2), key=penalty)
     rows = rows_of(columns)
     across = (PAGE_WIDTH - gap) / columns
     tall = (across - gap) * shape
@@ -211,8 +211,8 @@ def _page(robots: int, shape: float) -> tuple[Figure, list[Axes]]:
     return figure, panels + [panel(column, row, 1) for column, row in free[:robots]]
 
 
-def _explain(figure: Figure, records: Records) -> None:
-    """The legend of all panels, at the foot of the page."""
+def _draw_legend(figure: Figure, records: Records) -> None:
+    """Draw the legend of all panels at the bottom of the page."""
     mark: dict[str, Any] = {
         "color": "none",
         "markeredgecolor": "black",
@@ -225,7 +225,7 @@ def _explain(figure: Figure, records: Records) -> None:
         Line2D([], [], marker="s", label="start", **mark),
         Line2D([], [], marker="o", label="end", markersize=8, **disc),
         Line2D([], [], marker="o", label="every step" if every == 1 else f"every {every} steps", markersize=3, **disc),
-        *(Patch(color=rgb(colors.MAP_ERRORS[error]), label=words) for error, words in ERRORS.items()),
+        *(Patch(color=rgb(colors.MAP_ERRORS[error]), label=text) for error, text in ERRORS.items()),
         Patch(facecolor=rgb(colors.MAP_ERRORS[2]), label="wall"),
     ]  # fmt: skip
     figure.legend(
@@ -251,9 +251,9 @@ def _extent(world_map: Map) -> tuple[float, float, float, float]:
     return left, left + cell * world_map.width, bottom, bottom + cell * world_map.height
 
 
-def counted(number: int, what: str) -> str:
-    """A number of things in words."""
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+def counted(number: int, noun: str) -> str:
+    """A number with its noun in singular or plural."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def _percent(share: float) -> str:

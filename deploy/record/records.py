@@ -1,4 +1,4 @@
-"""The laboratory: it listens to world, relay and robots, and keeps the data for a run's results."""
+"""The recorder: it receives the reports of world, relay and robots, and keeps the results of a run."""
 
 from __future__ import annotations
 
@@ -32,6 +32,7 @@ from protocol.messages import (
     Maps,
     Outlines,
     RadioReport,
+    Record,
     RobotStatus,
     Shutdown,
     Stop,
@@ -41,41 +42,66 @@ from protocol.messages import (
 from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_ERRORS
 
 MAX_PROTOCOL_ERROR_TEXTS = 1000
-"""Faults that are kept in words; more are counted."""
+"""Number of protocol errors of which the text is kept; further ones are counted."""
 
 
 @dataclass(repr=False)
 class Records:
-    """Everything reported of a run so far."""
+    """All data reported during a run so far.
+
+    Attributes
+    ----------
+    robots : int
+        Number of robots.
+    maps : MapHistory
+        The robots' maps over time, if the run records them.
+    world : list of WorldReport
+        The world's report of each step.
+    statuses : list of list of RobotStatus
+        Status of each robot and step.
+    rows : list of bytes
+        Rows of the ledger, per step; see `ledger`.
+    own, planning : dict of int to uint8 array
+        Final self-explored grid, and final planning grid, by robot.
+    lost : dict of int to str
+        Cause of each unexpected robot failure, by robot.
+    fault_events : list of FaultEvent
+        Scheduled and requested faults that have occurred, in order.
+    changes : list of Change
+        Changes of the radio's budget and range.
+    killed : set of int
+        Robots killed by a fault event and not restarted.
+    returned : list of (int, int)
+        Step and robot of each return after an unexpected failure.
+    protocol_errors : list of str
+        Sender and text of the first `MAX_PROTOCOL_ERROR_TEXTS` protocol errors.
+    protocol_error_count : int
+        Number of protocol errors.
+    end : End or None
+        The end of the run.
+    carried : int
+        Bytes transmitted in the last step.
+    wire_bytes : int or None
+        Bytes that the bus has moved (`deploy.record.wire_bytes`); None if that is not available.
+    """
 
     robots: int
     maps: MapHistory
-    """The robots' maps over time, if the run records them."""
     world: list[WorldReport] = field(default_factory=list)
     statuses: list[list[RobotStatus]] = field(default_factory=list)
     rows: list[bytes] = field(default_factory=list)
     own: dict[int, Grid] = field(default_factory=dict)
-    """Self-explored grids, by robot, at the end."""
     planning: dict[int, Grid] = field(default_factory=dict)
     lost: dict[int, str] = field(default_factory=dict)
-    """Robots that died unexpectedly, and how."""
     fault_events: list[FaultEvent] = field(default_factory=list)
-    """Scheduled and requested faults that have occurred, in order."""
     changes: list[Change] = field(default_factory=list)
-    """When budget and range of the radio became others."""
     killed: set[int] = field(default_factory=set)
-    """Robots that were killed as asked for, and have not been restarted."""
     returned: list[tuple[int, int]] = field(default_factory=list)
-    """(step, robot): robots that had been lost unasked, and came back."""
     protocol_errors: list[str] = field(default_factory=list)
-    """Who said what that made no sense: the first `MAX_PROTOCOL_ERROR_TEXTS` of them."""
     protocol_error_count: int = 0
-    """How many faults there were."""
     end: End | None = None
     carried: int = 0
-    """Bytes on the air in the last step."""
     wire_bytes: int | None = None
-    """Bytes that the bus has moved (`deploy.record.wire_bytes`); None if it is not available."""
 
     def __post_init__(self) -> None:
         self.statuses = [[] for _ in range(self.robots)]
@@ -95,29 +121,47 @@ class Records:
 
     @property
     def has_all_grids(self) -> bool:
-        """Whether what every robot has seen is among the grids: no life has ended without handing them in."""
-        return not (
-            self.lost or self.returned or {event.kind for event in self.fault_events} & {"kill", "restart"}
-        )
+        """Whether the grids contain all cells that any robot has seen: no robot ended without sending its grids."""
+        ended = {event.kind for event in self.fault_events} & {"kill", "restart"}
+        return not (self.lost or self.returned or ended)
 
-    def note_protocol_error(self, who: str, what: str) -> None:
-        """Record that `who` said what made no sense."""
+    def note_protocol_error(self, sender: str, text: str) -> None:
+        """Record a protocol error of a sender."""
         self.protocol_error_count += 1
         if len(self.protocol_errors) < MAX_PROTOCOL_ERROR_TEXTS:
-            self.protocol_errors.append(f"{who}: {what}")
+            self.protocol_errors.append(f"{sender}: {text}")
 
     def ledger(self) -> NDArray[np.void]:
-        """All rows of the ledger so far (`netshaper.ledger.ROW`), in the order in which they were recorded."""
+        """All rows of the ledger so far (`netshaper.ledger.ROW`), in the order of recording."""
         return np.frombuffer(b"".join(self.rows), ROW)
 
 
 class RecorderNode:
-    """The laboratory's end of the bus; `done` once everything has been handed in.
+    """The recorder's end of the bus.
 
-    Each participant is believed what is its to say, of itself; all else is a fault. `shape` is that of the run's
-    map. What the relay reports for the capture is written to `capture` step by step, and not kept; `meter` counts
-    the bytes that the bus moves. `obey` is called with what befalls robots' processes: who is killed, and who is to be
-    started again.
+    The recorder accepts from each participant only reports about itself; any other message is a protocol error.
+
+    Parameters
+    ----------
+    bus : Bus
+    keys : Keys
+    robots : int
+        Number of robots.
+    shape : (int, int)
+        Height and width of the run's map.
+    capture : binary file, optional
+        Receives the frames of each step, which are not kept in memory.
+    meter : Meter, optional
+        Counts the bytes that the bus moves.
+    on_fault : callable
+        Called with each fault event, so that the launcher can kill and restart processes.
+
+    Attributes
+    ----------
+    done : bool
+        Whether all results have arrived.
+    records : Records
+        The results so far.
     """
 
     def __init__(
@@ -128,7 +172,7 @@ class RecorderNode:
         shape: tuple[int, int],
         capture: BinaryIO | None = None,
         meter: Meter | None = None,
-        obey: Callable[[FaultEvent], object] = lambda _: None,
+        on_fault: Callable[[FaultEvent], object] = lambda _: None,
     ) -> None:
         self.done = False
         self.records = Records(robots, MapHistory(shape))
@@ -138,110 +182,106 @@ class RecorderNode:
         self._bus = bus
         self._keys = keys
         self._protocol_errors: Counter[str] = Counter()
-        """How often each participant has made no sense in this step."""
-        self._obey = obey
+        """Number of protocol errors of each sender in this step."""
+        self._on_fault = on_fault
 
     def configure(self, settings: Mapping[int, Settings]) -> None:
-        """Send each robot its settings, by way of the relay; once, when this recorder has joined."""
+        """Send each robot its settings by way of the relay; once, when this recorder has joined."""
         for robot, task in settings.items():
-            self._bus.put(self._keys.control_tx(names.RECORDER), pack(Configure(robot, task.encode())))
+            self._send(Configure(robot, task.encode()))
 
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
         sender = names.parts(message.key)[3]
         try:
-            self._take(sender, rights.read(*message))
+            self._record(sender, rights.read(*message))
         except ProtocolError as error:
-            self._note_nonsense(sender, str(error))
+            self._record_protocol_error(sender, str(error))
         if self.records.end is not None and not self.done and not self.missing():
             self.shut_down()
 
-    def _note_nonsense(self, sender: str, what: str) -> None:
-        """Record what made no sense; who says too much of it is given up."""
-        self.records.note_protocol_error(sender, what)
+    def _record_protocol_error(self, sender: str, text: str) -> None:
+        """Record a protocol error; a robot that exceeds `MAX_PROTOCOL_ERRORS` in a step counts as lost."""
+        self.records.note_protocol_error(sender, text)
         self._protocol_errors[sender] += 1
         if self._protocol_errors[sender] == MAX_PROTOCOL_ERRORS + 1 and names.is_robot(sender):
-            self._bus.put(
-                self._keys.control_tx(names.RECORDER), pack(Lost(names.number(sender), TOO_MANY_ERRORS))
-            )
+            self._send(Lost(names.number(sender), TOO_MANY_ERRORS))
 
-    def _take(self, sender: str, said: object) -> None:
-        """Record what `sender` says, which is its to say; ProtocolError if it makes no sense."""
+    def _record(self, sender: str, message: object) -> None:
+        """Record a message that its sender may send; ProtocolError if its content is invalid."""
         records = self.records
-        if isinstance(said, WorldReport):
-            records.world.append(said)
-            self._protocol_errors.clear()
-        elif isinstance(said, RadioReport):
-            self._take_books(said)
-        elif isinstance(said, RobotStatus):
-            self._take_thoughts(self._number(sender), said)
-        elif isinstance(said, Lost):
-            if said.robot not in records.killed:
-                records.lost[said.robot] = said.cause
-        elif isinstance(said, Back):
-            if records.lost.pop(said.robot, None) is not None:
-                records.returned.append((records.step, said.robot))
-        elif isinstance(said, FaultEvent):
-            self._record_fault_event(said)
-        elif isinstance(said, Change):
-            records.changes.append(said)
-        elif isinstance(said, Fault):
-            who = said.who if sender in (names.RELAY, names.WORLD) else sender
-            records.note_protocol_error(who, said.what)
-        elif isinstance(said, End):
-            records.end = said
-        elif isinstance(said, MapChanges | Outlines):
-            self._take_map_changes(self._number(sender), said)
-        elif isinstance(said, Maps):
-            self._take_maps(self._number(sender), said)
+        match message:
+            case WorldReport():
+                records.world.append(message)
+                self._protocol_errors.clear()
+            case RadioReport():
+                self._record_radio(message)
+            case RobotStatus():
+                self._record_status(self._number(sender), message)
+            case Lost(robot=robot):
+                if robot not in records.killed:
+                    records.lost[robot] = message.cause
+            case Back(robot=robot):
+                if records.lost.pop(robot, None) is not None:
+                    records.returned.append((records.step, robot))
+            case FaultEvent():
+                self._record_fault_event(message)
+            case Change():
+                records.changes.append(message)
+            case Fault():
+                reported_by_core = sender in (names.RELAY, names.WORLD)
+                records.note_protocol_error(message.who if reported_by_core else sender, message.what)
+            case End():
+                records.end = message
+            case Maps():
+                self._record_maps(self._number(sender), message)
+            case MapChanges() | Outlines():
+                self._record_map_changes(self._number(sender), message)
 
-    def _take_books(self, said: RadioReport) -> None:
-        if len(said.rows) % ROW.itemsize:
-            raise ProtocolError("RadioReport", 0, f"{len(said.rows)} bytes are no rows of a ledger")
-        self.records.rows.append(said.rows)
-        self.records.carried = said.carried
+    def _record_radio(self, report: RadioReport) -> None:
+        if len(report.rows) % ROW.itemsize:
+            raise ProtocolError("RadioReport", 0, f"{len(report.rows)} bytes are not whole ledger rows")
+        self.records.rows.append(report.rows)
+        self.records.carried = report.carried
         if self._capture is not None:
-            self._capture.write(said.frames)
+            self._capture.write(report.frames)
 
-    def _take_thoughts(self, robot: int, said: RobotStatus) -> None:
-        """Take a robot's report, one a step at most."""
-        told = self.records.statuses[robot]
-        after, last = (told[-1].step if told else 0), self.records.step + 1
-        if not after < said.step <= last:
-            raise ProtocolError(
-                "MindReport", 0, f"of step {said.step}, where one of {after + 1} to {last} can be"
-            )
-        told.append(said)
+    def _record_status(self, robot: int, status: RobotStatus) -> None:
+        """Record a robot's status; at most one per step is valid."""
+        statuses = self.records.statuses[robot]
+        first, last = (statuses[-1].step if statuses else 0) + 1, self.records.step + 1
+        if not first <= status.step <= last:
+            raise ProtocolError("RobotStatus", 0, f"step {status.step} is not within {first} to {last}")
+        statuses.append(status)
 
-    def _take_map_changes(self, robot: int, said: MapChanges | Outlines) -> None:
-        """Take changes of a robot's maps; ProtocolError if they are of a step to come or do not fit the map."""
-        if said.step > self.records.step + 1:
-            raise ProtocolError(
-                type(said).__name__, 0, f"of step {said.step}, after step {self.records.step}"
-            )
-        self.records.maps.take(robot, said)
-
-    def _take_maps(self, robot: int, said: Maps) -> None:
-        """Take a robot's grids: its own, and of the size of the run's map."""
-        if said.robot != robot:
-            raise ProtocolError("Maps", 0, f"of robot {said.robot}")
-        if (said.height, said.width) != self._shape:
+    def _record_maps(self, robot: int, maps: Maps) -> None:
+        """Record a robot's own grids, which must have the size of the run's map."""
+        if maps.robot != robot:
+            raise ProtocolError("Maps", 0, f"of robot {maps.robot}")
+        if (maps.height, maps.width) != self._shape:
             height, width = self._shape
-            raise ProtocolError("Maps", 0, f"{said.width} x {said.height} cells, not {width} x {height}")
-        grids = [np.frombuffer(cells, np.uint8).reshape(self._shape) for cells in (said.own, said.planning)]
+            raise ProtocolError("Maps", 0, f"{maps.width} x {maps.height} cells, not {width} x {height}")
+        grids = [np.frombuffer(cells, np.uint8).reshape(self._shape) for cells in (maps.own, maps.planning)]
         if max(int(grid.max()) for grid in grids) > OCCUPIED:
             raise ProtocolError("Maps", 0, "a cell that is not free, occupied or unknown")
         self.records.own[robot], self.records.planning[robot] = grids
 
+    def _record_map_changes(self, robot: int, changes: MapChanges | Outlines) -> None:
+        """Record changes of a robot's maps, of a step that has begun."""
+        if changes.step > self.records.step + 1:
+            name = type(changes).__name__
+            raise ProtocolError(name, 0, f"of step {changes.step}, after step {self.records.step}")
+        self.records.maps.take(robot, changes)
+
     def _number(self, sender: str) -> int:
-        """The number of the robot that says something."""
+        """The number of the sending robot; ProtocolError if the run has no such robot."""
         number = names.number(sender)
         if number >= self.records.robots:
             raise ProtocolError("message", 0, f"there is no robot {number}")
         return number
 
     def _record_fault_event(self, event: FaultEvent) -> None:
-        """A fault has come true; a restart of who was not killed as asked for is of one who was lost unasked."""
+        """Record a fault event; the restart of a lost robot is a recovery, not a fault."""
         records, robot = self.records, event.robot
         if event.kind == "kill":
             records.killed.add(robot)
@@ -250,36 +290,39 @@ class RecorderNode:
             records.killed.discard(robot)
         if event.kind != "restart" or robot not in records.lost:
             records.fault_events.append(event)
-        self._obey(event)
+        self._on_fault(event)
 
     def missing(self) -> list[int]:
-        """Robots whose maps have not been handed in."""
+        """Robots whose maps have not arrived."""
         records = self.records
         gone = records.own.keys() | records.lost.keys() | records.killed
         return [robot for robot in range(records.robots) if robot not in gone]
 
     def finish_without_missing(self) -> None:
-        """Send all home without what some still owe; a robot that owes its maps is lost with them."""
+        """Shut the run down without the maps that have not arrived; their robots count as lost."""
         if self.records.end is not None:
             for robot in self.missing():
-                self.records.lost[robot] = "it did not hand in its maps"
+                self.records.lost[robot] = "it did not send its maps"
         self.shut_down()
 
-    def ask(self, wish: FaultEvent | Change) -> None:
-        """Ask for something that the scenario does not have: with the next step."""
-        self._bus.put(self._keys.control_tx(names.RECORDER), pack(wish))
+    def request(self, event: FaultEvent | Change) -> None:
+        """Request a fault or a change of the radio that is not in the scenario, for the next step."""
+        self._send(event)
 
     def stop(self, reason: str) -> None:
-        """Ask the world to end after this step."""
-        self._bus.put(self._keys.control_tx(names.RECORDER), pack(Stop(reason)))
+        """Request that the world ends the run after this step."""
+        self._send(Stop(reason))
 
     def read_meter(self) -> None:
-        """Record the bytes that the bus has moved so far."""
+        """Record the number of bytes that the bus has moved."""
         if self._meter is not None:
             self.records.wire_bytes = self._meter.read()
 
     def shut_down(self) -> None:
-        """Tell all participants that everything is recorded and that they can shut down."""
+        """Notify all participants that all results are recorded and that they can shut down."""
         self.read_meter()
         self.done = True
-        self._bus.put(self._keys.control_tx(names.RECORDER), pack(Shutdown()))
+        self._send(Shutdown())
+
+    def _send(self, message: Record) -> None:
+        self._bus.put(self._keys.control_tx(names.RECORDER), pack(message))

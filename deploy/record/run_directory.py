@@ -1,8 +1,8 @@
-"""The run directory: all results of a run, and everything that is needed to repeat it.
+"""The run directory: all results of a run, and all input that repeats it.
 
-Every file is written under a temporary name and then renamed, so that none is ever half written. Only the
-capture of the radio grows during the run, block by block, and can be read up to its last whole one. Tables are written
-and read by pyarrow: runs also take place in forked processes, which polars' threads do not survive.
+Each file is written under a temporary name and then renamed, so that no file is ever incomplete. Only the capture of
+the radio grows during the run, block by block, and is readable up to its last whole block. pyarrow writes and reads
+the tables, because the threads of polars do not survive in forked processes.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ JOURNALS = "journals"
 RUNS = Path("runs")
 """The directory for runs without `--out`."""
 
-FIGURES = (
+REQUIRED_KEYS = (
     "finished", "reason", "steps", "first_robot", "coverage", "map_accuracy", "t90", "t99", "robots", "seed",
     "map", "bus", "strategy", "map_encoding", "bandwidth", "range_m", "bytes", "packets", "over_budget_steps",
     "undelivered", "lost", "digest", "steps_per_s", "versions",
 )  # fmt: skip
-"""Keys that a summary must have for a run to be reported on or repeated."""
+"""Keys of a summary that reports and replays need."""
 
 
 def check_free(out: Path | None) -> None:
     """Raise ScenarioError if `out` cannot be used for a new run: it is a file, or not empty."""
     if out is not None and out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ScenarioError(f"out = {out}: it exists already; name a new directory, or empty this one")
+        raise ScenarioError(f"out = {out}: already exists; name a new directory, or empty this one")
     if out is None and RUNS.exists() and not RUNS.is_dir():
         raise ScenarioError(
             f"{RUNS} is a file, and runs go into a directory of that name: move it, or use --out"
@@ -76,7 +76,7 @@ def create(out: Path | None, plan: Plan) -> Path:
 
 
 def _next_free(plan: Plan) -> Path:
-    """Make a directory that no other run uses, not even one that starts at the same time."""
+    """Make a directory that no other run uses, even if several runs start at the same time."""
     scenario = plan.scenario
     stem = f"{plan.map.name}-{scenario.map_encoding}-{scenario.robots}robots-seed{scenario.seed}"
     RUNS.mkdir(exist_ok=True)
@@ -89,10 +89,10 @@ def _next_free(plan: Plan) -> Path:
 
 
 def write_inputs(out: Path, plan: Plan) -> None:
-    """Write what determines the run: its map, and its scenario with every setting, referring to that map."""
+    """Write the input of the run: its map, and its scenario with all settings and a reference to that map."""
     maps.save(plan.map, out / MAP)
     data = plan.scenario.model_dump(mode="json", exclude_none=True) | {"map": MAP, "map_options": {}}
-    text = f"# {plan.map.name}: everything that determines this run. Repeat it: murmur replay {out}\n"
+    text = f"# {plan.map.name}: all settings of this run. Repeat it: murmur replay {out}\n"
     text += parse(data).to_toml()
     write_whole(out / SCENARIO, lambda file: file.write(text.encode()))
 
@@ -104,19 +104,19 @@ def open_capture(directory: Path | None, plan: Plan) -> Iterator[BinaryIO | None
         yield None
         return
     scenario = plan.scenario
-    map_id = (
-        f"{scenario.robots} robots on {plan.map.name}, exchange {scenario.map_encoding}, "
+    comment = (
+        f"{scenario.robots} robots on {plan.map.name}, map encoding {scenario.map_encoding}, "
         f"bandwidth {scenario.bandwidth}, range {plan.range_m:.1f} m, seed {scenario.seed}"
     )
     with (directory / CAPTURE).open("wb", buffering=0) as file:
-        file.write(capture.head(map_id))
+        file.write(capture.head(comment))
         yield file
 
 
 def read_scenario(directory: Path) -> Scenario:
     """Read the scenario of a run directory, with the map in it; ScenarioError if it is not a run directory."""
     if not (directory / SCENARIO).is_file():
-        raise ScenarioError(f"{directory}: no run directory, for it has no {SCENARIO}")
+        raise ScenarioError(f"{directory}: not a run directory: {SCENARIO} is missing")
     return load(directory / SCENARIO, {})
 
 
@@ -126,10 +126,10 @@ def read_summary(directory: Path) -> dict[str, Any]:
         summary = json.loads((directory / SUMMARY).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise ScenarioError(f"{directory}: no readable {SUMMARY} ({error})") from None
-    missing = [key for key in FIGURES if not isinstance(summary, dict) or key not in summary]
+    missing = [key for key in REQUIRED_KEYS if not isinstance(summary, dict) or key not in summary]
     if missing:
         raise ScenarioError(
-            f"{directory}: {SUMMARY} is not that of a run, for it has no {', '.join(missing)}"
+            f"{directory}: {SUMMARY} is not the summary of a run: it lacks {', '.join(missing)}"
         )
     found: dict[str, Any] = summary
     return found
@@ -156,13 +156,11 @@ def write_results(out: Path, plan: Plan, records: Records, summary: dict[str, An
 
 
 def steps_table(plan: Plan, records: Records) -> Any:
-    """One row per step and robot: its pose and state; metres in the map's frame."""
+    """One row per step and robot: pose and state; meters in the map's frame."""
     import pyarrow as pa  # noqa: PLC0415
 
     cell = plan.map.resolution
-    robot_settings = {
-        (r, report.step): report for r, reports in enumerate(records.statuses) for report in reports
-    }
+    statuses = {(r, report.step): report for r, reports in enumerate(records.statuses) for report in reports}
     rows: list[dict[str, Any]] = []
     for report in records.world:
         for robot, x_mm, y_mm, heading in np.frombuffer(report.poses, "<i4").reshape(-1, 4).tolist():
@@ -176,17 +174,17 @@ def steps_table(plan: Plan, records: Records) -> Any:
                 "driven": report.driven[robot] / 1000,
                 "team_seen": report.seen / report.reachable,
             }
-            mind = robot_settings.get((robot, report.step))
-            if mind is not None:
-                has_target = mind.target_x >= 0
-                target = to_world(plan.map, mind.target_x, mind.target_y) if has_target else (None, None)
+            status = statuses.get((robot, report.step))
+            if status is not None:
+                has_target = status.target_x >= 0
+                target = to_world(plan.map, status.target_x, status.target_y) if has_target else (None, None)
                 row |= {
                     "target_x": target[0],
                     "target_y": target[1],
-                    "known_cells": mind.known,
-                    "backlog": mind.backlog,
-                    "status": mind.status,
-                    "work_us": mind.work_us,
+                    "known_cells": status.known,
+                    "backlog": status.backlog,
+                    "status": status.status,
+                    "work_us": status.work_us,
                 }
             rows.append(row)
     return pa.Table.from_pylist(rows, schema=schema(STEP_COLUMNS))

@@ -1,4 +1,4 @@
-"""The summary of a run: its figures (docs/architecture.md), and the digest that two equal runs share."""
+"""The summary of a run: its metrics (docs/architecture.md) and its digest, which is the same for two equal runs."""
 
 from __future__ import annotations
 
@@ -9,25 +9,26 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from agent.robot import sure_after
 from deploy.record.records import Records
 from deploy.record.versions import versions
 from deploy.scenario.plan import Plan
 from netshaper.ledger import CAUSES, sort_rows
-from netshaper.medium import UNLIMITED
+from protocol.budget import Budget
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.messages import Change, End
 from protocol.packets import ALL_KINDS
 
 SCAN_VALUES, VALUE_BYTES = 362, 2
-"""Bytes of a raw scan by the thesis' formula (section 6.3): 360 ranges and a position, for each of the others."""
+"""Size of a raw scan by the thesis' formula (section 6.3): 360 ranges and a position, sent to each teammate."""
 
 Mask = NDArray[np.bool_]
 
 
 def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
-    """Compute ``summary.json`` from the records; figures that an aborted run does not have are null."""
+    """Compute ``summary.json`` from the records; metrics that an aborted run does not have are null."""
     scenario = plan.scenario
     end = records.end
     done = end is not None and end.first >= 0
@@ -35,7 +36,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
     ledger = records.ledger()
     reachable = plan.make_world().reachable
     kinds, packets = _per_kind(ledger)
-    wanted = end.first if done and end is not None else min(records.planning, default=-1)
+    first = end.first if done and end is not None else min(records.planning, default=-1)
     steps = end.step if end is not None and end.step >= 0 else records.step
     allowed = budgets(plan.radio.budget, records.changes, int(ledger["step"].max(initial=0)) + 1)
     return {
@@ -45,10 +46,10 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "explored_at": _explored_at(plan, steps) if finished else None,
         "first_robot": end.first if done and end is not None else None,
         "coverage": _coverage(records, reachable),
-        "map_accuracy": _share_free(records.planning[wanted], reachable)
-        if wanted in records.planning
+        "map_accuracy": _share_free(records.planning[first], reachable)
+        if first in records.planning
         else None,
-        **_wall_quality(records, wanted, plan.map.cells, reachable),
+        **_wall_quality(records, first, plan.map.cells, reachable),
         "t50": _first_step(records, 0.50),
         "t90": _first_step(records, 0.90),
         "t99": _first_step(records, 0.99),
@@ -65,8 +66,8 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "bytes": kinds,
         "raw_scan_bytes": steps * SCAN_VALUES * VALUE_BYTES * scenario.robots * (scenario.robots - 1),
         "packets": packets,
-        "approximation_error": _approximation_error(records, wanted, int(reachable.sum())),
-        "approximation_error_net": _net_error(records, wanted, int(reachable.sum())),
+        "approximation_error": _approximation_error(records, first, int(reachable.sum())),
+        "approximation_error_net": _net_error(records, first, int(reachable.sum())),
         "over_budget_steps": _over_budget(ledger, allowed, each=scenario.radio.reuse),
         "wire_bytes": records.wire_bytes,
         "undelivered": _undelivered(ledger),
@@ -82,17 +83,17 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
 
 
 def _reason(end: End | None, *, finished: bool) -> str:
-    """Why the run ended; robots say when they are done, and the laboratory knows how much they have truly seen."""
+    """Why the run ended: a robot reports the end of its exploration, and the records show its true coverage."""
     if end is None:
         return "broken off"
-    return end.reason if finished or end.first < 0 else f"robot {end.first} believed itself done"
+    return end.reason if finished or end.first < 0 else f"robot {end.first} stopped too early"
 
 
 def digest(records: Records) -> str:
-    """Sha256 over canonical integers: the ledger sorted, poses by step and robot, all grids.
+    """Hash canonical integers by SHA-256: the sorted ledger, poses by step and robot, all grids.
 
-    Poses are in whole millimetres and tenths of a degree; every figure is a little-endian int64, grids are
-    uint8 with their robot and shape before them.
+    Poses are in whole millimeters and tenths of a degree. Each number is a little-endian int64; grids are uint8,
+    preceded by their robot and shape.
     """
     total = hashlib.sha256()
     rows = sort_rows(records.ledger())
@@ -108,7 +109,7 @@ def digest(records: Records) -> str:
 
 
 def _coverage(records: Records, reachable: Mask) -> float:
-    """What the team has seen, by its own grids; if a robot was lost with its grid, by the world's report."""
+    """Share of the reachable cells on the team's own grids; from the world's report if a grid is missing."""
     if not records.own or not records.has_all_grids:
         return records.explored
     team = np.zeros(reachable.shape, np.bool_)
@@ -118,7 +119,7 @@ def _coverage(records: Records, reachable: Mask) -> float:
 
 
 def _overlap(records: Records, reachable: Mask) -> float | None:
-    """Cells that more than one robot has seen itself, over cells seen; None where not all have told their grids."""
+    """Share of the seen cells that several robots have seen; None if a grid is missing."""
     if not records.own or not records.has_all_grids:
         return None
     seen = np.zeros(reachable.shape, np.int64)
@@ -132,31 +133,23 @@ def _share_free(grid: NDArray[np.uint8], reachable: Mask) -> float:
 
 
 def _wall_quality(records: Records, first: int, truth: Grid, reachable: Mask) -> dict[str, float | None]:
-    """Precision and recall of the walls on the first robot's planning grid, and the least of all robots.
+    """Precision and recall of the walls on the first robot's planning grid, and the minima of all robots.
 
-    Precision: what share of its occupied cells is occupied (cells whose truth is unknown do not count). Recall: what
-    share of the occupied cells beside reachable ones (4-neighbours, so that lasers meet them) it has as occupied. A
-    figure of no cells is None.
+    Precision is the share of its occupied cells that are truly occupied; cells of unknown truth do not count. Recall is
+    the share of the true walls, occupied 4-neighbors of reachable cells, that it has as occupied. Without any cells
+    a value is None.
     """
-    beside = np.zeros(truth.shape, np.bool_)
-    beside[1:] |= reachable[:-1]
-    beside[:-1] |= reachable[1:]
-    beside[:, 1:] |= reachable[:, :-1]
-    beside[:, :-1] |= reachable[:, 1:]
-    walls = (truth == OCCUPIED) & beside
+    walls = (truth == OCCUPIED) & binary_dilation(reachable)
     precision, recall = {}, {}
     for robot, grid in records.planning.items():
-        said = (grid == OCCUPIED) & (truth != UNKNOWN)
-        precision[robot] = float((truth[said] == OCCUPIED).mean()) if said.any() else None
+        occupied = (grid == OCCUPIED) & (truth != UNKNOWN)
+        precision[robot] = float((truth[occupied] == OCCUPIED).mean()) if occupied.any() else None
         recall[robot] = float((grid[walls] == OCCUPIED).mean()) if walls.any() else None
-    return {
-        "wall_precision": precision.get(first),
-        "wall_recall": recall.get(first),
-        "worst_wall_precision": min(
-            (value for value in precision.values() if value is not None), default=None
-        ),
-        "worst_wall_recall": min((value for value in recall.values() if value is not None), default=None),
-    }
+    found: dict[str, float | None] = {}
+    for name, values in (("wall_precision", precision), ("wall_recall", recall)):
+        found[name] = values.get(first)
+        found[f"worst_{name}"] = min((value for value in values.values() if value is not None), default=None)
+    return found
 
 
 def _first_step(records: Records, share: float) -> int | None:
@@ -164,7 +157,7 @@ def _first_step(records: Records, share: float) -> int | None:
 
 
 def _per_kind(ledger: NDArray[np.void]) -> tuple[dict[str, int], dict[str, int]]:
-    """Bytes and packets carried, of each kind that was on the air, and in total."""
+    """Transmitted bytes and packets by packet type, and in total."""
     carried = ledger["carried"] == 1
     kinds, size, packets = (ledger[name][carried] for name in ("kind", "bytes", "packets"))
     sizes: dict[str, int] = {}
@@ -180,14 +173,14 @@ def _per_kind(ledger: NDArray[np.void]) -> tuple[dict[str, int], dict[str, int]]
 
 
 def _approximation_error(records: Records, robot: int, cells: int) -> float | None:
-    """Mean over the steps of one robot's d(t), as a share of the cells to explore (thesis, Eq. 6.1)."""
+    """Mean of a robot's approximation error d(t) over the steps, as a share of all cells (thesis, Eq. 6.1)."""
     if not 0 <= robot < len(records.statuses) or not records.statuses[robot]:
         return None
     return float(np.mean([report.error for report in records.statuses[robot]]) / cells)
 
 
 def _net_error(records: Records, robot: int, cells: int) -> float | None:
-    """The same less what an exact approximation would have wrong; None where that was not measured."""
+    """The same minus the error of an exact approximation; None if that was not measured."""
     if not 0 <= robot < len(records.statuses) or not records.statuses[robot]:
         return None
     reports = records.statuses[robot]
@@ -197,44 +190,45 @@ def _net_error(records: Records, robot: int, cells: int) -> float | None:
 
 
 def _explored_at(plan: Plan, steps: int) -> int:
-    """The step after which the first robot only made sure that nothing was left."""
+    """The step after which the first robot only verified that it had finished."""
     return steps - sure_after(plan.robot_settings[0])
 
 
 def _over_budget(ledger: NDArray[np.void], allowed: NDArray[np.float64], *, each: bool) -> int:
-    """Steps that carried more than the budget that they had: there must be none.
+    """Count the steps that exceeded their budget; there must be none.
 
-    Where neighbourhoods have budgets (`each`), steps in which a robot has said more than one.
+    If each neighborhood has a budget (`each`), count the steps in which one robot exceeded it.
     """
     if not len(ledger):
         return 0
-    whose = ledger["sender"] * each
-    on_air = np.zeros((len(allowed), whose.max() + 1), np.int64)
-    np.add.at(on_air, (ledger["step"], whose), ledger["bytes"] * ledger["carried"])
-    return int((on_air > allowed[:, None]).any(axis=1).sum())
+    group = ledger["sender"] * each
+    sent = np.zeros((len(allowed), group.max() + 1), np.int64)
+    np.add.at(sent, (ledger["step"], group), ledger["bytes"] * ledger["carried"])
+    return int((sent > allowed[:, None]).any(axis=1).sum())
 
 
-def budgets(budget: int, changes: Iterable[Change], steps: int) -> NDArray[np.float64]:
+def budgets(budget: Budget, changes: Iterable[Change], steps: int) -> NDArray[np.float64]:
     """The budget of each step from 0 on, infinite where there is none."""
-    allowed = np.full(steps, math.inf if budget == UNLIMITED else float(budget))
+    allowed = np.full(steps, math.inf if budget.limit is None else float(budget.limit))
     for change in changes:
-        if change.budget >= UNLIMITED:
-            allowed[change.step :] = math.inf if change.budget == UNLIMITED else change.budget
+        if change.budget is not None:
+            limit = change.budget.limit
+            allowed[change.step :] = math.inf if limit is None else limit
     return allowed
 
 
 def _undelivered(ledger: NDArray[np.void]) -> dict[str, int]:
-    """Frames that were not delivered whole, by cause."""
+    """Count the frames that were not delivered completely, by cause."""
     cut = ledger[ledger["cause"] > 0]
     fields = ("step", "round", "connection", "frame", "sender", "receiver", "map", "cause")
-    whose = np.array([cut[name] for name in fields], np.int64)
-    belongs = cut["connection"] >= 0
-    # Of frames of no connection the order of the rows tells where one ends: within it kinds ascend.
-    starts = _differs(whose)
+    frames = np.array([cut[name] for name in fields], np.int64)
+    connected = cut["connection"] >= 0
+    # Frames without a connection end where the order of the rows breaks: within a frame kinds ascend.
+    starts = _differs(frames)
     starts[1:] |= cut["kind"][1:] <= cut["kind"][:-1]
-    theirs = whose[:, belongs]
-    theirs = theirs[:, np.lexsort(theirs)]
-    causes = np.concatenate([theirs[-1, _differs(theirs)], cut["cause"][starts & ~belongs]])
+    sorted_frames = frames[:, connected]
+    sorted_frames = sorted_frames[:, np.lexsort(sorted_frames)]
+    causes = np.concatenate([sorted_frames[-1, _differs(sorted_frames)], cut["cause"][starts & ~connected]])
     return {
         cause: int((causes == number).sum())
         for number, cause in enumerate(CAUSES)
@@ -243,7 +237,7 @@ def _undelivered(ledger: NDArray[np.void]) -> dict[str, int]:
 
 
 def _differs(columns: NDArray[np.int64]) -> Mask:
-    """Which columns are not as the one before."""
+    """Whether each column differs from the one before."""
     differs = np.ones(columns.shape[1], np.bool_)
     differs[1:] = (columns[:, 1:] != columns[:, :-1]).any(axis=0)
     return differs

@@ -1,4 +1,4 @@
-"""What a digest depends on besides the scenario: the versions of Python and of the packages that robots run on."""
+"""The versions that a digest depends on besides the scenario: Python and the packages of the robots."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ PACKAGES = ("murmur-robots", "eclipse-zenoh", "numba", "numpy", "scipy")
 
 
 def versions() -> dict[str, str]:
-    """What a digest depends on besides the scenario."""
+    """The version of Python and of each package."""
     return {"python": platform.python_version()} | {package: _version(package) for package in PACKAGES}
 
 
 @cache
 def _version(package: str) -> str:
-    """The version that is installed; it takes a millisecond to find."""
+    """The installed version; the look-up takes a millisecond."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:

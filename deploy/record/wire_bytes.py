@@ -1,8 +1,8 @@
-"""The cost of the bus itself: bytes on the hub's TCP connections, as the kernel counts them.
+"""The cost of the bus: bytes on the hub's TCP connections, as the kernel counts them.
 
-Linux reports sockets over netlink (``sock_diag(7)``) without special rights; the hub's port selects its
-connections. On other systems, or if the hub is on another host, the figure is not available. It is asked here rather
-than through a library for netlink, because that brings an event loop, and a notebook runs one already.
+Linux reports sockets over netlink (``sock_diag(7)``) without special rights; the hub's port selects its connections.
+The count is not available on other systems, or if the hub is on another host. This module has no netlink library,
+because such a library needs an event loop of its own, which conflicts with that of notebooks.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ _INFO = 2
 _STATES = 0xFFF
 _HEADER = struct.Struct("<IHHII")
 _ID = struct.Struct(">HH16s16s4s8s")
-_PATIENCE_S = 1.0
+_TIMEOUT_S = 1.0
 _RECEIVE = 1 << 16
 _MESSAGE = 72
-"""Bytes of ``struct inet_diag_msg``, which the attributes follow."""
+"""Size of ``struct inet_diag_msg``, which precedes the attributes."""
 _ID_AT = 4
-"""Where it has the socket's identity."""
+"""Offset of the socket's identity in it."""
 _RECEIVED_AT, _SENT_AT = 128, 200
-"""Where ``struct tcp_info`` has tcpi_bytes_received; tcpi_bytes_sent and _retrans (since Linux 4.19)."""
+"""Offsets in ``struct tcp_info``: tcpi_bytes_received; tcpi_bytes_sent and _retrans (since Linux 4.19)."""
 
 
 class Meter:
     """Counts the bytes of all connections to a hub on this host, including those that have ended.
 
-    A connection counts up to the last `read` before its end, so read now and then.
+    A connection counts up to the last `read` before its end, so the caller should read repeatedly.
 
     Parameters
     ----------
     endpoint : str
-        Where the hub listens, as ``tcp/127.0.0.1:7447``.
+        The hub's address, as ``tcp/127.0.0.1:7447``.
     here : bool
-        Whether that is known to be on this host; on the loopback it always is.
+        Whether the hub is on this host; on the loopback it always is.
     """
 
     def __init__(self, endpoint: str, *, here: bool = False) -> None:
@@ -63,11 +63,11 @@ class Meter:
 
 
 def _connections(port: int, family: int) -> Iterator[tuple[bytes, int]]:
-    """All TCP sockets of a family with such a local port: their identity, and the bytes that they moved."""
+    """The TCP sockets of a family with a local port: their identity, and the bytes that they moved."""
     wanted = struct.pack("<BBBxI", family, socket.IPPROTO_TCP, 1 << (_INFO - 1), _STATES)
     wanted += _ID.pack(port, 0, bytes(16), bytes(16), bytes(4), b"\xff" * 8)
     with socket.socket(socket.AF_NETLINK, socket.SOCK_DGRAM, _NETLINK_SOCK_DIAG) as kernel:
-        kernel.settimeout(_PATIENCE_S)
+        kernel.settimeout(_TIMEOUT_S)
         kernel.send(
             _HEADER.pack(_HEADER.size + len(wanted), _SOCK_DIAG_BY_FAMILY, _REQUEST_DUMP, 1, 0) + wanted
         )
@@ -87,12 +87,12 @@ def _connections(port: int, family: int) -> Iterator[tuple[bytes, int]]:
 
 
 def _count(attributes: bytes) -> int | None:
-    """Bytes moved, as the attribute with ``struct tcp_info`` has them; None if there is none."""
+    """Bytes moved, from the attribute with ``struct tcp_info``; None without that attribute."""
     while len(attributes) >= 4:
         size, kind = struct.unpack_from("<HH", attributes)
         if kind == _INFO and size >= 4 + _SENT_AT + 16:
             (received,) = struct.unpack_from("<Q", attributes, 4 + _RECEIVED_AT)
-            sent, sent_again = struct.unpack_from("<QQ", attributes, 4 + _SENT_AT)
-            return int(received + sent - sent_again)
+            sent, retransmitted = struct.unpack_from("<QQ", attributes, 4 + _SENT_AT)
+            return int(received + sent - retransmitted)
         attributes = attributes[size + -size % 4 :]
     return None

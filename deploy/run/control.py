@@ -8,6 +8,7 @@ from __future__ import annotations
 import multiprocessing
 import queue
 from dataclasses import replace
+from typing import Literal
 
 from deploy.record.records import RecorderNode, Records
 from deploy.run.gate import Gate
@@ -83,7 +84,7 @@ class Control:
     def heed(self, recorder: RecorderNode) -> None:
         """Pass on what was wished for."""
         while not self._wishes.empty():
-            recorder.ask(self._wishes.get())
+            recorder.request(self._wishes.get())
 
     def gate(self, free: int = 0) -> Gate:
         """What the world passes before it opens a step; the first `free` ones it opens without."""
@@ -124,8 +125,8 @@ def as_it_went(plan: Plan, records: Records) -> Plan:
     changes = [
         ChangeTable(
             step=each.step,
-            bandwidth=None if each.budget < -1 else "unlimited" if each.budget == -1 else each.budget,
-            range=None if each.range_mm < 0 else repr(each.range_mm / 1000),
+            bandwidth=_bandwidth(each),
+            range=None if each.range_mm is None else repr(each.range_mm / 1000),
         )
         for each in records.changes
         if (each.step, each.budget, each.range_mm) not in had
@@ -134,3 +135,10 @@ def as_it_went(plan: Plan, records: Records) -> Plan:
         return plan
     update = {"fault": (*scenario.fault, *kills), "change": (*scenario.change, *changes)}
     return replace(plan, scenario=scenario.model_copy(update=update))
+
+
+def _bandwidth(change: Change) -> int | Literal["unlimited"] | None:
+    """The bandwidth of a change as a scenario writes it."""
+    if change.budget is None:
+        return None
+    return "unlimited" if change.budget.limit is None else change.budget.limit

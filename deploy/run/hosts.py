@@ -161,7 +161,7 @@ def _explain(item: Any) -> str:
     message = str(item["msg"]).removeprefix("Value error, ")
     if item["type"] == "extra_forbidden":
         table = Host if item["loc"][0] == "host" and len(item["loc"]) > 1 else Hosts
-        return f"{key} is no setting; there are: {', '.join(table.model_fields)}"
+        return f"{key}: unknown setting; there are: {', '.join(table.model_fields)}"
     if item["type"] == "missing":
         return f"{key} is missing"
     return f"{key} = {item['input']!r}: {message}" if key else message

@@ -91,7 +91,7 @@ class MemoryRun:
         for name in (names.RELAY, *watching, names.RECORDER, names.WORLD, *self._minds):
             self._buses[name] = wrap(name, self._hub.join(name))
         self._lab = RecorderNode(
-            self._buses[names.RECORDER], keys, robots, plan.map.cells.shape, capture, obey=_noting(self._due)
+            self._buses[names.RECORDER], keys, robots, plan.map.cells.shape, capture, on_fault=_noting(self._due)
         )
         self._world = WorldNode(
             self._buses[names.WORLD],
@@ -121,7 +121,7 @@ class MemoryRun:
 
     def ask(self, wish: FaultEvent | Change) -> None:
         """Ask for something that the scenario does not have."""
-        self._lab.ask(wish)
+        self._lab.request(wish)
 
     def steps(self, heed: Callable[[RecorderNode], object] = lambda _: None) -> Iterator[int]:
         """Go on, and yield each step that is over, from 0, the time before the first.

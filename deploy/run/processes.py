@@ -25,8 +25,8 @@ from deploy.run.gate import LONGEST_PAUSE_S, Gate
 from deploy.run.reply_timeout import REPLY_TIMEOUT_S, ReplyTimeout
 from netshaper.hub import open_hub
 from netshaper.process import RelayNode
-from netshaper.radio import RadioSettings
 from netshaper.router import Router
+from netshaper.settings import RadioSettings
 from protocol import keys as names
 from protocol.bus import Bus, BusClosed
 from protocol.keys import Keys

@@ -1,5 +1,5 @@
-"""What to run: a scenario, checked, and the plan derived from it.
+"""Scenarios and the plans derived from them: the input of a run.
 
-The lowest room of `deploy`: it knows robots, world and radio by their settings. Start with `scenario.py`, then
-`plan.py`; `shipped/` holds scenarios that are installed with the code.
+The lowest package of `deploy`; it depends on robots, world and radio only for their settings. Start with
+`scenario.py`, then `plan.py`; `shipped/` contains the scenarios that are installed with the code.
 """

@@ -1,4 +1,4 @@
-"""The radio of a run in words: what its settings come to, as it is said when a run begins."""
+"""One line of text about the radio of a run, printed when the run begins."""
 
 from __future__ import annotations
 
@@ -12,37 +12,37 @@ from netshaper.radio_options import RadioOptions
 
 
 def effective_radio(plan: Plan) -> str:
-    """The radio's settings in one line; nothing where a scenario leaves all of them as they are."""
+    """Return the radio's settings in one line; empty if the scenario changes none of the defaults."""
     options = plan.scenario.radio
     if options == RadioOptions() and plan.radio.perfect:
         return ""
-    return "radio: " + "; ".join(_words(plan))
+    return "radio: " + "; ".join(_parts(plan))
 
 
-def _words(plan: Plan) -> Iterator[str]:
+def _parts(plan: Plan) -> Iterator[str]:
     scenario, options = plan.scenario, plan.scenario.radio
     if options.preset:
         yield f"{options.preset}, {PRESETS[options.preset].words}"
-    whose = "each neighbourhood" if options.reuse else "the team"
-    rate = scenario.bandwidth if scenario.bandwidth == UNLIMITED else f"{scenario.bandwidth} bytes a step"
-    yield f"{rate} for {whose}"
+    sharing = "each neighborhood" if options.reuse else "the team"
+    rate = scenario.bandwidth if scenario.bandwidth == UNLIMITED else f"{scenario.bandwidth} bytes per step"
+    yield f"{rate} for {sharing}"
     yield f"range {plan.range_m:.4g} m, {options.model}"
     if options.model == "log-distance":
         yield (
-            f"{10 * options.exponent:g} dB a decade, {options.db_per_metre:g} dB a metre, "
-            f"{options.db_per_wall:g} dB a wall, shadowing {options.shadowing_db:g} dB"
+            f"{10 * options.exponent:g} dB per decade, {options.db_per_metre:g} dB per meter, "
+            f"{options.db_per_wall:g} dB per wall, shadowing {options.shadowing_db:g} dB"
         )
     if options.burst_every:
         yield (
-            f"bursts of {options.burst_steps:g} steps after {options.burst_every:g}, in which "
-            f"{100 * options.burst_loss:g} % are lost"
+            f"bursts of {options.burst_steps:g} steps every {options.burst_every:g} steps, in which "
+            f"{100 * options.burst_loss:g} % of the frames are lost"
         )
     for begin, end in _steps(options):
-        yield f"robots are parted in steps {begin} to {end}"
+        yield f"groups of robots out of range of each other in steps {begin} to {end}"
     if plan.radio.perfect:
-        yield "what is put on the air is heard"
+        yield "lossless"
         return
-    yield "only what a teammate says confirms"
+    yield "acknowledgments by teammates"
     if options.sums:
         yield "frames with checksums"
     differing = [
@@ -62,4 +62,4 @@ def _steps(options: RadioOptions) -> list[tuple[int, int]]:
 
 
 _PLAIN = ("loss", "delay", "jitter", "duplication", "bit_errors", "send_bytes", "receive_bytes", "duty_cycle")
-"""Settings that are said as they are."""
+"""Options that are printed as name and value."""

@@ -1,4 +1,4 @@
-"""From a scenario to the inputs of each process: the map, the start cells, the settings of relay, world, robots."""
+"""The plan of a run, derived from its scenario: the map, and the settings of world, relay and each robot."""
 
 from __future__ import annotations
 
@@ -7,25 +7,35 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from agent.exchange import gossip
+from agent.replication.policies import GOSSIP
 from agent.settings import Settings
 from agent.strategies.registry import strategy
 from deploy.scenario.finding_maps import find_map
 from deploy.scenario.scenario import Scenario, ScenarioError
-from deploy.scenario.tables import UNLIMITED
-from netshaper import medium
-from netshaper.radio import RadioSettings
+from deploy.scenario.tables import UNLIMITED, RobotOverride
+from netshaper.settings import RadioSettings
+from protocol.budget import Budget
 from protocol.grid import MAX_SIDE, disc, enlarge
 from worldsim import faults
 from worldsim.map_error import MapError
 from worldsim.maps import Map, to_cell
-from worldsim.starts import Cell, check_free, moved_about, start_cells
+from worldsim.starts import Cell, check_free, jittered, start_cells
 from worldsim.world import Body, World, WorldSettings
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Everything that a run needs, derived from a scenario."""
+    """All inputs of a run, derived from a scenario.
+
+    Attributes
+    ----------
+    robot_settings : dict of int to Settings
+        The settings of each robot, by its number.
+    range_m : float
+        Communication range in meters.
+    incarnations : int
+        How often each robot may start: once, and once more for each restart.
+    """
 
     scenario: Scenario
     map: Map
@@ -34,58 +44,36 @@ class Plan:
     robot_settings: dict[int, Settings]
     range_m: float
     incarnations: int = 1
-    """How often a robot may begin: more than once only where robots may come back (`worldsim.faults`)."""
 
     def make_world(self) -> World:
-        """The world in its initial state."""
+        """Return the world in its initial state."""
         return World(self.map.cells, self.world)
 
 
 def make(
     scenario: Scenario, world_map: Map | None = None, *, incarnations: int = 1, record_maps: bool = False
 ) -> Plan:
-    """Derive the plan of a scenario, on `world_map` instead of the map that it names if one is given.
+    """Derive the plan of a scenario.
 
-    Robots may begin as often as `incarnations` says, or more often if the scenario restarts them more often. With
-    `record_maps` they report changes of their maps to the recorder.
+    Parameters
+    ----------
+    world_map : Map, optional
+        Replaces the map that the scenario names.
+    incarnations : int
+        How often each robot may start at least; the scenario's faults may require more.
+    record_maps : bool
+        Whether robots report the changes of their maps to the recorder.
 
     Raises
     ------
     ScenarioError
-        The map cannot be loaded or made, the robots do not fit on it, or a range is too small for its cells
+        The map cannot be loaded or generated, the robots do not fit on it, or a range is too small for its cells
         or for the strategy.
     """
     world_map = world_map or load_map(scenario)
     incarnations = max(incarnations, faults.incarnations(scenario.faults))
     cell = world_map.resolution
-    bodies = []
-    for number in range(scenario.robots):
-        body = scenario.body_of(number)
-        assert body.sensor_range and body.field_of_view and body.speed
-        assert body.radius is not None
-        assert body.scanner_turn is not None
-        if body.sensor_range < cell:
-            raise ScenarioError(
-                f"sensor_range = {body.sensor_range:g} m of robot {number} is less than a cell of {cell:g} m"
-            )
-        if body.radius > MAX_SIDE * cell:
-            raise ScenarioError(
-                f"radius = {body.radius:g} m: no map is as large as that, with cells of {cell:g} m"
-            )
-        if body.sensor_range < (least := least_range(body.radius / cell) * cell):
-            raise ScenarioError(
-                f"sensor_range = {body.sensor_range:g} m of robot {number} is less than {least:.3g} m: a disc of "
-                f"radius = {body.radius:g} m would not see the walls that its next step touches"
-            )
-        bodies.append(
-            Body(
-                body.sensor_range / cell,
-                body.field_of_view,
-                body.speed / cell,
-                body.scanner_turn,
-                body.radius / cell,
-            )
-        )
+    bodies = [_body(scenario.body_of(number), cell) for number in range(scenario.robots)]
     starts = _starts(scenario, world_map, [body.radius_cells for body in bodies])
     range_m = scenario.range_m(world_map.diagonal_m)
     chosen = strategy(scenario.strategy)
@@ -94,33 +82,65 @@ def make(
     except ValueError as error:
         raise ScenarioError(f"range = {scenario.range!r}: {error}") from None
     world = WorldSettings(
-        tuple(bodies),
-        tuple(starts),
-        scenario.beams,
-        scenario.seed,
-        scenario.interference / cell,
-        scenario.faults,
-        chosen.returns(scenario.options),
-        scenario.motion == "cells",
-        scenario.robots_collide,
+        bodies=tuple(bodies),
+        starts=tuple(starts),
+        beams=scenario.beams,
+        seed=scenario.seed,
+        interference_cells=scenario.interference / cell,
+        faults=scenario.faults,
+        ends_with_all=chosen.returns(scenario.options),
+        cell_steps=scenario.motion == "cells",
+        robots_collide=scenario.robots_collide,
     )
-    budget = medium.UNLIMITED if scenario.bandwidth == UNLIMITED else int(scenario.bandwidth)
-    radio = RadioSettings(
+    radio = _radio_settings(scenario, world_map, range_m, incarnations)
+    robot_settings = _robot_settings(scenario, world_map, bodies, radio, record_maps=record_maps)
+    return Plan(scenario, world_map, world, radio, robot_settings, range_m, incarnations)
+
+
+def _body(hardware: RobotOverride, cell: float) -> Body:
+    """Return one robot's hardware in cells of `cell` meters; ScenarioError if it is too large or sees too little."""
+    number, sensor_range, radius = hardware.robot, hardware.sensor_range, hardware.radius
+    assert sensor_range and hardware.field_of_view and hardware.speed
+    assert radius is not None
+    assert hardware.scanner_turn is not None
+    if sensor_range < cell:
+        raise ScenarioError(
+            f"sensor_range = {sensor_range:g} m of robot {number} is less than a cell of {cell:g} m"
+        )
+    if radius > MAX_SIDE * cell:
+        raise ScenarioError(f"radius = {radius:g} m: exceeds the largest map with cells of {cell:g} m")
+    if sensor_range < (least := least_range(radius / cell) * cell):
+        raise ScenarioError(
+            f"sensor_range = {sensor_range:g} m of robot {number} is less than {least:.3g} m: a disc of "
+            f"radius = {radius:g} m would not see the walls that its next step touches"
+        )
+    speed, turn = hardware.speed / cell, hardware.scanner_turn
+    return Body(sensor_range / cell, hardware.field_of_view, speed, turn, radius / cell)
+
+
+def _radio_settings(scenario: Scenario, world_map: Map, range_m: float, incarnations: int) -> RadioSettings:
+    hardware = [scenario.body_of(number) for number in range(scenario.robots)]
+    return RadioSettings(
         scenario.robots,
         scenario.seed,
-        range_m / cell,
-        budget,
+        range_m / world_map.resolution,
+        Budget.parse(scenario.bandwidth),
         scenario.rounds,
-        scenario.dissemination == gossip.POLICY,
+        scenario.dissemination == GOSSIP,
         incarnations,
         scenario.radio,
-        cell,
+        world_map.resolution,
         world_map.cells if scenario.radio.model != "disc" else None,
-        tuple(scenario.body_of(number).send_bytes or 0 for number in range(scenario.robots)),
-        tuple(scenario.body_of(number).receive_bytes or 0 for number in range(scenario.robots)),
+        tuple(robot.send_bytes or 0 for robot in hardware),
+        tuple(robot.receive_bytes or 0 for robot in hardware),
         scenario.changes(world_map.diagonal_m),
     )
-    robot_settings = {
+
+
+def _robot_settings(
+    scenario: Scenario, world_map: Map, bodies: list[Body], radio: RadioSettings, *, record_maps: bool
+) -> dict[int, Settings]:
+    return {
         number: Settings(
             robot=number,
             robots=scenario.robots,
@@ -128,36 +148,35 @@ def make(
             height=world_map.height,
             ranges_cells=[body.range_cells for body in bodies],
             beams=scenario.beams,
-            speed_cells=bodies[number].speed,
+            speed_cells=body.speed,
             seed=scenario.seed,
             map_encoding=scenario.map_encoding,
             strategy=scenario.strategy,
             dissemination=scenario.dissemination,
             bandwidth=None if scenario.bandwidth == UNLIMITED else float(scenario.bandwidth),
-            reach_cells=range_m / cell,
+            reach_cells=radio.range_cells,
             polygons=asdict(scenario.polygons),
             predictive=asdict(scenario.predictive),
             options=scenario.options,
-            resolution=cell,
+            resolution=world_map.resolution,
             radii_cells=[body.radius_cells for body in bodies],
-            field_of_view=bodies[number].field_of_view,
-            scanner_turn=bodies[number].scanner_turn,
+            field_of_view=body.field_of_view,
+            scanner_turn=body.scanner_turn,
             forward_maps=scenario.forward_maps,
             requires_acks=not radio.perfect or (radio.gossip and faults.deafen(scenario.faults)),
             fastest_cells=max(body.speed for body in bodies),
             frame_bytes=radio.packet_bytes,
-            incarnations=incarnations,
+            incarnations=radio.incarnations,
             record_maps=record_maps,
         )
-        for number in range(scenario.robots)
+        for number, body in enumerate(bodies)
     }
-    return Plan(scenario, world_map, world, radio, robot_settings, range_m, incarnations)
 
 
 def least_range(radius_cells: float) -> float:
-    """Sensor range with which a disc sees all cells that its next step, a diagonal one, may touch; in cells.
+    """Return the sensor range, in cells, with which a disc sees all cells that its next step may touch.
 
-    It is 1 for robots so small that obstacles are not enlarged: they enter only cells that have been seen.
+    It is 1 for robots so small that obstacles are not enlarged: these enter only cells that they have seen.
     """
     touched = disc(radius_cells)
     from_middle = np.argwhere(touched) - len(touched) // 2
@@ -165,7 +184,7 @@ def least_range(radius_cells: float) -> float:
 
 
 def load_map(scenario: Scenario) -> Map:
-    """Load the scenario's map file, or make its generated map; ScenarioError says why not."""
+    """Load or generate the scenario's map; raise ScenarioError if that fails."""
     try:
         return find_map(scenario.map, scenario.map_seed, scenario.map_options)
     except MapError as error:
@@ -173,9 +192,9 @@ def load_map(scenario: Scenario) -> Map:
 
 
 def _starts(scenario: Scenario, world_map: Map, radii_cells: list[float]) -> list[Cell]:
-    """Where each robot starts: those of `starts` first, the others around `start`, or around a drawn cell."""
+    """Return each robot's start cell: `starts` first, the others around `start` or around a random cell."""
     floor = enlarge(world_map.cells, max(radii_cells))
-    apart = max(1, round(scenario.start_spacing / world_map.resolution), math.ceil(2 * max(radii_cells)))
+    spacing = max(1, round(scenario.start_spacing / world_map.resolution), math.ceil(2 * max(radii_cells)))
     jitter = scenario.start_jitter / world_map.resolution
     given: list[Cell] = []
     try:
@@ -186,15 +205,15 @@ def _starts(scenario: Scenario, world_map: Map, radii_cells: list[float]) -> lis
             check_free(own_floor, cell)
             if jitter:
                 near = max(1, math.ceil(radii_cells[robot] + max(radii_cells[:robot], default=0.0)))
-                cell = moved_about(own_floor, cell, jitter, scenario.seed, robot, given, near)
+                cell = jittered(own_floor, cell, jitter, scenario.seed, robot, given, near)
             given.append(cell)
         if first is not None and jitter:
-            first = moved_about(floor, first, jitter, scenario.seed, len(given), (), 0)
+            first = jittered(floor, first, jitter, scenario.seed, len(given), (), 0)
         _check_apart(scenario, given, radii_cells)
-        return start_cells(floor, scenario.robots, scenario.seed, apart, first, given)
+        return start_cells(floor, scenario.robots, scenario.seed, spacing, first, given)
     except ValueError as error:
         is_drawn = scenario.start is None and not scenario.starts
-        hint = "" if is_drawn else f"; murmur map show {scenario.map} draws where they can"
+        hint = "" if is_drawn else f"; murmur map show {scenario.map} shows free cells"
         raise ScenarioError(f"start on map {world_map.name}: {error}{hint}") from None
 
 
@@ -204,11 +223,11 @@ def _cell(world_map: Map, point: tuple[float, float]) -> Cell:
 
 
 def _check_apart(scenario: Scenario, given: list[Cell], radii_cells: list[float]) -> None:
-    """Raise ValueError if two robots that block each other would start in one place."""
+    """Raise ValueError if two robots that block each other would start in the same place."""
     for robot, (x, y) in enumerate(given if scenario.robots_collide else ()):
         for other, (other_x, other_y) in enumerate(given[:robot]):
             reach = max(1.0, radii_cells[robot] + radii_cells[other])
             if math.hypot(x - other_x, y - other_y) < reach:
                 raise ValueError(
-                    f"robots {other} and {robot} would start in one place, {scenario.starts[robot]}"
+                    f"robots {other} and {robot} would start in the same place, {scenario.starts[robot]}"
                 )

@@ -1,4 +1,4 @@
-"""A scenario: everything that determines a run's result, as TOML, checked before anything starts."""
+"""A scenario: all settings that determine the result of a run; read from TOML and validated before the run starts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from agent.encodings.polygon_options import PolygonOptions
 from agent.encodings.predictive_options import PredictiveOptions
 from deploy.scenario.finding_maps import FILES as MAP_FILES
 from deploy.scenario.tables import (
-    MOST_INTEGER,
+    MAX_INTEGER,
     UNLIMITED,
     Bandwidth,
     ChangeTable,
@@ -29,10 +29,11 @@ from deploy.scenario.tables import (
     RobotOverride,
     Table,
     Whole,
-    range_in_metres,
+    range_in_meters,
 )
 from netshaper.presets import PRESETS
 from netshaper.radio_options import Partition, RadioOptions
+from protocol.budget import Budget
 from protocol.errors import there_are
 from protocol.grid import MAX_ROBOTS
 from protocol.messages import Change, FaultEvent
@@ -40,13 +41,13 @@ from protocol.packets import MAX_GOSSIP_MAPS, MAX_MAPS
 from worldsim import faults
 
 SHIPPED = Path(__file__).with_name("shipped")
-"""Scenarios that are installed with the code; they can be given by name instead of a path."""
+"""Directory of the scenarios that are installed with the code; a file name alone can refer to one."""
 
 DEFAULT_STRATEGY = "repairmen"
 
 
 class ScenarioError(ValueError):
-    """A scenario that cannot be run: the message names each key, its value and what would be right."""
+    """An invalid scenario. The message has one line per error: the key, its value and the valid values."""
 
 
 class Scenario(Table):
@@ -55,68 +56,66 @@ class Scenario(Table):
     Raises
     ------
     ScenarioError
-        A key or value is wrong; all that are wrong are named.
+        Keys or values are wrong; the message lists all of them.
     """
 
     def __init__(self, **settings: Any) -> None:
         try:
             super().__init__(**settings)
         except ValidationError as error:
-            said = [_explain(item) for item in error.errors() if item["type"] != "default_factory_not_called"]
-            raise ScenarioError("\n".join(dict.fromkeys(said))) from None
+            errors = [item for item in error.errors() if item["type"] != "default_factory_not_called"]
+            raise ScenarioError("\n".join(dict.fromkeys(map(_explain, errors)))) from None
 
     map: str = Field("office", description="a map's YAML file, or the name of a generator (murmur map list)")
-    map_seed: Whole = Field(0, ge=0, le=MOST_INTEGER, description="seed of the generator")
+    map_seed: Whole = Field(0, ge=0, le=MAX_INTEGER, description="seed of the generator")
     map_options: dict[str, Meters] = Field(
         default_factory=dict, description="parameters of the generator: resolution, width_m, ..."
     )
-    robots: Whole = Field(3, ge=1, le=MAX_ROBOTS, description="how many robots explore")
-    range: Range = Field("100%", description="communication range: metres, or % of the map's diagonal")
+    robots: Whole = Field(3, ge=1, le=MAX_ROBOTS, description="number of robots")
+    range: Range = Field("100%", description="communication range: meters, or % of the map's diagonal")
     bandwidth: Bandwidth = Field(1000, description="bytes per step for the whole team")
     map_encoding: str = Field(
-        "predictive", description="how maps are encoded: polygons, scans, cells, predictive, none"
+        "predictive", description="map encoding: polygons, scans, cells, predictive, none"
     )
-    strategy: str = Field(
-        DEFAULT_STRATEGY, description="how targets are chosen (murmur strategies lists all)"
-    )
-    sensor_range: Positive = Field(5.0, description="range of the lasers, metres")
+    strategy: str = Field(DEFAULT_STRATEGY, description="exploration strategy (murmur strategies lists all)")
+    sensor_range: Positive = Field(5.0, description="laser range, meters")
     field_of_view: Degrees = Field(360.0, gt=0, description="degrees")
     scanner_turn: Degrees = Field(
         0.0, ge=0, description="degrees that scanners turn per step; 0: full view at once"
     )
     beams: Whole = Field(360, ge=4, le=3600, multiple_of=4, description="laser beams per full turn")
-    speed: Positive = Field(0.5, description="speed of the robots, metres per step")
-    seed: Whole = Field(0, ge=0, le=MOST_INTEGER, description="determines start poses and every random draw")
-    bus: Literal["zenoh", "memory"] = Field("zenoh", description="processes on Zenoh, or all in one process")
-    steps: Whole = Field(
-        10000, ge=1, le=MOST_INTEGER, description="the run ends after this many steps at the latest"
+    speed: Positive = Field(0.5, description="meters per step")
+    seed: Whole = Field(
+        0, ge=0, le=MAX_INTEGER, description="seed of the start poses and of all random draws"
     )
+    bus: Literal["zenoh", "memory"] = Field(
+        "zenoh", description="zenoh: one process per participant; memory: all in one process"
+    )
+    steps: Whole = Field(10000, ge=1, le=MAX_INTEGER, description="maximum number of steps")
     start: tuple[Meters, Meters] | None = Field(
-        None, description="metres in the map's frame; drawn from the seed if left out"
+        None, description="start position, meters in the map's frame; drawn from the seed by default"
     )
     starts: tuple[tuple[Meters, Meters], ...] = Field(
         (),
-        description="where the first robots start, one each, metres in the map's frame; the others around start",
+        description="start positions of the first robots, meters in the map's frame; the others start around start",
     )
-    start_jitter: NotNegative = Field(
-        0.0, description="metres that the seed moves start, or each of starts, at most"
-    )
-    motion: Literal["metres", "cells"] = Field(
-        "metres",
-        description="how a cell's way is counted: by its length, or one cell to any of eight neighbours",
+    start_jitter: NotNegative = Field(0.0, description="maximum random offset of the start positions, meters")
+    motion: Literal["meters", "cells"] = Field(
+        "meters",
+        description="length of a diagonal step: meters: sqrt 2 cells; cells: 1 cell",
     )
     robots_collide: Annotated[bool, Field(strict=True)] = Field(
-        True, description="whether robots block each other's way and laser"
+        True, description="whether robots block each other's paths and laser beams"
     )
-    radius: NotNegative = Field(0.0, description="metres; robots are discs, 0: points")
-    start_spacing: Positive = Field(0.3, description="metres between start poses")
+    radius: NotNegative = Field(0.0, description="radius of the robots, which are discs, meters; 0: points")
+    start_spacing: Positive = Field(0.3, description="minimum distance between start positions, meters")
     rounds: Whole = Field(2, ge=1, le=16, description="rounds of the medium per step (R)")
     dissemination: Literal["backoff", "thesis", "gossip"] = Field(
-        default_factory=lambda said: "gossip" if said.get("map_encoding") == "predictive" else "backoff",
-        description="when maps are offered, by default gossip with predictive, else backoff: backoff, thesis, gossip",
+        default_factory=lambda given: "gossip" if given.get("map_encoding") == "predictive" else "backoff",
+        description="when maps are offered (default gossip with predictive, else backoff): backoff, thesis, gossip",
     )
-    forward_maps: bool = Field(True, description="whether robots offer maps of others too", strict=True)
-    interference: NotNegative = Field(0.0, description="metres; nearer robots hinder each other")
+    forward_maps: bool = Field(True, description="whether robots also offer the maps of others", strict=True)
+    interference: NotNegative = Field(0.0, description="robots closer than this hinder each other, meters")
     polygons: PolygonOptions = Field(
         default_factory=PolygonOptions, description="options of the polygon encoding"
     )
@@ -126,26 +125,24 @@ class Scenario(Table):
     radio: RadioOptions = Field(default_factory=RadioOptions, description="options of the radio")
     options: dict[str, Any] = Field(default_factory=dict, description="options of the strategy, by name")
     reply_timeout_s: Positive = Field(
-        60.0, description="seconds of wall clock in which a robot must be done with a phase or a move"
+        60.0, description="time limit for a robot's reply or move, seconds of wall clock"
     )
     min_coverage: float = Field(
         0.9,
         ge=0,
         le=1,
-        description="part of the area that must have been seen for a run to count as finished",
+        description="fraction of the reachable area that a finished run must have seen",
     )
     robot: tuple[RobotOverride, ...] = Field((), description="robots with different hardware")
     fault: tuple[FaultTable, ...] = Field(
         (), description="faults of robots: breakdowns, restarts, radio failures"
     )
-    change: tuple[ChangeTable, ...] = Field(
-        (), description="when the radio's bandwidth or range become others"
-    )
+    change: tuple[ChangeTable, ...] = Field((), description="changes of the radio's bandwidth or range")
 
     @model_validator(mode="before")
     @classmethod
     def _take_preset(cls, data: Any) -> Any:
-        """What a preset says of the radio, where the scenario does not say it itself."""
+        """Fill in the radio preset's values where the scenario does not give its own."""
         radio = data.get("radio") if isinstance(data, dict) else None
         if not isinstance(radio, dict) or not radio.get("preset"):
             return data
@@ -158,22 +155,19 @@ class Scenario(Table):
 
     @model_validator(mode="before")
     @classmethod
-    def _doubt_openings(cls, data: Any) -> Any:
-        """Whether walls of outlines are wide that a robot has seen itself, where the scenario does not say it itself.
-
-        To a strategy that looks at crumbs from afar it is cheap to find out.
-        """
+    def _choose_wide_seen_walls(cls, data: Any) -> Any:
+        """Set the default of `polygons.wide_seen_walls`: false if the strategy observes from a distance."""
         if not isinstance(data, dict) or data.get("map_encoding") != "polygons":
             return data
         polygon = data.get("polygons", {})
         if not isinstance(polygon, dict) or "wide_seen_walls" in polygon:
             return data
-        from agent.strategies.registry import strategy  # noqa: PLC0415  kernels, of which help needs none
+        from agent.strategies.registry import strategy  # noqa: PLC0415  loads kernels, which --help does not need
 
         try:
             chosen = strategy(str(data.get("strategy", DEFAULT_STRATEGY)))
         except ValueError:
-            return data  # `_fits_together` says why
+            return data  # `_fits_together` reports the error
         if not chosen.observes_from_distance:
             return data
         return data | {"polygons": polygon | {"wide_seen_walls": False}}
@@ -189,13 +183,13 @@ class Scenario(Table):
             "change": ChangeTable,
         }
         kind = kinds[str(info.field_name)]
-        hint = "; how many robots explore is `robots`" if info.field_name == "robot" else ""
+        hint = "; number of robots is `robots`" if info.field_name == "robot" else ""
         raise ValueError(f"must be tables, [[{info.field_name}]], of {', '.join(kind.model_fields)}{hint}")
 
     @field_validator("map_encoding")
     @classmethod
     def _encoding_is_known(cls, value: str) -> str:
-        from agent.encodings.catalog import encoding_class  # noqa: PLC0415  arrays, of which help needs none
+        from agent.encodings.catalog import encoding_class  # noqa: PLC0415  loads numpy, which --help does not need
 
         encoding_class(value)
         return value
@@ -204,35 +198,35 @@ class Scenario(Table):
     @classmethod
     def _options_are_plain(cls, value: dict[str, Any]) -> dict[str, Any]:
         for name, option in value.items():
-            if isinstance(option, int | float) and not abs(option) <= MOST_INTEGER:
-                raise ValueError(f"{name} must lie between -{MOST_INTEGER} and {MOST_INTEGER}")
+            if isinstance(option, int | float) and not abs(option) <= MAX_INTEGER:
+                raise ValueError(f"{name} must lie between -{MAX_INTEGER} and {MAX_INTEGER}")
         return value
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
-        from agent.strategies.registry import strategy  # noqa: PLC0415  kernels, of which help needs none
+        from agent.strategies.registry import strategy  # noqa: PLC0415  loads kernels, which --help does not need
 
         strategy(self.strategy).check(self.options)
         if self.robots > self.most_maps and self.map_encoding != "none":
             raise ValueError(
-                f"robots = {self.robots}: packets can name the maps of {self.most_maps} robots; "
-                "more need dissemination = 'gossip', or map_encoding = 'none'"
+                f"robots = {self.robots}: packets can address the maps of {self.most_maps} robots; "
+                "for more, set dissemination = 'gossip' or map_encoding = 'none'"
             )
         if not self.forward_maps and self.dissemination == "gossip":
             raise ValueError(
-                "forward_maps = false: with dissemination = 'gossip' whoever is nearest passes maps on; leave one out"
+                "forward_maps = false: dissemination = 'gossip' forwards all maps; omit one of them"
             )
         for partition in self.radio.partition:
-            strange = [robot for group in partition.groups for robot in group if robot >= self.robots]
-            if strange:
+            unknown = [robot for group in partition.groups for robot in group if robot >= self.robots]
+            if unknown:
                 raise ValueError(
-                    f"[[radio.partition]] speaks of robot {strange[0]}; the last one is {self.robots - 1}"
+                    f"[[radio.partition]] names robot {unknown[0]}; the last one is {self.robots - 1}"
                 )
         bandwidths = [self.bandwidth, *(change.bandwidth for change in self.change)]
         if self.radio.duty_cycle < 1 and UNLIMITED in bandwidths:
-            raise ValueError("radio.duty_cycle: is a share of the bandwidth, which must not be unlimited")
+            raise ValueError("radio.duty_cycle: is a share of the bandwidth, which must be limited then")
         if self.start_jitter and self.start is None and not self.starts:
-            raise ValueError("start_jitter moves a start about: give `start`, or `starts`")
+            raise ValueError("start_jitter: offsets a given start position: set start or starts")
         numbers = [entry.robot for entry in self.robot]
         for number in numbers:
             if number >= self.robots:
@@ -249,22 +243,22 @@ class Scenario(Table):
         return tuple(sorted(fault.event for fault in self.fault))
 
     def range_m(self, diagonal_m: float) -> float:
-        """Communication range in metres on a map with such a diagonal."""
-        return range_in_metres(self.range, diagonal_m)
+        """Return the communication range in meters, on a map with this diagonal in meters."""
+        return range_in_meters(self.range, diagonal_m)
 
     def changes(self, diagonal_m: float) -> tuple[Change, ...]:
-        """The changes of the radio, as the relay is told them."""
+        """Return the changes of the radio by step, in the form of messages; `diagonal_m` is the map's, in meters."""
         return tuple(
             Change(
                 each.step,
-                -2 if each.bandwidth is None else -1 if each.bandwidth == UNLIMITED else int(each.bandwidth),
-                -1 if each.range is None else round(1000 * range_in_metres(each.range, diagonal_m)),
+                None if each.bandwidth is None else Budget.parse(each.bandwidth),
+                None if each.range is None else round(1000 * range_in_meters(each.range, diagonal_m)),
             )
             for each in sorted(self.change, key=lambda each: each.step)
         )
 
     def body_of(self, number: int) -> RobotOverride:
-        """The hardware of one robot, with all values filled in."""
+        """Return the hardware of one robot, with all values filled in."""
         own = next((entry for entry in self.robot if entry.robot == number), RobotOverride(robot=number))
         return RobotOverride(
             robot=number,
@@ -279,29 +273,29 @@ class Scenario(Table):
 
     @property
     def most_maps(self) -> int:
-        """Maps that packets can name: offers have fewer bits for it than gossip."""
+        """Number of maps that packets can address; offers have fewer bits for the map than gossip packets."""
         return MAX_GOSSIP_MAPS if self.dissemination == "gossip" else MAX_MAPS
 
     def to_toml(self) -> str:
-        """The scenario as TOML, every setting written out."""
+        """Return the scenario as TOML, with all settings."""
         return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
 
 
 def check_incarnations(scenario: Scenario, incarnations: int) -> None:
-    """Raise ScenarioError if packets cannot name the maps of robots that begin so often (`agent.identity`)."""
+    """Raise ScenarioError if packets cannot address one map per start of each robot (`agent.identity`)."""
     most = scenario.most_maps
     if scenario.map_encoding != "none" and scenario.robots * incarnations > most:
         raise ScenarioError(
-            f"robots = {scenario.robots}: packets can name {most} maps, one a life of each robot; so "
-            f"{scenario.robots} robots can begin {most // scenario.robots} times each, not {incarnations} times"
+            f"robots = {scenario.robots}: packets can address {most} maps, one per start of each robot; "
+            f"{scenario.robots} robots can start {most // scenario.robots} times each, not {incarnations} times"
         )
 
 
 def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
     """Read a scenario file (None: only defaults) and apply the overrides that are not None.
 
-    Where there is no such file, a plain name is that of a shipped scenario. A map named in a file is looked
-    for beside that file. An override of ``table.key`` leaves the table's other keys as they are.
+    A file name alone that does not exist refers to a shipped scenario. The path of a map is relative to the file
+    that names it. An override of ``table.key`` leaves the table's other keys as they are.
 
     Raises
     ------
@@ -314,37 +308,37 @@ def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
         if "map" in data:
             data["map"] = beside(path, data["map"])
     if overrides.get("radio.preset"):
-        _leave_to_preset(data)
-    _lay_over(data, overrides)
+        _remove_preset_keys(data)
+    _apply_overrides(data, overrides)
     where = f"scenario {path}" if path is not None else "scenario"
     return parse(data, where)
 
 
-def _leave_to_preset(data: dict[str, Any]) -> None:
-    """Take out of a file's settings what the preset says that is asked for instead."""
+def _remove_preset_keys(data: dict[str, Any]) -> None:
+    """Remove the settings that a radio preset from the overrides replaces."""
     for key in ("bandwidth", "range"):
         data.pop(key, None)
     if isinstance(data.get("radio"), dict):
         data["radio"] = {key: value for key, value in data["radio"].items() if key != "frame_bytes"}
 
 
-def _lay_over(data: dict[str, Any], overrides: dict[str, Any]) -> None:
-    """Replace what the overrides set; of tables only the keys that they name (``polygons.lazy``)."""
+def _apply_overrides(data: dict[str, Any], overrides: dict[str, Any]) -> None:
+    """Replace the settings that the overrides give; ``table.key`` replaces one key of a table."""
     for key, value in overrides.items():
         table, _, inner = key.partition(".")
         if value is None:
             continue
         if inner and isinstance(data.get(table, {}), dict):
             data[table] = dict(data.get(table, {}))
-            _lay_over(data[table], {inner: value})
+            _apply_overrides(data[table], {inner: value})
         else:
             data[key] = value
 
 
 def read_toml(path: Path, kind: str, shipped: Path | None = None) -> tuple[Path, dict[str, Any]]:
-    """Read the file of a scenario or of an experiment (`kind`); return its path and its content.
+    """Read a TOML file; return its path and its content. Error messages name its `kind`, for example a scenario.
 
-    If there is no such file, a plain name refers to one in the directory `shipped`, if there is such a directory.
+    A file name alone that does not exist refers to a file in the directory `shipped`, if that is given.
 
     Raises
     ------
@@ -361,8 +355,8 @@ def read_toml(path: Path, kind: str, shipped: Path | None = None) -> tuple[Path,
         raise ScenarioError(f"{kind} {path}: is nested too deeply") from None
     except FileNotFoundError:
         names = [file.name for file in shipped.glob("*.toml")] if shipped else []
-        others = f", and none of the shipped ones; {there_are(sorted(names), path.name)}" if names else ""
-        setting = f"; a setting is given as --set {path}" if "=" in path.name else ""
+        others = f", and no shipped {kind}; {there_are(sorted(names), path.name)}" if names else ""
+        setting = f"; to change a setting: --set {path}" if "=" in path.name else ""
         raise ScenarioError(f"{kind} {path}: no such file{others}{setting}") from None
     except OSError as error:
         raise ScenarioError(f"{kind} {path}: {error.strerror or error}") from None
@@ -371,9 +365,9 @@ def read_toml(path: Path, kind: str, shipped: Path | None = None) -> tuple[Path,
 
 
 def beside(path: Path, named: Any) -> Any:
-    """The map that a file names; a generator's name stays.
+    """Return the path of the map `named` in the file `path`; the name of a generator is returned unchanged.
 
-    A YAML file is looked for beside that file, then in the folder that the environment variable MURMUR_MAPS names.
+    A map file is searched in the directory of `path`, then in the directory of the environment variable MURMUR_MAPS.
     """
     if not isinstance(named, str) or not named.endswith(MAP_FILES):
         return named
@@ -383,12 +377,12 @@ def beside(path: Path, named: Any) -> Any:
 
 
 def parse(data: dict[str, Any], where: str = "scenario") -> Scenario:
-    """Check a scenario given as a dictionary.
+    """Validate a scenario given as a dictionary; `where` begins each line of the error message.
 
     Raises
     ------
     ScenarioError
-        Keys or values are wrong; the message names all of them.
+        Keys or values are wrong; the message lists all of them.
     """
     try:
         return Scenario(**data)
@@ -406,10 +400,10 @@ _KEYS = {
     "radio": [field.name for field in fields(RadioOptions)],
     "radio.partition": [field.name for field in fields(Partition)],
 }
-"""What may be set in each table."""
+"""The valid keys of each table."""
 
 
-_WORDS = {
+_WORDING = {
     "Input should be": "must be",
     "a valid integer": "a whole number",
     "a valid number": "a number",
@@ -418,18 +412,19 @@ _WORDS = {
     "a valid dictionary": "a table",
     "a valid tuple": "a list",
 }
-"""What the checking library says, and how we say it."""
+"""Phrases of pydantic's messages, and our replacements."""
 
 
 def _explain(item: Any) -> str:
+    """Return one of pydantic's errors as a line: the key, its value and the valid values."""
     key = ".".join(str(part) for part in item["loc"] if part not in ("int", "literal['unlimited']"))
     message = str(item["msg"]).removeprefix("Value error, ")
-    for theirs, ours in _WORDS.items():
+    for theirs, ours in _WORDING.items():
         message = message.replace(theirs, ours)
     message = re.sub(r"a dictionary or an instance of \w+", "a table", message)
     if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         table = ".".join(str(part) for part in item["loc"][:-1] if isinstance(part, str))
-        return f"{key} is no setting; {there_are(_KEYS[table], str(item['loc'][-1]))}"
+        return f"{key}: unknown setting; {there_are(_KEYS[table], str(item['loc'][-1]))}"
     if item["type"] == "missing":
         return f"{key} is missing"
     return f"{key} = {item['input']!r}: {message}" if key else message

@@ -1,4 +1,4 @@
-"""The thesis, pure: what of the defaults is not in it, and how a scenario goes without."""
+"""Settings for the thesis' plain rules, without our improvements of them."""
 
 from __future__ import annotations
 
@@ -11,43 +11,43 @@ from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load, rea
 
 ENCODING, DISSEMINATIONS, STRATEGY = "polygons", "thesis", "meier"
 
-NOT_IN_IT: dict[str, dict[str, Any]] = {"meier": {"herding": False}}
-"""Options of strategies that take away what the thesis does not have: the rule against herding is ours."""
+PLAIN_OPTIONS: dict[str, dict[str, Any]] = {"meier": {"herding": False}}
+"""Strategy options that switch off our additions: the rule against herding is not in the thesis."""
 
 
 def thesis_settings(strategy: str = STRATEGY) -> dict[str, Any]:
-    """Settings with which a scenario goes by the thesis' plain rules, as `deploy.scenario.scenario.load` takes them.
+    """Return the settings for the thesis' plain rules, as overrides for `deploy.scenario.scenario.load`.
 
-    `strategy` is the one that is asked for; the thesis' own if none is.
+    `strategy` defaults to the thesis' own.
     """
     ours = asdict(PolygonOptions())
     plain = {name: value for name, value in asdict(THESIS_OPTIONS).items() if value != ours[name]}
     return (
         {"map_encoding": ENCODING, "dissemination": DISSEMINATIONS, "strategy": strategy}
         | {f"polygons.{name}": value for name, value in plain.items()}
-        | {f"options.{name}": value for name, value in NOT_IN_IT.get(strategy, {}).items()}
+        | {f"options.{name}": value for name, value in PLAIN_OPTIONS.get(strategy, {}).items()}
     )
 
 
 def load_by_thesis(path: Path | None, overrides: dict[str, Any]) -> Scenario:
-    """As `deploy.scenario.scenario.load`, by the thesis' plain rules where no override says otherwise.
+    """Load a scenario as `deploy.scenario.scenario.load` does, with the thesis' plain rules as further overrides.
 
-    A strategy that the file asks for stays.
+    The given overrides take precedence, and so does the file's strategy.
     """
-    said = {} if path is None else read_toml(path, "scenario", SHIPPED)[1]
+    in_file = {} if path is None else read_toml(path, "scenario", SHIPPED)[1]
     given = {name: value for name, value in overrides.items() if value is not None}
     own = {*given, *(f"options.{name}" for name in given.get("options", {}))}
-    plain = thesis_settings(str(given.get("strategy", said.get("strategy", STRATEGY))))
+    plain = thesis_settings(str(given.get("strategy", in_file.get("strategy", STRATEGY))))
     return load(path, given | {name: value for name, value in plain.items() if name not in own})
 
 
 def with_thesis(data: dict[str, Any], where: str) -> dict[str, Any]:
-    """Settings of which ``thesis = true`` asks for the thesis' plain rules; what they say themselves stays.
+    """Replace ``thesis = true`` by the thesis' plain rules; settings that `data` gives itself take precedence.
 
     Raises
     ------
     ScenarioError
-        `thesis` is neither true nor false; `where` names the settings.
+        `thesis` is neither true nor false; the message begins with `where`.
     """
     asked, data = data.get("thesis", False), {key: value for key, value in data.items() if key != "thesis"}
     if not isinstance(asked, bool):

@@ -51,4 +51,4 @@ def test_outlines_tell_place_object_and_kind_of_every_vertex() -> None:
     assert (rows[above, 2] == 1).all()  # a quarter of a cell below the centre of row 0, towards the free cell
     assert ((rows[:, 3] & 1) == polygons.occupied).all()
     assert (rows[:, 3] >> 1 == 1).all()
-    assert outline_bytes(Polygons.nothing((5, 7))) == b""
+    assert outline_bytes(Polygons.empty((5, 7))) == b""

@@ -13,8 +13,8 @@ from deploy.after.wireshark import install as wireshark
 from deploy.commands import main
 from deploy.run.exploration import Result, explore
 from deploy.scenario.scenario import parse
-from netshaper.capture import FRAMES, VERDICTS
-from netshaper.ledger import CAUSES
+from netshaper.capture import VERDICTS
+from netshaper.ledger import CAUSES, FRAMES
 from protocol.packets import ALL_KINDS, LAYOUTS, Offer, decode
 
 

@@ -19,10 +19,20 @@ import pyarrow.parquet
 import pytest
 
 from deploy.record import run_directory
-from netshaper.capture import FRAMES
+from netshaper.ledger import FRAMES
 from protocol.messages import Replies
 from tests.capture.sniffer import BUFFER, SO_RCVBUFFORCE
-from tests.capture.traffic import DOWN, PHASES, UP, Said, Traffic, Words, frames, in_exchanges, passed_on
+from tests.capture.traffic import (
+    DOWN,
+    PHASES,
+    UP,
+    CapturedFrame,
+    Traffic,
+    frames,
+    frames_of,
+    in_exchanges,
+    passed_on,
+)
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -64,7 +74,7 @@ def traffic(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 
 @pytest.fixture(scope="module")
-def said(traffic: Traffic) -> list[Said]:
+def said(traffic: Traffic) -> list[CapturedFrame]:
     return frames(traffic.run)
 
 
@@ -126,65 +136,61 @@ def test_no_connection_carries_what_is_not_its_owners(traffic: Traffic) -> None:
 
 
 def test_the_relay_got_what_each_robot_said_in_order_and_booked_every_byte(
-    traffic: Traffic, said: list[Said]
+    traffic: Traffic, said: list[CapturedFrame]
 ) -> None:
     for robot in traffic.robots:
-        words = traffic.of(f"r{robot}").words()
+        words = traffic.of(f"r{robot}").submitted()
         for (step, round_number), booked in in_exchanges([frame for frame in said if frame.sender == robot]):
             opening = words.pop((step, round_number, "offers"))
             firsts = [frame for frame in booked if FRAMES[frame.frame] in ("broadcast", "offer")]
             # The relay has an order of its own for offers.
-            assert sorted(map(_said, firsts)) == sorted(_put(opening))
+            assert sorted(map(_said, firsts)) == sorted(frames_of(opening))
             for phase, name in (("answer", "answers"), ("data", "data")):
                 these = [frame for frame in booked if FRAMES[frame.frame] == phase]
                 asked = words.pop((step, round_number, name), None)
                 if asked is None:
                     assert all(_is_beforehand(frame, opening.replies) for frame in these)
                     continue
-                for frame, (receiver, payload) in zip(these, _put(asked), strict=True):
+                for frame, (receiver, payload) in zip(these, frames_of(asked), strict=True):
                     assert receiver == _receiver(frame)
                     assert frame.is_payload(payload), (frame, payload.hex())
-        assert not any(left.frames for left in words.values()), f"r{robot} said frames that nobody booked"
+        assert not any(frames_of(left) for left in words.values()), f"r{robot} said frames that nobody booked"
 
 
 def test_a_robot_hands_over_beforehand_what_it_is_rarely_asked_for(traffic: Traffic) -> None:
     for robot in traffic.robots:
-        phases = Counter(phase for _, _, phase in traffic.of(f"r{robot}").words())
+        phases = Counter(phase for _, _, phase in traffic.of(f"r{robot}").submitted())
         assert phases["offers"] > phases["answers"] + phases["data"]
 
 
-def _put(words: Words) -> list[tuple[str, bytes]]:
-    return [("all" if to < 0 else f"r{to}", payload) for to, payload in words.puts()]
-
-
-def _receiver(frame: Said) -> str:
+def _receiver(frame: CapturedFrame) -> str:
     return "all" if frame.receiver < 0 else f"r{frame.receiver}"
 
 
-def _said(frame: Said) -> tuple[str, bytes]:
+def _said(frame: CapturedFrame) -> tuple[str, bytes]:
     assert frame.is_payload(frame.known)
     return _receiver(frame), frame.known
 
 
-def _is_beforehand(frame: Said, replies: Replies) -> bool:
+def _is_beforehand(frame: CapturedFrame, replies: Replies) -> bool:
     """Whether a robot has handed the frame over with its offers; data may go no further than there was room."""
     if FRAMES[frame.frame] == "answer":
-        return frame.known in (*replies.answers, replies.decline)
+        return frame.known in (*(reply.answer for reply in replies.offers), replies.decline)
     return any(frame.size <= len(load) and load.startswith(frame.known) for load in replies.loads)
 
 
 def test_each_robot_got_what_was_carried_to_it_in_order_and_nothing_else(
-    traffic: Traffic, said: list[Said]
+    traffic: Traffic, said: list[CapturedFrame]
 ) -> None:
     for robot in traffic.robots:
         assert traffic.of(f"r{robot}").radio(DOWN) == passed_on(said, robot)
 
 
-def test_what_the_wire_carried_is_what_the_ledger_books(traffic: Traffic, said: list[Said]) -> None:
+def test_what_the_wire_carried_is_what_the_ledger_books(traffic: Traffic, said: list[CapturedFrame]) -> None:
     ledger = pyarrow.parquet.read_table(traffic.run / run_directory.LEDGER).to_pylist()
-    words = {robot: traffic.of(f"r{robot}").words() for robot in traffic.robots}
+    words = {robot: traffic.of(f"r{robot}").submitted() for robot in traffic.robots}
     asked = sum(
-        len(payload) for these in words.values() for each in these.values() for payload in each.frames
+        len(payload) for these in words.values() for each in these.values() for _, payload in frames_of(each)
     )
     phases = dict(zip(PHASES, ("offers", "offers", "answers", "data"), strict=True))
     beforehand = sum(
@@ -200,11 +206,13 @@ def test_what_the_wire_carried_is_what_the_ledger_books(traffic: Traffic, said: 
         if not row["carried"] and row["frame"] in PHASES[1:3] and row["cause"] == "budget"
     ]
     assert asked + beforehand == sum(row["bytes"] for row in ledger)
-    assert down == sum(row["bytes"] * row["heard"] for row in carried) + sum(row["bytes"] for row in told)
+    assert down == sum(row["bytes"] * row["received_by"] for row in carried) + sum(row["bytes"] for row in told)
     assert sum(frame.carried for frame in said) == sum(row["bytes"] for row in carried) > 0
 
 
-def test_long_messages_travel_in_fragments_and_are_put_together(traffic: Traffic, said: list[Said]) -> None:
+def test_long_messages_travel_in_fragments_and_are_put_together(
+    traffic: Traffic, said: list[CapturedFrame]
+) -> None:
     longest = max(frame.carried for frame in said)
     fragmented = sum(traffic.of(f"r{robot}").session.fragmented for robot in traffic.robots)
     maps = len(traffic.robots)

@@ -12,17 +12,25 @@ from typing import Any
 
 from deploy.record import run_directory
 from netshaper import capture
-from netshaper.capture import FRAMES, Captured
-from netshaper.ledger import EVERYONE
+from netshaper.capture import Captured
+from netshaper.ledger import EVERYONE, FRAMES
 from netshaper.pcapng import Reader
-from protocol.messages import Said as Words
-from protocol.messages import unpack
+from protocol.messages import RobotFrames, unpack
 from tests.capture.sniffer import Segment, Strangers, Stream, segments
 from tests.capture.zenoh_wire import Session
 
 UP, DOWN = 0, 1
 PHASES = tuple(FRAMES.index(name) for name in ("broadcast", "offer", "answer", "data"))
 """The frames of an exchange in the order in which they are said."""
+
+
+def frames_of(message: RobotFrames) -> list[tuple[str, bytes]]:
+    """All frames of a message in order, each with its receiver."""
+    broadcast = [("all", message.broadcast)] if message.broadcast else []
+    named = [
+        ("all" if frame.receiver < 0 else f"r{frame.receiver}", frame.payload) for frame in message.frames
+    ]
+    return broadcast + named
 
 
 @dataclass
@@ -48,20 +56,21 @@ class Connection:
                 self.told[way].append((message.kind, key))
 
     def radio(self, way: int) -> list[tuple[str, bytes]]:
-        """The frames of what was put under a radio key: (who is at their other end, payload)."""
-        found = []
-        for key, payload in self.puts[way]:
-            if key.startswith("radio/"):
-                said = unpack(payload)
-                ends = said.receivers if way == UP else said.senders
-                names = ["all" if end < 0 else f"r{end}" for end in ends]
-                found += zip(names, said.frames, strict=True)
-        return found
+        """The frames of what was put under a radio key: (the robot at their other end, payload)."""
+        messages = [unpack(payload) for key, payload in self.puts[way] if key.startswith("radio/")]
+        if way == UP:
+            return [frame for message in messages for frame in frames_of(message)]
+        return [
+            (f"r{each.sender}", each.payload)
+            for update in messages
+            for event in update.events
+            for each in getattr(event, "deliveries", ())
+        ]
 
-    def words(self) -> dict[tuple[int, int, str], Words]:
-        """What a robot said to the relay, by step, exchange and phase."""
-        said = (unpack(payload) for key, payload in self.puts[UP] if key.startswith("radio/"))
-        return {(each.step, each.round, each.phase): each for each in said}
+    def submitted(self) -> dict[tuple[int, int, str], RobotFrames]:
+        """All frames that a robot sent to the relay, by step, round and phase."""
+        messages = (unpack(payload) for key, payload in self.puts[UP] if key.startswith("radio/"))
+        return {(each.step, each.round, each.phase): each for each in messages}
 
     @property
     def bytes(self) -> int:
@@ -117,14 +126,14 @@ class Traffic:
 
 
 @dataclass(frozen=True)
-class Said:
+class CapturedFrame:
     """A frame as the capture has it, its parts put together.
 
     `known` is what was kept of its bytes: at least all that was carried.
     """
 
     step: int
-    round_number: int
+    round: int
     frame: int
     sender: int
     receiver: int
@@ -138,7 +147,7 @@ class Said:
         return len(payload) == self.size and payload.startswith(self.known)
 
 
-def frames(run: Path) -> list[Said]:
+def frames(run: Path) -> list[CapturedFrame]:
     """All frames of a capture, in its order."""
     with (run / run_directory.CAPTURE).open("rb") as file:
         captured = list(capture.read(Reader(file)))
@@ -157,10 +166,10 @@ def _identity(captured: list[Captured]) -> Any:
     return key
 
 
-def _together(parts: list[Captured]) -> Said:
+def _together(parts: list[Captured]) -> CapturedFrame:
     first = parts[0]
     heard = {robot for part in parts for robot in capture.hearers(part.seen)}
-    return Said(
+    return CapturedFrame(
         first.step,
         first.seen.round,
         first.seen.frame,
@@ -173,20 +182,20 @@ def _together(parts: list[Captured]) -> Said:
     )
 
 
-def in_phases(said: list[Said]) -> Iterator[tuple[int, list[Said]]]:
+def in_phases(said: list[CapturedFrame]) -> Iterator[tuple[int, list[CapturedFrame]]]:
     """Yield the frames phase by phase, as they are said and passed on: (which frame, those of that phase)."""
     for _, round_number in in_exchanges(said):
         for phase in PHASES:
             yield phase, [frame for frame in round_number if frame.frame == phase]
 
 
-def in_exchanges(said: list[Said]) -> Iterator[tuple[tuple[int, int], list[Said]]]:
+def in_exchanges(said: list[CapturedFrame]) -> Iterator[tuple[tuple[int, int], list[CapturedFrame]]]:
     """Yield the frames exchange by exchange, with its step and number."""
     for name, round_number in groupby(said, lambda frame: (frame.step, frame.round)):
         yield name, list(round_number)
 
 
-def passed_on(said: list[Said], robot: int) -> list[tuple[str, bytes]]:
+def passed_on(said: list[CapturedFrame], robot: int) -> list[tuple[str, bytes]]:
     """What a robot must have been handed, in order, as (sender, payload).
 
     Offers and answers are handed on before the connections are played, so also those that are cut then; of

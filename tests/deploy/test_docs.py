@@ -16,16 +16,15 @@ from msgspec.structs import replace
 from agent.encodings.catalog import ENCODINGS
 from agent.encodings.polygon_options import THESIS_OPTIONS, PolygonOptions
 from agent.encodings.predictive import PredictiveEncoding
-from agent.exchange.connection import TRANSITIONS, State
-from agent.exchange.distribution import DISSEMINATIONS
-from agent.exchange.gossip import Gossip
-from agent.exchange.session import Session
 from agent.outline.approximation import approximation, repair
 from agent.outline.contour import contours
-from agent.outline.edits import Held, edit_script
+from agent.outline.edits import NumberedPolygons
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
 from agent.predictive.scan_updates import MAX_SCANS
+from agent.replication import connection, meetings
+from agent.replication.engine import Replication
+from agent.replication.policies import DISSEMINATIONS
 from agent.settings import Settings
 from deploy.run.exploration import explore
 from deploy.run.in_memory import run as run_in_memory
@@ -38,9 +37,10 @@ from netshaper.presets import PRESETS
 from protocol import messages, packet_index, packets
 from protocol.grid import MAX_ROBOTS, MAX_SIDE, UNKNOWN, Grid, ray_table
 from protocol.keys import Keys
-from protocol.messages import Outcome
+from protocol.messages import Delivery, RoundReport, SendReport
 from protocol.rights import RIGHTS
 from protocol.scans import Scan, draw, encode_scan, fragments
+from tests.agent.outline.edit_scripts import edit_script
 from worldsim.laser import cast
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -80,9 +80,9 @@ def knowledge() -> Iterator[Grid]:
         yield np.array([["?.#".index(cell) for cell in line] for line in column], np.uint8)
 
 
-def scripts() -> Iterator[tuple[list[packets.Edit], Held]]:
+def scripts() -> Iterator[tuple[list[packets.Edit], NumberedPolygons]]:
     """The edit scripts of the worked example, and what is held after each."""
-    held = Held.nothing((5, 6))
+    held = NumberedPolygons.empty((5, 6))
     for grid in knowledge():
         exact = contours(grid, (1, 1))
         marks = refine(exact, repair(held.polygons, exact))
@@ -98,6 +98,10 @@ def told(*buffers: bytes) -> list[str]:
     ]
 
 
+def replication(robot: int, robots: int, dissemination: str = "backoff") -> Replication:
+    return Replication(robot, robots, lambda *received: packet_index.ends(received[-1]), dissemination)
+
+
 def worked_example() -> str:
     """An object that emerges, is changed, and is removed; three save points; then how they travel."""
     lines = []
@@ -105,32 +109,35 @@ def worked_example() -> str:
     for step, (said, _) in enumerate(scripts(), 1):
         lines += [f"# step {step}", *told(packets.encode(said))]
         units += [packets.encode([packet]) for packet in said]
-    sender, receiver = Session(0, 2), Session(1, 2)
-    sender.record(units)
-    ((_, _, offer),) = sender.offers(0, [1], None)
-    receiver.offers(0, [0], None)
-    ((_, _, answer),) = receiver.answers([(0, 0, offer)])
-    ((_, _, data),) = sender.data([(0, 1, 0, answer)])
-    assert data == b"".join(units)
-    lines += ["# robot 0 to robot 1: news of map 0", *told(offer)]
-    lines += ["# robot 1 to robot 0: I hold nothing of it yet", *told(answer)]
-    lines += [f"# robot 0 to robot 1: the {len(units)} packets above, {len(data)} bytes"]
+    sender, receiver = replication(0, 2), replication(1, 2)
+    sender.append(units)
+    (offer,) = sender.open_round(0, [1], None)
+    receiver.open_round(0, [0], None)
+    (answer,) = receiver.answer([Delivery(0, offer.payload, 0)])
+    (data,) = sender.send_data([Delivery(1, answer.payload, 0, 0)])
+    assert data.payload == b"".join(units)
+    lines += ["# robot 0 to robot 1: news of map 0", *told(offer.payload)]
+    lines += ["# robot 1 to robot 0: I hold nothing of it yet", *told(answer.payload)]
+    lines += [f"# robot 0 to robot 1: the {len(units)} packets above, {len(data.payload)} bytes"]
     return "\n".join(lines) + "\n"
 
 
 def block_example() -> str:
     """A receiver that holds more than the sender knows of, and one that is told the same by two."""
-    sender, receiver = Session(0, 3), Session(1, 3)
+    sender, receiver = replication(0, 3), replication(1, 3)
     sender.logs[2].append(5000 * [packets.encode([packets.Save()])])
     receiver.logs[2].append(4200 * [packets.encode([packets.Save()])])
-    sender.offers(0, [1], None)
-    ((_, _, offer),) = sender.offers(1, [1], None)
-    ((_, _, answer), (_, _, decline)) = receiver.answers([(0, 0, offer), (1, 2, offer)])
-    ((_, _, data),) = sender.data([(0, 1, 2, answer)])
-    lines = ["# robot 0 to robot 1: news of map 2, of which I think that you hold nothing", *told(offer)]
-    lines += ["# robot 1 to robot 0: I hold 1 x 4096 + 104 units", *told(answer)]
-    lines += [f"# robot 0 to robot 1: units 4200 to 4999, {len(data)} bytes"]
-    lines += ["# robot 1 to another that offers map 2 in the same exchange", *told(decline)]
+    sender.open_round(0, [1], None)
+    (offer,) = sender.open_round(1, [1], None)
+    answer, decline = receiver.answer([Delivery(0, offer.payload, 0), Delivery(2, offer.payload, 1)])
+    (data,) = sender.send_data([Delivery(1, answer.payload, 0, 2)])
+    lines = [
+        "# robot 0 to robot 1: news of map 2, of which I think that you hold nothing",
+        *told(offer.payload),
+    ]
+    lines += ["# robot 1 to robot 0: I hold 1 x 4096 + 104 units", *told(answer.payload)]
+    lines += [f"# robot 0 to robot 1: units 4200 to 4999, {len(data.payload)} bytes"]
+    lines += ["# robot 1 to another that offers map 2 in the same exchange", *told(decline.payload)]
     return "\n".join(lines) + "\n"
 
 
@@ -155,7 +162,7 @@ def looks_example() -> str:
     )  # fmt: skip
     maker, gossip, hearer = (
         PredictiveEncoding(settings),
-        Gossip(0, 3),
+        replication(0, 3, "gossip"),
         PredictiveEncoding(replace(settings, robot=1)),
     )
     own, nobody, beams = (
@@ -168,9 +175,9 @@ def looks_example() -> str:
         readings = cast(truth, nobody, beams, x, 2)
         change = draw(own, beams, x, 2, readings)
         units = maker.encode_changes(own, Scan(x, 2, readings), change, delivered=True)
-        gossip.record(units)
-        ((_, _, frame),) = gossip.offers(0, peers, None)
-        assert not list(gossip.outcome(Outcome(1, 0, [-1], [0], [0], [len(frame)], [], False), []))
+        gossip.append(units)
+        frame = gossip.open_round(0, peers, None)[0].payload
+        assert not gossip.close_round(RoundReport(1, 0, [], [SendReport(0, len(frame))], [], False))
         hearer.apply(0, b"".join(units), step=1000, sender=0)
         assert (hearer.merge(np.zeros_like(own)) == own).all()
         known = int((own != UNKNOWN).sum())
@@ -251,20 +258,24 @@ def test_the_rooms_of_the_worked_example_are_drawn() -> None:
     assert HALL.strip("\n") in text
 
 
-def test_the_table_of_states_and_events_is_the_session_s() -> None:
-    told_of = {
-        (state, event, after)
-        for _, state, event, after, *_ in rows("replication.md", "The session: states and events")
+def test_the_transition_tables_are_those_that_the_code_runs_by() -> None:
+    handshakes = {(state, event, after) for _, state, event, after, _ in rows("replication.md", "Handshakes")}
+    assert handshakes == {
+        (str(state), event.name.lower().replace("_", " "), str(after))
+        for (state, event), after in connection.TRANSITIONS.items()
     }
-    assert told_of == {
-        (state.value, event.name.lower().replace("_", " "), after.value)
-        for (state, event), after in TRANSITIONS.items()
+    assert {tuple(row) for row in rows("replication.md", "Meetings")} == {
+        (str(state), event.name.lower().replace("_", " "), str(after))
+        for (state, event), after in meetings.TRANSITIONS.items()
+        if event is not meetings.Event.LEFT
     }
-    assert {state for row in told_of for state in (row[0], row[2])} == {state.value for state in State}
+    assert {after for (_, event), after in meetings.TRANSITIONS.items() if event is meetings.Event.LEFT} == {
+        "away"
+    }
 
 
-def test_offer_policies_are_all_described() -> None:
-    assert {row[0] for row in rows("replication.md", "When maps are offered")} == set(DISSEMINATIONS)
+def test_disseminations_are_all_described() -> None:
+    assert {row[0] for row in rows("replication.md", "Disseminations")} == set(DISSEMINATIONS)
 
 
 def test_messages_and_their_fields_are_all_there_in_their_order() -> None:

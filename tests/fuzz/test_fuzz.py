@@ -18,17 +18,16 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from agent.encodings.catalog import ENCODINGS, make_encoding
-from agent.exchange.gossip import Gossip
-from agent.exchange.session import Session
 from agent.identity import Identity
 from agent.journal import Journal, JournalError
 from agent.outline.receiver import Receiver
+from agent.replication.engine import Replication
 from agent.settings import Settings
 from deploy.scenario.scenario import ScenarioError, parse
 from protocol import packet_index, packets
 from protocol.errors import ProtocolError
 from protocol.keys import Keys
-from protocol.messages import Outcome, Record, unpack
+from protocol.messages import ConnectionReport, Delivery, Record, RoundReport, unpack
 from protocol.rights import RIGHTS, read
 from protocol.zenoh_bus import Credential
 from worldsim import maps
@@ -93,21 +92,21 @@ def take_units(data: bytes) -> None:
             continue
 
 
-def hear_in_session(data: bytes) -> None:
-    session = Session(1, 3, incarnations=2)
-    session.offers(0, [0, 2], None)
-    answered = session.answers([(0, 0, data)])
-    assert len(answered) == 1
-    session.outcome(Outcome(1, 0, [0], [2], [2], [0], [], broadcast=False), [])
+def engine(dissemination: str) -> Replication:
+    return Replication(1, 3, lambda *received: packet_index.ends(received[-1]), dissemination, incarnations=2)
 
 
-def hear_gossip(data: bytes) -> None:
-    gossip = Gossip(1, 3, incarnations=2)
-    gossip.offers(0, [0, 2], None)
-    for peer, map_id, frame in gossip.outcome(
-        Outcome(1, 0, [], [], [], [], [-1], broadcast=False), [(0, data)]
-    ):
-        gossip.accept(peer, map_id, frame, packet_index.ends(frame))
+def receive_offer(data: bytes) -> None:
+    replication = engine("backoff")
+    replication.open_round(0, [0, 2], None)
+    assert len(replication.answer([Delivery(0, data, 0)])) == 1
+    assert not replication.close_round(RoundReport(1, 0, [ConnectionReport(0, 2, 2, 0)], [], [], False))
+
+
+def receive_gossip(data: bytes) -> None:
+    replication = engine("gossip")
+    replication.open_round(0, [0, 2], None)
+    replication.close_round(RoundReport(1, 0, [], [], [Delivery(0, data)], False))
 
 
 def read_journal(data: bytes) -> None:
@@ -142,8 +141,8 @@ READERS: dict[Callable[[bytes], None], type[Exception]] = {
     read_as_anybody: ProtocolError,
     read_polygons: ProtocolError,
     take_units: ProtocolError,
-    hear_in_session: ProtocolError,
-    hear_gossip: ProtocolError,
+    receive_offer: ProtocolError,
+    receive_gossip: ProtocolError,
     read_journal: JournalError,
     read_scenario: ScenarioError,
     read_credential: ValueError,

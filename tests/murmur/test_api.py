@@ -34,7 +34,7 @@ def test_settings_may_be_named_in_the_call() -> None:
 @pytest.mark.parametrize("call", [lambda: Scenario(rnge=1), lambda: explore(rnge=1)])  # type: ignore[call-arg]
 def test_a_setting_that_there_is_not_is_named_with_the_one_that_was_meant(call: object) -> None:
     with pytest.raises(
-        ScenarioError, match=r"rnge is no setting; did you mean range or change\? There are: map,"
+        ScenarioError, match=r"rnge: unknown setting; did you mean range or change\? There are: map,"
     ):
         call()  # type: ignore[operator]
 

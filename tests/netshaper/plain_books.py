@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 
 from netshaper import pcapng
 from netshaper.capture import HEAD, KEPT, PART, VERSION, WIDE, WIDE_HEAD
-from netshaper.frame_log import LoggedFrame, hearers_of, in_words
+from netshaper.frame_log import LoggedFrame, comment, receivers_of
 from netshaper.ledger import KIND_NUMBER, MALFORMED, on_air
 from protocol import packets
 from protocol.errors import ProtocolError
@@ -21,7 +21,7 @@ def rows(step: int, seen: Iterable[LoggedFrame]) -> list[Row]:
     return [
         (
             step, each.round, each.connection, each.frame, each.sender, each.receiver, each.map, kind, number,
-            size, int(on_air(each.verdict)), each.verdict, each.hearers.bit_count(),
+            size, int(on_air(each.verdict)), each.verdict, each.receivers.bit_count(),
         )
         for each in seen
         for kind, number, size in counted(each.payload)
@@ -45,7 +45,7 @@ def blocks(step: int, seen: Iterable[LoggedFrame]) -> bytes:
     """The capture."""
     written: list[bytes] = []
     for each in seen:
-        words = in_words(each.verdict, each.receiver, tuple(hearers_of(each.hearers)), each.reason)
+        words = comment(each.verdict, each.receiver, tuple(receivers_of(each.receivers)), each.reason)
         for part, (kept, size) in enumerate(parts(each)):
             head = head_of(step, each, part)
             time = step * 1_000_000 + min(len(written), 999_999)
@@ -55,8 +55,8 @@ def blocks(step: int, seen: Iterable[LoggedFrame]) -> bytes:
 
 def head_of(step: int, seen: LoggedFrame, part: int) -> bytes:
     """The narrow head, where all robots' numbers fit into it."""
-    wide = max(seen.sender, seen.receiver, seen.map, seen.hearers.bit_length() - 1) >= 64
-    heard = seen.hearers.to_bytes(32, "big") if wide else seen.hearers
+    wide = max(seen.sender, seen.receiver, seen.map, seen.receivers.bit_length() - 1) >= 64
+    heard = seen.receivers.to_bytes(32, "big") if wide else seen.receivers
     return (WIDE_HEAD if wide else HEAD).pack(
         WIDE if wide else VERSION, seen.frame, seen.verdict, seen.round, seen.sender, seen.receiver, seen.map,
         part, step, seen.connection, heard,

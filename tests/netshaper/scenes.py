@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from netshaper.medium import UNLIMITED
-from netshaper.radio import RadioSettings
-from tests.netshaper.scripted_robots import Air, Gossiper, Liar, Mute, Robot, Step
+from netshaper.settings import RadioSettings
+from protocol.budget import UNLIMITED, Budget
+from tests.netshaper.network import Network, Step
+from tests.netshaper.scripted_robots import Gossiper, Liar, Mute, Robot
 
 seeds = st.integers(0, 2**32 - 1)
-budgets = st.sampled_from((0, 1, 2, 3, 5, 7, 20, 64, 150, 1000, UNLIMITED))
+budgets = st.sampled_from((*map(Budget, (0, 1, 2, 3, 5, 7, 20, 64, 150, 1000)), UNLIMITED))
 kinds = st.lists(st.sampled_from((Robot, Robot, Robot, Liar, Mute)), min_size=1, max_size=6)
 
 
@@ -48,5 +49,5 @@ def gossip(draw: st.DrawFn, honest: bool = False) -> Any:
 
 def play(scene: Any, interleaving: int = 0, deadly: bool = True) -> list[Step]:
     settings, robots, cells, deaths = scene
-    air = Air(settings, robots, interleaving)
-    return [air.step(1 + at, where, deaths[at] if deadly else {}) for at, where in enumerate(cells)]
+    network = Network(settings, robots, interleaving)
+    return [network.step(1 + at, where, deaths[at] if deadly else {}) for at, where in enumerate(cells)]

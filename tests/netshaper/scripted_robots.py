@@ -1,30 +1,22 @@
-"""Robots that follow a script, and the air between them: `Air` plays whole steps of a radio in one thread.
-
-What a robot does depends on its seed and on what it hears, never on the order in which the relay happens to
-read what different robots put; that order is drawn from `interleaving`.
-"""
+"""Robots that follow a script: their frames depend on their seed and on the events that they get, on nothing else."""
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from msgspec.structs import replace
-from numpy.typing import NDArray
 
-from netshaper.imperfect import radio
-from netshaper.ledger import EVERYONE, ROW
-from netshaper.radio import Frame, Note, Outgoing, RadioSettings
+from netshaper.ledger import EVERYONE
 from protocol import packets
-from protocol.messages import Close, Open, Outcome, PhaseDelivery, RadioReport, Said
-
-Put = tuple[int, bytes]
-"""A frame: receiver and payload."""
-Heard = list[tuple[int, bytes]]
-"""Frames as they came: sender and payload."""
+from protocol.messages import (
+    Close,
+    Delivery,
+    MediumEvent,
+    Open,
+    OutgoingFrame,
+    PhaseDelivery,
+    RobotFrames,
+)
 
 
 class Robot:
@@ -35,33 +27,49 @@ class Robot:
         self.robots = robots
         self.seed = seed
 
+    def __call__(self, event: MediumEvent) -> Sequence[RobotFrames]:
+        match event:
+            case Open():
+                return self.opens(event)
+            case PhaseDelivery(answered_by_relay=False):
+                return self.replies(event)
+            case Close():
+                return self.rests(event)
+        return []
+
     def draw(self, *key: int) -> np.random.Generator:
         return np.random.default_rng([self.seed, self.number, *key])
 
-    def opens(self, note: Open) -> list[Put | Said]:
-        rng = self.draw(note.step, note.round, 0)
-        said: list[Put | Said] = []
-        if note.round == 0 and rng.random() < 0.6:
-            said.append((EVERYONE, packets.encode([packets.Target(*rng.integers(0, 2048, 2).tolist())])))
+    def opens(self, event: Open) -> list[RobotFrames]:
+        rng = self.draw(event.step, event.round, 0)
+        frames = []
+        broadcast = self.target(rng) if event.round == 0 and rng.random() < 0.6 else b""
         # Drawn for all, so that a teammate more or less in range changes nothing for the others.
         for peer in range(self.robots):
             maps = rng.permutation(self.robots)[: rng.integers(0, 3)].tolist()
             block = int(rng.integers(64))
-            if peer in note.peers:
-                said += [(peer, packets.encode([packets.Offer(map_id, block)])) for map_id in maps]
-        return [*said, Said(note.step, note.round, "offers", [])]
+            if peer in event.peers:
+                frames += [
+                    OutgoingFrame(peer, packets.encode([packets.Offer(map_id, block)])) for map_id in maps
+                ]
+        return [RobotFrames(event.step, event.round, "offers", broadcast, frames)]
 
-    def takes_turn(self, note: PhaseDelivery, heard: Heard) -> list[Put | Said]:
-        phase = "answers" if note.phase == "offers" else "data"
-        said: list[Put | Said] = []
-        numbers = []
-        for number, map_id, (peer, payload) in zip(note.connections, note.maps, heard, strict=True):
-            rng = self.draw(note.step, note.round, 1, peer, map_id, phase == "data")
-            frame = self.answer(rng) if phase == "answers" else self.data(rng, payload)
-            if frame:
-                said.append((peer, frame))
-                numbers.append(number)
-        return [*said, Said(note.step, note.round, phase, numbers)]
+    def target(self, rng: np.random.Generator) -> bytes:
+        return packets.encode([packets.Target(*rng.integers(0, 2048, 2).tolist())])
+
+    def replies(self, event: PhaseDelivery) -> list[RobotFrames]:
+        phase = "answers" if event.phase == "offers" else "data"
+        return [RobotFrames(event.step, event.round, phase, frames=self.reply_to(event, event.deliveries))]
+
+    def reply_to(self, event: PhaseDelivery, deliveries: Sequence[Delivery]) -> list[OutgoingFrame]:
+        frames = []
+        for each in deliveries:
+            is_answer = event.phase == "answers"
+            rng = self.draw(event.step, event.round, 1, each.sender, each.map_id, is_answer)
+            payload = self.data(rng, each.payload) if is_answer else self.answer(rng)
+            if payload:
+                frames.append(OutgoingFrame(each.sender, payload, each.connection))
+        return frames
 
     def answer(self, rng: np.random.Generator) -> bytes:
         index, block = packets.Answer(int(rng.integers(4096))), packets.Block(int(rng.integers(64)))
@@ -79,18 +87,16 @@ class Robot:
         ]
         return packets.encode([kinds[kind] for kind in rng.integers(0, 4, rng.integers(1, 12))])
 
-    def rests(self, _note: Close) -> list[Put | Said]:
+    def rests(self, _event: Close) -> list[RobotFrames]:
         return []
 
 
 class Gossiper(Robot):
-    """A robot that broadcasts news, and a target now and then."""
+    """A robot that broadcasts log entries, and a target now and then."""
 
-    def opens(self, note: Open) -> list[Put | Said]:
-        rng = self.draw(note.step, note.round, 6)
-        said: list[Put | Said] = []
-        if note.round == 0 and rng.random() < 0.6:
-            said.append((EVERYONE, packets.encode([packets.Target(*rng.integers(0, 2048, 2).tolist())])))
+    def opens(self, event: Open) -> list[RobotFrames]:
+        rng = self.draw(event.step, event.round, 6)
+        broadcast = self.target(rng) if event.round == 0 and rng.random() < 0.6 else b""
         kinds = [
             packets.Save(),
             packets.Insert(1, 2, 3, 0, 1),
@@ -102,23 +108,31 @@ class Gossiper(Robot):
             packets.Gone(1),
         ]
         news = packets.encode([kinds[kind] for kind in rng.integers(0, len(kinds), rng.integers(0, 9))])
-        if news:
-            said.append((EVERYONE, news))
-        return [*said, Said(note.step, note.round, "offers", [], int(rng.integers(0, 256)))]
+        frames = [OutgoingFrame(EVERYONE, news)] if news else []
+        priority = int(rng.integers(0, 256))
+        return [RobotFrames(event.step, event.round, "offers", broadcast, frames, priority)]
 
 
 class Liar(Robot):
-    """A robot that says anything at any time, but ends its phases, at last, as it should."""
+    """A robot that sends anything at any time, but ends its phases, at last, as it should."""
 
-    def noise(self, rng: np.random.Generator, step: int) -> list[Put | Said]:
-        said: list[Put | Said] = []
-        for _ in range(rng.integers(0, 8)):
-            if rng.random() < 0.2:
-                phase = ("offers", "answers", "data", "nonsense")[rng.integers(4)]
-                said.append(Said(int(step), int(rng.integers(-1, 3)), phase, rng.integers(-3, 9, 4).tolist()))
-            else:
-                said.append((int(rng.integers(-99, self.robots + 3)), self.frame(rng)))
-        return said
+    def noise(self, rng: np.random.Generator, step: int) -> list[RobotFrames]:
+        return [
+            RobotFrames(
+                step,
+                int(rng.integers(0, 3)),
+                ("offers", "answers", "data", "nonsense")[rng.integers(4)],
+                self.frame(rng) if rng.random() < 0.3 else b"",
+                self.frames(rng),
+            )
+            for _ in range(rng.integers(0, 3))
+        ]
+
+    def frames(self, rng: np.random.Generator) -> list[OutgoingFrame]:
+        return [
+            OutgoingFrame(int(rng.integers(-99, self.robots + 3)), self.frame(rng), int(rng.integers(-3, 9)))
+            for _ in range(rng.integers(0, 6))
+        ]
 
     def frame(self, rng: np.random.Generator) -> bytes:
         choices: list[Callable[[], bytes]] = [
@@ -132,157 +146,32 @@ class Liar(Robot):
         ]
         return choices[rng.integers(len(choices))]()
 
-    def opens(self, note: Open) -> list[Put | Said]:
-        rng = self.draw(note.step, note.round, 2)
-        *honest, end = super().opens(note)
-        return [*self.noise(rng, note.step), *honest, *honest, end, *self.noise(rng, note.step)]
+    def opens(self, event: Open) -> list[RobotFrames]:
+        rng = self.draw(event.step, event.round, 2)
+        (honest,) = super().opens(event)
+        frames = [*self.frames(rng), *honest.frames, *honest.frames]
+        broadcast = self.frame(rng) if rng.random() < 0.3 else honest.broadcast
+        offers = RobotFrames(event.step, event.round, "offers", broadcast, frames)
+        return [offers, *self.noise(rng, event.step)]
 
-    def takes_turn(self, note: PhaseDelivery, heard: Heard) -> list[Put | Said]:
-        rng = self.draw(note.step, note.round, 3, note.phase == "offers")
-        phase = "answers" if note.phase == "offers" else "data"
-        noise = [item for item in self.noise(rng, note.step) if not isinstance(item, Said)]
-        numbers = [int(number) for number in rng.permutation([*note.connections, *range(-2, 9)])]
-        end = Said(note.step, note.round, phase, numbers)
-        return [*noise, *super().takes_turn(note, heard)[:-1], end, end, *self.noise(rng, note.step)]
+    def replies(self, event: PhaseDelivery) -> list[RobotFrames]:
+        rng = self.draw(event.step, event.round, 3, event.phase == "offers")
+        (honest,) = super().replies(event)
+        numbers = rng.permutation([*(each.connection for each in event.deliveries), *range(-2, 9)]).tolist()
+        mixed = [
+            OutgoingFrame(frame.receiver, frame.payload, number)
+            for frame, number in zip(honest.frames, numbers, strict=False)
+        ]
+        frames = [*self.frames(rng), *mixed, *honest.frames]
+        end = RobotFrames(event.step, event.round, honest.phase, b"", frames)
+        return [end, end, *self.noise(rng, event.step)]
 
-    def rests(self, note: Close) -> list[Put | Said]:
-        return self.noise(self.draw(note.step, 4), note.step)
+    def rests(self, event: Close) -> list[RobotFrames]:
+        return self.noise(self.draw(event.step, 4), event.step)
 
 
 class Mute(Robot):
-    """A robot that is there and says nothing at all."""
+    """A robot that is there and sends nothing at all."""
 
-    def opens(self, _note: Open) -> list[Put | Said]:
+    def opens(self, _event: Open) -> list[RobotFrames]:
         return []
-
-
-def together(said: list[Put | Said]) -> Iterator[Said]:
-    """Frames with the note behind them; those without one are said when it is nobody's turn."""
-    puts: list[Put] = []
-    for item in [*said, Said(0, 0, "late", [])]:
-        if not isinstance(item, Said):
-            puts.append(item)
-        elif puts or item.phase != "late":
-            receivers, frames = [receiver for receiver, _ in puts], [frame for _, frame in puts]
-            yield replace(item, receivers=receivers, frames=frames)
-            puts = []
-
-
-class Delivered(NamedTuple):
-    """A frame that reached a robot."""
-
-    receiver: int
-    sender: int
-    payload: bytes
-
-
-@dataclass
-class Step:
-    """What became of one step."""
-
-    rows: NDArray[np.void]
-    carried: int
-    delivered: list[tuple[str, Delivered]] = field(default_factory=list)
-    """Frames that reached a robot, with the phase in which they did."""
-    said: list[tuple[int, int, bytes]] = field(default_factory=list)
-    """Frames that robots put, as (sender, receiver, payload)."""
-    opened: list[tuple[int, Open]] = field(default_factory=list)
-    turns: list[tuple[int, PhaseDelivery, Heard]] = field(default_factory=list)
-    outcomes: list[tuple[int, Outcome]] = field(default_factory=list)
-    closed: list[int] = field(default_factory=list)
-
-    def bytes_where(self, wanted: NDArray[np.bool_]) -> int:
-        return int(self.rows["bytes"][wanted].sum())
-
-
-class Air:
-    """A radio and its robots."""
-
-    def __init__(self, settings: RadioSettings, robots: Mapping[int, Robot], interleaving: int = 0) -> None:
-        self.radio = radio(settings)
-        self.robots = dict(robots)
-        self.dead: set[int] = set()
-        self._rng = np.random.default_rng(interleaving)
-        self._to_do: dict[int, deque[Said]] = {number: deque() for number in robots}
-        self._inbox: dict[int, Heard] = {number: [] for number in robots}
-
-    def step(
-        self, number: int, cells: Mapping[int, tuple[int, int]], deaths: Mapping[int, int] | None = None
-    ) -> Step:
-        """Play one step; `deaths` kills robots after so many things have been done in it."""
-        result = Step(np.empty(0, ROW), -1)
-        self._deliver(result, self.radio.begin(number, cells))
-        done = 0
-        while True:
-            for robot, when in sorted((deaths or {}).items()):
-                if when == done and robot not in self.dead:
-                    self.kill(robot, result)
-            done += 1
-            busy = [robot for robot, todo in self._to_do.items() if todo]
-            if busy:
-                robot = int(self._rng.choice(busy))
-                self._do(robot, self._to_do[robot].popleft(), result)
-            elif result.carried < 0:
-                mute = self.radio.waiting_for()
-                assert mute, "nobody has anything to say, nobody is waited for, and the step does not end"
-                assert all(isinstance(self.robots[robot], Mute) for robot in mute), f"{mute} are waited for"
-                for robot in mute:
-                    self.kill(robot, result)
-            else:
-                return result
-
-    def kill(self, robot: int, result: Step) -> None:
-        self.dead.add(robot)
-        self._to_do[robot].clear()
-        self._deliver(result, self.radio.lost(robot))
-
-    def _do(self, robot: int, said: Said, result: Step) -> None:
-        result.said += [(robot, receiver, payload) for receiver, payload in said.puts()]
-        self._deliver(result, self.radio.said(robot, said))
-
-    def _deliver(self, result: Step, outgoing: list[Outgoing]) -> None:
-        for item in outgoing:
-            if isinstance(item, Frame):
-                assert not self.dead.intersection(item.receivers), "the dead hear nothing"
-                for receiver in item.receivers:
-                    self._inbox[receiver].append((item.sender, item.payload))
-            elif isinstance(item, Note):
-                self._inbox[item.receiver] += zip(item.senders, item.frames, strict=True)
-                self._note(result, item)
-            else:
-                self._book(result, item.report())
-
-    def _book(self, result: Step, report: RadioReport) -> None:
-        assert result.carried == -1, "one report a step"
-        result.rows = np.frombuffer(report.rows, ROW)
-        result.carried = report.carried
-
-    def _note(self, result: Step, note: Note) -> None:
-        message, receiver = note.message, note.receiver
-        assert receiver not in self.dead, "nobody talks to the dead"
-        robot = self.robots[receiver]
-        todo = self._to_do[receiver]
-        if isinstance(message, Open):
-            result.opened.append((receiver, message))
-            todo += together(robot.opens(message))
-        elif isinstance(message, PhaseDelivery):
-            heard = self._take(result, receiver, len(message.connections), message.phase)
-            result.turns.append((receiver, message, heard))
-            todo += together(robot.takes_turn(message, heard))
-        elif isinstance(message, Outcome):
-            self._take(result, receiver, len(message.heard), "data")
-            result.outcomes.append((receiver, message))
-        elif isinstance(message, Close):
-            self._take(result, receiver, 0, "")
-            result.closed.append(receiver)
-            todo += together(robot.rests(message))
-
-    def _take(self, result: Step, receiver: int, count: int, phase: str) -> Heard:
-        """The last `count` frames in the inbox belong to the phase, those before them are targets."""
-        inbox, self._inbox[receiver] = self._inbox[receiver], []
-        split = len(inbox) - count
-        assert split >= 0, "fewer frames came than the relay says"
-        for at, (sender, payload) in enumerate(inbox):
-            kind = "targets" if at < split else phase
-            result.delivered.append((kind, Delivered(receiver, sender, payload)))
-        return inbox[split:]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from collections import Counter
-from typing import Any
 
 import pytest
 from hypothesis import given
@@ -12,17 +11,19 @@ from hypothesis import strategies as st
 
 from netshaper import capture, pcapng
 from netshaper.capture import CAPTURED_AT_MOST, KEPT, PART, VERDICTS, Captured
-from netshaper.frame_log import FrameLog, LoggedFrame, hearers_of, in_words
+from netshaper.frame_log import FrameLog, LoggedFrame, comment, receivers_of
 from netshaper.ledger import EVERYONE
 from netshaper.pcapng import CaptureError, Reader
-from netshaper.radio import RadioSettings
-from protocol.messages import RadioReport, Said
+from netshaper.settings import RadioSettings
+from protocol.budget import Budget
+from protocol.messages import OutgoingFrame, RobotFrames
 from protocol.packets import Delete, Save, encode
 from tests.netshaper import plain_books
-from tests.netshaper.scripted_robots import Air, Liar, Robot
+from tests.netshaper.network import Network
+from tests.netshaper.scripted_robots import Liar, Robot
 
 small = st.integers(-1, 63)
-predictiveings = st.builds(
+logged_frames = st.builds(
     LoggedFrame,
     round=st.integers(0, 15),
     connection=st.integers(-1, 2**31 - 1),
@@ -31,23 +32,11 @@ predictiveings = st.builds(
     receiver=small | st.just(-99),
     map=small,
     verdict=st.integers(0, len(VERDICTS) - 1),
-    hearers=st.integers(0, 2**64 - 1),
+    receivers=st.integers(0, 2**64 - 1),
     payload=st.binary(max_size=200),
     reason=st.text(max_size=30),
 )
-steps = st.lists(st.tuples(st.integers(0, 2**32 - 1), st.lists(predictiveings, max_size=5)), max_size=5)
-
-
-class Listening(Air):
-    """The air of a run, and the capture that comes of it."""
-
-    def __init__(self, *args: Any) -> None:
-        super().__init__(*args)
-        self.file = capture.head("a test")
-
-    def _book(self, result: Any, report: RadioReport) -> None:
-        self.file += report.frames
-        super()._book(result, report)
+steps = st.lists(st.tuples(st.integers(0, 2**32 - 1), st.lists(logged_frames, max_size=5)), max_size=5)
 
 
 def read(file: bytes) -> list[Captured]:
@@ -77,17 +66,17 @@ def test_decoding_inverts_encoding(said: list[tuple[int, list[LoggedFrame]]]) ->
     for (step, seen), found in zip(wanted, read(write(said)), strict=True):
         kept = seen.payload if seen.verdict == 0 else seen.payload[:KEPT]
         assert (found.step, found.part, found.size) == (step, 0, len(seen.payload))
-        assert found.words == in_words(
-            seen.verdict, seen.receiver, tuple(hearers_of(seen.hearers)), seen.reason
+        assert found.words == comment(
+            seen.verdict, seen.receiver, tuple(receivers_of(seen.receivers)), seen.reason
         )
         assert found.seen == LoggedFrame(
             seen.round, seen.connection, seen.frame, seen.sender, seen.receiver, seen.map, seen.verdict,
-            seen.hearers, kept,
+            seen.receivers, kept,
         )  # fmt: skip
 
 
 large = st.integers(-1, 255)
-wide_predictiveings = st.builds(
+wide_frames = st.builds(
     LoggedFrame,
     round=st.integers(0, 15),
     connection=st.integers(-1, 2**31 - 1),
@@ -96,23 +85,23 @@ wide_predictiveings = st.builds(
     receiver=large | st.just(-99),
     map=large,
     verdict=st.integers(0, len(VERDICTS) - 1),
-    hearers=st.integers(0, 2**256 - 1) | st.integers(0, 2**64),
+    receivers=st.integers(0, 2**256 - 1) | st.integers(0, 2**64),
     payload=st.binary(max_size=200),
     reason=st.text(max_size=30),
 )
 
 
-@given(st.integers(0, 2**32 - 1), st.lists(predictiveings | wide_predictiveings, max_size=8))
+@given(st.integers(0, 2**32 - 1), st.lists(logged_frames | wide_frames, max_size=8))
 def test_the_kernel_writes_what_is_written_block_by_block(step: int, seen: list[LoggedFrame]) -> None:
     assert capture.encode(step, FrameLog.of(seen).columns()) == plain_books.blocks(step, seen)
 
 
-@given(st.lists(wide_predictiveings, max_size=5))
+@given(st.lists(wide_frames, max_size=5))
 def test_robots_beyond_the_plain_head_are_read_back(seen: list[LoggedFrame]) -> None:
     for wanted, found in zip(seen, read(write([(1, seen)])), strict=True):
         kept = wanted.payload if wanted.verdict == 0 else wanted.payload[:KEPT]
         assert found.seen == wanted._replace(payload=kept, reason="")
-        assert capture.hearers(found.seen) == hearers_of(wanted.hearers)
+        assert capture.hearers(found.seen) == receivers_of(wanted.receivers)
 
 
 @given(steps, st.integers(0, 10**6))
@@ -127,22 +116,24 @@ def test_a_file_that_was_cut_anywhere_opens_up_to_its_last_whole_packet(
     assert read(whole[: cut - reader.torn]) == found
 
 
-@given(st.integers(1, 4), st.integers(0, 2**32 - 1), st.sampled_from((-1, 0, 7, 60, 500)))
-def test_the_capture_has_every_byte_that_the_ledger_books(robots: int, seed: int, budget: int) -> None:
+@given(st.integers(1, 4), st.integers(0, 2**32 - 1), st.sampled_from((None, 0, 7, 60, 500)))
+def test_the_capture_has_every_byte_that_the_ledger_books(robots: int, seed: int, budget: int | None) -> None:
     script = {n: (Liar if n == 0 else Robot)(n, robots, seed) for n in range(robots)}
-    air = Listening(RadioSettings(robots, seed, 6.0, budget), script)
+    network = Network(RadioSettings(robots, seed, 6.0, Budget(budget)), script)
+    file = capture.head("a test")
     booked: Counter[tuple[int, ...]] = Counter()
     said = heard = 0
     names = ("step", "round", "connection", "frame", "sender", "receiver", "map", "cause")
     for number in range(1, 4):
-        step = air.step(number, {n: (2 * n, number) for n in range(robots)})
+        step = network.step(number, {n: (2 * n, number) for n in range(robots)})
+        file += step.report.frames
         for row in step.rows:
             booked[tuple(int(row[name]) for name in names)] += int(row["bytes"])
-        said += sum(len(payload) for _, _, payload in step.said)
-        heard += int((step.rows["bytes"] * step.rows["heard"]).sum())
+        said += sum(len(payload) for _, payload in step.submitted)
+        heard += int((step.rows["bytes"] * step.rows["received_by"]).sum())
     found: Counter[tuple[int, ...]] = Counter()
     heard_of = 0
-    for frame in read(air.file):
+    for frame in read(file):
         seen = frame.seen
         key = (seen.round, seen.connection, seen.frame, seen.sender, seen.receiver, seen.map, seen.verdict)
         found[(frame.step, *key)] += frame.size
@@ -152,12 +143,12 @@ def test_the_capture_has_every_byte_that_the_ledger_books(robots: int, seed: int
 
 
 def test_what_is_said_between_steps_is_booked_to_the_next_one() -> None:
-    air = Listening(RadioSettings(2, 0, 9.0), {n: Robot(n, 2, 0) for n in range(2)})
-    air.step(1, {0: (0, 0), 1: (1, 1)})
-    before = len(read(air.file))
-    air.radio.said(0, Said(1, 0, "offers", [], 0, [1], [encode([Save(), Save(), Save()])]))
-    rows = air.step(2, {0: (0, 0), 1: (1, 1)}).rows
-    first = read(air.file)[before]
+    network = Network(RadioSettings(2, 0, 9.0), {n: Robot(n, 2, 0) for n in range(2)})
+    network.step(1, {0: (0, 0), 1: (1, 1)})
+    late = OutgoingFrame(1, encode([Save(), Save(), Save()]))
+    network.radio.submit(0, RobotFrames(1, 0, "offers", frames=[late]))
+    step = network.step(2, {0: (0, 0), 1: (1, 1)})
+    rows, first = step.rows, read(capture.head("") + step.report.frames)[0]
     assert (first.step, first.seen.sender, first.verdict, first.size) == (2, 0, "protocol", 3)
     assert first.words == "refused: spoke out of turn"
     assert int(rows["bytes"][rows["cause"] > 0].sum()) == 3
@@ -192,7 +183,7 @@ def test_a_frame_too_long_for_one_packet_of_wireshark_is_several_that_hold_whole
         (3, 4, 0, "", "a partner died"),
     ],
 )
-def test_the_comment_says_in_words_what_became_of_a_frame(
+def test_the_comment_says_comment_what_became_of_a_frame(
     receiver: int, verdict: int, hearers: int, reason: str, words: str
 ) -> None:
     seen = LoggedFrame(0, 0, 0, 1, receiver, 0, verdict, hearers, b"\xc0\x00", reason)

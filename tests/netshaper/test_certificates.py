@@ -138,7 +138,9 @@ def test_who_is_not_let_in_is_told_what_may_be_wrong(
 ) -> None:
     monkeypatch.setattr("protocol.zenoh_bus.CONNECT_S", 0.4)
     stranger = certificates.make(2, ["127.0.0.1"])["r1"]
-    with pytest.raises(ConnectionError, match=r"r1: cannot join at tls/127.* the certificate is not valid for"):
+    with pytest.raises(
+        ConnectionError, match=r"r1: cannot join at tls/127.* the certificate is not valid for"
+    ):
         join(Credential(KEYS.run, "r1", certified.endpoint, certificate=stranger))
 
 

@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 
 from netshaper.channel import (
     DAMAGED,
-    HEARD,
     LOSS,
+    RECEIVED,
     Channel,
     chance_of_damage,
     flip,
     next_bursts,
-    unsum,
-    with_sum,
+    with_checksum,
+    without_checksum,
 )
 from netshaper.radio_options import RadioOptions
 from protocol import packets
@@ -28,7 +28,7 @@ frames = st.lists(st.binary(min_size=1, max_size=40), min_size=1, max_size=4)
 
 def rate(options: RadioOptions, cause: int, size: int = 20) -> float:
     channel, heard = Channel(options, 1, 5), []
-    frame = with_sum(bytes(size - 3)) if options.sums else bytes(size)
+    frame = with_checksum(bytes(size - 3)) if options.sums else bytes(size)
     for step in range(1, 1500):
         channel.next_step(step)
         heard += channel.carry(step, 0, 0, 0, [frame], [1, 2, 3, 4])
@@ -37,7 +37,7 @@ def rate(options: RadioOptions, cause: int, size: int = 20) -> float:
 
 def test_a_perfect_channel_delivers_all_at_once() -> None:
     got = Channel(RadioOptions(), 0, 3).carry(1, 0, 0, 0, [b"a", b"b"], [1, 2])
-    assert [tuple(each) for each in got] == 2 * [([b"a", b"b"], HEARD, [0])]
+    assert [tuple(each) for each in got] == 2 * [([b"a", b"b"], RECEIVED, [0])]
 
 
 def test_frames_are_lost_as_often_as_asked_for() -> None:
@@ -76,7 +76,7 @@ def test_what_one_robot_hears_depends_on_nobody_else(
     options = RadioOptions(
         loss=0.3, delay=delay, jitter=jitter, duplication=0.5, bit_errors=0.002, burst_every=3, burst_loss=0.7
     )
-    said = [with_sum(frame) for frame in said]
+    said = [with_checksum(frame) for frame in said]
     alone, all_of_them = Channel(options, seed, 4), Channel(options, seed, 4)
     for channel in (alone, all_of_them):
         channel.next_step(1)
@@ -84,8 +84,8 @@ def test_what_one_robot_hears_depends_on_nobody_else(
     assert all_of_them.carry(1, 0, 0, 0, said, [1, 2, 3])[1] == one
     assert all(delay <= late <= delay + jitter for late in one.delays)
     assert len(one.delays) in (1, 2)
-    assert (one.cause == HEARD) == (len(one.frames) == len(said))
-    assert one.frames == [unsum(frame) for frame in said[: len(one.frames)]]
+    assert (one.cause == RECEIVED) == (len(one.frames) == len(said))
+    assert one.frames == [without_checksum(frame) for frame in said[: len(one.frames)]]
 
 
 def test_frames_are_doubled_and_late_as_often_as_asked_for() -> None:
@@ -99,8 +99,8 @@ def test_frames_are_doubled_and_late_as_often_as_asked_for() -> None:
 
 @given(st.binary(max_size=60))
 def test_a_checksum_is_the_ccitt_one_and_fits_what_it_was_made_of(frame: bytes) -> None:
-    summed = with_sum(frame)
-    assert unsum(summed) == frame
+    summed = with_checksum(frame)
+    assert without_checksum(summed) == frame
     register = 0
     for byte in frame:
         register ^= byte << 8
@@ -113,8 +113,8 @@ def test_a_checksum_is_the_ccitt_one_and_fits_what_it_was_made_of(frame: bytes) 
 
 @given(st.binary(min_size=1, max_size=60), st.integers(0, 2**32 - 1))
 def test_a_flipped_bit_is_always_found(frame: bytes, seed: int) -> None:
-    summed = with_sum(frame)
+    summed = with_checksum(frame)
     damaged = flip(summed, 0.0, np.random.default_rng(seed))
     assert len(damaged) == len(summed)
     assert sum((a ^ b).bit_count() for a, b in zip(summed, damaged, strict=True)) == 1
-    assert unsum(damaged) is None
+    assert without_checksum(damaged) is None

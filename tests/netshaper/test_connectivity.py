@@ -15,7 +15,7 @@ from netshaper.connectivity import (
     Cell,
     disc,
     in_range,
-    line_of_predictive,
+    line_of_sight,
     log_distance,
     named,
     parted,
@@ -107,13 +107,13 @@ def test_walls_are_counted_as_on_a_walk_with_fractions(cells: list[Cell]) -> Non
         assert counted[a, b] == (plain_walls(ROOMS, one, other) if a != b else 0)
 
 
-def test_a_wall_ends_a_line_of_predictive_and_a_door_opens_it() -> None:
+def test_a_wall_ends_a_line_of_sight_and_a_door_opens_it() -> None:
     places = np.array([(3, 1), (8, 1), (3, 3), (8, 3)])
-    predictive = line_of_predictive(places, 20.0, ROOMS)
-    assert not predictive[0, 1]
-    assert predictive[2, 3]
-    assert (predictive <= disc(places, 20.0)).all()
-    assert not line_of_predictive(places, 4.9, ROOMS)[2, 3]
+    open_links = line_of_sight(places, 20.0, ROOMS)
+    assert not open_links[0, 1]
+    assert open_links[2, 3]
+    assert (open_links <= disc(places, 20.0)).all()
+    assert not line_of_sight(places, 4.9, ROOMS)[2, 3]
 
 
 @given(st.lists(inside, min_size=1, max_size=5), st.floats(0, 12), st.floats(1, 4), st.floats(0, 3))

@@ -8,13 +8,13 @@ from hypothesis import strategies as st
 
 from netshaper.frame_log import FrameLog, LoggedFrame
 from netshaper.ledger import CAUSES, ROW
-from netshaper.ledger_rows import book
+from netshaper.ledger_rows import ledger_rows
 from protocol.packets import encode
 from tests.netshaper import plain_books
 from tests.protocol.test_packets import streams
 
 small = st.integers(-1, 255)
-predictiveings = st.builds(
+logged_frames = st.builds(
     LoggedFrame,
     round=st.integers(0, 15),
     connection=st.integers(-1, 2**31 - 1),
@@ -23,13 +23,13 @@ predictiveings = st.builds(
     receiver=small | st.just(-99),
     map=small,
     verdict=st.integers(0, len(CAUSES) - 1),
-    hearers=st.integers(0, 2**256 - 1),
+    receivers=st.integers(0, 2**256 - 1),
     payload=streams.map(encode) | st.binary(max_size=40),
     reason=st.text(max_size=30),
 )
 
 
-@given(st.integers(0, 2**31 - 1), st.lists(predictiveings, max_size=8))
+@given(st.integers(0, 2**31 - 1), st.lists(logged_frames, max_size=8))
 def test_rows_are_those_of_reading_every_packet(step: int, seen: list[LoggedFrame]) -> None:
-    rows = np.frombuffer(book(step, FrameLog.of(seen).columns()), ROW)
+    rows = np.frombuffer(ledger_rows(step, FrameLog.of(seen).columns()), ROW)
     assert rows.tolist() == plain_books.rows(step, seen)

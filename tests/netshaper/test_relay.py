@@ -12,28 +12,33 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from netshaper.ledger import CAUSES, EVERYONE, ROW
-from netshaper.medium import UNLIMITED
 from netshaper.process import RelayNode
-from netshaper.radio import RadioSettings
+from netshaper.settings import RadioSettings
 from protocol import keys as names
+from protocol.budget import UNLIMITED, Budget
 from protocol.bus import Bus
 from protocol.fields import MOST_CONNECTIONS
 from protocol.grid import MAX_ROBOTS
 from protocol.keys import RELAY, Keys
 from protocol.memory_bus import MemoryHub
 from protocol.messages import (
+    AnswerReply,
     Begin,
+    Broadcasts,
     Close,
+    Delivery,
     End,
     Fault,
-    Heard,
     Lost,
     Move,
+    OfferReply,
     Open,
+    OutgoingFrame,
     Positions,
     RadioReport,
+    RelayUpdate,
     Replies,
-    Said,
+    RobotFrames,
     Shutdown,
     Stop,
     pack,
@@ -49,7 +54,7 @@ WORLD, RECORDER = names.WORLD, names.RECORDER
 class Run:
     """A relay on a bus in memory, and the ends of all others, which the test speaks for."""
 
-    def __init__(self, robots: int = 2, *, begun: bool = True, budget: int = UNLIMITED) -> None:
+    def __init__(self, robots: int = 2, *, begun: bool = True, budget: Budget = UNLIMITED) -> None:
         self.hub = MemoryHub(KEYS.run)
         self._relay_bus = self.hub.join(names.RELAY)
         self.relay = RelayNode(self._relay_bus, KEYS, RadioSettings(robots, 0, 100.0, budget))
@@ -73,7 +78,7 @@ class Run:
             self.relay.handle(message)
 
     def say(self, name: str, message: object) -> None:
-        if isinstance(message, Said):
+        if isinstance(message, RobotFrames):
             self.radio(name, pack(message))
         else:
             payload = message if isinstance(message, bytes) else pack(message)
@@ -95,12 +100,12 @@ class Run:
         self._relay_bus.put = put_and_note
 
     def heard(self, name: str) -> list[Any]:
-        """What the relay has told since last time; of what is heard by radio the notes."""
+        """All messages of the relay since last time, and the events in its updates."""
         found: list[Any] = []
         while (message := self.ends[name].receive()) is not None:
             assert names.parts(message.key)[3] == names.RELAY
             said = unpack(message.payload)
-            found += said.notes if isinstance(said, Heard) else [said]
+            found += said.events if isinstance(said, RelayUpdate) else [said]
         return found
 
     def begin_step(self, step: int = 1) -> None:
@@ -113,7 +118,7 @@ class Run:
             for name in self.robots:
                 for message in self.heard(name) if name in self.ends else []:
                     if isinstance(message, Open):
-                        self.say(name, Said(step, message.round, "offers", []))
+                        self.say(name, RobotFrames(step, message.round, "offers"))
         return [message for message in self.heard(RECORDER) if isinstance(message, RadioReport)]
 
 
@@ -121,7 +126,7 @@ def test_the_run_begins_when_everyone_is_here_and_not_before() -> None:
     run = Run(begun=False)
     for name, missing in [(WORLD, [RECORDER, "r0", "r1"]), ("r1", [RECORDER, "r0"]), (RECORDER, ["r0"])]:
         run.join(name)
-        assert run.relay.missing() == missing
+        assert run.relay.missing() == sorted(missing)
         assert run.heard(WORLD) == []
     run.join("r0")
     assert run.relay.missing() == []
@@ -155,16 +160,17 @@ def test_what_a_robot_is_told_goes_out_at_one_go_and_the_books_once_all_are_told
     told: list[str] = []
     run.listen_to_the_relay(lambda key: told.append(names.parts(key)[2]))
     for sender, number in zip(run.robots, range(3), strict=True):
-        frames = [encode([Target(number, 1)]), *2 * [encode([Offer(number, 0)])]]
+        target, offer = encode([Target(number, 1)]), encode([Offer(number, 0)])
         others = [receiver for receiver in range(3) if receiver != number]
-        run.say(sender, Said(1, 0, "offers", [], 0, [EVERYONE, *others], frames))
+        offers = [OutgoingFrame(receiver, offer) for receiver in others]
+        run.say(sender, RobotFrames(1, 0, "offers", target, offers))
     assert told == ["r0", "r1", "r2"], "two targets, two offers and the turn, each"
     told.clear()
     for phase in ("answers", "data"):
         for robot in run.robots:
-            run.say(robot, Said(1, 0, phase, []))
+            run.say(robot, RobotFrames(1, 0, phase))
     for robot in run.robots:
-        run.say(robot, Said(1, 1, "offers", []))
+        run.say(robot, RobotFrames(1, 1, "offers"))
     assert told[-5:] == ["r0", "r1", "r2", WORLD, RECORDER]
 
 
@@ -278,37 +284,39 @@ def test_noise_on_a_robots_wire_stops_no_run(noise: bytes) -> None:
     run.begin_step()
     run.say("r1", noise)
     run.radio("r1", noise)
-    run.say("r1", Said(1, 0, "data", [], 0, [0, EVERYONE], [noise, noise]))
-    run.say("r1", Said(1, 0, "offers", [], 0, [0, EVERYONE], [noise, noise]))
+    frames = [OutgoingFrame(0, noise), OutgoingFrame(EVERYONE, noise)]
+    run.say("r1", RobotFrames(1, 0, "data", noise, frames))
+    run.say("r1", RobotFrames(1, 0, "offers", noise, frames))
     assert len(run.finish_step()) == 1
 
 
 @pytest.mark.parametrize(
-    "said",
+    "message",
     [
-        Said(1, 0, "offers", [2**31 - 1, -1, 0, 0]),
-        Said(0, 15, "offers", [], 255),
-        Said(2**31 - 1, 0, "offers", [2**31 - 1]),
+        RobotFrames(1, 0, "offers", frames=[OutgoingFrame(0, b"", 2**31 - 1), OutgoingFrame(0, b"", -1)]),
+        RobotFrames(0, 15, "offers", priority=255),
+        RobotFrames(2**31 - 1, 0, "offers", frames=[OutgoingFrame(0, encode([Offer(1, 0)]), 2**31 - 1)]),
     ],
 )
-def test_strange_numbers_at_the_end_of_a_phase_stop_no_run(said: Said) -> None:
+def test_strange_numbers_at_the_end_of_a_phase_stop_no_run(message: RobotFrames) -> None:
     run = Run()
     run.begin_step()
-    run.say("r1", msgspec.structs.replace(said, receivers=[0], frames=[encode([Offer(1, 0)])]))
+    run.say("r1", message)
     assert run.relay.waiting_for() == [0]
 
 
-REPLIES = [[], [], b"", [], [], [], []]
+REPLIES = [[], b"", [], []]
 
 
 @pytest.mark.parametrize(
     "items",
     [
-        [1, 0, "offers", [2**63], 0, [], [], REPLIES],
-        [-5, 99, "offers", [], 0, [], [], REPLIES],
-        [1, 0, "offers", [], 256, [], [], REPLIES],
-        [1, 0, "offers", [], 0, [-2], [b""], REPLIES],
-        [1, 0, "offers", [], 0, [0], ["text"], REPLIES],
+        [1, 0, "offers", b"", [[0, b"", 2**63]], 0, REPLIES],
+        [-5, 99, "offers", b"", [], 0, REPLIES],
+        [1, 0, "offers", b"", [], 256, REPLIES],
+        [1, 0, "offers", b"", [[-2, b"", -1]], 0, REPLIES],
+        [1, 0, "offers", b"", [[0, "text", -1]], 0, REPLIES],
+        [1, 0, "offers", "text", [], 0, REPLIES],
     ],
     ids=repr,
 )
@@ -326,17 +334,19 @@ def test_numbers_that_cannot_be_end_no_phase(items: list[Any]) -> None:
 def test_a_frame_for_a_number_that_no_teammate_has_is_booked_as_out_of_range(receiver: int) -> None:
     run = Run()
     run.begin_step()
-    run.say("r1", Said(1, 0, "offers", [], 0, [receiver], [encode([Offer(1, 0)])]))
+    run.say("r1", RobotFrames(1, 0, "offers", frames=[OutgoingFrame(receiver, encode([Offer(1, 0)]))]))
     (report,) = run.finish_step()
     rows = np.frombuffer(report.rows, ROW)
     assert [(row["sender"], row["bytes"], CAUSES[row["cause"]]) for row in rows] == [(1, 2, "range")]
 
 
 def test_a_frame_longer_than_could_be_carried_is_reported_and_not_looked_at() -> None:
-    run = Run(budget=1000)
+    run = Run(budget=Budget(1000))
     run.begin_step()
     for size in (1065, 1 << 24, 20 << 20):
-        run.say("r1", Said(1, 0, "offers", [], 0, [0, 0], [b"", bytes(size)]))
+        run.say(
+            "r1", RobotFrames(1, 0, "offers", frames=[OutgoingFrame(0, b""), OutgoingFrame(0, bytes(size))])
+        )
     faults = run.heard(RECORDER)
     assert [fault.who for fault in faults] == 3 * ["r1"]
     assert "a frame of 1065 bytes, where 1064 are the most" in faults[0].what
@@ -346,26 +356,26 @@ def test_a_frame_longer_than_could_be_carried_is_reported_and_not_looked_at() ->
 
 
 @pytest.mark.parametrize("replies", [
-    Replies([b""], [bytes(1065)], b"", [], [], [], []),
-    Replies([], [], bytes(1065), [], [], [], []),
-    Replies([], [], b"", [], [], [], [bytes(1065)]),
+    Replies([OfferReply(b"", bytes(1065))], b"", [], []),
+    Replies([], bytes(1065), [], []),
+    Replies([], b"", [AnswerReply(b"", b"", 0)], [bytes(1065)]),
 ], ids=["answer", "decline", "data"])  # fmt: skip
 def test_nor_is_a_reply_that_is_longer_than_could_be_carried(replies: Replies) -> None:
-    run = Run(budget=1000)
+    run = Run(budget=Budget(1000))
     run.begin_step()
-    run.say("r1", Said(1, 0, "offers", [], 0, [], [], replies))
+    run.say("r1", RobotFrames(1, 0, "offers", replies=replies))
     (fault,) = run.heard(RECORDER)
     assert "a frame of 1065 bytes, where 1064 are the most" in fault.what
     assert run.relay.waiting_for() == [0, 1]
 
 
 def test_where_everybody_is_said_to_be_may_be_longer_than_could_be_carried() -> None:
-    run = Run(robots=40, budget=150)
+    run = Run(robots=40, budget=Budget(150))
     run.begin_step()
     said = encode(
         [Pose(1, 1, 0), *(packet for r in range(1, 40) for packet in (Passed(r, 1, 2, 2), Target(3, 3)))]
     )
-    run.say("r0", Said(1, 0, "offers", [], 0, [-1], [said]))
+    run.say("r0", RobotFrames(1, 0, "offers", said))
     assert run.heard(RECORDER) == []
     assert 0 not in run.relay.waiting_for()
 
@@ -373,8 +383,8 @@ def test_where_everybody_is_said_to_be_may_be_longer_than_could_be_carried() -> 
 def test_who_says_more_frames_in_a_phase_than_there_can_be_connections_again_and_again_is_given_up() -> None:
     run = Run()
     run.begin_step()
-    frames = (MOST_CONNECTIONS + 1) * [encode([Offer(1, 0)])]
-    said = pack(Said(1, 0, "offers", [], 0, len(frames) * [0], frames))
+    frames = (MOST_CONNECTIONS + 1) * [OutgoingFrame(0, encode([Offer(1, 0)]))]
+    said = pack(RobotFrames(1, 0, "offers", frames=frames))
     for _ in range(MAX_PROTOCOL_ERRORS + 1):
         run.radio("r1", said)
     assert [type(message) for message in run.heard(RECORDER)] == [*MAX_PROTOCOL_ERRORS * [Fault], Lost]
@@ -385,14 +395,14 @@ def test_a_target_is_passed_on_with_its_sender() -> None:
     run = Run()
     run.begin_step()
     run.heard("r0")
-    run.say("r1", Said(1, 0, "offers", [], 0, [EVERYONE], [encode([Target(3, 4)])]))
-    run.say("r0", Said(1, 0, "offers", []))
+    run.say("r1", RobotFrames(1, 0, "offers", encode([Target(3, 4)])))
+    run.say("r0", RobotFrames(1, 0, "offers"))
     message = run.ends["r0"].receive()
     assert message is not None
     assert message.key == KEYS.radio_rx("r0", RELAY)
-    heard = unpack(message.payload)
-    assert isinstance(heard, Heard)
-    assert (heard.senders, heard.frames) == ([1], [encode([Target(3, 4)])])
+    update = unpack(message.payload)
+    assert isinstance(update, RelayUpdate)
+    assert update.events[0] == Broadcasts(1, [Delivery(1, encode([Target(3, 4)]))])
 
 
 @pytest.mark.parametrize("moment", ["before positions", "in the offers", "between steps"])

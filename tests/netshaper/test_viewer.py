@@ -15,7 +15,7 @@ import pytest
 from netshaper import access
 from netshaper.hub import open_hub
 from netshaper.process import RelayNode
-from netshaper.radio import RadioSettings
+from netshaper.settings import RadioSettings
 from protocol import keys as names
 from protocol.keys import Keys, may_be_dropped
 from protocol.memory_bus import MemoryBus, MemoryHub

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import accumulate
 from typing import Any
 
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from protocol.errors import ProtocolError
-from protocol.packet_index import contents, fitting, kinds, split
+from protocol.packet_index import contents, ends, fitting, index_of, split
 from protocol.packets import ALL_KINDS, AnyPacket, Fragment, decode, encode
 from tests.protocol.test_packets import EXAMPLES, streams
 
@@ -26,19 +27,20 @@ noisy = st.binary(max_size=100) | st.builds(
 @example(b"\xf8\x40")
 @example(b"\x80\x01")
 def test_the_index_accepts_what_the_decoder_accepts_and_raises_its_errors(noise: bytes) -> None:
-    surveys: list[Any] = [split, kinds]
+    readers: list[Any] = [split, index_of]
     try:
         decoded = decode(noise)
     except ProtocolError as error:
-        for packet_index in surveys:
+        for read in readers:
             with pytest.raises(ProtocolError) as caught:
-                packet_index(noise)
+                read(noise)
             assert str(caught.value) == str(error)
     else:
         assert split(noise) == [encode([packet]) for packet in decoded]
-        assert {kind for bit, kind in enumerate(ALL_KINDS) if kinds(noise) >> bit & 1} == {
-            packet.name for packet in decoded
-        }
+        index = index_of(noise)
+        assert [ALL_KINDS[kind] for kind in index.kinds] == [packet.name for packet in decoded]
+        assert list(index.sizes) == [len(encode([packet])) for packet in decoded]
+        assert list(ends(noise)) == list(accumulate(index.sizes))
 
 
 sizes = st.lists(st.integers(1, 63), max_size=6)
@@ -76,7 +78,7 @@ def test_every_wrong_bit_is_found(packet: AnyPacket) -> None:
             decode(broken)
         except ProtocolError:
             with pytest.raises(ProtocolError):
-                kinds(broken)
+                index_of(broken)
         else:
             assert split(broken)
 
@@ -85,3 +87,14 @@ def test_every_wrong_bit_is_found(packet: AnyPacket) -> None:
 def test_fitting_bytes_are_the_longest_prefix_of_whole_packets(stream: list[AnyPacket], limit: int) -> None:
     ends = [len(encode(stream[:count])) for count in range(len(stream) + 1)]
     assert fitting(encode(stream), limit) == max((end for end in ends if end <= limit), default=0)
+
+
+@given(streams, st.data())
+def test_a_part_of_an_index_is_the_index_of_that_part(stream: list[AnyPacket], data: st.DataObject) -> None:
+    frame = encode(stream)
+    index = index_of(frame)
+    first = data.draw(st.integers(0, len(stream)))
+    last = data.draw(st.integers(first, len(stream)))
+    assert index.part(first, last) == index_of(encode(stream[first:last]))
+    assert frame[index.bytes_of(first, last)] == encode(stream[first:last])
+    assert index.part(0, first).followed_by(index.part(first, len(stream))) == index

@@ -100,7 +100,7 @@ def test_the_commands_of_the_document_make_the_run_that_explore_makes(tmp_path: 
         assert not world
         assert agents == ["", ""]
         assert recorder.lstrip().startswith("Explored in ")
-        assert "Everything is in by-hand; look at by-hand/maps.png." in recorder
+        assert "Results: by-hand (pictures: by-hand/maps.png)" in recorder
         running["memory"] = start(in_memory, tmp_path)
         _, faults = running["memory"].communicate(timeout=PATIENCE_S)
         assert running["memory"].returncode == 0, faults

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from agent.encodings.polygons import PolygonEncoding
-from agent.exchange.gossip import EVERYONE
 from agent.process import AgentNode
 from agent.robot import Robot
 from agent.settings import Settings
@@ -19,22 +18,28 @@ from deploy.run import in_memory
 from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol import messages, packet_index, packets
+from protocol.budget import Budget
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, UNKNOWN, ray_table
 from protocol.keys import Keys
 from protocol.messages import (
+    EVERYONE,
+    Broadcasts,
     Close,
     Configure,
+    ConnectionReport,
+    Delivery,
     End,
     Fault,
     Maps,
-    MediumNote,
+    MediumEvent,
     Move,
     Open,
-    Outcome,
+    OutgoingFrame,
     PhaseDelivery,
-    Said,
+    RobotFrames,
+    RoundReport,
     Sense,
     pack,
     unpack,
@@ -63,7 +68,7 @@ from protocol.packets import (
     encode,
 )
 from protocol.scans import Scan, draw
-from tests.system.team import Heard, Mind, Put, Team, corridor, plan_on, small_plan
+from tests.system.team import Member, Team, corridor, plan_on, small_plan
 from worldsim.laser import cast
 
 LIAR = 1
@@ -84,20 +89,18 @@ LIES: dict[str, list[Packet]] = {
 }
 
 
-class Liar(Mind):
+class Liar(Member):
     """A robot that sends nonsense wherever it should send data."""
 
     def __init__(self, settings: Settings, lie: list[Packet]) -> None:
         super().__init__(settings)
         self.lie = encode(lie)
 
-    def hear(
-        self, note: Open | PhaseDelivery | Outcome | Close, heard: Heard
-    ) -> tuple[list[Put], Said | None]:
-        puts, said = super().hear(note, heard)
-        if said is not None and said.phase == "data":
-            puts = [(receiver, self.lie) for receiver, _ in puts]
-        return puts, said
+    def take(self, event: MediumEvent) -> RobotFrames | None:
+        frames = super().take(event)
+        if frames is not None and frames.phase == "data":
+            return replace(frames, frames=[replace(frame, payload=self.lie) for frame in frames.frames])
+        return frames
 
 
 @pytest.mark.parametrize("lie", LIES)
@@ -127,12 +130,13 @@ class _Forger:
 
     def put(self, key: str, payload: bytes) -> None:
         said = unpack(payload)
-        if isinstance(said, Said):
+        if isinstance(said, RobotFrames):
             lie, edits = encode(LIES["two save points in a row"]), ("em", "chg", "rm")
-            frames, loads = (
-                [lie if packets.name(frame) in edits else frame for frame in honest]
-                for honest in (said.frames, said.replies.loads)
-            )
+            frames = [
+                replace(frame, payload=lie) if packets.name(frame.payload) in edits else frame
+                for frame in said.frames
+            ]
+            loads = [lie if packets.name(load) in edits else load for load in said.replies.loads]
             payload = pack(replace(said, frames=frames, replies=replace(said.replies, loads=loads)))
         self._inner.put(key, payload)
 
@@ -196,6 +200,13 @@ def a_small_plan() -> Plan:
     return plan
 
 
+def round_report(step: int, arrived: list[tuple[int, bytes]]) -> RoundReport:
+    """Handshakes of which the data arrived, on connections numbered from 0."""
+    carried = [ConnectionReport(number, 2, 2, len(data)) for number, (_, data) in enumerate(arrived)]
+    deliveries = [Delivery(peer, data, number) for number, (peer, data) in enumerate(arrived)]
+    return RoundReport(step, 0, carried, [], deliveries, False)
+
+
 @cache
 def sensed(step: int) -> Sense:
     """What a robot senses that drives along the corridor."""
@@ -226,14 +237,13 @@ def test_hostile_data_never_stops_a_robot_nor_changes_a_saved_state(lies: list[b
     robot = Robot(a_small_plan().robot_settings[0])
     for step, lie in enumerate(lies, 1):
         robot.perceive(sensed(step))
-        robot.session.offers(0, [LIAR, 2], 1000)
-        robot.session.answers([(0, LIAR, encode([Offer(LIAR, 0)])), (1, 2, encode([Offer(2, 0)]))])
+        robot.replication.open_round(0, [LIAR, 2], 1000)
+        robot.replication.answer(
+            [Delivery(LIAR, encode([Offer(LIAR, 0)]), 0), Delivery(2, encode([Offer(2, 0)]), 1)]
+        )
         before = robot.polygons.get(LIAR)
         words, meant = honest_words()[step - 1]
-        carried = [len(lie), len(words)]
-        robot.settle(
-            Outcome(step, 0, [0, 1], [2, 2], [2, 2], carried, [0, 1], False), [(LIAR, lie), (2, words)]
-        )
+        robot.close_round(round_report(step, [(LIAR, lie), (2, words)]))
         now = robot.polygons.get(LIAR)
         if now is not before:
             assert now is not None
@@ -252,9 +262,9 @@ def test_who_contradicts_a_lie_that_another_told_of_its_map_is_not_distrusted() 
     maps = [words for words, _ in honest_words()]
 
     def hear(step: int, peer: int, map_id: int, data: bytes) -> None:
-        robot.session.offers(0, [LIAR, 2], 1000)
-        robot.session.answers([(0, peer, encode([Offer(map_id, 0)]))])
-        robot.settle(Outcome(step, 0, [0], [2], [2], [len(data)], [0], False), [(peer, data)])
+        robot.replication.open_round(0, [LIAR, 2], 1000)
+        robot.replication.answer([Delivery(peer, encode([Offer(map_id, 0)]), 0)])
+        robot.close_round(round_report(step, [(peer, data)]))
 
     robot.perceive(sensed(1))
     hear(1, LIAR, 2, forged)
@@ -274,15 +284,15 @@ def test_who_passes_on_one_of_two_stories_of_a_liar_is_not_distrusted() -> None:
         return encode([Emerge(0, corners, 1), *(Insert(i, 3 + i, 3, 0, 0) for i in range(corners)), Save()])
 
     def hear(robot: Robot, peer: int, map_id: int, data: bytes) -> None:
-        robot.session.offers(0, [peer], 1000)
-        robot.session.answers([(0, peer, encode([Offer(map_id, 0)]))])
-        robot.settle(Outcome(1, 0, [0], [2], [2], [len(data)], [0], False), [(peer, data)])
+        robot.replication.open_round(0, [peer], 1000)
+        robot.replication.answer([Delivery(peer, encode([Offer(map_id, 0)]), 0)])
+        robot.close_round(round_report(1, [(peer, data)]))
 
     for robot in (honest, deceived):
         robot.perceive(sensed(1))
     hear(deceived, LIAR, LIAR, outline(2))
     hear(honest, LIAR, LIAR, outline(6) + encode([Change(0, 5, 1), Delete(5), Save()]))
-    passed_on = honest.session.logs[LIAR].since(len(deceived.session.logs[LIAR]), None)
+    passed_on = honest.replication.logs[LIAR].read(len(deceived.replication.logs[LIAR]), None)
     hear(deceived, 0, LIAR, passed_on)
     assert [fault.peer for fault in deceived.faults] == [0]
     assert deceived.distrusted == set()
@@ -302,23 +312,19 @@ NONSENSE: dict[str, list[Packet]] = {
 }
 
 
-class Gossip(Mind):
+class Gossip(Member):
     """A robot that says its lie wherever it should say news, as often and as urgently as it can."""
 
     def __init__(self, settings: Settings, lie: list[Packet]) -> None:
         super().__init__(settings)
         self.lie = encode(lie)
 
-    def hear(
-        self, note: Open | PhaseDelivery | Outcome | Close, heard: Heard
-    ) -> tuple[list[Put], Said | None]:
-        puts, said = super().hear(note, heard)
-        if isinstance(note, Open) and note.peers:
-            puts, said = (
-                [(EVERYONE, self.lie)],
-                Said(note.step, note.round, "offers", [], 10**6),
-            )
-        return puts, said
+    def take(self, event: MediumEvent) -> RobotFrames | None:
+        frames = super().take(event)
+        if isinstance(event, Open) and event.peers:
+            lie = [OutgoingFrame(EVERYONE, self.lie)]
+            return RobotFrames(event.step, event.round, "offers", b"", lie, 10**6)
+        return frames
 
 
 @pytest.mark.parametrize("lie", NONSENSE)
@@ -343,21 +349,20 @@ def test_who_lies_to_all_does_not_stop_the_honest_from_sharing_all_they_see(
         assert {fault.peer for fault in robot.faults} <= {LIAR}
 
 
-class Hoarse(Mind):
+class Hoarse(Member):
     """A robot whose news are cut, said twice, or turned round: each time in another way."""
 
-    def hear(
-        self, note: Open | PhaseDelivery | Outcome | Close, heard: Heard
-    ) -> tuple[list[Put], Said | None]:
-        puts, said = super().hear(note, heard)
-        if isinstance(note, Open):
-            puts = [(receiver, self._spoilt(frame, note.step % 3)) for receiver, frame in puts]
-        return puts, said
+    def take(self, event: MediumEvent) -> RobotFrames | None:
+        frames = super().take(event)
+        if isinstance(event, Open) and frames is not None:
+            spoilt = [
+                replace(frame, payload=self._spoilt(frame.payload, event.step % 3)) for frame in frames.frames
+            ]
+            return replace(frames, frames=spoilt)
+        return frames
 
     def _spoilt(self, frame: bytes, way: int) -> bytes:
         words = packet_index.split(frame)
-        if any(packets.name(word) in ("targ", "pose") for word in words):
-            return frame
         return b"".join((words[::-1], words + words, words[: len(words) // 2 + 1])[way])
 
 
@@ -392,16 +397,15 @@ def test_a_unit_of_a_liar_that_makes_no_sense_is_reported_and_no_more_is_taken_f
         assert robot.faults[0].reason
 
 
-class Decliner(Mind):
+class Decliner(Member):
     """A robot that wants nothing."""
 
-    def hear(
-        self, note: Open | PhaseDelivery | Outcome | Close, heard: Heard
-    ) -> tuple[list[Put], Said | None]:
-        puts, said = super().hear(note, heard)
-        if said is not None and said.phase == "answers":
-            puts = [(receiver, encode([Decline()])) for receiver, _ in puts]
-        return puts, said
+    def take(self, event: MediumEvent) -> RobotFrames | None:
+        frames = super().take(event)
+        if frames is not None and frames.phase == "answers":
+            declined = [replace(frame, payload=encode([Decline()])) for frame in frames.frames]
+            return replace(frames, frames=declined)
+        return frames
 
 
 def test_who_wants_nothing_silences_nobody() -> None:
@@ -411,7 +415,7 @@ def test_who_wants_nothing_silences_nobody() -> None:
     team.explore(400)
     plain.explore(400)
     for number in (0, 2):
-        told, usual = (len(some.robots[number].session.logs[number]) for some in (team, plain))
+        told, usual = (len(some.robots[number].replication.logs[number]) for some in (team, plain))
         assert told > usual / 2
         assert team.held(number, 2 - number) == team.held(2 - number, 2 - number)
 
@@ -439,10 +443,9 @@ def test_no_frame_stops_a_robots_process(steps: list[tuple[list[bytes], ...]]) -
     antenna, keys = Antenna(), Keys("lies")
     node = AgentNode(antenna, keys, 0)
 
-    def tell(message: messages.Record, frames: list[bytes]) -> None:
-        if isinstance(message, MediumNote):
-            said = messages.Heard(len(frames) * [LIAR], frames, [message])
-            node.handle(Message(keys.radio_rx("r0", names.RELAY), pack(said)))
+    def tell(message: messages.Record) -> None:
+        if isinstance(message, MediumEvent):
+            node.handle(Message(keys.radio_rx("r0", names.RELAY), pack(messages.RelayUpdate([message]))))
         else:
             key = (
                 keys.body("r0", names.WORLD)
@@ -451,28 +454,30 @@ def test_no_frame_stops_a_robots_process(steps: list[tuple[list[bytes], ...]]) -
             )
             node.handle(Message(key, pack(message)))
 
-    tell(Configure(0, a_small_plan().robot_settings[0].encode()), [])
-    for step, (broadcasts, dissemination, answers, more) in enumerate(steps, 1):
+    tell(Configure(0, a_small_plan().robot_settings[0].encode()))
+    for step, (broadcasts, offers, answers, more) in enumerate(steps, 1):
         antenna.said.clear()
-        tell(sensed(step), [])
-        tell(Open(step, 0, [LIAR, 2], 1000), broadcasts)
-        numbers = list(range(len(dissemination)))
-        tell(PhaseDelivery(step, 0, "offers", numbers, [LIAR] * len(dissemination)), dissemination)
-        tell(PhaseDelivery(step, 0, "data", list(range(90, 90 + len(answers))), [0] * len(answers)), answers)
-        data = more[: len(dissemination)]
-        short = [2] * len(dissemination)
-        sizes = [len(data[number]) if number < len(data) else 0 for number in numbers]
-        tell(Outcome(step, 0, numbers, short, short, sizes, numbers[: len(data)], False), data)
-        tell(Close(step), [])
-        assert [said.phase for said in antenna.said if isinstance(said, Said)] == [
-            "offers",
-            "answers",
-            "data",
-        ]
+        tell(sensed(step))
+        tell(Broadcasts(step, [Delivery(LIAR, frame) for frame in broadcasts]))
+        tell(Open(step, 0, [LIAR, 2], Budget(1000)))
+        numbered = [Delivery(LIAR, frame, number, LIAR) for number, frame in enumerate(offers)]
+        tell(PhaseDelivery(step, 0, "offers", numbered))
+        tell(
+            PhaseDelivery(
+                step, 0, "answers", [Delivery(LIAR, frame, 90 + n, 0) for n, frame in enumerate(answers)]
+            )
+        )
+        data = [Delivery(LIAR, frame, n, LIAR) for n, frame in enumerate(more[: len(offers)])]
+        sizes = [len(each.payload) for each in data] + [0] * len(offers)
+        reports = [ConnectionReport(n, 2, 2, size) for n, size in enumerate(sizes[: len(offers)])]
+        tell(RoundReport(step, 0, reports, [], data, False))
+        tell(Close(step))
+        phases = [said.phase for said in antenna.said if isinstance(said, RobotFrames)]
+        assert phases == ["offers", "answers", "data"]
         assert [said.step for said in antenna.said if isinstance(said, Move)] == [step]
         faults = [said.what for said in antenna.said if isinstance(said, Fault)]
         assert faults or all(_is_a_broadcast(frame) for frame in broadcasts)
-    tell(End(len(steps), "enough", -1), [])
+    tell(End(len(steps), "enough", -1))
     maps = antenna.said[-1]
     assert isinstance(maps, Maps)
     known, plan = np.frombuffer(maps.own, np.uint8), np.frombuffer(maps.planning, np.uint8)

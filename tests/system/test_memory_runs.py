@@ -13,19 +13,20 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from agent.exchange.session import Session
 from deploy.record.records import Records
 from deploy.record.summary import digest
 from deploy.run import in_memory
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import parse
-from netshaper.ledger import CAUSES, ROW, balance
-from netshaper.medium import DATA, UNLIMITED
-from netshaper.radio import Frame, Note, Outgoing, Radio, RadioSettings
-from protocol import packet_index, packets
+from netshaper.ledger import CAUSES, DATA, balance
+from netshaper.settings import RadioSettings
+from protocol import packets
+from protocol.budget import UNLIMITED, Budget
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
-from protocol.messages import Open, Outcome, PhaseDelivery, Said
+from protocol.messages import MediumEvent, Open, OutgoingFrame, RobotFrames
+from tests.netshaper.network import Network
+from tests.netshaper.test_replies import Member, replication
 from worldsim import generators
 from worldsim.maps import Map
 
@@ -90,11 +91,11 @@ def check_books(plan: Plan, records: Records) -> None:
     budget = plan.radio.budget
     for said, carried, cut, heard in balance(records.ledger()).values():
         assert said == carried + cut
-        assert budget == UNLIMITED or carried <= budget
+        assert budget.fits(carried)
         assert heard <= carried
     ledger = records.ledger()
     unicast = (ledger["receiver"] >= 0) & (ledger["carried"] == 1)
-    assert (ledger["heard"][unicast] == 1).all()
+    assert (ledger["received_by"][unicast] == 1).all()
     assert not (ledger["cause"] == CAUSES.index("protocol")).any()
 
 
@@ -163,7 +164,7 @@ def test_without_reach_or_bandwidth_nothing_arrives() -> None:
         assert not ((ledger["carried"] == 1) & (ledger["frame"] == DATA)).any()
         for robot in range(3):
             assert (records.planning[robot] == records.own[robot]).all()
-    assert not (small_run(robots=3, range=0)[1].ledger()["heard"] > 0).any()
+    assert not (small_run(robots=3, range=0)[1].ledger()["received_by"] > 0).any()
 
 
 def test_two_runs_of_one_scenario_are_equal_in_all_but_the_time_they_took() -> None:
@@ -173,7 +174,7 @@ def test_two_runs_of_one_scenario_are_equal_in_all_but_the_time_they_took() -> N
     assert first.rows == second.rows
     assert first.world == second.world
     assert first.end == second.end
-    for one, other in zip(first.robot_settings, second.robot_settings, strict=True):
+    for one, other in zip(first.statuses, second.statuses, strict=True):
         assert [replace(report, work_us=0) for report in one] == [
             replace(report, work_us=0) for report in other
         ]
@@ -262,78 +263,39 @@ def test_more_robots_than_packets_can_name_maps_of_share_none() -> None:
     assert not records.lost
 
 
-# Two robots, two sessions and the real radio, without bodies.
+# Two replication engines and the real radio, without bodies.
 
 
 class Pair:
-    """Sessions of two robots that log a word a step each, wherever they are told to be."""
+    """Replication engines of two robots that append an entry each per step, wherever they are."""
 
-    def __init__(self, range_cells: float, budget: int) -> None:
-        self.radio = Radio(RadioSettings(2, 0, range_cells, budget))
-        self.sessions = [Session(robot, 2) for robot in range(2)]
+    def __init__(self, range_cells: float, budget: Budget) -> None:
+        self.engines = [replication(robot, 2) for robot in range(2)]
+        members = {robot: Member(engine, speculates=False) for robot, engine in enumerate(self.engines)}
+        self.network = Network(RadioSettings(2, 0, range_cells, budget), members)
         self.logged = [0, 0]
-        self._frames: list[list[tuple[int, bytes]]] = [[], []]
-        self._rows = np.empty(0, ROW)
 
     def step(self, number: int, cells: dict[int, tuple[int, int]]) -> NDArray[np.void]:
         """Play one step; return its ledger."""
-        for robot, session in enumerate(self.sessions):
-            session.record([self.word(robot, self.logged[robot])])
+        for robot, engine in enumerate(self.engines):
+            engine.append([self.entry(robot, self.logged[robot])])
             self.logged[robot] += 1
-        self._deliver(self.radio.begin(number, cells))
-        return self._rows
+        return self.network.step(number, cells).rows
 
-    def word(self, robot: int, number: int) -> bytes:
+    def entry(self, robot: int, number: int) -> bytes:
         return packets.encode([packets.Fragment(bytes([robot, number % 256, number // 256]))])
 
     def holds(self, robot: int, map_id: int) -> int:
         """How much of a log a robot holds; what it holds is right."""
-        log = self.sessions[robot].logs[map_id]
-        assert log.since(log.oldest, None) == b"".join(
-            self.word(map_id, n) for n in range(log.oldest, len(log))
+        log = self.engines[robot].logs[map_id]
+        assert log.read(log.start, None) == b"".join(
+            self.entry(map_id, n) for n in range(log.start, len(log))
         )
         return len(log)
 
-    def _deliver(self, outgoing: list[Outgoing]) -> None:
-        for item in outgoing:
-            if isinstance(item, Frame):
-                for receiver in item.receivers:
-                    self._frames[receiver].append((item.sender, item.payload))
-            elif isinstance(item, Note):
-                self._frames[item.receiver] += zip(item.senders, item.frames, strict=True)
-                self._hear(item.receiver, item.message)
-            else:
-                self._rows = np.frombuffer(item.report().rows, ROW)
 
-    def _hear(self, robot: int, message: object) -> None:
-        session, heard = self.sessions[robot], self._frames[robot]
-        if isinstance(message, Open):
-            room = None if message.budget == UNLIMITED else message.budget
-            said = [(0, peer, frame) for peer, _, frame in session.offers(message.round, message.peers, room)]
-            self._say(robot, message.step, message.round, "offers", said)
-            return
-        self._frames[robot] = []
-        if isinstance(message, PhaseDelivery) and message.phase == "offers":
-            dissemination = [(n, *frame) for n, frame in zip(message.connections, heard, strict=True)]
-            self._say(robot, message.step, message.round, "answers", session.answers(dissemination))
-        elif isinstance(message, PhaseDelivery):
-            named = zip(message.connections, heard, message.maps, strict=True)
-            answers = [(n, peer, map_id, frame) for n, (peer, frame), map_id in named]
-            self._say(robot, message.step, message.round, "data", session.data(answers))
-        elif isinstance(message, Outcome):
-            for peer, map_id, frame in session.outcome(message, heard):
-                session.accept(peer, map_id, frame, packet_index.ends(frame))
-
-    def _say(
-        self, robot: int, step: int, map_encoding: int, phase: str, said: list[tuple[int, int, bytes]]
-    ) -> None:
-        numbers = [] if phase == "offers" else [number for number, _, _ in said]
-        receivers, frames = [peer for _, peer, _ in said], [frame for _, _, frame in said]
-        self._deliver(self.radio.said(robot, Said(step, map_encoding, phase, numbers, 0, receivers, frames)))
-
-
-@pytest.mark.parametrize("budget", [UNLIMITED, 40])
-def test_two_robots_that_walk_apart_and_back_hear_each_other_in_range_and_only_there(budget: int) -> None:
+@pytest.mark.parametrize("budget", [UNLIMITED, Budget(40)])
+def test_two_robots_that_walk_apart_and_back_hear_each_other_in_range_and_only_there(budget: Budget) -> None:
     pair = Pair(10.0, budget)
     distances = [*range(21), *range(20, 0, -1), *20 * [1]]
     together = 0
@@ -341,7 +303,7 @@ def test_two_robots_that_walk_apart_and_back_hear_each_other_in_range_and_only_t
         before = pair.holds(0, 1), pair.holds(1, 0)
         rows = pair.step(number, {0: (0, 0), 1: (distance, 0)})
         now = pair.holds(0, 1), pair.holds(1, 0)
-        assert not pair.radio.faults
+        assert not pair.network.radio.protocol_errors
         if distance > 10:
             assert now == before
             assert len(rows) == 0
@@ -349,7 +311,7 @@ def test_two_robots_that_walk_apart_and_back_hear_each_other_in_range_and_only_t
             together += 1
             assert now > before
         if budget != UNLIMITED:
-            assert rows["bytes"][rows["carried"] == 1].sum() <= budget
+            assert budget.fits(int(rows["bytes"][rows["carried"] == 1].sum()))
         elif distance <= 10:
             assert now == (number, number)
     # What was logged out of range has arrived, and nothing twice.
@@ -358,13 +320,17 @@ def test_two_robots_that_walk_apart_and_back_hear_each_other_in_range_and_only_t
 
 
 def test_a_robot_that_says_something_to_one_out_of_range_is_not_heard() -> None:
-    pair = Pair(10.0, UNLIMITED)
-    opened: list[Any] = pair.radio.begin(1, {0: (0, 0), 1: (11, 0)})
-    assert [note.message.peers for note in opened] == [[], []]
-    pair._say(0, 1, 0, "offers", [(0, 1, packets.encode([packets.Offer(0, 0)]))])
-    pair._say(1, 1, 0, "offers", [])
-    for _ in range(3):
-        for robot in pair.radio.waiting_for():
-            pair._say(robot, 1, 1, "offers", [])
-    assert pair._frames == [[], []]
-    assert [CAUSES[row["cause"]] for row in pair._rows] == ["range"]
+    def insistent(event: MediumEvent) -> list[RobotFrames]:
+        if not isinstance(event, Open):
+            return []
+        offer = OutgoingFrame(1, packets.encode([packets.Offer(0, 0)]))
+        return [RobotFrames(event.step, event.round, "offers", frames=[offer])]
+
+    def silent(event: MediumEvent) -> list[RobotFrames]:
+        return [RobotFrames(event.step, event.round, "offers")] if isinstance(event, Open) else []
+
+    network = Network(RadioSettings(2, 0, 10.0, UNLIMITED, 1), {0: insistent, 1: silent})
+    step = network.step(1, {0: (0, 0), 1: (11, 0)})
+    assert [event.peers for _, event in step.opened] == [[], []]
+    assert step.delivered == []
+    assert [CAUSES[row["cause"]] for row in step.rows] == ["range"]

@@ -20,8 +20,7 @@ from deploy.record.summary import summarize
 from deploy.run import in_memory
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import parse
-from netshaper.ledger import EVERYONE, balance, sort_rows
-from netshaper.medium import DATA
+from netshaper.ledger import DATA, EVERYONE, balance, sort_rows
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packets import ALL_KINDS
 from tests.system.team import Cell, Team, corridor, plan_on, small_plan
@@ -172,7 +171,7 @@ def test_once_all_stand_still_all_come_to_hold_the_same(rules: str, bandwidth: i
     cells = dict(team.world.cells)
     for _ in range(400):
         team.stand(cells)
-        if not any(robot.session.undelivered() for robot in team.robots) and team.step > 30:
+        if not any(robot.replication.undelivered() for robot in team.robots) and team.step > 30:
             break
     for map_id in team.robot_settings:
         assert all(team.held(robot, map_id) == team.held(map_id, map_id) for robot in team.robot_settings)
@@ -296,15 +295,15 @@ def test_from_the_dead_one_keeps_what_they_had_passed_on_and_gets_no_more(rules:
         assert team.step < 100
     team.kill(B)
     del cells[B]
-    kept, log = team.held(C, A), len(team.robots[C].session.logs[A])
+    kept, log = team.held(C, A), len(team.robots[C].replication.logs[A])
     assert kept in meant, "only whole steps are taken over"
-    assert log <= len(team.robots[B].session.logs[A])
+    assert log <= len(team.robots[B].replication.logs[A])
     for _ in range(30):
         cells[A] = (1 + (cells[A][0] + 1) % 12, 4)
         team.stand(cells)
         meant.append(team.held(A, A))
     assert team.held(C, A) == kept
-    assert len(team.robots[C].session.logs[A]) == log
+    assert len(team.robots[C].replication.logs[A]) == log
     assert kept != meant[-1]
 
     cells[C] = (cells[A][0] + 4, 4)  # they meet: what was cut off is continued, not begun anew
@@ -316,7 +315,7 @@ def test_from_the_dead_one_keeps_what_they_had_passed_on_and_gets_no_more(rules:
     data = news[
         (news["receiver"] == C) & (news["map"] == A) & (news["frame"] == DATA) & (news["carried"] == 1)
     ]
-    assert data["packets"].sum() == len(team.robots[C].session.logs[A]) - log
+    assert data["packets"].sum() == len(team.robots[C].replication.logs[A]) - log
 
 
 def test_a_robot_that_a_scenario_kills_is_not_heard_of_again_and_the_others_finish() -> None:

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from netshaper.ledger import KIND_NUMBER, balance
-from netshaper.medium import NEWS
+from netshaper.ledger import KIND_NUMBER, NEWS, balance
 from protocol.grid import UNKNOWN
 from tests.system.team import Team, small_plan
 
@@ -89,7 +88,7 @@ def test_by_gossip_more_maps_travel_than_offers_can_name() -> None:
         )
     )
     team.explore(2)
-    assert all(len(robot.session.logs[65]) for robot in team.robots)
+    assert all(len(robot.replication.logs[65]) for robot in team.robots)
     assert not [fault for robot in team.robots for fault in robot.faults]
 
 

@@ -118,8 +118,8 @@ def books_balance(result: Result) -> None:
     carried, cause = rows["carried"] == 1, rows["cause"]
     assert (carried == ((cause == 0) | (cause >= FIRST_ON_AIR))).all()
     unicast = carried & (rows["receiver"] != EVERYONE)
-    assert (rows["heard"][unicast] == (cause[unicast] == 0)).all()
-    assert (rows["heard"][cause != 0] == 0).all()
+    assert (rows["received_by"][unicast] == (cause[unicast] == 0)).all()
+    assert (rows["received_by"][cause != 0] == 0).all()
     options = result.plan.scenario.radio
     sums = carried & (rows["kind"] == KIND_NUMBER["sum"])
     assert sums.any() == options.sums

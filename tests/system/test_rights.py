@@ -15,6 +15,7 @@ from deploy.run import in_memory, launch
 from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol import messages, packets, rights
+from protocol.budget import Budget
 from protocol.bus import Bus, Message
 from protocol.grid import FREE, UNKNOWN
 from protocol.keys import Keys
@@ -27,12 +28,13 @@ EXAMPLES: tuple[messages.Record, ...] = (
     messages.Sense(3, 4, 4, 0, b"", bytes(720), ""),
     messages.Move(3, b"", 0, explored=True),
     messages.Positions(3, [0, 1, 2], [4, 4, 4], [4, 4, 4]),
-    messages.Open(3, 0, [0, 2], 1000),
-    messages.PhaseDelivery(3, 0, "dissemination", [0], [0]),
-    messages.Said(3, 0, "dissemination", []),
-    messages.Outcome(3, 0, [0], [2], [2], [2], [0], broadcast=True),
+    messages.Open(3, 0, [0, 2], Budget(1000)),
+    messages.Broadcasts(3, [messages.Delivery(0, b"pose")]),
+    messages.PhaseDelivery(3, 0, "offers", [messages.Delivery(0, b"offer", 0, 0)]),
+    messages.RobotFrames(3, 0, "offers"),
+    messages.RoundReport(3, 0, [messages.ConnectionReport(0, 2, 2, 2)], [], [], broadcast_sent=True),
     messages.Close(3),
-    messages.Heard([0], [b"word"], [messages.Close(3)]),
+    messages.RelayUpdate([messages.Close(3)]),
     messages.Lost(0, "I saw it die"),
     messages.End(3, "explored", 1),
     messages.Stop("enough"),
@@ -45,7 +47,7 @@ EXAMPLES: tuple[messages.Record, ...] = (
     messages.Watched(here=True),
     messages.Back(0),
     messages.FaultEvent(3, 0, "kill"),
-    messages.Change(3, 100, 5000),
+    messages.Change(3, Budget(100), 5000),
     messages.Snapshot(3, 1, 1, b"\x00"),
     messages.MapChanges(3, b"\x01\x00\x00\x00", b"\x0a"),
     messages.Outlines(3, 0, bytes(16)),
@@ -56,7 +58,7 @@ JUNK = (
     1000 * b"\x91",
     bytes(9_000_000),
     pack(messages.Maps(0, 9, 9, bytes(81), bytes(81))),
-    pack(messages.Said(1, 0, "dissemination", [1] * 10**6)),
+    pack(messages.RobotFrames(1, 0, "offers", frames=10**6 * [messages.OutgoingFrame(0, b"")])),
     pack(messages.Move(1, bytes(8 << 20), 0, explored=True)),
 )
 STEPS, OFTEN = 12, 8
@@ -202,8 +204,12 @@ class Babbler(Rogue):
 
     def _words(self, keys: Keys) -> list[Message]:
         spoken = [
-            pack(messages.Said(1, 0, phase, list(range(-1, 5)), 0, [-1, 0, 1, 2, 9, 9], 6 * [noise]))
-            for phase in ("dissemination", "answers", "data")
+            pack(
+                messages.RobotFrames(
+                    1, 0, phase, noise, [messages.OutgoingFrame(n, noise, n) for n in (-1, 0, 1, 2, 9)]
+                )
+            )
+            for phase in ("offers", "answers", "data")
             for noise in NOISE
         ]
         return [Message(keys.radio_tx(self._name), noise) for noise in (*NOISE, *spoken)]
@@ -240,7 +246,7 @@ class Silent:
         self._inner.put(key, payload)
 
 
-@pytest.mark.parametrize("kind", [messages.Move, messages.Said, messages.Maps])
+@pytest.mark.parametrize("kind", [messages.Move, messages.RobotFrames, messages.Maps])
 @pytest.mark.parametrize("after", [0, 7])
 def test_who_does_not_say_what_is_waited_for_is_given_up_and_the_others_go_on(
     kind: type[messages.Record], after: int

@@ -144,7 +144,7 @@ def test_an_unknown_name_lists_the_known_ones() -> None:
     for ask in (make, describe):
         with pytest.raises(
             MapError,
-            match=r"no environment is called 'offce'; did you mean office[?] There are: unstructured, mixed",
+            match=r"unknown map 'offce'; did you mean office[?] There are: unstructured, mixed",
         ):
             ask("offce")
 

@@ -197,5 +197,5 @@ def make(name: str, seed: int = 0, **parameters: float) -> Map:
 
 def _environment(name: str) -> _Environment:
     if name not in _ENVIRONMENTS:
-        raise MapError(f"no environment is called {name!r}; {there_are(_ENVIRONMENTS, name)}")
+        raise MapError(f"unknown map {name!r}; {there_are(_ENVIRONMENTS, name)}")
     return _ENVIRONMENTS[name]

@@ -8,8 +8,8 @@ import shutil
 import subprocess
 from pathlib import Path
 
-from netshaper.capture import FRAMES, VERDICTS
-from netshaper.ledger import FIRST_ON_AIR
+from netshaper.capture import VERDICTS
+from netshaper.ledger import FIRST_ON_AIR, FRAMES
 from protocol.packet_layout import LENGTH, Bits, Layout
 from protocol.packets import LAYOUTS
 

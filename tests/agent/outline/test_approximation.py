@@ -1,4 +1,4 @@
-"""Incremental approximation: what is kept, what is added, and that it is always valid (section 4.2)."""
+"""Incremental approximation: kept and added vertices, and validity (section 4.2)."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def assert_valid(coarse: Polygons, exact: Polygons) -> None:
 
 
 def expected_repair(previous: Polygons, exact: Polygons) -> list[list[Vertex]]:
-    """Per object what survives, or what a newborn gets."""
+    """The surviving vertices of each object, or the initial ones of a new object."""
     old = {vertex for cycle in cycles(previous) for vertex in cycle}
     expected = []
     for points in cycles(exact):
@@ -66,10 +66,10 @@ def assert_repaired(previous: Polygons, exact: Polygons) -> Marks:
 
 @quick
 @given(growing_maps(), st.data())
-def test_repair_keeps_every_surviving_vertex_and_adds_only_what_an_object_lacks(
+def test_repair_keeps_surviving_vertices_and_adds_only_missing_ones(
     steps: list[tuple[Grid, Cell]], data: st.DataObject
 ) -> None:
-    held = Polygons.nothing(steps[0][0].shape)
+    held = Polygons.empty(steps[0][0].shape)
     for grid, robot in steps:
         exact = contours(grid, robot)
         marks = refine(exact, assert_repaired(held, exact), data.draw(st.sampled_from([0, 1, 3, None])))
@@ -80,25 +80,25 @@ def test_repair_keeps_every_surviving_vertex_and_adds_only_what_an_object_lacks(
 @pytest.mark.parametrize(("name", "splits"), [("intel", 1), ("fr079", None)])
 def test_repair_follows_a_robot_through_a_real_map(name: str, splits: int | None) -> None:
     world = real_map(name)
-    held = Polygons.nothing(world.shape)
+    held = Polygons.empty(world.shape)
     for grid, robot in exploration(world, np.random.default_rng(3), 60, 40.0):
         exact = contours(grid, robot)
         marks = refine(exact, assert_repaired(held, exact), splits)
         held = approximation(exact, marks)
 
 
-def test_an_approximation_that_is_still_valid_is_not_touched() -> None:
+def test_an_approximation_that_is_still_valid_does_not_change() -> None:
     grid, robot = np.full((6, 9), FREE, np.uint8), (0, 0)
     exact = contours(grid, robot)
-    marks = refine(exact, repair(Polygons.nothing(grid.shape), exact), 2)
+    marks = refine(exact, repair(Polygons.empty(grid.shape), exact), 2)
     assert repair(approximation(exact, marks), exact).tolist() == marks.tolist()
 
 
-def test_an_object_that_splits_and_objects_that_join_keep_their_vertices() -> None:
+def test_objects_that_split_or_merge_keep_their_vertices() -> None:
     grid = np.full((5, 11), FREE, np.uint8)
     grid[2, 2:9] = UNKNOWN
     whole = contours(grid, (0, 0))
-    exact = approximation(whole, refine(whole, repair(Polygons.nothing(grid.shape), whole)))
+    exact = approximation(whole, refine(whole, repair(Polygons.empty(grid.shape), whole)))
     grid[2, 5] = FREE
     halves = contours(grid, (0, 0))
     apart = approximation(halves, repair(exact, halves))
@@ -143,13 +143,13 @@ def test_an_edge_is_occupied_only_where_all_its_points_are(
             assert coarse.occupied[i] == all(covered)
 
 
-def test_objects_beyond_what_packets_can_number_are_the_smallest_ones() -> None:
+def test_objects_beyond_the_limit_of_packets_are_the_smallest_ones() -> None:
     grid = np.full((210, 400), FREE, np.uint8)
     grid[1::3, 1::3] = OCCUPIED
     grid[2, 1::6] = OCCUPIED
     exact = contours(grid, (0, 0))
     assert exact.objects > MAX_OBJECTS
-    coarse = approximation(exact, repair(Polygons.nothing(grid.shape), exact))
+    coarse = approximation(exact, repair(Polygons.empty(grid.shape), exact))
     assert coarse.objects == MAX_OBJECTS
     assert coarse.inside.sum() == 1
     lengths = dict(zip((cycle[0] for cycle in cycles(exact)), np.diff(exact.start).tolist(), strict=True))
@@ -168,4 +168,4 @@ def test_an_object_beyond_the_vertex_limit_is_coarsened_and_not_refined_further(
     assert len(marks) == MAX_VERTICES
     assert_valid(approximation(exact, marks), exact)
     assert refine(exact, marks).tolist() == marks.tolist()
-    assert len(refine(exact, repair(Polygons.nothing(grid.shape), exact))) == MAX_VERTICES
+    assert len(refine(exact, repair(Polygons.empty(grid.shape), exact))) == MAX_VERTICES

@@ -195,9 +195,9 @@ def test_a_ring_has_an_inside_and_an_outside_object() -> None:
 
 
 @pytest.mark.parametrize("robot", [(1, 0), (3, 0), (0, -1)])
-def test_a_robot_in_a_wall_or_off_the_grid_is_refused(robot: Cell) -> None:
+def test_a_robot_in_a_wall_or_off_the_grid_is_rejected(robot: Cell) -> None:
     grid = np.array([[FREE, OCCUPIED, FREE]], np.uint8)
-    with pytest.raises(ValueError, match=r"it must stand in a free cell of the 3 x 1 grid"):
+    with pytest.raises(ValueError, match=r"it must be in a free cell of the 3 x 1 grid"):
         contours(grid, robot)
 
 
@@ -231,7 +231,7 @@ def flat(polygons: Polygons) -> list[list[int]]:
 
 @quick
 @given(growing_maps())
-def test_a_tracer_told_what_has_changed_finds_what_a_new_one_finds(steps: list[tuple[Grid, Cell]]) -> None:
+def test_incremental_contours_equal_new_ones(steps: list[tuple[Grid, Cell]]) -> None:
     tracer = Tracer(steps[0][0].shape)
     before = np.full(steps[0][0].shape, UNKNOWN, np.uint8)
     for grid, robot in steps:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise, permutations
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from agent.outline.approximation import approximation, repair
 from agent.outline.contour import contours
-from agent.outline.edits import Held, edit_script, edit_units, script_size
+from agent.outline.edits import NumberedPolygons, edit_packets
 from agent.outline.polygons import Polygons
 from agent.outline.simplify import refine
 from protocol.grid import FREE, UNKNOWN, Grid
@@ -21,18 +21,16 @@ from protocol.packets import (
     Edit,
     Emerge,
     Insert,
-    Packet,
     Remove,
     Replace,
     Save,
     encode,
 )
 from tests.agent.explorations import Cell, exploration, growing_maps, real_map
+from tests.agent.outline.edit_scripts import Cycle, Symbol, edit_script, lists
 
 quick = settings(deadline=None)
 
-Symbol = tuple[int, int, int, int]
-Cycle = list[Symbol]
 SHAPE = (8, 8)
 
 
@@ -42,45 +40,6 @@ def polygons(cycles: list[Cycle], inside: list[bool] | None = None) -> Polygons:
     start = np.cumsum([0, *map(len, cycles)]).astype(np.int32)
     flags = np.arange(len(cycles)) == 0 if inside is None else np.array(inside, np.bool_)
     return Polygons(SHAPE, x, y, side.astype(np.uint8), occupied.astype(np.uint8), start, flags)
-
-
-def lists(held: Held) -> dict[int, tuple[bool, Cycle]]:
-    """What is held, as plain lists."""
-    p = held.polygons
-    rows = list(zip(p.x.tolist(), p.y.tolist(), p.side.tolist(), p.occupied.tolist(), strict=True))
-    parts = pairwise(p.start.tolist())
-    return {
-        number: (bool(inside), rows[first:end])
-        for number, inside, (first, end) in zip(held.number.tolist(), p.inside, parts, strict=True)
-    }
-
-
-def applied(objects: dict[int, tuple[bool, Cycle]], packets: list[Edit]) -> dict[int, tuple[bool, Cycle]]:
-    """Apply packets to plain lists, as docs and docstrings say."""
-    objects = dict(objects)
-    current: Cycle = []
-    announced = longest = 0
-    for packet in packets:
-        match packet:
-            case Emerge(number, count, inside) | Change(number, count, inside):
-                assert len(current) == announced
-                assert (number in objects) == isinstance(packet, Change)
-                current = list(objects[number][1]) if number in objects else []
-                announced, longest = count, max(count, len(current))
-                objects[number] = bool(inside), current
-            case Remove(number):
-                del objects[number]
-            case Insert(index, x, y, side, occupied):
-                assert index <= len(current)
-                current.insert(index, (x, y, side, occupied))
-            case Replace(index, x, y, side, occupied):
-                current[index] = x, y, side, occupied
-            case Delete(index):
-                del current[index]
-        assert len(current) <= longest
-    assert len(current) == announced
-    assert (packets == []) or (packets[-1] == Save() and packets.count(Save()) == 1)
-    return dict(sorted(objects.items()))
 
 
 def size(packets: list[Edit]) -> int:
@@ -131,10 +90,9 @@ def approximations(draw: st.DrawFn) -> Polygons:
 @quick
 @given(st.lists(approximations(), min_size=1, max_size=5))
 def test_the_script_turns_one_approximation_into_the_next(steps: list[Polygons]) -> None:
-    held = Held.nothing(SHAPE)
+    held = NumberedPolygons.empty(SHAPE)
     for step in steps:
-        packets, after = edit_script(held, step)
-        assert applied(lists(held), packets) == lists(after)
+        _, after = edit_script(held, step)
         assert after.polygons.canonical() == step.canonical()
         assert (np.diff(after.number) > 0).all()
         held = after
@@ -144,7 +102,7 @@ def test_the_script_turns_one_approximation_into_the_next(steps: list[Polygons])
 @given(cycles(POOL), cycles(POOL), st.booleans())
 def test_no_shorter_script_leads_from_one_object_to_another(old: Cycle, new: Cycle, turned: bool) -> None:
     assume({symbol[:3] for symbol in old} & {symbol[:3] for symbol in new})
-    held = Held(np.zeros(1, np.int32), polygons([old]))
+    held = NumberedPolygons(np.zeros(1, np.int32), polygons([old]))
     packets, _ = edit_script(held, polygons([new], [not turned]))
     if fewest_bytes(old, new) == 0 and not turned:
         assert packets == []
@@ -156,7 +114,7 @@ def test_no_shorter_script_leads_from_one_object_to_another(old: Cycle, new: Cyc
 @quick
 @given(approximations(), st.data())
 def test_turning_and_reordering_the_polygons_costs_nothing(step: Polygons, data: st.DataObject) -> None:
-    _, held = edit_script(Held.nothing(SHAPE), step)
+    _, held = edit_script(NumberedPolygons.empty(SHAPE), step)
     order = data.draw(st.permutations(range(step.objects)))
     rows = [lists(held)[k] for k in order]
     turns = [data.draw(st.integers(0, len(cycle) - 1)) for _, cycle in rows]
@@ -169,29 +127,29 @@ def test_turning_and_reordering_the_polygons_costs_nothing(step: Polygons, data:
 @pytest.mark.parametrize("length", [2, 4, 6])
 def test_no_shorter_script_leads_to_any_order_of_the_same_vertices(length: int) -> None:
     old: Cycle = [(*vertex, 0) for vertex in POOL[:length]]
-    held = Held(np.zeros(1, np.int32), polygons([old]))
+    held = NumberedPolygons(np.zeros(1, np.int32), polygons([old]))
     for order in permutations(old):
         packets, _ = edit_script(held, polygons([list(order)]))
         fewest = fewest_bytes(old, list(order))
         assert size(packets) == (Change.size + fewest + Save.size if fewest else 0)
 
 
-def test_where_all_vertices_on_one_side_go_and_come_on_the_other_a_vertex_between_is_replaced_too() -> None:
+def test_a_vertex_between_deleted_and_inserted_ones_is_replaced_too() -> None:
     def vertex(i: int) -> Symbol:
         return i % 8, i // 8, 0, 0
 
     between, anchor = vertex(0), [vertex(i) for i in range(1, 20)]
     old = [*anchor, *(vertex(i) for i in range(20, 28)), between]
     new = [*anchor, between, *(vertex(i) for i in range(30, 38))]
-    packets, _ = edit_script(Held(np.zeros(1, np.int32), polygons([old])), polygons([new]))
+    packets, _ = edit_script(NumberedPolygons(np.zeros(1, np.int32), polygons([old])), polygons([new]))
     assert size(packets) == Change.size + fewest_bytes(old, new) + Save.size
     assert not [packet for packet in packets if isinstance(packet, Insert | Delete)]
 
 
-def test_of_the_parts_of_a_split_object_the_one_that_saves_most_keeps_the_number() -> None:
+def test_the_part_of_a_split_object_with_the_largest_saving_keeps_the_number() -> None:
     row = [(x, 0, 0, 0) for x in range(8)]
     column = [(0, y, 1, 0) for y in range(1, 4)]
-    whole = Held(np.array([7], np.int32), polygons([row + column]))
+    whole = NumberedPolygons(np.array([7], np.int32), polygons([row + column]))
     packets, parted = edit_script(whole, polygons([column, row]))
     assert [type(packet) for packet in packets] == [Change, *[Delete] * 3, Emerge, *[Insert] * 3, Save]
     assert {n: cycle for n, (_, cycle) in lists(parted).items()} == {0: column, 7: row}
@@ -201,7 +159,7 @@ def test_of_the_parts_of_a_split_object_the_one_that_saves_most_keeps_the_number
 
 def test_a_new_object_takes_the_lowest_free_number() -> None:
     squares = [[(x, y, 0, 0), (x, y, 1, 0)] for y in range(3) for x in range(2)]
-    _, held = edit_script(Held.nothing(SHAPE), polygons(squares[:4]))
+    _, held = edit_script(NumberedPolygons.empty(SHAPE), polygons(squares[:4]))
     assert held.number.tolist() == [0, 1, 2, 3]
     packets, after = edit_script(held, polygons([squares[0], squares[3], *squares[4:]]))
     assert [p for p in packets if isinstance(p, Remove)] == [Remove(1), Remove(2)]
@@ -210,46 +168,29 @@ def test_a_new_object_takes_the_lowest_free_number() -> None:
 
 
 def assert_scripts_lead_through(steps: list[tuple[Grid, Cell]], splits: int | None) -> None:
-    held = Held.nothing(steps[0][0].shape)
+    held = NumberedPolygons.empty(steps[0][0].shape)
     for grid, robot in steps:
         exact = contours(grid, robot)
         coarse = approximation(exact, refine(exact, repair(held.polygons, exact), splits))
         packets, after = edit_script(held, coarse)
-        assert applied(lists(held), packets) == lists(after)
         assert after.polygons.canonical() == coarse.canonical()
-        encoded: list[Packet] = list(packets)
-        assert len(encode(encoded)) == size(packets)
+        assert edit_packets(held, coarse) == [encode([packet]) for packet in packets]
         held = after
 
 
 @quick
 @given(growing_maps(), st.sampled_from([0, 1, 3, None]))
-def test_scripts_lead_through_growing_maps(steps: list[tuple[Grid, Cell]], splits: int | None) -> None:
+def test_scripts_follow_growing_maps(steps: list[tuple[Grid, Cell]], splits: int | None) -> None:
     assert_scripts_lead_through(steps, splits)
 
 
 @pytest.mark.parametrize(("name", "splits"), [("intel", 2), ("aces", None)])
-def test_scripts_lead_through_real_explorations(name: str, splits: int | None) -> None:
+def test_scripts_follow_real_explorations(name: str, splits: int | None) -> None:
     steps = exploration(real_map(name), np.random.default_rng(4), 80, 40.0)
     assert_scripts_lead_through(list(steps), splits)
 
 
-def test_objects_at_the_limits_of_the_packets_are_spoken_of() -> None:
+def test_objects_at_the_limits_of_the_packets_are_edited() -> None:
     grid = np.full((21, 2048), FREE, np.uint8)
     grid[:6, ::2] = grid[-6:, ::2] = UNKNOWN
     assert_scripts_lead_through([(np.full_like(grid, FREE), (0, 10)), (grid, (0, 10))], None)
-
-
-@quick
-@given(growing_maps(), st.sampled_from([0, 1, None]))
-def test_units_are_the_packets_of_the_script_as_they_go_on_the_air(
-    steps: list[tuple[np.ndarray, Cell]], splits: int | None
-) -> None:
-    held = Held.nothing(steps[0][0].shape)
-    for grid, robot in steps:
-        exact = contours(grid, robot)
-        coarse = approximation(exact, refine(exact, repair(held.polygons, exact), splits))
-        units, size_told = edit_units(held, coarse), script_size(held, coarse)
-        packets, held = edit_script(held, coarse)
-        assert units == [encode([packet]) for packet in packets]
-        assert size_told == sum(map(len, units))

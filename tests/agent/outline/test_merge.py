@@ -1,4 +1,4 @@
-"""Merging: Algorithm 9 step by step and in one go, and what comes back from an exact approximation."""
+"""Merging: Algorithm 9 step by step and in one go, and the grid that an exact approximation represents."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy import ndimage
 from agent.outline.approximation import approximation, repair
 from agent.outline.claims import THESIS, Drawing, layer
 from agent.outline.contour import contours
-from agent.outline.edits import Held, edit_script
+from agent.outline.edits import NumberedPolygons
 from agent.outline.five_stages import UNDEFINED, five_stages
 from agent.outline.merge import ErrorCount, TeamMap, approximation_error, rendered
 from agent.outline.objects import Objects
@@ -23,6 +23,7 @@ from protocol.boxes import NO_BOXES, Boxes
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packets import encode
 from tests.agent.explorations import Cell, exploration, grids, growing_maps, real_map
+from tests.agent.outline.edit_scripts import edit_script
 
 quick = settings(deadline=None)
 
@@ -31,7 +32,7 @@ drawings = st.builds(Drawing, *5 * [st.booleans()])
 
 def approximated(grid: Grid, robot: Cell, splits: int | None = None) -> Polygons:
     exact = contours(grid, robot)
-    return approximation(exact, refine(exact, repair(Polygons.nothing(grid.shape), exact), splits))
+    return approximation(exact, refine(exact, repair(Polygons.empty(grid.shape), exact), splits))
 
 
 def merged(own: Grid, approximations: list[Polygons], drawing: Drawing = THESIS) -> Grid:
@@ -43,7 +44,7 @@ def merged(own: Grid, approximations: list[Polygons], drawing: Drawing = THESIS)
 
 @st.composite
 def teams(draw: st.DrawFn) -> tuple[Grid, list[Polygons]]:
-    """One's own grid, and approximations of any fineness of what teammates have seen of the same world."""
+    """A self-explored grid, and approximations of any fineness of teammates in the same environment."""
     steps = draw(growing_maps())
     own = steps[0][0]
     members = draw(st.lists(st.sampled_from(steps), max_size=4))
@@ -53,14 +54,12 @@ def teams(draw: st.DrawFn) -> tuple[Grid, list[Polygons]]:
 
 @quick
 @given(teams(), drawings)
-def test_layers_merge_to_what_the_five_stages_merge_to(
-    case: tuple[Grid, list[Polygons]], drawing: Drawing
-) -> None:
+def test_merging_equals_the_five_stages(case: tuple[Grid, list[Polygons]], drawing: Drawing) -> None:
     own, approximations = case
     assert (merged(own, approximations, drawing) == five_stages(own, approximations, drawing).complete).all()
 
 
-def test_layers_merge_to_what_the_five_stages_merge_to_on_a_real_map() -> None:
+def test_merging_equals_the_five_stages_on_a_real_map() -> None:
     world = real_map("fr079")
     walks = [list(exploration(world, np.random.default_rng(seed), 20, 40.0))[-1] for seed in range(4)]
     for splits in (0, 10, 100, None):
@@ -68,7 +67,7 @@ def test_layers_merge_to_what_the_five_stages_merge_to_on_a_real_map() -> None:
         assert (merged(walks[0][0], team) == five_stages(walks[0][0], team).complete).all()
 
 
-def test_the_five_stages_build_up_the_plan_as_in_figure_5_6() -> None:
+def test_the_five_stages_are_those_of_figure_5_6() -> None:
     grid = np.full((7, 9), FREE, np.uint8)
     grid[0] = grid[-1] = OCCUPIED
     grid[2:5, 2:5] = UNKNOWN
@@ -87,7 +86,7 @@ def test_the_five_stages_build_up_the_plan_as_in_figure_5_6() -> None:
     assert not (stages.complete == UNDEFINED).any()
 
 
-def test_unknown_space_of_one_that_another_has_seen_becomes_free() -> None:
+def test_unknown_cells_of_one_teammate_that_another_has_seen_become_free() -> None:
     seen = np.full((9, 9), FREE, np.uint8)
     blind = seen.copy()
     blind[3:6, 3:6] = UNKNOWN
@@ -98,7 +97,7 @@ def test_unknown_space_of_one_that_another_has_seen_becomes_free() -> None:
     assert merged(nothing, [approximated(blind, (0, 0))])[4, 4] == UNKNOWN
 
 
-def test_an_occupied_boundary_stands_against_another_robots_unknown_and_free_area() -> None:
+def test_an_occupied_boundary_overrides_unknown_and_free_areas_of_others() -> None:
     free = np.full((9, 9), FREE, np.uint8)
     pillar = free.copy()
     pillar[4, 4] = OCCUPIED
@@ -120,7 +119,7 @@ def test_the_order_in_which_teammates_are_merged_does_not_matter(case: tuple[Gri
 
 @quick
 @given(teams())
-def test_what_the_robot_has_seen_itself_stands(case: tuple[Grid, list[Polygons]]) -> None:
+def test_the_self_explored_grid_overrides_all_claims(case: tuple[Grid, list[Polygons]]) -> None:
     own, approximations = case
     plan = merged(own, approximations)
     assert (plan[own != UNKNOWN] == own[own != UNKNOWN]).all()
@@ -128,7 +127,7 @@ def test_what_the_robot_has_seen_itself_stands(case: tuple[Grid, list[Polygons]]
 
 @quick
 @given(teams())
-def test_a_teammates_new_approximation_takes_the_place_of_its_old_one(
+def test_a_new_approximation_replaces_that_teammates_old_one(
     case: tuple[Grid, list[Polygons]],
 ) -> None:
     own, approximations = case
@@ -148,21 +147,25 @@ def where_they_differ(one: Grid, other: Grid) -> Boxes:
 
 @quick
 @given(growing_maps(), growing_maps(), st.sampled_from([0, 1, None]), drawings, st.data())
-def test_a_plan_merged_where_something_has_changed_is_the_plan_merged_anew(
+def test_incremental_merging_equals_merging_anew(
     own_steps: list[tuple[Grid, Cell]],
-    told_steps: list[tuple[Grid, Cell]],
+    team_steps: list[tuple[Grid, Cell]],
     splits: int | None,
     drawing: Drawing,
     data: st.DataObject,
 ) -> None:
     shape = own_steps[0][0].shape
-    told_steps = [step for step in told_steps if step[0].shape == shape] or own_steps[::2]
-    team, receivers, held = TeamMap(drawing), [Receiver(shape) for _ in range(3)], [Held.nothing(shape)] * 3
+    team_steps = [step for step in team_steps if step[0].shape == shape] or own_steps[::2]
+    team, receivers, held = (
+        TeamMap(drawing),
+        [Receiver(shape) for _ in range(3)],
+        [NumberedPolygons.empty(shape)] * 3,
+    )
     before = own_steps[0][0]
     team.merged(before)
     for step, (own, _) in enumerate(own_steps):
         for robot in data.draw(st.sets(st.integers(0, 2))):
-            grid, cell = told_steps[min(step, len(told_steps) - 1)]
+            grid, cell = team_steps[min(step, len(team_steps) - 1)]
             exact = contours(grid, cell)
             refined = refine(exact, repair(held[robot].polygons, exact), splits)
             packets, held[robot] = edit_script(held[robot], approximation(exact, refined))
@@ -179,9 +182,9 @@ def test_a_plan_merged_where_something_has_changed_is_the_plan_merged_anew(
 
 
 @pytest.mark.parametrize("splits", [2, None])
-def test_an_error_counted_where_something_has_changed_is_the_error_counted_anew(splits: int | None) -> None:
+def test_the_incremental_error_equals_the_error_counted_anew(splits: int | None) -> None:
     shape = real_map("fr079").shape
-    receiver, held, before = Receiver(shape), Held.nothing(shape), np.full(shape, UNKNOWN, np.uint8)
+    receiver, held, before = Receiver(shape), NumberedPolygons.empty(shape), np.full(shape, UNKNOWN, np.uint8)
     drawing = Drawing(free_inside_edges=False, unknown_pairs=False)
     error = ErrorCount(drawing)
     error.count(before, receiver.objects)
@@ -197,8 +200,8 @@ def test_an_error_counted_where_something_has_changed_is_the_error_counted_anew(
         before = grid
 
 
-def test_guesses_are_no_error() -> None:
-    with pytest.raises(ValueError, match="what receivers guess"):
+def test_inferences_are_rejected_in_the_error() -> None:
+    with pytest.raises(ValueError, match="inferences of receivers"):
         ErrorCount(Drawing(wide_walls=True))
 
 
@@ -216,7 +219,7 @@ def outer(free: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def what_algorithm_9_can_know(grid: Grid, robot: Cell, drawing: Drawing) -> Grid:
-    """The grid without what no exact approximation can tell: see `agent.outline.merge`."""
+    """The grid without cells that no exact approximation can represent (`agent.outline.merge`)."""
     free = reachable(grid, robot)
     cross = ndimage.generate_binary_structure(2, 1)
     beside = ndimage.binary_dilation(free, cross) & ~free
@@ -230,7 +233,7 @@ def what_algorithm_9_can_know(grid: Grid, robot: Cell, drawing: Drawing) -> Grid
 
 @quick
 @given(grids(), st.booleans())
-def test_an_exact_approximation_gives_the_grid_back_as_far_as_algorithm_9_can_tell(
+def test_an_exact_approximation_gives_the_grid_except_for_undetermined_cells(
     case: tuple[Grid, Cell], free_inside_edges: bool
 ) -> None:
     drawing = Drawing(free_inside_edges=free_inside_edges)
@@ -240,7 +243,7 @@ def test_an_exact_approximation_gives_the_grid_back_as_far_as_algorithm_9_can_te
 
 @pytest.mark.parametrize("name", ["intel", "fr079", "aces"])
 @pytest.mark.parametrize("free_inside_edges", [True, False])
-def test_an_exact_approximation_gives_real_maps_back(name: str, free_inside_edges: bool) -> None:
+def test_an_exact_approximation_gives_real_maps(name: str, free_inside_edges: bool) -> None:
     drawing = Drawing(free_inside_edges=free_inside_edges)
     *_, seen = exploration(real_map(name), np.random.default_rng(2), 40, 30.0)
     y, x = np.argwhere(real_map(name) == FREE)[0].tolist()
@@ -257,7 +260,7 @@ def test_the_error_counts_the_cells_that_differ() -> None:
     assert approximation_error(grid, coarse) == (grid != rendered(coarse)).sum() > 1
 
 
-def test_unknown_specks_are_left_out_if_wished() -> None:
+def test_unknown_pairs_are_left_out_if_the_option_is_off() -> None:
     grid = np.full((9, 9), FREE, np.uint8)
     grid[2, 2] = UNKNOWN
     grid[6, 6] = OCCUPIED
@@ -270,7 +273,7 @@ def test_unknown_specks_are_left_out_if_wished() -> None:
 
 
 def half_a_room() -> tuple[Polygons, Grid]:
-    """What a teammate tells of the left half of a room, and what one has seen behind it oneself."""
+    """A teammate's approximation of the left half of a room, and the cells behind it that the robot has seen itself."""
     room = np.full((9, 20), OCCUPIED, np.uint8)
     room[1:8, 1:12] = FREE
     room[:, 12:] = UNKNOWN
@@ -279,21 +282,21 @@ def half_a_room() -> tuple[Polygons, Grid]:
     return approximated(room, (3, 3)), own
 
 
-def test_what_is_unknown_beside_a_teammates_wall_is_wall_if_wished() -> None:
+def test_unknown_cells_beside_a_teammates_wall_become_wall_if_the_option_is_on() -> None:
     teammate, own = half_a_room()
     own[0, 13] = FREE
     plain, wide = (merged(own, [teammate], Drawing(wide_walls=wished)) for wished in (False, True))
     assert plain[0, 12] == UNKNOWN
     assert wide[0, 12] == OCCUPIED, "it touches the wall's last cell"
     assert (wide[own == FREE] == FREE).all()
-    assert (wide[1:8, 1:12] == FREE).all(), "what a teammate has seen free is no wall"
-    assert (wide[2:7, 14:] == UNKNOWN).all(), "what no wall is beside stays unknown"
+    assert (wide[1:8, 1:12] == FREE).all(), "cells that a teammate has seen as free are no wall"
+    assert (wide[2:7, 14:] == UNKNOWN).all(), "cells away from walls stay unknown"
     changed = wide != plain
     assert (plain[changed] == UNKNOWN).all()
     assert (wide[changed] == OCCUPIED).all()
 
 
-def test_beside_a_wall_that_one_has_seen_itself_nothing_need_be_taken_for_wall() -> None:
+def test_walls_that_the_robot_has_seen_itself_can_stay_thin() -> None:
     teammate, own = half_a_room()
     for seen, expected in ((UNKNOWN, OCCUPIED), (OCCUPIED, UNKNOWN)):
         own[0, 11] = seen
@@ -305,7 +308,7 @@ def test_beside_a_wall_that_one_has_seen_itself_nothing_need_be_taken_for_wall()
         assert unseen[0, 12] == expected
 
 
-def test_nothing_heard_claims_nothing() -> None:
-    assert not layer(Polygons.nothing((4, 5))).any()
+def test_without_approximations_nothing_is_claimed() -> None:
+    assert not layer(Polygons.empty((4, 5))).any()
     own = np.array([[FREE, UNKNOWN]], np.uint8)
     assert TeamMap().merged(own).tolist() == own.tolist()

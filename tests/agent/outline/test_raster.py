@@ -24,7 +24,7 @@ polygons = st.lists(vertices, min_size=2, max_size=8, unique=True)
 
 
 def edges(polygon: list[Vertex], occupied: list[int] | None = None) -> Edges:
-    """The edges of a polygon, all of them occupied unless told otherwise."""
+    """The edges of a polygon, all of them occupied by default."""
     corners = [(4 * x + int(SIDE_X[side]), 4 * y + int(SIDE_Y[side])) for x, y, side in polygon]
     walls = occupied or [1] * len(polygon)
     both = zip(corners, corners[1:] + corners[:1], walls, strict=True)
@@ -60,14 +60,14 @@ def encloses(polygon: list[Vertex], x: int, y: int) -> bool:
 
 @quick
 @given(polygons)
-def test_a_polygon_encloses_the_cells_whose_centres_pass_the_even_odd_test(polygon: list[Vertex]) -> None:
+def test_a_polygon_encloses_the_cells_whose_centers_pass_the_even_odd_test(polygon: list[Vertex]) -> None:
     expected = [[encloses(polygon, x, y) for x in range(SHAPE[1])] for y in range(SHAPE[0])]
     assert filled(polygon).tolist() == expected
 
 
 @settings(quick, max_examples=4 * quick.max_examples)
 @given(polygons)
-def test_of_two_neighbours_of_which_one_is_enclosed_one_is_boundary(polygon: list[Vertex]) -> None:
+def test_of_two_neighbors_of_which_one_is_enclosed_one_is_boundary(polygon: list[Vertex]) -> None:
     inside, boundary = filled(polygon), drawn(polygon)
     for one, other in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
         leak = (inside[one] != inside[other]) & ~boundary[one] & ~boundary[other]
@@ -123,7 +123,7 @@ def test_vertices_far_outside_the_grid_are_clipped(polygon: list[Vertex]) -> Non
         assert inside[y, x] == encloses(polygon, x, y)
 
 
-def test_bits_are_set_and_cleared_where_they_should_be() -> None:
+def test_bits_are_set_and_cleared_in_the_right_cells() -> None:
     square = [(1, 1, 3), (1, 5, 0), (5, 5, 1), (5, 1, 2)]
     layer = np.full(SHAPE, 0b101, np.uint8)
     fill(layer, edges(square), 0b010, 0b100, whole_grid(layer.shape)[0])
@@ -136,7 +136,7 @@ def test_bits_are_set_and_cleared_where_they_should_be() -> None:
 
 @quick
 @given(polygons, st.tuples(*2 * [st.tuples(st.integers(0, SHAPE[1]), st.integers(0, SHAPE[0]))]))
-def test_in_a_box_just_what_lies_in_it_is_drawn(
+def test_drawing_is_restricted_to_the_box(
     polygon: list[Vertex], corners: tuple[tuple[int, int], tuple[int, int]]
 ) -> None:
     (x0, x1), (y0, y1) = (sorted(pair) for pair in zip(*corners, strict=True))

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 from agent.memo_cache import MemoCache
 from agent.outline.approximation import approximation, repair
-from agent.outline.claims import THESIS, Drawing, Drawn, draw_anew, layer
+from agent.outline.claims import THESIS, Drawing, DrawnClaims, layer, redraw
 from agent.outline.contour import contours
 from agent.outline.draft import Draft, Outline
-from agent.outline.edits import Held, edit_script
+from agent.outline.edits import NumberedPolygons
 from agent.outline.merge import rendered
 from agent.outline.objects import symbols
 from agent.outline.polygons import Polygons
@@ -40,6 +40,7 @@ from protocol.packets import (
     encode,
 )
 from tests.agent.explorations import exploration, growing_maps, real_map
+from tests.agent.outline.edit_scripts import edit_script
 
 quick = settings(deadline=None)
 
@@ -47,22 +48,24 @@ SHAPE = (6, 8)
 SQUARE = [Emerge(0, 4, 1), *(Insert(i, i, 1, 0, 0) for i in range(4)), Save()]
 
 
-def told(splits: int | None, steps: list[tuple[np.ndarray, tuple[int, int]]]) -> list[tuple[bytes, Polygons]]:
+def encoded_steps(
+    splits: int | None, steps: list[tuple[np.ndarray, tuple[int, int]]]
+) -> list[tuple[bytes, Polygons]]:
     """What a robot says in each step, and the approximation that it means."""
-    held = Held.nothing(steps[0][0].shape)
-    said = []
+    held = NumberedPolygons.empty(steps[0][0].shape)
+    stream = []
     for grid, robot in steps:
         exact = contours(grid, robot)
         coarse = approximation(exact, refine(exact, repair(held.polygons, exact), splits))
         packets, held = edit_script(held, coarse)
         all_kinds: list[Packet] = list(packets)
-        said.append((encode(all_kinds), coarse))
-    return said
+        stream.append((encode(all_kinds), coarse))
+    return stream
 
 
 @cache
-def real_story() -> list[tuple[bytes, Polygons]]:
-    return told(3, list(exploration(real_map("fr079"), np.random.default_rng(6), 60, 60.0)))
+def real_stream() -> list[tuple[bytes, Polygons]]:
+    return encoded_steps(3, list(exploration(real_map("fr079"), np.random.default_rng(6), 60, 60.0)))
 
 
 def state(receiver: Receiver) -> tuple[list[int], list[list[int]]]:
@@ -86,7 +89,7 @@ def assert_well_formed(receiver: Receiver, shape: tuple[int, int]) -> None:
     assert rendered(p).shape == shape
 
 
-def test_what_comes_behind_a_save_point_in_the_same_piece_is_not_used_yet() -> None:
+def test_packets_behind_a_save_point_in_the_same_chunk_have_no_effect_yet() -> None:
     receiver = Receiver(SHAPE)
     pair = [Emerge(1, 2, 0), *(Insert(i, 3 + i, 3, 0, 0) for i in range(2))]
     receiver.feed(encode([*SQUARE[:-1], *pair, Save()]))
@@ -97,18 +100,18 @@ def test_what_comes_behind_a_save_point_in_the_same_piece_is_not_used_yet() -> N
     assert state(receiver)[0] == [0]
 
 
-def pieces(data: bytes, cuts: list[int]) -> list[bytes]:
+def chunks(data: bytes, cuts: list[int]) -> list[bytes]:
     edges = [0, *sorted(cut % (len(data) + 1) for cut in cuts), len(data)]
     return [data[a:b] for a, b in pairwise(edges)]
 
 
 @quick
 @given(growing_maps(), st.sampled_from([0, 2, None]))
-def test_at_every_save_point_the_receiver_holds_what_the_sender_means(
+def test_at_every_save_point_the_receiver_holds_the_senders_approximation(
     steps: list[tuple[np.ndarray, tuple[int, int]]], splits: int | None
 ) -> None:
     receiver = Receiver(steps[0][0].shape)
-    for data, approximated in told(splits, steps):
+    for data, approximated in encoded_steps(splits, steps):
         assert receiver.feed(data) == bool(data)
         assert receiver.held.polygons.canonical() == approximated.canonical()
 
@@ -118,17 +121,17 @@ def test_at_every_save_point_the_receiver_holds_what_the_sender_means(
 def test_a_stream_that_is_cut_anywhere_ends_in_the_same_state(
     steps: list[tuple[np.ndarray, tuple[int, int]]], cuts: list[int]
 ) -> None:
-    said = told(1, steps)
+    stream = encoded_steps(1, steps)
     receiver = Receiver(steps[0][0].shape)
-    for piece in pieces(b"".join(data for data, _ in said), cuts):
-        receiver.feed(piece)
-    assert receiver.held.polygons.canonical() == said[-1][1].canonical()
+    for chunk in chunks(b"".join(data for data, _ in stream), cuts):
+        receiver.feed(chunk)
+    assert receiver.held.polygons.canonical() == stream[-1][1].canonical()
 
 
-def test_a_real_stream_byte_by_byte_shows_nothing_but_saved_states() -> None:
+def test_a_real_stream_byte_by_byte_yields_only_saved_states() -> None:
     receiver = Receiver(real_map("fr079").shape)
     nothing = receiver.held
-    for data, approximated in real_story():
+    for data, approximated in real_stream():
         before = receiver.held
         saves = [receiver.feed(data[i : i + 1]) or receiver.held is not before for i in range(len(data))]
         assert not any(saves[:-1]), "a half-sent step is never shown"
@@ -141,10 +144,10 @@ def test_a_real_stream_byte_by_byte_shows_nothing_but_saved_states() -> None:
 def test_random_bytes_never_change_a_saved_state(noise: bytes, cuts: list[int]) -> None:
     receiver = Receiver(SHAPE)
     receiver.feed(encode(SQUARE))
-    for piece in pieces(noise, cuts):
+    for chunk in chunks(noise, cuts):
         before = state(receiver)
         try:
-            saved = receiver.feed(piece)
+            saved = receiver.feed(chunk)
         except ProtocolError:
             saved = False
         assert saved or state(receiver) == before
@@ -168,7 +171,7 @@ hostile = st.one_of(
 
 @quick
 @given(st.lists(st.lists(hostile, max_size=6), max_size=30))
-def test_packets_that_make_no_sense_never_change_a_saved_state(streams: list[list[Packet]]) -> None:
+def test_inconsistent_packets_never_change_a_saved_state(streams: list[list[Packet]]) -> None:
     receiver = Receiver(SHAPE)
     receiver.feed(encode(SQUARE))
     for packets in streams:
@@ -199,7 +202,7 @@ def nearly_right(draw: st.DrawFn) -> list[Packet]:
 
 @quick
 @given(nearly_right())
-def test_a_step_that_is_nearly_right_is_taken_whole_or_not_at_all(packets: list[Packet]) -> None:
+def test_an_edited_script_is_applied_as_a_whole_or_not_at_all(packets: list[Packet]) -> None:
     receiver = Receiver(SHAPE)
     receiver.feed(encode(SQUARE))
     before = state(receiver)
@@ -214,15 +217,15 @@ def test_a_step_that_is_nearly_right_is_taken_whole_or_not_at_all(packets: list[
 
 @quick
 @given(st.integers(0, 58), st.data())
-def test_after_a_damaged_piece_the_whole_one_still_leads_on(step: int, data: st.DataObject) -> None:
-    said = real_story()
+def test_after_a_damaged_chunk_the_intact_one_is_accepted(step: int, data: st.DataObject) -> None:
+    stream = real_stream()
     shape = real_map("fr079").shape
     receiver = Receiver(shape)
-    for piece, _ in said[:step]:
-        receiver.feed(piece)
-    begun = data.draw(st.integers(0, len(said[step][0])))
-    receiver.feed(said[step][0][:begun])
-    rest = said[step][0][begun:]
+    for chunk, _ in stream[:step]:
+        receiver.feed(chunk)
+    begun = data.draw(st.integers(0, len(stream[step][0])))
+    receiver.feed(stream[step][0][:begun])
+    rest = stream[step][0][begun:]
     damaged = bytearray(rest)
     for _ in range(data.draw(st.integers(1, 4))):
         if damaged:
@@ -233,7 +236,7 @@ def test_after_a_damaged_piece_the_whole_one_still_leads_on(step: int, data: st.
     except ProtocolError:
         assert state(receiver) == before
         receiver.feed(rest)
-        assert receiver.held.polygons.canonical() == said[step][1].canonical()
+        assert receiver.held.polygons.canonical() == stream[step][1].canonical()
     assert_well_formed(receiver, shape)
 
 
@@ -251,23 +254,23 @@ def held_plainly(receiver: Receiver) -> list[tuple[int, list[int], bool]]:
 
 @quick
 @given(st.lists(nearly_right(), max_size=6), st.lists(st.integers(0, 2**20), max_size=6), st.booleans())
-def test_whole_pieces_are_read_as_packet_by_packet(
+def test_chunks_are_read_like_single_packets(
     steps: list[list[Packet]], cuts: list[int], damage: bool
 ) -> None:
     receiver, draft, pending = Receiver(SHAPE), Draft(SHAPE), b""
     data = bytearray(b"".join(map(encode, [SQUARE, *steps])))
     if damage:
         data[cuts[0] % len(data) if cuts else -1] ^= 0x10
-    for piece in pieces(bytes(data), cuts):
+    for chunk in chunks(bytes(data), cuts):
         attempt = deepcopy(draft)
         try:
-            pending_then = attempt.read(pending, piece)
+            pending_then = attempt.read(pending, chunk)
         except ProtocolError as error:
             with pytest.raises(ProtocolError) as caught:
-                receiver.feed(piece)
+                receiver.feed(chunk)
             assert str(caught.value) == str(error)
         else:
-            receiver.feed(piece)
+            receiver.feed(chunk)
             draft, pending = attempt, pending_then
         assert held_plainly(receiver) == plainly(draft.saved or {})
 
@@ -278,74 +281,76 @@ def test_whole_pieces_are_read_as_packet_by_packet(
     st.lists(st.integers(0, 2**20), max_size=6),
     st.builds(Drawing, *2 * [st.booleans()]),
 )
-def test_what_has_not_changed_is_drawn_as_before(
+def test_cells_outside_the_changed_boxes_are_drawn_as_before(
     steps: list[list[Packet]], cuts: list[int], drawing: Drawing
 ) -> None:
     receiver = Receiver(SHAPE)
     drawn = layer(receiver.held.polygons, drawing)
-    for piece in pieces(b"".join(map(encode, [SQUARE, *steps])), cuts):
+    for chunk in chunks(b"".join(map(encode, [SQUARE, *steps])), cuts):
         with suppress(ProtocolError):
-            receiver.feed(piece)
+            receiver.feed(chunk)
         now = layer(receiver.held.polygons, drawing)
-        draw_anew(drawn, receiver.objects, drawing, receiver.changed())
+        redraw(drawn, receiver.objects, drawing, receiver.changed())
         assert drawn.tolist() == now.tolist()
 
 
 def growth(rng: np.random.Generator, vertices: int, steps: int) -> list[Packet]:
     """Steps of which each inserts some vertices into the first object, which has so many before."""
-    said: list[Packet] = []
+    stream: list[Packet] = []
     for _ in range(steps):
         more = int(rng.integers(1, 4))
-        said.append(Change(0, vertices + more, 1))
+        stream.append(Change(0, vertices + more, 1))
         for _ in range(more):
             x, y, side = rng.integers((8, 6, 4)).tolist()
-            said.append(Insert(int(rng.integers(vertices + 1)), x, y, side, int(rng.integers(2))))
+            stream.append(Insert(int(rng.integers(vertices + 1)), x, y, side, int(rng.integers(2))))
             vertices += 1
-        said.append(Save())
-    return said
+        stream.append(Save())
+    return stream
 
 
-def test_those_who_read_together_hold_and_draw_what_each_would_alone() -> None:
+def test_receivers_with_a_shared_cache_equal_separate_ones() -> None:
     rng, once = np.random.default_rng(1), MemoCache()
     common = growth(rng, 4, 1)
     vertices = 4 + sum(isinstance(packet, Insert) for packet in common)
     stories = []
     for _ in range(20):
         alone, together = Receiver(SHAPE), Receiver(SHAPE, once)
-        drawn = Drawn(SHAPE, THESIS, once)
-        said = pieces(encode(growth(rng, vertices, 3)), rng.integers(2**20, size=3).tolist())
-        for piece in [encode(SQUARE), encode(common), *said]:
+        drawn = DrawnClaims(SHAPE, THESIS, once)
+        stream = chunks(encode(growth(rng, vertices, 3)), rng.integers(2**20, size=3).tolist())
+        for chunk in [encode(SQUARE), encode(common), *stream]:
             for receiver in (alone, together):
-                receiver.feed(piece)
+                receiver.feed(chunk)
             assert held_plainly(together) == held_plainly(alone)
-            drawn.follow(together.objects, together.changed())
+            drawn.update(together.objects, together.changed())
             assert drawn.layer.tolist() == layer(alone.held.polygons).tolist()
             stories.append((together.objects, alone.held))
     for objects, held in stories:
-        assert objects.polygons()[1].canonical() == held.polygons.canonical(), "nobody has written on it"
+        assert objects.polygons()[1].canonical() == held.polygons.canonical(), (
+            "the shared objects are not modified"
+        )
 
 
 @quick
 @given(growing_maps(), st.sampled_from([0, 1, 4, None]), st.builds(Drawing, *2 * [st.booleans()]))
-def test_of_what_a_robot_tells_all_that_looks_different_has_changed(
+def test_the_changed_boxes_contain_all_cells_drawn_differently(
     steps: list[tuple[np.ndarray, tuple[int, int]]], splits: int | None, drawing: Drawing
 ) -> None:
     receiver = Receiver(steps[0][0].shape)
     drawn = layer(receiver.held.polygons, drawing)
-    for data, approximated in told(splits, steps):
+    for data, approximated in encoded_steps(splits, steps):
         receiver.feed(data)
-        draw_anew(drawn, receiver.objects, drawing, receiver.changed())
+        redraw(drawn, receiver.objects, drawing, receiver.changed())
         assert drawn.tolist() == layer(approximated, drawing).tolist()
 
 
-def test_of_a_real_story_little_is_drawn_anew_and_it_comes_to_the_same() -> None:
+def test_a_real_stream_redraws_few_cells_with_the_same_result() -> None:
     receiver = Receiver(real_map("fr079").shape)
     drawn = layer(receiver.held.polygons)
     areas = []
-    for data, approximated in real_story():
+    for data, approximated in real_stream():
         receiver.feed(data)
         boxes = receiver.changed()
-        draw_anew(drawn, receiver.objects, THESIS, boxes)
+        redraw(drawn, receiver.objects, THESIS, boxes)
         assert (drawn == layer(approximated)).all()
         areas.append(int(((boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1])).sum()))
     assert np.median(areas) < drawn.size / 10
@@ -355,9 +360,9 @@ def test_of_a_real_story_little_is_drawn_anew_and_it_comes_to_the_same() -> None
 @pytest.mark.parametrize(
     ("packets", "reason"),
     [
-        ([Insert(0, 1, 1, 0, 0)], "no object has been named that it speaks of"),
-        ([Save()], "nothing has changed since the last one"),
-        ([Emerge(0, 4, 1)], "object 0 is there already"),
+        ([Insert(0, 1, 1, 0, 0)], "no object is being edited"),
+        ([Save()], "nothing has changed since the last save point"),
+        ([Emerge(0, 4, 1)], "object 0 already exists"),
         ([Change(1, 4, 1)], "there is no object 1"),
         ([Remove(3)], "there is no object 3"),
         ([Remove(0), Save()], "0 inside objects: there must be exactly one"),
@@ -366,12 +371,12 @@ def test_of_a_real_story_little_is_drawn_anew_and_it_comes_to_the_same() -> None
         ([Change(0, 4, 1), Delete(4)], "index 4 of object 0: the last one is 3"),
         ([Change(0, 5, 1), Insert(5, 1, 1, 0, 0)], "index 5 of object 0: the last one is 4"),
         ([Change(0, 4, 1), Replace(0, 9, 1, 0, 0)], r"cell \(9, 1\) is outside the 8 x 6 grid"),
-        ([Change(0, 4, 1), Delete(0), Save()], "object 0 has 3 vertices, not 4 as announced"),
-        ([Emerge(1, 3, 0), Remove(0)], "object 1 has 0 vertices, not 3 as announced"),
-        ([Target(1, 1)], "does not belong in a map's stream"),
+        ([Change(0, 4, 1), Delete(0), Save()], "object 0 has 3 vertices instead of the announced 4"),
+        ([Emerge(1, 3, 0), Remove(0)], "object 1 has 0 vertices instead of the announced 3"),
+        ([Target(1, 1)], "edit streams have no packets of this kind"),
     ],
 )
-def test_a_refusal_says_what_is_wrong(packets: list[Packet], reason: str) -> None:
+def test_the_error_of_a_malformed_stream_has_the_reason(packets: list[Packet], reason: str) -> None:
     receiver = Receiver(SHAPE)
     receiver.feed(encode(SQUARE))
     before = state(receiver)
@@ -381,7 +386,7 @@ def test_a_refusal_says_what_is_wrong(packets: list[Packet], reason: str) -> Non
     assert state(receiver) == before
 
 
-def test_a_piece_that_fails_behind_a_save_point_is_refused_with_it() -> None:
+def test_a_chunk_that_fails_behind_a_save_point_is_rejected_as_a_whole() -> None:
     receiver = Receiver(SHAPE)
     receiver.feed(encode(SQUARE))
     before = state(receiver)

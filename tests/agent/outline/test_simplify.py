@@ -1,4 +1,4 @@
-"""Douglas-Peucker over all objects: split by split what a plain search finds, until nothing is left."""
+"""Douglas-Peucker over all objects: each split equals that of a plain search, until the approximation is exact."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ quick = settings(deadline=None)
 
 
 def born(exact: Polygons) -> Marks:
-    return repair(Polygons.nothing(exact.shape), exact)
+    return repair(Polygons.empty(exact.shape), exact)
 
 
 def squared_distance(exact: Polygons, p: int, a: int, b: int) -> Fraction:
@@ -70,7 +70,7 @@ def test_each_split_is_the_one_that_a_plain_search_over_all_points_finds(
 
 @quick
 @given(grids(), st.integers(0, 10), st.integers(0, 10), st.sampled_from([by_distance, mixed_first]))
-def test_refining_in_two_goes_is_refining_in_one(
+def test_refining_in_two_calls_equals_refining_in_one(
     case: tuple[Grid, Cell], one: int, other: int, value: ValueFunction
 ) -> None:
     exact = contours(*case)
@@ -92,7 +92,7 @@ def assert_exact(exact: Polygons, marks: Marks) -> None:
 
 @quick
 @given(grids(), st.sampled_from([by_distance, mixed_first]))
-def test_without_a_limit_it_ends_exact(case: tuple[Grid, Cell], value: ValueFunction) -> None:
+def test_refinement_without_a_limit_is_exact(case: tuple[Grid, Cell], value: ValueFunction) -> None:
     exact = contours(*case)
     marks = refine(exact, born(exact), value=value)
     assert_exact(exact, marks)
@@ -100,7 +100,7 @@ def test_without_a_limit_it_ends_exact(case: tuple[Grid, Cell], value: ValueFunc
 
 
 @pytest.mark.parametrize("value", [by_distance, mixed_first])
-def test_without_a_limit_it_ends_exact_on_real_maps_too(value: ValueFunction) -> None:
+def test_refinement_without_a_limit_is_exact_on_real_maps(value: ValueFunction) -> None:
     *_, (grid, robot) = exploration(real_map("fr079"), np.random.default_rng(5), 30, 30.0)
     exact = contours(grid, robot)
     assert_exact(exact, refine(exact, born(exact), value=value))
@@ -130,7 +130,7 @@ def test_distances_are_to_the_segment_not_to_the_line_through_it(
     assert places[split] == far_end, "by the line, any point above the bar is farther"
 
 
-def test_mixed_first_splits_an_edge_of_mixed_occupancy_before_a_longer_way_off() -> None:
+def test_mixed_first_splits_an_edge_of_mixed_occupancy_before_one_with_a_larger_distance() -> None:
     grid = np.full((12, 12), FREE, np.uint8)
     grid[0, 2:10] = [OCCUPIED, OCCUPIED, OCCUPIED, UNKNOWN, OCCUPIED, OCCUPIED, OCCUPIED, OCCUPIED]
     grid[6:11, 3:9] = OCCUPIED

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from agent.outline.splitting import START_BYTES, START_SPLITS, SplitAllowance, Splitting
 
 
-def test_the_frequency_is_what_equation_5_5_says() -> None:
+def test_the_frequency_is_that_of_equation_5_5() -> None:
     team = Splitting(
         robots=3, bandwidth=1000, reach=10, width=40, height=25, medium_use=0.6, bytes_per_split=12
     )
@@ -19,18 +19,18 @@ def test_the_frequency_is_what_equation_5_5_says() -> None:
     assert team.frequency(12) == pytest.approx(1000 * 0.3 * 0.6 / (6 * 12))
 
 
-def test_robots_that_always_hear_each_other_are_in_touch_with_probability_1() -> None:
+def test_robots_that_are_always_in_range_communicate_with_probability_1() -> None:
     assert Splitting(robots=8, bandwidth=1000, reach=math.inf, width=30, height=30).touch == 1
     assert Splitting(robots=8, bandwidth=1000, reach=20, width=30, height=30).touch == 1
 
 
 @pytest.mark.parametrize(("robots", "bandwidth"), [(1, 1000.0), (4, None)])
-def test_where_nothing_limits_refinement_it_goes_on_until_exact(robots: int, bandwidth: float | None) -> None:
+def test_unlimited_refinement_continues_until_exact(robots: int, bandwidth: float | None) -> None:
     assert SplitAllowance(Splitting(robots, bandwidth, 10, 30, 30)).next_step() is None
 
 
 @pytest.mark.parametrize(("robots", "bandwidth"), [(1, 1000.0), (4, None), (4, 0.0)])
-def test_a_fixed_frequency_counts_whatever_the_medium_carries(robots: int, bandwidth: float | None) -> None:
+def test_a_fixed_frequency_does_not_depend_on_the_bandwidth(robots: int, bandwidth: float | None) -> None:
     allowance = SplitAllowance(Splitting(robots, bandwidth, 10, 30, 30, fixed=0.25))
     assert [allowance.next_step() for _ in range(8)] == [0, 0, 0, 1, 0, 0, 0, 1]
 
@@ -52,12 +52,12 @@ def test_fractions_of_splits_are_carried_over(
 
 
 @pytest.mark.parametrize(("bandwidth", "reach"), [(0, 10), (1000, 0)])
-def test_who_can_say_nothing_refines_nothing(bandwidth: float, reach: float) -> None:
+def test_robots_without_bandwidth_or_range_refine_nothing(bandwidth: float, reach: float) -> None:
     allowance = SplitAllowance(Splitting(3, bandwidth, reach, 30, 30))
     assert [allowance.next_step() for _ in range(50)] == [0] * 50
 
 
-def test_bytes_a_split_are_measured_where_they_are_not_given() -> None:
+def test_bytes_per_split_are_measured_unless_they_are_given() -> None:
     allowance = SplitAllowance(Splitting(3, 1000, 10, 30, 30))
     assert allowance.bytes_per_split == START_BYTES
     for _ in range(1000):
@@ -70,7 +70,7 @@ def test_bytes_a_split_are_measured_where_they_are_not_given() -> None:
 @pytest.mark.parametrize(
     "wrong", [{"robots": 0}, {"bandwidth": -1}, {"medium_use": 0}, {"width": 0}, {"reach": math.nan}]
 )
-def test_parameters_without_meaning_are_refused(wrong: dict[str, float]) -> None:
+def test_invalid_parameters_are_rejected(wrong: dict[str, float]) -> None:
     given: dict[str, float] = {"robots": 2, "bandwidth": 100, "reach": 10, "width": 30, "height": 30}
     with pytest.raises(ValueError, match=r"at least 1|must be above 0"):
         Splitting(**(given | wrong))  # type: ignore[arg-type]

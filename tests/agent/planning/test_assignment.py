@@ -57,7 +57,7 @@ def open_floor() -> NDArray[np.uint8]:
 
 def test_algorithm_1_sends_the_second_robot_elsewhere() -> None:
     goals = np.array([(10, 10), (12, 10), (30, 10)], np.int32)
-    # Range 10: the first goal lowers its neighbour to 0.2 and leaves the third at 1.
+    # Range 10: the first goal lowers its neighbor to 0.2 and leaves the third at 1.
     costs = np.array([[0.1, 0.2, 0.9], [0.2, 0.1, 0.85]])
     assert in_turn(open_floor(), goals, np.ones(3), costs, np.full(2, 10.0)).tolist() == [0, 2]
     assert in_turn(open_floor(), goals, np.ones(3), 10 * costs, np.full(2, 10.0)).tolist() == [0, 1]
@@ -71,7 +71,7 @@ def test_a_wall_between_two_goals_keeps_their_utilities() -> None:
     assert in_turn(grid, goals, np.ones(3), costs, np.full(2, 10.0)).tolist() == [0, 1]
 
 
-def test_algorithm_2_is_no_worse_than_algorithm_1_where_that_is_short_predictiveed() -> None:
+def test_algorithm_2_is_no_worse_than_algorithm_1_where_that_is_short_sighted() -> None:
     # Fig. 7 of the paper: robot 1 is nearest to both rooms, and the other would have all the way to drive.
     goals = np.array([(0, 0), (39, 19)], np.int32)
     way = np.array([[0.9, 1.8], [0.5, 0.9]])

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.planning.best_frontier import Appeal, best_frontier
+from agent.planning.best_frontier import TradeOff, best_frontier
 from agent.planning.cost_field import FAR, Floor, costs, way, way_between, workspace
 from agent.planning.frontier import frontier_cells
 from agent.planning.reachability import reachable, reachable_frontier
@@ -18,34 +18,34 @@ from tests.agent.planning.planning_references import floors
 seeds = st.integers(0, 2**32 - 1)
 
 
-def plain(grid: Grid, x: int, y: int, appeal: Appeal) -> tuple[int, int] | None:
+def plain(grid: Grid, x: int, y: int, trade_off: TradeOff) -> tuple[int, int] | None:
     """Look at all frontier cells, on the whole cost field."""
     field = costs(grid, x, y)
     cells = frontier_cells(grid, np.isfinite(field))
     if not len(cells):
         return None
-    targets = [(int(tx), int(ty)) for tx, ty in appeal.targets]
-    worth = utilities(grid, cells, targets, appeal.ranges, appeal.weights.tolist())
-    cost = field[cells[:, 1], cells[:, 0]] / appeal.scale
-    best = cells[np.argmax(worth - appeal.beta * cost)]
+    targets = [(int(tx), int(ty)) for tx, ty in trade_off.targets]
+    worth = utilities(grid, cells, targets, trade_off.ranges, trade_off.weights.tolist())
+    cost = field[cells[:, 1], cells[:, 0]] / trade_off.scale
+    best = cells[np.argmax(worth - trade_off.beta * cost)]
     return int(best[0]), int(best[1])
 
 
-def check(grid: Grid, x: int, y: int, appeal: Appeal) -> None:
-    found = best_frontier(Floor(grid), grid, x, y, appeal)
-    assert (None if found is None else found[0]) == plain(grid, x, y, appeal)
+def check(grid: Grid, x: int, y: int, trade_off: TradeOff) -> None:
+    found = best_frontier(Floor(grid), grid, x, y, trade_off)
+    assert (None if found is None else found[0]) == plain(grid, x, y, trade_off)
     if found is not None:
         cell, cells = found
         assert cells.tolist() == way(grid, costs(grid, x, y), *cell).tolist()
 
 
-def appeal_of(rng: np.random.Generator, grid: Grid, range_cells: float, beta: float) -> Appeal:
+def appeal_of(rng: np.random.Generator, grid: Grid, range_cells: float, beta: float) -> TradeOff:
     height, width = grid.shape
     count = int(rng.integers(0, 5))
     targets = np.stack([rng.integers(0, width, count), rng.integers(0, height, count)], axis=1)
     weights = rng.choice([1.0, 0.5, 0.25], count)
     ranges = range_cells * rng.choice([1.0, 0.5, 2.5], count)
-    return Appeal(targets.astype(np.int32), weights, ranges, range_cells, beta)
+    return TradeOff(targets.astype(np.int32), weights, ranges, range_cells, beta)
 
 
 @given(floors(), seeds, st.floats(1, 30), st.sampled_from([0.0, 0.1, 1.0, 7.0]))
@@ -83,7 +83,7 @@ def test_searches_leave_the_memory_that_they_share_as_they_found_it(case: tuple[
     grid, x, y = case
     floor = Floor(grid)
     way_between(floor, (x, y), (0, 0))
-    check(grid, x, y, Appeal(np.empty((0, 2), np.int32), np.empty(0), np.empty(0), 5.0, 1.0))
+    check(grid, x, y, TradeOff(np.empty((0, 2), np.int32), np.empty(0), np.empty(0), 5.0, 1.0))
     length, came, _ = workspace(len(floor.free))
     assert (length == FAR).all()
     assert not came.any()
@@ -101,5 +101,5 @@ def test_the_frontier_met_while_flooding_is_the_frontier_of_what_is_reached(
 
 def test_without_a_frontier_there_is_none() -> None:
     grid = np.full((4, 5), FREE, np.uint8)
-    nobody = Appeal(np.empty((0, 2), np.int32), np.empty(0), np.empty(0), 5.0, 1.0)
+    nobody = TradeOff(np.empty((0, 2), np.int32), np.empty(0), np.empty(0), 5.0, 1.0)
     assert best_frontier(Floor(grid), grid, 1, 1, nobody) is None

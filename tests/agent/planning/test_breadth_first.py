@@ -68,7 +68,7 @@ def test_the_cell_found_is_the_one_of_fewest_steps_that_no_teammate_is_near(seed
     assert before == cell
 
 
-def test_a_diagonal_step_counts_one_and_a_diagonal_neighbour_counts() -> None:
+def test_a_diagonal_step_counts_one_and_a_diagonal_neighbor_counts() -> None:
     grid = drawn("......", "......", "......", "....?.")
     found = first_by_hops(grid, grid, (0, 0), np.empty((0, 2), np.int32), 0.0)
     assert found is not None

@@ -12,7 +12,7 @@ from agent.planning.candidates import (
     LEAST_CELLS,
     Edges,
     count_representatives,
-    free_edges,
+    frontier_segments,
     goal_candidates,
     representatives,
     searched_candidate,
@@ -22,7 +22,7 @@ from agent.planning.clusters import k_means, medoids
 from agent.planning.frontier import is_frontier
 from agent.planning.gain import information_gain
 from agent.planning.path_planner import PathPlanner
-from agent.planning.utility import in_predictive
+from agent.planning.utility import in_sight
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from tests.agent.planning.planning_references import drawn, grids
 
@@ -44,22 +44,22 @@ def parts(edges: Edges) -> list[list[list[int]]]:
     return [part.tolist() for part in np.split(cells, np.cumsum(sizes)[:-1])]
 
 
-def test_free_edges_are_the_8_connected_parts_and_small_ones_wait() -> None:
+def test_frontier_segments_are_the_8_connected_parts_and_small_ones_wait() -> None:
     cells = np.array([(0, 0), (1, 0), (2, 1), (9, 1), (0, 5), (1, 5), (2, 5), (3, 6)], np.int32)
-    edges = parts(free_edges(cells))
+    edges = parts(frontier_segments(cells))
     assert edges == [[[0, 0], [1, 0], [2, 1]], [[0, 5], [1, 5], [2, 5], [3, 6]]]
-    assert free_edges(cells[[0, 1, 3]])[1].tolist() == [2, 1]
+    assert frontier_segments(cells[[0, 1, 3]])[1].tolist() == [2, 1]
 
 
 @given(grids())
-def test_free_edges_are_numbered_as_their_first_cells_come_row_by_row(grid: Grid) -> None:
+def test_frontier_segments_are_numbered_as_their_first_cells_come_row_by_row(grid: Grid) -> None:
     cells = np.argwhere(grid == FREE)[:, ::-1].astype(np.int32)
     if not len(cells):
         return
     labels, count = ndimage.label(grid == FREE, np.ones((3, 3)))
     all_parts = [np.argwhere(labels == 1 + number)[:, ::-1].tolist() for number in range(count)]
     wanted = [part for part in all_parts if len(part) >= LEAST_CELLS] or all_parts
-    assert parts(free_edges(np.ascontiguousarray(cells))) == wanted
+    assert parts(frontier_segments(np.ascontiguousarray(cells))) == wanted
 
 
 def test_a_short_edge_is_represented_by_its_middle_a_long_one_by_several_cells() -> None:
@@ -136,7 +136,7 @@ def test_thinned_out_nobody_is_near_one_that_stays_and_all_others_are_near_a_lon
 
     def near(one: int, other: int) -> bool:
         (x0, y0), (x1, y1) = cells[one].tolist(), cells[other].tolist()
-        return (x0 - x1) ** 2 + (y0 - y1) ** 2 < gap**2 and in_predictive(grid, x0, y0, x1, y1)
+        return (x0 - x1) ** 2 + (y0 - y1) ** 2 < gap**2 and in_sight(grid, x0, y0, x1, y1)
 
     assert not any(near(one, other) for one in stay for other in stay if one != other)
     for number in set(range(len(cells))) - set(stay):

@@ -66,7 +66,7 @@ def test_a_cell_is_told_apart_one_by_one_as_well(case: tuple[Grid, int, int]) ->
             assert is_frontier(grid, cx, cy) == by_definition(grid, cx, cy)
 
 
-def test_the_rim_of_the_grid_is_no_frontier_and_a_diagonal_neighbour_does_not_count() -> None:
+def test_the_rim_of_the_grid_is_no_frontier_and_a_diagonal_neighbor_does_not_count() -> None:
     inside = drawn("...", "...")
     assert not frontier_cells(inside, reachable(Floor(inside), 0, 0)).size
     grid = drawn("..#", "..#", "##?")

@@ -18,7 +18,7 @@ def at(x: int, y: int) -> np.ndarray[tuple[int, int], np.dtype[np.int32]]:
     return np.array([(x, y)], np.int32)
 
 
-def test_nothing_is_promised_where_all_in_predictive_is_known() -> None:
+def test_nothing_is_promised_where_all_in_sight_is_known() -> None:
     room = drawn("#####", "#...#", "#...#", "#####", "?????")
     assert expected_gain(room, at(2, 1), ONE, 10.0)[0] == 0.0
 
@@ -29,7 +29,7 @@ def test_the_whole_disc_unknown_promises_the_more_the_longer_the_edge() -> None:
     shares = [
         float(expected_gain(grid, at(20, 20), np.array([length]), 10.0)[0]) for length in (1, 5, 10, 99)
     ]
-    # A beam ends with the last cell whose centre is in range: a little less than the whole disc is counted.
+    # A beam ends with the last cell whose center is in range: a little less than the whole disc is counted.
     assert shares == pytest.approx([0.16, 0.28, 0.35, 0.35], rel=0.1)
     assert shares[0] < shares[1] < shares[2] == shares[3]
 

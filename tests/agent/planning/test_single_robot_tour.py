@@ -1,4 +1,4 @@
-"""Tours of a robot alone: worked by hand, and never longer than the nearest neighbour's."""
+"""Tours of a robot alone: worked by hand, and never longer than the nearest neighbor's."""
 
 from __future__ import annotations
 

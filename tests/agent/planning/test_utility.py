@@ -1,4 +1,4 @@
-"""Utilities, compared with their equations, and lines of predictive with the plainest line of cells."""
+"""Utilities, compared with their equations, and lines of sight with the plainest line of cells."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.planning.utility import in_predictive, utilities
+from agent.planning.utility import in_sight, utilities
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from tests.agent.planning.planning_references import drawn
 
@@ -56,12 +56,12 @@ def line(one: Cell, other: Cell) -> list[Cell]:
 
 
 @given(scenes())
-def test_a_line_of_predictive_is_free_of_obstacles_and_the_same_from_both_ends(scene: Any) -> None:
+def test_a_line_of_sight_is_free_of_obstacles_and_the_same_from_both_ends(scene: Any) -> None:
     grid, cells, targets, _ = scene
     for one in cells:
         for other in targets:
-            seen = in_predictive(grid, *one, *other)
-            assert seen == in_predictive(grid, *other, *one)
+            seen = in_sight(grid, *one, *other)
+            assert seen == in_sight(grid, *other, *one)
             assert seen == all(grid[y, x] != OCCUPIED for x, y in line(one, other))
 
 
@@ -74,7 +74,7 @@ def test_only_cells_beside_the_straight_line_can_hide_what_is_behind(one: Cell, 
     along = (xs - one[0]) * (other[0] - one[0]) + (ys - one[1]) * (other[1] - one[1])
     near = (off <= length * math.sqrt(0.5) + 1e-9) & (along >= 0) & (along <= length**2 + 1e-6)
     grid[near] = FREE
-    assert in_predictive(grid, *one, *other)
+    assert in_sight(grid, *one, *other)
 
 
 @given(scenes(), st.booleans())
@@ -116,10 +116,10 @@ def test_a_wall_keeps_what_is_behind_it_worth_going_to() -> None:
 
 
 def test_what_is_unknown_hides_nothing() -> None:
-    assert in_predictive(drawn(".?."), 0, 0, 2, 0)
-    assert not in_predictive(drawn(".#."), 0, 0, 2, 0)
-    assert not in_predictive(drawn(".#"), 0, 0, 1, 0)
-    assert in_predictive(drawn("."), 0, 0, 0, 0)
+    assert in_sight(drawn(".?."), 0, 0, 2, 0)
+    assert not in_sight(drawn(".#."), 0, 0, 2, 0)
+    assert not in_sight(drawn(".#"), 0, 0, 1, 0)
+    assert in_sight(drawn("."), 0, 0, 0, 0)
 
 
 def test_targets_in_the_same_place_count_each() -> None:

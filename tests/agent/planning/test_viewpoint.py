@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.planning.path_planner import PathPlanner
-from agent.planning.viewpoint import best_vantage, vantage_cells
+from agent.planning.viewpoint import best_viewpoint, viewpoint_cells
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
 from tests.agent.planning.planning_references import drawn, grids
 
@@ -33,8 +33,8 @@ def seen(cells: np.ndarray[tuple[int, int], np.dtype[np.int32]]) -> set[tuple[in
 
 
 def test_into_a_nook_one_sees_from_before_it_and_not_from_beside() -> None:
-    assert seen(vantage_cells(NOOK, END, BEAMS, 8.0)) == {(4, y) for y in range(1, 7)}
-    assert seen(vantage_cells(NOOK, END, BEAMS, 2.0)) == {(4, 1), (4, 2)}
+    assert seen(viewpoint_cells(NOOK, END, BEAMS, 8.0)) == {(4, y) for y in range(1, 7)}
+    assert seen(viewpoint_cells(NOOK, END, BEAMS, 2.0)) == {(4, 1), (4, 2)}
 
 
 @given(grids(), st.integers(0, 10**6), st.floats(1.0, 8.0))
@@ -58,13 +58,13 @@ def test_they_are_the_cells_from_which_a_beam_comes_to_what_is_unknown(
                     expected.add((from_x, from_y))
                 if grid[cell[1], cell[0]] != FREE:
                     break
-    assert seen(vantage_cells(grid, (x, y), BEAMS, reach)) == expected
+    assert seen(viewpoint_cells(grid, (x, y), BEAMS, reach)) == expected
 
 
 def look(here: tuple[int, int], tour: list[tuple[int, int]], step: float = 1.0, crumbs: int = 1) -> object:
     goals = np.array(tour, np.int32)
-    views = [vantage_cells(NOOK, goal, BEAMS, 8.0) if at < crumbs else None for at, goal in enumerate(tour)]
-    return best_vantage(PathPlanner(NOOK), here, views, goals, step)
+    views = [viewpoint_cells(NOOK, goal, BEAMS, 8.0) if at < crumbs else None for at, goal in enumerate(tour)]
+    return best_viewpoint(PathPlanner(NOOK), here, views, goals, step)
 
 
 def test_a_robot_that_passes_by_looks_in_from_its_way() -> None:
@@ -78,15 +78,15 @@ def test_of_ways_of_as_many_steps_the_one_that_leads_on_is_taken() -> None:
     assert look((0, 6), [END, (8, 4)], step=6.0) == (4, 4)
 
 
-def test_a_goal_in_predictive_from_there_as_well_needs_no_way() -> None:
+def test_a_goal_in_sight_from_there_as_well_needs_no_way() -> None:
     tour = np.array([END, (1, 4), (8, 6)], np.int32)
-    views = [vantage_cells(NOOK, END, BEAMS, 8.0), np.array([(4, 4), (1, 4)], np.int32), None]
-    assert best_vantage(PathPlanner(NOOK), (4, 3), views, tour, 6.0) is None
-    assert best_vantage(PathPlanner(NOOK), (5, 6), views, tour, 6.0) == (4, 4)
-    assert best_vantage(PathPlanner(NOOK), (5, 6), [views[0], None, None], tour, 6.0) == (4, 4)
+    views = [viewpoint_cells(NOOK, END, BEAMS, 8.0), np.array([(4, 4), (1, 4)], np.int32), None]
+    assert best_viewpoint(PathPlanner(NOOK), (4, 3), views, tour, 6.0) is None
+    assert best_viewpoint(PathPlanner(NOOK), (5, 6), views, tour, 6.0) == (4, 4)
+    assert best_viewpoint(PathPlanner(NOOK), (5, 6), [views[0], None, None], tour, 6.0) == (4, 4)
     tour[1] = 1, 6
-    assert best_vantage(PathPlanner(NOOK), (5, 6), views, tour, 6.0) == (4, 4)
-    assert best_vantage(PathPlanner(NOOK), (5, 6), [views[0], None, None], tour, 6.0) == (4, 6)
+    assert best_viewpoint(PathPlanner(NOOK), (5, 6), views, tour, 6.0) == (4, 4)
+    assert best_viewpoint(PathPlanner(NOOK), (5, 6), [views[0], None, None], tour, 6.0) == (4, 6)
 
 
 @pytest.mark.parametrize("here", [(4, 2), (4, 4), END])
@@ -97,5 +97,5 @@ def test_a_robot_that_stands_where_it_should_have_seen_it_gets_no_other_place(he
 def test_without_a_way_there_is_no_place() -> None:
     grid = NOOK.copy()
     grid[:, 2] = OCCUPIED
-    views = [vantage_cells(grid, END, BEAMS, 8.0)]
-    assert best_vantage(PathPlanner(grid), (0, 4), views, np.array([END], np.int32), 1.0) is None
+    views = [viewpoint_cells(grid, END, BEAMS, 8.0)]
+    assert best_viewpoint(PathPlanner(grid), (0, 4), views, np.array([END], np.int32), 1.0) is None

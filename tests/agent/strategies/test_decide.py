@@ -16,8 +16,8 @@ from agent.strategies.burgard import Nearest
 from agent.strategies.leaders import STALL_STEPS, elect
 from agent.strategies.registry import strategy
 from agent.strategies.rotating import ShengBid
-from agent.strategies.targets import TURNED_AWAY
-from agent.strategies.team import PATIENCE
+from agent.strategies.targets import HOME_AFTER
+from agent.strategies.team import PLAN_ALONE_AFTER
 from protocol.grid import FREE, UNKNOWN, Grid
 from tests.agent.planning.planning_references import drawn, settings_for
 
@@ -180,7 +180,7 @@ def test_mtsp_with_fewer_goals_than_robots_takes_the_cheapest_pair_first() -> No
         assert decide("mtsp", situation, {"candidates": "rfe"}, robot=robot).target == expected
 
 
-def test_hungarian_depot_spares_who_has_travelled_far() -> None:
+def test_hungarian_depot_spares_who_has_traveled_far() -> None:
     one_frontier = CORRIDOR.copy()
     one_frontier[0, 14] = 2
     cells = {0: (4, 1), 1: (6, 1)}
@@ -287,10 +287,10 @@ def test_a_member_of_a_team_is_done_in_every_step_in_which_nothing_is_left(name:
     known = drawn("#######", ".......", "#######")
     member = mind(name, {"mission": mission}, known)
     at_home = robot_at(5, grid=known, peers=(1,), poses={1: Pose(2, 1, False)})
-    done = [member.decide(replace(at_home, step=step)).explored for step in range(1, 2 * PATIENCE)]
+    done = [member.decide(replace(at_home, step=step)).explored for step in range(1, 2 * PLAN_ALONE_AFTER)]
     assert all(done)
     left = robot_at(5, peers=(1,), poses={1: Pose(2, 1, False)})
-    assert not member.decide(replace(left, step=2 * PATIENCE)).explored
+    assert not member.decide(replace(left, step=2 * PLAN_ALONE_AFTER)).explored
 
 
 def test_a_returning_robot_is_home_where_teammates_that_are_back_stop_it_again_and_again() -> None:
@@ -319,8 +319,8 @@ def test_a_robot_that_sees_no_way_home_for_long_is_home_where_it_is(name: str) -
     cut_off = replace(robot_at(7, grid=known), home=(0, 3), homes={0: (0, 3)})
     swarm = mind(name, {"mission": "return"}, known, robots=1)
     after = [swarm.decide(replace(cut_off, step=step)) for step in range(1, 20)]
-    assert [decision.explored for decision in after] == [False] * (TURNED_AWAY - 1) + [True] * 10
-    assert {decision.status for decision in after} == {"idle: its map shows no way home"}
+    assert [decision.explored for decision in after] == [False] * (HOME_AFTER - 1) + [True] * 10
+    assert {decision.status for decision in after} == {"idle: the map shows no way home"}
     opened = known.copy()
     opened[2, 9] = FREE
     on_the_way = swarm.decide(replace(cut_off, grid=opened, step=20))
@@ -524,5 +524,5 @@ def test_of_goals_any_may_be_chosen_as_a_row_too_but_nothing_else() -> None:
     for wrong in ((7, 1), (10**6, -1)):
         own = Own({}, settings_for(CORRIDOR))
         own.chosen = wrong
-        with pytest.raises(ValueError, match=r"strategy nearest chose .*, which is none of its goals"):
+        with pytest.raises(ValueError, match=r"strategy nearest chose .*, which is not one of its goals"):
             own.decide(robot_at(4))

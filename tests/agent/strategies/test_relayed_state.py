@@ -10,10 +10,10 @@ from agent.robot import Robot
 from agent.strategies.base import Cell, Pose, Situation
 from agent.strategies.burgard import Burgard
 from agent.strategies.relayed_state import RelayedState
-from netshaper.frames import is_broadcast
+from netshaper.admission import is_broadcast
 from protocol import packets
 from protocol.grid import ray_table
-from protocol.messages import Outcome, Sense
+from protocol.messages import RoundReport, Sense
 from protocol.packets import Passed, Target
 from tests.agent.planning.planning_references import drawn, settings_for
 
@@ -67,10 +67,9 @@ class Line:
             assert frame is None or is_broadcast(frame)
             for other in beside[one] if frame is not None else ():
                 assert frame is not None
-                self.robot_settings[other].hear_broadcast(one, frame)
-            self.robot_settings[one].settle(
-                Outcome(self.step_number, 0, [], [], [], [], [], frame is not None), []
-            )
+                self.robot_settings[other].receive_broadcast(one, frame)
+            report = RoundReport(self.step_number, 0, [], [], [], frame is not None)
+            self.robot_settings[one].close_round(report)
         for mind in self.robot_settings:
             mind.decide()
             assert not mind.faults
@@ -119,7 +118,7 @@ def test_word_of_a_robot_goes_round_no_longer_than_a_chain_of_all_would_take() -
     one, two = (RelayedState(settings_for(GRID, robot=robot, robots=5)) for robot in (1, 2))
     poses: dict[int, Pose] = {0: Pose(3, 4, leads=False)}
     targets: dict[int, Cell] = {0: (8, 9)}
-    said = {1: one.passed_on(1, [0], [2], poses, targets), 2: two.passed_on(1, [], [1], poses, targets)}
+    said = {1: one.forward(1, [0], [2], poses, targets), 2: two.forward(1, [], [1], poses, targets)}
     assert said == {1: [Passed(0, 1, 3, 4), Target(8, 9)], 2: []}
     lasted = 0
     for step in range(1, 9):
@@ -130,8 +129,8 @@ def test_word_of_a_robot_goes_round_no_longer_than_a_chain_of_all_would_take() -
             )
         lasted += bool(two.connected(step, [1]))
         said = {
-            1: one.passed_on(step + 1, [2], [2], poses, targets),
-            2: two.passed_on(step + 1, [1], [1], poses, targets),
+            1: one.forward(step + 1, [2], [2], poses, targets),
+            2: two.forward(step + 1, [1], [1], poses, targets),
         }
     assert lasted == 3 and said == {1: [], 2: []}
 
@@ -141,7 +140,7 @@ def test_word_of_a_robot_goes_round_no_longer_than_a_chain_of_all_would_take() -
 ])  # fmt: skip
 def test_hearsay_of_no_robot_or_cell_is_a_fault(frame: list[packets.AnyPacket]) -> None:
     mind = Robot(settings_for(GRID, robot=2, robots=3, strategy="burgard", map_encoding="scans"))
-    mind.hear_broadcast(1, packets.encode(frame))
+    mind.receive_broadcast(1, packets.encode(frame))
     assert len(mind.faults) == 1
 
 

@@ -46,17 +46,25 @@ def test_what_promises_much_comes_first_and_a_crumb_where_it_is_near() -> None:
 @pytest.mark.parametrize(("small_frontier", "first"), [(0.0, END), (1.0, GAP)])
 def test_the_weight_of_crumbs_says_how_near(small_frontier: float, first: tuple[int, int]) -> None:
     assert (
-        target(15, {"small_frontier": small_frontier, "latency_weight": 0.0, "last": 0.0, "total": 0.0})
+        target(
+            15,
+            {
+                "small_frontier": small_frontier,
+                "latency_weight": 0.0,
+                "longest_tour": 0.0,
+                "total_length": 0.0,
+            },
+        )
         == first
     )
 
 
 def test_a_crumb_is_not_left_behind_where_lateness_the_last_robots_end_or_the_way_counts() -> None:
-    alone = {"small_frontier": 0.01, "latency_weight": 0.0, "last": 0.0, "total": 0.0}
+    alone = {"small_frontier": 0.01, "latency_weight": 0.0, "longest_tour": 0.0, "total_length": 0.0}
     assert target(12, alone) == END
     assert target(12, alone | {"latency_weight": 1.0}) == GAP
-    assert target(12, alone | {"last": 5.0}) == GAP
-    assert target(12, alone | {"total": 5.0}) == GAP
+    assert target(12, alone | {"longest_tour": 5.0}) == GAP
+    assert target(12, alone | {"total_length": 5.0}) == GAP
 
 
 @pytest.mark.parametrize(("x", "first"), [(23, GAP), (27, END)])
@@ -65,7 +73,7 @@ def test_a_robot_without_teammates_drives_the_shortest_tour_whatever_goals_promi
 ) -> None:
     robot = Repairmen({"small_frontier": 0.0}, settings_for(HALL, 0, 1, ranges_cells=[10.0]))
     assert robot.decide(robot_at(x, 4)).target == first
-    assert target(23, {"small_frontier": 0.0, "last": 0.0, "total": 0.0}) == END
+    assert target(23, {"small_frontier": 0.0, "longest_tour": 0.0, "total_length": 0.0}) == END
 
 
 def both(situations: list[Situation]) -> list[Decision]:
@@ -116,7 +124,7 @@ def test_who_has_much_to_expect_leaves_the_rest_to_others(work: float, first: tu
     grid = HALL.copy()
     grid[0, 32] = UNKNOWN
     here = robot_at(28, 4, grid, peers=(1,), poses={1: Pose(31, 7, leads=False)})
-    assert mind(grid=grid, options={"work": work, "total": 0.0}).decide(here).target == first
+    assert mind(grid=grid, options={"expected_work": work, "total_length": 0.0}).decide(here).target == first
 
 
 def test_it_plans_anew_with_all_news_unless_told_otherwise() -> None:
@@ -187,7 +195,7 @@ def test_a_crumb_is_looked_at_from_afar_a_long_edge_and_one_looked_at_in_vain_fr
     x, y = decided.path[-1].tolist()
     assert decided.target == (20, 2)
     assert (x, y) in {(19, 9), (20, 9)}
-    assert ends(Repairmen({"look": 0.0}, alone), here) == (20, 2)
+    assert ends(Repairmen({"viewpoint_range": 0.0}, alone), here) == (20, 2)
     assert ends(Repairmen({}, structs.replace(alone, field_of_view=90.0)), here) == (20, 2)
     # A teammate stood before it: no news of the map, and the robot drives in, whatever it learns on the way.
     assert ends(robot, replace(robot_at(x, y, grid), step=2)) == (20, 2)

@@ -7,11 +7,12 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from agent.robot import REPEAT_POSE, SURE_AFTER, Robot
+from agent.announcements import REPEAT_POSE
+from agent.robot import SURE_AFTER, Robot
 from agent.strategies.base import Decision, Pose, Situation, Strategy
 from protocol import packets
 from protocol.grid import ray_table
-from protocol.messages import Outcome, Sense
+from protocol.messages import RoundReport, Sense
 from protocol.scans import NONE
 from tests.agent.planning.planning_references import drawn, settings_for
 
@@ -28,8 +29,8 @@ def sense(step: int, x: int = 10, y: int = 10, *, look: bool = True) -> Sense:
     return Sense(step, x, y, 0, b"", readings.tobytes(), "")
 
 
-def carried(step: int) -> Outcome:
-    return Outcome(step, 0, [], [], [], [], [], True)
+def carried(step: int) -> RoundReport:
+    return RoundReport(step, 0, [], [], [], True)
 
 
 def said(mind: Robot, peers: list[int]) -> list[str]:
@@ -51,7 +52,7 @@ def test_a_pose_that_all_have_heard_is_repeated_only_after_a_while_or_for_a_newc
         mind.perceive(sense(step))
         told.append("pose" in said(mind, [1]))
         if told[-1]:
-            mind.settle(carried(step), [])
+            mind.close_round(carried(step))
     assert told == [True] + [False] * (REPEAT_POSE - 1) + [True]
     mind.perceive(sense(20))
     assert said(mind, [1, 2]) == ["pose"]
@@ -74,7 +75,7 @@ def test_a_pose_and_a_target_go_in_one_broadcast_and_are_understood() -> None:
     assert frame is not None
     assert [packet.name for packet in packets.decode(frame)] == ["pose", "targ"]
     assert len(frame) == 7
-    other.hear_broadcast(0, frame)
+    other.receive_broadcast(0, frame)
     assert not other.faults
 
 
@@ -107,7 +108,7 @@ def test_a_depot_is_where_a_robot_was_first_heard_of_and_ways_are_added_up_from_
     for step, x, heard in ((1, 10, (3, 4)), (2, 13, (6, 8)), (3, 13, (6, 10))):
         mind.perceive(sense(step, x))
         mind.announce([1])
-        mind.hear_broadcast(1, packets.encode([packets.Pose(*heard, 0)]))
+        mind.receive_broadcast(1, packets.encode([packets.Pose(*heard, 0)]))
         mind.decide()
     told = Witness.told
     assert told.homes == {0: (10, 10), 1: (3, 4)}
@@ -119,7 +120,7 @@ def test_a_depot_is_where_a_robot_was_first_heard_of_and_ways_are_added_up_from_
 def test_a_broadcast_that_makes_no_sense_is_a_fault_and_nothing_more() -> None:
     mind = robot("burgard")
     for frame in (packets.encode([packets.Pose(500, 3, 0)]), packets.encode([packets.Save()]), b"\xff"):
-        mind.hear_broadcast(1, frame)
+        mind.receive_broadcast(1, frame)
     assert len(mind.faults) == 3
     mind.perceive(sense(1))
     mind.decide()
@@ -129,25 +130,25 @@ def test_news_wait_until_the_target_is_replaced_where_the_strategy_says_so() -> 
     mind = robot("scan-replan")
     mind.perceive(sense(1))
     mind.decide()
-    first = len(mind.session.logs[0])
+    first = len(mind.replication.logs[0])
     assert first > 0
     mind.perceive(sense(2, 11))
     mind.decide()
-    assert len(mind.session.logs[0]) == first
+    assert len(mind.replication.logs[0]) == first
     assert mind.target is not None
     mind.perceive(sense(3, *mind.target))
     mind.decide()
-    assert len(mind.session.logs[0]) > first
+    assert len(mind.replication.logs[0]) > first
 
 
 def test_a_scanner_that_rests_has_nothing_to_tell() -> None:
     mind = robot("classical")
     mind.perceive(sense(1))
     mind.decide()
-    before = len(mind.session.logs[0])
+    before = len(mind.replication.logs[0])
     mind.perceive(sense(2, 11, look=False))
     mind.decide()
-    assert len(mind.session.logs[0]) == before
+    assert len(mind.replication.logs[0]) == before
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from agent.planning.path_planner import PathPlanner
 from agent.strategies.base import Pose, Situation
-from agent.strategies.faigl import share_out
+from agent.strategies.faigl import cluster_goals
 from agent.strategies.registry import strategy
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from tests.agent.planning.planning_references import settings_for
@@ -67,7 +67,7 @@ def tables(name: str, seed: int, ranges: list[float], radii: list[float] | None 
         goals = mind.goals(situation, planner)
         if len(goals):
             table = mind.table(situation, goals, planner)
-            share = share_out(table) if name == "mtsp" else mind.assign(table, situation, planner)
+            share = cluster_goals(table) if name == "mtsp" else mind.assign(table, situation, planner)
             found.append((goals.tolist(), share.tolist()))
     return found
 

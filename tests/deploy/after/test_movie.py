@@ -107,8 +107,8 @@ def test_the_command_writes_a_gif_and_prints_its_name(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["movie", "RUN", "--mp4", "--gif"], "--mp4 and --gif are two films: choose one"),
-        (["movie", "RUN", "RUN", "RUN"], "a film shows one run, or two side by side"),
+        (["movie", "RUN", "--mp4", "--gif"], "use either --mp4 or --gif"),
+        (["movie", "RUN", "RUN", "RUN"], "movie takes one run directory, or two"),
         (["movie", "RUN", "--rate", "0"], "rate = 0: must be 0.1 to 120 steps per second"),
         (["movie", "/nowhere"], "/nowhere: no run directory, for it has no scenario.toml"),
         (
@@ -119,7 +119,7 @@ def test_the_command_writes_a_gif_and_prints_its_name(tmp_path: Path) -> None:
             ["movie", "RUN", "--out", "film.avi"],
             "out = film.avi: must end in .mp4; --mp4 and --gif choose the format",
         ),
-        (["report", "RUN", "RUN", "RUN"], "a report is of one run, or compares two; stages are of one"),
+        (["report", "RUN", "RUN", "RUN"], "report takes one run directory, or two; with --stages only one"),
     ],
 )
 def test_invalid_requests_for_films_are_refused(words: list[str], said: str) -> None:

@@ -14,7 +14,7 @@ import pytest
 from tests.deploy.commands.office_floor import explore, murmur
 
 
-def test_a_replay_says_whether_the_run_holds(floor: str) -> None:
+def test_a_replay_reports_whether_the_digest_is_equal(floor: str) -> None:
     explore(floor, "--steps", "8", "--out", "run")
     result = murmur("replay", "run")
     assert (result.exit_code, result.stdout[:14]) == (0, "Replay matches")
@@ -26,16 +26,16 @@ def test_a_replay_says_whether_the_run_holds(floor: str) -> None:
     result = murmur("replay", "run")
     assert result.exit_code == 1
     assert "Replay differs" in result.stderr
-    assert "steps: 7 then, 8 now" in result.stderr
+    assert "steps: was 7, is 8" in result.stderr
 
 
-def test_a_replay_names_the_settings_that_have_changed_first(floor: str) -> None:
+def test_a_replay_lists_changed_settings_first(floor: str) -> None:
     explore(floor, "--steps", "4", "--out", "run")
     scenario = Path("run/scenario.toml")
     scenario.write_text(scenario.read_text().replace("robots = 2", "robots = 3"))
     result = murmur("replay", "run")
     assert result.exit_code == 1
-    assert result.stderr.splitlines()[1] == "  robots: 2 then, 3 now"
+    assert result.stderr.splitlines()[1] == "  robots: was 2, is 3"
     assert "map: " not in result.stderr
 
 
@@ -47,15 +47,13 @@ def test_a_replay_names_the_settings_that_have_changed_first(floor: str) -> None
         ({"lost": {"1": "its process ended"}}, "robot 1 was lost: its process ended, unasked"),
     ],
 )
-def test_what_befell_a_run_from_outside_cannot_be_replayed(
-    floor: str, what: dict[str, Any], why: str
-) -> None:
+def test_a_run_with_unplanned_events_cannot_be_replayed(floor: str, what: dict[str, Any], why: str) -> None:
     explore(floor, "--steps", "4", "--out", "run")
     summary = json.loads(Path("run/summary.json").read_text())
     Path("run/summary.json").write_text(json.dumps(summary | what))
     result = murmur("replay", "run")
     assert (result.exit_code, result.stdout) == (2, "")
-    assert result.stderr == f"murmur: run: this run cannot be repeated: {why}\n"
+    assert result.stderr == f"murmur: run: cannot be repeated: {why}\n"
 
 
 FULL_DISK = """

@@ -1,4 +1,4 @@
-"""Bad input: what is wrong is named with what would be right, and nothing is left behind."""
+"""Bad input: errors name the value and the valid values, and no file is written."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ FILES = {
 
 @pytest.fixture
 def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A folder to work in, full of files that something is wrong with."""
+    """A working folder with faulty files."""
     for name, text in FILES.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(text)
@@ -100,22 +100,22 @@ EXPLORE = {
     "--map dark.yaml": "dark.yaml: no cell is free; check negate and the thresholds",
     "--map wide.yaml": f"wide.png: is 2049 x 3 cells, and {MAX_SIDE} x {MAX_SIDE} is the most",
     "--map turned.yaml": "turned.yaml: origin is turned by 1.0 rad; turn the picture instead",
-    "--map small.png": "a picture does not say how large its cells are: give --resolution METRES, or the YAML",
-    "--map small.yaml --resolution 0.1": "map_options: small.yaml is a file; only generated maps have options",
+    "--map small.png": "an image has no resolution: give --resolution METERS (per cell), or the YAML",
+    "--map small.yaml --resolution 0.1": "map_options: small.yaml is a file; only generators have options",
     "--map text.png --resolution 0.1": "text.png: is not a whole PGM or PNG picture",
-    "--set robtos=3": "robtos is no setting; did you mean robots or robot or options?",
-    "--set polygons.lasy=true": "polygons.lasy is no setting; did you mean lazy?",
-    "--set robots=3 --robots 4": "set = 'robots=...': --robots sets it too; leave it to one of them",
+    "--set robtos=3": "robtos: unknown setting; did you mean robots or robot or options?",
+    "--set polygons.lasy=true": "polygons.lasy: unknown setting; did you mean lazy?",
+    "--set robots=3 --robots 4": "set = 'robots=...': --robots is given, too; remove one of them",
     "--set radius": "set = 'radius': must be NAME=VALUE, as radius=0.2",
     "--set robot=3": "robot = 3: must be tables, [[robot]], of robot, sensor_range, field_of_view, speed,",
-    "--map offise": "no environment is called 'offise'; did you mean office? There are: unstructured, mixed, office,",
-    "--map room.bmp": "no environment is called 'room.bmp'; there are: unstructured, mixed, office,",
-    "--map full": "map = 'full': is a folder; give the YAML file of a map in it",
+    "--map offise": "unknown map 'offise'; did you mean office? There are: unstructured, mixed, office,",
+    "--map room.bmp": "unknown map 'room.bmp'; there are: unstructured, mixed, office,",
+    "--map full": "map = 'full': is a directory; give the YAML file of a map in it",
     "--map em --resolution 0.0001": "width_m is 21.0 m; with cells of 0.0001 m it must be 2 m at least, and 0.2048 m,",
     "--set polygons=3": "polygons = 3: must be a table",
     "--set map_options=3": "map_options = 3: must be a table",
     "--strategy own:": "strategy 'own:': must be package.module:Class",
-    "--range -3": "range = '-3': must be a distance of 0 or more: metres, as 12.5, or a share of the diagonal",
+    "--range -3": "range = '-3': must be a distance of 0 or more: meters, as 12.5, or a share of the diagonal",
     "--range nan": "range = 'nan': must be a distance",
     "--strategy leaders --range 3": "range = '3': leaders needs rho_lead <= range, not rho_lead = 4 m with",
     "--strategy leaders --range 5%": "range = '5%': leaders needs rho_lead <= range, not rho_lead = 4 m with a",
@@ -123,11 +123,11 @@ EXPLORE = {
     "--range -5%": "range = '-5%': must be a distance",
     "--range far": "range = 'far': must be a distance",
     "--robots 0": "robots = 0: must be greater than or equal to 1",
-    "--robots 65 --map-encoding polygons": "robots = 65: packets can name the maps of 64 robots",
+    "--robots 65 --map-encoding polygons": "robots = 65: packets can address the maps of 64 robots",
     "--robots three": "Invalid value for '--robots'",
     "--robots 30 --map small.yaml": "30 robots do not fit: 16 free cells lie 3 cells apart",
     "--strategy best": "no strategy is called 'best'; there are: burgard,",
-    "robots=3": "no such file, and none of the shipped ones",
+    "robots=3": "no such file, and no shipped scenario",
     "--strategy agent.strategies.meier:Meyer": "agent.strategies.meier has no Meyer; did you mean Meier?",
     "--map-encoding radio": "map_encoding = 'radio': no map encoding is called 'radio'; there are: polygons, scans, cells, predictive",
     "--dissemination never": "dissemination = 'never': must be 'backoff', 'thesis' or 'gossip'",
@@ -136,30 +136,30 @@ EXPLORE = {
     "--option gamma=3": "repairmen has no option 'gamma'; there are: candidates,",
     "--option small_frontier=x": "option small_frontier of repairmen must be float, not 'x'",
     "--option beta=NaN": "beta must lie between",
-    "--bandwidth -1": "bandwidth = '-1': must be a whole number of bytes a step, 0 to",
-    "--bandwidth 1kB": "bandwidth = '1kB': must be a whole number of bytes a step",
-    "--bandwidth nan": "bandwidth = 'nan': must be a whole number of bytes a step",
+    "--bandwidth -1": "bandwidth = '-1': must be a whole number of bytes per step, 0 to",
+    "--bandwidth 1kB": "bandwidth = '1kB': must be a whole number of bytes per step",
+    "--bandwidth nan": "bandwidth = 'nan': must be a whole number of bytes per step",
     "--sensor-range 0.05": "sensor_range = 0.05 m of robot 0 is less than a cell of 0.1 m",
     "--sensor-range nan": "sensor_range = nan",
     "--speed 0": "speed = 0.0: must be greater than 0",
     "--speed nan": "speed = nan",
     "--steps 0": "steps = 0: must be greater than or equal to 1",
     "--seed -1": "seed = -1: must be greater than or equal to 0",
-    "--start 0,0": "cell (0, 250) is not free: robots cannot start there; murmur map show office draws where",
+    "--start 0,0": "cell (0, 250) is not free: robots cannot start there; murmur map show office shows free",
     "--start -50,3": "is not free: robots cannot start there",
     "--start nan,1": "start.0 = nan",
-    "--start 3": "start = '3': must be two numbers of metres, as 3.5,12",
+    "--start 3": "start = '3': must be two numbers in meters, as 3.5,12",
     "--pace 0": "pace = 0: must be 0.5 steps a second or more",
     "--view-as hologram": "view-as = 'hologram': must be one of auto, native, web, file",
-    "--out full": "out = full: it exists already; name a new directory, or empty this one",
-    "--out file": "out = file: it exists already; name a new directory",
+    "--out full": "out = full: already exists; name a new directory, or empty this one",
+    "--out file": "out = file: already exists; name a new directory",
     "--out file/run": "out = file/run: cannot be made: Not a directory",
-    "missing.toml": "scenario missing.toml: no such file, and none of the shipped ones; there are: breakdown.toml,",
+    "missing.toml": "scenario missing.toml: no such file, and no shipped scenario; there are: breakdown.toml,",
     "full": "scenario full: Is a directory",
     "broken.toml": "scenario broken.toml: not TOML: Invalid value (at line 1, column 10)",
-    "unknown.toml": "scenario unknown.toml: robtos is no setting; did you mean robots or robot or options? There",
+    "unknown.toml": "scenario unknown.toml: robtos: unknown setting; did you mean robots or robot or options? There",
     "type.toml": "scenario type.toml: robots = 'three': must be a whole number",
-    "table.toml": "robot.0.spede is no setting; did you mean speed? There are: robot, sensor_range,",
+    "table.toml": "robot.0.spede: unknown setting; did you mean speed? There are: robot, sensor_range,",
     "fault.toml": "death of robot 5: the last robot is 1",
     "nan.toml": "scenario nan.toml: speed = nan",
     "option.toml": "repairmen has no option 'betta'; there are: candidates,",
@@ -173,31 +173,31 @@ EXPLORE = {
     "--map endless.yaml": "/dev/zero: cannot be read (it is a device); a map's picture must be a PGM or PNG file",
     "--map coarse.yaml": "resolution is 900000.0, not a number of metres a cell above 0, 1000 at most",
     "--map afar.yaml": "origin is [1e+308, 0.0, 0.0], not three numbers of 1e+08 at most",
-    f"--set options={5000 * '[' + 5000 * ']'}": "set = 'options=...': is nested too deeply",
-    "--set radius=1e6 --set sensor_range=1e6": "radius = 1e+06 m: no map is as large as that, with cells of 0.1 m",
+    f"--set options={5000 * '[' + 5000 * ']'}": "set = 'options=...': nested too deeply",
+    "--set radius=1e6 --set sensor_range=1e6": "radius = 1e+06 m: exceeds the largest map with cells of 0.1 m",
     "--nonsense": "No such option: --nonsense",
 }
 
 OTHERS = {
-    "map make castle": "no environment is called 'castle'; there are",
+    "map make castle": "unknown map 'castle'; there are",
     "map make em --seed -1": "Invalid value for '--seed'",
-    "map make em --out em.png": "out = em.png: must end in .yaml; the picture is written beside it",
+    "map make em --out em.png": "out = em.png: must end in .yaml",
     "map make em --out nowhere/em.yaml": "No such file or directory",
     "map show missing.yaml": "missing.yaml: cannot be read",
-    "map show em --png nowhere/em.png": "png = nowhere/em.png: there is no folder nowhere",
+    "map show em --png nowhere/em.png": "png = nowhere/em.png: no such folder: nowhere",
     "map show em --png em.xyz": "png = em.xyz: must end in .png",
-    "new strategy numpy": "name = 'numpy': Python has a module of that name, which the file would hide",
+    "new strategy numpy": "name = 'numpy': would hide the Python module of this name",
     "compare --strategies meier,meier": "two of the scenarios are the same: strategy = meier",
     "compare --strategies meier,": "there is nothing to compare: give two scenarios or more",
     "compare --strategies meier,nope": "no strategy is called 'nope'",
     "compare --strategies meier,nearest --map room.yaml --out file": "file: no folder can be made there (File exists)",
-    "size --set robots=3": "set = 'robots=...': this command has a flag for it",
-    "compare --strategies meier,nearest --set seed=3": "set = 'seed=...': this command has a flag for it",
+    "size --set robots=3": "set = 'robots=...': use the flag of this command",
+    "compare --strategies meier,nearest --set seed=3": "set = 'seed=...': use the flag of this command",
     "size --robots 0..2": "robots = 0: must be greater than or equal to 1",
     "sweep lossy.toml --scheduler foo": "scheduler = 'foo': must be its address, as tcp://10.0.0.1:8786",
-    "sweep lossy.toml --plot nowhere/x.png": "plot = nowhere/x.png: there is no folder nowhere",
+    "sweep lossy.toml --plot nowhere/x.png": "plot = nowhere/x.png: no such folder: nowhere",
     "sweep lossy.toml --out runs.csv": "out = runs.csv: must end in .parquet",
-    "chaos --out file": "out = file: is a file; name a folder for the scenarios of failures",
+    "chaos --out file": "out = file: is a file; name a directory for the scenarios of failing cases",
     "sweep lossy.toml --table x.txt": "table = x.txt: must end in .csv or .parquet",
     "replay missing": "missing: no run directory, for it has no scenario.toml",
     "replay half": "half: no readable summary.json",
@@ -216,9 +216,9 @@ OTHERS = {
     "capture full --kind x": "kind = 'x': there are ins, rep, del,",
     "capture full --step x": "step = 'x': must be a step, as 12, or steps, as 10-20",
     "capture full --step 5-2": "step = '5-2': the first step comes first, as in 10-20",
-    "sweep missing.toml": "experiment missing.toml: no such file, and none of the shipped ones; there are:",
+    "sweep missing.toml": "experiment missing.toml: no such file, and no shipped experiment; there are:",
     "sweep broken.toml": "experiment broken.toml: not TOML",
-    "strategy": "no command is called 'strategy'; did you mean strategies? There are: explore, watch",
+    "strategy": "no such command: 'strategy'; did you mean strategies? There are: explore, watch",
     "strategies burgart": "no strategy is called 'burgart'; did you mean burgard or burgard-optimal?",
     "bench speed": "no benchmark is called 'speed'; there are: kernels, swarm, replanning",
     "run agent": "Missing option '--credential'",
@@ -246,14 +246,12 @@ OTHERS = {
     "run netshaper --listen [::]:7447": "give the address by which others know this host",
     "run netshaper --credentials full": "credentials = full: it exists already; name a new directory",
     "run netshaper --credentials file": "credentials = file: it exists already; name a new directory",
-    "fly": "no command is called 'fly'; there are: explore",
+    "fly": "no such command: 'fly'; there are: explore",
 }
 
 
 @pytest.mark.parametrize("words", [f"explore {words}" for words in EXPLORE] + list(OTHERS))
-def test_bad_input_is_named_with_what_would_be_right_and_leaves_nothing_behind(
-    desk: Path, words: str
-) -> None:
+def test_bad_input_is_explained_and_writes_no_file(desk: Path, words: str) -> None:
     complaint = OTHERS.get(words) or EXPLORE[words.removeprefix("explore ")]
     before = contents(desk)
     result = murmur(*words.split())
@@ -273,7 +271,7 @@ def test_a_scenario_may_begin_with_a_byte_order_mark(desk: Path) -> None:
     assert (desk / "[/x]" / "summary.json").exists()
 
 
-def test_several_things_that_are_wrong_are_all_named(desk: Path) -> None:
+def test_all_errors_are_reported_at_once(desk: Path) -> None:
     result = murmur("explore", "--robots", "0", "--speed", "-1", "--map-encoding", "x")
     assert result.exit_code == BAD_INPUT
     assert [line.split(" = ")[0] for line in result.stderr.splitlines()] == [
@@ -281,7 +279,7 @@ def test_several_things_that_are_wrong_are_all_named(desk: Path) -> None:
     ]
 
 
-def test_bad_input_says_nothing_on_the_channel_that_machines_read(desk: Path) -> None:
+def test_errors_do_not_go_to_standard_output(desk: Path) -> None:
     for words in (
         ["explore", "--json", "--range", "-3"],
         ["replay", "--json", "full"],
@@ -293,7 +291,7 @@ def test_bad_input_says_nothing_on_the_channel_that_machines_read(desk: Path) ->
         assert (result.exit_code, result.stdout) == (BAD_INPUT, "")
 
 
-def test_bad_input_ends_the_real_command_as_well(desk: Path) -> None:
+def test_bad_input_ends_the_installed_command(desk: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "deploy.commands.main", "explore", "--range", "-3"],
         env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[3])},
@@ -306,7 +304,7 @@ def test_bad_input_ends_the_real_command_as_well(desk: Path) -> None:
     assert not (desk / "runs").exists()
 
 
-def test_a_file_that_is_called_as_the_folder_of_runs_is_in_the_way(desk: Path) -> None:
+def test_a_file_with_the_name_of_the_runs_folder_is_reported(desk: Path) -> None:
     (desk / "runs").write_text("x")
     result = murmur("explore", "--map", "room.yaml", "--robots", "1", "--bus", "memory")
     assert result.exit_code == BAD_INPUT

@@ -1,4 +1,4 @@
-"""`murmur explore`: what it says and leaves, and what its flags do."""
+"""`murmur explore`: its output, its files and its flags."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from typing import Any
 from tests.deploy.commands.office_floor import explore, murmur
 
 
-def test_a_run_tells_people_how_it_went_and_where_everything_is(floor: str) -> None:
+def test_a_run_prints_its_results_and_its_directory(floor: str) -> None:
     result = explore(floor)
     assert result.exit_code == 0, result.stderr
     lines = result.stdout.splitlines()
     assert lines[0].startswith("Explored in ")
-    assert "100.00 % of what can be reached" in lines[1]
+    assert "100.00 % of the reachable area" in lines[1]
     directory = Path("runs/floor-predictive-2robots-seed0")
-    assert f"Everything is in {directory}; look at {directory / 'maps.png'}." in lines[-1]
+    assert f"Results: {directory} (pictures: {directory / 'maps.png'})" == lines[-1]
     assert (directory / "summary.json").exists()
     assert "runs/floor-predictive-2robots-seed0-2" in explore(floor, "--steps", "3").stdout
 
 
-def test_machines_get_one_json_object_and_nothing_else(floor: str) -> None:
+def test_json_output_is_one_object_and_nothing_else(floor: str) -> None:
     result = explore(floor, "--json", "--out", "run")
     summary: dict[str, Any] = json.loads(result.stdout)
     assert summary == json.loads(Path("run/summary.json").read_text())
@@ -46,7 +46,7 @@ def test_flags_override_the_scenario(floor: str) -> None:
     assert "robots = 2" in written
 
 
-def test_the_thesis_plain_rules_are_one_flag(floor: str) -> None:
+def test_one_flag_selects_the_rules_of_the_thesis(floor: str) -> None:
     explore(floor, "--thesis", "--steps", "2", "--out", "run")
     written = Path("run/scenario.toml").read_text()
     for line in (
@@ -59,7 +59,7 @@ def test_the_thesis_plain_rules_are_one_flag(floor: str) -> None:
     assert "herding = false" in written
 
 
-def test_what_a_flag_says_goes_before_the_thesis(floor: str) -> None:
+def test_flags_override_the_rules_of_the_thesis(floor: str) -> None:
     flags = ("--set", "polygons.lazy=true", "--option", "herding=true", "--steps", "2")
     explore(floor, "--thesis", *flags, "--out", "one")
     assert "lazy = true" in Path("one/scenario.toml").read_text()
@@ -68,9 +68,9 @@ def test_what_a_flag_says_goes_before_the_thesis(floor: str) -> None:
     assert "herding" not in Path("other/scenario.toml").read_text()
 
 
-def test_a_run_says_where_its_pictures_are(floor: str) -> None:
+def test_a_run_prints_the_folder_of_its_pictures(floor: str) -> None:
     said = explore(floor, "--steps", "4", "--out", "run", "--pictures").stdout
-    assert "Everything is in run; look at run/maps.png and run/pictures." in said
+    assert "Results: run (pictures: run/maps.png, run/pictures)" in said
 
 
 def test_any_setting_can_be_set_and_tables_keep_their_other_keys(floor: str) -> None:
@@ -96,7 +96,7 @@ def test_any_setting_can_be_set_and_tables_keep_their_other_keys(floor: str) -> 
     )
 
 
-def test_a_picture_is_a_map_once_its_scale_is_said(floor: str) -> None:
+def test_a_picture_with_a_resolution_is_a_map(floor: str) -> None:
     result = murmur(
         "explore", "--map", "floor.png", "--resolution", "0.1", "--bus", "memory", "--out", "picture"
     )
@@ -109,9 +109,6 @@ def test_a_picture_is_a_map_once_its_scale_is_said(floor: str) -> None:
 
 def test_help_shows_flags_in_groups() -> None:
     said = murmur("explore", "--help").stdout
-    order = [
-        said.index(f"\n{group}:\n")
-        for group in ("Options", "The world", "The robots", "The radio", "The run")
-    ]
+    order = [said.index(f"\n{group}:\n") for group in ("Options", "World", "Robots", "Radio", "Run", "View")]
     assert order == sorted(order)
     assert order[2] < said.index("--strategy NAME") < order[3] < said.index("--bandwidth BYTES")

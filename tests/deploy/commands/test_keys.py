@@ -21,12 +21,12 @@ from protocol.zenoh_bus import Credential, join
 from tests.deploy.commands.office_floor import murmur
 
 
-def test_keys_are_written_once_and_say_what_they_are_for(tmp_path: Path) -> None:
+def test_certificates_are_written_once(tmp_path: Path) -> None:
     folder = tmp_path / "keys"
     result = murmur("keys", str(folder), "--robots", "2", "--address", "hub.example", "--address", "10.0.0.1")
     assert result.exit_code == 0, result.stderr
     said = " ".join(result.stdout.split())
-    assert f"13 files in {folder}, for a hub at hub.example, 10.0.0.1; they hold 30 days." in said
+    assert f"13 files in {folder}, for a hub at hub.example, 10.0.0.1; valid for 30 days." in said
     again = murmur("keys", str(folder))
     assert again.exit_code == 2
     assert "authority.pem: File exists" in again.stderr

@@ -29,12 +29,12 @@ def control() -> Control:
 def press(keys: Keys, text: str) -> str:
     for key in text:
         keys.press(key)
-    return keys.words
+    return keys.message
 
 
-def test_space_pauses_and_goes_on_and_s_opens_a_step(control: Control) -> None:
+def test_space_pauses_and_resumes_and_s_runs_one_step(control: Control) -> None:
     keys = Keys(control)
-    assert press(keys, " ") == "paused: space goes on, s steps"
+    assert press(keys, " ") == "paused: space continues, s steps"
     assert control.paused
     assert press(keys, " ") == HELP
     assert not control.paused
@@ -42,13 +42,13 @@ def test_space_pauses_and_goes_on_and_s_opens_a_step(control: Control) -> None:
     assert control._credit.value == 1
 
 
-def test_plus_and_minus_go_through_the_speeds(control: Control) -> None:
+def test_plus_and_minus_change_the_speed(control: Control) -> None:
     keys = Keys(control)
-    assert press(keys, "-") == "50 steps a second"
-    assert press(keys, "--") == "10 steps a second"
-    assert press(keys, "-" * 9) == "0.5 steps a second"
-    assert press(keys, "+") == "1 steps a second"
-    assert press(keys, "+" * 9) == "as fast as it goes"
+    assert press(keys, "-") == "50 steps/s"
+    assert press(keys, "--") == "10 steps/s"
+    assert press(keys, "-" * 9) == "0.5 steps/s"
+    assert press(keys, "+") == "1 steps/s"
+    assert press(keys, "+" * 9) == "unlimited speed"
     assert control.speed is None
 
 
@@ -56,9 +56,9 @@ def test_values_are_typed_corrected_and_checked(control: Control) -> None:
     keys = Keys(control)
     assert press(keys, "b5x") == "bandwidth: 5x"
     assert press(keys, "\x7f00") == "bandwidth: 500"
-    assert press(keys, "\n").startswith("bandwidth 500 from the next step on")
-    assert press(keys, "r25%\n") == "range 25% from the next step on"
-    assert press(keys, "k1\n") == "robot 1 is killed with the next step"
+    assert press(keys, "\n").startswith("bandwidth 500 B from the next step")
+    assert press(keys, "r25%\n") == "range 25% from the next step"
+    assert press(keys, "k1\n") == "robot 1 will be killed at the next step"
     assert press(keys, "k7\n") == "kill: there is no robot 7; the last one is 1"
     assert press(keys, "kx\n") == "kill: 'x' is no robot's number"
     assert "must be a whole number" in press(keys, "bmuch\n")
@@ -67,7 +67,7 @@ def test_values_are_typed_corrected_and_checked(control: Control) -> None:
 
 
 @pytest.mark.parametrize("bus", ["memory", "zenoh"])
-def test_a_run_at_a_terminal_obeys_keys_repeats_and_leaves_the_terminal_as_it_was(
+def test_keys_control_a_run_which_can_be_replayed_and_the_terminal_is_restored(
     bus: str, tmp_path: Path
 ) -> None:
     out = tmp_path / "run"
@@ -76,7 +76,7 @@ def test_a_run_at_a_terminal_obeys_keys_repeats_and_leaves_the_terminal_as_it_wa
     if child == 0:
         os.execv(sys.executable, [sys.executable, "-m", "deploy.commands.main", *words, "--pace", "20"])
     before = termios.tcgetattr(terminal)
-    shown, presses = b"", [(b"space pause", b"k1\n"), (b"robot 1 is killed", b"b50\n")]
+    shown, presses = b"", [(b"space pause", b"k1\n"), (b"robot 1 will be killed", b"b50\n")]
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline:
         try:
@@ -88,7 +88,7 @@ def test_a_run_at_a_terminal_obeys_keys_repeats_and_leaves_the_terminal_as_it_wa
     _, status = os.waitpid(child, 0)
     assert os.waitstatus_to_exitcode(status) in (0, 1), shown.decode()
     assert termios.tcgetattr(terminal) == before
-    assert b"robot 1 is killed" in shown
+    assert b"robot 1 will be killed" in shown
     scenario = load(out / "scenario.toml", {})
     assert [fault.robot for fault in scenario.fault] == [1]
     assert [change.bandwidth for change in scenario.change] == [50]

@@ -1,4 +1,4 @@
-"""`murmur strategies`: what people can choose among, and how it fits together."""
+"""`murmur strategies`: the list of strategies, and their options."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ def murmur(*arguments: str) -> Result:
     return CliRunner().invoke(app, arguments)
 
 
-def test_the_list_has_each_strategy_with_what_it_does_and_where_its_paper_says_so() -> None:
+def test_the_list_has_each_strategy_with_its_summary_and_section() -> None:
     lines = murmur("strategies").stdout.splitlines()
     for known in catalog():
         at = lines.index(f"  {known.name}  {known.section}")
         assert lines[at + 1].strip() == known.summary
     assert {known.paper for known in catalog()} <= set(lines)
-    assert any("The default is repairmen." in line for line in lines)
+    assert any("Default: repairmen." in line for line in lines)
     assert max(map(len, lines)) <= WIDTH
 
 

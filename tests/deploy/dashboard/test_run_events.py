@@ -20,7 +20,7 @@ def where(step: int, *cells: tuple[int, int] | None, seen: int = 50) -> WorldRep
     return WorldReport(step, np.array(poses, "<i4").tobytes(), [0] * len(cells), seen, 100)
 
 
-def mind(step: int, x: int, y: int, status: str = "drives to its target") -> RobotStatus:
+def mind(step: int, x: int, y: int, status: str = "driving to the target") -> RobotStatus:
     return RobotStatus(step, x, y, known=100, error=0, exact_error=-1, backlog=7, status=status, work_us=0)
 
 
@@ -65,7 +65,7 @@ def test_a_target_is_told_when_it_is_another_frontier_not_the_same_one_moved_on(
 
 
 def test_idleness_is_told_once(events: RunEvents) -> None:
-    idle = "idle: no reachable frontier is left on its planning grid"
+    idle = "idle: no reachable frontier on the planning grid"
     assert texts(events, "r2", mind(5, -1, -1, idle)) == ["robot 2 is idle: its map is done"]
     assert texts(events, "r2", mind(6, -1, -1, idle)) == []
     texts(events, "r2", mind(7, 10, 10))

@@ -1,4 +1,4 @@
-"""The columns that documents are made of are those of the files."""
+"""The described columns are those of the files."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from netshaper.ledger import CAUSES, ROW
 from tests.deploy.small_run import small_directory
 
 
-def test_each_file_has_the_columns_that_are_described() -> None:
+def test_each_file_has_the_described_columns() -> None:
     for name, columns in FILES.items():
         schema = parquet.read_schema(small_directory() / name)
         assert [(field.name, str(field.type)) for field in schema] == [
@@ -17,6 +17,6 @@ def test_each_file_has_the_columns_that_are_described() -> None:
         ]
 
 
-def test_the_ledger_is_described_as_the_relay_writes_it() -> None:
+def test_the_relay_writes_the_described_ledger() -> None:
     assert [column.name for column in FILES["ledger.parquet"]] == list(ROW.names or ())
     assert CAUSES[0] == ""

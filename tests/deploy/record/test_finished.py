@@ -1,4 +1,4 @@
-"""A run has finished when a robot says so and the team has truly seen the area, and not before."""
+"""A run has finished when a robot reports the end and the team has seen the area, and not before."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol import rights
 from protocol.bus import Bus
-from protocol.messages import End, Move, Said, pack
+from protocol.messages import End, Move, OutgoingFrame, RobotFrames, pack
 from tests.system.team import small_plan
 
 
 class Boaster:
-    """The end of the bus of a robot that says that it is done with its first move."""
+    """A robot's end of the bus that reports the end of exploration with its first move."""
 
     def __init__(self, inner: Bus) -> None:
         self._inner = inner
@@ -38,14 +38,14 @@ def boasted(**settings: object) -> tuple[Plan, Records]:
 
 
 @pytest.mark.parametrize("least", [0.0, 0.9])
-def test_a_robot_that_believes_itself_done_has_not_finished_what_the_team_has_not_seen(least: float) -> None:
+def test_a_run_has_not_finished_if_a_robot_stops_before_the_team_has_seen_enough(least: float) -> None:
     plan, records = boasted(min_coverage=least)
     assert records.end == End(1, "explored", 1)
     assert 0 < records.explored < 0.9
     result = conclude(plan, Outcome(records, {}), None, 1.0)
     if least:
         assert not result.summary["finished"]
-        assert result.summary["reason"] == "robot 1 believed itself done"
+        assert result.summary["reason"] == "robot 1 stopped too early"
         assert result.exit_code == NOT_FINISHED
     else:
         assert result.summary["finished"]
@@ -53,7 +53,7 @@ def test_a_robot_that_believes_itself_done_has_not_finished_what_the_team_has_no
     assert result.summary["first_robot"] == 1
 
 
-def test_a_robots_own_maps_do_not_count_for_what_has_been_seen() -> None:
+def test_the_world_decides_how_much_the_team_has_seen() -> None:
     plan, records = boasted()
     for grid in records.own.values():
         assert grid.shape == plan.map.cells.shape
@@ -70,7 +70,7 @@ class Chatterbox:
 
     def put(self, key: str, payload: bytes) -> None:
         if names.parts(key)[0] == "body":
-            said = pack(Said(1, 0, "dissemination", [], 0, 10 * [0], 10 * [b"\x80\x00"]))
+            said = pack(RobotFrames(1, 0, "offers", frames=10 * [OutgoingFrame(0, b"\x80\x00")]))
             self._inner.put(key.replace("body/rx/world/r1", "radio/tx/r1"), said)
         self._inner.put(key, payload)
 

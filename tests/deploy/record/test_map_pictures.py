@@ -1,4 +1,4 @@
-"""Pictures of maps: what is wrong on a robot's map is shown, starts and time along the ways, all on one page."""
+"""Pictures of maps: errors of each robot's map, starts and dots along the paths, all on one page."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from deploy.record.map_errors import (
     WALL,
     WRONG_FREE,
     compare,
-    share_right,
+    share_correct,
 )
 from deploy.record.map_pictures import PAGE_SHAPE, maps_figure, mark_steps
 from deploy.record.records import Records
@@ -35,7 +35,7 @@ grids = arrays(np.uint8, (4, 5), elements=st.integers(0, 2))
 
 
 @given(grids, grids, arrays(np.bool_, (4, 5)))
-def test_each_cell_of_a_map_is_right_or_wrong_in_one_way(
+def test_each_cell_of_a_map_has_exactly_one_class(
     grid: Grid, truth: Grid, chosen: np.ndarray[tuple[int, int], np.dtype[np.bool_]]
 ) -> None:
     reachable = chosen & (truth == FREE)
@@ -49,7 +49,7 @@ def test_each_cell_of_a_map_is_right_or_wrong_in_one_way(
     errors = compare(grid, truth, reachable)
     assert (errors == expected).all()
     if reachable.any():
-        assert share_right(errors, reachable) == (grid == FREE)[reachable].mean()
+        assert share_correct(errors, reachable) == (grid == FREE)[reachable].mean()
 
 
 def drawn(robots: int) -> tuple[Figure, Records]:
@@ -73,7 +73,7 @@ def test_any_number_of_robots_fits_a_page_and_no_panel_hides_another(robots: int
     assert PAGE_SHAPE / 2 < width / height < 2 * PAGE_SHAPE
 
 
-def test_a_panel_shows_the_errors_of_its_robots_map_in_their_colours() -> None:
+def test_a_panel_shows_the_errors_of_its_robots_map() -> None:
     plan, records = small_plan(), small_run().records
     reachable = plan.make_world().reachable
     figure = maps_figure(plan, records, small_run().summary)
@@ -81,7 +81,7 @@ def test_a_panel_shows_the_errors_of_its_robots_map_in_their_colours() -> None:
         errors = compare(records.planning[robot], plan.map.cells, reachable)
         assert (shown(panel) == errors).all()
         assert panel.get_title().startswith(
-            f"robot {robot}: {100 * share_right(errors, reachable):.1f} % right"
+            f"robot {robot}: {100 * share_correct(errors, reachable):.1f} % correct"
         )
     file = io.BytesIO()
     figure.savefig(file, dpi=60)
@@ -89,7 +89,7 @@ def test_a_panel_shows_the_errors_of_its_robots_map_in_their_colours() -> None:
     assert (pixels == colors.UNSEEN).all(axis=1).sum() > 1000
     words = [text.get_text() for text in figure.legends[0].get_texts()]
     assert words == [
-        "start", "end", "every 5 steps", "wall where there is none", "not known", "floor where there is none",
+        "start", "end", "every 5 steps", "false wall", "unknown", "false floor",
         "wall",
     ]  # fmt: skip
 
@@ -102,5 +102,5 @@ def shown(panel: Axes) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
 
 
 @pytest.mark.parametrize(("last", "every"), [(1, 1), (9, 1), (40, 5), (154, 20), (1000, 100), (2001, 500)])
-def test_ways_have_about_ten_dots_at_round_steps(last: int, every: int) -> None:
+def test_paths_have_about_ten_dots_at_round_steps(last: int, every: int) -> None:
     assert mark_steps(last) == every

@@ -42,9 +42,9 @@ CONTRACT = {
 """What scripts may look for in a summary."""
 
 LEDGER = {
-    "step": "int32", "map_encoding": "int16", "connection": "int32", "frame": "int16", "sender": "int16",
+    "step": "int32", "round": "int16", "connection": "int32", "frame": "int16", "sender": "int16",
     "receiver": "int16", "map": "int16", "kind": "string", "packets": "int32", "bytes": "int32",
-    "carried": "bool", "cause": "string", "heard": "int16",
+    "carried": "bool", "cause": "string", "received_by": "int16",
 }  # fmt: skip
 
 
@@ -78,8 +78,8 @@ def out(run: Result) -> Path:
 def test_a_run_leaves_the_files_of_the_contract_and_nothing_else(out: Path) -> None:
     planning = {f"planning-r{robot}.{suffix}" for robot in range(3) for suffix in ("yaml", "png")}
     assert {path.name for path in out.iterdir()} == planning | {
-        "scenario.toml", "summary.json", "steps.parquet", "ledger.parquet", "radio.pcapng", "maps.png",
-        "map.yaml", "map.png", "team.yaml", "team.png",
+        "scenario.toml", "summary.json", "steps.parquet", "ledger.parquet", "map_changes.parquet", "radio.pcapng",
+        "maps.png", "map.yaml", "map.png", "team.yaml", "team.png",
     }  # fmt: skip
 
 

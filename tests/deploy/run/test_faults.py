@@ -165,7 +165,7 @@ WRONG = [
     ([(5, 1, "kill"), (5, 1, "restart")], r"it has kill in the same step"),
     ([(5, 1, "kill", 4)], r"steps = 4, but only stop, mute, deaf are temporary"),
     ([(5, 1, "explode")], r"fault.0.kind = 'explode'"),
-    ([(step, 1, "restart") for step in range(1, 100)], r"3 robots can begin 85 times each, not 100 times"),
+    ([(step, 1, "restart") for step in range(1, 100)], r"3 robots can start 85 times each, not 100 times"),
 ]
 
 

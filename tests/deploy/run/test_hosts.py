@@ -52,11 +52,11 @@ def test_a_file_is_read(tmp_path: Path) -> None:
         ({"address": "10.0.0.1 x"}, r"address = '10\.0\.0\.1 x': must be a host's name"),
         ({"port": 70000}, r"port = 70000: .*less than or equal to 65535"),
         ({"host": []}, r"\[\[host\]\] is missing"),
-        ({"hub": 1}, r"hub is no setting; there are: address, port, host"),
+        ({"hub": 1}, r"hub: unknown setting; there are: address, port, host"),
         ({"host": [{"name": "a"}]}, r"host\.0\.robots is missing"),
         (
             {"host": [{"name": "a", "robots": 1, "user": "me"}]},
-            r"host\.0\.user is no setting; there are: name",
+            r"host\.0\.user: unknown setting; there are: name",
         ),
         ({"host": [{"name": "a/b", "robots": 1}]}, r"host\.0\.name = 'a/b': must be letters"),
         ({"host": [{"name": "r1", "robots": 1}]}, r"host\.0\.name = 'r1': is the name of a process"),

@@ -73,5 +73,5 @@ def test_the_only_robot_is_waited_for(tmp_path: Path) -> None:
 def test_what_cannot_be_restarted_is_said_before_anything_starts() -> None:
     with pytest.raises(ScenarioError, match="has no processes that could die"):
         explore(scenario(bus="memory"), keep=False, restart=True)
-    with pytest.raises(ScenarioError, match="40 robots can begin 1 times each, not 2 times"):
+    with pytest.raises(ScenarioError, match="40 robots can start 1 times each, not 2 times"):
         explore(scenario(robots=40, dissemination="backoff"), keep=False, restart=True)

@@ -75,5 +75,5 @@ def test_a_robot_s_map_cannot_be_written_to_and_copies_stay() -> None:
 
 
 def test_a_wrong_setting_is_named_before_the_first_step() -> None:
-    with pytest.raises(ScenarioError, match=r"robts is no setting; did you mean robots"):
+    with pytest.raises(ScenarioError, match=r"robts: unknown setting; did you mean robots"):
         steps(robts=3)

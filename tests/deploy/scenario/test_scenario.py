@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from agent.encodings.catalog import ENCODINGS
 from agent.encodings.polygon_options import PolygonOptions
-from agent.exchange.distribution import DISSEMINATIONS
+from agent.replication.policies import DISSEMINATIONS
 from agent.strategies.meier import Meier
 from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load, parse
 from deploy.scenario.tables import UNLIMITED
@@ -92,7 +92,7 @@ WRONG = [
     ({"robots": 257}, "robots = 257: .*less than or equal to 256"),
     (
         {"robots": 65, "map_encoding": "polygons"},
-        "robots = 65: packets can name the maps of 64 robots; more need dissemination = 'gossip', or map_encoding = 'none'",
+        "robots = 65: packets can address the maps of 64 robots; for more, set dissemination = 'gossip'",
     ),
     ({"robots": True}, "robots = True: must be a whole number"),
     ({"robots": 2.5}, "robots = 2.5: must be a whole number"),
@@ -151,11 +151,11 @@ WRONG = [
     ({"options": {"small_frontier": "big"}}, "option small_frontier of repairmen must be float, not 'big'"),
     ({"options": {"beta": math.nan}}, "options = .*beta must lie between"),
     ({"options": 3}, "options = 3: "),
-    ({"colour": "red"}, "colour is no setting; there are: map, .*fault"),
-    ({"polygons": {"colour": "red"}}, "polygons.colour is no setting; there are: medium_use"),
+    ({"colour": "red"}, "colour: unknown setting; there are: map, .*fault"),
+    ({"polygons": {"colour": "red"}}, "polygons.colour: unknown setting; there are: medium_use"),
     ({"robot": [{"robot": 3}]}, r"\[\[robot\]\] names robot 3; the last one is 2"),
     ({"robot": [{"robot": 1}, {"robot": 1}]}, r"\[\[robot\]\] names a robot twice"),
-    ({"robot": [{"robot": 1, "colour": "red"}]}, "robot.0.colour is no setting; there are: robot, "),
+    ({"robot": [{"robot": 1, "colour": "red"}]}, "robot.0.colour: unknown setting; there are: robot, "),
     ({"robot": [{"speed": 1.0}]}, "robot.0.robot is missing"),
     ({"robot": [{"robot": 0, "speed": -1.0}]}, "robot.0.speed = -1.0: "),
     ({"robot": {"robot": 0}}, "robot = "),
@@ -191,7 +191,11 @@ def test_nonsense_of_any_kind_is_a_scenario_error(settings: dict[str, Any]) -> N
 def test_all_that_is_wrong_is_said_at_once() -> None:
     with pytest.raises(ScenarioError) as caught:
         parse({"robots": 0, "speed": -1.0, "colour": "red"})
-    assert [line.split()[1] for line in str(caught.value).splitlines()] == ["robots", "speed", "colour"]
+    assert [line.split()[1].rstrip(":") for line in str(caught.value).splitlines()] == [
+        "robots",
+        "speed",
+        "colour",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -279,7 +283,7 @@ def test_a_file_that_makes_no_sense_is_named(tmp_path: Path, text: str, complain
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     with pytest.raises(
         ScenarioError,
-        match=r"none.toml: no such file, and none of the shipped ones; there are: .*office.toml",
+        match=r"none.toml: no such file, and no shipped scenario; there are: .*office.toml",
     ):
         load(tmp_path / "none.toml", {})
     with pytest.raises(ScenarioError, match=rf"scenario {tmp_path}: "):

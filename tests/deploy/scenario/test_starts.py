@@ -41,8 +41,8 @@ def test_jitter_moves_the_start_about_by_the_seed_and_no_farther_than_it_says() 
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ({"start_jitter": 1.0}, "give `start`, or `starts`"),
-        ({"starts": [(1.0, 1.0), (1.0, 1.0)]}, "robots 0 and 1 would start in one place"),
+        ({"start_jitter": 1.0}, "set start or starts"),
+        ({"starts": [(1.0, 1.0), (1.0, 1.0)]}, "robots 0 and 1 would start in the same place"),
         ({"starts": [(-5.0, 1.0)]}, "is not free: robots cannot start there"),
         ({"starts": [1.0]}, "starts.0 = 1.0"),
     ],
@@ -63,4 +63,4 @@ def test_a_robot_has_a_radius_and_a_scanner_of_its_own() -> None:
     assert [body.scanner_turn for body in plan.world.bodies] == [18.0, 72.0]
     assert plan.robot_settings[0].radii_cells == [0.0, 2.0]
     assert plan.world.cell_steps
-    assert not plan.world.solid
+    assert not plan.world.robots_collide

@@ -1,0 +1,60 @@
+"""Radio events: a robot's response to each event that the relay reports (docs/architecture.md, A step)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from agent.replication.engine import Replication
+from agent.robot import Robot
+from protocol.errors import ProtocolError
+from protocol.messages import (
+    Broadcasts,
+    MediumEvent,
+    Open,
+    OutgoingFrame,
+    PhaseDelivery,
+    RobotFrames,
+    RoundReport,
+)
+
+ReportError = Callable[[str], None]
+"""Takes errors of teammates that belong to no map."""
+
+
+def respond(robot: Robot, event: MediumEvent, report_error: ReportError) -> RobotFrames | None:
+    """Let a robot take an event; return the frames that it sends then, None if it is not its turn."""
+    match event:
+        case Open():
+            broadcast = robot.announce(event.peers) if event.round == 0 else None
+            return open_round(robot.replication, event, broadcast or b"" if event.peers else b"")
+        case Broadcasts():
+            for delivery in event.deliveries:
+                robot.receive_broadcast(delivery.sender, delivery.payload)
+        case PhaseDelivery():
+            return continue_round(robot.replication, event, report_error)
+        case RoundReport():
+            robot.close_round(event)
+    return None
+
+
+def open_round(replication: Replication, event: Open, broadcast: bytes = b"") -> RobotFrames:
+    """Return the frames of a robot at the beginning of a round, with its pose and target."""
+    frames = replication.open_round(event.round, event.peers, event.budget.limit)
+    replies = replication.speculative()
+    return RobotFrames(event.step, event.round, "offers", broadcast, frames, replication.priority, replies)
+
+
+def continue_round(
+    replication: Replication, event: PhaseDelivery, report_error: ReportError
+) -> RobotFrames | None:
+    """Return the answers to offers, or the data after answers; None if the relay has answered already."""
+    frames: list[OutgoingFrame] = []
+    try:
+        reply = replication.answer if event.phase == "offers" else replication.send_data
+        frames = reply(event.deliveries)
+    except ProtocolError as error:
+        report_error(str(error))
+    if event.answered_by_relay:
+        return None
+    phase = "answers" if event.phase == "offers" else "data"
+    return RobotFrames(event.step, event.round, phase, frames=frames)

@@ -1,0 +1,281 @@
+"""Gossip: dissemination by broadcast, so one transmission serves all robots in range (no paper's; docs/replication.md).
+
+Robots broadcast entries of their own logs as they write them, and forward others' entries to peers that lack them:
+anti-entropy (Demers et al., 1987) over a shared medium. Each robot keeps a version vector for each peer and the radio
+range of each peer; broadcasts keep both up to date. So robots in range of each other have the same tables and choose
+the same forwarder (`gossip_policy`). A frame holds, in this order:
+
+    event                                                     part of the frame
+    this robot's range has changed                            near, gone: the robots that came and left
+    a meeting owes reports (`meetings`)                       held: each map of which the peer may know less
+    entries arrived behind a gap                              held: this robot's log length, until the gap is filled
+    some robot has been out of range before                   held: one map, in turn, every `REFRESH` steps
+    peer acknowledgments are due (`delivery.PeerAcks`)        held: the maps with news
+    a peer in range lacks entries of this robot's log         from, and the entries
+    this robot is to forward what a peer lacks                from, and the entries
+
+`From` is left out where all receivers know the offset at which this robot's log continues (`BroadcastCursors`).
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.replication.control_packets import Entries, ParsedFrame, from_packet, held_packet, offset, parse
+from agent.replication.delivery import PATIENCE, MediumAcks, PeerAcks
+from agent.replication.frame_builder import FrameBuilder
+from agent.replication.gossip_policy import Dependencies, GossipPolicy
+from agent.replication.meetings import Event, Meetings
+from agent.replication.neighbors import BroadcastCursors, Neighbors
+from agent.replication.peers import Mask, Table
+from agent.replication.replica import Replica
+from protocol import packets
+from protocol.errors import ProtocolError
+from protocol.messages import EVERYONE, OutgoingFrame, RoundReport
+from protocol.packets import From, FromEarly, Gone, Held, HeldEarly, Near
+
+REFRESH = 16
+"""Steps after which a robot that has not always had all others in range reports one more map."""
+
+Robots = list[int] | NDArray[np.intp]
+
+
+class Gossip:
+    """One robot's broadcasts and what it learns from those of others."""
+
+    def __init__(self, replica: Replica, delivery: MediumAcks | PeerAcks, dependencies: Dependencies) -> None:
+        peers = replica.peers
+        robot, robots, first_incarnation = peers.robot, peers.robots, peers.own < peers.robots
+        self.priority = 0
+        """Priority of the last frame: the higher, the shorter it waits for a free medium."""
+        self.shared = 0
+        """Offset in this robot's log before which entries were on the air."""
+        self._replica = replica
+        self._peers = peers
+        self._delivery = delivery
+        self._neighbors = Neighbors(robot, robots)
+        self._meetings = Meetings(robots, settled=first_incarnation)
+        self._cursors = BroadcastCursors(robot, robots, known=first_incarnation, reliable=delivery.reliable)
+        self._policy = GossipPolicy(peers, replica.logs, self._neighbors, dependencies, self._add_range)
+        self._step = 0
+        self._in_range: list[int] = []
+        self._parted = False
+        """Whether any robot has ever been out of range."""
+        self._gaps: set[int] = set()
+        """Maps of which entries came behind others that this robot lacks."""
+        self._reported: Table = np.full(len(peers.maps), -PATIENCE, np.int64)
+        """The step in which this robot last reported each map."""
+        self._idle_since = 0
+        """The last step in which this robot had nothing to send, or sent something."""
+        self._builder = FrameBuilder()
+
+    def open_round(self, round_number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
+        """Return the broadcast of this round, if there is anything to send."""
+        if round_number == 0:
+            self._delivery.begin_step(budget)
+            self._begin_step(in_range)
+        self._delivery.expire(self._step)
+        lengths = self._replica.lengths()
+        self._policy.compare(self._step, self._meetings.known(self._in_range), lengths)
+        self._builder = FrameBuilder(budget)
+        if not in_range:
+            return []
+        self._add_reports(lengths)
+        served = self._policy.serve(self._in_range, self._step, self._delivery.turn)
+        self._set_priority(served)
+        payload = self._builder.payload
+        return [OutgoingFrame(EVERYONE, payload)] if payload else []
+
+    def close_round(self, report: RoundReport) -> None:
+        """Update the tables by what was on the air, and accept the entries that arrived."""
+        frames: list[tuple[int, ParsedFrame]] = []
+        for delivery in report.deliveries:
+            try:
+                frames.append((delivery.sender, parse(delivery.payload)))
+            except ProtocolError as error:
+                self._replica.reject(delivery.sender, delivery.sender, error)
+        for peer, frame in frames:
+            self._note_restart(peer, frame)
+        for peer, frame in frames:  # reports describe the state before this round
+            self._read_reports(peer, frame)
+        if self._builder.payload:
+            sent = max((each.sent for each in report.sent), default=0)
+            self._builder.sent(sent)
+            if sent:
+                self._idle_since = self._step
+        for peer, frame in frames:
+            for header, entries in frame.sections:
+                self._read_entries(peer, header, entries)
+
+    def delivered(self) -> bool:
+        """Return whether peers are in range and all of this robot's log has been on the air."""
+        return bool(self._in_range) and self.shared == len(self._replica.own_log)
+
+    # --- sending
+
+    def _begin_step(self, in_range: list[int]) -> None:
+        """Note which peers are in range in this step."""
+        self._step += 1
+        self._meetings.begin_step(self._step, in_range)
+        self._cursors.begin_step(in_range)
+        self._in_range = in_range
+        self._parted = self._parted or len(in_range) < self._peers.robots - 1
+
+    def _add_reports(self, lengths: Table) -> None:
+        """Add reports of this robot's range and of its log lengths to the frame."""
+        builder, owed = self._builder, self._meetings.owed()
+        for robot, here in self._neighbors.news(self._in_range):
+            near = packets.encode([Near(robot) if here else Gone(robot)])
+            if builder.fits(near):
+                builder.add(near, partial(self._neighbors.inform, self._in_range, robot, here))
+        due = self._reports_due(lengths, owed)
+        due[self._peers.own] = False
+        end = 0
+        for number in np.flatnonzero(due).tolist():
+            held = held_packet(number, len(self._replica.logs[number]))
+            if builder.fits(held):
+                end = builder.add(held, partial(self._report_sent, number))
+        builder.add_marker(end, partial(self._informed, owed))
+
+    def _reports_due(self, lengths: Table, owed: list[int]) -> Mask:
+        """Return the mask of maps of which some peer should know how much this robot holds."""
+        peers, step = self._peers, self._step
+        due: Mask = np.logical_or.reduce(peers.informed[owed] < lengths)
+        for number in self._gaps:
+            due[number] |= step >= self._reported[number] + self._delivery.gap_interval
+        if self._parted and step % REFRESH == peers.robot % REFRESH:
+            in_turn = np.arange(len(lengths)) % peers.robots == step // REFRESH % peers.robots
+            in_turn[peers.robots :] &= lengths[peers.robots :] > 0
+            due |= in_turn
+        self._delivery.add_due(due, lengths, step, self._reported)
+        return due
+
+    def _add_range(self, number: int, first: int, end: int) -> int:
+        """Add entries of a map to the frame, behind a header where one is needed; return the offset after the last."""
+        own = number == self._peers.own
+        continues = own and not self._builder.has_entries and self._cursors.known(first, self._in_range)
+        header = b"" if continues else from_packet(number, first)
+        log, on_sent = self._replica.logs[number], partial(self._entries_sent, number)
+        return self._builder.add_entries(log, first, end, header, on_sent)
+
+    def _set_priority(self, served: int | None) -> None:
+        """Set the priority of the frame, given the peer that is served first."""
+        size = len(self._builder.payload)
+        if not size:
+            self._idle_since = self._step
+        waited = self._step - self._idle_since
+        if self._parted:
+            self.priority = self._policy.priority_apart(served, waited)
+        else:
+            unfinished = self._replica.last_append < self.shared < len(self._replica.own_log)
+            self.priority = self._policy.priority(served, size, waited, unfinished=unfinished)
+
+    # --- what was on the air
+
+    def _report_sent(self, number: int) -> None:
+        """This robot's report of a map was on the air."""
+        length = len(self._replica.logs[number])
+        self._reported[number] = self._step
+        self._gaps.discard(number)
+        self._inform(self._in_range, number, length)
+        self._delivery.report_sent(number, length)
+
+    def _informed(self, owed: list[int]) -> None:
+        """All reports that this robot owed to peers were on the air."""
+        for peer in owed:
+            self._meetings.on(peer, Event.INFORMED)
+
+    def _entries_sent(self, number: int, first: int, end: int) -> None:
+        """Entries `first` to `end` - 1 of a map were on the air."""
+        self._inform(self._in_range, number, end)
+        self._expect(self._in_range, number, first, end)
+        if number == self._peers.own:
+            self._cursors.sent(end, self._in_range)
+            self.shared = max(self.shared, end)
+        elif self._peers.maps[number].robot == self._peers.robot:
+            self._cursors.sent_earlier_incarnation()
+
+    # --- receiving
+
+    def _note_restart(self, peer: int, frame: ParsedFrame) -> None:
+        """A peer that broadcasts a map of a new incarnation of its own lost its state."""
+        for control in frame.controls:
+            if isinstance(control, From | FromEarly) and self._peers.restarted(peer, control.map):
+                self._peers.informed[peer] = 0
+                self._delivery.restarted(peer)
+                self._cursors.restarted(peer)
+                self._neighbors.restarted(peer)
+                self._meetings.on(peer, Event.RESTARTED)
+
+    def _read_reports(self, peer: int, frame: ParsedFrame) -> None:
+        """Note a peer's range and its log lengths; reject the peer's entries if it sends other control packets."""
+        logs, robots = self._replica.logs, self._peers.robots
+        for control in frame.controls:
+            match control:
+                case Near(robot) if robot < robots:
+                    self._neighbors.reported(peer, robot, True)
+                case Gone(robot) if robot < robots:
+                    self._neighbors.reported(peer, robot, False)
+                case (Held(number, _) | HeldEarly(number, _)) as held if number < len(logs) and (
+                    number != peer or len(logs) > robots
+                ):
+                    length = self._possible(number, offset(held, len(logs[number])))
+                    self._delivery.report_received(peer, number, length, self._step)
+                    self._meetings.on(peer, Event.REPORTED)
+                    self._neighbors.reported(peer, self._peers.robot, True)
+                case From(number, _) | FromEarly(number, _) if number < len(logs):
+                    pass
+                case other:
+                    reason = f"{other} is not valid in gossip of {robots} robots"
+                    self._replica.reject(peer, peer, ProtocolError(other.name, 0, reason))
+
+    def _read_entries(self, peer: int, header: From | FromEarly | None, entries: Entries) -> None:
+        """Accept new entries of a map, and note which peers received them and know that this robot did."""
+        number = self._peers.current[peer] if header is None else header.map
+        if number >= len(self._replica.logs):
+            return
+        log, replica = self._replica.logs[number], self._replica
+        first = self._cursors.of(peer) if header is None else offset(header, len(log))
+        if first is None:
+            self._gaps.add(number)
+            return
+        end = max(first, self._possible(number, first + len(entries.ends)))
+        entries = entries if end - first == len(entries.ends) else entries.first(end - first)
+        if end == first:
+            return
+        refused = (peer, number) in replica.refused
+        self._delivery.entries_received(peer, number, first, entries, len(log), refused=refused)
+        if number == self._peers.current[peer]:
+            self._cursors.received(peer, end)
+        self._peers.expected[peer, number] = max(int(self._peers.expected[peer, number]), end)
+        if first > len(log):
+            self._gaps.add(number)
+        else:
+            self._gaps.discard(number)
+        if first <= len(log) < end and not self._peers.is_own(number):
+            replica.accept(peer, number, entries.after(len(log) - first))
+        receivers = self._neighbors.receivers(peer)
+        self._expect(np.flatnonzero(receivers), number, first, end)
+        if len(log) >= end:
+            receivers[[peer, self._peers.robot]] = True
+            self._inform(np.flatnonzero(receivers), number, end)
+        while (stored := self._delivery.stored(number, len(log))) is not None:
+            self._gaps.add(number)
+            replica.accept(stored[0], number, stored[1])
+
+    def _expect(self, peers: Robots, number: int, first: int, end: int) -> None:
+        """Peers received entries `first` to `end` - 1 of a map; they take them unless they lack earlier ones."""
+        expected = self._peers.expected[peers, number]
+        self._peers.expected[peers, number] = np.where(expected >= first, np.maximum(expected, end), expected)
+
+    def _inform(self, peers: Robots, number: int, length: int) -> None:
+        """Peers know that this robot holds so many entries of a map."""
+        informed = self._peers.informed
+        informed[peers, number] = np.maximum(informed[peers, number], length)
+
+    def _possible(self, number: int, length: int) -> int:
+        """Bound a log length that a peer claims: of this robot's map none holds what was not on the air."""
+        return min(length, self.shared) if number == self._peers.own else length

@@ -1,0 +1,204 @@
+"""The policy of gossip: which log ranges to broadcast, on whose behalf, and with which priority.
+
+The peer that holds the most entries is served first; for it, this robot's own map, then the map of which it misses the
+fewest. So peers that keep up receive new entries before others catch up with old ones. A range that depends on entries
+of other logs follows those that the peer lacks.
+
+Of several robots that could forward what a peer lacks, one does: the author if it is in range, else they take turns.
+A robot that is not chosen suppresses its broadcast, and joins in if the peer still lacks the entries some steps later:
+suppression timers as in SRM (Floyd et al., 1997) and Trickle (RFC 6206), with turns instead of random delays.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from operator import attrgetter
+
+import numpy as np
+
+from agent.encodings.base import Dependency
+from agent.replication.log import Log
+from agent.replication.neighbors import Neighbors
+from agent.replication.peers import Mask, PeerTable, Table
+from protocol.kernels import kernel
+
+Dependencies = Callable[[int], Sequence[Dependency]]
+"""Returns, for a map number, its log ranges that depend on other logs, in order (`MapEncoding.dependencies`)."""
+
+Broadcast = Callable[[int, int, int], int]
+"""Adds a log range (map number, first, end) to the frame; returns the offset after the last entry that fits."""
+
+MAX_PRIORITY = 255
+
+KEEPING_UP = 64
+"""Entries: the fewer a peer lacks below this number, the higher the priority of serving it."""
+
+LONG = 64
+"""Bytes up to which a longer frame has a higher priority."""
+
+AGING = 2
+"""Priority added per step of waiting."""
+
+HELD_PER_PRIORITY = 4
+"""Entries held by the served peer for each unit of priority, once robots have been out of range."""
+
+MAX_HELD_PRIORITY = 200
+
+
+def no_dependencies(number: int) -> Sequence[Dependency]:
+    """Return nothing: every entry can be decoded after those before it."""
+    del number
+    return ()
+
+
+class GossipPolicy:
+    """What peers in range lack, since when, and which of that this robot broadcasts.
+
+    Parameters
+    ----------
+    peers : PeerTable
+    logs : sequence of Log
+        By map number.
+    neighbors : Neighbors
+    dependencies : callable
+    broadcast : callable
+    """
+
+    def __init__(
+        self,
+        peers: PeerTable,
+        logs: Sequence[Log],
+        neighbors: Neighbors,
+        dependencies: Dependencies,
+        broadcast: Broadcast,
+    ) -> None:
+        self._peers = peers
+        self._logs = logs
+        self._neighbors = neighbors
+        self._dependencies = dependencies
+        self._broadcast = broadcast
+        self.lacks = peers.new_table()
+        """``lacks[peer, map]``: entries that this robot holds and the peer should not hold yet."""
+        self._since = peers.new_table()
+        """The step since which it lacks some."""
+        self._in_range: list[int] = []
+        self._step = 0
+        self._turn = 0
+        self._sent: dict[int, tuple[int, int]] = {}
+        """The range of each map that is in this round's frame."""
+
+    def compare(self, step: int, known: list[int], lengths: Table) -> None:
+        """Compare log lengths with the version vectors of the peers in range whose report is not awaited."""
+        compared = np.zeros(self._peers.robots, np.bool_)
+        compared[known] = True
+        current = np.array(self._peers.current, np.int64)
+        note_lacks(self._peers.expected, lengths, compared, current, step, self.lacks, self._since)
+
+    def serve(self, in_range: list[int], step: int, turn: int) -> int | None:
+        """Broadcast what peers lack; return the peer that is served first, if any.
+
+        `turn` is the number of steps after which the next robot forwards what a peer still lacks.
+        """
+        self._in_range, self._step, self._turn = in_range, step, turn
+        self._sent = {}
+        expected, own = self._peers.expected, self._peers.own
+        lacking = np.flatnonzero(self.lacks.any(axis=1)).tolist()
+        held = dict(zip(lacking, expected[lacking].sum(axis=1).tolist(), strict=True))
+        served = None
+        for peer in sorted(lacking, key=lambda each: (-held[each], each)):
+            lacks: list[int] = self.lacks[peer].tolist()
+            will_hold: list[int] = expected[peer].tolist()
+            will_hold[self._peers.current[peer]] = np.iinfo(np.int64).max
+            numbers = [number for number, lack in enumerate(lacks) if lack]
+            for number in sorted(numbers, key=lambda each: (each != own, lacks[each], each)):
+                self._bring(peer, will_hold, number, lacks[number] + expected.item(peer, number))
+            if served is None and self._sent:
+                served = peer
+        return served
+
+    def _bring(self, peer: int, will_hold: list[int], number: int, end: int) -> None:
+        """Broadcast what a peer lacks of a map before offset `end`, and before each range what it depends on."""
+        dependencies = self._dependencies(number)
+        for each in dependencies[bisect_right(dependencies, will_hold[number], key=attrgetter("end")) :]:
+            if each.first >= end:
+                break
+            if any(will_hold[other] < length for other, length in each.requires):
+                self._send(peer, will_hold, number, each.first)
+                for other, length in each.requires:
+                    self._bring(peer, will_hold, other, length)
+                if any(will_hold[other] < length for other, length in each.requires):
+                    return
+        self._send(peer, will_hold, number, end)
+
+    def _send(self, peer: int, will_hold: list[int], number: int, end: int) -> None:
+        """Broadcast what a peer lacks of a map before offset `end`, but not what is in the frame already."""
+        first = will_hold[number]
+        if first >= end:
+            return
+        low, high = self._sent.get(number, (end, end))
+        if low <= first:
+            first = max(first, high)
+        else:
+            end = min(end, low)
+        if first < end and (number == self._peers.own or self._is_forwarder(peer, number)):
+            first, end = max(first, self._logs[number].start), min(end, len(self._logs[number]))
+            end = self._broadcast(number, first, end)
+            if end > first:
+                low, high = self._sent.get(number, (first, end))
+                self._sent[number] = min(low, first), max(high, end)
+        will_hold[number] = max(first, end)
+
+    def _is_forwarder(self, peer: int, number: int) -> bool:
+        """Return whether it is this robot's turn to forward what a peer lacks of a map.
+
+        Candidates hold more of the map and are in range of the peer. After `turn` steps in which the peer still lacks
+        the entries the next candidate forwards them as well.
+        """
+        current, expected, robots = self._peers.current, self._peers.expected, self._peers.robots
+        candidates = [
+            each
+            for each in self._in_range
+            if self._neighbors.are_near(each, peer)
+            and (current[each] == number or expected[each, number] > expected[peer, number])
+        ]
+        candidates.append(self._peers.robot)
+        candidates.sort(key=lambda each: (current[each] != number, (each - number) % robots))
+        waited = self._step - self._since.item(peer, number)
+        return candidates.index(self._peers.robot) <= waited // self._turn
+
+    def priority(self, served: int | None, size: int, waited: int, *, unfinished: bool) -> int:
+        """Return the priority of a frame of `size` bytes if no robot has ever been out of range.
+
+        `unfinished`: a part of the entries appended last has been on the air, and the rest has not; these come first.
+        Else the frame ranks by how few entries the first served peer lacks, by its size, and by the steps it waited.
+        """
+        if unfinished:
+            return MAX_PRIORITY
+        lacks = 0 if served is None else int(self.lacks[served].sum())
+        return _aged(max(0, KEEPING_UP - lacks) + min(LONG, size), waited)
+
+    def priority_apart(self, served: int | None, waited: int) -> int:
+        """Return the priority if robots have been out of range: the more the first served peer holds, the higher."""
+        held = 0 if served is None else int(self._peers.expected[served].sum())
+        return _aged(min(MAX_HELD_PRIORITY, held // HELD_PER_PRIORITY), waited)
+
+
+def _aged(priority: int, waited: int) -> int:
+    return min(MAX_PRIORITY - 1, priority + AGING * waited)
+
+
+@kernel("void(int64[:,::1], int64[::1], boolean[::1], int64[::1], int64, int64[:,::1], int64[:,::1])")
+def note_lacks(
+    expected: Table, lengths: Table, compared: Mask, current: Table, step: int, lacks: Table, since: Table
+) -> None:
+    """Write how many entries of each map, but its own, each compared peer lacks, and since which step."""
+    robots, maps = expected.shape
+    for peer in range(robots):
+        for number in range(maps):
+            lack = 0
+            if compared[peer] and number != current[peer]:
+                lack = max(lengths[number] - expected[peer, number], 0)
+            if lack and not lacks[peer, number]:
+                since[peer, number] = step
+            lacks[peer, number] = lack

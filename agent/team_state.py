@@ -1,0 +1,144 @@
+"""A robot's beliefs about its teammates: poses, targets, homes and distances traveled.
+
+They come from broadcasts of poses and targets (`protocol.packets`), from scan updates that contain the author's pose,
+and from what teammates relay of robots out of range (`agent.strategies.relayed_state`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TypeVar
+
+from agent.settings import Settings
+from agent.strategies.base import Cell, Pose, Situation
+from agent.strategies.relayed_state import RelayedState
+from protocol import packets
+from protocol.errors import ProtocolError
+from protocol.grid import Grid
+from protocol.messages import Sense
+
+_Value = TypeVar("_Value")
+
+
+class TeamState:
+    """What one robot believes of itself and its teammates, by robot number."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.step = 0
+        self.in_range: tuple[int, ...] = ()
+        """Teammates in radio range."""
+        self.relayed = RelayedState(settings)
+        self.poses: dict[int, Pose] = {}
+        """The last known pose of each teammate."""
+        self.targets: dict[int, Cell] = {}
+        """The target of each teammate, as of the last decision."""
+        self._robot, self._robots = settings.robot, settings.robots
+        self._width, self._height = settings.width, settings.height
+        self._home = settings.home
+        self._homes: dict[int, Cell] = {}
+        self._new_targets: dict[int, Cell] = {}
+        self._target_steps: dict[int, int] = {}
+        """The step in which each target was received."""
+        self._pose_steps: dict[int, int] = {}
+        """The step in which each teammate last broadcast its pose."""
+        self._moved: dict[int, int] = {}
+        """The step in which each teammate was first known to be at another cell than before."""
+        self._traveled: dict[int, float] = {}
+        self._here: Cell | None = None
+
+    def perceive(self, sense: Sense) -> None:
+        """Note this robot's own position at the beginning of a step."""
+        here = sense.x, sense.y
+        if self._here is None:
+            self._homes[self._robot] = self._home or here
+        else:
+            self._travel(self._robot, self._here, here)
+        self.step, self._here = sense.step, here
+
+    def receive_broadcast(self, peer: int, payload: bytes) -> list[str]:
+        """Note the poses and targets in a teammate's broadcast; return what is wrong with it."""
+        try:
+            received = packets.broadcast(payload)
+        except ProtocolError as error:
+            return [str(error)]
+        errors = []
+        subject: int | None = peer
+        """The robot that the next target belongs to; None: it is not needed."""
+        for packet in received:
+            if isinstance(packet, packets.Target) and self._on_grid(packet):
+                target = packet.x, packet.y
+                if subject == peer or (subject is not None and target != self.targets.get(subject)):
+                    self._new_targets[subject] = target
+            elif isinstance(packet, packets.Passed) and self._on_grid(packet):
+                subject = None
+                if packet.robot >= self._robots:
+                    errors.append(f"{packet} is no robot of {self._robots}")
+                elif packet.robot not in self.in_range and self.relayed.take(packet, self.step):
+                    subject = packet.robot
+                    self._note_pose(subject, Pose(packet.x, packet.y, leads=False))
+            elif isinstance(packet, packets.Pose) and self._on_grid(packet):
+                self._pose_steps[peer] = self.step
+                self._note_pose(peer, Pose(packet.x, packet.y, bool(packet.leads)))
+            else:
+                errors.append(f"{packet} is no target or pose on a {self._width} x {self._height} grid")
+        return errors
+
+    def broadcast_pose(self, peer: int) -> Pose | None:
+        """Return the pose that a teammate broadcast in this step, if it did."""
+        return self.poses[peer] if self._pose_steps.get(peer) == self.step else None
+
+    def infer_pose(self, peer: int, cell: Cell | None) -> None:
+        """Note the cell of a teammate's last scan, unless it broadcast its pose in this step, or never did."""
+        before = self.poses.get(peer)
+        if cell is None or before is None or before[:2] == cell:
+            return
+        if self._pose_steps[peer] < self.step:
+            self._note_pose(peer, Pose(*cell, before.leads))
+
+    def situation(self, sense: Sense, grid: Grid) -> Situation:
+        """Return what the strategy decides on, and take over the targets that are new."""
+        new_targets, self._new_targets = self._new_targets, {}
+        self.targets |= new_targets
+        self._target_steps |= dict.fromkeys(new_targets, sense.step)
+        return Situation(
+            step=sense.step,
+            grid=grid,
+            x=sense.x,
+            y=sense.y,
+            offset=(sense.offset_x, sense.offset_y),
+            heading=sense.heading,
+            blocked=sense.blocked,
+            homes=_ascending(self._homes),
+            home=self._homes[self._robot],
+            peers=self.in_range,
+            connected=self.relayed.connected(sense.step, self.in_range),
+            poses=_ascending(self.poses),
+            last_moved=_ascending(self._moved),
+            traveled=_ascending(self._traveled),
+            targets=_ascending(self.targets),
+            target_steps=_ascending(self._target_steps),
+            new_targets=new_targets,
+        )
+
+    def _on_grid(self, packet: packets.Target | packets.Passed | packets.Pose) -> bool:
+        return packet.x < self._width and packet.y < self._height
+
+    def _note_pose(self, peer: int, pose: Pose) -> None:
+        self._homes.setdefault(peer, pose[:2])
+        before = self.poses.get(peer)
+        if before is not None:
+            self._travel(peer, before[:2], pose[:2])
+        if before is None or before[:2] != pose[:2]:
+            self._moved[peer] = self.step
+        self.poses[peer] = pose
+
+    def _travel(self, robot: int, start: Cell, end: Cell) -> None:
+        length = math.hypot(end[0] - start[0], end[1] - start[1])
+        self._traveled[robot] = self._traveled.get(robot, 0.0) + length
+
+
+def _ascending(of_robots: dict[int, _Value]) -> dict[int, _Value]:
+    """Return a copy of a dictionary by ascending robot number; the common case, where it is so already, is fast."""
+    numbers = list(of_robots)
+    ordered = sorted(numbers)
+    return dict(of_robots) if numbers == ordered else {robot: of_robots[robot] for robot in ordered}

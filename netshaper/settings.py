@@ -1,0 +1,85 @@
+"""Settings of a run's radio."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from netshaper.radio_options import RadioOptions
+from protocol import packets
+from protocol.budget import UNLIMITED, Budget
+from protocol.grid import Grid
+from protocol.messages import Change
+
+
+@dataclass(frozen=True, eq=False)
+class RadioSettings:
+    """Settings of a run's radio.
+
+    Attributes
+    ----------
+    robots : int
+    seed : int
+    range_cells : float
+        Communication range in cells; infinite if all robots receive each other.
+    budget : Budget
+        Bytes per step that the team shares.
+    rounds : int
+        Rounds per step (R).
+    gossip : bool
+        Whether maps are broadcast; else robots offer them to each other.
+    incarnations : int
+        How often a robot may begin. Each incarnation has a map of its own.
+    options : RadioOptions
+    cell_m : float
+        Side of a cell in meters.
+    walls : grid or None
+        The world's cells, if links depend on them.
+    send, receive : tuple of int
+        Bytes per step that each robot can send and receive, 0 for no limit; empty if no robot has a limit.
+    changes : tuple of Change
+        Scheduled changes of budget and range.
+    """
+
+    robots: int
+    seed: int
+    range_cells: float
+    budget: Budget = UNLIMITED
+    rounds: int = 2
+    gossip: bool = False
+    incarnations: int = 1
+    options: RadioOptions = field(default_factory=RadioOptions)
+    cell_m: float = 1.0
+    walls: Grid | None = None
+    send: tuple[int, ...] = ()
+    receive: tuple[int, ...] = ()
+    changes: tuple[Change, ...] = ()
+
+    @property
+    def maps(self) -> int:
+        """How many maps there can be."""
+        return self.robots * self.incarnations
+
+    @property
+    def perfect(self) -> bool:
+        """Whether the channel is lossless and the shared budget is the only limit."""
+        return self.options.perfect and not any(self.send) and not any(self.receive)
+
+    @property
+    def handshakes(self) -> bool:
+        """Whether a round has three phases: offers, answers and data. Else robots send once per round."""
+        return self.perfect and not self.gossip
+
+    @property
+    def frame_limit(self) -> Budget:
+        """Bytes that a frame may have."""
+        return Budget(self.options.frame_bytes) if self.options.frame_bytes else UNLIMITED
+
+    @property
+    def checksum_bytes(self) -> int:
+        """Bytes of the checksum behind each frame."""
+        return packets.Check.size if self.options.sums else 0
+
+    @property
+    def packet_bytes(self) -> int | None:
+        """Bytes that a packet may have for a frame to hold it; None: any number."""
+        return self.options.frame_bytes - self.checksum_bytes if self.options.frame_bytes else None

@@ -1,0 +1,74 @@
+"""Topology: which robots receive each other in a step, by position, radio model, partitions and faults."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from netshaper import connectivity
+from netshaper.settings import RadioSettings
+
+
+class Topology:
+    """The links of a step."""
+
+    def __init__(self) -> None:
+        self.in_range: dict[int, list[int]] = {}
+        """For each robot that takes part in the step those in its range, ascending."""
+        self.dead: set[int] = set()
+        """Robots that do not answer any more."""
+        self.mute: set[int] = set()
+        """Robots whose radios cannot send."""
+        self.deaf: set[int] = set()
+        """Robots whose radios cannot receive."""
+
+    def begin(
+        self,
+        settings: RadioSettings,
+        step: int,
+        cells: Mapping[int, tuple[int, int]],
+        mute: Iterable[int],
+        deaf: Iterable[int],
+    ) -> None:
+        """Begin a step, with the true cell (x, y) of each robot."""
+        self.mute, self.deaf = set(mute), set(deaf)
+        self.in_range = links(settings, step, {r: cell for r, cell in cells.items() if r not in self.dead})
+
+    def living(self) -> list[int]:
+        """Return the robots that take part in the step and are not dead."""
+        return sorted(self.in_range.keys() - self.dead)
+
+    def detected_by(self, robot: int) -> list[int]:
+        """Return the teammates in range that a robot can detect."""
+        if robot in self.deaf:
+            return []
+        return [peer for peer in self.in_range[robot] if peer not in self.dead and peer not in self.mute]
+
+    def receivers_of(self, sender: int) -> list[int]:
+        """Return the robots that receive the broadcasts of a robot."""
+        return [peer for peer in self.in_range[sender] if self.receives(peer)]
+
+    def receives(self, robot: int) -> bool:
+        """Return whether a robot takes part in the step, is not dead, and its radio can receive."""
+        return robot in self.in_range and robot not in self.dead and robot not in self.deaf
+
+
+def links(settings: RadioSettings, step: int, cells: Mapping[int, tuple[int, int]]) -> dict[int, list[int]]:
+    """Return for each robot those in its range, by the radio's model and the partitions of a step."""
+    options = settings.options
+    robots, places = sorted(cells), connectivity.places_of(cells)
+    if options.model == "disc" or settings.walls is None:
+        receives = connectivity.disc(places, settings.range_cells)
+    elif options.model == "line-of-sight":
+        receives = connectivity.line_of_sight(places, settings.range_cells, settings.walls)
+    else:
+        extra = connectivity.shadowing(
+            places, settings.cell_m, settings.seed, options.shadowing_db, options.shadowing_m
+        )
+        receives = connectivity.log_distance(
+            places, settings.range_cells, settings.walls, settings.cell_m,
+            exponent=options.exponent, db_per_metre=options.db_per_metre, db_per_wall=options.db_per_wall,
+            extra_db=extra,
+        )  # fmt: skip
+    if options.partition:
+        receives = receives & connectivity.parted(robots, options.partition, step)
+    return connectivity.named(robots, receives)

@@ -1,0 +1,68 @@
+"""Edit scripts applied to plain lists of vertices: the reference for what receivers hold."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import cast
+
+import numpy as np
+
+from agent.outline.edits import NumberedPolygons, edit_packets
+from agent.outline.polygons import Polygons
+from protocol.packets import Change, Delete, Edit, Emerge, Insert, Remove, Replace, Save, decode
+
+Symbol = tuple[int, int, int, int]
+Cycle = list[Symbol]
+
+
+def edit_script(held: NumberedPolygons, approximation: Polygons) -> tuple[list[Edit], NumberedPolygons]:
+    """The packets that turn what is held into an approximation, and what is held after them."""
+    packets = cast("list[Edit]", decode(b"".join(edit_packets(held, approximation))))
+    objects = applied(lists(held), packets)
+    rows = [symbol for _, cycle in objects.values() for symbol in cycle]
+    x, y, side, occupied = np.array(rows, np.int16).reshape(-1, 4).T.copy()
+    start = np.cumsum([0, *(len(cycle) for _, cycle in objects.values())]).astype(np.int32)
+    inside = np.array([inside for inside, _ in objects.values()], np.bool_)
+    polygons = Polygons(
+        held.polygons.shape, x, y, side.astype(np.uint8), occupied.astype(np.uint8), start, inside
+    )
+    return packets, NumberedPolygons(np.array([*objects], np.int32), polygons)
+
+
+def lists(held: NumberedPolygons) -> dict[int, tuple[bool, Cycle]]:
+    """Objects by number: whether it is the inside one, and its vertices."""
+    p = held.polygons
+    rows = list(zip(p.x.tolist(), p.y.tolist(), p.side.tolist(), p.occupied.tolist(), strict=True))
+    parts = pairwise(p.start.tolist())
+    return {
+        number: (bool(inside), rows[first:end])
+        for number, inside, (first, end) in zip(held.number.tolist(), p.inside, parts, strict=True)
+    }
+
+
+def applied(objects: dict[int, tuple[bool, Cycle]], packets: list[Edit]) -> dict[int, tuple[bool, Cycle]]:
+    """Apply packets to plain lists, as docs and docstrings describe it."""
+    objects = dict(objects)
+    current: Cycle = []
+    announced = longest = 0
+    for packet in packets:
+        match packet:
+            case Emerge(number, count, inside) | Change(number, count, inside):
+                assert len(current) == announced
+                assert (number in objects) == isinstance(packet, Change)
+                current = list(objects[number][1]) if number in objects else []
+                announced, longest = count, max(count, len(current))
+                objects[number] = bool(inside), current
+            case Remove(number):
+                del objects[number]
+            case Insert(index, x, y, side, occupied):
+                assert index <= len(current)
+                current.insert(index, (x, y, side, occupied))
+            case Replace(index, x, y, side, occupied):
+                current[index] = x, y, side, occupied
+            case Delete(index):
+                del current[index]
+        assert len(current) <= longest
+    assert len(current) == announced
+    assert (packets == []) or (packets[-1] == Save() and packets.count(Save()) == 1)
+    return dict(sorted(objects.items()))
