@@ -1,14 +1,16 @@
-"""Who a robot is across its lives: what its journal says of it, and the number of its map.
+"""The identity of a robot across restarts: incarnation numbers, persisted in a journal, and map IDs.
 
-A robot that was killed and comes back has lost what it knew. Of its own it has its journal: how often it has begun,
-and where home is. In its new life it keeps a new log, of a new number (`Settings.own_map`): of `r` robots, robot `n`
-tells map `n` in its first life, `n + r` in its second, and so on. So a number says whose map it is, and of which
-life, and who hears it tells an old life from a new one, at no byte. The old life's log is the map of a robot that is
-gone: teammates go on passing it on, to all who lack it and to its maker as well, who so gets back what it had told.
-Who hears that a teammate tells of a new life knows that all that the teammate had been told is lost, and begins anew
-with it (`agent.replication`).
+A robot that crashes loses its state. On stable storage it keeps its journal: the number of its incarnations so far, and
+its start cell. Each incarnation has a number, as in distributed systems that distinguish the epochs of a restarted
+process (for example SWIM, Das et al. 2002). An incarnation begins a new log with a new map ID. With `r` robots,
+incarnation `i` of robot `n` has map ID `n + i * r`. So a map ID shows the robot and its incarnation, and frames need no
+further bytes for it.
 
-Packets can name so many maps (`protocol.packets.MAX_MAPS`); that bounds robots times lives.
+The log of an earlier incarnation stays valid. Teammates continue to forward it to all robots that lack it. So the
+restarted robot recovers its former map. A teammate that receives a newer incarnation number knows that the
+robot has lost its state, and begins anew with it.
+
+Packets have a limited number of map IDs (`protocol.packets.MAX_MAPS`), which bounds robots times incarnations.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from agent.settings import Settings
 
 
 class Incarnation(msgspec.Struct, frozen=True, tag=True, array_like=True, forbid_unknown_fields=True):
-    """A robot begins a life."""
+    """Journal record: an incarnation of a robot begins."""
 
     robot: int
     robots: int
@@ -29,7 +31,7 @@ class Incarnation(msgspec.Struct, frozen=True, tag=True, array_like=True, forbid
 
 
 class Home(msgspec.Struct, frozen=True, tag=True, array_like=True, forbid_unknown_fields=True):
-    """Cell in which a robot's first life began."""
+    """Journal record: the start cell of the first incarnation."""
 
     x: int
     y: int
@@ -40,12 +42,12 @@ _write = msgspec.msgpack.Encoder().encode
 
 
 class Identity:
-    """One robot's journal, as it reads it; a robot that has none begins its first life.
+    """Incarnations of one robot, as its journal records them.
 
     Parameters
     ----------
     journal : Journal
-        What its earlier lives have written; each new life is written down before it says anything.
+        Records of the earlier incarnations; empty for the first. An incarnation is recorded before it sends anything.
     """
 
     def __init__(self, journal: Journal) -> None:
@@ -53,12 +55,12 @@ class Identity:
         self._home: tuple[int, int] | None = None
 
     def begin(self, settings: Settings) -> Settings:
-        """Begin a life: return the settings with what is the robot's own.
+        """Begin an incarnation: record it, and return the settings with its number and the home cell.
 
         Raises
         ------
         JournalError
-            The journal is that of another robot, makes no sense, or the robot has no life left.
+            The journal is malformed or belongs to another robot, or the robot has used up its incarnations.
         """
         incarnation = 0
         for number, record in enumerate(self._journal.records):
@@ -72,18 +74,18 @@ class Identity:
                 settings.robots,
                 incarnation,
             ):
-                whose = f"life {entry.incarnation} of robot {entry.robot} of {entry.robots}"
-                wanted = f"life {incarnation} of robot {settings.robot} of {settings.robots}"
-                raise JournalError(f"record {number}: {whose}, where {wanted} is the next")
+                found = f"incarnation {entry.incarnation} of robot {entry.robot} of {entry.robots}"
+                expected = f"incarnation {incarnation} of robot {settings.robot} of {settings.robots}"
+                raise JournalError(f"record {number}: {found}, expected {expected}")
             else:
                 incarnation += 1
         if incarnation >= settings.incarnations:
-            raise JournalError(f"robot {settings.robot} has used up its lives: {settings.incarnations}")
+            raise JournalError(f"robot {settings.robot} has used up its {settings.incarnations} incarnations")
         self._journal.append(_write(Incarnation(settings.robot, settings.robots, incarnation)))
         return replace(settings, incarnation=incarnation, home=self._home)
 
     def settle(self, x: int, y: int) -> None:
-        """Note where the robot is as it begins; home is where it first did so."""
+        """Record the start cell of the first incarnation as home; later calls do nothing."""
         if self._home is None:
             self._home = x, y
             self._journal.append(_write(Home(x, y)))
@@ -94,4 +96,4 @@ def _entry(record: bytes, number: int) -> Incarnation | Home:
         entry: Incarnation | Home = _read(record)
         return entry
     except (msgspec.DecodeError, msgspec.ValidationError, RecursionError, UnicodeDecodeError) as error:
-        raise JournalError(f"record {number}: no entry of a robot's journal: {error}") from None
+        raise JournalError(f"record {number}: not a journal entry: {error}") from None

@@ -1,8 +1,8 @@
-"""A journal: records at the end of a file, of which the last may be torn; what was read once is never lost.
+"""An append-only file of records that survives crashes (a write-ahead log).
 
-A robot that is killed leaves its journal behind, and begins its next life with it (`agent.identity`). A record is its
-length and its checksum, four bytes each, and its bytes; it is written at one go. Where a crash has cut it off, or has
-left something else, all from there on is cut away as the journal is opened.
+The journal of a killed robot is the input of its next incarnation (`agent.identity`). A record consists of its length
+and its CRC-32, four bytes each, and its content; one write call writes it. When a journal is opened, the file is
+truncated at the first incomplete or damaged record.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from typing import BinaryIO
 
 _HEAD = struct.Struct("<II")
 
-MOST = 1 << 16
-"""Bytes of a record at most: what says that it is longer is no record."""
+MAX_RECORD = 1 << 16
+"""Largest size of a record's content in bytes; a larger length field means a damaged record."""
 
 
 def journal_name(robot: int) -> str:
-    """What the file of a robot's journal is called."""
+    """Return the name of a robot's journal file."""
     return f"r{robot}.journal"
 
 
 class JournalError(ValueError):
-    """A journal that does not belong here: the message says what is wrong."""
+    """A journal is malformed or belongs to another robot; the message has the reason."""
 
 
 class Journal:
@@ -33,13 +33,13 @@ class Journal:
     Parameters
     ----------
     file : binary file
-        Open for reading and writing; read from its beginning.
+        Open for reading and writing; it is read from its beginning.
     """
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
         self.records: list[bytes] = []
-        """All whole records."""
+        """The contents of all complete records."""
         file.seek(0)
         data = file.read()
         end = 0
@@ -51,24 +51,24 @@ class Journal:
 
     @classmethod
     def open(cls, path: Path) -> Journal:
-        """Open the journal at `path`; make it if there is none. OSError if that cannot be."""
+        """Open the journal at `path`; create an empty one if the file is missing. May raise OSError."""
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
         return cls(path.open("r+b", buffering=0))
 
     def append(self, record: bytes) -> None:
-        """Write a record; it is in the system's hands when this returns."""
-        if len(record) > MOST:
-            raise ValueError(f"a record of {len(record)} bytes: at most {MOST}")
+        """Write a record; the operating system has it when this returns."""
+        if len(record) > MAX_RECORD:
+            raise ValueError(f"a record of {len(record)} bytes is longer than {MAX_RECORD}")
         self._file.write(_HEAD.pack(len(record), zlib.crc32(record)) + record)
         self._file.flush()
         self.records.append(record)
 
 
 def _record_at(data: bytes, offset: int) -> bytes | None:
-    """The record at an offset; None if there is none, or it is not whole."""
+    """Return the record at an offset; None if it is missing, incomplete or damaged."""
     if len(data) < offset + _HEAD.size:
         return None
     length, checksum = _HEAD.unpack_from(data, offset)
     record = data[offset + _HEAD.size : offset + _HEAD.size + length]
-    return record if len(record) == length <= MOST and zlib.crc32(record) == checksum else None
+    return record if len(record) == length <= MAX_RECORD and zlib.crc32(record) == checksum else None

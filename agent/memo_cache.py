@@ -1,8 +1,8 @@
-"""What robots of one process would all work out alike, worked out once.
+"""Memoization of results that the robots of one process would all compute alike.
 
-Teammates that hear the same words of a map read the same, and the same cells of its drawing change; those that have
-the same planning grid find the same ways on it. Where each robot has a process of its own, it works that out for
-itself; where all run in one, the first that comes to it does so for all. Nobody can tell by the results.
+Robots that decode the same entries get the same map, and robots with the same planning grid find the same ways. If each
+robot has its own process, each computes these results. In a common process the first robot computes them for all. The
+results do not change.
 """
 
 from __future__ import annotations
@@ -12,23 +12,29 @@ from typing import Any, TypeVar
 
 Result = TypeVar("Result")
 
-MOST = 4096
-"""Results that are kept; when there are so many all are dropped, and who needs one again works it out again."""
+CAPACITY = 4096
+"""Default capacity; a full cache drops all results."""
 
 
 class MemoCache:
-    """Results by what they follow from; kept by one who shares them with others, never by one who is alone."""
+    """Bounded memo table, shared by the robots of a process; disabled for single-robot processes.
 
-    def __init__(self, most: int = MOST) -> None:
-        self._most = most
+    Parameters
+    ----------
+    capacity : int
+        Largest number of results; 0 disables the cache.
+    """
+
+    def __init__(self, capacity: int = CAPACITY) -> None:
+        self._capacity = capacity
         self._known: dict[Hashable, Any] = {}
 
     def get(self, key: Hashable, work: Callable[[], Result]) -> Result:
-        """Return what `work` gives, which `key` says all about; it is not to be written on."""
-        if not self._most:
+        """Return `work()`, which depends on `key` alone; callers must not modify the result."""
+        if not self._capacity:
             return work()
         if key not in self._known:
-            if len(self._known) >= self._most:
+            if len(self._known) >= self._capacity:
                 self._known.clear()
             self._known[key] = work()
         result: Result = self._known[key]
@@ -36,4 +42,4 @@ class MemoCache:
 
 
 NO_CACHE = MemoCache(0)
-"""For a robot that has a process of its own."""
+"""The disabled cache of a robot with its own process."""

@@ -1,6 +1,6 @@
-"""Strategies and exchanges from outside: classes by ``package.module:Class``, or entry points of installed packages.
+"""Strategies and map encodings of other packages: entry points, or classes given as ``package.module:Class``.
 
-A package offers its own under the names that scenarios give::
+A package registers its classes under the names that scenarios use::
 
     [project.entry-points."murmur.strategies"]
     farthest = "our_package.farthest:Farthest"
@@ -26,16 +26,16 @@ Base = TypeVar("Base")
 
 @dataclass(frozen=True)
 class Plugins(Generic[Base]):
-    """All classes of one sort that can be named in a scenario.
+    """All classes of one kind that a scenario can name.
 
     Attributes
     ----------
     what : str
-        The word for one of them, as ``strategy``.
+        The kind, for error messages: ``strategy``.
     group : str
         The group of entry points.
     base : type
-        What all of them are subclasses of; each has a ``name`` of its own.
+        The base class; each subclass defines a ``name``.
     """
 
     what: str
@@ -43,12 +43,12 @@ class Plugins(Generic[Base]):
     base: type[Base]
 
     def find(self, name: str, known: Mapping[str, type[Base]]) -> type[Base]:
-        """Return the class of that name: one of the `known`, an installed one, or ``package.module:Class``.
+        """Return the class with this name: a `known` or an installed one, or ``package.module:Class``.
 
         Raises
         ------
         ValueError
-            There is none of that name (near names and those there are follow), or it cannot be imported.
+            The name is unknown (the message lists similar names), or the class cannot be imported.
         """
         if name in known:
             return known[name]
@@ -68,12 +68,12 @@ class Plugins(Generic[Base]):
         return self.load(installed[name])
 
     def installed(self) -> dict[str, EntryPoint]:
-        """Entry points of installed packages, by name.
+        """Return the entry points of installed packages, by name.
 
         Raises
         ------
         ValueError
-            Two packages have one of the same name.
+            Two packages register the same name.
         """
         found: dict[str, EntryPoint] = {}
         for each in sorted(_entry_points(self.group), key=lambda each: each.name):
@@ -86,11 +86,11 @@ class Plugins(Generic[Base]):
         return found
 
     def load(self, point: EntryPoint) -> type[Base]:
-        """Import what an entry point leads to; ValueError if that cannot be, or it is none of its sort."""
+        """Import the class of an entry point; ValueError if the import fails, or the class has the wrong base."""
         where = f"{self.what} {point.name!r} of package {package(point)}"
         try:
             kind = point.load()
-        except (Exception, SystemExit):  # another's code may raise anything; its traceback tells
+        except (Exception, SystemExit):  # foreign code may raise anything; the traceback shows it
             raise ValueError(f"{where} cannot be imported:\n{_own_traceback()}") from None
         checked = self._checked(kind, where, point.value)
         own: Any = vars(checked)["name"]
@@ -106,7 +106,7 @@ class Plugins(Generic[Base]):
             raise ValueError(f"{self.what} {name!r}: must be package.module:Class")
         here = str(Path.cwd())
         if here not in sys.path:
-            sys.path.append(here)  # last: a file here that is called as one of ours hides nothing
+            sys.path.append(here)  # last: a local file must not hide a module of this package
         try:
             module = importlib.import_module(module_name)
         except ModuleNotFoundError as error:
@@ -140,7 +140,7 @@ class Plugins(Generic[Base]):
 
 
 def package(point: EntryPoint) -> str:
-    """The name of the distribution that an entry point belongs to."""
+    """Return the name of the distribution of an entry point."""
     return point.dist.name if point.dist is not None else "?"
 
 
@@ -150,7 +150,7 @@ def _entry_points(group: str) -> tuple[EntryPoint, ...]:
 
 
 def _own_traceback() -> str:
-    """The traceback of the exception that is being handled, from the first frame behind the import's own."""
+    """Return the traceback of the current exception, without the frames of the import system."""
     kind, error, frames = sys.exc_info()
     while frames is not None and (
         frames.tb_frame.f_code.co_filename == __file__ or "importlib" in frames.tb_frame.f_code.co_filename

@@ -14,64 +14,62 @@ from protocol.errors import ProtocolError
 
 
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One robot's task.
+    """The task of one robot.
 
     Attributes
     ----------
     robot, robots : int
-        Its number, and how many there are.
+        Its number, and the number of robots.
     width, height : int
         Size of the grid in cells.
     ranges_cells : list of float
-        Sensor range of every robot, in cells.
+        Sensor range of each robot, in cells.
     beams : int
-        Laser beams a full turn.
+        Laser beams per full turn.
     speed_cells : float
-        Cells that the robot can drive in a step.
+        Distance that the robot can drive in a step, in cells.
     seed : int
-        The run's seed.
+        Seed of the run.
     map_encoding : str
-        How maps are encoded (`agent.encodings`).
+        Name of the map encoding (`agent.encodings`).
     strategy : str
-        Which target comes next (`agent.strategies`).
-    resolution : float
-        Side of a cell in metres.
-    radii_cells : list of float
-        Radius of every robot, in cells; 0 for a point. Empty: all are points.
-    field_of_view : float
-        Degrees that its laser covers, around its heading.
-    scanner_turn : float
-        Degrees that the scanner turns and covers per step; 0 if it covers everything at once.
+        Name of the exploration strategy (`agent.strategies`).
     dissemination : str
-        Which map log entries are sent to which teammates: ``backoff``, ``thesis`` or ``gossip``
-        (`agent.replication.policies`).
+        Dissemination policy of the maps: ``backoff``, ``thesis`` or ``gossip`` (`agent.replication.policies`).
     bandwidth : float or None
-        Bytes a step that the team shares; None: unlimited.
+        Bytes per step that the team shares; None: unlimited.
     reach_cells : float
         Communication range in cells.
     polygons : dict
-        Options of the polygon exchange, by name (`agent.encodings.polygons`).
+        Options of the `polygons` encoding by name (`agent.encodings.polygon_options`).
     predictive : dict
-        Options of the predictive exchange, by name (`agent.encodings.predictive`).
+        Options of the `predictive` encoding by name (`agent.encodings.predictive_options`).
     options : dict
-        Options of the strategy, by name.
-    pass_on : bool
-        Whether it offers maps of others as well as its own.
-    confirms : bool
-        Whether only what a teammate says tells that something has reached it, for the medium may lose it, or the
-        teammate go deaf to what is broadcast.
+        Options of the strategy by name.
+    resolution : float
+        Side of a cell in meters.
+    radii_cells : list of float
+        Radius of each robot in cells, 0 for a point; empty: all robots are points.
+    field_of_view : float
+        Angle that the laser covers around the robot's heading, in degrees.
+    scanner_turn : float
+        Angle that the scanner turns and covers per step, in degrees; 0: it covers everything in each step.
+    forward_maps : bool
+        Whether the robot sends maps of other robots as well as its own.
+    requires_acks : bool
+        Whether only a peer's acknowledgment shows a delivery: the medium may lose frames, or peers may be deaf.
     frame_bytes : int or None
-        Bytes that a packet may have; None: those of the longest.
-    lives : int
-        How often a robot may begin: once, and once more for each time that it may come back (`agent.identity`).
-    life : int
-        Which of its lives this is, from 0.
+        Largest size of a packet in bytes; None: that of the longest packet.
+    incarnations : int
+        Largest number of incarnations of a robot: one, and one more for each restart (`agent.identity`).
+    incarnation : int
+        Number of this incarnation, from 0.
     home : (x, y) or None
-        Cell where its first life began; None: here and now.
+        Start cell of the first incarnation; None: the start cell of this one.
     fastest_cells : float
-        Cells that the fastest robot of the team can drive in a step.
+        Distance that the fastest robot of the team can drive in a step, in cells.
     record_maps : bool
-        Whether to report changes of its maps to the recorder.
+        Whether to report map changes to the recorder.
     """
 
     robot: int
@@ -105,40 +103,44 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def maps(self) -> int:
-        """How many maps there may be: one a life of each robot."""
+        """Largest number of maps: one per incarnation of each robot."""
         return self.robots * self.incarnations
 
     @property
     def own_map(self) -> int:
-        """The number of the robot's own map: it says whose, and of which life (`agent.identity`)."""
+        """The map ID of this robot and incarnation (`agent.identity`)."""
         return self.robot + self.robots * self.incarnation
+
+    def author_of(self, map_id: int) -> int:
+        """Return the robot whose map has this ID, in any of its incarnations."""
+        return map_id % self.robots
 
     @property
     def range_cells(self) -> float:
-        """The robot's own sensor range, in cells."""
+        """This robot's sensor range, in cells."""
         return self.ranges_cells[self.robot]
 
     @property
     def scale_cells(self) -> float:
-        """The sensor range in which the team counts ways and sizes, in cells: the longest, the same to all members."""
+        """The longest sensor range of the team in cells: the common unit of distances in strategies."""
         return max(self.ranges_cells)
 
     def ranges_of(self, robots: Iterable[int]) -> NDArray[np.float64]:
-        """Sensor range of each of `robots`, in cells."""
+        """Return the sensor range of each of `robots`, in cells: float64 array, shape (n,)."""
         return np.array([self.ranges_cells[robot] for robot in robots], np.float64)
 
     @property
     def radius_cells(self) -> float:
-        """The robot's own radius, in cells."""
+        """This robot's radius, in cells."""
         return self.radius_of(self.robot)
 
     def radius_of(self, robot: int) -> float:
-        """A robot's radius, in cells."""
+        """Return a robot's radius, in cells."""
         return self.radii_cells[robot] if self.radii_cells else 0.0
 
     @property
     def turn_steps(self) -> int:
-        """Steps in which the scanner makes a full turn."""
+        """Steps of a full turn of the scanner."""
         return math.ceil(360 / self.scanner_turn) if self.scanner_turn else 1
 
     def encode(self) -> bytes:

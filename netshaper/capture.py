@@ -1,23 +1,23 @@
-"""The capture: every frame that was said, carried or not, as a packet for Wireshark (docs/capture.md).
+"""Capture: every frame that robots sent, carried or not, as a packet for Wireshark (docs/capture.md).
 
-A packet is a head of 24 bytes, big-endian, and behind it the frame's bytes as they were said, nothing else. Where a
-robot's number does not fit into it (from 64 on), the head is of version 2, with 52 bytes:
+A packet is a head of 24 bytes, big-endian, and then the frame's bytes. If a robot's number is 64 or more, the head is
+of version 2, with 52 bytes:
 
     version   u8   1           2
     frame     u8   offer, answer, data, broadcast, news (`FRAMES`)
     verdict   u8   carried, budget, range, protocol, lost, mute, limit, loss, damaged, full (`VERDICTS`)
-    exchange  u8
+    round     u8
     sender    i8          i16
-    receiver  i8          i16  -1 for all; another negative number is a name that no robot has
+    receiver  i8          i16  -1 for all; other negative numbers are no robots
     map       i8          i16  -1 for none
     part      u8          u16  counts the packets of a frame that is too long for one, from 0
     step      u32
     connection i32 -1 for none
-    hearers   u64         u256 bit r is set where robot r heard it
+    hearers   u64         u256 bit r is set if robot r received it
 
-A data frame that was cut is two packets, what was carried and the rest; of what was not on the air the first
-64 bytes are kept, and its size. The time is the step in seconds, and the place within the step in
-microseconds, so that two equal runs leave equal files.
+A data frame that was cut is two packets: the carried part and the rest. Of bytes that were not on the air only the
+first 64 are kept, and the size. The time is the step in seconds plus the packet's position within the step in
+microseconds, so that equal runs write equal files.
 """
 
 from __future__ import annotations
@@ -56,23 +56,23 @@ from protocol.kernels import kernel
 from protocol.packet_index import Bytes
 
 LINK_TYPE = 147
-"""LINKTYPE_USER0, which the dissector takes."""
+"""LINKTYPE_USER0, which the dissector reads."""
 
 VERSION, WIDE = 1, 2
 """Versions of the head: the plain one, and the one for large teams."""
 HEAD = struct.Struct(">BBBBbbbBIiQ")
 WIDE_HEAD = struct.Struct(">BBBBhhhHIi32s")
 NARROW = 64
-"""Robots that the plain head can speak of."""
+"""Robots that the plain head can name."""
 
 KEPT = 64
-"""Bytes that are kept of what was not carried."""
+"""Bytes kept of a frame that was not carried."""
 
 CAPTURED_AT_MOST = 262_144
-"""Bytes of a packet that Wireshark takes."""
+"""Bytes of the longest packet that Wireshark reads."""
 
 PART = 200_000
-"""Bytes of a frame in one packet at most."""
+"""Bytes of a frame in one packet, at most."""
 
 VERDICTS = ("carried", *CAUSES[1:])
 
@@ -83,8 +83,7 @@ _SECOND = 1_000_000
 class Captured:
     """One packet of a capture, read back.
 
-    `seen` has the bytes that were kept of a frame's `part`, `size` is how many there were; `words` says what
-    became of it.
+    `seen` has the kept bytes of a frame's `part`, `size` is the size of that part; `words` is the comment.
     """
 
     step: int
@@ -105,7 +104,7 @@ def head(description: str) -> bytes:
 
 
 def encode(step: int, frames: Columns) -> bytes:
-    """Write the frames of a step, in the order in which they were booked, as blocks of the file."""
+    """Write the frames of a step, in the order of the log, as blocks of the file."""
     rows, receivers, payload, _, sizes, texts, text_at = frames
     return _encode(step, rows, receivers, payload, sizes, texts, text_at, FIRST_ON_AIR).tobytes()
 
@@ -116,7 +115,7 @@ def read(reader: pcapng.Reader) -> Iterator[Captured]:
     Raises
     ------
     CaptureError
-        It is no capture of ours, or a packet has no head of ours.
+        The file or a packet of it was not written by this module.
     """
     for packet in reader:
         if reader.link_type != LINK_TYPE:
@@ -142,7 +141,7 @@ _HEADS = {VERSION: HEAD, WIDE: WIDE_HEAD}
 
 
 def hearers(seen: LoggedFrame) -> list[int]:
-    """The robots that heard a frame."""
+    """Return the robots that received a frame."""
     return receivers_of(seen.receivers)
 
 

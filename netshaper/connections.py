@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from netshaper.frame_log import Frame
 from netshaper.ledger import ANSWER, DATA
-from protocol.messages import ConnectionReport, Delivery, OutgoingFrame
+from protocol.messages import ConnectionReport, Delivery
 
 
 class Connections:
@@ -47,15 +47,6 @@ class Connections:
     def ends(self, kind: int) -> tuple[list[int], list[int]]:
         """Return the senders and receivers of the frames of a kind."""
         return (self.receivers, self.senders) if kind == ANSWER else (self.senders, self.receivers)
-
-    def position(self, kind: int, sender: int, frame: OutgoingFrame) -> int:
-        """Return the position of the connection in which a robot may send a frame, -1 if there is none."""
-        at = frame.connection - self.first
-        senders, receivers = self.ends(kind)
-        if not 0 <= at < len(self) or (senders[at], receivers[at]) != (sender, frame.receiver):
-            return -1
-        asked, sent = self.frames[kind - 1][at], self.frames[kind][at]
-        return at if asked is not None and sent is None else -1
 
     def deliveries(self, kind: int, receives: Callable[[int], bool]) -> dict[int, list[Delivery]]:
         """Return for each receiver the frames of a phase, in order; note those that a robot cannot receive."""

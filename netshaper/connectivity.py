@@ -1,6 +1,6 @@
-"""Who hears whom (docs/radios.md): everyone within the communication range, a disc, unless walls are in the way.
+"""Connectivity: which robots receive each other (docs/radios.md): those within a disc, unless walls are in the way.
 
-All models are mutual: who hears, is heard. `log_distance` is the disc where there are no walls and no shadowing.
+All models are symmetric. `log_distance` is the disc if there are no walls and no shadowing.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 
 Cell = tuple[int, int]
-Hears = NDArray[np.bool_]
+Links = NDArray[np.bool_]
 """Shape (robots, robots), symmetric."""
 Places = NDArray[np.int64]
 """Cells (x, y) of robots, shape (robots, 2)."""
@@ -35,24 +35,24 @@ def places_of(cells: Mapping[int, Cell]) -> Places:
     return np.array([cells[robot] for robot in sorted(cells)], np.int64).reshape(-1, 2)
 
 
-def named(robots: Sequence[int], hears: Hears) -> dict[int, list[int]]:
-    """For each robot those that it hears, itself left out, in ascending order."""
+def named(robots: Sequence[int], links: Links) -> dict[int, list[int]]:
+    """Return for each robot the others that it receives, in ascending order."""
     return {
-        one: [other for other, heard in zip(robots, row, strict=True) if heard and other != one]
-        for one, row in zip(robots, hears.tolist(), strict=True)
+        one: [other for other, linked in zip(robots, row, strict=True) if linked and other != one]
+        for one, row in zip(robots, links.tolist(), strict=True)
     }
 
 
-def disc(places: Places, range_cells: float) -> Hears:
+def disc(places: Places, range_cells: float) -> Links:
     """Those within the range."""
     x, y = places.T
-    near: Hears = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2 <= range_cells * range_cells
+    near: Links = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2 <= range_cells * range_cells
     return near
 
 
-def line_of_sight(places: Places, range_cells: float, walls: Grid) -> Hears:
+def line_of_sight(places: Places, range_cells: float, walls: Grid) -> Links:
     """Those within the range with no wall between them."""
-    open_to: Hears = walls_crossed(walls, places) == 0
+    open_to: Links = walls_crossed(walls, places) == 0
     return disc(places, range_cells) & open_to
 
 
@@ -66,7 +66,7 @@ def log_distance(
     db_per_metre: float,
     db_per_wall: float,
     extra_db: NDArray[np.float64] | float = 0.0,
-) -> Hears:
+) -> Links:
     """Those whose link has lost no more than a link of the range's length in the open.
 
     The loss over d metres is ``10 exponent log10(d) + db_per_metre d`` dB, which is the site-general model of ITU-R
@@ -82,8 +82,8 @@ def log_distance(
     margin = 10 * exponent * np.log10(reach / near) + db_per_metre * cell_m * (range_cells - away)
     margin -= db_per_wall * walls_crossed(walls, places) + extra_db
     # In thousandths of a dB, so that no machine's logarithm decides.
-    heard: Hears = (np.rint(1000 * margin) >= 0) | (away == 0)
-    return heard
+    received: Links = (np.rint(1000 * margin) >= 0) | (away == 0)
+    return received
 
 
 def shadowing(
@@ -91,7 +91,7 @@ def shadowing(
 ) -> NDArray[np.float64]:
     """What is lost beyond the mean between any two places, in dB: normal, the same in squares of a side of `square_m`.
 
-    It belongs to the two squares, not to the robots, nor to the step: who stands still keeps its links.
+    It belongs to the two squares, not to robots or steps: robots that stand still keep their links.
     """
     squares = [(int(x * cell_m // square_m), int(y * cell_m // square_m)) for x, y in places.tolist()]
     return np.array(
@@ -105,8 +105,8 @@ def _drawn_between(seed: int, one: Cell, other: Cell) -> float:
     return float(keyed_random(seed, "shadowing", *one, *other).standard_normal())
 
 
-def parted(robots: Sequence[int], partitions: Sequence[Partition], step: int) -> Hears:
-    """Those whom no partition keeps apart in a step."""
+def parted(robots: Sequence[int], partitions: Sequence[Partition], step: int) -> Links:
+    """Return the pairs that no partition separates in a step."""
     together = np.ones((len(robots), len(robots)), np.bool_)
     for partition in partitions:
         if partition.first <= step <= partition.last:

@@ -1,4 +1,4 @@
-"""The ledger: a row for every frame and packet kind that was said, whether or not it was carried."""
+"""Ledger: a row for every frame that a robot sent and every kind of packet in it, whether or not it was carried."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 from protocol.packets import ALL_KINDS
 
 CAUSES = ("", "budget", "range", "protocol", "lost", "mute", "limit", "loss", "damaged", "full")
-"""Why a row was not carried: no room left, receiver too far, frame malformed, a partner died in between, the sender's
-radio cannot send, its own limit. From `FIRST_ON_AIR` on why nobody heard what was on the air: lost, damaged, the
-hearer had its fill."""
+"""Why a frame was not carried: the budget was spent, the receiver out of range, the frame malformed, a partner dead,
+the sender's radio mute, its own limit reached. From `FIRST_ON_AIR` on: why no robot received a frame that was on the air:
+lost, damaged, beyond the receiver's limit."""
 
 FIRST_ON_AIR = CAUSES.index("loss")
 
 
 def on_air(cause: int) -> bool:
-    """Whether what has such a cause was carried, though perhaps not heard."""
+    """Return whether a frame with this cause was on the air, though perhaps not received."""
     return cause == 0 or cause >= FIRST_ON_AIR
 
 

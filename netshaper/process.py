@@ -1,7 +1,7 @@
-"""The relay's shell: it turns bus messages into calls of `Radio`, and answers into messages.
+"""The relay process: it turns messages of the bus into calls of `Radio`, and the radio's events into messages.
 
-It also keeps the list of participants present: it tells the world to begin once all have joined, and to continue
-without a robot that died. A viewer may join and leave; the run does not wait for it.
+It also keeps the list of participants. The world begins when the relay reports that all have joined, and continues
+without a robot that the relay reports as lost. A viewer may join and leave; the run does not wait for it.
 """
 
 from __future__ import annotations
@@ -45,32 +45,32 @@ from protocol.packets import Held, Offer, Passed, Target
 from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_ERRORS
 
 ENDED = "its process ended"
-"""Why a robot is lost that has left the bus."""
+"""Cause of the loss of a robot that has left the bus."""
 
 LEAST_FRAME, MOST_FRAME = 64, 1 << 24
-"""Bytes of a frame that are taken from a robot besides the budget, at least; and where there is none."""
+"""Bytes that a frame may have beyond the budget, at least; and bytes of a frame if there is no budget."""
 
-BESIDES = Held.size + Offer.size + Passed.size + Target.size
-"""Bytes that may be said of a map, or of where its robot is, whatever room there is."""
+EXTRA_PER_MAP = Held.size + Offer.size + Passed.size + Target.size
+"""Bytes of reports on a map, and of its robot's pose and target: a frame may have them whatever the budget is."""
 
 
 class RelayNode:
-    """One run's relay; `done` once all participants have been told to shut down and have left.
+    """The relay of one run; `done` once all participants have received `Shutdown` and have left.
 
-    With `captures` it reports the frames themselves as well, for who writes them down.
+    With `captures` it reports the frames themselves as well as the ledger.
     """
 
     def __init__(self, bus: Bus, keys: Keys, settings: RadioSettings, *, captures: bool = True) -> None:
         self.done = False
-        self.going_home = False
-        """Whether all have been told that the run is over; participants that stay anyway are not waited for."""
+        self.shutting_down = False
+        """Whether the relay has sent `Shutdown`; it does not wait for participants that stay."""
         self._bus = bus
         self._keys = keys
         self._radio = Radio(settings)
         self._captures = captures
         robots = self._robots = [names.robot(number) for number in range(settings.robots)]
-        self._besides = max(LEAST_FRAME, settings.maps * BESIDES)
-        self._hears_at = [keys.radio_rx(robot, names.RELAY) for robot in robots]
+        self._extra_bytes = max(LEAST_FRAME, settings.maps * EXTRA_PER_MAP)
+        self._keys_to_robots = [keys.radio_rx(robot, names.RELAY) for robot in robots]
         self._expected = {names.WORLD, names.RECORDER, *robots}
         self._present: set[str] = set()
         self._watched = False
@@ -81,13 +81,13 @@ class RelayNode:
         self._events: defaultdict[int, list[MediumEvent]] = defaultdict(list)
         """Events that each robot has not been sent yet."""
         self._protocol_errors: Counter[str] = Counter()
-        """How often each participant has made no sense in this step."""
+        """Protocol errors of each participant in this step."""
 
     @property
     def _most_bytes(self) -> int:
-        """Of a frame: what is longer is not looked at."""
+        """Bytes that a frame may have; the relay does not read longer ones."""
         limit = self._radio.settings.budget.limit
-        return MOST_FRAME if limit is None else limit + self._besides
+        return MOST_FRAME if limit is None else limit + self._extra_bytes
 
     def missing(self) -> list[str]:
         """Participants that have not joined yet; empty once the run has begun."""
@@ -95,8 +95,8 @@ class RelayNode:
 
     @property
     def phase(self) -> tuple[object, ...]:
-        """What the relay waits for."""
-        return self._begun, self._ended, self.going_home, len(self._present), self._radio.phase
+        """The phase of the run; it changes whenever the relay makes progress."""
+        return self._begun, self._ended, self.shutting_down, len(self._present), self._radio.phase
 
     def waiting_for(self) -> list[int]:
         """Robots whose messages the relay is waiting for."""
@@ -114,8 +114,8 @@ class RelayNode:
             except ProtocolError as error:
                 self._fault(sender, str(error))
         if self._radio.protocol_errors:
-            self._report_faults()
-        self.done = self.going_home and not self._present
+            self._report_protocol_errors()
+        self.done = self.shutting_down and not self._present
 
     def give_up_on(self, robot: int, cause: str) -> None:
         """Continue without a robot."""
@@ -127,33 +127,34 @@ class RelayNode:
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Lost(robot, cause)))
             self._send(self._radio.lost(robot))
 
-    def _presence(self, who: str, *, came: bool) -> None:
-        if who == names.VIEW:
+    def _presence(self, name: str, *, came: bool) -> None:
+        """A participant has joined or left the bus."""
+        if name == names.VIEW:
             self._watched = came
-            for name in sorted(self._present - {names.RECORDER}):
-                self._bus.put(self._keys.control(name, names.RELAY), pack(Watched(came)))
+            for other in sorted(self._present - {names.RECORDER}):
+                self._bus.put(self._keys.control(other, names.RELAY), pack(Watched(came)))
         elif came:
-            self._present.add(who)
-            if self._watched and who != names.RECORDER:
-                self._bus.put(self._keys.control(who, names.RELAY), pack(Watched(here=True)))
-            if names.is_robot(who):
-                self._configure(names.number(who))
+            self._present.add(name)
+            if self._watched and name != names.RECORDER:
+                self._bus.put(self._keys.control(name, names.RELAY), pack(Watched(here=True)))
+            if names.is_robot(name):
+                self._configure(names.number(name))
             if not self._begun and self._expected <= self._present:
                 self._begun = True
                 self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Begin()))
-            elif self._begun and who[:1] == "r":
-                self._come_back(names.number(who))
-        elif self.going_home or not (self._begun or who in (names.WORLD, names.RECORDER)):
-            self._present.discard(who)
-        elif who == names.WORLD:
-            self._present.discard(who)
+            elif self._begun and names.is_robot(name):
+                self._come_back(names.number(name))
+        elif self.shutting_down or not (self._begun or name in (names.WORLD, names.RECORDER)):
+            self._present.discard(name)
+        elif name == names.WORLD:
+            self._present.discard(name)
             self.break_off("the world died")
-        elif who == names.RECORDER:
-            self._present.discard(who)
-            self.break_off("the laboratory died")
-            self._go_home()
+        elif name == names.RECORDER:
+            self._present.discard(name)
+            self.break_off("the recorder died")
+            self._shut_down()
         else:
-            self.give_up_on(names.number(who), ENDED)
+            self.give_up_on(names.number(name), ENDED)
 
     def _configure(self, robot: int) -> None:
         """Send a robot its settings once both are here: the robot and its settings."""
@@ -162,54 +163,55 @@ class RelayNode:
             self._bus.put(self._keys.control(name, names.RELAY), self._settings[robot])
 
     def _come_back(self, robot: int) -> None:
-        """A robot that was gone has joined again; it takes part from the next step on."""
+        """Let a robot that was lost take part again from the next step on."""
         self._radio.back(robot)
         self._report(Back(robot))
         self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Back(robot)))
 
-    def _take(self, sender: str, said: object, payload: bytes) -> None:
-        """Take what somebody says; ProtocolError if it makes no sense."""
-        if isinstance(said, RobotFrames):
-            self._check_lengths(said)
-            self._send(self._radio.submit(names.number(sender), said))
-        elif isinstance(said, Positions):
+    def _take(self, sender: str, message: object, payload: bytes) -> None:
+        """Take a message of a participant; ProtocolError if its frames are too long."""
+        if isinstance(message, RobotFrames):
+            self._check_lengths(message)
+            self._send(self._radio.submit(names.number(sender), message))
+        elif isinstance(message, Positions):
             self._protocol_errors.clear()
-            cells = dict(zip(said.robots, zip(said.x, said.y, strict=True), strict=True))
-            opening = self._radio.begin(said.step, cells, said.mute, said.deaf)
+            cells = dict(zip(message.robots, zip(message.x, message.y, strict=True), strict=True))
+            opening = self._radio.begin(message.step, cells, message.mute, message.deaf)
             for change in self._radio.changed:
                 self._report(change)
             self._radio.changed.clear()
             self._send(opening)
-        elif isinstance(said, Configure):
-            self._settings[said.robot] = payload
-            self._configure(said.robot)
-        elif isinstance(said, End):
-            self._end(said)
-        elif isinstance(said, Lost):
-            self.give_up_on(said.robot, said.cause)
-        elif isinstance(said, Stop | FaultEvent):
+        elif isinstance(message, Configure):
+            self._settings[message.robot] = payload
+            self._configure(message.robot)
+        elif isinstance(message, End):
+            self._end(message)
+        elif isinstance(message, Lost):
+            self.give_up_on(message.robot, message.cause)
+        elif isinstance(message, Stop | FaultEvent):
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), payload)
-        elif isinstance(said, Change):
-            self._radio.change(said)
-        elif isinstance(said, Shutdown):
-            self._go_home()
+        elif isinstance(message, Change):
+            self._radio.change(message)
+        elif isinstance(message, Shutdown):
+            self._shut_down()
 
     def break_off(self, reason: str) -> None:
-        """End the run, for something without which it cannot be is gone."""
+        """End the run because a process that it needs is gone."""
         if not self._ended:
             self._end(End(-1, reason, -1))
 
     def _end(self, end: End) -> None:
-        """Tell the robots and the laboratory that the run is over; their maps follow."""
+        """Send the end of the run to robots and recorder; robots reply with their maps."""
         self._ended = True
         for name in sorted(self._present - {names.WORLD, names.RECORDER}):
             self._bus.put(self._keys.control(name, names.RELAY), pack(end))
         self._report(end)
 
-    def _go_home(self) -> None:
+    def _shut_down(self) -> None:
+        """Send all participants home."""
         for name in sorted(self._present | ({names.VIEW} if self._watched else set())):
             self._bus.put(self._keys.control(name, names.RELAY), pack(Shutdown()))
-        self.going_home = True
+        self.shutting_down = True
 
     def _check_lengths(self, submitted: RobotFrames) -> None:
         """Raise ProtocolError if a frame is longer than any frame that could be carried."""
@@ -238,29 +240,30 @@ class RelayNode:
                 self._events[item.robot].append(item.event)
         for robot in sorted(self._events):
             if not _can_wait(self._events[robot][-1]):
-                self._bus.put(self._hears_at[robot], pack(RelayUpdate(self._events.pop(robot))))
+                self._bus.put(self._keys_to_robots[robot], pack(RelayUpdate(self._events.pop(robot))))
         for account in accounts:
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Close(account.step)))
             self._report(account.report(captures=self._captures))
 
-    def _report_faults(self) -> None:
+    def _report_protocol_errors(self) -> None:
         for robot, reason in self._radio.protocol_errors:
             self._fault(names.robot(robot), reason)
         self._radio.protocol_errors.clear()
 
-    def _fault(self, who: str, reason: str) -> None:
-        self._protocol_errors[who] += 1
-        if self._protocol_errors[who] <= MAX_PROTOCOL_ERRORS:
-            self._report(Fault(who[:MOST_WORD], clip(reason)))
-        elif who in self._robots:
-            self.give_up_on(names.number(who), TOO_MANY_ERRORS)
+    def _fault(self, name: str, reason: str) -> None:
+        """Report a protocol error; give up on a robot that causes too many in a step."""
+        self._protocol_errors[name] += 1
+        if self._protocol_errors[name] <= MAX_PROTOCOL_ERRORS:
+            self._report(Fault(name[:MOST_WORD], clip(reason)))
+        elif name in self._robots:
+            self.give_up_on(names.number(name), TOO_MANY_ERRORS)
 
     def _report(self, message: Record) -> None:
-        """Tell the laboratory, and the viewer if there is one; frames on the air are only for the former."""
+        """Send a message to the recorder and to the viewer if there is one; only the recorder gets frames."""
         self._bus.put(self._keys.control(names.RECORDER, names.RELAY), pack(message))
         if self._watched:
-            seen = replace(message, frames=b"") if isinstance(message, RadioReport) else message
-            self._bus.put(self._keys.control(names.VIEW, names.RELAY), pack(seen))
+            shown = replace(message, frames=b"") if isinstance(message, RadioReport) else message
+            self._bus.put(self._keys.control(names.VIEW, names.RELAY), pack(shown))
 
 
 def _can_wait(event: MediumEvent) -> bool:

@@ -56,6 +56,7 @@ from protocol.messages import (
 Item = TypeVar("Item")
 
 _STEP = attrgetter("step")
+_OFFER = attrgetter("sender", "receiver", "map_id")
 
 PHASES = ("offers", "answers", "data")
 
@@ -366,7 +367,7 @@ class Radio:
         for offer in offers:
             mine = self._speculations[offer.sender].offered
             mine[offer.receiver, offer.map_id] = self._position(offer)
-        offers.sort(key=lambda offer: (offer.sender, offer.receiver, offer.map_id))
+        offers.sort(key=_OFFER)
         self._connections = Connections(self._connections.first, self._drawn("contention", offers))
         return out + self._deliver(OFFER, "answers")
 
@@ -399,16 +400,25 @@ class Radio:
 
     def _collect(self, kind: int) -> None:
         """Match the submitted frames to their connections; refuse those that belong to none."""
+        these, admit = self._connections, self._admission.frame
+        senders, receivers = these.ends(kind)
+        asked, sent = these.frames[kind - 1], these.frames[kind]
         for sender, submitted in sorted(self._submitted.items()):
             for each in submitted.frames:
-                frame, problem = self._admission.frame(sender, each, kind, 0)
-                at = self._connections.position(kind, sender, each)
-                if at < 0:
-                    problem = "a frame of no connection of its own"
-                if problem:
-                    self._refuse(frame._replace(map_id=-1), "protocol", problem)
+                frame, problem = admit(sender, each, kind, 0)
+                at = each.connection - these.first
+                belongs = (
+                    0 <= at < len(sent)
+                    and senders[at] == sender
+                    and receivers[at] == each.receiver
+                    and asked[at] is not None
+                    and sent[at] is None
+                )
+                if belongs and not problem:
+                    sent[at] = frame
                 else:
-                    self._connections.frames[kind][at] = frame
+                    problem = problem if belongs else "a frame of no connection of its own"
+                    self._refuse(frame, "protocol", problem)
 
     def _end_data(self) -> list[Outgoing]:
         """Play the connections, and report to both ends of each."""

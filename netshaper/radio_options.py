@@ -1,4 +1,4 @@
-"""What of the radio can be chosen: who hears whom, what is lost, late or damaged, and how much a robot may say."""
+"""Options of the radio: links between robots, loss, delay, damage, and limits of robots."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ MOST_STEPS = 10_000
 
 @dataclass(frozen=True)
 class Partition:
-    """Steps in which some robots do not hear others.
+    """Steps in which groups of robots do not receive each other.
 
     Attributes
     ----------
     first, last : int
         The steps from and to which it holds, both included.
     groups : lists of robots
-        Robots hear those of their own group only; all that are in none are one more group.
+        Robots receive only those of their own group; robots without a group form one more group.
     """
 
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
@@ -46,29 +46,29 @@ class Partition:
 
 @dataclass(frozen=True)
 class RadioOptions:
-    """Options of the radio; docs/radios.md says where their numbers come from.
+    """Options of the radio; docs/radios.md names the sources of their numbers.
 
     Attributes
     ----------
     preset : str
         The radio whose figures a scenario takes where it does not give its own (`netshaper.presets`).
     frame_bytes : int
-        Bytes of packets that a frame holds at most; what is longer goes on the air as several. 0: no limit.
+        Bytes of packets that a frame holds at most; longer frames are sent as several. 0: no limit.
     model : str
-        Who hears whom within the communication range: ``disc``, all; ``line-of-sight``, those between whom there is
-        no wall; ``log-distance``, those whose link has not lost more than a link as long as the range.
+        Which robots within the communication range receive each other: ``disc``, all; ``line-of-sight``, those without
+        a wall between them; ``log-distance``, those whose link loses no more than an open link as long as the range.
     exponent, db_per_metre, db_per_wall, shadowing_db, shadowing_m : float
-        Of ``log-distance``: how the loss grows by the distance's logarithm and by the distance, what each wall adds,
-        the standard deviation of what places add at random, and the side of the squares in which that is the same.
+        For ``log-distance``: the growth of the loss by the distance's logarithm and by the distance, the loss per wall,
+        the standard deviation of the shadowing, and the side of the squares in which it is the same.
     loss : float
         Probability that a frame is lost to a robot in range.
     burst_loss, burst_every, burst_steps : float
         Bursts (Gilbert and Elliott): the probability in a burst, the mean steps between bursts of one link, 0 for
         none, and the mean steps of one.
     delay, jitter : int
-        Steps after which a frame is heard, and how many more at most, drawn for each.
+        Steps after which a frame arrives, and how many more at most, drawn for each frame.
     duplication : float
-        Probability that a frame is heard twice.
+        Probability that a frame arrives twice.
     bit_errors : float
         Probability of each bit to be flipped. Frames then end with a checksum.
     checksums : bool
@@ -78,7 +78,7 @@ class RadioOptions:
     duty_cycle : float
         Share of the time in which a robot may send, over an hour.
     reuse : bool
-        Whether the bandwidth is that of each neighbourhood: of a robot and all whom it hears; else of the team.
+        Whether each neighborhood (a robot and all in its range) has the bandwidth; else the team has it.
     partition : list of Partition
     """
 

@@ -27,7 +27,6 @@ class Kernel:
         self.signature = signature
         self.was_cached = False
         """Whether it was read from numba's cache; False until it is loaded."""
-        self._is_stripped = False
 
     def __call__(self, *args: Any) -> Any:
         """Call the compiled function."""
@@ -60,25 +59,9 @@ class Kernel:
         module = self.function.__module__
         return module.rpartition(".")[0] or module
 
-    def strip(self) -> None:
-        """Drop the intermediate code, which takes three quarters of the memory, and keep the machine code."""
-        for compiled in self.loaded.overloads.values():
-            compiled.library._shared_module = None
-        self._is_stripped = True
-
-    def _restore(self) -> None:
-        """Read the intermediate code from the cache again, because other kernels are to be linked with it."""
-        again = self.loaded._cache.load_overload(self.signature, self.loaded.targetctx)
-        for compiled in self.loaded.overloads.values():
-            compiled.library._shared_module = again.library._shared_module
-        self._is_stripped = False
-
     def _prepare(self) -> None:
         """Load the kernels that it calls before numba compiles it."""
         _compilation.begin(self.package)
-        for each in _kernels:
-            if each._is_stripped:
-                each._restore()
         for name in self.function.__code__.co_names:
             called = self.function.__globals__.get(name)
             if isinstance(called, Kernel):
@@ -107,12 +90,6 @@ def load_all() -> None:
     """Load all imported kernels; compile those that are not in the cache."""
     for each in _kernels:
         _ = each.loaded
-
-
-def load_code() -> None:
-    """Load the machine code of all kernels; at once, so that freed memory leaves no gaps between them."""
-    for each in _kernels:
-        each.strip()
 
 
 def loaded() -> int:

@@ -1,8 +1,7 @@
-"""What is said on the body and control planes: frozen records in msgpack.
+"""Messages of the bus: frozen records in msgpack.
 
-A message is a msgpack list: its number, then its fields in order. The type of a field says all that it may be
-(`protocol.fields`), so that nothing is read that is not a message, and none is longer than its kind can be. Who may
-say which of them stands in `protocol.rights`.
+A message is a msgpack list: its number, then its fields in order. The type of each field limits its range and length
+(`protocol.fields`), so a receiver rejects all other bytes. `protocol.rights` has the senders and receivers of each.
 
 Cells go as little-endian int16 pairs (`cells_to_bytes`), readings as little-endian uint16 (`protocol.scans`), grids at
 two bits a cell.
@@ -69,11 +68,11 @@ EVERYONE = -1
 
 
 class Record(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
-    """What all messages are: fields that do not change once they are said. The class' tag is its number."""
+    """A message. The tag of its class is its number."""
 
 
 class Begin(Record, tag=0, frozen=True):
-    """Relay to world: everyone is here."""
+    """Relay to world: all participants are present."""
 
 
 class Configure(Record, tag=1, frozen=True):
@@ -84,7 +83,7 @@ class Configure(Record, tag=1, frozen=True):
 
 
 class Sense(Record, tag=2, frozen=True):
-    """World to robot, once a step: where it is, what it drove over, what its laser reads.
+    """World to robot, once per step: its position, the cells that it entered, its laser readings.
 
     `x`, `y`: cell. `heading`: eighths of a turn from +x towards +y. `driven`: cells entered since the last
     step. `readings`: one a beam (`protocol.scans`). `blocked`: why the last move stopped short. `offset_x`,
@@ -130,7 +129,7 @@ class Move(Record, tag=3, frozen=True):
 
 
 class Positions(Record, tag=4, frozen=True):
-    """World to relay, once a step: the cells in which the robots really are, and whose radios cannot send or hear."""
+    """World to relay, once per step: the true cells of the robots, and radios that cannot send or receive."""
 
     step: Step
     robots: RobotNumbers
@@ -314,9 +313,9 @@ class RelayUpdate(Record, tag=25, frozen=True):
 
 
 class Lost(Record, tag=10, frozen=True):
-    """Relay to world and laboratory: a robot is gone, with what is known of the cause.
+    """Relay to world and recorder: a robot is lost, with the known cause.
 
-    World or laboratory to relay: it is to be gone, for it keeps the others waiting, or babbles.
+    World or recorder to relay: give the robot up, since it timed out or caused too many protocol errors.
     """
 
     robot: RobotNumber
@@ -324,7 +323,7 @@ class Lost(Record, tag=10, frozen=True):
 
 
 class End(Record, tag=11, frozen=True):
-    """World to all: the run is over after `step`; `first` is the robot that was done first, or -1."""
+    """World to all: the run is over after `step`; `first` is the robot that finished first, or -1."""
 
     step: StepOrNone
     reason: Text
@@ -359,29 +358,29 @@ class Change(Record, tag=24, frozen=True):
 
 
 class Back(Record, tag=23, frozen=True):
-    """Relay to world and laboratory: a robot that was gone has joined again."""
+    """Relay to world and recorder: a lost robot has joined again."""
 
     robot: RobotNumber
 
 
 class Stop(Record, tag=12, frozen=True):
-    """Laboratory to world, by way of the relay: end after this step, for `reason`."""
+    """Recorder to world, by way of the relay: end after this step, for `reason`."""
 
     reason: Text
 
 
 class Shutdown(Record, tag=13, frozen=True):
-    """Laboratory to all, by way of the relay: everything is recorded, go home."""
+    """Recorder to all, by way of the relay: everything is recorded, shut down."""
 
 
 class Watched(Record, tag=19, frozen=True):
-    """Relay to all: a viewer has come (or gone); what is reported to the laboratory goes to it as well."""
+    """Relay to all: a viewer has joined (or left); it gets the same reports as the recorder."""
 
     here: bool
 
 
 class WorldReport(Record, tag=14, frozen=True):
-    """World to laboratory, once a step: the truth.
+    """World to recorder, once per step: the truth.
 
     `poses`: int32 rows (robot, x in mm, y in mm, heading in tenths of a degree). `seen`: free cells that the
     team's lasers have truly seen; `reachable`: all that can be reached. `driven`: mm that each robot drove.
@@ -399,7 +398,7 @@ class WorldReport(Record, tag=14, frozen=True):
 
 
 class RobotStatus(Record, tag=15, frozen=True):
-    """Robot to laboratory, once a step: what it is at, and the time that its thinking took (not a result).
+    """Robot to recorder, once per step: its target, its map, and its computing time (not a result).
 
     `error`: cells in which its map and what it has told of it differ (Eq. 6.1); `exact_error`: what that would be if
     it had told all exactly, -1 if that is not measured. `backlog`: units of its own map's log that have not reached a
@@ -418,7 +417,7 @@ class RobotStatus(Record, tag=15, frozen=True):
 
 
 class RadioReport(Record, tag=16, frozen=True):
-    """Relay to laboratory, once a step: the ledger's new rows (`netshaper.ledger`), and the frames themselves.
+    """Relay to recorder, once per step: new rows of the ledger (`netshaper.ledger`), and frames for the capture.
 
     `frames`: as the capture writes them (`netshaper.capture`).
     """
@@ -430,7 +429,7 @@ class RadioReport(Record, tag=16, frozen=True):
 
 
 class Maps(Record, tag=17, frozen=True):
-    """Robot to laboratory, at the end: its two grids, row after row."""
+    """Robot to recorder, at the end: its two grids, row after row."""
 
     robot: RobotNumber
     width: SideLength
@@ -444,7 +443,7 @@ class Maps(Record, tag=17, frozen=True):
 
 
 class Snapshot(Record, tag=20, frozen=True):
-    """Robot to viewer, now and then: its planning grid (`grid_to_bytes`)."""
+    """Robot to viewer, at intervals: its planning grid (`grid_to_bytes`)."""
 
     step: Step
     width: SideLength
@@ -484,7 +483,7 @@ class Outlines(Record, tag=21, frozen=True):
 
 
 class Fault(Record, tag=18, frozen=True):
-    """Relay or robot to laboratory: `who` said what made no sense; the run goes on."""
+    """Relay, world or robot to recorder: participant `who` caused a protocol error; the run continues."""
 
     who: Word
     what: Text
@@ -507,9 +506,9 @@ def pack(message: Record) -> bytes:
 
 
 def unpacker(kinds: tuple[type[Record], ...], whose: str = "nobody") -> Callable[[bytes], Any]:
-    """Make what reads messages of these kinds, all that `whose` may say, and refuses others by ProtocolError.
+    """Make what reads messages of these kinds, all that `whose` may send, and rejects others with ProtocolError.
 
-    It does not look at what is longer than any of them can be.
+    It does not read bytes that are longer than any of them can be.
     """
     if not kinds:
         return partial(_refuse_all, whose)

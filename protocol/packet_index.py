@@ -100,14 +100,12 @@ def _index_of_long(frame: bytes) -> PacketIndex:
 
 def _find_packets(frame: bytes) -> PacketIndex:
     kinds = np.empty(len(frame), np.uint8)
-    ends = np.empty(len(frame), np.int32)
-    count = int(_packets(np.frombuffer(frame, np.uint8), TABLE, kinds, ends))
+    places = np.empty((2, len(frame)), np.int32)
+    count = int(_packets(np.frombuffer(frame, np.uint8), TABLE, kinds, places))
     if count < 0:
         decode(frame)
-    sizes = np.diff(ends[:count], prepend=np.int32(0))
-    return PacketIndex(
-        kinds[:count].tobytes(), array("i", sizes.tobytes()), array("i", ends[:count].tobytes())
-    )
+    sizes, ends = places[:, :count]
+    return PacketIndex(kinds[:count].tobytes(), array("i", sizes.tobytes()), array("i", ends.tobytes()))
 
 
 def ends(frame: bytes) -> Sequence[int]:
@@ -185,17 +183,18 @@ def packet_end(data: Bytes, at: int, end: int, table: Table) -> int:
     return int(at + size)
 
 
-@kernel(f"int64({FRAME}, int64[:,::1], uint8[::1], int32[::1])")
-def _packets(data: Bytes, table: Table, kinds: Bytes, ends: NDArray[np.int32]) -> int:
-    """Note the kind and the end of each packet; return how many there are, -1 if some bytes are no packet."""
+@kernel(f"int64({FRAME}, int64[:,::1], uint8[::1], int32[:,::1])")
+def _packets(data: Bytes, table: Table, kinds: Bytes, places: NDArray[np.int32]) -> int:
+    """Write the kind, size and end of each packet; return how many there are, -1 if some bytes are no packet."""
     count = 0
     at = 0
     while at < len(data):
         kinds[count] = table[data[at], 0]
-        at = packet_end(data, at, len(data), table)
-        if at < 0:
+        end = packet_end(data, at, len(data), table)
+        if end < 0:
             return -1
-        ends[count] = at
+        places[0, count], places[1, count] = end - at, end
+        at = end
         count += 1
     return count
 

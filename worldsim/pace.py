@@ -19,7 +19,7 @@ class Pace:
 
     def __init__(self, steps_per_s: float, free: int = 0) -> None:
         if not steps_per_s >= SLOWEST:
-            raise ValueError(f"pace = {steps_per_s:g}: must be {SLOWEST:g} steps a second or more")
+            raise ValueError(f"pace = {steps_per_s:g}: must be {SLOWEST:g} steps per second or more")
         self._period = 1.0 / steps_per_s
         self._due = 0.0
         self._free = free

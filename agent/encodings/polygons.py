@@ -147,8 +147,7 @@ class PolygonEncoding(MapEncoding):
             receiver = self._receivers[map_id]
             self._team.update(map_id, receiver.objects, receiver.changed())
         self._updated.clear()
-        robots = self.settings.robots
-        near = [map_id for map_id in self._receivers if map_id % robots in peers]
+        near = [map_id for map_id in self._receivers if self.settings.author_of(map_id) in peers]
         return self._team.merged(own, near, self._unmerged.take(own))
 
     def approximation_error(self, own: Grid) -> int:

@@ -79,6 +79,31 @@ class _Incoming:
     """Why an update could not be decoded; none behind it can be decoded then."""
 
 
+@dataclass(frozen=True)
+class _Limits:
+    """Sizes and waiting times that depend on the bandwidth."""
+
+    packet_bytes: int
+    """Content of the last packet of an update, in bytes."""
+    step_bytes: float
+    """Bytes after which a step encodes no more: changes that wait can still be merged with later ones."""
+    wait_steps: int
+    """Steps for which few new cells wait (`ENOUGH_STEPS`)."""
+
+    @classmethod
+    def of(cls, settings: Settings) -> _Limits:
+        """Derive the limits from the team's budget and the frame size."""
+        size, step_bytes, wait_steps = LAST_UPDATE_DATA, math.inf, 1
+        if settings.bandwidth is not None:
+            size = int(settings.bandwidth) // PACKETS_A_STEP - SHORT_HEAD
+            step_bytes = max(int(settings.bandwidth), 1)
+            scarcity = FAIR_SHARE * settings.robots / max(settings.bandwidth, 1)
+            wait_steps = min(max(math.ceil(scarcity), 1), ENOUGH_STEPS)
+        if settings.frame_bytes is not None:
+            size = min(size, settings.frame_bytes - SHORT_HEAD)
+        return cls(min(max(size, UPDATE_DATA), LAST_UPDATE_DATA), step_bytes, wait_steps)
+
+
 class PredictiveEncoding(MapEncoding):
     """Encodes this robot's updates, and decodes those of all other logs."""
 
@@ -100,20 +125,7 @@ class PredictiveEncoding(MapEncoding):
         self._votes: NDArray[np.uint16] = np.zeros((2, *shape), np.uint16)
         """How many logs report each cell as free, and as a wall."""
         self._received = ReceivedGrid(shape)
-        room = (
-            LAST_UPDATE_DATA
-            if settings.bandwidth is None
-            else int(settings.bandwidth) // PACKETS_A_STEP - SHORT_HEAD
-        )
-        if settings.frame_bytes is not None:
-            room = min(room, settings.frame_bytes - SHORT_HEAD)
-        self._most = min(max(room, UPDATE_DATA), LAST_UPDATE_DATA)
-        self._wait_steps = 1
-        if settings.bandwidth is not None:
-            scarce = FAIR_SHARE * settings.robots / max(settings.bandwidth, 1)
-            self._wait_steps = min(max(math.ceil(scarce), 1), ENOUGH_STEPS)
-        self._enough = math.inf if settings.bandwidth is None else max(int(settings.bandwidth), 1)
-        """Bytes after which a step encodes no more: changes that wait can still be merged with later ones."""
+        self._limits = _Limits.of(settings)
         self._pending = _Pending()
         self._encoded = _Pending()
         """Input of the last update, to restore `_pending` if the update is retracted."""
@@ -136,7 +148,7 @@ class PredictiveEncoding(MapEncoding):
         return Stream(
             map_id,
             np.zeros((settings.height, settings.width), np.uint8),
-            ray_table(settings.ranges_cells[map_id % settings.robots], settings.beams),
+            ray_table(settings.ranges_cells[settings.author_of(map_id)], settings.beams),
             histories,
             self._scratch,
             team=self._options.base == "team",
@@ -167,7 +179,7 @@ class PredictiveEncoding(MapEncoding):
         if not delivered:
             return []
         new_cells = int(_unreported(self._received.grid, self._own.grid, own, *bounding_box(pending.boxes)))
-        if 0 < new_cells < ENOUGH_CELLS and pending.steps < self._wait_steps:
+        if 0 < new_cells < ENOUGH_CELLS and pending.steps < self._limits.wait_steps:
             return []
         if not new_cells:
             self._pending = _Pending()
@@ -180,10 +192,10 @@ class PredictiveEncoding(MapEncoding):
         stream, history = self._own, self._histories[map_id]
         packets: list[bytes] = []
         size = updates = 0
-        while self._pending.poses and size < self._enough:
+        while self._pending.poses and size < self._limits.step_bytes:
             pending, number = self._pending, len(history)
             box = bounding_box(pending.boxes)
-            update = stream.encode(own, pending.poses, box, most=self._enough - size)
+            update = stream.encode(own, pending.poses, box, most=self._limits.step_bytes - size)
             self._pending = _Pending()
             if update is None:
                 break
@@ -192,7 +204,7 @@ class PredictiveEncoding(MapEncoding):
             if scans < len(pending.poses):
                 self._pending = _Pending(pending.poses[scans:], [box], pending.steps)
             self._count_votes(self._last)
-            packets += fragments(message, number, self._most)
+            packets += fragments(message, number, self._limits.packet_bytes)
             self._incoming[map_id].ends.append(self._logged + len(packets))
             self._note_dependency(map_id, self._last)
             updates += 1

@@ -29,7 +29,7 @@ class ReachabilityCheck:
     """
 
     def __init__(self, settings: Settings) -> None:
-        self._robots = settings.robots
+        self._author_of = settings.author_of
         self._speed = max(settings.fastest_cells, settings.speed_cells)
         self._ranges = settings.ranges_cells
         self._perfect = not settings.requires_acks
@@ -60,7 +60,8 @@ class ReachabilityCheck:
         if box[0] >= box[2] or box[1] >= box[3]:
             return
         count, before = self._entries.get(map_id, 0), self._reported.get(map_id)
-        sight = 2 * self._ranges[map_id % self._robots] + SLACK
+        author = self._author_of(map_id)
+        sight = 2 * self._ranges[author] + SLACK
         limit = sight + self._speed * max(0, step - count)
         if before is None:
             growth = max(box[2] - box[0], box[3] - box[1])
@@ -70,8 +71,8 @@ class ReachabilityCheck:
         if growth > limit:
             reason = f"map {map_id} grows by {growth} cells; its author can have observed {limit:.0f} at most"
             raise ProtocolError("map update", 0, reason)
-        if sender == map_id % self._robots:
-            self._check_pose(sender, box, count + entries, sight, step)
+        if sender == author:
+            self._check_pose(author, box, count + entries, sight, step)
         self._reported[map_id], self._entries[map_id] = box, count + entries
 
     def _check_pose(self, author: int, box: Box, entries: int, sight: float, now: int) -> None:

@@ -64,7 +64,7 @@ class ScanEncoding(MapEncoding):
 
     def _ray_table_of(self, map_id: int) -> RayTable:
         """The ray table of the map's author."""
-        return self._ray_tables[map_id % self.settings.robots]
+        return self._ray_tables[self.settings.author_of(map_id)]
 
     def _read(self, map_id: int, data: bytes) -> Scan:
         scan = decode_scan(data, self._ray_table_of(map_id))

@@ -1,7 +1,7 @@
-"""Artificial potential field: what pushes and pulls a robot, and where that leads it (leader paper, III-B).
+"""Artificial potential field: forces on a robot, and its motion under them (leader paper, section III-B).
 
-All in meters, seconds and newtons, for a robot of unit mass. The dynamics are integrated by Euler's rule with
-a fixed step of 0.05 s.
+Units are meters, seconds and newtons; the robot has unit mass. Euler's method with a fixed step of 0.05 s integrates
+the motion.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ TIME_STEP = 0.05
 """Seconds of one Euler step."""
 
 SUBSTEPS = 20
-"""Euler steps in a step of the world, which is a second."""
+"""Euler steps per world step of one second."""
 
 _TOUCH = 0.01
-"""Distances below this count as this: forces stay finite."""
+"""Least distance in meters that counts, so that forces stay finite."""
 
 Vector = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ class Field:
 
 @kernel("float64(float64, float64, float64)")
 def repulsion(distance: float, rho: float, gain: float) -> float:
-    """Eq. (2): k (1 / d - 1 / rho) / d^2 within rho, away from what repels; 0 beyond."""
+    """Eq. (2): k (1 / d - 1 / rho) / d^2 within rho, away from the source; 0 beyond."""
     if distance > rho:
         return 0.0
     near = max(distance, _TOUCH)
@@ -59,7 +59,7 @@ def repulsion(distance: float, rho: float, gain: float) -> float:
 
 @kernel("float64(float64, float64)")
 def attraction(distance: float, gain: float) -> float:
-    """Eq. (6): k_att times the distance, towards the frontier point."""
+    """Eq. (6): k_att times the distance, toward the frontier point."""
     return gain * distance
 
 
@@ -75,32 +75,33 @@ def glide(
 ) -> tuple[Vector, Vector]:
     """Integrate a robot's motion over one step of the world.
 
-    A robot that would leave the free cells of its own map, or the map, slides along their border.
+    A robot that would leave the free cells of its map slides along their border.
 
     Parameters
     ----------
     floor : uint8 array, shape (h, w)
-        Where it may be.
+        The cells that the robot may enter.
     resolution : float
-        Metres a cell.
+        Meters per cell.
     at : (x, y)
-        Where it is, in cells.
+        The position in cells.
     velocity : float64 array, shape (2,)
-        Metres a second.
+        Meters per second.
     frontier : int32 array, shape (n, 2)
-        Frontier cells; the closest attracts it (Eq. 6).
+        Frontier cells (x, y); the closest one attracts the robot (Eq. 6).
     robots : float64 array, shape (m, 2)
-        Where teammates are, in cells; all within range repel it (Eq. 3).
+        Positions of teammates in cells; those within range repel the robot (Eq. 3).
     field : Field
+        Gains and ranges.
     top_speed : float
-        Metres a second.
+        Meters per second.
 
     Returns
     -------
     path : float64 array, shape (SUBSTEPS, 2)
-        Where it is after each Euler step, in cells.
+        Position after each Euler step, in cells.
     velocity : float64 array, shape (2,)
-        At the end.
+        Velocity at the end.
     """
     path = np.empty((SUBSTEPS, 2))
     moving = velocity.copy()
@@ -114,7 +115,7 @@ def glide(
 
 @kernel("void(uint8[:,::1], float64, float64, float64, float64[::1])")
 def closest_obstacle(floor: Grid, x: float, y: float, reach: float, out: Vector) -> None:
-    """Find the closest point of an occupied cell within `reach` cells of (x, y); NaN if there is none."""
+    """Write to `out` the closest point of an occupied cell within `reach` cells of (x, y); NaN if there is none."""
     height, width = floor.shape
     out[:] = np.nan
     best = reach * reach

@@ -1,4 +1,4 @@
-"""The frontier: free cells that can be reached and have an unknown 4-neighbor (thesis, Eq. 4.2)."""
+"""The frontier: reachable free cells with an unknown 4-neighbor (thesis, Eq. 4.2)."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from protocol.kernels import kernel
 
 
 def frontier_cells(grid: Grid, reached: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """All frontier cells that can be reached, row by row.
+    """Return all reachable frontier cells, row by row.
 
     Parameters
     ----------
     grid : uint8 array, shape (h, w)
-        What is known.
+        The planning grid.
     reached : bool array, shape (h, w)
-        Which cells can be reached (`agent.planning.reachability.reachable`).
+        The reachable cells (`agent.planning.reachability.reachable`).
 
     Returns
     -------
@@ -29,13 +29,13 @@ def frontier_cells(grid: Grid, reached: NDArray[np.bool_]) -> NDArray[np.int32]:
 
 
 def is_frontier(grid: Grid, x: int, y: int) -> bool:
-    """Whether cell (x, y) is free with an unknown 4-neighbor."""
+    """Return whether cell (x, y) is free and has an unknown 4-neighbor."""
     return bool(frontier_at(grid, x, y))
 
 
 @kernel("boolean(uint8[:,::1], int64, int64)")
 def frontier_at(grid: Grid, x: int, y: int) -> bool:
-    """`is_frontier`, for other kernels."""
+    """`is_frontier` for kernels."""
     height, width = grid.shape
     return grid[y, x] == FREE and (
         (x + 1 < width and grid[y, x + 1] == UNKNOWN)
@@ -47,7 +47,7 @@ def frontier_at(grid: Grid, x: int, y: int) -> bool:
 
 @kernel("boolean(boolean[::1], int64, int64)")
 def is_enclosed(free: NDArray[np.bool_], cell: int, stride: int) -> bool:
-    """Whether all 4-neighbors of a cell are free on a flat floor: then it is no frontier cell. For other kernels."""
+    """Return whether all 4-neighbors of a cell are free on a flat floor, so that it is no frontier cell."""
     return bool(free[cell - 1] and free[cell + 1] and free[cell - stride] and free[cell + stride])
 
 

@@ -1,7 +1,7 @@
-"""Information gain of frontier cells: how much there is to see from them.
+"""Information gain of frontier cells: the unknown area that a scan from there would observe.
 
-information_gain  unknown cells in sensor range that nobody else is about to see
-promise           the unknown area in sight, and how much of that is likely to be floor
+information_gain  unknown cells in sensor range and out of range of teammates and their targets
+expected_gain     the unknown area in sight, times the share of it that is likely to be free
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from protocol.grid import OCCUPIED, UNKNOWN, Grid, ray_table
 from protocol.kernels import kernel
 
 BEAMS = 92
-"""Beams by which the unknown in sight is measured."""
+"""Beams that sample the unknown area in sight."""
 
 _LEAST_FLOOR, _MOST_FLOOR, _A_LENGTH = 0.13, 0.35, 0.3
-"""How much of the unknown in sight of a free edge turns out to be floor that is seen from there: the least, the
-most, and how much more for an edge as long as the sensor's range."""
+"""Share of the unknown area in sight of a frontier segment that turns out to be free and visible: least and largest
+share, and the increase for a segment as long as the sensor range. Measured on generated maps."""
 
 
 def information_gain(
@@ -29,9 +29,9 @@ def information_gain(
     others: Sequence[tuple[int, int]],
     ranges: ArrayLike | None = None,
 ) -> NDArray[np.int64]:
-    """Count the unknown cells within range of each of `cells` and not within that of one of `others`.
+    """Count the unknown cells within range of each of `cells` and out of range of all `others`.
 
-    Sheng et al. 2006, as Al-khawaldah and Nuechter quote it: I of Eq. (1).
+    Sheng et al. 2006, as quoted by Al-khawaldah and Nuechter 2014: I of Eq. (1).
 
     Parameters
     ----------
@@ -42,9 +42,9 @@ def information_gain(
     range_cells : float
         Sensor range.
     others : sequence of (x, y)
-        Where teammates are, and where they are headed.
-    ranges : one float for each of others, optional
-        Sensor range of these teammates; as `range_cells` if left out.
+        Cells and targets of teammates.
+    ranges : float array, shape (m,), optional
+        Sensor range of each of these teammates; default: `range_cells`.
 
     Returns
     -------
@@ -62,7 +62,7 @@ def information_gain(
 
 
 def _disc_rows(range_cells: float) -> NDArray[np.int64]:
-    """How far a disc extends to both sides in the row dy away from its middle, for each dy from 0."""
+    """Return the half width of a disc in the rows at distance 0, 1, ... from its center."""
     rows = np.arange(int(range_cells) + 1)
     widths: NDArray[np.int64] = np.sqrt(np.maximum(range_cells**2 - rows**2, 0)).astype(np.int64)
     return widths
@@ -71,10 +71,10 @@ def _disc_rows(range_cells: float) -> NDArray[np.int64]:
 def expected_gain(
     grid: Grid, cells: NDArray[np.int32], lengths: NDArray[np.int64], range_cells: float
 ) -> NDArray[np.float64]:
-    """Predict what is to be seen from representatives of free edges.
+    """Predict the area that a robot will observe from representatives of frontier segments.
 
-    The unknown area in sight through what is free or unknown itself bounds it. Most of that lies behind walls
-    which nobody has seen yet: the shorter the edge, the more.
+    An upper bound is the unknown area in sight through free and unknown cells. Most of it lies behind unknown walls,
+    and more so for short segments.
 
     Parameters
     ----------
@@ -83,42 +83,42 @@ def expected_gain(
     cells : int32 array, shape (n, 2)
         Frontier cells (x, y).
     lengths : int64 array, shape (n,)
-        How many cells the free edge of each has.
+        Number of cells of the frontier segment of each.
     range_cells : float
         Sensor range.
 
     Returns
     -------
     float64 array, shape (n,)
-        Shares of the sensor's disc.
+        Expected area as a share of the sensor's disc.
     """
     around = ray_table(range_cells, BEAMS)
     unknown = np.empty(len(cells))
-    _look(grid, cells, around.cells, around.start, unknown)
+    _sum_unknown(grid, cells, around.cells, around.start, unknown)
     floor = np.minimum(_LEAST_FLOOR + _A_LENGTH * lengths / range_cells, _MOST_FLOOR)
     shares: NDArray[np.float64] = floor * unknown / (BEAMS * range_cells**2 / 2)
     return shares
 
 
 @kernel("void(uint8[:,::1], int32[:,::1], int32[:,::1], int32[::1], float64[::1])")
-def _look(
+def _sum_unknown(
     grid: Grid,
     cells: NDArray[np.int32],
-    fan_cells: NDArray[np.int32],
+    beam_cells: NDArray[np.int32],
     start: NDArray[np.int32],
     unknown: NDArray[np.float64],
 ) -> None:
-    """Sum, over all beams of each cell, the way over unknown cells times the distance at which it is."""
+    """Sum over all beams of each cell the integral of the distance over unknown cells, up to the first obstacle."""
     height, width = grid.shape
     for index in range(len(cells)):
         total = 0.0
         for beam in range(len(start) - 1):
             before = 0.0
             for at in range(start[beam], start[beam + 1]):
-                x, y = cells[index, 0] + fan_cells[at, 0], cells[index, 1] + fan_cells[at, 1]
+                x, y = cells[index, 0] + beam_cells[at, 0], cells[index, 1] + beam_cells[at, 1]
                 if x < 0 or y < 0 or x >= width or y >= height or grid[y, x] == OCCUPIED:
                     break
-                squared = float(fan_cells[at, 0] ** 2 + fan_cells[at, 1] ** 2)
+                squared = float(beam_cells[at, 0] ** 2 + beam_cells[at, 1] ** 2)
                 if grid[y, x] == UNKNOWN:
                     total += (squared - before) / 2
                 before = squared
@@ -135,7 +135,7 @@ def _count(
     reach: NDArray[np.int64],
     gain: NDArray[np.int64],
 ) -> None:
-    """`reach` has the rows of a disc (`_disc_rows`), and `taken` those of all others, of each from `start` on."""
+    """Count unknown cells; `reach` has the rows of a disc (`_disc_rows`), `taken` those of all others."""
     height, width = grid.shape
     open_cells = np.zeros((height, width), np.bool_)
     for y in range(height):

@@ -1,11 +1,11 @@
-"""Costs of ways from some cells to some goals: a search that leaps from jump point to jump point.
+"""Costs of ways from some cells to some goals, by jump point search (after Harabor and Grastien 2011).
 
-Where only the costs of goals are wanted, few cells need to be looked at. Of the equally long ways to a cell
-the one that goes diagonally first is enough (`agent.planning.cost_field`), so a straight run can turn only at a
-*jump point*, where an obstacle beside it has just ended. How far it is to the next one, or to the next goal,
-is laid out for all cells and the four straight directions, once for all searches on a floor. A search then
-walks along diagonals, and leaps along rows and columns (after Harabor and Grastien's jump point search, in
-Dijkstra's order). Lengths are the whole numbers of `agent.planning.cost_field`: the costs are the same bits.
+A search for the costs of goals alone can skip most cells. Of the equally long ways to a cell the one with its diagonal
+steps first suffices (`agent.planning.cost_field`). So a straight run can turn only at a *jump point*, where an obstacle
+beside it has just ended. The distance to the next jump point or goal is computed in advance for all cells and the four
+straight directions, once for all searches on a floor. A search then walks along diagonals and jumps along rows and
+columns, in the order of Dijkstra's algorithm. Lengths are the integers of `agent.planning.cost_field`, so the costs
+are the same bits.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ _Numbers = NDArray[np.int64]
 _Jumps = NDArray[np.int16]
 
 _BEGIN = 8
-"""In place of a step's number: a search begins here."""
+"""Step number of the start of a search."""
 
 
 def costs_between(floor: Floor, starts: NDArray[np.int32], goals: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Length of the shortest way from each start to each goal.
+    """Return the length of the shortest way from each start to each goal.
 
     Parameters
     ----------
     floor : Floor
-        Where the robot may drive.
+        The cells that the robot may enter.
     starts : int32 array, shape (m, 2)
         Cells (x, y).
     goals : int32 array, shape (n, 2)
@@ -41,7 +41,7 @@ def costs_between(floor: Floor, starts: NDArray[np.int32], goals: NDArray[np.int
     Returns
     -------
     float64 array, shape (m, n)
-        In cells; infinite where no way leads.
+        In cells; infinite without a way.
     """
     return _found(floor, starts, goals, np.zeros(len(starts), np.int64))
 
@@ -49,15 +49,15 @@ def costs_between(floor: Floor, starts: NDArray[np.int32], goals: NDArray[np.int
 def costs_among(
     floor: Floor, starts: NDArray[np.int32], goals: NDArray[np.int32]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Length of the shortest way from each start to each goal, and between each two goals.
+    """Return the lengths of the shortest ways from each start to each goal, and between all pairs of goals.
 
-    A way is as long there as back, so each pair of goals is searched for once: from the outermost goals first, for
-    then what is left to be found lies ever closer together.
+    Lengths are symmetric, so each pair of goals is searched once. The outermost goals are searched first, as the
+    remaining goals are then close together.
 
     Parameters
     ----------
     floor : Floor
-        Where the robot may drive.
+        The cells that the robot may enter.
     starts : int32 array, shape (m, 2)
         Cells (x, y).
     goals : int32 array, shape (n, 2)
@@ -66,7 +66,7 @@ def costs_among(
     Returns
     -------
     ways : float64 array, shape (m, n)
-        In cells; infinite where no way leads.
+        In cells; infinite without a way.
     between : float64 array, shape (n, n)
         The same, symmetric.
     """
@@ -86,7 +86,7 @@ def costs_among(
 def _found(
     floor: Floor, starts: NDArray[np.int32], goals: NDArray[np.int32], first: _Numbers
 ) -> NDArray[np.float64]:
-    """Length of the shortest way from each start to each goal from its `first` on."""
+    """Return the length of the shortest way from each start to each goal with an index of at least its `first`."""
     start, goal = (
         (cells[:, 1].astype(np.int64) + 1) * floor.stride + cells[:, 0] + 1 for cells in (starts, goals)
     )
@@ -100,9 +100,9 @@ def _found(
 
 @lru_cache(maxsize=1)
 def _workspace(height: int, stride: int) -> tuple[_Jumps, _Numbers, NDArray[np.uint8]]:
-    """Memory that all searches on floors of one size share: jumps, a length a cell, how it was reached.
+    """Return the working memory that all searches on floors of one size share: jumps, lengths, arrival steps.
 
-    What one leaves in here means nothing to the next.
+    Each search initializes it.
     """
     cells = height * stride
     return np.zeros((4, height, stride), np.int16), np.empty(cells, np.int64), np.empty(cells, np.uint8)
@@ -110,10 +110,10 @@ def _workspace(height: int, stride: int) -> tuple[_Jumps, _Numbers, NDArray[np.u
 
 @kernel("void(boolean[:,::1], boolean[:,::1], int16[:,:,::1])")
 def _lay_out(free: _Flags, is_goal: _Flags, jumps: _Jumps) -> None:
-    """How many steps lead from each cell to the next jump point or goal in each direction; 0 where none is.
+    """Compute the number of steps from each cell to the next jump point or goal in each direction; 0 for none.
 
-    A run may turn where the cell beside it is free and the one before that is not. Steps 0 and 2 lead on in x
-    and back, 1 and 3 in y.
+    A run may turn at a cell beside which a free cell follows an obstacle. Directions 0 and 2 are +x and -x, 1 and 3 are
+    +y and -y.
     """
     height, width = free.shape
     stop = np.zeros(width, np.bool_)
@@ -142,7 +142,7 @@ def _lay_out(free: _Flags, is_goal: _Flags, jumps: _Jumps) -> None:
 
 @kernel("int64(boolean[::1], int64[::1], int64, int64)")
 def _onward(free: _Flags, offset: _Numbers, cell: int, step: int) -> int:
-    """Steps, as bits, in which to go on from a cell that was reached by a straight step: on, and around ends."""
+    """Return the successor steps, as bits, of a cell reached by a straight step: straight on, and around obstacles."""
     if step == _BEGIN:
         return 255
     onward = 1 << step
@@ -155,10 +155,9 @@ def _onward(free: _Flags, offset: _Numbers, cell: int, step: int) -> int:
 
 @kernel("boolean(int64, int64, int64, int64[::1], uint8[::1])")
 def _reach(cell: int, new: int, step: int, length: _Numbers, came: NDArray[np.uint8]) -> bool:
-    """Note that a cell has been reached; whether on a shorter way, or on one as short by another step.
+    """Record an arrival at a cell; return whether it is shorter than before, or equally short by a new step.
 
-    `came` has all steps, as bits, by which the shortest ways found so far arrive; without one there is no
-    length as yet.
+    `came` has the arrival steps of the shortest ways so far, as bits; without any bit the cell has no length.
     """
     if came[cell]:
         if new > length[cell] or (new == length[cell] and came[cell] >> step & 1):
@@ -181,7 +180,7 @@ def _queue_up(
     queue: _Numbers,
     used: int,
 ) -> int:
-    """Queue up a cell where a straight run may turn, if that is news; how long the queue is then."""
+    """Queue a jump point if its arrival is new; return the length of the queue."""
     if _reach(cell, new, step, length, came):
         bucket = (new >> SHIFT) % len(buckets)
         queue[used, 0], queue[used, 1], queue[used, 2] = cell, step, buckets[bucket]
@@ -205,17 +204,15 @@ def _search(
     came: NDArray[np.uint8],
     costs: NDArray[np.float64],
 ) -> None:
-    """Settle jump points in buckets of one cell's length, until the level of the farthest goal is over.
+    """Settle jump points in buckets of width 1, until all goals of a start from its `first` on are settled.
 
-    Of each start's goals those before its `first` are left out.
-
-    The queue has (cell, step by which it was reached, next entry of the same bucket).
+    The queue has rows (cell, arrival step, next entry of the same bucket).
     """
     _, height, stride = laid_out.shape
     _lay_out(free.reshape(height, stride), is_goal.reshape(height, stride), laid_out)
     jumps = laid_out.reshape(4, height * stride)
     offset = offsets(stride)
-    # No diagonal with a straight run at its end is longer than so many levels.
+    # More levels than the longest diagonal with a straight run at its end.
     buckets = np.empty(2 * (height + stride), np.int64)
     queue = np.empty((1024, 3), np.int64)
     for row in range(len(starts)):
@@ -233,7 +230,7 @@ def _search(
                 done += 1
                 base = length[cell]
                 if base >> SHIFT != level:
-                    continue  # it was reached on a shorter way
+                    continue  # reached on a shorter way since
                 if used + 8 * (height + stride) > len(queue):
                     longer = np.empty((2 * used + 8 * (height + stride), 3), np.int64)
                     longer[:used] = queue[:used]
@@ -259,7 +256,7 @@ def _search(
                             if jump:
                                 to, new = at + jump * offset[side], so_far + jump * ONE
                                 used = _queue_up(to, new, side, length, came, buckets, queue, used)
-            # Goals are looked at in their order, so one that is far may hide others for a while.
+            # Goals are checked in their order; a far goal delays the check of later ones.
             while reached < len(goals) and came[goals[reached]] and length[goals[reached]] >> SHIFT <= level:
                 reached += 1
             level += 1

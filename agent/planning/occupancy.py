@@ -1,8 +1,8 @@
-"""Costs by occupancy: ways that keep away from walls (Burgard et al., section II-A).
+"""Path costs by occupancy, so that ways keep away from walls (Burgard et al. 2005, section II-A).
 
-The paper's cost of a cell is distance times occupancy, on a map smoothed by a Gaussian. Here it is scaled so
-that a cell far from all obstacles costs its length; lengths are counted in 1024ths of a cell. As in
-`agent.planning.cost_field`, no step is shorter than a cell, so cells are settled in buckets of that width.
+In the paper the cost of a cell is distance times occupancy, on a map smoothed by a Gaussian. Here it is scaled so that
+a cell far from all obstacles costs its length. Lengths are integers, in 1024ths of a cell. As in
+`agent.planning.cost_field`, no step is shorter than a cell, so the search settles cells in buckets of that width.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 
 P_FREE, P_UNKNOWN, P_OCCUPIED = 0.1, 0.5, 0.9
-"""Occupancy probability that a cell of each state stands for."""
+"""Occupancy probability of a cell of each state."""
 
 SMOOTHING = 1.0
 """Standard deviation of the Gaussian, in cells."""
@@ -28,14 +28,14 @@ _GRAIN = 1 << _GRAIN_BITS
 _UNIT = 1.0 / _GRAIN
 _ROOT = math.sqrt(2.0)
 _RING = 16
-"""Buckets in the ring: the longest step, sqrt 2 times P_OCCUPIED / P_FREE, must fit."""
+"""Buckets in the ring; more than the longest step, sqrt 2 times P_OCCUPIED / P_FREE."""
 _FAR = np.int32(np.iinfo(np.int32).max)
 _BARRED = np.int32(-1)
 _DONE = np.uint8(16)
 
 
 def smoothed(grid: Grid) -> NDArray[np.float64]:
-    """Occupancy probability of each cell, the map smoothed by a Gaussian; shape (h, w)."""
+    """Return the occupancy probability of each cell, smoothed by a Gaussian: float64 array, shape (h, w)."""
     from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
 
     table = np.zeros(256, np.float32)
@@ -47,10 +47,9 @@ def smoothed(grid: Grid) -> NDArray[np.float64]:
 
 
 def barred(grid: Grid, floor: Grid, occ_max: float) -> Grid:
-    """The floor without cells of more than `occ_max` (section II-A): a robot may not enter them.
+    """Return the floor with cells of more occupancy than `occ_max` as obstacles (section II-A).
 
-    With 0.9 or more nothing is barred. With less doorways close that are narrow for the Gaussian: with 0.5 those of one
-    cell.
+    With 0.9 or more there are none. With less, narrow doorways close: with 0.5 those of one cell.
     """
     if occ_max >= P_OCCUPIED:
         return floor
@@ -60,22 +59,21 @@ def barred(grid: Grid, floor: Grid, occ_max: float) -> Grid:
 
 
 class Terrain:
-    """What steps into cells cost on one planning grid, laid out for `weighted_costs`.
+    """Costs of entering the cells of a planning grid, prepared for `weighted_costs`.
 
-    Only cells that are free on `floor` can be entered at all. The paper's occ_max (`barred`) takes some of them
-    away.
+    A robot may enter only cells that are free on `floor`; the paper's occ_max (`barred`) removes some of them.
 
     Parameters
     ----------
     grid : uint8 array, shape (h, w)
         The planning grid.
     floor : uint8 array, shape (h, w)
-        The same with obstacles enlarged by the robot's radius.
+        The planning grid with obstacles enlarged by the robot's radius.
 
     Attributes
     ----------
     weights : float64 array, shape (h, w)
-        What entering a cell costs for each cell's width of way; between 1 and P_OCCUPIED / P_FREE.
+        Cost of entering a cell per cell of way, from 1 to P_OCCUPIED / P_FREE.
     """
 
     def __init__(self, grid: Grid, floor: Grid) -> None:
@@ -88,12 +86,12 @@ class Terrain:
 
 
 def weighted_costs(terrain: Terrain, x: int, y: int) -> Field:
-    """Cost of the best way from cell (x, y) to every cell, where each step counts by the cell that it enters.
+    """Return the cost of the best way from cell (x, y) to every cell; a step costs by the cell that it enters.
 
     Returns
     -------
     float64 array, shape (h, w)
-        In cells of free floor; infinite where no way leads.
+        In cells of free floor; infinite without a way.
     """
     height, width = terrain.weights.shape
     field = np.empty((height, width))
@@ -109,9 +107,9 @@ def _lay_out(
     diagonal: NDArray[np.int32],
     plain: NDArray[np.bool_],
 ) -> None:
-    """Costs of a straight and a diagonal step into each cell, 0 where it is barred, with a barred rim.
+    """Compute the costs of a straight and a diagonal step into each cell, 0 for obstacles and the rim.
 
-    A cell is plain if it and all around it cost alike.
+    A cell is plain if it and its eight neighbors have equal costs.
     """
     height, width = floor.shape
     for y in range(height):
@@ -148,7 +146,7 @@ def _spread(
     buckets[0, 0] = start
     fill[0] = 1
     offset = np.array([1, stride, -1, -stride, 1 + stride, stride - 1, -1 - stride, 1 - stride])
-    # Steps to go on with after each step (canonical ordering, as in agent.planning.cost_field), or with all eight.
+    # Successor steps of each step (canonical ordering, as in agent.planning.cost_field); row 8: all steps.
     onward = np.zeros((9, 8), np.int64)
     for number in range(8):
         onward[number, 0] = number
@@ -161,7 +159,7 @@ def _spread(
         ring = level & (_RING - 1)
         empty = empty + 1 if fill[ring] == 0 else 0
         for ahead in range(1, _RING):
-            # Each cell is put into a bucket eight times at most.
+            # A cell enters a bucket at most eight times.
             to = (level + ahead) & (_RING - 1)
             if fill[to] + 8 * fill[ring] > buckets.shape[1]:
                 larger = np.empty((_RING, 2 * (fill[to] + 8 * fill[ring])), np.int32)
@@ -171,7 +169,7 @@ def _spread(
             cell = buckets[ring, at]
             base = length[cell]
             if came[cell] == _DONE:
-                continue  # it was put here twice, or reached on a cheaper way since
+                continue  # a duplicate, or reached on a cheaper way since
             row = 8
             count = 8
             if plain[cell] and cell != start:
@@ -181,7 +179,7 @@ def _spread(
             for index in range(count):
                 number = onward[row, index]
                 to_cell = cell + offset[number]
-                # Barred cells count as reached; no step is shorter than a cell.
+                # Obstacles count as reached; no step is shorter than a cell.
                 if length[to_cell] <= base + _GRAIN:
                     continue
                 if number < 4:

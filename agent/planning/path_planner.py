@@ -1,4 +1,4 @@
-"""The ways on one planning grid: where they lead and what they cost, each found when first asked for."""
+"""Costs, paths and frontiers on one planning grid, each computed on first use."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from agent.planning.reachability import reachable_frontier
 from protocol.grid import OCCUPIED, Grid, enlarge
 
 COSTS = ("shortest", "weighted")
-"""How ways are counted. ``shortest``: by their length. ``weighted``: by length times the occupancy of a
-smoothed map, so that they keep away from walls (Burgard et al., section II-A)."""
+"""Cost of a way. ``shortest``: its length. ``weighted``: its length times the occupancy of a smoothed map, so that ways
+keep away from walls (Burgard et al. 2005, section II-A)."""
 
 
 class PathPlanner:
-    """The ways that a robot may take.
+    """Path planner of one robot on one planning grid.
 
     Parameters
     ----------
@@ -43,18 +43,18 @@ class PathPlanner:
     radius_cells : float
         The robot's radius: obstacles are enlarged by it.
     floor : uint8 array, shape (h, w), optional
-        The grid with obstacles enlarged, if that has been done.
+        The grid with obstacles enlarged; computed by default.
     occ_max : float
-        Cells whose occupancy on a smoothed map is more are barred (`agent.planning.occupancy.barred`).
+        Cells of more occupancy on a smoothed map are obstacles (`agent.planning.occupancy.barred`).
     cache : MemoCache
         Cache of intermediate results, shared by the robots of this process.
 
     Attributes
     ----------
     grid : uint8 array, shape (h, w)
-        As given.
+        The planning grid.
     floor : uint8 array, shape (h, w)
-        The same with obstacles enlarged: where a robot's center may be.
+        The grid with obstacles enlarged: the cells that the robot's center may enter.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class PathPlanner:
         return Terrain(self.grid, self.floor) if self._kind == "weighted" else None
 
     def costs(self, x: int, y: int) -> Field:
-        """Cost of the best way from cell (x, y) to every cell; infinite where none leads."""
+        """Return the cost of the best way from cell (x, y) to every cell, shape (h, w); infinite without a way."""
         if (x, y) not in self._fields:
             if self._terrain is None:
                 self._fields[x, y] = costs_on(self._laid_out, x, y)
@@ -99,13 +99,13 @@ class PathPlanner:
         return self._fields[x, y]
 
     def costs_to(self, x: int, y: int, cells: NDArray[np.int32]) -> NDArray[np.float64]:
-        """Cost of the best way from cell (x, y) to each of some cells near each other, shape (n,)."""
+        """Return the cost of the best way from cell (x, y) to each of `cells`, shape (n,); fast for close cells."""
         if self._terrain is None and (x, y) not in self._fields:
             return costs_to(self._laid_out, x, y, cells)
         return self.costs(x, y)[cells[:, 1], cells[:, 0]]
 
     def costs_between(self, starts: NDArray[np.int32], goals: NDArray[np.int32]) -> NDArray[np.float64]:
-        """Cost of the best way from each of `starts` to each of `goals`.
+        """Return the cost of the best way from each of `starts` to each of `goals`.
 
         Parameters
         ----------
@@ -125,7 +125,7 @@ class PathPlanner:
     def costs_among(
         self, starts: NDArray[np.int32], goals: NDArray[np.int32]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """As `costs_between`, from each of `starts` to each of `goals`; and the same between each two of these."""
+        """Return `costs_between` of starts and goals, and of all pairs of goals."""
         if self._terrain is None:
             return self._searched(costs_among, starts, goals)
         return self.costs_between(starts, goals), self.costs_between(goals, goals)
@@ -136,14 +136,14 @@ class PathPlanner:
         starts: NDArray[np.int32],
         goals: NDArray[np.int32],
     ) -> Result:
-        """What a search finds on the floor; it is not to be written on, for another robot may have it as well."""
+        """Return the result of a search on the floor; callers must not modify it, as robots share it."""
         if self._cache is NO_CACHE:
             return search(self._laid_out, starts, goals)
         key = search, self._all_of_the_floor, starts.tobytes(), goals.tobytes()
         return self._cache.get(key, lambda: search(self._laid_out, starts, goals))
 
     def path(self, start: tuple[int, int], end: tuple[int, int]) -> NDArray[np.int32] | None:
-        """Cells of a best way, without its start; None if there is none."""
+        """Return the cells (x, y) of a best way, without the start; None if there is none."""
         if self._terrain is not None:
             field = self.costs(*start)
             found = np.isfinite(field[end[1], end[0]])
@@ -156,13 +156,13 @@ class PathPlanner:
         return way_between(self._laid_out, start, end)
 
     def frontier(self, x: int, y: int) -> NDArray[np.int32]:
-        """All frontier cells that can be reached from (x, y), row by row, shape (n, 2)."""
+        """Return all frontier cells that are reachable from (x, y), row by row: int32 array, shape (n, 2)."""
         return reachable_frontier(self._laid_out, self.grid, x, y)
 
     def best_frontier(self, x: int, y: int, trade_off: TradeOff) -> tuple[int, int] | None:
-        """The frontier cell of the best trade-off of utility and length of way; None where there is none.
+        """Return the frontier cell of the best trade-off of utility and length of way; None if there is none.
 
-        Ways are counted by their length, of whatever kind the planner is. The way there is found at once.
+        The cost is the length also for ``weighted`` planners. The same search finds the way to the cell.
         """
         found = best_frontier(self._laid_out, self.grid, x, y, trade_off)
         if found is None:
@@ -175,10 +175,9 @@ class PathPlanner:
     def first_frontier(
         self, x: int, y: int, taken: NDArray[np.int32], ranges: ArrayLike
     ) -> tuple[int, int] | None:
-        """The frontier cell nearest to (x, y) that is not within its range of a `taken` cell.
+        """Return the frontier cell nearest to (x, y) that is out of range of all `taken` cells.
 
-        Where all are, the nearest of all; None where there is no frontier. Cells are looked at in the order
-        of their distance, and those behind the one that is found are not looked at.
+        If there is none, the nearest frontier cell; None without a frontier. The search ends at the found cell.
         """
         field, cell = nearest_first(self._laid_out, self.grid, x, y, taken, ranges)
         self._near[x, y] = field
@@ -187,7 +186,7 @@ class PathPlanner:
     def first_by_hops(
         self, x: int, y: int, taken: NDArray[np.int32], ranges: ArrayLike
     ) -> tuple[int, int] | None:
-        """The frontier cell that breadth-first search by hops meets first (`agent.planning.breadth_first`)."""
+        """Return the first frontier cell of the breadth-first search in `agent.planning.breadth_first`."""
         found = first_by_hops(self.floor, self.grid, (x, y), taken, ranges)
         if found is None:
             return None
@@ -196,7 +195,7 @@ class PathPlanner:
         return cell
 
     def of_radius(self, radius_cells: float) -> PathPlanner:
-        """The ways of a robot with another radius on the same grid."""
+        """Return the planner of a robot with another radius on the same grid."""
         if radius_cells == self._radius:
             return self
         if radius_cells not in self._others:
@@ -206,7 +205,7 @@ class PathPlanner:
         return self._others[radius_cells]
 
     def without(self, x: int, y: int) -> PathPlanner:
-        """The same ways with cell (x, y) barred."""
+        """Return a planner with cell (x, y) as an additional obstacle."""
         grid, floor = self.grid.copy(), self.floor.copy()
         grid[y, x] = floor[y, x] = OCCUPIED
         return PathPlanner(grid, self._kind, self._radius, floor, self._occ_max)

@@ -1,4 +1,4 @@
-"""Which cells can be reached at all, which takes a fraction of finding out at what cost."""
+"""Reachable cells by flood fill, in a fraction of the time of a cost field."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from protocol.kernels import kernel
 
 
 def reachable(floor: Floor, x: int, y: int) -> NDArray[np.bool_]:
-    """Which cells can be reached from cell (x, y).
+    """Return which cells are reachable from cell (x, y).
 
-    A diagonal step needs both cells beside it free, so this is the 4-connected part of the floor.
+    A diagonal step needs both cells beside it free, so these are the 4-connected cells of the floor.
 
     Returns
     -------
     bool array, shape (h, w)
-        True where `agent.planning.cost_field.costs` are finite; so in cell (x, y) itself.
+        True where `agent.planning.cost_field.costs` is finite, cell (x, y) included.
     """
     reached = np.zeros(len(floor.free), np.bool_)
     _flood(floor.free, floor.stride, floor.at(x, y), reached)
@@ -27,9 +27,9 @@ def reachable(floor: Floor, x: int, y: int) -> NDArray[np.bool_]:
 
 
 def reachable_frontier(floor: Floor, grid: Grid, x: int, y: int) -> NDArray[np.int32]:
-    """All frontier cells of `grid` that can be reached from cell (x, y), row by row.
+    """Return all frontier cells of `grid` that are reachable from cell (x, y), row by row.
 
-    As `agent.planning.frontier.frontier_cells` of `reachable`, met on the way.
+    The result equals that of `agent.planning.frontier.frontier_cells` and `reachable`.
 
     Returns
     -------
@@ -43,10 +43,7 @@ def reachable_frontier(floor: Floor, grid: Grid, x: int, y: int) -> NDArray[np.i
 
 @kernel("int32[:,::1](boolean[::1], int64, int64, boolean[::1])")
 def _flood(free: NDArray[np.bool_], stride: int, start: int, reached: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Fill the 4-connected part of the floor around a cell, run after run of its rows.
-
-    Returns the runs that were filled, each as its first and last cell.
-    """
+    """Fill the 4-connected cells around a cell, in runs of rows; return the first and last cell of each run."""
     waiting = np.empty(1024, np.int32)
     runs = np.empty((1024, 2), np.int32)
     filled = 0
@@ -83,7 +80,7 @@ def _flood(free: NDArray[np.bool_], stride: int, start: int, reached: NDArray[np
 
 @kernel("int32[:,::1](uint8[:,::1], int64, int32[:,::1])")
 def _collect(grid: Grid, stride: int, runs: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Frontier cells (x, y) of some runs, row by row."""
+    """Return the frontier cells (x, y) of runs, row by row."""
     out = np.empty((256, 2), np.int32)
     count = 0
     order = np.argsort(runs[:, 0])

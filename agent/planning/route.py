@@ -1,4 +1,4 @@
-"""The way that a robot is on: followed cell by cell, straightened, or turned into way points."""
+"""The route of a robot: followed cell by cell, straightened, or converted to waypoints."""
 
 from __future__ import annotations
 
@@ -10,45 +10,51 @@ from protocol.grid import FREE, Grid
 from protocol.kernels import kernel
 
 _FINE = 1000
-"""Way points count in thousandths of a cell."""
+"""Waypoints are in thousandths of a cell."""
 
 _NOWHERE = np.empty((0, 2), np.int32)
 
 
 class Route:
-    """Cells still to be driven."""
+    """The remaining cells of a robot's way.
+
+    Attributes
+    ----------
+    cells : int32 array, shape (n, 2)
+        Cells (x, y), without the robot's own cell.
+    """
 
     def __init__(self) -> None:
         self.cells: NDArray[np.int32] = _NOWHERE
 
     def lead(self, planner: PathPlanner, start: tuple[int, int], end: tuple[int, int]) -> bool:
-        """Take a best way from `start` to `end`; whether there is one. Without one, the way is empty."""
+        """Plan a best way from `start` to `end`; return whether there is one. Without one, the route is empty."""
         found = planner.path(start, end)
         self.cells = _NOWHERE if found is None else found
         return found is not None
 
     def clear(self) -> None:
-        """Stay."""
+        """Make the route empty."""
         self.cells = _NOWHERE
 
     def drive_to(self, x: int, y: int) -> None:
-        """The robot is at (x, y) now: drop the cells up to there."""
+        """Drop the cells up to (x, y), the robot's cell."""
         done = _cells_up_to(self.cells, x, y)
         if done:
             self.cells = self.cells[done:]
 
     def is_open(self, floor: Grid, start: tuple[int, int]) -> bool:
-        """Whether all cells still to be driven from `start` are free on `floor`, and both beside each diagonal."""
+        """Return whether the remaining cells from `start` on are free on `floor`, and both beside each diagonal."""
         return bool(_is_open(floor, *start, self.cells))
 
     def next_cells(self, count: int) -> NDArray[np.int32]:
-        """The next cells to enter, shape (at most `count`, 2)."""
+        """Return the next cells, at most `count`: int32 array, shape (n, 2)."""
         return self.cells[:count]
 
 
 @kernel("int64(int32[:,::1], int64, int64)")
 def _cells_up_to(cells: NDArray[np.int32], x: int, y: int) -> int:
-    """How many cells of a way lead up to (x, y), that one included; 0 if it is not on the way."""
+    """Return the number of cells up to and including (x, y); 0 if the cell is not on the way."""
     for at in range(len(cells) - 1, -1, -1):
         if cells[at, 0] == x and cells[at, 1] == y:
             return at + 1
@@ -68,19 +74,19 @@ def _is_open(floor: Grid, x: int, y: int, cells: NDArray[np.int32]) -> bool:
 
 
 def straighten(floor: Grid, start: tuple[int, int], cells: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Simplify a way by ray shooting: from each corner straight to the farthest cell that is seen.
+    """Straighten a way by ray shooting: from each corner straight to the farthest visible cell of the way.
 
-    What is seen is what a straight line of cells leads to, 8-connected and over free cells, with those beside
-    its diagonal steps free as well; so the new way is no longer than the old one.
+    A cell is visible if a straight, 8-connected line of free cells leads to it, and the cells beside its diagonal steps
+    are free. So the new way is no longer than the old one.
 
     Parameters
     ----------
     floor : uint8 array, shape (h, w)
-        Where the robot may drive.
+        The cells that the robot may enter.
     start : (x, y)
-        Where the way begins.
+        The start of the way.
     cells : int32 array, shape (n, 2)
-        The cells of the way behind its start.
+        The cells of the way, without the start.
     """
     if not len(cells):
         return cells
@@ -111,22 +117,22 @@ def _is_clear(floor: Grid, x: int, y: int, to_x: int, to_y: int) -> bool:
 
 
 def corners(floor: Grid, start: tuple[int, int], cells: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Way points for a way that need not keep to cells' centers: where it bends, and its end.
+    """Return the waypoints of a way that may leave the centers of cells: its bends and its end.
 
     Parameters
     ----------
     floor : uint8 array, shape (h, w)
-        Where the robot may be.
+        The cells that the robot may enter.
     start : (x, y)
-        Where it is, in thousandths of a cell.
+        The robot's position in thousandths of a cell.
     cells : int32 array, shape (n, 2)
-        The cells of the way, a neighbor of the robot's cell first.
+        The cells of the way; the first is a neighbor of the robot's cell.
 
     Returns
     -------
     int32 array, shape (m, 2)
-        In thousandths of a cell. Where the first cell cannot be reached on a straight line, the center of the
-        robot's own comes first.
+        In thousandths of a cell. If no straight line leads to the first cell, the center of the robot's own cell comes
+        first.
     """
     points = cells * _FINE
     found: list[NDArray[np.int32]] = []
@@ -147,10 +153,10 @@ def corners(floor: Grid, start: tuple[int, int], cells: NDArray[np.int32]) -> ND
 
 
 def crossed(start: tuple[int, int], points: NDArray[np.int32], most: float) -> NDArray[np.int32]:
-    """Cells that the lines from point to point lead into, in order.
+    """Return the cells that the lines from point to point cross, in order: int32 array, shape (m, 2).
 
-    Lines that begin more than `most` cells on are left out; `start` and `points`, shape (n, 2), are in
-    thousandths of a cell.
+    Lines that begin after more than `most` cells are left out. `start` and `points`, shape (n, 2), are in thousandths
+    of a cell.
     """
     found: list[tuple[int, int]] = []
     at = start
@@ -171,7 +177,7 @@ def crossed(start: tuple[int, int], points: NDArray[np.int32], most: float) -> N
 
 @kernel("boolean(uint8[:,::1], int64, int64, int64, int64)")
 def _is_line_clear(floor: Grid, x: int, y: int, to_x: int, to_y: int) -> bool:
-    """Whether all cells that a line touches are free, looked at every tenth of a cell; in thousandths."""
+    """Return whether a line, in thousandths of a cell, touches free cells alone; checked every tenth of a cell."""
     half = _FINE // 2
     pieces = max(1, max(abs(to_x - x), abs(to_y - y)) // (_FINE // 10))
     cell_x, cell_y = (x + half) // _FINE, (y + half) // _FINE

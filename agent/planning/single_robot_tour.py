@@ -1,8 +1,8 @@
-"""The tour of a robot that has nobody to share with: the traveling salesman's open path through many goals.
+"""The tour of a single robot: the traveling salesman's open path through all goals.
 
-Nobody else passes what it leaves behind, so only the way counts, not when which goal is reached. The tour begins
-as the nearest neighbor's; then parts of it are turned around (2-opt), and up to three goals on end moved
-elsewhere, either way round (Or-opt), for as long as that makes it shorter.
+No teammate visits the goals that this robot leaves behind, so only the length of the tour counts. The first tour
+follows the nearest neighbor. Then parts of it are reversed (2-opt), and up to three consecutive goals are moved in
+either direction (Or-opt), as long as the tour becomes shorter.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 from protocol.kernels import kernel
 
 ROUNDS = 100
-"""The search ends when nothing makes the tour shorter, or after so many rounds."""
+"""Largest number of improvement rounds; the search ends earlier if a round changes nothing."""
 
 MOST_MOVED = 3
-"""Goals on end that are moved together."""
+"""Largest number of consecutive goals that are moved together."""
 
 Numbers = NDArray[np.float64]
 Tour = NDArray[np.int64]
 
 _LEAST = 1e-7
-"""What a change must gain: less is rounding."""
+"""Least improvement that counts; less may be rounding."""
 
 
 def single_robot_tour(starts: Numbers, between: Numbers) -> list[int]:
@@ -31,14 +31,14 @@ def single_robot_tour(starts: Numbers, between: Numbers) -> list[int]:
     Parameters
     ----------
     starts : float64 array, shape (n,)
-        Way from the robot to each goal; infinite where none leads.
+        Distance from the robot to each goal; infinite without a way.
     between : float64 array, shape (n, n)
-        Way from goal to goal, symmetric.
+        Distance between goals, symmetric.
 
     Returns
     -------
     list of int
-        The numbers of the goals, in their order; goals that cannot be reached are left out.
+        The goals in the order of the tour; unreachable goals are left out.
     """
     goals = np.flatnonzero(np.isfinite(starts))
     count = len(goals)
@@ -53,13 +53,13 @@ def single_robot_tour(starts: Numbers, between: Numbers) -> list[int]:
 
 @kernel("float64(int64[::1], int64, int64, float64[:,::1])")
 def _step(tour: Tour, place: int, after: int, ways: Numbers) -> float:
-    """Way from the goal at one place to that at another; none to beyond the end of the tour."""
+    """Return the distance between the goals at two places; 0 beyond the end of the tour."""
     return float(ways[tour[place], tour[after]]) if after < len(tour) else 0.0
 
 
 @kernel("boolean(int64[::1], float64[:,::1])")
-def _turn_around(tour: Tour, ways: Numbers) -> bool:
-    """Turn each part of the tour around which is better driven the other way; whether there was one."""
+def _reverse_parts(tour: Tour, ways: Numbers) -> bool:
+    """Reverse each part whose reversal makes the tour shorter; return whether there was one."""
     improved = False
     for first in range(1, len(tour) - 1):
         for end in range(first + 1, len(tour)):
@@ -73,7 +73,7 @@ def _turn_around(tour: Tour, ways: Numbers) -> bool:
 
 @kernel("boolean(int64[::1], int64, int64, float64[:,::1])")
 def _move(tour: Tour, first: int, length: int, ways: Numbers) -> bool:
-    """Put some goals on end where they make the tour shortest, either way round; whether that is elsewhere."""
+    """Move consecutive goals to their best place, in either direction; return whether that is another place."""
     part = tour[first : first + length].copy()
     rest = np.concatenate((tour[:first], tour[first + length :]))
     gain = _step(tour, first - 1, first, ways) + _step(tour, first + length - 1, first + length, ways)
@@ -99,7 +99,7 @@ def _move(tour: Tour, first: int, length: int, ways: Numbers) -> bool:
 
 @kernel("void(int64[::1], float64[:,::1])")
 def _shorten(tour: Tour, ways: Numbers) -> None:
-    """Order a tour by the nearest neighbor, then improve it; its first place is the robot's own."""
+    """Order a tour by nearest neighbors, then improve it; its first place is the robot itself."""
     for place in range(1, len(tour) - 1):
         nearest = place
         for other in range(place + 1, len(tour)):
@@ -107,7 +107,7 @@ def _shorten(tour: Tour, ways: Numbers) -> None:
                 nearest = other
         tour[place], tour[nearest] = tour[nearest], tour[place]
     for _ in range(ROUNDS):
-        improved = _turn_around(tour, ways)
+        improved = _reverse_parts(tour, ways)
         for length in range(1, MOST_MOVED + 1):
             for first in range(1, len(tour) - length + 1):
                 improved |= _move(tour, first, length, ways)

@@ -1,13 +1,14 @@
-"""Tours of a whole team through all goals: who serves which, and in which order.
+"""Minimum-latency tours of a team through all goals: the k-traveling repairmen problem.
 
-The problem is the k-traveling repairmen's: it counts how late each goal is reached. A goal costs its weight times
-its arrival and its lateness times the square of that, so that small goals may wait for a while but not for long.
-On top counts when the last robot is done, and how far all of them drive, as for traveling salesmen: what is left
-for later has to be shared out again, so the run ends the sooner the less there is to drive in all. A robot is done
-when it has also driven what is expected behind its goals, its load: who has much of that gets less else. Goals are
-inserted one by one where they cost least; then a goal moves elsewhere, two robots swap the ends of their tours,
-or a part of a tour is turned around, for as long as that helps. What a goal's move or a swap costs is known from
-sums over the rest of a tour, without driving along it.
+Traveling salesmen minimize the length of their tours, repairmen the arrival times at goals (Fakcharoenphol, Harrelson
+and Rao 2007). Here a goal costs its weight times its arrival, plus its latency weight times the square of
+its arrival, so that small goals may wait for some time but not for long. The lengths of all tours and of the longest
+tour count as well: they bound the end of the run. The length of a tour includes the expected work behind its goals
+(their loads), so that a robot with large unknown areas gets fewer other goals.
+
+The search inserts goals one by one where they cost least. Then it improves the tours: it moves single goals, swaps the
+ends of two tours, or reverses a part of a tour, as long as the cost decreases. Sums over the rest of a tour give the
+cost of a change without evaluating the whole tour.
 """
 
 from __future__ import annotations
@@ -20,33 +21,33 @@ from numpy.typing import NDArray
 from protocol.kernels import kernel
 
 ROUNDS = 10
-"""The search ends when no move helps, or after so many rounds of all."""
+"""Largest number of improvement rounds; the search ends earlier if a round changes nothing."""
 
 Numbers = NDArray[np.float64]
 
 _LEAST = 1e-7
-"""What a move must gain: less is rounding."""
+"""Least improvement that counts; less may be rounding."""
 
 
 class Task(NamedTuple):
-    """What there is to plan.
+    """Input of the planner.
 
     Attributes
     ----------
     starts : float64 array, shape (m, n)
-        Way from each robot to each goal; infinite where none leads.
+        Distance from each robot to each goal; infinite without a way.
     between : float64 array, shape (n, n)
-        Way from goal to goal, symmetric.
+        Distance between goals, symmetric.
     weights : float64 array, shape (n,)
-        Cost of each goal a unit of way at its arrival.
-    lateness : float64 array, shape (n,)
-        The same of the arrival's square.
+        Cost of each goal per cell of its arrival distance.
+    latency_weight : float64 array, shape (n,)
+        Cost of each goal per square of its arrival distance.
     last : float
-        Cost of the longest tour, a unit of way.
+        Cost per cell of the longest tour.
     way : float
-        Cost of every tour, a unit of way.
+        Cost per cell of every tour.
     loads : float64 array, shape (n,)
-        By how much later a robot is done for each goal that it serves.
+        Length that each goal adds to the end of its tour, for the expected work behind it.
     """
 
     starts: Numbers
@@ -59,12 +60,12 @@ class Task(NamedTuple):
 
 
 def team_tours(task: Task) -> list[list[int]]:
-    """Plan one tour a robot, so that goals of weight are reached soon and none very late.
+    """Plan one tour per robot with a small `tours_cost`.
 
     Returns
     -------
     list of lists of int
-        The numbers of each robot's goals, in its order; goals that no robot can reach are in none.
+        The goals of each robot, in the order of its tour; unreachable goals are left out.
     """
     robots, goals = task.starts.shape
     tours = np.full((robots, goals), -1)
@@ -75,7 +76,7 @@ def team_tours(task: Task) -> list[list[int]]:
 
 
 def tours_cost(tours: list[list[int]], task: Task) -> float:
-    """What `team_tours` makes small."""
+    """Return the cost of tours, which `team_tours` minimizes."""
     starts, between, weights, latency_weight, last, way, loads = task
     total, longest = 0.0, 0.0
     for robot, tour in enumerate(tours):
@@ -91,7 +92,7 @@ def tours_cost(tours: list[list[int]], task: Task) -> float:
 
 _Task = tuple[Numbers, Numbers, Numbers, Numbers, float, float, Numbers]
 _Plan = tuple[NDArray[np.int64], NDArray[np.int64], Numbers]
-"""Tours by robot and place, how many places each has, and what `_drive` notes of each."""
+"""Tours by robot and place, the length of each, and the sums of `_drive`."""
 
 _TASK = "Tuple((float64[:,::1], float64[:,::1], float64[::1], float64[::1], float64, float64, float64[::1]))"
 _PLAN = "Tuple((int64[:,::1], int64[::1], float64[:,:,::1]))"
@@ -99,9 +100,9 @@ _PLAN = "Tuple((int64[:,::1], int64[::1], float64[:,:,::1]))"
 
 @kernel(f"float64(int64, {_TASK}, {_PLAN})")
 def _drive(robot: int, task: _Task, plan: _Plan) -> float:
-    """Note the arrival at each place of a robot's tour, and sums over the goals from there on; return the tour's cost.
+    """Compute the arrival at each place of a tour, and sums over the later goals; return the cost of the goals.
 
-    `book[k]` has the arrival, the sums of weight, of lateness, of lateness times arrival, and of load.
+    `book[k]` has the arrival at place k, then sums of weight, latency weight, latency weight times arrival, and load.
     """
     starts, between, weights, latency_weight, _, _, loads = task
     tours, counts, books = plan
@@ -125,19 +126,19 @@ def _drive(robot: int, task: _Task, plan: _Plan) -> float:
 
 @kernel("float64(float64[:,::1], int64, float64)")
 def _delay(book: Numbers, place: int, later: float) -> float:
-    """What it costs if all goals of a tour from `place` on are reached `later`."""
+    """Return the additional cost if the arrival at all goals from `place` on increases by `later`."""
     return float(later * (book[place, 1] + 2.0 * book[place, 3] + later * book[place, 2]))
 
 
 @kernel("float64(float64[:,:,::1], int64[::1], int64)")
 def _end(books: Numbers, counts: NDArray[np.int64], robot: int) -> float:
-    """When a robot is done."""
+    """Return the length of a robot's tour, loads included."""
     return float(books[robot, counts[robot] - 1, 0] + books[robot, 0, 4]) if counts[robot] else 0.0
 
 
 @kernel("float64(float64[:,:,::1], int64[::1], int64, int64)")
 def _longest(books: Numbers, counts: NDArray[np.int64], one: int, other: int) -> float:
-    """When the last robot but these two is done."""
+    """Return the length of the longest tour of the robots other than these two."""
     longest = 0.0
     for robot in range(len(counts)):
         if robot not in (one, other):
@@ -147,7 +148,7 @@ def _longest(books: Numbers, counts: NDArray[np.int64], one: int, other: int) ->
 
 @kernel(f"Tuple((float64, int64, int64))(int64, {_TASK}, {_PLAN})")
 def _best_place(goal: int, task: _Task, plan: _Plan) -> tuple[float, int, int]:
-    """Where a goal costs least: the cost, the robot (-1 if none can reach it) and the place in its tour."""
+    """Find the cheapest insertion of a goal: the cost, the robot (-1 for an unreachable goal) and the place."""
     starts, between, weights, latency_weight, last, way, loads = task
     tours, counts, books = plan
     least, best_robot, best_place = np.inf, -1, -1
@@ -175,7 +176,7 @@ def _best_place(goal: int, task: _Task, plan: _Plan) -> tuple[float, int, int]:
 
 @kernel(f"boolean(int64, {_TASK}, {_PLAN})")
 def _move(goal: int, task: _Task, plan: _Plan) -> bool:
-    """Put a goal where it costs least; whether it was elsewhere before."""
+    """Move a goal to its cheapest place; return whether that is another place than before."""
     _, _, _, _, last, way, _ = task
     tours, counts, books = plan
     robot, place, gain = -1, -1, np.inf
@@ -209,7 +210,7 @@ def _move(goal: int, task: _Task, plan: _Plan) -> bool:
 
 @kernel(f"boolean(int64, int64, {_TASK}, {_PLAN})")
 def _swap_ends(one: int, other: int, task: _Task, plan: _Plan) -> bool:
-    """Swap the ends of two tours where that gains most; whether it gains anything."""
+    """Swap the ends of two tours at the best places; return whether the cost decreases."""
     starts, between, _, _, last, way, _ = task
     tours, counts, books = plan
     others = _longest(books, counts, one, other)
@@ -252,8 +253,8 @@ def _swap_ends(one: int, other: int, task: _Task, plan: _Plan) -> bool:
 
 
 @kernel(f"boolean(int64, {_TASK}, {_PLAN})")
-def _turn_around(robot: int, task: _Task, plan: _Plan) -> bool:
-    """Turn around the part of a tour where that gains most; whether it gains anything."""
+def _reverse_part(robot: int, task: _Task, plan: _Plan) -> bool:
+    """Reverse the best part of a tour; return whether the cost decreases."""
     starts, between, weights, latency_weight, last, way, _ = task
     tours, counts, books = plan
     tour, count, book = tours[robot], counts[robot], books[robot]
@@ -289,7 +290,7 @@ def _turn_around(robot: int, task: _Task, plan: _Plan) -> bool:
 
 @kernel(f"void({_TASK}, int64[::1], int64[:,::1], int64[::1])")
 def _plan(task: _Task, order: NDArray[np.int64], tours: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
-    """Insert the goals in their order, and improve; `tours` and `counts` begin empty."""
+    """Insert the goals in the given order, then improve; `tours` and `counts` are empty before."""
     robots, goals = task[0].shape
     plan = tours, counts, np.zeros((robots, goals + 1, 5))
     for goal in order:
@@ -302,6 +303,6 @@ def _plan(task: _Task, order: NDArray[np.int64], tours: NDArray[np.int64], count
             for other in range(one):
                 improved |= _swap_ends(one, other, task, plan)
         for robot in range(robots):
-            improved |= _turn_around(robot, task, plan)
+            improved |= _reverse_part(robot, task, plan)
         if not improved:
             break

@@ -1,7 +1,7 @@
-"""Tours through goals: the traveling salesman's open path, for the cost of going to a goal first.
+"""Exact tours through a few goals: the traveling salesman's open path.
 
-Faigl and Vanek take Chained Lin-Kernighan (section 3.1); the tours of one robot are short enough to be
-solved exactly (fast-tsp, Held and Karp), and so they are the same on every machine.
+Faigl and Vanek 2014 use the Chained Lin-Kernighan heuristic (section 3.1). The tours of one robot are short enough for
+an exact solution (Held and Karp 1962, in fast-tsp), so they are the same on every machine.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 LONGEST = 12
-"""Goals that a tour may have: Held and Karp takes less than a millisecond."""
+"""Largest number of goals; the exact solution then takes less than a millisecond."""
 
 _LARGEST = 65535
-"""The solver's distances are whole numbers up to this."""
+"""Largest distance of the solver, which takes integers."""
 
 
 def open_tour(
@@ -29,12 +29,12 @@ def open_tour(
     between : float64 array, shape (n, n)
         Cost of the way from goal to goal, symmetric.
     to_end : float64 array, shape (n,)
-        Cost of the way from each goal to where the path ends; zeros if it ends at the last goal.
+        Cost of the way from each goal to the end of the path; zeros for a path that ends at its last goal.
 
     Returns
     -------
     list of int
-        The numbers of the goals, in their order.
+        The goals in the order of the path.
     """
     count = len(from_start)
     if count <= 2:
@@ -42,8 +42,8 @@ def open_tour(
             (from_start[one] + between[one, 1 - one] + to_end[1 - one], [one, 1 - one]) for one in (0, 1)
         ]  # fmt: skip
         return min(both)[1]
-    # A closed tour through the start, node n, and a way back, node n + 1, which costs nothing from the
-    # start and much from any goal: so it is taken once, and the goals form one path.
+    # A closed tour with two more nodes: the start, node n, and a way back, node n + 1. The way back costs nothing
+    # to the start and much to a goal, so the tour uses it once, and the goals form one path.
     most = (count + 2) * max(from_start.max(), between.max(), to_end.max(), 1e-9)
     distance = np.zeros((count + 2, count + 2))
     distance[:count, :count] = between

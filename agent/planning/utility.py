@@ -1,7 +1,7 @@
-"""Utility of a frontier cell: what is left to see there once teammates have been at their targets.
+"""Utility of a frontier cell: the expected unknown area after teammates have reached their targets.
 
-Thesis, section 4.4.2: it starts at 1 and is lowered by P(d) for each teammate's target at distance d that has
-it in sight (Eq. 4.4, 4.5).
+Thesis, section 4.4.2: the utility is 1, minus P(d) for each teammate's target at distance d in sight of the cell
+(Eqs. 4.4 and 4.5).
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ def utilities(
     range_cells: ArrayLike,
     weights: Sequence[float] | None = None,
 ) -> NDArray[np.float64]:
-    """Utility of each of `cells`.
+    """Return the utility of each of `cells`.
 
     Parameters
     ----------
     grid : uint8 array, shape (h, w)
-        The planning grid; occupied cells on it hide what is behind them.
+        The planning grid; occupied cells block the line of sight.
     cells : int32 array, shape (n, 2)
         Frontier cells (x, y).
     targets : sequence of (x, y)
-        Where teammates are headed.
-    range_cells : float, or one for each target
-        Sensor range of the robot that is headed there: P(d) = max(0, 1 - d / range).
+        Targets of teammates.
+    range_cells : float or float array, shape (m,)
+        Sensor range of each of these teammates: P(d) = max(0, 1 - d / range).
     weights : sequence of float, optional
-        How much each target counts, 1 if left out.
+        Weight of each target; default: 1.
 
     Returns
     -------
@@ -51,20 +51,20 @@ def utilities(
 def proximity(
     grid: Grid, cells: NDArray[np.int32], target: NDArray[np.int32], range_cells: float
 ) -> NDArray[np.float64]:
-    """P(d) of each of `cells` for one target: by how much it lowers their utilities, shape (n,)."""
+    """Return P(d) of each of `cells` for one target, the amount by which it lowers their utilities, shape (n,)."""
     lowered = np.zeros(len(cells))
     _lower(grid, cells, target.reshape(1, 2), np.ones(1), np.array([range_cells]), lowered)
     return -lowered
 
 
 def in_sight(grid: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
-    """Whether no occupied cell lies on the straight line between two cells."""
+    """Return whether no occupied cell lies on the straight line between two cells."""
     return bool(_in_sight(grid, x0, y0, x1, y1))
 
 
 @kernel("boolean(uint8[:,::1], int64, int64, int64, int64)")
 def _in_sight(grid: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
-    # From the same end whichever way round it is asked, so that two robots agree.
+    # The line always begins at the same end, so that the result is symmetric.
     if (y1, x1) < (y0, x0):
         x0, y0, x1, y1 = x1, y1, x0, y0
     dx, dy = abs(x1 - x0), y1 - y0
@@ -86,7 +86,7 @@ def _in_sight(grid: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
 
 @kernel("float64(uint8[:,::1], int32[::1], int32[::1], float64)")
 def sees(grid: Grid, one: NDArray[np.int32], other: NDArray[np.int32], range_cells: float) -> float:
-    """P(d) of two cells for each other, 0 where an obstacle lies between them; for other kernels."""
+    """Return P(d) of two cells for each other, 0 if an obstacle lies between them; for kernels."""
     distance = np.sqrt(float((one[0] - other[0]) ** 2 + (one[1] - other[1]) ** 2))
     if distance < range_cells and _in_sight(grid, one[0], one[1], other[0], other[1]):
         return float(1.0 - distance / range_cells)

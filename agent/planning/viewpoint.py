@@ -1,7 +1,7 @@
-"""Where to look from: a cell from which what is unknown beside a goal comes into view, and the tour's way on is short.
+"""Viewpoints: cells from which a scan observes the unknown cells beside a goal, with a short way on through the tour.
 
-Who wants to know a nook need not drive into it. From where a beam reaches it over cells that are known to be free
-is certain, for beams of all scanners have the same directions; so one look from any such cell settles it.
+A robot need not drive into a nook to observe it. The directions of beams are known, so the cells from which a beam
+reaches the nook over known free cells are known as well. One scan from any of these viewpoints suffices.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from protocol.kernels import kernel
 Cells = NDArray[np.int32]
 
 _BEGUN = 1 / 2
-"""A way that is longer than whole steps by so many cells still takes no step more: lengths are rounded."""
+"""Cells by which a way may exceed a whole number of steps without another step: robots round lengths."""
 
 _DIGITS = 6
-"""Ways that are equal to so many decimals are equally long."""
+"""Decimals to which lengths are compared."""
 
 
 def viewpoint_cells(grid: Grid, goal: tuple[int, int], around: RayTable, reach: float) -> Cells:
@@ -33,10 +33,10 @@ def viewpoint_cells(grid: Grid, goal: tuple[int, int], around: RayTable, reach: 
         The planning grid.
     goal : (x, y)
         A frontier cell.
-    around : Fan
+    around : RayTable
         The beams of the scanner.
     reach : float
-        How long the beam may be, in cells.
+        Largest length of a beam in cells.
 
     Returns
     -------
@@ -48,7 +48,7 @@ def viewpoint_cells(grid: Grid, goal: tuple[int, int], around: RayTable, reach: 
     part = np.ascontiguousarray(grid[y0:y1, x0:x1])
     found = np.zeros(part.shape, np.bool_)
     found[goal[1] - y0, goal[0] - x0] = True
-    _look_back(part, goal[0] - x0, goal[1] - y0, around.cells, around.start, reach, found)
+    _trace_back(part, goal[0] - x0, goal[1] - y0, around.cells, around.start, reach, found)
     y, x = np.nonzero(found)
     return np.stack([x + x0, y + y0], axis=1).astype(np.int32)
 
@@ -56,27 +56,26 @@ def viewpoint_cells(grid: Grid, goal: tuple[int, int], around: RayTable, reach: 
 def best_viewpoint(
     planner: PathPlanner, here: tuple[int, int], views: Iterable[Cells | None], goals: Cells, step: float
 ) -> tuple[int, int] | None:
-    """Choose the cell to look from for the first goal of a tour, such that the way through it and on is short.
+    """Choose the viewpoint of the first goal of a tour with the shortest way through it and on through the tour.
 
-    Goals that are seen from there as well need no way of their own. The robot looks at the end of each step: the way
-    to the cell counts in whole steps.
+    Goals that are visible from this viewpoint as well need no further way. The robot scans at the end of each step, so
+    the way to the viewpoint counts in whole steps.
 
     Parameters
     ----------
     here : (x, y)
-        Where the robot is.
+        The robot's cell.
     views : iterable of int32 arrays, shape (n, 2)
-        For each of the goals the cells from which it may be looked at; None for one that has to be driven to.
-        The first has some.
+        The viewpoints of each goal; None for a goal that the robot must drive to. The first goal has viewpoints.
     goals : int32 array, shape (m, 2)
-        The beginning of the tour.
+        The first goals of the tour.
     step : float
-        Way of the robot in a step, in cells.
+        Distance that the robot drives in a step, in cells.
 
     Returns
     -------
     (x, y)
-        None if the robot is at one of these cells, and has looked, or cannot get to any.
+        The viewpoint; None if the robot is already at one, so that a scan had no effect, or no viewpoint is reachable.
     """
     more = iter(views)
     cells = next(more)
@@ -85,7 +84,7 @@ def best_viewpoint(
     if not ways.all():
         return None
     cost = np.ceil((ways - _BEGUN) / step) * step
-    # Where the ways through each cell have come to.
+    # The end of the way so far, through each viewpoint.
     places = cells.copy()
     for goal, seen_from in zip(goals[1:], more, strict=False):
         missed = np.ones(len(cost), np.bool_) if seen_from is None else ~_are_among(cells, seen_from)
@@ -99,22 +98,22 @@ def best_viewpoint(
 
 
 def _are_among(cells: Cells, others: Cells) -> NDArray[np.bool_]:
-    """For each cell whether it is one of the others."""
+    """Return for each cell whether `others` contains it."""
     width = 1 + max(int(cells[:, 0].max()), int(others[:, 0].max()))
     return np.isin(cells @ (1, width), others @ (1, width))
 
 
 @kernel("void(uint8[:,::1], int64, int64, int32[:,::1], int32[::1], float64, boolean[:,::1])")
-def _look_back(
+def _trace_back(
     part: Grid,
     x: int,
     y: int,
-    fan_cells: Cells,
+    beam_cells: Cells,
     start: NDArray[np.int32],
     reach: float,
     found: NDArray[np.bool_],
 ) -> None:
-    """Mark the cells from which a beam reaches an unknown neighbor of (x, y): back along each beam, then checked."""
+    """Mark the cells from which a beam reaches an unknown neighbor of (x, y), by following each beam backwards."""
     height, width = part.shape
     for side_x, side_y in ((x + 1, y), (x, y + 1), (x - 1, y), (x, y - 1)):
         if side_x < 0 or side_y < 0 or side_x >= width or side_y >= height:
@@ -123,7 +122,7 @@ def _look_back(
             continue
         for beam in range(len(start) - 1):
             for at in range(start[beam], start[beam + 1]):
-                dx, dy = fan_cells[at, 0], fan_cells[at, 1]
+                dx, dy = beam_cells[at, 0], beam_cells[at, 1]
                 from_x, from_y = side_x - dx, side_y - dy
                 if dx * dx + dy * dy > reach * reach or from_x < 0 or from_y < 0:
                     break
@@ -133,7 +132,7 @@ def _look_back(
                     continue
                 clear = True
                 for before in range(at - 1, start[beam] - 1, -1):
-                    if part[from_y + fan_cells[before, 1], from_x + fan_cells[before, 0]] != FREE:
+                    if part[from_y + beam_cells[before, 1], from_x + beam_cells[before, 0]] != FREE:
                         clear = False
                         break
                 found[from_y, from_x] = clear

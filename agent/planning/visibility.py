@@ -1,11 +1,10 @@
-"""The shortest collision-free way in the continuous plane: visibility graph and Dijkstra (leader paper, III-A).
+"""Shortest collision-free ways in the continuous plane: visibility graph and Dijkstra (leader paper, section III-A).
 
-Obstacles are all cells that are not free. A shortest way is a polyline that bends at convex corners of obstacles only,
-so its search visits corners, straight from each to all that it sees. The way keeps a tenth of a cell from all
-obstacles: a robot that is checked every tenth of a cell is then never stopped at a corner that it passes. But for that,
-it is exact.
+Obstacles are all cells that are not free. A shortest way is a polyline that bends at convex corners of obstacles alone,
+so the nodes of the graph are these corners. The way keeps a tenth of a cell from all obstacles: collisions are checked
+every tenth of a cell, and a robot must not be stopped at a corner that it passes. Apart from this margin it is exact.
 
-Only what lies nearer than an upper bound of the way is looked at: the way from cell to cell, which is no shorter.
+The search skips corners farther away than an upper bound of the way, the length of a way over cells.
 """
 
 from __future__ import annotations
@@ -17,10 +16,10 @@ from protocol.grid import FREE, Grid
 from protocol.kernels import kernel
 
 FINE = 1000
-"""Units a cell."""
+"""Coordinates are in thousandths of a cell."""
 
 MARGIN = 100
-"""How far a way keeps from obstacles, in these units."""
+"""Distance of a way from obstacles, in thousandths of a cell."""
 
 _HALF = FINE // 2
 
@@ -28,25 +27,24 @@ _HALF = FINE // 2
 def shortest_way(
     floor: Grid, start: tuple[int, int], goals: NDArray[np.int32], most: float
 ) -> NDArray[np.int32] | None:
-    """Find the shortest way to the nearest of some cells.
+    """Find the shortest way to the nearest goal.
 
     Parameters
     ----------
     floor : uint8 array, shape (h, w)
-        Where the robot may be.
+        The cells that the robot may enter.
     start : (x, y)
-        Where it is, in thousandths of a cell. If that is nearer to an obstacle than the way may come, the center of
-        its cell comes first.
+        The robot's position in thousandths of a cell. If it is too close to an obstacle, the way begins at the center
+        of its cell.
     goals : int32 array, shape (n, 2)
-        Free cells (x, y); their centers are meant.
+        Free cells (x, y); the way ends at a center.
     most : float
-        Length of a way from the center of its cell to a goal from cell to cell, in cells: none is shorter by any
-        means than the one that is found.
+        Upper bound of the length in cells: the length of a way over cells to a goal.
 
     Returns
     -------
     int32 array, shape (m, 2), optional
-        Way points in thousandths of a cell, the last one a goal's center; None if no way leads to any.
+        Waypoints in thousandths of a cell, the last one a goal's center; None if no goal is reachable.
     """
     at = np.array(start, np.int64)
     middle = (at + _HALF) // FINE * FINE
@@ -76,7 +74,7 @@ def _within(points: NDArray[np.int64], at: NDArray[np.int64], reach: float) -> N
 
 @kernel("int64[:,::1](uint8[:,::1])")
 def _corners(floor: Grid) -> NDArray[np.int64]:
-    """Where ways may bend: off the convex corners of obstacles, shape (n, 2)."""
+    """Return the points where ways may bend, at the convex corners of obstacles, shape (n, 2)."""
     height, width = floor.shape
     out = np.empty((256, 2), np.int64)
     count = 0
@@ -103,12 +101,12 @@ def _corners(floor: Grid) -> NDArray[np.int64]:
 
 @kernel("boolean(uint8[:,::1], int64, int64, int64, int64)")
 def _is_clear(floor: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
-    """Whether a line keeps `MARGIN` from all obstacles, or touches what lies so far around them."""
+    """Return whether a line keeps the distance `MARGIN` from all obstacles."""
     height, width = floor.shape
     side = float(_HALF + MARGIN) - 0.5
     low_y, high_y = min(y0, y1), max(y0, y1)
     for row in range(int(np.ceil((low_y - side) / FINE)), int(np.floor((high_y + side) / FINE)) + 1):
-        # The part of the line at the height of this row of cells, and of what lies around them.
+        # The part of the line in this row of cells, margin included.
         left, right = float(min(x0, x1)), float(max(x0, x1))
         if y0 != y1:
             top, bottom = max(float(low_y), row * FINE - side), min(float(high_y), row * FINE + side)
@@ -124,9 +122,9 @@ def _is_clear(floor: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
 
 @kernel("int64(uint8[:,::1], int64[:,::1], int64, float64, int64[::1])")
 def _search(floor: Grid, nodes: NDArray[np.int64], goals: int, reach: float, came: NDArray[np.int64]) -> int:
-    """Dijkstra's search from node 0 to the first of the next `goals` nodes; -1 if none is reached.
+    """Search by Dijkstra's algorithm from node 0 to the nearest of nodes 1 to `goals`; -1 if none is reachable.
 
-    `came` says from where each was reached. Of equally long ways the one over the first nodes counts.
+    `came` gets the predecessor of each node. Of equally long ways the one over the first nodes counts.
     """
     length = np.full(len(nodes), np.inf)
     done = np.zeros(len(nodes), np.bool_)

@@ -1,9 +1,9 @@
-"""How a robot gets past teammates that stand in its way, without knowing who they are or what they are up to.
+"""Local conflict resolution: a robot gets past teammates in its way without communication.
 
-It waits a little. Then it drives around all cells in which teammates lately stopped it: without the memory a
-robot between two teammates would turn from one to the other for good. Where no other way leads on, or it is much
-longer, it makes room: it goes to a random place near by, and each time again up to twice as far. Stopped in one
-cell again and again, it chooses another target.
+The robot waits for some steps. Then it drives around all cells in which teammates have stopped it lately. Without this
+memory, a robot between two teammates would turn back and forth forever. If there is no other way, or a much longer
+one, the robot yields: it drives to a random cell near by, each time up to twice as far. If teammates stop it repeatedly
+in one cell, it chooses another target.
 """
 
 from __future__ import annotations
@@ -15,34 +15,34 @@ from agent.planning.route import Route
 from protocol.keyed_random import keyed_random
 
 WAIT = 2
-"""Steps for which it waits."""
+"""Steps for which the robot waits first."""
 
 MEMORY = 20
-"""Steps for which it keeps away from a cell that it could not enter for a teammate."""
+"""Steps for which the robot avoids a cell in which a teammate stopped it."""
 
 FARTHEST = 4
-"""How often the distance is doubled to which it makes room."""
+"""Largest number of doublings of the yield distance."""
 
 GIVE_UP = 10
-"""Times that teammates stop it in one cell, after which it chooses another target."""
+"""Number of stops in one cell after which the robot chooses another target."""
 
 Cell = tuple[int, int]
 
 
 class YieldBehavior:
-    """What one robot has met on its ways.
+    """Yield state of one robot.
 
     Parameters
     ----------
     seed, robot : int
-        Decide where it makes room.
+        Seed of the random yield cells.
     near : float
-        How far it goes at first, in cells.
+        The first yield distance, in cells.
     """
 
     def __init__(self, seed: int, robot: int, near: float) -> None:
         self.waited = 0
-        """Steps on end in which a teammate has stopped it."""
+        """Consecutive steps in which a teammate has stopped the robot."""
         self._seed = seed
         self._robot = robot
         self._near = near
@@ -52,7 +52,7 @@ class YieldBehavior:
         self._doublings = 0
 
     def note(self, route: Route, here: Cell, step: int, *, stopped: bool) -> None:
-        """Take what became of the last move along `route`."""
+        """Take the result of the last move along `route`."""
         self.waited = self.waited + 1 if stopped else 0
         self._stops = (self._stops if here == self._at else 0) + stopped
         self._at = here
@@ -61,24 +61,24 @@ class YieldBehavior:
 
     @property
     def has_waited(self) -> bool:
-        """Whether it is time to look for another way."""
+        """Whether the robot has waited long enough, and should drive another way."""
         return self.waited >= WAIT
 
     def gives_up(self) -> bool:
-        """Whether it is time to choose another target; it is again after as many stops."""
+        """Return whether to choose another target; a true result resets the count of stops."""
         if self._stops < GIVE_UP:
             return False
         self._stops = 0
         return True
 
     def begin(self) -> None:
-        """It has another target: what it did for the last one does not count."""
+        """Reset the yield distance for a new target."""
         self._doublings = 0
 
     def pass_by(self, route: Route, planner: PathPlanner, here: Cell, end: Cell, step: int) -> PathPlanner:
-        """Lead the route around the cells lately held; where that does not help, to where it makes room.
+        """Replan the route around the cells of recent stops; if that does not help, to a random yield cell.
 
-        Returns a planner without these cells.
+        Returns a planner with these cells as obstacles.
         """
         self._held = {cell: since for cell, since in self._held.items() if step - since < MEMORY}
         around = planner

@@ -27,18 +27,18 @@ _TITLES = ("step", "ex", "conn", "from", "to", "map", "frame", "bytes", "packets
 
 @dataclass(frozen=True)
 class Filter:
-    """Which frames to show: those that match every condition that is not None.
+    """Conditions on frames; a frame matches if it meets every condition that is not None.
 
     Attributes
     ----------
     robot : int, optional
         Sender, addressee or receiver of the frame.
     kind : str, optional
-        One of `ALL_KINDS`; the frame holds such a packet, and no other packets are counted.
+        One of `ALL_KINDS`: the frame contains such a packet; other packets are not counted.
     steps : (int, int), optional
         First and last step.
     refused : bool
-        Only frames that were not carried.
+        Only frames that were refused or lost.
     """
 
     robot: int | None = None
@@ -59,10 +59,10 @@ class Filter:
 
 @dataclass
 class Totals:
-    """Totals of the frames that were shown.
+    """Totals of the frames shown.
 
-    `carried` has (packets, bytes) by kind, as the summary of a run counts them; `refused` has (frames, bytes)
-    by verdict, because of these the capture keeps only the beginning.
+    `carried`: (packets, bytes) by kind, as in the summary of a run. `refused`: (frames, bytes) by verdict, because the
+    capture stores only the beginning of these frames.
     """
 
     frames: int = 0
@@ -70,7 +70,7 @@ class Totals:
     refused: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     def add(self, frame: Captured, counts: dict[str, tuple[int, int]]) -> None:
-        """Count a frame, whose packets were counted."""
+        """Add a frame, with the counts of its packets."""
         self.frames += 1
         if on_air(frame.seen.verdict):
             for kind, (number, size) in counts.items():
@@ -81,7 +81,7 @@ class Totals:
             self.refused[frame.verdict] = (frames + 1, size + frame.size)
 
     def to_json(self) -> dict[str, Any]:
-        """As the command prints it."""
+        """The totals as `murmur capture --json` prints them."""
         carried = {kind: self.carried[kind] for kind in ALL_KINDS if kind in self.carried}
         refused = {verdict: self.refused[verdict] for verdict in VERDICTS if verdict in self.refused}
         return {
@@ -94,7 +94,7 @@ class Totals:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Reader]:
-    """Open the capture of a run directory, or a capture file; CaptureError says what is wrong with it."""
+    """Open the capture of a run directory, or a capture file; CaptureError if it cannot be read."""
     file = path / CAPTURE if path.is_dir() else path
     try:
         with file.open("rb") as stream:
@@ -134,10 +134,10 @@ def lines(path: Path, wanted: Filter, *, every_packet: bool) -> Iterator[str]:
             yield _row(frame)
             if every_packet:
                 for piece, packet in _decoded(frame.seen.payload):
-                    yield f"{'':42}{packet.name:<5}{_said(piece, packet)}"
+                    yield f"{'':42}{packet.name:<7}{_describe(piece, packet)}"
         yield from _total_lines(totals)
         if reader.torn:
-            yield f"The last {reader.torn} bytes are an incomplete packet: the run was killed."
+            yield f"The last {reader.torn} bytes are an incomplete block: the run was killed."
 
 
 def json_lines(path: Path, wanted: Filter) -> Iterator[str]:
@@ -163,7 +163,7 @@ def parse_steps(text: str) -> tuple[int, int]:
     except ValueError:
         raise ValueError(f"step = {text!r}: must be a step, as 12, or steps, as 10-20") from None
     if steps[0] > steps[1]:
-        raise ValueError(f"step = {text!r}: the first step comes first, as in 10-20")
+        raise ValueError(f"step = {text!r}: the first step must not exceed the last, as in 10-20")
     return steps
 
 
@@ -173,7 +173,7 @@ def check_robot(path: Path, robot: int) -> int:
     if (folder / SCENARIO).is_file():
         robots = read_scenario(folder).robots
         if robot >= robots:
-            raise ValueError(f"robot = {robot}: the last one of this run is {robots - 1}")
+            raise ValueError(f"robot = {robot}: must be at most {robots - 1}")
     return robot
 
 
@@ -185,17 +185,17 @@ def check_kind(kind: str) -> str:
 
 
 def _begun(frames: Iterator[Captured]) -> Iterator[Captured]:
-    """The same frames with the first one read, so that an invalid file is refused before anything is printed."""
+    """The same frames, the first already read: an invalid file is reported before anything is printed."""
     return chain(list(islice(frames, 1)), frames)
 
 
 def _row(frame: Captured) -> str:
     seen = frame.seen
     counts = count(seen.payload)
-    said = [f"{number} {kind}" for kind, (number, _) in counts.items()]
+    contents = [f"{number} {kind}" for kind, (number, _) in counts.items()]
     rest = frame.size - sum(size for _, size in counts.values())
     if rest:
-        said.append(f"{rest} bytes not {'kept' if frame.size > len(seen.payload) else 'readable'}")
+        contents.append(f"{rest} bytes not {'kept' if frame.size > len(seen.payload) else 'readable'}")
     return _COLUMNS.format(
         frame.step,
         seen.round,
@@ -205,7 +205,7 @@ def _row(frame: Captured) -> str:
         _or_dash(seen.map),
         FRAMES[seen.frame],
         frame.size,
-        ", ".join(said),
+        ", ".join(contents),
         frame.words,
     )
 
@@ -220,13 +220,13 @@ def _total_lines(totals: Totals) -> Iterator[str]:
         packet_sum, byte_sum = sum(numbers["packets"].values()), sum(numbers["bytes"].values())
         yield f"  {'total':<9} {packet_sum:>9} packets {byte_sum:>11} bytes carried"
     for verdict, refused in numbers["refused"].items():
-        what = "heard" if on_air(VERDICTS.index(verdict)) else "carried"
-        yield f"  {verdict:<9} {refused['frames']:>9} frames  {refused['bytes']:>11} bytes not {what}"
+        missed = "received" if on_air(VERDICTS.index(verdict)) else "carried"
+        yield f"  {verdict:<9} {refused['frames']:>9} frames  {refused['bytes']:>11} bytes not {missed}"
 
 
 def _to_json(frame: Captured) -> dict[str, Any]:
     seen = frame.seen
-    said = [
+    decoded = [
         {"kind": packet.name, "packet": type(packet).__name__} | _fields(packet)
         for _, packet in _decoded(seen.payload)
     ]
@@ -244,7 +244,7 @@ def _to_json(frame: Captured) -> dict[str, Any]:
         "hearers": capture.hearers(seen),
         "bytes": frame.size,
         "kept": len(seen.payload),
-        "packets": said,
+        "packets": decoded,
     }
 
 
@@ -261,7 +261,7 @@ def _pieces(payload: bytes) -> Iterator[bytes]:
 
 
 def _decoded(payload: bytes) -> Iterator[tuple[bytes, AnyPacket]]:
-    """Decode the packets of a frame, each with its bytes, up to the first malformed one."""
+    """Decode the packets of a frame, each with its bytes, up to the first malformed packet."""
     with suppress(ProtocolError):
         for piece in _pieces(payload):
             for packet in packets.decode(piece):
@@ -273,13 +273,13 @@ def _fields(packet: AnyPacket) -> dict[str, Any]:
     return values | {"data": packet.data.hex()} if isinstance(packet, Fragment | Update) else values
 
 
-def _said(piece: bytes, packet: AnyPacket) -> str:
-    words = "  ".join(f"{name} {value}" for name, value in _fields(packet).items() if name != "data")
-    return f"{type(packet).__name__:<9} {piece.hex(' '):<17}  {words}".rstrip()
+def _describe(piece: bytes, packet: AnyPacket) -> str:
+    values = "  ".join(f"{name} {value}" for name, value in _fields(packet).items() if name != "data")
+    return f"{type(packet).__name__:<9} {piece.hex(' '):<17}  {values}".rstrip()
 
 
 def _name(robot: int) -> str:
-    return "all" if robot == EVERYONE else f"r{robot}" if robot >= 0 else "nobody"
+    return "all" if robot == EVERYONE else f"r{robot}" if robot >= 0 else "none"
 
 
 def _or_dash(number: int) -> str:

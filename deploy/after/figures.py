@@ -22,8 +22,8 @@ from deploy.after.archive import Archive
 from deploy.dashboard.shapes import outline_strips
 from deploy.record.colors import GROUPS
 from deploy.record.map_pictures import rgb, robot_color, save, show_grid
-from deploy.scenario.tables import UNLIMITED
 from netshaper.ledger import CAUSES
+from protocol.budget import WORD_FOR_UNLIMITED
 from protocol.grid import FREE
 
 MAPS_OVER_TIME, APPROXIMATION, CHANNEL_LOAD = "maps-over-time.png", "approximation.png", "channel-load.png"
@@ -146,7 +146,7 @@ def compared(archives: dict[str, Archive]) -> Figure:
         total = carried.sum() / 1000
         load.step(np.arange(1, len(carried) + 1), carried, color=color, linewidth=1, where="mid",
                   label=f"{name}: {total:.0f} kB in total")  # fmt: skip
-    if len(budgets) == 1 and UNLIMITED not in budgets:
+    if len(budgets) == 1 and WORD_FOR_UNLIMITED not in budgets:
         load.axhline(float(*budgets), color=RED, linewidth=1.2, label="budget")
     explored.set_title("Explored")
     explored.set_ylabel("% of reachable area, seen by the team")

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from deploy.record.records import Records
 from deploy.run.process_table import ProcessTable
-from deploy.run.processes import FAREWELL_S, wait_for_a_turn
+from deploy.run.processes import FAREWELL_S, schedule_as_batch
 from deploy.run.recording_bus import RecordingBus, record_run
 from deploy.run.rendezvous import on_loopback
 from deploy.scenario.plan import Plan
@@ -103,7 +103,7 @@ def _replay_hub(
 def _replay_client(credential: Credential, script: Script) -> None:
     """Replay the script of a robot or the world."""
     if names.is_robot(credential.name):
-        wait_for_a_turn()
+        schedule_as_batch()
     send_along()
     with closing(join(credential)) as bus:
         _replay(bus, Keys(credential.run), script)

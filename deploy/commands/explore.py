@@ -154,7 +154,7 @@ def _explore(
             result = exploration.explore(
                 scenario,
                 watch=watch,
-                tell=errors.print,
+                notify=errors.print,
                 window=window,
                 hosts=hosts,
                 control=control,

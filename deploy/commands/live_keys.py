@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable, Iterator
 
 from deploy.run.control import Control
-from deploy.scenario.tables import UNLIMITED
+from protocol.budget import WORD_FOR_UNLIMITED
 
 HELP = "space pause, s step, + - speed, k kill, b bandwidth, r range"
 ASKING = {"k": "kill robot", "b": "bandwidth", "r": "range"}
@@ -69,7 +69,7 @@ class Keys:
                 return f"robot {value} will be killed at the next step"
             if asked == "b":
                 self._control.change(bandwidth=value)
-                return f"bandwidth {value}{'' if value == UNLIMITED else ' B'} from the next step"
+                return f"bandwidth {value}{'' if value == WORD_FOR_UNLIMITED else ' B'} from the next step"
             self._control.change(range=value)
         except ValueError as error:
             return str(error)

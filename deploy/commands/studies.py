@@ -81,13 +81,10 @@ def sweep(
     any_code: AnyCodeFlag = False,
 ) -> None:
     """Run a scenario over a grid of settings, on the memory bus, and print the table defined in the file."""
-    from deploy.commands import terminal  # noqa: PLC0415
     from deploy.run.workers import workers  # noqa: PLC0415
     from deploy.study import experiment as experiments  # noqa: PLC0415
     from deploy.study import plots  # noqa: PLC0415
-    from deploy.study.results import Results, write_table  # noqa: PLC0415
-    from deploy.study.runs import cases, failures, looked_up, make  # noqa: PLC0415
-    from deploy.study.tables import described, tabulate  # noqa: PLC0415
+    from deploy.study.results import Results  # noqa: PLC0415
 
     with report_user_errors():
         settings = named_values(set_ or [], "set", "seed=[0,1]")
@@ -96,24 +93,46 @@ def sweep(
         read = experiments.read(experiment)
         read = experiments.quickened(read) if quick else read
         read = experiments.override(experiments.choose(read, variant or []), settings)
-        todo = cases(read)
         with Results(out) as results:
-            try:
-                with running(read.name, out) as tell:
-                    make(todo, results, workers(jobs, scheduler), tell, any_code=any_code, retry=retry)
-            finally:
-                done = looked_up(todo, results)
-                report_failures(failures(todo, results))
-                if done:
-                    of = f" of {len(todo)}" if len(done) < len(todo) else ""
-                    screen.print(f"{read.name}: {' '.join(read.table.values)}, means of {len(done)}{of} runs")
-                    print_table(terminal.table(tabulate(read.table, done)))
-                    if table is not None:
-                        write_table(described(read.table, done), table)
+            done = _run_sweep(
+                read, results, workers(jobs, scheduler), out, table, any_code=any_code, retry=retry
+            )
             for number, each in enumerate(read.plots if plot is not None and done else (), 1):
                 assert plot is not None
                 file = plot if number == 1 else plot.with_stem(f"{plot.stem}-{number}")
                 plots.save(plots.draw(each, done, results), file)
+
+
+def _run_sweep(
+    read: Any,
+    results: Any,
+    workers: Any,
+    out: Path | None,
+    table: Path | None,
+    *,
+    any_code: bool,
+    retry: bool,
+) -> Any:
+    """Run the cases of an experiment and print its table, also after Ctrl-C; return the runs."""
+    from deploy.commands import terminal  # noqa: PLC0415
+    from deploy.study.results import write_table  # noqa: PLC0415
+    from deploy.study.runs import cases, failures, looked_up, make  # noqa: PLC0415
+    from deploy.study.tables import described, tabulate  # noqa: PLC0415
+
+    todo = cases(read)
+    try:
+        with running(read.name, out) as progress:
+            make(todo, results, workers, progress, any_code=any_code, retry=retry)
+    finally:
+        done = looked_up(todo, results)
+        report_failures(failures(todo, results))
+        if done:
+            of = f" of {len(todo)}" if len(done) < len(todo) else ""
+            screen.print(f"{read.name}: {' '.join(read.table.values)}, means of {len(done)}{of} runs")
+            print_table(terminal.table(tabulate(read.table, done)))
+            if table is not None:
+                write_table(described(read.table, done), table)
+    return done
 
 
 @app.command()
@@ -142,7 +161,7 @@ def reproduce(
 
     with report_user_errors():
         settings = {"seed": list(range(seeds))} if seeds is not None else {}
-        found = reproduction.asked(claim or [], quick=quick, settings=settings)
+        found = reproduction.requested(claim or [], quick=quick, settings=settings)
         make_folder(out)
         runs = out / reproduction.RUNS
         with Results(runs) as results:
@@ -162,10 +181,10 @@ def reproduce(
         lines = [["claim", "", "verdict", "tests", "runs"]]
         for each in done.claims:
             counts = each.verdict.counts
-            lines.append([each.claim.id, each.claim.statement, each.verdict.word, counts, str(each.runs)])
+            lines.append([each.claim.id, each.claim.statement, each.verdict.result, counts, str(each.runs)])
             for part in each.parts:
                 report_failures(part.failures)
-        lines += [[name, "", "no experiment", "", "0"] for name in done.unasked]
+        lines += [[name, "", "no experiment", "", "0"] for name in done.without_experiment]
         print_table(terminal.table(lines))
         screen.print(f"Results: {', '.join(map(str, pages))}" + (" (quick)" if quick else ""))
     raise typer.Exit(0 if done.all_hold else 1)

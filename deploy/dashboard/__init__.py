@@ -1,4 +1,4 @@
-"""The live view: a viewer on the bus, what it draws, the windows that show it (docs/dashboard.md).
+"""The live dashboard: a viewer on the bus, its drawing, and the windows that show it (docs/dashboard.md).
 
 It builds on `record`. Start with `process.py`, the viewer; `run_events.py` follows the run, `recorder.py` draws
 it for Rerun.

@@ -7,21 +7,21 @@ from deploy.scenario.plan import Plan
 TEXT = """\
 **{robots} robots explore an unknown building.** Sensor range: {sensor:g} m. Radio: {medium}.
 
-**Left: the true map.** A line leads to each target. {circles}Links: green ones carry data, grey ones could.{chosen}
+**Left: the true map.** A line leads to each target. {circles}Links: green with traffic, gray in range.{chosen}
 
-**Right: what each robot knows.** Floor is white, wall black, grey unknown. {outlines}
+**Right: each robot's map.** White: free, black: wall, gray: unknown. {outlines}
 
-**Below: the radio.** {budget}Bytes a step, and what for. Thick line: what the team has seen; in colours: what \
-each robot has on its map. The gap is news still under way.
+**Below: the radio.** {budget}Bytes per step, by type. Thick line: area seen by the team; colored lines: area on \
+each robot's map. The gap is map data not yet received.
 """
-OUTLINES = "Faint outlines were received."
+OUTLINES = "Pale outlines: received from teammates."
 
 
-def map_id(plan: Plan) -> str:
+def explain(plan: Plan) -> str:
     """Explain the dashboard, in markdown, with the figures of this run."""
     budget = plan.radio.budget
     polygons = plan.scenario.map_encoding == "polygons"
-    medium = "unlimited bandwidth" if budget.unlimited else f"{budget} bytes a step (a second)"
+    medium = "unlimited bandwidth" if budget.unlimited else f"{budget} bytes per step (one second)"
     medium += f", range {plan.range_m:.0f} m"
     return TEXT.format(
         robots=plan.scenario.robots,
@@ -29,11 +29,11 @@ def map_id(plan: Plan) -> str:
         medium=medium,
         chosen=" Tabs show one robot each." if plan.scenario.robots > 1 else "",
         circles="Circles: radio range. " if shows_range(plan) else "",
-        outlines=OUTLINES if polygons else "What it has not seen itself it was told.",
+        outlines=OUTLINES if polygons else "It includes map data received from teammates.",
         budget="" if budget.unlimited else "Red: the limit. ",
     )
 
 
 def shows_range(plan: Plan) -> bool:
-    """Whether the radio's range is worth drawing: not if robots hear each other nearly everywhere."""
+    """Whether to draw the radio range: not if it covers most of the map."""
     return plan.range_m < plan.map.diagonal_m / 2

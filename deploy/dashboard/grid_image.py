@@ -1,4 +1,4 @@
-"""A grid as a small PNG picture, made without unpacking its cells."""
+"""Grids as small PNG pictures, without unpacking their cells."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from deploy.record.colors import ALARM, CELLS
 def map_picture(width: int, height: int, cells: bytes) -> bytes:
     """Return a PNG picture of a grid as `protocol.messages.grid_to_bytes` writes it.
 
-    Its rows are those of a PNG with four colours as they are, so nothing is unpacked on the way.
+    The packed rows are valid rows of a PNG with four colors.
     """
     row = -(-width // 4)
     rows = b"".join(b"\0" + cells[row * y : row * (y + 1)] for y in range(height))

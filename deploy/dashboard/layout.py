@@ -13,28 +13,28 @@ from deploy.record.colors import QUIET
 from deploy.scenario.plan import Plan
 
 MOST = 8
-"""Robots that are shown at once; more of them go to tabs."""
+"""Maximum number of robot maps per tab."""
 RADIO_SHARES = [30, 20, 19, 18, 16, 25]
 """Widths of the views below."""
 
 
 def layout(plan: Plan) -> rrb.Blueprint:
-    """Lay the dashboard of a run out."""
+    """The layout of a run's dashboard."""
     robots = range(plan.scenario.robots)
-    world = _map("/world", "The building as it is [m]", plan, ["/world/**", "/ways/**"], margin=0.12)
+    world = _map("/world", "True map [m]", plan, ["/world/**", "/paths/**"], margin=0.12)
     chosen = [_chosen(robot, plan) for robot in robots] if len(robots) > 1 else []
-    robot_settings = [
-        _map(f"/minds/{robot}", f"Robot {robot} knows", plan, [f"/minds/{robot}/**", f"/ways/{robot}"], 0.24)
+    robot_maps = [
+        _map(f"/robots/{robot}", f"Robot {robot} map", plan, [f"/robots/{robot}/**", f"/paths/{robot}"], 0.24)
         for robot in robots
     ]
-    columns = len(robot_settings) if len(robot_settings) < 4 else -(-min(len(robot_settings), MOST) // 2)
+    columns = len(robot_maps) if len(robot_maps) < 4 else -(-min(len(robot_maps), MOST) // 2)
     pages = [
         rrb.Grid(
-            *robot_settings[first : first + MOST],
+            *robot_maps[first : first + MOST],
             grid_columns=columns,
-            name=f"robots {first}-{min(first + MOST, len(robot_settings)) - 1}",
+            name=f"robots {first}-{min(first + MOST, len(robot_maps)) - 1}",
         )
-        for first in range(0, len(robot_settings), MOST)
+        for first in range(0, len(robot_maps), MOST)
     ]
     return rrb.Blueprint(
         rrb.Vertical(
@@ -52,9 +52,11 @@ def layout(plan: Plan) -> rrb.Blueprint:
 
 
 def _chosen(robot: int, plan: Plan) -> rrb.Spatial2DView:
-    """The true map with one robot in its colour, its way and its target; the others are grey discs with numbers."""
+    """The true map with one robot in color, with its path and target; the others are gray discs with numbers."""
     contents = ["+ /world/**", "- /world/targets/**", "- /world/ranges"]
-    contents += [f"+ {path}" for path in (f"/ways/{robot}", f"/minds/{robot}/self", f"/minds/{robot}/target")]
+    contents += [
+        f"+ {path}" for path in (f"/paths/{robot}", f"/robots/{robot}/self", f"/robots/{robot}/target")
+    ]
     dimmed = {"/world/robots": rr.Points2D.from_fields(colors=[QUIET]).visualizer()}
     return _map("/world", f"{robot}", plan, contents, 0.1, dimmed)
 
@@ -81,16 +83,16 @@ def _map(
 def _radio() -> list[rrb.View]:
     no_legend = rrb.PlotLegend(visible=False)
     return [
-        rrb.TextDocumentView(origin="/about", name="What you see"),
+        rrb.TextDocumentView(origin="/help", name="Help"),
         rrb.TimeSeriesView(
-            origin="/air",
-            contents=["/air/load", "/air/budget"],
-            name="On the air [B]",
+            origin="/traffic",
+            contents=["/traffic/load", "/traffic/budget"],
+            name="Transmitted [B]",
             plot_legend=no_legend,
         ),
         rrb.Spatial2DView(
-            origin="/air/shares",
-            name="What for",
+            origin="/traffic/shares",
+            name="Traffic by type",
             visual_bounds=rrb.VisualBounds2D(x_range=[-5, 105], y_range=[0, SHARES_HEIGHT]),
         ),
         rrb.TimeSeriesView(
@@ -99,10 +101,10 @@ def _radio() -> list[rrb.View]:
             plot_legend=no_legend,
             axis_y=rrb.ScalarAxis(range=(0, 102)),
         ),
-        rrb.TimeSeriesView(origin="/backlog", name="Untold", plot_legend=no_legend),
+        rrb.TimeSeriesView(origin="/backlog", name="Undelivered packets", plot_legend=no_legend),
         rrb.TextLogView(
             origin="/events",
-            name="What happens",
+            name="Events",
             columns=rrb.TextLogColumns(
                 timeline_columns=[rrb.encodings.TimelineColumn(TIMELINE, visible=False)],
                 text_log_columns=["Body"],

@@ -1,7 +1,7 @@
-"""The viewer's shell: one more end of the bus, which only listens. It records, and serves what it records.
+"""The viewer process: it receives the reports of a run over the bus, records them and serves the recording.
 
-No participant waits for it: messages that it cannot take in time are dropped (`protocol.keys.may_be_dropped`),
-and if it hangs or dies, the run is not affected.
+No participant waits for it. Messages that it cannot receive in time are dropped (`protocol.keys.may_be_dropped`); if it
+hangs or dies, the run is not affected.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from protocol.zenoh_bus import Credential, join
 
 RECORDING = "run.rrd"
 LAST_S = 0.2
-"""Silence after the run's end by which all has been heard: the relay's last word can overtake those of robots."""
+"""Silence after the end of the run before the viewer stops: the relay's last message can overtake those of robots."""
 
 TICK_S = 0.25
 """How often a viewer that receives nothing checks whether it was asked to stop."""
@@ -34,8 +34,8 @@ TICK_S = 0.25
 class Watcher(Protocol):
     """A consumer of a run's reports."""
 
-    def take(self, sender: str, said: object) -> None:
-        """Take what `sender` reports."""
+    def take(self, sender: str, report: object) -> None:
+        """Process a report of `sender`."""
 
 
 @dataclass(frozen=True)
@@ -65,18 +65,18 @@ class ViewNode:
         self._watchers = watchers
 
     def handle(self, message: Message) -> None:
-        """Take one message from the bus; one that makes no sense is shown as a fault of its sender's."""
+        """Process one message from the bus; show a malformed one as a protocol error of its sender."""
         sender = names.parts(message.key)[3]
         try:
             self._show(sender, rights.read(*message))
         except ProtocolError as error:
             self._show(sender, Fault(sender, clip(str(error))))
 
-    def _show(self, sender: str, said: object) -> None:
-        if isinstance(said, Shutdown):
+    def _show(self, sender: str, report: object) -> None:
+        if isinstance(report, Shutdown):
             self.done = True
         for watcher in self._watchers:
-            watcher.take(sender, said)
+            watcher.take(sender, report)
 
 
 @contextlib.contextmanager
@@ -89,9 +89,9 @@ def watching(task: ViewTask) -> Iterator[ViewNode]:
 
 
 def serve(credential: Credential, task: ViewTask, ready: Callable[[], object] = lambda: None) -> bool:
-    """Watch a run until it is over, the hub is gone, or SIGTERM or Ctrl-C; call `ready` once on the bus.
+    """View a run until it is over, the hub is gone, or SIGTERM or Ctrl-C; call `ready` once on the bus.
 
-    Return whether it ended by itself.
+    Return whether the run ended by itself.
     """
     with _requests() as asked, watching(task) as node:
         bus = join(credential)
@@ -105,7 +105,7 @@ def serve(credential: Credential, task: ViewTask, ready: Callable[[], object] = 
                     break
         except BusClosed as error:
             if not node.done:
-                print(f"{error}; what was seen until then is kept", file=sys.stderr)
+                print(f"{error}; the recording until then is kept", file=sys.stderr)
         finally:
             bus.close()
     return not asked
@@ -113,7 +113,7 @@ def serve(credential: Credential, task: ViewTask, ready: Callable[[], object] = 
 
 @contextlib.contextmanager
 def _requests() -> Iterator[list[int]]:
-    """Collect SIGTERM and Ctrl-C instead of being killed; a launcher's child keeps ignoring Ctrl-C."""
+    """Collect SIGTERM and Ctrl-C instead of terminating; a child of the launcher keeps ignoring Ctrl-C."""
     asked: list[int] = []
     before = {
         number: signal.signal(number, lambda signum, _: asked.append(signum))
@@ -128,7 +128,7 @@ def _requests() -> Iterator[list[int]]:
 
 
 def free_name(path: Path) -> Path:
-    """The path itself, or one with a number if there is such a file already."""
+    """The path, with a number appended if the file already exists."""
     number, free = 2, path
     while free.exists():
         free = path.with_stem(f"{path.stem}-{number}")

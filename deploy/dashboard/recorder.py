@@ -1,8 +1,7 @@
-"""What the dashboard shows, as Rerun logs it: to a file, and to all connected viewers.
+"""The contents of the dashboard, logged to Rerun: to a file, and to all connected viewers.
 
-Everything is on one timeline, the steps of the run. What does not change (colours, names, widths) is logged
-once; a step then costs some thirty small rows. Paths of entities are those that `deploy.dashboard.layout`
-puts into views.
+Everything is on one timeline, the steps of the run. Constant properties (colors, names, widths) are logged once; a step
+then takes about thirty small rows. `deploy.dashboard.layout` arranges the entities in views.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from deploy.dashboard.explanation import map_id, shows_range
+from deploy.dashboard.explanation import explain, shows_range
 from deploy.dashboard.grid_image import map_picture
 from deploy.dashboard.run_events import Event, RunEvents
 from deploy.dashboard.shapes import axes, corner, flip, number_strips, outline_strips
@@ -45,11 +44,11 @@ NAN = float("nan")
 SHARES_EVERY = 5
 """Steps from one drawing of the traffic shares to the next."""
 SHARES_HEIGHT, BAR_LENGTH = 150.0, 42.0
-"""Height of the picture of the traffic shares, whose width is 100, and the longest bar; the rest is for names."""
+"""Height of the picture of traffic shares, which is 100 wide, and the length of its longest bar."""
 LABEL_DROP = 0.26
 """How far below its point a label appears, in rows of that picture."""
 FAINT = 0.5
-"""How pale outlines that were received from others are; lines have no opacity in Rerun, but turn black."""
+"""Paleness of outlines received from teammates; Rerun draws lines with opacity black."""
 MAP_ORDER, RANGE_ORDER, WAY_ORDER, OUTLINE_ORDER, LINK_ORDER, TARGET_ORDER, ROBOT_ORDER = range(0, 70, 10)
 """The drawing order of layers."""
 
@@ -77,28 +76,28 @@ class Recorder:
         stream.set_time(TIMELINE, sequence=0)
         self._draw_maps()
         self._draw_styles()
-        self._log("about", rr.TextDocument(map_id(plan), media_type=rr.MediaType.MARKDOWN), static=True)
+        self._log("help", rr.TextDocument(explain(plan), media_type=rr.MediaType.MARKDOWN), static=True)
 
-    def take(self, sender: str, said: Any) -> None:
-        """Draw what is reported."""
-        events = self.events.take(sender, said)
+    def take(self, sender: str, report: Any) -> None:
+        """Draw a report of `sender`."""
+        events = self.events.take(sender, report)
         self._stream.set_time(TIMELINE, sequence=self.events.step)
-        if isinstance(said, WorldReport):
+        if isinstance(report, WorldReport):
             self._draw_world()
-        elif isinstance(said, RadioReport):
-            self._draw_air()
-        elif isinstance(said, Snapshot):
-            self._draw_planning_map(names.number(sender), said)
-        elif isinstance(said, Outlines):
-            outlines = rr.LineStrips2D.from_fields(strips=outline_strips(self._plan.map, said.vertices))
-            self._log(f"minds/{names.number(sender)}/outlines/{said.map_id}", outlines)
-        elif isinstance(said, End):
+        elif isinstance(report, RadioReport):
+            self._draw_traffic()
+        elif isinstance(report, Snapshot):
+            self._draw_planning_map(names.number(sender), report)
+        elif isinstance(report, Outlines):
+            outlines = rr.LineStrips2D.from_fields(strips=outline_strips(self._plan.map, report.vertices))
+            self._log(f"robots/{names.number(sender)}/outlines/{report.map_id}", outlines)
+        elif isinstance(report, End):
             self._draw_world()
         for event in events:
             self._log("events", _line(event))
 
-    def _log(self, path: str, *what: Any, static: bool = False) -> None:
-        self._stream.log(path, *what, static=static)
+    def _log(self, path: str, *values: Any, static: bool = False) -> None:
+        self._stream.log(path, *values, static=static)
 
     def _draw_maps(self) -> None:
         """The true map, and an empty one for each robot, with axes."""
@@ -106,7 +105,7 @@ class Recorder:
         cell = world.resolution
         place = rr.Transform3D(translation=[*corner(world), 0], scale=[cell, cell, 1])
         cells = grid_to_bytes(world.cells)
-        for tree in ("world", *(f"minds/{robot}" for robot in self._robots)):
+        for tree in ("world", *(f"robots/{robot}" for robot in self._robots)):
             self._log(f"{tree}/map", place, static=True)
             picture = map_picture(world.width, world.height, cells if tree == "world" else bytes(len(cells)))
             self._log(f"{tree}/map", _image(picture))
@@ -117,7 +116,7 @@ class Recorder:
             self._log(f"{tree}/axes/labels", ticks, static=True)
 
     def _draw_styles(self) -> None:
-        """Everything that never changes: colours, line widths, names of series."""
+        """Log constant properties: colors, line widths, names of series."""
         colors = [robot_color(robot) for robot in self._robots]
         style = rr.LineStrips2D.from_fields
         lines = {
@@ -127,43 +126,43 @@ class Recorder:
             "world/robots/numbers": style(colors=[PAPER], radii=[_px(0.9)], draw_order=ROBOT_ORDER + 1),
         }
         for robot in self._robots:
-            lines[f"ways/{robot}"] = style(
+            lines[f"paths/{robot}"] = style(
                 colors=[robot_color(robot)], radii=[_px(0.6)], draw_order=WAY_ORDER
             )
-            for about_robot in self._robots:
-                own = about_robot == robot
-                lines[f"minds/{robot}/outlines/{about_robot}"] = style(
-                    colors=[robot_color(about_robot) if own else mix(robot_color(about_robot), PAPER, FAINT)],
+            for maker in self._robots:
+                own = maker == robot
+                lines[f"robots/{robot}/outlines/{maker}"] = style(
+                    colors=[robot_color(maker) if own else mix(robot_color(maker), PAPER, FAINT)],
                     radii=[_px(0.6 if own else 0.3)],
                     draw_order=OUTLINE_ORDER + own,
                 )
             disc = rr.Points2D.from_fields(
                 colors=[robot_color(robot)], radii=[self._disc], draw_order=ROBOT_ORDER + 0.5
             )
-            self._log(f"minds/{robot}/self", disc, static=True)
+            self._log(f"robots/{robot}/self", disc, static=True)
             mark = rr.Points2D.from_fields(
                 colors=[robot_color(robot)], radii=[self._disc / 2], draw_order=TARGET_ORDER
             )
-            self._log(f"minds/{robot}/target", mark, static=True)
+            self._log(f"robots/{robot}/target", mark, static=True)
         for path, line in lines.items():
             self._log(path, line, static=True)
         team = rr.SeriesLines(names=["seen by the team"], colors=[TEAM], widths=[4])
         self._log("explored/team", team, static=True)
-        for path, word in (("explored/maps", "on the map of robot"), ("backlog", "robot")):
-            named = [f"{word} {robot}" for robot in self._robots]
+        for path, label in (("explored/maps", "on the map of robot"), ("backlog", "robot")):
+            named = [f"{label} {robot}" for robot in self._robots]
             series = rr.SeriesLines(names=named, colors=colors, widths=[1.5] * len(colors))
             self._log(path, series, static=True)
         groups = list(GROUPS.values())
         load = rr.SeriesLines(
-            names=["all together", *(group.label for group in groups)],
+            names=["total", *(group.label for group in groups)],
             colors=[TEAM, *(group.color for group in groups)],
             widths=[2.5, *(1.5 for _ in groups)],
         )
-        self._log("air/load", load, static=True)
-        self._log("air/budget", rr.SeriesLines(names=["budget"], colors=[ALARM], widths=[2]), static=True)
+        self._log("traffic/load", load, static=True)
+        self._log("traffic/budget", rr.SeriesLines(names=["budget"], colors=[ALARM], widths=[2]), static=True)
 
     def _draw_world(self) -> None:
-        """Positions, targets, radio links, explored area."""
+        """Draw positions, targets and explored area."""
         events = self.events
         robots = sorted(events.positions)
         places = [flip(events.positions[robot]) for robot in robots]
@@ -188,10 +187,10 @@ class Recorder:
             self._log("world/ranges", circles)
         for robot, place in zip(robots, places, strict=True):
             way = np.array(events.ways[robot]) * (1, -1)
-            self._log(f"ways/{robot}", rr.LineStrips2D.from_fields(strips=[way]))
-            self._log(f"minds/{robot}/self", rr.Points2D.from_fields(positions=[place]))
+            self._log(f"paths/{robot}", rr.LineStrips2D.from_fields(strips=[way]))
+            self._log(f"robots/{robot}/self", rr.Points2D.from_fields(positions=[place]))
             target = [flip(events.targets[robot])] if robot in events.targets else []
-            self._log(f"minds/{robot}/target", rr.Points2D.from_fields(positions=target))
+            self._log(f"robots/{robot}/target", rr.Points2D.from_fields(positions=target))
         self._draw_targets()
         self._log("explored/team", rr.Scalars(100 * events.seen))
         self._log("explored/maps", rr.Scalars(self._explored))
@@ -208,18 +207,20 @@ class Recorder:
         )
         self._log("world/targets", marks)
 
-    def _draw_air(self) -> None:
-        """The traffic of the step, in total and between robots."""
+    def _draw_traffic(self) -> None:
+        """Draw the traffic of the step, in total and between robots."""
         events = self.events
-        air = events.traffic
-        assert air is not None
+        traffic = events.traffic
+        assert traffic is not None
         used = {group for group in GROUPS if any(kind in events.bytes for kind in GROUPS[group].kinds)}
-        load = [air.groups[group] if group in used else NAN for group in GROUPS]
-        self._log("air/load", rr.Scalars([air.carried, *load]))
+        load = [traffic.groups[group] if group in used else NAN for group in GROUPS]
+        self._log("traffic/load", rr.Scalars([traffic.carried, *load]))
         if events.budget.limit is not None:
-            self._log("air/budget", rr.Scalars(events.budget.limit))
+            self._log("traffic/budget", rr.Scalars(events.budget.limit))
         here = events.positions
-        busy = {pair: size for pair, size in sorted(air.talks.items()) if pair[0] in here and pair[1] in here}
+        busy = {
+            pair: size for pair, size in sorted(traffic.links.items()) if pair[0] in here and pair[1] in here
+        }
         quiet = sorted(events.in_range - busy.keys())
         for path, pairs in (("quiet", quiet), ("busy", list(busy))):
             strips = [(flip(here[a]), flip(here[b])) for a, b in pairs]
@@ -229,7 +230,7 @@ class Recorder:
             self._draw_shares()
 
     def _draw_shares(self) -> None:
-        """Bars of the bytes so far by purpose, the longest on top, each with its name beside it."""
+        """Draw bars of the bytes so far by traffic type, the longest on top, each with its label."""
         spent = {
             group: sum(self.events.bytes.get(kind, 0) for kind in GROUPS[group].kinds) for group in GROUPS
         }
@@ -245,13 +246,15 @@ class Recorder:
             places.append(((BAR_LENGTH + 100) / 2, down - LABEL_DROP * row))
             labels.append(f"{group} {share:.0f} %")
         colors = [GROUPS[group].color for group in shown]
-        self._log("air/shares/bars", rr.LineStrips2D(bars, colors=colors, radii=[0.2 * row]))
+        self._log("traffic/shares/bars", rr.LineStrips2D(bars, colors=colors, radii=[0.2 * row]))
         named = rr.Points2D(places, labels=labels, colors=colors, radii=[_px(0.1)], show_labels=True)
-        self._log("air/shares/names", named)
+        self._log("traffic/shares/names", named)
 
-    def _draw_planning_map(self, robot: int, said: Snapshot) -> None:
-        self._log(f"minds/{robot}/map", _image(map_picture(said.width, said.height, said.planning)))
-        grid = grid_from_bytes(said.planning, said.width, said.height)
+    def _draw_planning_map(self, robot: int, snapshot: Snapshot) -> None:
+        self._log(
+            f"robots/{robot}/map", _image(map_picture(snapshot.width, snapshot.height, snapshot.planning))
+        )
+        grid = grid_from_bytes(snapshot.planning, snapshot.width, snapshot.height)
         self._explored[robot] = 100 * float((grid[self._reachable] == FREE).mean())
 
 
@@ -262,7 +265,7 @@ def _image(png: bytes) -> rr.EncodedImage:
 
 
 def _px(size: float) -> Any:
-    """A radius in points on the screen, whatever the zoom."""
+    """A radius in points on the screen, independent of the zoom."""
     return -size
 
 

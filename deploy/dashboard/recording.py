@@ -11,21 +11,21 @@ import rerun as rr
 
 from deploy.dashboard.layout import layout
 from deploy.dashboard.recorder import Recorder
-from deploy.dashboard.windows import LOOPBACK, optimise
+from deploy.dashboard.windows import LOOPBACK, optimize
 from deploy.scenario.plan import Plan
 
 FLUSH_S = 1.0
-"""How long rows are gathered before they are written and sent: fewer, larger pieces make smaller files."""
+"""Seconds for which rows are gathered before they are written: larger chunks make smaller files."""
 SERVER_MEMORY = "1GiB"
 LAST_S = 5.0
-"""How long the last rows may take to be written and sent."""
+"""Seconds in which the last rows must be written."""
 
 
 @contextlib.contextmanager
 def recording(plan: Plan, path: Path, port: int | None) -> Iterator[Recorder]:
-    """Record a run to a file, and serve it while it is made if a port is given.
+    """Record a run to a file, and serve it during the run if a port is given.
 
-    At the end the file is rewritten: a quarter smaller, and faster to open.
+    At the end the file is rewritten, which makes it a quarter smaller and faster to open.
     """
     stream = rr.RecordingStream("murmur", batcher_config=rr.ChunkBatcherConfig(flush_tick=FLUSH_S))
     sinks: list[Any] = [rr.FileSink(path)]
@@ -37,4 +37,4 @@ def recording(plan: Plan, path: Path, port: int | None) -> Iterator[Recorder]:
     finally:
         stream.flush(timeout_sec=LAST_S)
         stream.disconnect()
-        optimise(path)
+        optimize(path)

@@ -1,4 +1,4 @@
-"""The events of a run, step by step, from the reports of its participants. Nothing is drawn here."""
+"""The state and the events of a run, step by step, from the reports of its participants, without drawing."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from worldsim.maps import to_world
 BUDGET = CAUSES.index("budget")
 
 NEAR = 0.5
-"""A new target within this part of the sensor range of the old one is the same frontier, moved on."""
+"""Share of the sensor range: a new target nearer to the old one counts as the same frontier."""
 
 
 @dataclass(frozen=True)
@@ -43,13 +43,13 @@ class StepTraffic:
         Bytes carried, by group of packet kinds (`deploy.record.colors.GROUPS`).
     cut : int
         Bytes that were sent but did not fit.
-    talks : dict
+    links : dict
         Bytes carried between each pair of robots (lower number first).
     """
 
     groups: dict[str, int]
     cut: int
-    talks: dict[tuple[int, int], int]
+    links: dict[tuple[int, int], int]
 
     @property
     def carried(self) -> int:
@@ -64,7 +64,7 @@ class RunEvents:
     plan: Plan
     step: int = 0
     positions: dict[int, Point] = field(default_factory=dict)
-    """Where each living robot truly is."""
+    """The true position of each living robot."""
     ways: dict[int, list[Point]] = field(default_factory=dict)
     """Each robot's path: its corners, and the current position."""
     targets: dict[int, Point] = field(default_factory=dict)
@@ -77,33 +77,33 @@ class RunEvents:
     """Bytes carried so far, by packet kind."""
     idle: set[int] = field(default_factory=set)
     budget: Budget = UNLIMITED
-    """Bytes that the team may put on the air in this step."""
+    """Bytes that the team may transmit in this step."""
     range_m: float = 0.0
     _full: bool = False
-    _said_targets: dict[int, Point] = field(default_factory=dict)
+    _logged_targets: dict[int, Point] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.budget, self.range_m = self.plan.radio.budget, self.plan.range_m
 
-    def take(self, sender: str, said: object) -> list[Event]:
-        """Take a report; return the resulting events."""
-        if isinstance(said, WorldReport):
-            return self._world(said)
-        if isinstance(said, RadioReport):
-            return self._radio(said)
-        if isinstance(said, RobotStatus):
-            return self._mind(names.number(sender), said)
-        if isinstance(said, Lost):
-            self.positions.pop(said.robot, None)
-            self.targets.pop(said.robot, None)
-            self.in_range = {pair for pair in self.in_range if said.robot not in pair}
-            return [Event(self.step, f"robot {said.robot} is lost: {said.cause}", 2)]
-        if isinstance(said, Change):
-            return self._change(said)
-        if isinstance(said, Fault):
-            return [Event(self.step, f"{said.who} sent a malformed message: {said.what}", 2)]
-        if isinstance(said, End):
-            return [Event(self.step, self._ending(said), 1)]
+    def take(self, sender: str, report: object) -> list[Event]:
+        """Process a report; return the resulting events."""
+        if isinstance(report, WorldReport):
+            return self._world(report)
+        if isinstance(report, RadioReport):
+            return self._radio(report)
+        if isinstance(report, RobotStatus):
+            return self._status(names.number(sender), report)
+        if isinstance(report, Lost):
+            self.positions.pop(report.robot, None)
+            self.targets.pop(report.robot, None)
+            self.in_range = {pair for pair in self.in_range if report.robot not in pair}
+            return [Event(self.step, f"robot {report.robot} is lost: {report.cause}", 2)]
+        if isinstance(report, Change):
+            return self._change(report)
+        if isinstance(report, Fault):
+            return [Event(self.step, f"{report.who} sent a malformed message: {report.what}", 2)]
+        if isinstance(report, End):
+            return [Event(self.step, self._ending(report), 1)]
         return []
 
     def _world(self, report: WorldReport) -> list[Event]:
@@ -128,9 +128,9 @@ class RunEvents:
         }
         events = [Event(self.step, f"robot {robot} has broken down", 2) for robot in gone]
         return events + [
-            Event(self.step, f"robots {a} and {b} are in touch")
+            Event(self.step, f"robots {a} and {b} are in range")
             if (a, b) in self.in_range
-            else Event(self.step, f"robots {a} and {b} are out of touch", 1)
+            else Event(self.step, f"robots {a} and {b} are out of range", 1)
             for a, b in sorted(before ^ self.in_range)
             if self.step > 1 and a in self.positions and b in self.positions
         ]
@@ -149,16 +149,16 @@ class RunEvents:
             for name, group in GROUPS.items()
         }
         cut = int(rows["bytes"][rows["cause"] == BUDGET].sum())
-        self.traffic = StepTraffic(groups, cut, _talks(carried))
+        self.traffic = StepTraffic(groups, cut, _link_bytes(carried))
         events = _emergences(report.step, carried)
         full = cut > 0
         if full != self._full and not self.budget.unlimited:
             self._full = full
             if full:
-                events.append(Event(report.step, f"channel full: {cut} bytes wait", 1))
+                events.append(Event(report.step, f"channel full: {cut} bytes over the budget", 1))
         return events
 
-    def _mind(self, robot: int, report: RobotStatus) -> list[Event]:
+    def _status(self, robot: int, report: RobotStatus) -> list[Event]:
         self.backlog[robot] = report.backlog
         events = []
         target = None
@@ -168,35 +168,35 @@ class RunEvents:
             self.targets.pop(robot, None)
         else:
             self.targets[robot] = target
-            said = self._said_targets.get(robot)
-            if said is None or math.dist(said, target) > NEAR * self.plan.scenario.sensor_range:
-                self._said_targets[robot] = target
+            logged = self._logged_targets.get(robot)
+            if logged is None or math.dist(logged, target) > NEAR * self.plan.scenario.sensor_range:
+                self._logged_targets[robot] = target
                 events.append(
                     Event(report.step, f"robot {robot} heads for ({target[0]:.1f}, {target[1]:.1f}) m")
                 )
         idle = report.status.startswith("idle")
         if idle and robot not in self.idle:
-            events.append(Event(report.step, f"robot {robot} is idle: its map is done", 1))
+            events.append(Event(report.step, f"robot {robot} is idle: its map is complete", 1))
         (self.idle.add if idle else self.idle.discard)(robot)
         return events
 
     def _change(self, change: Change) -> list[Event]:
-        words = []
+        changes = []
         if change.budget is not None:
             self.budget = change.budget
-            words.append("unlimited" if self.budget.unlimited else f"{self.budget} bytes a step")
+            changes.append("unlimited" if self.budget.unlimited else f"{self.budget} bytes per step")
         if change.range_mm is not None:
             self.range_m = change.range_mm / 1000
-            words.append(f"range {self.range_m:.1f} m")
-        return [Event(change.step, f"the radio now: {', '.join(words)}", 2)]
+            changes.append(f"range {self.range_m:.1f} m")
+        return [Event(change.step, f"radio changed: {', '.join(changes)}", 2)]
 
     def _ending(self, end: End) -> str:
         if end.first < 0:
-            return f"the run is over: {end.reason}"
+            return f"the run ended: {end.reason}"
         return f"explored; robot {end.first} finished first"
 
 
-def _talks(carried: NDArray[np.void]) -> dict[tuple[int, int], int]:
+def _link_bytes(carried: NDArray[np.void]) -> dict[tuple[int, int], int]:
     talks: dict[tuple[int, int], int] = {}
     unicast = carried[carried["receiver"] != EVERYONE]
     for sender, receiver, size in zip(

@@ -1,6 +1,6 @@
-"""Shapes for the dashboard's maps: positions, axes in metres, paths, numbers on robots.
+"""Shapes for the dashboard's maps: positions, axes in meters, paths, numbers on robots.
 
-The dashboard's plane is the map's frame in metres with y turned down, as pictures have it.
+The dashboard's plane is the map's frame in meters, with y pointing down as in pictures.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ def flip(place: Point) -> Point:
 
 
 def number_strips(number: int, center: Point, height: float) -> list[Strip]:
-    """Draw a number as strokes around a position: readable on a disc of any colour, at any zoom."""
+    """Draw a number as strokes around a position: readable on a disc of any color, at any zoom."""
     digits = str(number)
-    unit = height / 2
-    width = unit * (1.6 * len(digits) - 0.6)
+    scale = height / 2
+    width = scale * (1.6 * len(digits) - 0.6)
     return [
-        [(center[0] - width / 2 + unit * (1.6 * place + x), center[1] + unit * (y - 1)) for x, y in stroke]
+        [(center[0] - width / 2 + scale * (1.6 * place + x), center[1] + scale * (y - 1)) for x, y in stroke]
         for place, digit in enumerate(digits)
         for stroke in _STROKES[int(digit)]
     ]
@@ -54,10 +54,10 @@ def corner(map_: Map) -> Point:
 
 
 def tick_values(first: float, last: float, most: int) -> list[float]:
-    """Round numbers from `first` to `last`, at most about `most` of them."""
+    """Round numbers from `first` to `last`, approximately `most` of them at most."""
     rough = max((last - first) / most, 1e-9)
-    unit = 10.0 ** math.floor(math.log10(rough))
-    step = next(unit * factor for factor in (1, 2, 5, 10) if unit * factor >= rough * 0.999)
+    power = 10.0 ** math.floor(math.log10(rough))
+    step = next(power * factor for factor in (1, 2, 5, 10) if power * factor >= rough * 0.999)
     return [step * k for k in range(math.ceil(first / step - 1e-9), math.floor(last / step + 1e-9) + 1)]
 
 
@@ -83,7 +83,7 @@ def axes(map_: Map, most: int) -> tuple[list[Strip], list[Point], list[str]]:
 
 
 def outline_strips(map_: Map, vertices: bytes) -> list[NDArray[np.float64]]:
-    """Closed outlines in the dashboard's plane, of vertices as `protocol.messages.Outlines` has them."""
+    """Closed outlines in the dashboard's plane, from the vertices of a `protocol.messages.Outlines`."""
     rows = np.frombuffer(vertices, "<i2").reshape(-1, 4)
     if not len(rows):
         return []
@@ -92,14 +92,14 @@ def outline_strips(map_: Map, vertices: bytes) -> list[NDArray[np.float64]]:
     return [np.vstack((part, part[:1])) for part in parts]
 
 
-def extend(way: list[Point], place: Point) -> None:
-    """Append a position to a path; one straight ahead of the last two replaces the last."""
-    if way and way[-1] == place:
+def extend(path: list[Point], place: Point) -> None:
+    """Append a position to a path; it replaces the last one if it continues the line of the last two."""
+    if path and path[-1] == place:
         return
-    if len(way) > 1 and _straight(way[-2], way[-1], place):
-        way[-1] = place
+    if len(path) > 1 and _straight(path[-2], path[-1], place):
+        path[-1] = place
     else:
-        way.append(place)
+        path.append(place)
 
 
 def _straight(a: Point, b: Point, c: Sequence[float]) -> bool:

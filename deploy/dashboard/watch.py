@@ -1,7 +1,7 @@
 """`murmur watch`: view a run in progress, or the recording of one.
 
-A run in progress describes in ``live.json`` how to join it as a viewer: the credential (readable by its owner only),
-and the port at which its own viewer serves the recording from the beginning, if it has one.
+A run in progress writes ``live.json`` for viewers: the credential (readable by its owner only), and the port at which
+its own viewer serves the recording from the beginning, if it has one.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ POLL_S = 0.5
 
 @dataclass(frozen=True)
 class Live:
-    """How to view a run in progress."""
+    """The data that a viewer needs to join a run in progress."""
 
     credential: Credential
     port: int | None
@@ -36,7 +36,7 @@ class Live:
 
 @contextlib.contextmanager
 def announced(directory: Path | None, credential: Credential, port: int | None) -> Iterator[None]:
-    """Write to the run directory how to view the run, as long as it is in progress."""
+    """Keep ``live.json`` in the run directory while the run is in progress."""
     if directory is None:
         yield
         return
@@ -51,7 +51,7 @@ def announced(directory: Path | None, credential: Credential, port: int | None) 
 
 
 def read_live(directory: Path) -> Live | None:
-    """Read how to view a run in progress; None if there is none (the file alone may be left over).
+    """Read ``live.json``; None if no run is in progress (the file may be left over from a killed run).
 
     Raises
     ------
@@ -78,7 +78,7 @@ def watch(directory: Path, window: Window) -> None:
     Raises
     ------
     ScenarioError
-        There is nothing to view.
+        There is neither a run in progress nor a recording.
     """
     live = read_live(directory)
     if live is None:
@@ -109,8 +109,8 @@ def recording_of(directory: Path) -> Path:
     found = sorted(directory.glob(f"{stem}*.{suffix}"), key=lambda path: path.stat().st_mtime_ns)
     if not found:
         raise ScenarioError(
-            f"{directory}: no recording ({RECORDING}), and no run is under way there; "
-            "murmur explore --view, or --view-as file, makes one"
+            f"{directory}: no recording ({RECORDING}), and no run in progress; "
+            "murmur explore --view, or --view-as file, records one"
         )
     return found[-1]
 

@@ -1,7 +1,7 @@
-"""Windows that show a run: Rerun's own viewer, or its page in a browser; always on the loopback, in a separate process.
+"""Windows that show a run: Rerun's viewer, or its web page; always on the loopback, in a separate process.
 
-Rerun is only located here, not imported: the command line starts quickly without it, and says what to install if it
-is missing. Its usage statistics stay off.
+This module locates Rerun but does not import it, so that the command line starts quickly, and names the package to
+install if it is missing. Rerun's usage statistics are disabled.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from urllib.parse import urlencode
 
 LOOPBACK = "127.0.0.1"
 MODES = ("auto", "native", "web", "file")
-"""How a run is shown: as a window, as a page, or recorded only; ``auto`` picks one of the first two."""
+"""Types of viewer: a window, a web page, or recording only; ``auto`` is a window, or a page without a display."""
 PAGE_S = 10.0
-"""How long the page may take until it answers."""
+"""Seconds in which the page must answer."""
 
 QUIET = {"CI": "true"}
 """Environment in which Rerun sends no statistics."""
 
 
 class WindowError(ValueError):
-    """Nothing can be shown: the message says what is missing."""
+    """The run cannot be shown: the message names the missing package or display."""
 
 
 class Window:
@@ -38,7 +38,7 @@ class Window:
     mode : str
         One of `MODES`.
     tell : callable
-        Called with the address, once there is something to show.
+        Called with the address, once the page is available.
 
     Raises
     ------
@@ -51,12 +51,10 @@ class Window:
             raise WindowError(f"view-as = {mode!r}: must be one of {', '.join(MODES)}")
         binary()
         if mode == "native" and not has_display():
-            raise WindowError(
-                "view-as = 'native': there is no display here; try 'web', or 'file' to record only"
-            )
+            raise WindowError("view-as = 'native': no display; use 'web', or 'file' to record only")
         self.mode = mode if mode != "auto" else "native" if has_display() else "web"
         self.port = None if self.mode == "file" else free_port()
-        """Port at which the recording is to be served while it is made."""
+        """Port at which the recording is served during the run."""
         self._page_port = free_port() if self.mode == "web" else None
         self._page: subprocess.Popen[bytes] | None = None
         self._tell = tell
@@ -68,7 +66,7 @@ class Window:
         return f"http://{LOOPBACK}:{self._page_port}/?{query}" if self._page_port else ""
 
     def open(self, recording: Path | None = None) -> None:
-        """Show what is served at `port`, or a recording, which is then served there by the page itself."""
+        """Show the run that is served at `port`, or a recording, which the page itself then serves there."""
         source = self._source if recording is None else str(recording)
         if self.mode == "native":
             _start("--port", "auto", "--hide-welcome-screen", source, apart=True)
@@ -78,18 +76,16 @@ class Window:
             self._page = _start(*flags, "--port", str(self.port if recording else free_port()), source)
             if _answers(self._page, self._page_port or 0):
                 until = "" if recording is None else "  (until Ctrl-C)"
-                self._tell(f"Look at {self.address}{until}")
+                self._tell(f"Dashboard: {self.address}{until}")
             else:
-                self._tell(
-                    f"Rerun's page did not come up at port {self._page_port}; the run is recorded only"
-                )
+                self._tell(f"Rerun's page did not start on port {self._page_port}; the run is only recorded")
 
     @property
     def _source(self) -> str:
         return f"rerun+http://{LOOPBACK}:{self.port}/proxy"
 
     def wait(self) -> None:
-        """Keep the page until it ends or Ctrl-C."""
+        """Wait until the page closes, or Ctrl-C."""
         if self._page is not None:
             try:
                 self._page.wait()
@@ -97,7 +93,7 @@ class Window:
                 self.close()
 
     def close(self) -> None:
-        """Close the page; Rerun's own window is left to the user."""
+        """Close the page; Rerun's window stays open."""
         if self._page is not None and self._page.poll() is None:
             self._page.terminate()
             try:
@@ -109,7 +105,7 @@ class Window:
 
 
 def binary() -> Path:
-    """Rerun's executable; not its wrapper, which leaves the child running when it is terminated."""
+    """Rerun's executable; its wrapper would leave the child running when it is terminated."""
     found = importlib.util.find_spec("rerun_cli")
     if found is None or found.origin is None:
         raise WindowError(
@@ -126,7 +122,7 @@ def has_display() -> bool:
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def optimise(recording: Path) -> None:
+def optimize(recording: Path) -> None:
     """Rewrite a recording in larger pieces; it stays as it is if that fails."""
     beside = recording.with_name(f".{recording.stem}.part.rrd")
     try:

@@ -63,7 +63,7 @@ def serve_netshaper(
         _hand_out(credentials, folder)
         (folder / SCENARIO).write_text(scenario.to_toml(), encoding="utf-8")
         tell(f"run {run} at {endpoint}; credentials in {folder}: {', '.join(credentials)}")
-        relay(bus, run, plan.radio, scenario.reply_timeout_s, tell=tell)
+        relay(bus, run, plan.radio, scenario.reply_timeout_s, notify=tell)
 
 
 def serve_routing(credential: Path, listen: str, folder: Path, tell: Callable[[str], object]) -> None:

@@ -1,4 +1,4 @@
-"""What a process, or a robot in memory, said last before it died: the user's own traceback, where there is one."""
+"""Crash reports of processes and robots: the traceback from the first frame of user code, else the last output."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from types import TracebackType
 HEAD = "Traceback (most recent call last):"
 
 _HERE = Path(__file__).parents[2]
-_OURS = tuple(f"{_HERE / room}/" for room in ("agent", "deploy", "netshaper", "protocol", "worldsim"))
+_OURS = tuple(f"{_HERE / package}/" for package in ("agent", "deploy", "netshaper", "protocol", "worldsim"))
 _PYTHON = f"{sysconfig.get_path('stdlib')}/"
 _PACKAGES = ("/site-packages/", "/dist-packages/")
 
 
 def traceback_of(error: BaseException) -> str:
-    """The traceback of an exception, from the first frame that is neither ours nor Python's own.
+    """Return the traceback of an exception, from the first frame outside Murmur and the standard library.
 
-    All of it, if there is no such frame.
+    Without such a frame, the traceback is complete.
     """
     frames: TracebackType | None = error.__traceback__
     while frames is not None and not _is_foreign(frames.tb_frame.f_code.co_filename):
@@ -28,15 +28,15 @@ def traceback_of(error: BaseException) -> str:
 
 
 def crash_report(log: str) -> str:
-    """The traceback with which a process's output ends, else its last line; empty if it said nothing."""
+    """Return the traceback at the end of a process's output, else its last line; empty without output."""
     _, head, tail = log.rpartition(HEAD)
     if head:
         return (head + tail).rstrip()
-    said = [line.strip() for line in log.splitlines() if line.strip()]
-    return said[-1] if said else ""
+    lines = [line.strip() for line in log.splitlines() if line.strip()]
+    return lines[-1] if lines else ""
 
 
 def _is_foreign(file: str) -> bool:
     if file.startswith(_OURS) or file.startswith("<frozen"):
         return False
-    return not file.startswith(_PYTHON) or any(packages in file for packages in _PACKAGES)
+    return not file.startswith(_PYTHON) or any(folder in file for folder in _PACKAGES)

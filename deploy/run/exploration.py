@@ -1,4 +1,4 @@
-"""One run, from a scenario to its directory: what `murmur explore` and Python callers share."""
+"""Run one scenario and write its run directory: the common part of `murmur explore` and the Python API."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
 from deploy.dashboard.process import RECORDING, ViewTask, watching
-from deploy.dashboard.windows import Window, optimise
+from deploy.dashboard.windows import Window, optimize
 from deploy.record import run_directory
 from deploy.record.records import RecorderNode, Records
 from deploy.record.summary import summarize
@@ -40,15 +40,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 EXPLORED, NOT_FINISHED, BAD_INPUT, BROKEN_OFF = range(4)
-"""Exit codes of the contract."""
+"""Exit codes of `murmur explore`."""
 
 INCARNATIONS = 4
-"""How often a robot may begin, with `restart`, if there is room for the maps of so many lives."""
+"""How often each robot may start with `restart`, if packets can address so many maps."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result:
-    """The results of a run. In a notebook it shows its maps and figures.
+    """The results of a run. A notebook displays its maps and figures.
 
     Attributes
     ----------
@@ -57,16 +57,16 @@ class Result:
     exit_code : int
         `EXPLORED`, `NOT_FINISHED` or `BROKEN_OFF`.
     directory : Path or None
-        Where everything was written; None if nothing was kept.
+        The run directory; None if nothing was written.
     records : Records
-        All that was recorded, in memory.
+        Everything that was recorded, in memory.
     deaths : dict
-        Processes that ended prematurely, with their last words: the traceback of what a strategy or an exchange
-        raised, else the last line of output. A robot in memory whose code raises dies as a process does.
+        Participants that ended unexpectedly, with their crash report: the traceback of an exception, else the last
+        line of output. On the memory bus, a robot whose code raises is lost in the same way.
     plan : Plan
-        What was run: the scenario and its map.
+        The plan of the run, with its scenario and map.
     view_fault : str
-        What went wrong with the viewer; the run continued without it.
+        Error of the viewer, without which the run continued; empty if there was none.
     """
 
     summary: dict[str, Any]
@@ -91,8 +91,8 @@ class Result:
     def maps(self) -> dict[str | int, Grid]:
         """The maps at the end, uint8 arrays of shape (h, w), row 0 on top.
 
-        ``"truth"``; ``"team"``, the union of what the robots have seen themselves; and by number the planning
-        grid of each robot that has handed it in.
+        ``"truth"``; ``"team"``, the union of the cells that the robots have seen themselves; and by number the
+        planning grid of each robot that has reported its maps.
         """
         named: dict[str | int, Grid] = {"truth": self.plan.map.cells}
         if self.records.own:
@@ -105,12 +105,12 @@ class Result:
         Raises
         ------
         ValueError
-            No robot has handed in its maps.
+            No robot has reported its maps.
         """
         from deploy.record.map_pictures import maps_figure  # noqa: PLC0415  half a second to import
 
         if not self.records.own:
-            raise ValueError("there are no maps to plot: no robot has handed in its own")
+            raise ValueError("there are no maps to plot: no robot has reported its maps")
         return maps_figure(self.plan, self.records, self.summary)
 
     def __repr__(self) -> str:
@@ -123,10 +123,10 @@ class Result:
         )
 
     def __str__(self) -> str:
-        return "\n".join([repr(self), *(f"{name} died: {words}" for name, words in self.deaths.items())])
+        return "\n".join([repr(self), *(f"{name} died: {crash}" for name, crash in self.deaths.items())])
 
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
+        """Return the result as HTML, for notebooks."""
         rows = "".join(
             f"<tr><td>{name}</td><td>{escape(str(self.summary[name]))}</td></tr>" for name in _SHOWN
         )
@@ -135,7 +135,7 @@ class Result:
             file = io.BytesIO()
             self.plot().savefig(file, format="png", dpi=80)
             picture = f'<img src="data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}">'
-        deaths = "".join(f"<pre>{name} died: {escape(words)}</pre>" for name, words in self.deaths.items())
+        deaths = "".join(f"<pre>{name} died: {escape(crash)}</pre>" for name, crash in self.deaths.items())
         return f"<p>{escape(repr(self)[1:-1])}</p>{deaths}{picture}<table>{rows}</table>"
 
 
@@ -150,7 +150,7 @@ _SHOWN = (
     "bandwidth",
     "digest",
 )
-"""Figures that a notebook shows."""
+"""Keys of the summary that a notebook shows."""
 
 
 def explore(
@@ -159,7 +159,7 @@ def explore(
     out: Path | str | None = None,
     keep: bool = True,
     watch: Callable[[Plan, Records], object] | None = None,
-    tell: Callable[[str], object] = lambda _: None,
+    notify: Callable[[str], object] = lambda _: None,
     window: Window | None = None,
     pace: float | None = None,
     hosts: Hosts | None = None,
@@ -172,146 +172,191 @@ def explore(
     Parameters
     ----------
     scenario : Scenario, optional
-        ``Scenario(robots=5)`` or ``deploy.scenario.scenario.load(path, {})`` makes one; the defaults if left out.
+        The scenario; default settings if omitted.
     out : Path or str, optional
-        The run directory; a new one under ``runs`` if left out.
+        The run directory; a new one under ``runs`` if omitted.
     keep : bool
-        Whether to write a run directory at all.
-    watch : callable, optional
-        Called with the plan and the records during the run.
-    tell : callable, optional
-        Called with what is worth a word: the radio, at the beginning, if a scenario changes it; and once Ctrl-C or
-        SIGTERM takes effect: a run that is kept ends after the step, and is written.
+        Whether to write a run directory.
+    watch, notify : callable, optional
+        Called with the plan and the records during the run; called with messages for the user.
     window : Window, optional
-        Shows the run live; it is also recorded in its directory.
+        Shows the run live, and records the view in the run directory.
     pace : float, optional
-        Steps a second at most.
+        Maximum steps per second.
     hosts : Hosts, optional
-        Other hosts that robots run on (`deploy.run.hosts`).
+        Other hosts that robots run on.
     control : Control, optional
-        Pauses the run, kills robots, changes the radio, from another thread or from `watch` (`deploy.run.control`).
-        What was done is in the scenario of the run directory, and of the result's plan.
+        Pauses the run, kills robots, and changes the radio; the result's scenario contains these events.
     restart : bool
-        Whether what dies unasked is started again: a robot where it fell, as often as it has lives; and where relay or
-        world die the whole run, which gets to the step that it was in and goes on from there (docs/reliability.md).
+        Whether to restart processes that end unexpectedly: robots, up to `INCARNATIONS` times each; after the end of
+        relay or world the whole run, up to the step that it had reached and on (docs/reliability.md).
     **settings
-        Settings of the scenario, over those of `scenario`: ``explore(robots=5, bandwidth=1000)``.
+        Settings that replace those of `scenario`: ``explore(robots=5, bandwidth=1000)``.
 
     Raises
     ------
     ScenarioError
-        The scenario cannot be run, or a host cannot take its robots; nothing has been started.
+        The scenario is invalid, or a host cannot run its robots; nothing has been started.
     OSError
-        Something cannot be written: the error names it.
+        A file cannot be written; the error names it.
     ValueError
-        The pace is too slow, or a run that is shown is not kept.
+        The pace is too slow, or arguments contradict each other.
     """
-    if not keep and window is not None:
-        raise ValueError("a run that is shown needs a directory: keep = True")
-    if not keep and out is not None:
-        raise ValueError(f"out = {str(out)!r}: with keep = False nothing is written; leave one of them out")
+    _check_output(out, window, keep=keep)
     scenario = scenario_of(scenario, settings)
-    wait: Callable[[], object] = Pace(pace).wait if pace is not None else _nothing
-    plan = plans.make(scenario, incarnations=_lives(scenario, hosts) if restart else 1, record_maps=keep)
-    if hosts is not None and scenario.bus == "memory":
-        raise ScenarioError("bus = 'memory': is one process of one host; with hosts it must be 'zenoh'")
+    incarnations = _incarnations(scenario, hosts) if restart else 1
+    plan = plans.make(scenario, incarnations=incarnations, record_maps=keep)
+    _check_pace_and_hosts(pace, hosts, scenario)
     if radio := effective_radio(plan):
-        tell(radio)
-    if hosts is not None and any(fault.kind in ("kill", "restart") for fault in scenario.faults):
-        raise ScenarioError("fault: robots can be killed and restarted on this host only; leave --hosts out")
-    interrupt = Interrupt(tell, control.resume if control is not None else _nothing)
+        notify(radio)
+    interrupt = Interrupt(notify, control.resume if control is not None else _nothing)
     if control is not None:
-        control.attach(plan, may_kill=hosts is None)
-        if pace is not None:
-            control.set_speed(pace)
-        wait = control.gate().wait
-
-    def heed(recorder: RecorderNode) -> bool:
-        if control is not None:
-            control.heed(recorder)
-        return interrupt.heed(recorder)
-
+        control.attach(plan, pace, may_kill=hosts is None)
     with (
-        Fleet(hosts, scenario.robots, tell) if hosts is not None else contextlib.nullcontext() as fleet,
+        Fleet(hosts, scenario.robots, notify) if hosts is not None else contextlib.nullcontext() as fleet,
         interrupt.caught() if keep else contextlib.nullcontext(),
     ):
         directory = run_directory.create(Path(out) if out is not None else None, plan) if keep else None
-        logs = directory / run_directory.LOGS if directory is not None else None
-        journals = directory / run_directory.JOURNALS if directory is not None else None
+        return _Execution(
+            directory, watch, notify, window, pace, fleet, control, interrupt, restart
+        ).complete(plan)
+
+
+@dataclass(frozen=True, eq=False)
+class _Execution:
+    """The execution of one plan in this process or as processes, again after a crash if `restart` is set."""
+
+    directory: Path | None
+    watch: Callable[[Plan, Records], object] | None
+    notify: Callable[[str], object]
+    window: Window | None
+    pace: float | None
+    fleet: Fleet | None
+    control: Control | None
+    interrupt: Interrupt
+    restart: bool
+
+    def complete(self, plan: Plan) -> Result:
+        """Run a plan to its end, write the results, and return them."""
         began = time.perf_counter()
+        plan, outcome = self._run(plan)
+        result = conclude(plan, outcome, self.directory, time.perf_counter() - began)
+        if self.directory is not None and self.window is not None and outcome.view_fault:
+            optimize(self.directory / RECORDING)  # the failed viewer did not close it
+        return result
 
-        def look(records: Records) -> None:
-            if watch is not None:
-                watch(plan, records)
+    def _run(self, plan: Plan) -> tuple[Plan, launch.Outcome]:
+        """Run a plan; return it with the events of the run, and the outcome.
 
-        task = None
-        if directory is not None and window is not None:
-            task = ViewTask(plan, directory.absolute(), window.port)
-        ready: Callable[[], object] = window.open if window is not None else _nothing
-        show = launch.Show(task, ready) if task is not None else None
+        If relay or world crash, and `restart` is set, run it again: unpaced up to the step that it had reached.
+        """
         done = 0
         while True:
-            with run_directory.open_capture(directory, plan) as capture:
-                if scenario.bus == "memory":
-                    with watching(task) if task is not None else contextlib.nullcontext() as view:
-                        ready()
-                        fallen = _Fallen(logs)
-                        records = in_memory.run(
-                            plan,
-                            look,
-                            capture,
-                            heed=heed,
-                            view=view,
-                            wait=wait,
-                            fell=fallen.take,
-                            journals=journals,
-                        )
-                    outcome = launch.Outcome(records, fallen.deaths)
-                else:
-                    outcome = launch.run(
-                        plan,
-                        logs,
-                        look,
-                        capture,
-                        heed=heed,
-                        show=show,
-                        pace=pace,
-                        live=directory,
-                        fleet=fleet,
-                        journals=journals,
-                        free=done,
-                        revive=restart,
-                        gate=control.gate(done) if control is not None else None,
-                    )
+            with run_directory.open_capture(self.directory, plan) as capture:
+                in_one_process = plan.scenario.bus == "memory"
+                run = self._run_in_memory if in_one_process else self._run_processes
+                outcome = run(plan, capture, done)
             dead = sorted({names.RELAY, names.WORLD} & outcome.deaths.keys())
-            if not (restart and dead and outcome.records.step > done) or interrupt.came:
-                break
+            if not (self.restart and dead and outcome.records.step > done) or self.interrupt.came:
+                return plan, outcome
             done = outcome.records.step
-            went = as_it_went(plan, outcome.records)
-            plan = (
-                plan
-                if went is plan
-                else plans.make(went.scenario, plan.map, incarnations=plan.incarnations, record_maps=keep)
+            actual = as_it_went(plan, outcome.records)
+            if actual is not plan:
+                keep = self.directory is not None
+                plan = plans.make(actual.scenario, plan.map, incarnations=plan.incarnations, record_maps=keep)
+            self.notify(f"{' and '.join(dead)} died at step {done}: repeating the run up to this step")
+            if self._journals is not None:
+                shutil.rmtree(self._journals, ignore_errors=True)
+
+    @property
+    def _logs(self) -> Path | None:
+        return self.directory / run_directory.LOGS if self.directory is not None else None
+
+    @property
+    def _journals(self) -> Path | None:
+        return self.directory / run_directory.JOURNALS if self.directory is not None else None
+
+    def _run_in_memory(self, plan: Plan, capture: BinaryIO | None, _: int) -> launch.Outcome:
+        task, ready = self._view(plan)
+        wait: Callable[[], object] = Pace(self.pace).wait if self.pace is not None else _nothing
+        if self.control is not None:
+            wait = self.control.gate().wait
+        crashes = _Crashes(self._logs)
+        with watching(task) if task is not None else contextlib.nullcontext() as view:
+            ready()
+            records = in_memory.run(
+                plan,
+                self._observer(plan),
+                capture,
+                heed=self._heed,
+                view=view,
+                wait=wait,
+                on_crash=crashes.note,
+                journals=self._journals,
             )
-            tell(
-                f"{' and '.join(dead)} died at step {done}: going through the run again up to there, then on"
-            )
-            if journals is not None:
-                shutil.rmtree(journals, ignore_errors=True)
-        result = conclude(plan, outcome, directory, time.perf_counter() - began)
-        if directory is not None and window is not None and outcome.view_fault:
-            optimise(directory / RECORDING)  # the failed viewer did not close it
-    return result
+        return launch.Outcome(records, crashes.deaths)
+
+    def _run_processes(self, plan: Plan, capture: BinaryIO | None, done: int) -> launch.Outcome:
+        task, ready = self._view(plan)
+        return launch.run(
+            plan,
+            self._logs,
+            self._observer(plan),
+            capture,
+            heed=self._heed,
+            show=launch.Show(task, ready) if task is not None else None,
+            pace=self.pace,
+            live=self.directory,
+            fleet=self.fleet,
+            journals=self._journals,
+            free=done,
+            revive=self.restart,
+            gate=self.control.gate(done) if self.control is not None else None,
+        )
+
+    def _view(self, plan: Plan) -> tuple[ViewTask | None, Callable[[], object]]:
+        """Return the viewer's task, if there is a window, and what to call once the viewer has joined."""
+        if self.directory is None or self.window is None:
+            return None, _nothing
+        return ViewTask(plan, self.directory.absolute(), self.window.port), self.window.open
+
+    def _observer(self, plan: Plan) -> Callable[[Records], object]:
+        watch = self.watch
+        return lambda records: watch(plan, records) if watch is not None else None
+
+    def _heed(self, recorder: RecorderNode) -> bool:
+        """Pass on the requests of `control`; return whether the run was interrupted."""
+        if self.control is not None:
+            self.control.heed(recorder)
+        return self.interrupt.heed(recorder)
 
 
-def _lives(scenario: Scenario, hosts: Hosts | None) -> int:
-    """How often robots may begin if they are started again; ScenarioError if they cannot be."""
+def _check_output(out: Path | str | None, window: Window | None, *, keep: bool) -> None:
+    """Raise ValueError if the arguments need a run directory and forbid it."""
+    if not keep and window is not None:
+        raise ValueError("keep = False: a window needs a run directory")
+    if not keep and out is not None:
+        raise ValueError(f"out = {str(out)!r}: keep = False writes no directory; omit one of them")
+
+
+def _check_pace_and_hosts(pace: float | None, hosts: Hosts | None, scenario: Scenario) -> None:
+    """Raise ValueError if the pace is too slow, ScenarioError if the scenario cannot run on several hosts."""
+    if pace is not None:
+        Pace(pace)
+    if hosts is None:
+        return
+    if scenario.bus == "memory":
+        raise ScenarioError("bus = 'memory': runs in one process; with hosts it must be 'zenoh'")
+    if any(fault.kind in ("kill", "restart") for fault in scenario.faults):
+        raise ScenarioError("fault: robots can be killed and restarted on this host only; omit --hosts")
+
+
+def _incarnations(scenario: Scenario, hosts: Hosts | None) -> int:
+    """Return how often robots may start if they are restarted; ScenarioError if they cannot be restarted."""
     if scenario.bus == "memory":
         raise ScenarioError("bus = 'memory': has no processes that could die; restart needs 'zenoh'")
     if hosts is not None:
-        raise ScenarioError(
-            "restart: robots of other hosts cannot be started again; leave --hosts or --restart out"
-        )
+        raise ScenarioError("restart: robots on other hosts cannot be restarted; omit --hosts or --restart")
     incarnations = (
         INCARNATIONS
         if scenario.map_encoding == "none"
@@ -322,12 +367,12 @@ def _lives(scenario: Scenario, hosts: Hosts | None) -> int:
 
 
 def scenario_of(scenario: Scenario | None, settings: Mapping[str, Any]) -> Scenario:
-    """Lay settings over a scenario, or over the defaults; ScenarioError names all that is wrong.
+    """Return a scenario, or the defaults, with some settings replaced; ScenarioError lists all errors.
 
     Raises
     ------
     TypeError
-        It is no scenario.
+        `scenario` is not a Scenario.
     """
     if not isinstance(scenario, Scenario | None):
         raise TypeError(
@@ -339,23 +384,24 @@ def scenario_of(scenario: Scenario | None, settings: Mapping[str, Any]) -> Scena
     return parse((scenario.model_dump(exclude_unset=True) if scenario is not None else {}) | dict(settings))
 
 
-class _Fallen:
-    """Robots in memory whose code raised: their last words, and their logs, as of processes."""
+class _Crashes:
+    """Robots on the memory bus whose code raised: their crash reports, and a log file for each in `logs`."""
 
     def __init__(self, logs: Path | None) -> None:
         self.deaths: dict[str, str] = {}
         self._logs = logs
 
-    def take(self, name: str, error: Exception) -> None:
-        said = traceback_of(error)
-        self.deaths[name] = f"exit code 1; its last words: {said}"
+    def note(self, name: str, error: Exception) -> None:
+        """Note that the code of the robot `name` has raised `error`."""
+        report = traceback_of(error)
+        self.deaths[name] = f"exit code 1; last output: {report}"
         if self._logs is not None:
             self._logs.mkdir(exist_ok=True)
-            (self._logs / f"{name}.log").write_text(f"{said}\n", encoding="utf-8")
+            (self._logs / f"{name}.log").write_text(f"{report}\n", encoding="utf-8")
 
 
 def conclude(plan: Plan, outcome: launch.Outcome, directory: Path | None, wall_s: float) -> Result:
-    """Summarise a run and write its results; what was done to it becomes a part of its scenario."""
+    """Summarize a run and write its results; the scenario of the result contains the events of the run."""
     summary = summarize(plan, outcome.records, wall_s)
     done = as_it_went(plan, outcome.records)
     if directory is not None and done is not plan:
@@ -375,8 +421,8 @@ def _exit_code(outcome: launch.Outcome, summary: dict[str, Any]) -> int:
 
 
 def frame(table: Any) -> pl.DataFrame:
-    """An arrow table as a polars frame."""
-    import polars  # noqa: PLC0415  only who asks for a frame needs it
+    """Return an arrow table as a polars frame."""
+    import polars  # noqa: PLC0415  slow to import, and few callers need it
 
     frame = polars.from_arrow(table)
     assert isinstance(frame, polars.DataFrame)
@@ -384,4 +430,4 @@ def frame(table: Any) -> pl.DataFrame:
 
 
 def _nothing() -> None:
-    """No pace and no viewer."""
+    """Do nothing: the callback of a run without pace or viewer."""

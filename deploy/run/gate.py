@@ -1,4 +1,4 @@
-"""The gate that a controlled run's world passes before it opens a step (`deploy.run.control`)."""
+"""The gate of a controlled run: it delays the world before each step (`deploy.run.control`)."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import time
 from typing import Any
 
 LONGEST_PAUSE_S = 3600.0
-"""After so long a run goes on by itself."""
+"""A paused run continues by itself after this time."""
 POLL_S = 0.02
 
 
 class Gate:
-    """Lets the world open its steps, in its own process."""
+    """Delays the world's steps, in the world's process; state shared with `Control`."""
 
     def __init__(self, credit: Any, period: Any, free: int = 0) -> None:
         self._credit, self._period, self._free = credit, period, free

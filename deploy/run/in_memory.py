@@ -1,4 +1,4 @@
-"""A run in one process: the same cores and shells as on Zenoh, on the memory bus. For sweeps and tests."""
+"""A run in one process: the participants of a Zenoh run on the memory bus. For sweeps and tests."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from agent.journal import Journal, journal_name
 from agent.process import AgentNode
 from agent.robot import Robot
 from deploy.record.records import RecorderNode, Records
-from deploy.run.garbage import seldom_looking
 from deploy.scenario.plan import Plan
 from netshaper.process import RelayNode
 from protocol import keys as names
@@ -22,16 +21,16 @@ from worldsim.process import WorldNode
 
 
 class Node(Protocol):
-    """The interface of all shells."""
+    """The interface of all participants."""
 
     done: bool
 
     def handle(self, message: Message) -> None:
-        """Take one message from the bus."""
+        """Process one message from the bus."""
 
 
-Fell = Callable[[str, Exception], object]
-"""Called with a robot's name, and with what its code raised."""
+OnCrash = Callable[[str, Exception], object]
+"""Called with a robot's name and the exception that its code raised."""
 
 
 class MemoryRun:
@@ -39,27 +38,23 @@ class MemoryRun:
 
     Parameters
     ----------
-    plan : Plan
     capture : binary file, optional
-        Takes the frames (`deploy.record.records`).
-    wrap : callable
-        May lay something around each participant's end of the bus.
+        Receives the radio frames (`deploy.record.records`).
+    wrap : callable, optional
+        Wraps each participant's end of the bus; called with its name.
     view : Node, optional
         A viewer.
-    wait : callable
-        The world's pace.
-    fell : callable, optional
-        Called when a robot's code raises: that robot is lost then, as a process of its own would be. Without it the
-        exception goes to the caller.
+    wait : callable, optional
+        Called before each step; it may delay the step.
+    on_crash : callable, optional
+        Called when a robot's code raises; the robot is lost then. Without it, the exception propagates.
     journals : Path, optional
-        The folder for what robots need to come back; in memory without it.
+        Directory for the journals of robots that may be restarted; they are kept in memory by default.
 
     Attributes
     ----------
     agents : list of AgentNode
-        The robots' shells, by number; one that comes back has a new one.
-    records : Records
-        What the laboratory has been told so far.
+        The robots' nodes, by number; a restarted robot has a new one.
     """
 
     def __init__(
@@ -70,28 +65,33 @@ class MemoryRun:
         wrap: Callable[[str, Bus], Bus] = lambda _, bus: bus,
         view: Node | None = None,
         wait: Callable[[], object] = lambda: None,
-        fell: Fell | None = None,
+        on_crash: OnCrash | None = None,
         journals: Path | None = None,
     ) -> None:
         robots = plan.scenario.robots
-        self._minds = [names.robot(number) for number in range(robots)]
+        self._robots = [names.robot(number) for number in range(robots)]
         watching = [names.VIEW] if view is not None else []
         self._plan = plan
         self._wrap = wrap
-        self._fell = fell
+        self._on_crash = on_crash
         self._journals = journals
         self._kept: dict[int, BytesIO] = {}
-        self._common: dict[str, Any] = {}
-        """What robots hold together (`agent.robot.Robot.share`)."""
+        self._shared: dict[str, Any] = {}
+        """Caches that the robots share (`agent.robot.Robot.share`)."""
         self._due: list[int] = []
-        """Robots that come back."""
-        self._hub = MemoryHub("memory", [names.RELAY, names.WORLD, names.RECORDER, *self._minds, *watching])
+        """Robots that are to be restarted."""
+        self._hub = MemoryHub("memory", [names.RELAY, names.WORLD, names.RECORDER, *self._robots, *watching])
         keys = self._hub.keys
         self._buses: dict[str, Bus] = {}
-        for name in (names.RELAY, *watching, names.RECORDER, names.WORLD, *self._minds):
+        for name in (names.RELAY, *watching, names.RECORDER, names.WORLD, *self._robots):
             self._buses[name] = wrap(name, self._hub.join(name))
-        self._lab = RecorderNode(
-            self._buses[names.RECORDER], keys, robots, plan.map.cells.shape, capture, on_fault=_noting(self._due)
+        self._recorder = RecorderNode(
+            self._buses[names.RECORDER],
+            keys,
+            robots,
+            plan.map.cells.shape,
+            capture,
+            on_fault=_note_restarts(self._due),
         )
         self._world = WorldNode(
             self._buses[names.WORLD],
@@ -106,91 +106,91 @@ class MemoryRun:
         self._nodes: dict[str, Node] = {
             names.RELAY: self._relay,
             names.WORLD: self._world,
-            names.RECORDER: self._lab,
+            names.RECORDER: self._recorder,
         }
         self.agents = [self._agent(number) for number in range(robots)]
-        self._nodes |= zip(self._minds, self.agents, strict=True)
+        self._nodes |= zip(self._robots, self.agents, strict=True)
         if view is not None:
             self._nodes[names.VIEW] = view
-        self._lab.configure(plan.robot_settings)
+        self._recorder.configure(plan.robot_settings)
 
     @property
     def records(self) -> Records:
-        """What the laboratory has been told so far."""
-        return self._lab.records
+        """Everything that the recorder has recorded so far."""
+        return self._recorder.records
 
-    def ask(self, wish: FaultEvent | Change) -> None:
-        """Ask for something that the scenario does not have."""
-        self._lab.request(wish)
+    def ask(self, request: FaultEvent | Change) -> None:
+        """Request a fault or a change of the radio that the scenario does not contain."""
+        self._recorder.request(request)
 
     def steps(self, heed: Callable[[RecorderNode], object] = lambda _: None) -> Iterator[int]:
-        """Go on, and yield each step that is over, from 0, the time before the first.
+        """Run, and yield each completed step, from 0, the time before the first.
 
-        All has been told of it then, the world has opened the next one, and no robot knows of that.
+        At this point the step is recorded, and the world has opened the next one, but no robot has received it.
         `heed` may end the run early (`deploy.run.interrupt`).
         """
         over = -1
         while not self._is_done():
-            spoke = False
-            heed(self._lab)
+            received = False
+            heed(self._recorder)
             for name in self._hub.in_turn():
-                spoke |= self._take_turn(name)
+                received |= self._process_messages(name)
                 if name == names.RECORDER:
-                    self._end_the_lost()
+                    self._end_lost()
                     if self._last_step() > over:
                         over = self._last_step()
                         yield over
             while self._due:
-                self._come_back(self._due.pop())
-            if not spoke and not self._is_done():
-                self._give_up_on_the_late()
+                self._restart(self._due.pop())
+            if not received and not self._is_done():
+                self._time_out()
 
-    def _give_up_on_the_late(self) -> None:
-        """All wait for somebody. Nothing more can come, so that who is waited for is given up at once."""
-        late = {robot: node for node in (self._relay, self._world) for robot in node.waiting_for()}
-        for robot, node in late.items():
-            node.give_up_on(robot, "kept the others waiting")
-        if not late and self._lab.records.end is not None and not self._lab.done:
-            self._lab.finish_without_missing()
-        elif not late:
-            raise RuntimeError("the run stands still: everyone waits for someone")
+    def _time_out(self) -> None:
+        """Give up on the robots that others wait for: no messages are left, so that none of them will answer."""
+        overdue = {robot: node for node in (self._relay, self._world) for robot in node.waiting_for()}
+        for robot, node in overdue.items():
+            node.give_up_on(robot, "timed out")
+        if not overdue and self._recorder.records.end is not None and not self._recorder.done:
+            self._recorder.finish_without_missing()
+        elif not overdue:
+            raise RuntimeError("deadlock: all participants wait for each other")
 
-    def _end_the_lost(self) -> None:
-        """End the robots that the run goes on without, as a launcher ends their processes."""
-        for robot in self._lab.records.lost:
+    def _end_lost(self) -> None:
+        """End the robots that the run continues without, as a launcher ends their processes."""
+        for robot in self._recorder.records.lost:
             if not self.agents[robot].done:
                 self.agents[robot].done = True
-                self._buses[self._minds[robot]].close()
+                self._buses[self._robots[robot]].close()
 
-    def _take_turn(self, name: str) -> bool:
-        """Let a participant take its messages; whether there were any."""
+    def _process_messages(self, name: str) -> bool:
+        """Let a participant process its messages; return whether there were any."""
         node, bus = self._nodes[name], self._buses[name]
-        spoke = False
+        received = False
         try:
             while (message := _next(bus)) is not None:
-                spoke = True
+                received = True
                 node.handle(message)
         except Exception as error:
-            if self._fell is None or not isinstance(node, AgentNode):
+            if self._on_crash is None or not isinstance(node, AgentNode):
                 raise
-            self._fell(name, error)
+            self._on_crash(name, error)
             node.done = True
         if node.done:
             bus.close()
-        return spoke
+        return received
 
-    def _come_back(self, number: int) -> None:
-        """Let a robot join anew, with what is in its journal."""
-        name = self._minds[number]
+    def _restart(self, number: int) -> None:
+        """Let a robot join again, with its journal."""
+        name = self._robots[number]
         self._buses[name] = self._wrap(name, self._hub.join(name))
         self._nodes[name] = self.agents[number] = self._agent(number)
 
     def _agent(self, number: int) -> AgentNode:
-        bus = self._buses[self._minds[number]]
-        return AgentNode(bus, self._hub.keys, number, self._journal(number), self._common)
+        bus = self._buses[self._robots[number]]
+        return AgentNode(bus, self._hub.keys, number, self._journal(number), self._shared)
 
     def _journal(self, number: int) -> Journal | None:
-        """The journal of a robot, in a folder or in memory; None where no robot can come back."""
+        """Return a robot's journal; None if robots are not restarted in this run."""
         if self._plan.incarnations == 1:
             return None
         if self._journals is not None:
@@ -198,8 +198,8 @@ class MemoryRun:
         return Journal(self._kept.setdefault(number, BytesIO()))
 
     def _last_step(self) -> int:
-        """The last step that is over: the one before the one that the world has opened, or the end's."""
-        records = self._lab.records
+        """Return the last completed step: the last of the run, or the one before the step that the world has opened."""
+        records = self._recorder.records
         return records.end.step if records.end is not None else records.step - 1
 
     def _is_done(self) -> bool:
@@ -215,32 +215,33 @@ def run(
     wrap: Callable[[str, Bus], Bus] = lambda _, bus: bus,
     view: Node | None = None,
     wait: Callable[[], object] = lambda: None,
-    fell: Fell | None = None,
+    on_crash: OnCrash | None = None,
     journals: Path | None = None,
     leave: Callable[[list[Robot]], object] = lambda _: None,
 ) -> Records:
-    """Run a plan to its end; as for `MemoryRun`.
+    """Run a plan to its end; parameters as for `MemoryRun`.
 
-    `watch` is called whenever a step has been opened, `leave` with the robots at the end, with all that they hold.
+    `watch` is called whenever a step has been opened, and `leave` with the robots after the end.
     """
-    under_way = MemoryRun(plan, capture, wrap=wrap, view=view, wait=wait, fell=fell, journals=journals)
+    memory_run = MemoryRun(
+        plan, capture, wrap=wrap, view=view, wait=wait, on_crash=on_crash, journals=journals
+    )
     opened = 0
-    with seldom_looking():
-        for _ in under_way.steps(heed):
-            if watch is not None and under_way.records.step > opened:
-                opened = under_way.records.step
-                watch(under_way.records)
-    leave([agent.robot for agent in under_way.agents if agent.robot is not None])
-    return under_way.records
+    for _ in memory_run.steps(heed):
+        if watch is not None and memory_run.records.step > opened:
+            opened = memory_run.records.step
+            watch(memory_run.records)
+    leave([agent.robot for agent in memory_run.agents if agent.robot is not None])
+    return memory_run.records
 
 
-def _noting(due: list[int]) -> Callable[[FaultEvent], object]:
-    """Note who is to come back. It knows no more of the run, which is gone when its last user is."""
+def _note_restarts(due: list[int]) -> Callable[[FaultEvent], object]:
+    """Return a callback that notes restarts in `due`, without a reference to the run."""
     return lambda event: due.append(event.robot) if event.kind == "restart" else None
 
 
 def _next(bus: Bus) -> Message | None:
-    """What waits at an end of the bus, if anything does."""
+    """Return the next waiting message, or None."""
     try:
         return bus.receive(0)
     except BusClosed:

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: they end a run early without losing data."""
+"""Ctrl-C and SIGTERM end a run early without losing data."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ REASON = "interrupted"
 
 @contextlib.contextmanager
 def sigterm_as_ctrl_c() -> Iterator[None]:
-    """Have SIGTERM raise what Ctrl-C does, so that what was opened is closed (in the main thread)."""
+    """Make SIGTERM raise KeyboardInterrupt, so that resources are released (main thread only)."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
@@ -26,34 +26,34 @@ class Interrupt:
 
     Parameters
     ----------
-    tell : callable, optional
-        Called once when the request takes effect, since the end takes a while.
+    notify : callable, optional
+        Called once with a message when the request takes effect, since the end takes a while.
     then : callable, optional
-        Called whenever it comes: a run that is paused has to go on to its end.
+        Called at each request; a paused run must continue to its end.
     """
 
     def __init__(
-        self, tell: Callable[[str], object] = lambda _: None, then: Callable[[], object] = lambda: None
+        self, notify: Callable[[str], object] = lambda _: None, then: Callable[[], object] = lambda: None
     ) -> None:
         self._then = then
         self._came = False
         self._heeded = False
-        self._tell = tell
+        self._notify = notify
 
     @property
     def came(self) -> bool:
-        """Whether it was requested."""
+        """Whether the end was requested."""
         return self._came
 
     @contextlib.contextmanager
     def caught(self) -> Iterator[None]:
-        """Treat Ctrl-C and SIGTERM as that request instead of being killed by them (in the main thread)."""
+        """Treat Ctrl-C and SIGTERM as requests to end the run (main thread only)."""
         before = {}
         try:
             for number in (signal.SIGINT, signal.SIGTERM):
                 before[number] = signal.signal(number, self._come)
         except ValueError:
-            before = {}  # not the main thread, which handles signals
+            before = {}  # only the main thread handles signals
         try:
             yield
         finally:
@@ -61,10 +61,10 @@ class Interrupt:
                 signal.signal(number, handler)
 
     def heed(self, recorder: RecorderNode) -> bool:
-        """Have the run ended after this step if that was requested; return whether it was."""
+        """Ask the world to end after this step if that was requested; return whether it was."""
         if self._came and not self._heeded and not recorder.done:
             self._heeded = True
-            self._tell("ending after this step; writing the run directory")
+            self._notify("ending after this step; writing the run directory")
             recorder.stop(REASON)
         return self._came
 

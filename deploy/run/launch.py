@@ -1,7 +1,7 @@
-"""A run as processes: relay, world and robots in a `ProcessTable`, the laboratory in this process.
+"""A run as processes: relay, world and robots as child processes, the recorder in this process.
 
-One table says what runs; all of it starts at once and meets at the hub; nothing sleeps. Robots that a `Fleet` has
-run on other hosts, and meet the rest at the same hub.
+All processes start at once and join the bus at the relay's hub. The robots of a `Fleet` run on other hosts and join
+the same hub.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import contextlib
 import multiprocessing
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -45,31 +45,31 @@ from protocol.zenoh_bus import join
 
 POLL_S = 0.25
 VIEWER_S = 10.0
-"""How long the viewer may take to join; after that the run begins without it."""
+"""Time limit for the viewer to join; then the run starts without it."""
 FAREWELL_S = 1.0
-"""How long a lost robot's process may take to end."""
+"""Time limit for the process of a lost robot to end."""
 VIEWER_END_S = 5.0
-"""How long the viewer may take to write what it has at the end."""
+"""Time limit for the viewer to finish its recording."""
 WRAP_UP_S = 3.0
-"""How long the others may be silent once the run is over or was interrupted, and something is not handed in."""
+"""Time limit for robots to report their maps after the end of the run, without any progress."""
 
 Heed = Callable[[RecorderNode], bool]
-"""Called repeatedly: ends the run early if that was requested, and returns whether it was (`Interrupt.heed`)."""
+"""Called repeatedly: ends the run early on request, and returns whether that was requested (`Interrupt.heed`)."""
 
 
 @dataclass
 class Outcome:
-    """The result of a launch: the records, and what went wrong, by process."""
+    """The result of a launch: the records, and the crash report of each process that ended unexpectedly."""
 
     records: Records
     deaths: dict[str, str]
     view_fault: str = ""
-    """What went wrong with the viewer; the run continued without it."""
+    """Error of the viewer, without which the run continued; empty if there was none."""
 
 
 @dataclass(frozen=True)
 class Show:
-    """A viewer of the run: its task, and what to call once it has joined."""
+    """A viewer of the run: its task, and a function to call once it has joined."""
 
     task: ViewTask
     ready: Callable[[], object]
@@ -93,106 +93,174 @@ def run(
     gate: Gate | None = None,
     wrap: Wrap | None = None,
 ) -> Outcome:
-    """Run a plan as processes; `watch` is called as records come in, at most a few times a second.
+    """Run a plan as processes.
 
-    What the processes print goes to files in `logs`, or is gone after the run if that is None; `capture`
-    takes the frames (`deploy.record.records`); `heed` may end it early; `show` adds a viewer; `pace` is the steps a
-    second at most, but of the first `free` ones; `live` is a directory in which to say how to look at the run
-    (`deploy.dashboard.watch`); `fleet`, whose hosts have been reached, runs its robots there, and says where all meet;
-    without it that is `rendezvous`, or on the loopback. Where robots may come back (`Plan.incarnations`) their journals are in
-    the folder `journals`; with `revive` those that are lost unasked are started again. `wrap`, which must be picklable,
-    may lay something around the ends of the bus of world, laboratory and robots here. `gate` is what the world passes
-    before it opens a step, where the run is controlled (`deploy.run.control`).
+    Parameters
+    ----------
+    logs : Path or None
+        Directory for the output of the processes; a temporary one if None.
+    watch : callable, optional
+        Called with the records a few times per second.
+    capture : binary file, optional
+        Receives the radio frames.
+    heed : callable, optional
+        May end the run early.
+    show : Show, optional
+        Adds a viewer.
+    pace, free
+        Maximum steps per second, except for the first `free` steps.
+    live : Path, optional
+        Directory for the file from which a viewer can join (`deploy.dashboard.watch`).
+    fleet, rendezvous
+        The robots on other hosts; or else where the processes meet, by default on the loopback interface.
+    journals : Path, optional
+        Directory of the journals of robots that may be restarted.
+    revive : bool
+        Whether to restart robots that end unexpectedly.
+    gate : Gate, optional
+        Delays the world before each step, instead of `pace`.
+    wrap : callable, optional
+        Wraps the bus of world, recorder and robots on this host; picklable.
     """
-    if logs is None:
-        with tempfile.TemporaryDirectory() as folder:
-            return run(
-                plan,
-                Path(folder),
-                watch,
-                capture,
-                heed=heed,
-                show=show,
-                pace=pace,
-                live=live,
-                fleet=fleet,
-                rendezvous=rendezvous,
-                journals=journals or Path(folder) / "journals",
-                free=free,
-                revive=revive,
-                gate=gate,
-                wrap=wrap,
-            )
-    robots, reply_timeout = plan.scenario.robots, plan.scenario.reply_timeout_s
     world = WorldTask(
         plan.make_world(),
         plan.scenario.steps,
         1000 * plan.map.resolution,
         pace,
         free,
-        reply_timeout,
+        plan.scenario.reply_timeout_s,
         revive,
         gate,
         plan.incarnations,
     )
-    rendezvous = fleet.rendezvous if fleet is not None else rendezvous or on_loopback(robots)
-    elsewhere = fleet.robots if fleet is not None else set()
-    with (
-        ProcessTable(logs) as processes,
-        fleet.running(rendezvous.credentials, logs) if fleet is not None else contextlib.nullcontext(),
-    ):
-        table: dict[str, tuple[Callable[..., None], *tuple[object, ...]]] = {
-            names.RELAY: (
-                serve_relay,
-                rendezvous.run,
-                rendezvous.endpoint,
-                rendezvous.credentials,
-                plan.radio,
-                rendezvous.certificate,
-                reply_timeout,
-                world.pause_s,
-                capture is not None,
-            ),
-            names.WORLD: (serve_world, rendezvous.credentials[names.WORLD], world, wrap),
-        }
-        journals = journals or logs.parent / "journals"
-        credentials = dict(rendezvous.credentials)
-        for router in [each for each in rendezvous.credentials.values() if each.robots]:
-            if elsewhere.isdisjoint(router.robots):
-                there = behind(router)
-                table[router.name] = (serve_router, router, there.endpoint, there.credentials)
-                credentials |= there.credentials
-        for number, name in enumerate(map(names.robot, range(robots))):
-            if name not in elsewhere:
-                journal = journals / journal_name(number) if plan.incarnations > 1 else None
-                table[name] = (serve_agent, credentials[name], journal, wrap)
-
-        def obey(event: FaultEvent) -> None:
-            name = names.robot(event.robot)
-            if event.kind == "restart":
-                processes.give_up(name)
-            if event.kind in ("kill", "restart"):
-                processes.excuse(name)
-            if event.kind == "restart":
-                serve, *args = table[name]
-                processes.start(name, serve, *args)
-
+    with contextlib.ExitStack() as stack:
+        folder = logs or Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        journals = journals or (folder if logs is None else folder.parent) / "journals"
+        meeting = fleet.rendezvous if fleet is not None else rendezvous or on_loopback(plan.scenario.robots)
+        processes = stack.enter_context(ProcessTable(folder))
+        if fleet is not None:
+            stack.enter_context(fleet.running(meeting.credentials, folder))
+        table = _relay_and_world(plan, meeting, world, wrap, captures=capture is not None)
+        table |= _robots(plan, meeting, fleet.robots if fleet is not None else set(), journals, wrap)
+        supervisor = _Supervisor(processes, table, fleet)
         port = show.task.port if show is not None else None
-        with announced(live, rendezvous.credentials[names.VIEW], port):
-            for name, (serve, *args) in table.items():
-                processes.start(name, serve, *args)
-            if show is not None:
-                _start_viewer(processes, rendezvous, show)
-            outcome = _attend(
-                processes, rendezvous, fleet, plan, world.pause_s, heed, watch, capture, obey, wrap
-            )
-            if show is not None:
-                outcome.view_fault = processes.await_end(names.VIEW, VIEWER_END_S)
-            return outcome
+        stack.enter_context(announced(live, meeting.credentials[names.VIEW], port))
+        supervisor.start()
+        if show is not None:
+            _start_viewer(processes, meeting, show)
+        outcome = _record(supervisor, meeting, plan, world.pause_s, heed, watch, capture, wrap)
+        if show is not None:
+            outcome.view_fault = processes.await_end(names.VIEW, VIEWER_END_S)
+        return outcome
+
+
+ProcessEntry = tuple[Callable[..., None], *tuple[object, ...]]
+"""The function that a process runs, and its arguments."""
+
+
+def _relay_and_world(
+    plan: Plan, meeting: Rendezvous, world: WorldTask, wrap: Wrap | None, *, captures: bool
+) -> dict[str, ProcessEntry]:
+    """Return the processes of relay and world, by name."""
+    return {
+        names.RELAY: (
+            serve_relay,
+            meeting.run,
+            meeting.endpoint,
+            meeting.credentials,
+            plan.radio,
+            meeting.certificate,
+            plan.scenario.reply_timeout_s,
+            world.pause_s,
+            captures,
+        ),
+        names.WORLD: (serve_world, meeting.credentials[names.WORLD], world, wrap),
+    }
+
+
+def _robots(
+    plan: Plan, meeting: Rendezvous, elsewhere: set[str], journals: Path, wrap: Wrap | None
+) -> dict[str, ProcessEntry]:
+    """Return the processes of the robots on this host, and of the routers between them and the hub, by name."""
+    table: dict[str, ProcessEntry] = {}
+    credentials = dict(meeting.credentials)
+    for router in [each for each in meeting.credentials.values() if each.robots]:
+        if elsewhere.isdisjoint(router.robots):
+            there = behind(router)
+            table[router.name] = (serve_router, router, there.endpoint, there.credentials)
+            credentials |= there.credentials
+    for number in range(plan.scenario.robots):
+        name = names.robot(number)
+        if name not in elsewhere:
+            journal = journals / journal_name(number) if plan.incarnations > 1 else None
+            table[name] = (serve_agent, credentials[name], journal, wrap)
+    return table
+
+
+class _Supervisor:
+    """Starts, restarts and ends the processes of a run, and collects the unexpected ends.
+
+    Attributes
+    ----------
+    deaths : dict of str to str
+        Processes and hosts that ended unexpectedly, each with its crash report.
+    """
+
+    def __init__(self, processes: ProcessTable, table: dict[str, ProcessEntry], fleet: Fleet | None) -> None:
+        self.deaths = processes.deaths
+        self._processes = processes
+        self._table = table
+        self._fleet = fleet
+        self._ended: set[int] = set()
+
+    def start(self) -> None:
+        """Start all processes."""
+        for name, (serve, *args) in self._table.items():
+            self._processes.start(name, serve, *args)
+
+    def apply(self, event: FaultEvent) -> None:
+        """Do to a robot's process what a fault requires: expect its end, or restart it."""
+        name = names.robot(event.robot)
+        if event.kind == "restart":
+            self._processes.give_up(name)
+        if event.kind in ("kill", "restart"):
+            self._processes.excuse(name)
+        if event.kind == "restart":
+            serve, *args = self._table[name]
+            self._processes.start(name, serve, *args)
+
+    def check(self) -> dict[str, str]:
+        """Update `deaths` and return it."""
+        if self._fleet is not None:
+            self._fleet.look(self.deaths)
+        return self._processes.look()
+
+    def end_lost(self, lost: Mapping[int, str]) -> None:
+        """End the processes of robots that the run continues without, once each."""
+        self._ended.intersection_update(lost)
+        for robot in lost.keys() - self._ended:
+            self._ended.add(robot)
+            if lost[robot] != ENDED:
+                self._processes.give_up(names.robot(robot))
+                if self._fleet is not None:
+                    self._fleet.give_up(names.robot(robot))
+
+    def conclude(self, records: Records) -> None:
+        """Wait for processes that have left the bus to end, and remove the deaths that the relay's end caused."""
+        if records.end is not None and records.end.step < 0:
+            time.sleep(POLL_S)  # the process ends a moment after it has left the bus
+        for robot, cause in records.lost.items():
+            if cause == ENDED:
+                self._processes.await_end(names.robot(robot), FAREWELL_S)
+        self.check()
+        if names.RELAY in self.deaths:
+            self._processes.forget_who_left()
+            if self._fleet is not None:
+                self._fleet.forget_who_left(self.deaths)
 
 
 def _start_viewer(processes: ProcessTable, rendezvous: Rendezvous, show: Show) -> None:
-    """Start the viewer, and wait a little for it, so that it sees the first steps; it is not needed."""
+    """Start the viewer, and wait for it up to `VIEWER_S`, so that it receives the first steps."""
     here, there = multiprocessing.Pipe(duplex=False)
     processes.start(
         names.VIEW, serve_view, rendezvous.credentials[names.VIEW], show.task, there, needed=False
@@ -203,107 +271,75 @@ def _start_viewer(processes: ProcessTable, rendezvous: Rendezvous, show: Show) -
             show.ready()
 
 
-def _attend(
-    processes: ProcessTable,
-    rendezvous: Rendezvous,
-    fleet: Fleet | None,
+def _record(
+    supervisor: _Supervisor,
+    meeting: Rendezvous,
     plan: Plan,
     pause_s: float,
     heed: Heed,
     watch: Callable[[Records], object] | None,
     capture: BinaryIO | None,
-    obey: Callable[[FaultEvent], object],
     wrap: Wrap | None,
 ) -> Outcome:
-    """Serve as the laboratory until the run is over."""
-    deaths = processes.deaths
-    ended: set[int] = set()
-
-    def look_after_all() -> dict[str, str]:
-        if fleet is not None:
-            fleet.look(deaths)
-        return processes.look()
-
-    def end_the_lost(records: Records) -> None:
-        """End the processes of robots that the run goes on without, once."""
-        ended.intersection_update(records.lost)
-        for robot in records.lost.keys() - ended:
-            ended.add(robot)
-            if records.lost[robot] != ENDED:
-                processes.give_up(names.robot(robot))
-                if fleet is not None:
-                    fleet.give_up(names.robot(robot))
-
+    """Serve as the recorder until the run is over."""
+    robots, shape = plan.scenario.robots, plan.map.cells.shape
     try:
-        bus: Bus = join(rendezvous.credentials[names.RECORDER])
+        bus: Bus = join(meeting.credentials[names.RECORDER])
     except ConnectionError as error:
-        look_after_all().setdefault(names.RELAY, str(error))
-        return Outcome(Records(plan.scenario.robots, MapHistory(plan.map.cells.shape)), deaths)
+        supervisor.check().setdefault(names.RELAY, str(error))
+        return Outcome(Records(robots, MapHistory(shape)), supervisor.deaths)
     if wrap is not None:
         bus = wrap(names.RECORDER, bus)
-    meter = Meter(rendezvous.endpoint, here=True)
-    recorder = RecorderNode(
-        bus, Keys(rendezvous.run), plan.scenario.robots, plan.map.cells.shape, capture, meter, obey
-    )
+    meter = Meter(meeting.endpoint, here=True)
+    recorder = RecorderNode(bus, Keys(meeting.run), robots, shape, capture, meter, supervisor.apply)
     recorder.configure(plan.robot_settings)
 
     def look() -> bool:
         if watch is not None:
             watch(recorder.records)
-        end_the_lost(recorder.records)
-        if look_after_all() and not recorder.records.world:
-            recorder.shut_down()  # no first step can come
-        return bool({names.WORLD, FORK_SERVER} & deaths.keys())
+        supervisor.end_lost(recorder.records.lost)
+        if supervisor.check() and not recorder.records.world:
+            recorder.shut_down()  # a participant died before the first step
+        return bool({names.WORLD, FORK_SERVER} & supervisor.deaths.keys())
 
     with contextlib.closing(bus):
         try:
             attend(bus, recorder, heed, look, 2 * silence_s(plan.scenario.reply_timeout_s, pause_s))
         except BusClosed as error:
-            time.sleep(POLL_S)  # the system tells of the death a moment after the bus
-            look_after_all().setdefault(names.RELAY, str(error))
-    if recorder.records.end is not None and recorder.records.end.step < 0:
-        time.sleep(POLL_S)  # likewise
-    for robot, cause in recorder.records.lost.items():
-        if cause == ENDED:
-            processes.await_end(
-                names.robot(robot), FAREWELL_S
-            )  # the relay has heard of it before the system tells
-    look_after_all()
-    if names.RELAY in deaths:
-        processes.forget_who_left()
-        if fleet is not None:
-            fleet.forget_who_left(deaths)
-    return Outcome(recorder.records, deaths)
+            time.sleep(POLL_S)  # the process ends a moment after it has left the bus
+            supervisor.check().setdefault(names.RELAY, str(error))
+    supervisor.conclude(recorder.records)
+    return Outcome(recorder.records, supervisor.deaths)
 
 
 def attend(bus: Bus, recorder: RecorderNode, heed: Heed, look: Callable[[], bool], quiet_s: float) -> None:
-    """Serve as the laboratory until everything is recorded, or the participants that still owe data fall silent.
+    """Serve as the recorder until all data are recorded, or no more arrive.
 
-    `look` is called a few times a second, and returns whether the run is broken: then it ends as well.
+    `look` is called a few times per second and returns whether the run has failed, which ends it.
 
     Raises
     ------
     BusClosed
-        The connection to the relay is lost, or nothing has come for `quiet_s` seconds.
+        The connection to the relay is lost, or no message has arrived for `quiet_s` seconds.
     """
     ending: float | None = None
-    owed = -1
-    heard = looked = time.monotonic()
+    missing = -1
+    received = looked = time.monotonic()
     while not recorder.done:
         message = bus.receive(POLL_S)
         now = time.monotonic()
         if message is not None:
-            heard = now
+            received = now
             recorder.handle(message)
         if now - looked < POLL_S:
             continue
         looked = now
         recorder.read_meter()
-        broken, wished = look(), heed(recorder)
-        if now - heard > quiet_s:
-            raise BusClosed(f"the relay said nothing for {quiet_s:g} s")
+        failed, interrupted = look(), heed(recorder)
+        if now - received > quiet_s:
+            raise BusClosed(f"no message from the relay for {quiet_s:g} s")
         is_over = recorder.records.end is not None
-        if (broken or wished or is_over) and (ending is None or owed != len(recorder.missing())):
-            ending, owed = now, len(recorder.missing())
+        if (failed or interrupted or is_over) and (ending is None or missing != len(recorder.missing())):
+            ending, missing = now, len(recorder.missing())
         if ending is not None and now - ending > WRAP_UP_S:
             recorder.finish_without_missing()

@@ -1,7 +1,7 @@
-"""What a launcher leaves that is killed: nothing. Its children end a little later, and the last folder goes with them.
+"""Watchdog for a killed launcher: its children end shortly after it, and the fork server removes its directory.
 
-The fork server ends once launcher and children are gone; it listens in a folder of its own, which the launcher removes
-or else, having imported this module, the fork server itself.
+The fork server ends once the launcher and all children have ended. It listens in a directory of its own, which the
+launcher removes, or the fork server itself, which imports this module.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ import time
 from multiprocessing import util
 
 LONGEST = 60
-"""Characters of a folder in which sockets can be: a socket's path may have 107."""
+"""Maximum characters of the directory of a socket, whose path may have 107."""
 FOLDER = "MURMUR_FORK_SERVER"
-"""The variable that says to the fork server, and to it alone, which folder is its own."""
+"""Environment variable with the fork server's directory, set for the fork server only."""
 GRACE_S = 5.0
-"""How long a child goes on without its launcher: it may be told to go home, and a viewer writes what it has."""
+"""Time for a child to shut down after the end of its launcher."""
 
 
 def open_folder() -> str:
-    """Where the fork server of this process listens; a short name even if that of the temporary directory is long."""
+    """Return the directory in which the fork server listens; its path is at most `LONGEST` characters long."""
     usual = tempfile.tempdir
     if len(tempfile.gettempdir()) > LONGEST:
         tempfile.tempdir = "/tmp"
@@ -37,7 +37,7 @@ def open_folder() -> str:
 
 
 def end_with_launcher() -> None:
-    """Have this child killed soon after its launcher has ended, however that ends."""
+    """Kill this child shortly after its launcher has ended for any reason."""
     parent = multiprocessing.parent_process()
 
     def watch() -> None:
@@ -50,5 +50,5 @@ def end_with_launcher() -> None:
 
 
 if FOLDER in os.environ:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # it would itself, but only when it has imported everything
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the fork server does so itself, but only after all imports
     atexit.register(shutil.rmtree, os.environ.pop(FOLDER), ignore_errors=True)

@@ -1,7 +1,7 @@
-"""The processes of one run on this host: a table of children from one fork server, and their exits.
+"""The child processes of one run on this host: started by one fork server, supervised, and ended.
 
 Children start with the code imported and the kernels loaded, before any bus is opened. A child that ends
-prematurely is reported with its name and last line of output; none outlives the table.
+prematurely is reported with its name and crash report; none outlives the table.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ FORK_SERVER = "the fork server"
 UNKNOWN = 255
 """Exit code of a child whose fork server has died."""
 GRACE_S = 1.0
-"""How long a child may take to end by itself before it is terminated, and then killed."""
+"""Time limit for a child to end by itself before it is terminated, and then killed."""
 
 
 @dataclass
@@ -38,21 +38,21 @@ class Child:
     process: ForkServerProcess
     log: Path
     needed: bool = True
-    """Whether the run is broken if it ends prematurely."""
+    """Whether its premature end is an error."""
 
     @property
-    def has_spoken(self) -> bool:
+    def has_output(self) -> bool:
         """Whether it has printed anything."""
         return self.log.exists() and self.log.stat().st_size > 0
 
     def crash_report(self) -> str:
-        """How it ended, and its last line of output."""
+        """Return how it ended, and its traceback or last line of output."""
         code = self.process.exitcode
         how = f"exit code {code}"
         if code is not None and code < 0:
             how = f"killed by {signal.Signals(-code).name}"
-        said = crash_report(self.log.read_text(errors="replace")) if self.log.exists() else ""
-        return f"{how}; its last words: {said}" if said else f"{how}, without a word"
+        output = crash_report(self.log.read_text(errors="replace")) if self.log.exists() else ""
+        return f"{how}; last output: {output}" if output else f"{how}, no output"
 
 
 class ProcessTable:
@@ -60,8 +60,8 @@ class ProcessTable:
 
     Attributes
     ----------
-    deaths : dict of name to last words
-        Children that ended prematurely, as far as `look` has seen.
+    deaths : dict of str to str
+        Children that ended prematurely, each with its crash report; `look` updates it.
     """
 
     def __init__(self, logs: Path) -> None:
@@ -93,24 +93,24 @@ class ProcessTable:
         self._children.append(Child(name, process, log, needed))
 
     def give_up(self, name: str) -> None:
-        """End a child, which is not missed: how it ends is no news any more."""
+        """Kill a child; its end is not an error."""
         for child in self._children:
             if child.name == name and child.needed and name not in self.deaths:
                 child.needed = False
                 child.process.kill()
 
     def excuse(self, name: str) -> None:
-        """Note that a child ends before its time as asked for."""
+        """Note that a child is expected to end prematurely."""
         for child in self._children:
             if child.name == name:
                 child.needed = False
         self.deaths.pop(name, None)
 
     def look(self) -> dict[str, str]:
-        """Check the children; return all deaths so far."""
+        """Check the children; return all premature ends so far."""
         dead = [child for child in self._children if child.needed and child.process.exitcode not in (None, 0)]
-        if dead and all(child.process.exitcode == UNKNOWN and not child.has_spoken for child in dead):
-            self.deaths.setdefault(FORK_SERVER, "nobody knows how its processes end")
+        if dead and all(child.process.exitcode == UNKNOWN and not child.has_output for child in dead):
+            self.deaths.setdefault(FORK_SERVER, "the exit codes of its processes are unknown")
             return self.deaths
         for child in dead:
             if child.name not in self.deaths:
@@ -118,28 +118,28 @@ class ProcessTable:
         return self.deaths
 
     def forget_who_left(self) -> None:
-        """Take those from the deaths who ended because the hub had gone."""
+        """Remove the children from `deaths` that ended because the hub had ended."""
         for child in self._children:
             if child.process.exitcode == BROKEN_OFF:
                 self.deaths.pop(child.name, None)
 
     def ended(self) -> dict[str, int]:
-        """Children that have ended, with their exit codes; below 0: by that signal."""
+        """Return the children that have ended, with their exit codes; negative: killed by this signal."""
         codes = {child.name: child.process.exitcode for child in self._children}
         return {name: code for name, code in codes.items() if code is not None}
 
     def await_end(self, name: str, timeout_s: float) -> str:
-        """Wait for a child that ends by itself; return what went wrong with it, or an empty text."""
+        """Wait for a child to end by itself; return its error, or an empty text."""
         child = next((child for child in self._children if child.name == name), None)
         if child is None:
-            return "it is on another host"
+            return "it runs on another host"
         child.process.join(timeout_s)
         if child.process.exitcode is None:
             return f"it did not end within {timeout_s:g} s"
         return child.crash_report() if child.process.exitcode else ""
 
     def end(self) -> None:
-        """Wait, terminate, kill; leave no empty logs."""
+        """End all children: wait, terminate, then kill. Remove empty logs."""
         for act in (lambda _: None, ForkServerProcess.terminate, ForkServerProcess.kill):
             deadline = time.monotonic() + GRACE_S
             for child in self._children:
@@ -156,7 +156,7 @@ class ProcessTable:
 
 @contextlib.contextmanager
 def _blank_main() -> Iterator[None]:
-    """Hide the main module, which children would otherwise import again, including the command line."""
+    """Hide the main module, which children would otherwise import again."""
     main = sys.modules["__main__"]
     sys.modules["__main__"] = types.ModuleType("__main__")
     try:

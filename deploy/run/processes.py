@@ -1,6 +1,6 @@
-"""The entry points of a run's processes: join the bus, serve, leave.
+"""The entry points of a run's processes: each joins the bus, serves as one participant, and leaves.
 
-Imported by the fork server before any bus is opened, so that each robot starts with code and kernels in memory.
+The fork server imports this module before any bus is opened, so that robots start with code and kernels in memory.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ if TYPE_CHECKING:
 BROKEN_OFF = 3
 POLL_S = 0.25
 FAREWELL_S = 2.0
-"""How long the relay waits for others to leave, once everything is recorded."""
+"""Time limit for the others to leave once everything is recorded."""
 
 Wrap = Callable[[str, Bus], Bus]
-"""Lays something around a participant's end of the bus, by its name."""
+"""Wraps a participant's end of the bus; called with its name."""
 
 
 @dataclass(frozen=True)
@@ -55,28 +55,28 @@ class WorldTask:
     steps: int
     cell_mm: float
     pace: float | None = None
-    """Steps a second at most, for people who watch."""
+    """Maximum steps per second; None: unlimited."""
     free: int = 0
-    """The first steps, which go as fast as they can all the same."""
+    """Number of first steps without the limit of `pace`."""
     reply_timeout_s: float = REPLY_TIMEOUT_S
-    """How long a robot may take for its move."""
+    """Time limit for a robot's move."""
     revive: bool = False
-    """Whether robots that are lost unasked are to be started again."""
+    """Whether robots that end unexpectedly are restarted."""
     gate: Gate | None = None
-    """What it passes before it opens a step, instead of the pace, where the run is controlled."""
+    """Delays the world before each step, instead of `pace`, if the run is controlled."""
     incarnations: int = 1
     """How often each robot may start: once, and once more for each restart."""
 
     @property
     def pause_s(self) -> float:
-        """Seconds that it waits between steps at most."""
+        """Maximum pause between two steps in seconds."""
         if self.gate is not None:
             return LONGEST_PAUSE_S
         return 1 / self.pace if self.pace else 0.0
 
     @property
     def wait(self) -> Callable[[], object]:
-        """Called by the world before it opens a step."""
+        """The function that the world calls before it opens a step."""
         if self.gate is not None:
             return self.gate.wait
         return Pace(self.pace, self.free).wait if self.pace else lambda: None
@@ -92,7 +92,7 @@ def serve_relay(
     pause_s: float = 0.0,
     captures: bool = True,
 ) -> None:
-    """Serve as the hub and relay of a run until all participants have left; all are to be here soon."""
+    """Serve as the hub and relay of a run until all participants have left; they must join in time."""
     with closing(open_hub(run, endpoint, credentials, certificate)) as bus:
         relay(bus, run, settings, reply_timeout_s, pause_s, waits=False, captures=captures)
 
@@ -103,38 +103,45 @@ def relay(
     settings: RadioSettings,
     reply_timeout_s: float,
     pause_s: float = 0.0,
-    tell: Callable[[str], object] = lambda _: None,
+    notify: Callable[[str], object] = lambda _: None,
     *,
     waits: bool = True,
     captures: bool = True,
 ) -> None:
-    """Serve as the relay at an open hub until all participants have left; `tell` is called with those missing.
+    """Serve as the relay at an open hub until all participants have left.
 
-    Who has not joined yet is waited for as long as it takes if it `waits`; else the run is broken off once nobody has
-    joined for as long as a robot may take for anything. `pause_s` is the world's pause between steps at most.
+    Parameters
+    ----------
+    pause_s : float
+        The world's maximum pause between two steps in seconds.
+    notify : callable, optional
+        Called with the missing participants whenever they change.
+    waits : bool
+        Whether to wait without limit for participants to join; else the run ends if none joins within
+        `reply_timeout_s`.
     """
     node = RelayNode(bus, Keys(run), settings, captures=captures)
     reply_timeout = ReplyTimeout(node, reply_timeout_s)
-    told: list[str] = []
+    reported: list[str] = []
     while not node.done:
         message = bus.receive(POLL_S)
         if message is not None:
             node.handle(message)
-        idle = reply_timeout.look()
-        if node.going_home and idle > FAREWELL_S:
+        idle = reply_timeout.check()
+        if node.shutting_down and idle > FAREWELL_S:
             break
         missing = node.missing()
         if missing and idle > reply_timeout_s and not waits:
             node.break_off(f"{', '.join(missing)} did not join within {reply_timeout_s:g} s")
         if not missing and idle > silence_s(reply_timeout_s, pause_s) and not node.waiting_for():
-            node.break_off(f"the world said nothing for {idle:.0f} s")
-        if missing != told:
-            told = missing
-            tell(f"waiting for {', '.join(told)}" if told else "all are here")
+            node.break_off(f"no message from the world for {idle:.0f} s")
+        if missing != reported:
+            reported = missing
+            notify(f"waiting for {', '.join(missing)}" if missing else "all participants have joined")
 
 
 def silence_s(reply_timeout_s: float, pause_s: float) -> float:
-    """For how long a world may say nothing: it waits for robots itself."""
+    """Return the time limit for a message of the world, in seconds; the world itself waits for robots."""
     return 2 * reply_timeout_s + pause_s
 
 
@@ -156,25 +163,25 @@ def serve_world(credential: Credential, task: WorldTask, wrap: Wrap | None = Non
 
 
 def serve_router(credential: Credential, endpoint: str, credentials: Mapping[str, Credential]) -> None:
-    """Serve as the router of a host's robots, who show it `credentials`, until the hub is gone."""
+    """Serve as the router of a host's robots, which authenticate with `credentials`, until the hub is gone."""
     with closing(Router(credential, endpoint, credentials)) as router:
         router.serve()
 
 
-def wait_for_a_turn() -> None:
-    """Have a process that is woken wait until a processor is free, where the system can tell (Linux).
+def schedule_as_batch() -> None:
+    """Use Linux's batch scheduling, so that a woken process waits until a processor is free.
 
-    Robots outnumber processors, and all are woken at once: each would interrupt the relay while it hands out what
-    the others wait for. To be called before zenoh first opens, for its threads to do likewise.
+    Robots outnumber processors and wake up at the same time: otherwise each would interrupt the relay, which still
+    sends messages to the others. Call this before zenoh opens, so that its threads inherit the policy.
     """
     with suppress(AttributeError, OSError):
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
 def serve_agent(credential: Credential, journal: Path | None = None, wrap: Wrap | None = None) -> None:
-    """Serve as one robot of a run; with a `journal` it may be killed and begin again."""
+    """Serve as one robot of a run; with a `journal` it can be restarted."""
     kept = Journal.open(journal) if journal is not None else None
-    wait_for_a_turn()
+    schedule_as_batch()
     bus = _joined(credential, wrap)
     node = AgentNode(bus, Keys(credential.run), names.number(credential.name), kept)
     try:
@@ -184,7 +191,7 @@ def serve_agent(credential: Credential, journal: Path | None = None, wrap: Wrap 
 
 
 def serve_view(credential: Credential, task: ViewTask, ready: Connection) -> None:
-    """Serve as the viewer of a run, which only listens; tell `ready` once it does."""
+    """Serve as the viewer of a run, which only receives; send True to `ready` once it has joined."""
     from deploy.dashboard import process  # noqa: PLC0415  only the viewer needs its imports
 
     process.serve(credential, task, lambda: ready.send(True))
@@ -204,7 +211,7 @@ def _serve(bus: Bus, node: WorldNode | AgentNode, reply_timeout: ReplyTimeout | 
             if message is not None:
                 node.handle(message)
             if reply_timeout is not None:
-                reply_timeout.look()
+                reply_timeout.check()
         if isinstance(node, AgentNode) and node.killed:
             os.kill(os.getpid(), signal.SIGKILL)
     finally:
@@ -212,14 +219,14 @@ def _serve(bus: Bus, node: WorldNode | AgentNode, reply_timeout: ReplyTimeout | 
 
 
 def in_background(name: str, log: Path, serve: Callable[..., None], *args: object) -> None:
-    """Run `serve` as a child of the launcher: its output goes to `log`; Ctrl-C is handled by the launcher."""
+    """Run `serve` as a child of the launcher: its output goes to `log`; the launcher handles Ctrl-C."""
     setproctitle(f"murmur {name}")
     parent_watchdog.end_with_launcher()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     except FileNotFoundError:
-        sys.exit(BROKEN_OFF)  # the launcher has gone, and taken the folder with it
+        sys.exit(BROKEN_OFF)  # the launcher has ended and removed the directory
     os.dup2(file, 1)
     os.dup2(file, 2)
     try:

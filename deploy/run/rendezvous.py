@@ -1,4 +1,4 @@
-"""Where the processes of a run meet: the hub's address, and what each of them shows there. Made anew for each run."""
+"""The rendezvous of a run's processes: the hub's address and the credentials of all participants."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ LOOPBACK = "127.0.0.1"
 
 @dataclass(frozen=True)
 class Rendezvous:
-    """A run's name, where its hub listens, and all credentials.
+    """A run's name, the address of its hub, and all credentials.
 
     Attributes
     ----------
     certificate : Certificate or None
-        What the hub shows; None where it asks for passwords, on the loopback.
+        The hub's certificate; None with passwords, on the loopback interface.
     """
 
     run: str
@@ -33,13 +33,13 @@ class Rendezvous:
 
 
 def on_loopback(robots: int) -> Rendezvous:
-    """A meeting at a free port of the loopback, by passwords."""
+    """Return a rendezvous at a free port of the loopback interface, with passwords."""
     run, endpoint = secrets.token_hex(4), f"tcp/{LOOPBACK}:{free_port(LOOPBACK)}"
     return Rendezvous(run, endpoint, access.issue(run, endpoint, robots))
 
 
 def behind(router: Credential) -> Rendezvous:
-    """Where the robots of a router meet: at a free port of the loopback, by passwords that nobody else knows."""
+    """Return the rendezvous of a router's robots: a free port of the loopback interface, with new passwords."""
     endpoint = f"tcp/{LOOPBACK}:{free_port(LOOPBACK)}"
     return Rendezvous(router.run, endpoint, access.passwords(router.run, endpoint, router.robots))
 
@@ -47,9 +47,9 @@ def behind(router: Credential) -> Rendezvous:
 def by_certificates(
     address: str, port: int | None, robots: int, routers: Mapping[str, Sequence[str]] | None = None
 ) -> Rendezvous:
-    """A meeting at an address of this host that others can reach, by certificates made for this run alone.
+    """Return a rendezvous at an address of this host that other hosts can reach, with certificates for this run.
 
-    `routers` has the names of the robots that join through each router, by its name.
+    `routers` maps the name of each router to the names of the robots that join through it.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def by_certificates(
         where = f"address = {address!r}" + (f", port = {port}" if port else "")
         raise ScenarioError(
             f"{where}: the hub cannot listen there: {error.strerror}; "
-            "it must be the address by which the other hosts know this one, and a port that is free"
+            "address must be this host's address as the other hosts know it, and the port must be free"
         ) from None
     run, endpoint = secrets.token_hex(4), f"tls/{_bracketed(address)}:{port}"
     made = certificates.make(robots, [address], routers=routers)
@@ -72,7 +72,7 @@ def by_certificates(
 
 
 def free_port(address: str, port: int = 0) -> int:
-    """A port that nobody listens to now: `port`, if that is not 0; OSError if it is taken."""
+    """Return a free port: `port` unless that is 0; OSError if it is taken."""
     family, kind, number, _, place = socket.getaddrinfo(address, port, type=socket.SOCK_STREAM)[0]
     with socket.socket(family, kind, number) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -82,7 +82,7 @@ def free_port(address: str, port: int = 0) -> int:
 
 
 def _bracketed(address: str) -> str:
-    """An address as it stands before a port."""
+    """Return an address in the form required before a port."""
     try:
         return f"[{address}]" if ip_address(address).version == 6 else address
     except ValueError:

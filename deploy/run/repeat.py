@@ -9,13 +9,13 @@ CUT_SHORT = ("interrupted", "broken off")
 
 
 def why_unrepeatable(summary: dict[str, Any]) -> str:
-    """Why a run cannot be repeated: an event that its scenario does not contain; an empty text if it can."""
+    """Return why a run cannot be repeated: an event that its scenario does not contain; empty if it can."""
     if summary["reason"] in CUT_SHORT:
         return f"it was {summary['reason']} at step {summary['steps']}"
     back = "; ".join(
         f"robot {robot} was lost at step {step} and came back" for step, robot in summary.get("returned", [])
     )
     if back:
-        return f"{back}, unasked"
+        return f"{back}, unexpectedly"
     lost = "; ".join(f"robot {robot} was lost: {cause}" for robot, cause in summary["lost"].items())
-    return f"{lost}, unasked" if lost else ""
+    return f"{lost}, unexpectedly" if lost else ""

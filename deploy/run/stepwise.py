@@ -1,4 +1,4 @@
-"""A run step by step, in this process: ``for step in steps(robots=3): ...``. For experiments and teaching."""
+"""Run a scenario step by step in this process: ``for step in steps(robots=3): ...``."""
 
 from __future__ import annotations
 
@@ -35,25 +35,25 @@ class RobotState:
     number : int
         From 0.
     x, y : float
-        Where it truly is; metres in the map's frame, y up.
+        True position in meters, in the map's frame, y up.
     heading : float
         Degrees, a full turn is 360; 0 looks along x, 90 along -y.
     cell : (x, y)
-        The cell in which it is, row 0 on top: ``grid[y, x]``.
+        Its cell, row 0 on top: ``grid[y, x]``.
     driven : float
-        Metres since the start.
+        Distance driven since the start, in meters.
     own : uint8 array, shape (h, w)
-        What it has seen itself: 0 unknown, 1 free, 2 occupied (`protocol.grid`). It is the robot's own array and
-        changes with the next step: copy what is to be kept.
+        Cells that it has seen itself: 0 unknown, 1 free, 2 occupied (`protocol.grid`). A view of the robot's array,
+        which changes with the next step: copy it to keep it.
     planning : uint8 array, shape (h, w)
-        `own` merged with what its teammates have told it: the map that it plans on. Copy what is to be kept.
+        `own` merged with the maps received from teammates; the robot plans on it. Copy it to keep it.
     target : (x, y) or None
-        The cell that it is headed for.
+        Its target cell.
     status : str
-        What it says that it does.
+        Its current activity.
     polygons : mapping of int to Polygons
         The outlines of each robot's map as this robot holds them, its own included (`agent.outline.polygons`); empty
-        where maps travel in another form.
+        with other map encodings.
     """
 
     number: int
@@ -74,18 +74,18 @@ class RobotState:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Step:
-    """The state of a run at the end of a step. It is that of this step until the next one is asked for.
+    """The state of a run at the end of a step, valid until the next step is requested.
 
     Attributes
     ----------
     number : int
         From 1; one step is one second.
     explored : float
-        The share of what can be reached that the team has seen, 0 to 1.
+        Fraction of the reachable cells that the team has seen, 0 to 1.
     carried : int
-        Bytes on the air in this step.
+        Bytes sent in this step.
     robots : dict of int to RobotState
-        Those that are alive, by number.
+        The robots in the world, by number.
     truth : uint8 array, shape (h, w)
         The world.
     """
@@ -118,15 +118,14 @@ class Step:
 
 
 class Steps:
-    """A run under way: iterate over it, for a while or to its end. Nothing is written.
+    """A run in progress: iterate over its steps, to any step or to the end. No files are written.
 
-    It holds no process, thread or file: one that is left before its end needs no closing. ``with steps(...) as run:``
-    drops it where the block ends.
+    It uses no process, thread or file, so it need not be closed. ``with steps(...) as run:`` ends it with the block.
 
     Attributes
     ----------
     plan : Plan
-        What is run: the scenario and its map.
+        The plan, with scenario and map.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -134,8 +133,8 @@ class Steps:
         self._began = time.perf_counter()
         self._result: Result | None = None
         self._run = MemoryRun(self.plan)
-        self._told = 0
-        """Reports of the relay that former steps have had."""
+        self._reported = 0
+        """Number of the relay's reports that previous steps have returned."""
         self._steps: Iterator[int] = self._run.steps()
 
     def __iter__(self) -> Iterator[Step]:
@@ -151,11 +150,11 @@ class Steps:
         raise StopIteration
 
     def kill(self, robot: int) -> None:
-        """Kill a robot with all that it knows, as soon as a step begins; ValueError if there is no such robot."""
+        """Kill a robot at the start of the next step; ValueError if the robot does not exist."""
         self._run.ask(kill(self.plan.scenario, robot))
 
     def change(self, *, bandwidth: int | str | None = None, range: float | str | None = None) -> None:
-        """Change the radio, as soon as a step begins; values as in a scenario. ScenarioError says what is wrong."""
+        """Change the radio at the start of the next step; values as in a scenario. ScenarioError if invalid."""
         self._run.ask(change(self.plan.scenario, self.plan.map.diagonal_m, bandwidth=bandwidth, range=range))
 
     def __enter__(self) -> Self:
@@ -165,12 +164,12 @@ class Steps:
         self.close()
 
     def close(self) -> None:
-        """Leave the run where it is; no more steps come."""
+        """End the iteration; the run does not continue."""
         self._steps = iter(())
 
     @property
     def result(self) -> Result:
-        """The same as `explore` returns, once the last step has been taken.
+        """The result as `explore` returns it, after the last step.
 
         Raises
         ------
@@ -178,7 +177,7 @@ class Steps:
             The run is not over.
         """
         if self._result is None:
-            raise RuntimeError("there is no result before the end: iterate until no step comes any more")
+            raise RuntimeError("the run has not ended: iterate over all steps first")
         return self._result
 
     def _state(self, number: int) -> Step:
@@ -195,23 +194,23 @@ class Steps:
                 robot, x, y, heading / 10, (round(x_cell), round(y_cell)), report.driven[robot] / 1000,
                 _unwritable(mind.own), _unwritable(mind.planning), mind.target, mind.status, mind.polygons,
             )  # fmt: skip
-        rows = b"".join(records.rows[self._told :])
-        self._told = len(records.rows)
+        rows = b"".join(records.rows[self._reported :])
+        self._reported = len(records.rows)
         return Step(
             number, report.seen / report.reachable, records.carried, robots, self.plan.map.cells, rows
         )
 
 
 def steps(scenario: Scenario | None = None, **settings: Any) -> Steps:
-    """Begin a run in this process that goes on when its next step is asked for.
+    """Start a run in this process that advances with each step that the caller requests.
 
     Parameters
     ----------
     scenario : Scenario, optional
         The defaults if left out.
     **settings
-        Settings of the scenario, over those of `scenario`: ``steps(robots=5, bandwidth=1000)``. The bus is always
-        that in memory.
+        Settings that replace those of `scenario`: ``steps(robots=5, bandwidth=1000)``. The bus is always
+        ``memory``.
 
     Returns
     -------

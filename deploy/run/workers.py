@@ -1,8 +1,8 @@
-"""Who makes the runs: processes of this machine, or those of a Dask cluster. Either yields each run once.
+"""Parallel execution of runs by processes on this machine or by a Dask cluster; each run gives one outcome.
 
-A run whose process dies is told as failed; the others go on. Locally the runs that were in progress when a process
-died are made again one at a time, so that it is known which of them it was; a cluster gives a run that has lost its
-worker to another one, a few times.
+A run whose process dies counts as failed; the others continue. On this machine, the runs that were in progress when a
+process died are repeated one at a time, to find the run that caused it. A cluster retries such a run a few times on
+other workers.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Keyed(Protocol):
 
     @property
     def key(self) -> str:
-        """Its name, which no other has."""
+        """Its unique name."""
 
 
 Case = TypeVar("Case", bound=Keyed)
@@ -35,14 +35,14 @@ DIED = "its process died"
 
 
 class Workers(Protocol):
-    """Those who make runs."""
+    """Executors of runs."""
 
     def each(
         self, todo: Sequence[Case], run: Callable[[Case], Outcome]
     ) -> Iterator[tuple[Case, Outcome | str]]:
-        """Yield each case with its outcome, as they become known; a text says why there is none.
+        """Yield each case with its outcome as soon as it is known, or with an error text.
 
-        Anything that ends it early, Ctrl-C or a consumer that takes no more, ends the runs in progress immediately.
+        Ctrl-C, or closing the iterator, ends the runs in progress immediately.
         """
 
 
@@ -68,7 +68,7 @@ class LocalPool:
                             running[pool.submit(run, waiting[0])] = waiting[0]
                             waiting.popleft()
                     if not running:
-                        break  # a process died that had no run: on with a new pool
+                        break  # a process without a run died: continue with a new pool
                     over, _ = wait(running, return_when=FIRST_COMPLETED)
                     broken = False
                     for future in over:
@@ -94,17 +94,17 @@ class LocalPool:
 
 
 class Cluster:
-    """The workers of a Dask cluster, however many there are at a time.
+    """The workers of a Dask cluster; their number may change.
 
     Parameters
     ----------
     address : str
-        Of its scheduler, as ``tcp://10.0.0.1:8786``.
+        Address of its scheduler, for example ``tcp://10.0.0.1:8786``.
 
     Raises
     ------
     ValueError
-        Nobody answers there, or dask.distributed is not installed.
+        No scheduler answers there, or dask.distributed is not installed.
     """
 
     REPLY_TIMEOUT_S = 20
@@ -156,12 +156,12 @@ class Cluster:
 
 
 def workers(jobs: int | None, scheduler: str | None) -> Workers:
-    """A cluster's workers if its scheduler's address is given, else `jobs` processes here, one per core if None."""
+    """Return a cluster's workers if its scheduler is given, else `jobs` processes, by default one per core."""
     return LocalPool(jobs or os.cpu_count() or 1) if scheduler is None else Cluster(scheduler)
 
 
 def _heed_ctrl_c() -> None:
-    """Have Ctrl-C end waiting for runs at once; polars, once imported, has the system wait on until one is over."""
+    """Make Ctrl-C interrupt waiting for runs at once, which importing polars prevents."""
     signal.siginterrupt(signal.SIGINT, True)
 
 
@@ -169,14 +169,14 @@ _TURN = threading.Lock()
 
 
 def _one_at_a_time(run: Callable[[Any], Any], case: Any) -> Any:
-    """A run in a worker that may have several threads, of which one at a time may run."""
+    """Execute a run in a worker; only one of its threads runs at a time."""
     with _TURN:
         return run(case)
 
 
 @contextlib.contextmanager
 def _processes(jobs: int) -> Iterator[ProcessPoolExecutor]:
-    """A pool whose processes end immediately if the work is aborted."""
+    """Return a pool whose processes end immediately on an exception."""
     others = multiprocessing.active_children()
     pool = ProcessPoolExecutor(jobs, initializer=_begin)
     try:
@@ -191,7 +191,7 @@ def _processes(jobs: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _begin() -> None:
-    """Leave Ctrl-C to the parent process, and do not outlive it if it is killed."""
+    """Ignore Ctrl-C, which the parent handles, and end with the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 

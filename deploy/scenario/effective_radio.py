@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from dataclasses import fields
 
 from deploy.scenario.plan import Plan
-from deploy.scenario.tables import UNLIMITED
 from netshaper.presets import PRESETS
 from netshaper.radio_options import RadioOptions
+from protocol.budget import WORD_FOR_UNLIMITED
 
 
 def effective_radio(plan: Plan) -> str:
@@ -24,7 +24,11 @@ def _parts(plan: Plan) -> Iterator[str]:
     if options.preset:
         yield f"{options.preset}, {PRESETS[options.preset].words}"
     sharing = "each neighborhood" if options.reuse else "the team"
-    rate = scenario.bandwidth if scenario.bandwidth == UNLIMITED else f"{scenario.bandwidth} bytes per step"
+    rate = (
+        scenario.bandwidth
+        if scenario.bandwidth == WORD_FOR_UNLIMITED
+        else f"{scenario.bandwidth} bytes per step"
+    )
     yield f"{rate} for {sharing}"
     yield f"range {plan.range_m:.4g} m, {options.model}"
     if options.model == "log-distance":

@@ -12,7 +12,7 @@ from agent.settings import Settings
 from agent.strategies.registry import strategy
 from deploy.scenario.finding_maps import find_map
 from deploy.scenario.scenario import Scenario, ScenarioError
-from deploy.scenario.tables import UNLIMITED, RobotOverride
+from deploy.scenario.tables import RobotOverride
 from netshaper.settings import RadioSettings
 from protocol.budget import Budget
 from protocol.grid import MAX_SIDE, disc, enlarge
@@ -153,7 +153,7 @@ def _robot_settings(
             map_encoding=scenario.map_encoding,
             strategy=scenario.strategy,
             dissemination=scenario.dissemination,
-            bandwidth=None if scenario.bandwidth == UNLIMITED else float(scenario.bandwidth),
+            bandwidth=None if radio.budget.limit is None else float(radio.budget.limit),
             reach_cells=radio.range_cells,
             polygons=asdict(scenario.polygons),
             predictive=asdict(scenario.predictive),

@@ -17,7 +17,6 @@ from agent.encodings.predictive_options import PredictiveOptions
 from deploy.scenario.finding_maps import FILES as MAP_FILES
 from deploy.scenario.tables import (
     MAX_INTEGER,
-    UNLIMITED,
     Bandwidth,
     ChangeTable,
     Degrees,
@@ -33,7 +32,7 @@ from deploy.scenario.tables import (
 )
 from netshaper.presets import PRESETS
 from netshaper.radio_options import Partition, RadioOptions
-from protocol.budget import Budget
+from protocol.budget import WORD_FOR_UNLIMITED, Budget
 from protocol.errors import there_are
 from protocol.grid import MAX_ROBOTS
 from protocol.messages import Change, FaultEvent
@@ -223,7 +222,7 @@ class Scenario(Table):
                     f"[[radio.partition]] names robot {unknown[0]}; the last one is {self.robots - 1}"
                 )
         bandwidths = [self.bandwidth, *(change.bandwidth for change in self.change)]
-        if self.radio.duty_cycle < 1 and UNLIMITED in bandwidths:
+        if self.radio.duty_cycle < 1 and WORD_FOR_UNLIMITED in bandwidths:
             raise ValueError("radio.duty_cycle: is a share of the bandwidth, which must be limited then")
         if self.start_jitter and self.start is None and not self.starts:
             raise ValueError("start_jitter: offsets a given start position: set start or starts")

@@ -8,9 +8,8 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from netshaper.radio_options import LEAST_FRAME
+from protocol.budget import WORD_FOR_UNLIMITED
 from protocol.messages import FaultEvent
-
-UNLIMITED = "unlimited"
 
 MAX_INTEGER = 2**31 - 1
 """Largest integer that the columns of the ledger can hold."""
@@ -57,7 +56,7 @@ def _check_range(text: str) -> str:
 def _check_bandwidth(value: object) -> object:
     if isinstance(value, str) and value.isascii() and value.strip().isdecimal():
         value = int(value)
-    if value != UNLIMITED and (type(value) is not int or not 0 <= value <= MAX_INTEGER):
+    if value != WORD_FOR_UNLIMITED and (type(value) is not int or not 0 <= value <= MAX_INTEGER):
         raise ValueError(f"must be a whole number of bytes per step, 0 to {MAX_INTEGER}, or 'unlimited'")
     return value
 

@@ -1,6 +1,7 @@
-"""Many runs: one scenario over factors and seeds, tested, compared and judged.
+"""Studies of many runs: a scenario over factors and seeds, with tests, comparisons and verdicts.
 
-It builds on `run`, independent of `after`, `chaos` and `bench`. Start with `experiment.py`; `runs.py` has its runs made
-and keeps them in the table of `results.py`; `claims.py` judges them by `statistics.py`; `reproduction.py`,
-`comparison.py` and `sizing.py` are what people ask for. `experiments/` holds those that are installed with the code.
+This package builds on `run` and is independent of `after`, `chaos` and `bench`. `experiment.py` reads an experiment;
+`runs.py` makes its runs and keeps them in the table of `results.py`; `claims.py` judges them by `statistics.py`.
+`sweep.py`, `comparison.py`, `sizing.py` and `reproduction.py` implement the commands. `experiments/` holds the shipped
+experiments.
 """

@@ -1,7 +1,7 @@
-"""A claim of a paper: rules that runs are tested against, and the verdict that follows from the tests.
+"""A claim of a paper: rules that are tested on runs, and the verdict that follows from the tests.
 
-A rule is data, in the experiment's file. It names a figure and what is expected of it, and is tested apart for each
-combination of the keys ``by`` (all runs together without), on the runs that ``where`` leaves::
+An experiment's file contains the rules. A rule names a metric and an expectation. There is one test per combination of
+the keys ``by`` (a single test without ``by``), on the runs that ``where`` selects::
 
     [[claim.rule]]
     statement = "coordinated robots are faster"
@@ -16,20 +16,19 @@ combination of the keys ``by`` (all runs together without), on the runs that ``w
 expect                                test
 ====================================  =========================================================================
 ``ratio < 1``, ``ratio in 0.9..1.1``  geometric mean of the ratios of paired runs, t test on their logarithms
-``difference > 0``                    mean difference of paired runs, t test; sign test if all figures are 0 or 1
-``value < 0.5``, ``value in 0..0.1``  mean, t test; exact binomial test if all figures are 0 or 1
+``difference > 0``                    mean difference of paired runs, t test; sign test if all values are 0 or 1
+``value < 0.5``, ``value in 0..0.1``  mean, t test; exact binomial test if all values are 0 or 1
 ``falls over KEY``, ``grows over KEY``  trend over the key's values in the grid's order, Page's test
 ``order of KEY``                      the same order as ``ranks = { value = number, ... }``, Kendall's tau, exact
 ====================================  =========================================================================
 
-Paired runs are equal in all but the keys of ``compare``. ``spread of`` before a figure means its distance from the
-median of its side and cell. Runs that did not finish (`deploy.study.tables.has_finished`) are left out, with their
-partners, unless ``all_runs = true``; a figure of which the rule says ``exact = true`` does not vary by chance and
-is compared as it is.
+Paired runs differ only in the keys of ``compare``. ``spread of`` before a metric means its distance from the median of
+its side and cell. Runs that did not finish (`deploy.study.tables.has_finished`) are excluded with their partners,
+unless ``all_runs = true``. With ``exact = true`` the metric does not vary randomly and is compared directly.
 
-P-values are corrected for the number of tests of the claim (Holm). A test is decided if the corrected two-sided p
-is below 0.05. The claim *holds* if all its tests do, *does not hold* if some are decided against it and none for
-it, is *undecided* if none is decided, and *holds in part* otherwise.
+P-values are corrected for the number of tests of the claim (Holm). A test is decided if its corrected two-sided p-value
+is below 0.05. The claim *holds* if all its tests do. It *does not hold* if some tests are decided against it and none
+for it. It is *undecided* if no test is decided, and *holds in part* otherwise.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -46,7 +45,7 @@ import numpy as np
 from deploy.study import statistics
 from deploy.study.results import Row
 from deploy.study.statistics import SIGNIFICANT, Evidence, Interval
-from deploy.study.tables import VARIANT, check, figure, has_finished, key_of
+from deploy.study.tables import VARIANT, check, has_finished, key_of, metric_value
 
 HOLDS, IN_PART, NOT, UNDECIDED = "holds", "holds in part", "does not hold", "undecided"
 
@@ -62,36 +61,36 @@ FORMS = "'ratio < 1', 'difference > 0', 'value in 0..0.1', 'falls over robots', 
 
 @dataclass(frozen=True)
 class Rule:
-    """What a claim expects of a figure; see the file's head."""
+    """The expectation of a claim for a metric; see the module's description."""
 
-    statement: str
-    metric: str
-    expect: str
-    compare: dict[str, Any]
-    to: dict[str, Any]
-    by: list[str]
-    where: dict[str, list[Any]]
-    ranks: dict[str, float]
-    all_runs: bool
-    exact: bool
+    statement: str = ""
+    metric: str = ""
+    expect: str = ""
+    compare: dict[str, Any] = field(default_factory=dict)
+    to: dict[str, Any] = field(default_factory=dict)
+    by: list[str] = field(default_factory=list)
+    where: dict[str, list[Any]] = field(default_factory=dict)
+    ranks: dict[str, float] = field(default_factory=dict)
+    all_runs: bool = False
+    exact: bool = False
 
 
 @dataclass(frozen=True)
 class Claim:
-    """What a paper claims, and what would show it.
+    """A claim of a paper, with the rules that test it.
 
     Attributes
     ----------
     id : str
-        As ``B1``; several experiments may bring rules for a claim.
+        As ``B1``; several experiments may contribute rules to a claim.
     paper, figure : str
-        Where it stands.
+        Its source.
     statement : str
         The claim in a sentence.
     reported : str
-        The paper's own figures.
+        The results of the paper.
     explanation : str
-        Why it comes out differently here, where it does; found by experiment. Not the verdict: that is computed.
+        Why the results differ from the paper, found by experiment; the verdict itself is computed.
     rules : tuple of Rule
     """
 
@@ -114,13 +113,13 @@ class Finding:
     cell : dict
         Values of the rule's ``by``.
     effect : Interval
-        What was found.
+        The tested effect.
     d : float
         Effect size, in standard deviations.
     p : float
-        Two-sided, corrected.
+        Corrected two-sided p-value.
     left_out : int
-        Runs or pairs of which one did not finish.
+        Number of excluded runs or pairs.
     verdict : str
         `HOLDS`, `NOT` or `UNDECIDED`.
     """
@@ -135,27 +134,28 @@ class Finding:
 
 
 class Verdict(NamedTuple):
-    """The verdict on a claim, and the findings that it follows from."""
+    """The verdict on a claim, and the findings from which it follows."""
 
-    word: str
+    result: str
     findings: list[Finding]
 
     @property
     def counts(self) -> str:
-        """How many tests came out how."""
-        words = [finding.verdict for finding in self.findings]
+        """The number of tests of each verdict, as text."""
+        verdicts = [finding.verdict for finding in self.findings]
         named = ((HOLDS, "as expected"), (NOT, "against it"), (UNDECIDED, "undecided"))
-        return ", ".join(f"{words.count(word)} {said}" for word, said in named if word in words) or "no tests"
+        counts = [f"{verdicts.count(verdict)} {name}" for verdict, name in named if verdict in verdicts]
+        return ", ".join(counts) or "no tests"
 
 
 def read_claim(data: Any, grid: dict[str, Any], variants: Iterable[str], names: Iterable[str]) -> Claim:
-    """Check a claim as read from a file; ValueError says what is wrong. `names` are figures besides a summary's."""
+    """Check a claim as read from a file; ValueError if it is invalid. `names` are the metrics of the measure."""
     texts = ("id", "paper", "figure", "statement", "reported", "explanation")
     if not isinstance(data, dict):
         raise ValueError(f"claim = {data!r}: must be a table, [claim]")
     for key, value in data.items():
         if key not in (*texts, "rule"):
-            raise ValueError(f"claim.{key} is no part of a claim; there are: {', '.join((*texts, 'rule'))}")
+            raise ValueError(f"claim.{key} is not a key of a claim; there are: {', '.join((*texts, 'rule'))}")
         if key in texts and not isinstance(value, str):
             raise ValueError(f"claim.{key} = {value!r}: must be text")
     for key in ("id", "paper", "statement"):
@@ -166,24 +166,24 @@ def read_claim(data: Any, grid: dict[str, Any], variants: Iterable[str], names: 
         raise ValueError("claim.rule: a claim needs rules, [[claim.rule]]")
     keys, variants, names = {*grid, VARIANT}, list(variants), list(names)
     rules = tuple(_rule(entry, keys, variants, names) for entry in entries)
-    said = {key: " ".join(data.get(key, "").split()) for key in texts}
-    return Claim(**said, rules=rules)
+    cleaned = {key: " ".join(data.get(key, "").split()) for key in texts}
+    return Claim(**cleaned, rules=rules)
 
 
 def judge(parts: Iterable[tuple[Sequence[Rule], Sequence[Row]]]) -> Verdict:
-    """Test rules on the runs of their experiment and combine all that is found into a verdict."""
+    """Test rules on the runs of their experiments; return the verdict."""
     tests = [test for rules, rows in parts for rule in rules for test in _tests(rule, rows)]
     return Verdict(*_decided(tests))
 
 
 def combined(findings: Iterable[Finding]) -> str:
-    """The verdict that follows from findings."""
-    words = {finding.verdict for finding in findings}
-    if words <= {UNDECIDED}:
+    """Combine findings into a verdict."""
+    verdicts = {finding.verdict for finding in findings}
+    if verdicts <= {UNDECIDED}:
         return UNDECIDED
-    if words == {HOLDS}:
+    if verdicts == {HOLDS}:
         return HOLDS
-    return IN_PART if HOLDS in words else NOT
+    return IN_PART if HOLDS in verdicts else NOT
 
 
 class _Test(NamedTuple):
@@ -197,17 +197,17 @@ def _decided(tests: Sequence[_Test]) -> tuple[str, list[Finding]]:
     two_sided = [min(1.0, 2 * min(test.evidence.p_for, test.evidence.p_against)) for test in tests]
     findings = []
     for test, p in zip(tests, statistics.holm(two_sided), strict=True):
-        word = UNDECIDED
+        verdict = UNDECIDED
         if p < SIGNIFICANT:
-            word = HOLDS if test.evidence.p_for < test.evidence.p_against else NOT
+            verdict = HOLDS if test.evidence.p_for < test.evidence.p_against else NOT
         findings.append(
-            Finding(test.rule, test.cell, test.evidence.effect, test.evidence.d, p, test.left_out, word)
+            Finding(test.rule, test.cell, test.evidence.effect, test.evidence.d, p, test.left_out, verdict)
         )
     return combined(findings), findings
 
 
 def _tests(rule: Rule, rows: Sequence[Row]) -> list[_Test]:
-    """A rule's tests, one for each of its cells."""
+    """The tests of a rule, one per cell."""
     chosen = [
         row for row in rows if all(row["place"].get(key) in values for key, values in rule.where.items())
     ]
@@ -221,7 +221,7 @@ def _tests(rule: Rule, rows: Sequence[Row]) -> list[_Test]:
 
 
 def _evidence(rule: Rule, rows: Sequence[Row]) -> tuple[Evidence, int]:
-    """What the runs of a cell say, and how many were left out."""
+    """The evidence of a cell's runs, and the number of excluded runs."""
     if trend := TREND.fullmatch(rule.expect):
         return _trend(rule, rows, trend[2], 1 if trend[1] == "grows" else -1)
     if order := ORDER.fullmatch(rule.expect):
@@ -249,8 +249,8 @@ def _evidence(rule: Rule, rows: Sequence[Row]) -> tuple[Evidence, int]:
         statistics.ratio_within if kind == "ratio" else statistics.difference_within
     )
     if rule.exact:
-        figures = [one / other if kind == "ratio" else one - other for one, other in whole]
-        return _exactly(figures, least, most), len(pairs) - len(whole)
+        found = [one / other if kind == "ratio" else one - other for one, other in whole]
+        return _exactly(found, least, most), len(pairs) - len(whole)
     return test(ones, others, least, most), len(pairs) - len(whole)
 
 
@@ -285,12 +285,12 @@ def _order(rule: Rule, rows: Sequence[Row], key: str) -> tuple[Evidence, int]:
     return statistics.same_order(found, wanted), len(rule.ranks) - len(found)
 
 
-def _exactly(figures: Sequence[float], least: float, most: float) -> Evidence:
-    """All figures must lie within the bounds; there is no chance in them."""
-    if not figures:
+def _exactly(values: Sequence[float], least: float, most: float) -> Evidence:
+    """Compare values without random variation: all must lie within the bounds."""
+    if not values:
         return Evidence(statistics.interval([]), math.nan, 1.0, 1.0)
-    within = all(least < value < most for value in figures)
-    effect = Interval(len(figures), float(np.mean(figures)), min(figures), max(figures))
+    within = all(least < value < most for value in values)
+    effect = Interval(len(values), float(np.mean(values)), min(values), max(values))
     return Evidence(effect, math.nan, 0.0 if within else 1.0, 1.0 if within else 0.0)
 
 
@@ -301,15 +301,15 @@ def _side(rows: Sequence[Row], choice: dict[str, Any]) -> list[Row]:
 def _values(
     rule: Rule,
     rows: Sequence[Row],
-    apart: set[str] = frozenset(),  # type: ignore[assignment]
+    ignored: set[str] = frozenset(),  # type: ignore[assignment]
 ) -> dict[Any, float | None]:
-    """The figure of each run, by its place without the keys `apart`; None where the run does not count."""
+    """The metric of each run, by its place without the `ignored` keys; None if the run is excluded."""
     name = rule.metric.removeprefix(SPREAD)
     values: dict[Any, float | None] = {}
     for row in rows:
-        place = {key: value for key, value in row["place"].items() if key not in apart}
+        place = {key: value for key, value in row["place"].items() if key not in ignored}
         counts = rule.all_runs or has_finished(row)
-        values[key_of(place)] = figure(row, name) if counts else None
+        values[key_of(place)] = metric_value(row, name) if counts else None
     if name != rule.metric:
         there = [value for value in values.values() if value is not None]
         middle = float(np.median(there)) if there else math.nan
@@ -318,10 +318,8 @@ def _values(
 
 
 def _rule(entry: Any, keys: set[str], variants: list[str], names: list[str]) -> Rule:
-    """Check a rule; ValueError says what is wrong."""
-    rule = replace(
-        Rule("", "", "", {}, {}, [], {}, {}, all_runs=False, exact=False), **_known(entry, keys, variants)
-    )
+    """Check a rule; ValueError if it is invalid."""
+    rule = Rule(**_checked(entry, keys, variants))
     where = f"claim.rule {rule.statement!r}"
     for key in ("statement", "metric", "expect"):
         if not getattr(rule, key):
@@ -332,34 +330,36 @@ def _rule(entry: Any, keys: set[str], variants: list[str], names: list[str]) -> 
         raise ValueError(f"{where}: expect = {rule.expect!r}: must be one of {FORMS}")
     paired = bound is not None and bound[1] != "value"
     if paired != bool(rule.compare) or paired != bool(rule.to):
-        raise ValueError(f"{where}: compare and to say what a ratio or a difference is of, and nothing else")
+        raise ValueError(
+            f"{where}: compare and to are needed for a ratio or a difference, and for nothing else"
+        )
     if paired and set(rule.compare) != set(rule.to):
         raise ValueError(f"{where}: compare and to must name the same keys")
     over = trend[2] if trend else order[1] if order else None
     if over is not None and over not in keys:
         raise ValueError(f"{where}: {over!r} is not in the grid; there are: {', '.join(sorted(keys))}")
     if bool(order) != bool(rule.ranks):
-        raise ValueError(f"{where}: ranks says which order is expected, as {{ a = 1, b = 2 }}")
+        raise ValueError(f"{where}: ranks gives the expected order, as {{ a = 1, b = 2 }}")
     return rule
 
 
-def _known(entry: Any, keys: set[str], variants: list[str]) -> dict[str, Any]:
-    """A rule's keys, each of the right kind; ValueError says what is wrong."""
+def _checked(entry: Any, keys: set[str], variants: list[str]) -> dict[str, Any]:
+    """A rule's keys, each of the right kind; ValueError if it is invalid."""
     kinds = Rule.__annotations__
     if not isinstance(entry, dict):
         raise ValueError(f"claim.rule = {entry!r}: must be tables, [[claim.rule]]")
     given: dict[str, Any] = entry
     for key, value in given.items():
         if key not in kinds:
-            raise ValueError(f"claim.rule.{key} is no part of a rule; there are: {', '.join(kinds)}")
+            raise ValueError(f"claim.rule.{key} is not a key of a rule; there are: {', '.join(kinds)}")
         kind: type = {"str": str, "bool": bool, "list[str]": list}.get(kinds[key], dict)
         if not issubclass(type(value), kind):
-            raise ValueError(f"claim.rule.{key} = {value!r}: must be of kind {kind.__name__}")
+            raise ValueError(f"claim.rule.{key} = {value!r}: must be a {kind.__name__}")
         if key in ("compare", "to", "where", "by"):
             for name in value:
                 if name not in keys:
                     raise ValueError(
-                        f"claim.rule.{key} speaks of {name!r}, which is not in the grid; there are: "
+                        f"claim.rule.{key} names {name!r}, which is not in the grid; there are: "
                         f"{', '.join(sorted(keys))}"
                     )
     for key in ("compare", "to"):

@@ -1,4 +1,4 @@
-"""Which of several settings explores faster: paired runs, a verdict for each pair, boxes and curves."""
+"""Compare settings: paired runs, a verdict for each pair of settings, box plots and curves."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ if TYPE_CHECKING:
 
 SEEDS = 10
 
-OWN = ("seed", "bus")
-"""Settings of a scenario that a comparison decides."""
+REPLACED = ("seed", "bus")
+"""Settings of a scenario that the comparison replaces."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
-    """Settings compared with each other. In a notebook it shows its verdicts, table, and pictures.
+    """The comparison of settings; a notebook shows its verdicts, table and pictures.
 
     Attributes
     ----------
     sweep : Sweep
         The runs.
     metric : str
-        What is compared.
+        The compared metric.
     findings : list of Finding
-        A paired test for each two, corrected for how many there are (Holm).
+        A paired test for each pair of settings, corrected for their number (Holm).
     """
 
     sweep: Sweep
@@ -47,20 +47,20 @@ class Comparison:
 
     @property
     def verdicts(self) -> list[str]:
-        """A sentence for each two."""
+        """A sentence for each pair of settings."""
         return [_sentence(self.metric, finding) for finding in self.findings]
 
     @property
     def table(self) -> pl.DataFrame:
-        """Means, intervals and five numbers."""
+        """Means, intervals and quartiles."""
         return self.sweep.table
 
     def plot(self) -> Figure:
-        """Boxes of the figure."""
+        """Box plots of the metric."""
         return self.sweep.plot(0)
 
     def curves(self) -> Figure:
-        """What is explored over time, means with 95 % bands."""
+        """The explored share over time, means with 95 % intervals."""
         return self.sweep.plot(1)
 
     def write(self, folder: Path) -> list[Path]:
@@ -91,23 +91,23 @@ def compare(
     progress: bool = True,
     **settings: Any,
 ) -> Comparison:
-    """Run scenarios on the same seeds, and say which is better.
+    """Run scenarios on the same seeds and test which is better.
 
     Parameters
     ----------
     scenarios : sequence of Scenario, settings or paths; or dict of name to settings
-        Two or more. Their seeds are replaced.
+        Two or more scenarios. Their seeds are replaced.
     seeds : int
-        Runs of each, on each map.
+        Number of runs of each scenario on each map.
     metric : str
-        What is compared, as in tables (docs/experiments.md).
+        The compared metric, as in tables (docs/experiments.md).
     **settings
-        Settings of all of them; lists are run through: ``map=["office", "mixed"], robots=4``.
+        Settings of all scenarios; lists are factors: ``map=["office", "mixed"], robots=4``.
 
     Raises
     ------
     ValueError
-        Fewer than two scenarios, or one that cannot be run; nothing has been run.
+        There are fewer than two scenarios, or one is invalid; nothing has been run.
 
     See Also
     --------
@@ -115,7 +115,7 @@ def compare(
     """
     variants = _named(scenarios)
     if len(variants) < 2:
-        raise ScenarioError("there is nothing to compare: give two scenarios or more")
+        raise ScenarioError("there is nothing to compare: give at least two scenarios")
     check(metric, ())
     taken = [key for key in settings if any(key in keys for keys in variants.values())]
     variants = {name: {k: v for k, v in keys.items() if k not in taken} for name, keys in variants.items()}
@@ -134,9 +134,7 @@ def compare(
     )
     done = run(made, jobs=jobs, scheduler=scheduler, out=out, progress=progress)
     rules = [
-        Rule(
-            "", metric, "ratio < 1", {VARIANT: one}, {VARIANT: other}, [], {}, {}, all_runs=False, exact=False
-        )
+        Rule(metric=metric, expect="ratio < 1", compare={VARIANT: one}, to={VARIANT: other})
         for one, other in combinations(variants, 2)
     ]
     return Comparison(done, metric, judge([(rules, done.rows)]).findings)
@@ -145,7 +143,7 @@ def compare(
 def _named(
     scenarios: Sequence[Scenario | dict[str, Any] | Path | str] | dict[str, dict[str, Any]],
 ) -> dict[str, dict[str, Any]]:
-    """The settings of each scenario, by a name: that of its file, or what it has of its own."""
+    """The settings of each scenario by a name: that of its file, or its differing settings."""
     if isinstance(scenarios, dict):
         return scenarios
     named: dict[str, dict[str, Any]] = {}
@@ -160,38 +158,36 @@ def _named(
                 or "plain"
             )
             if own in named.values():
-                raise ScenarioError(f"two of the scenarios are the same: {_in_words(own)}")
+                raise ScenarioError(f"two of the scenarios are the same: {_as_text(own)}")
         if name in named:
-            raise ScenarioError(
-                f"two scenarios are called {name!r}: rename the file of one, or in Python give a dict by names"
-            )
+            raise ScenarioError(f"two scenarios are called {name!r}: rename a file, or use a dict in Python")
         named[name] = own
     return named
 
 
-def _in_words(settings: dict[str, Any]) -> str:
+def _as_text(settings: dict[str, Any]) -> str:
     return ", ".join(f"{key} = {value}" for key, value in settings.items())
 
 
 def _settings(scenario: Scenario | dict[str, Any] | Path | str) -> dict[str, Any]:
-    """What a scenario sets itself."""
+    """The explicit settings of a scenario."""
     if isinstance(scenario, dict):
-        return {key: value for key, value in scenario.items() if key not in OWN}
+        return {key: value for key, value in scenario.items() if key not in REPLACED}
     read = scenario if isinstance(scenario, Scenario) else load(Path(scenario), {})
-    return read.model_dump(mode="json", exclude_unset=True, exclude=set(OWN))
+    return read.model_dump(mode="json", exclude_unset=True, exclude=set(REPLACED))
 
 
 def _sentence(metric: str, finding: Finding) -> str:
-    """What was found of two, in a sentence."""
+    """The finding for a pair of settings, as a sentence."""
     one, other = finding.rule.compare[VARIANT], finding.rule.to[VARIANT]
     effect = finding.effect
     if not effect.n:
-        return f"{one} and {other}: no two runs to compare"
+        return f"{one} and {other}: no pair of runs to compare"
     bounds = "" if effect.low != effect.low else f" [{effect.low:.2f}, {effect.high:.2f}]"
     pairs = f"{effect.n} pairs" + (
-        f", {finding.left_out} left out as unfinished or 0" if finding.left_out else ""
+        f", {finding.left_out} excluded as unfinished or 0" if finding.left_out else ""
     )
     text = f"{effect.mean:.2f}{bounds} of the {metric} of {other} (p = {finding.p:.3g}, {pairs})"
     if finding.verdict == UNDECIDED:
-        return f"{one} and {other} show no significant difference: {one} has {text}"
+        return f"{one} and {other} have no significant difference: {one} has {text}"
     return f"{one} has {'less' if finding.verdict == HOLDS else 'more'} than {other}: {text}"

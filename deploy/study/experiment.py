@@ -1,13 +1,18 @@
-"""An experiment: one scenario over factors and seeds, and what to tabulate of its runs.
+"""An experiment: a scenario over factors and seeds, with the tables, plots and claims of its runs.
 
-It is TOML: ``[base]`` holds a scenario's keys, ``[grid]`` lists of values of which every combination is run,
-``[follow]`` keys that take the value of a key of the grid, ``[[variant]]`` named sets of keys that are compared.
-A value of the grid that is a table with the key's own name in it sets all its keys; ``seeds = 20`` is short for the
-seeds 0 to 19. ``scenario = "burgard.toml"`` names a scenario whose settings lie under ``[base]``; ``thesis = true``,
-wherever a setting may stand, lays the thesis' plain rules under those of a run (`deploy.scenario.thesis`). ``[table]``
-says what to print (`deploy.study.tables`), ``[[plot]]`` what to draw (`deploy.study.plots`), ``[claim]`` what a paper
-claims of it and by which rules that is tested (`deploy.study.claims`). ``[quick]`` replaces values for a first look,
-and ``measure`` names something other than an exploration (`deploy.study.measures`).
+An experiment is a TOML file:
+
+- ``[base]``: scenario settings of all runs; ``scenario = "burgard.toml"`` names a scenario file below them
+- ``[grid]``: lists of values, of which all combinations are run; a table that contains the key itself sets several keys
+- ``seeds = 20``: the seeds 0 to 19
+- ``[follow]``: keys that copy the value of a key of the grid
+- ``[[variant]]``: named sets of keys to compare
+- ``thesis = true``, wherever a setting may stand: the rules of the thesis as defaults (`deploy.scenario.thesis`)
+- ``[table]``: the table to print (`deploy.study.tables`)
+- ``[[plot]]``: a plot to draw (`deploy.study.plots`)
+- ``[claim]``: a claim of a paper with its rules (`deploy.study.claims`)
+- ``[quick]``: values of a reduced experiment
+- ``measure``: the measure, by default an exploration (`deploy.study.measures`)
 """
 
 from __future__ import annotations
@@ -26,10 +31,10 @@ from deploy.study.tables import RELATIVE, VARIANT, Table, check
 from protocol.errors import there_are
 
 SHIPPED = Path(__file__).with_name("experiments")
-"""Experiments that are installed with the code; they can be given by name instead of a path."""
+"""Installed experiments, which commands accept by name instead of a path."""
 
 TABLES = ("base", "grid", "follow", VARIANT, "table", "plot", "claim", "quick")
-WORDS = ("name", "scenario", "seeds", "measure")
+KEYS = ("name", "scenario", "seeds", "measure")
 
 QUICK_SEEDS = 3
 
@@ -41,26 +46,26 @@ class Experiment:
     Attributes
     ----------
     where : str
-        Its name in error messages.
+        The experiment's name in error messages.
     name : str
     base : dict
-        Keys of a scenario that all runs share.
+        Scenario settings of all runs.
     grid : dict of key to list
-        Every combination of these values is run.
+        Lists of values, of which all combinations are run.
     follow : dict of key to key
-        The first takes the value of the second.
+        The first key copies the value of the second.
     variants : dict of name to keys
         Named sets of keys, each run on the whole grid.
     table : Table
-        What to print; rows and columns are keys of the grid, or ``variant``.
+        The table to print; rows and columns are keys of the grid, or ``variant``.
     plots : tuple of Plot
-        What to draw.
+        The plots to draw.
     claim : Claim, optional
-        What a paper says of it.
+        The claim of a paper.
     quick : dict
-        Values for a first look: as for `override`, and ``variants``, the names of those that are run.
+        Values of the reduced experiment, as for `override`, and ``variants``, the names of its variants.
     measure : str
-        What is measured of each case.
+        Name of the measure of each case.
     """
 
     where: str
@@ -81,7 +86,7 @@ class Experiment:
 
 
 def read(path: Path) -> Experiment:
-    """Read an experiment's file; files and the maps that they name are looked for as for scenarios.
+    """Read an experiment's file; the search for files and maps is that of scenarios.
 
     Raises
     ------
@@ -91,20 +96,20 @@ def read(path: Path) -> Experiment:
     path, data = read_toml(path, "experiment", SHIPPED)
     where = f"experiment {path}"
     try:
-        unknown = sorted(set(data) - {*WORDS, *TABLES})
+        unknown = sorted(set(data) - {*KEYS, *TABLES})
         if unknown:
             raise ValueError(
-                f"{unknown[0]} is no table of an experiment; there are: {', '.join((*TABLES, *WORDS))}"
+                f"{unknown[0]} is not a key of an experiment; there are: {', '.join((*TABLES, *KEYS))}"
             )
         if not (set(data) & {"base", "grid", "scenario", VARIANT}):
             raise ValueError("nothing to run; an experiment has [base], [grid], [[variant]] or a scenario")
         for key in ("base", "grid", "follow", "table", "quick"):
             if not isinstance(data.get(key, {}), dict):
                 raise ValueError(f"{key} = {data[key]!r}: must be a table, [{key}]")
-        base, grid = _under(path, data.get("scenario"), data.get("base", {})), data.get("grid", {})
+        base, grid = _with_scenario(path, data.get("scenario"), data.get("base", {})), data.get("grid", {})
         if "seeds" in data:
             if "seed" in grid:
-                raise ValueError("seeds and grid.seed: say one of them")
+                raise ValueError("seeds and grid.seed: set only one of them")
             grid["seed"] = seeds(data["seeds"])
         for key, values in grid.items():
             _check_values(f"grid.{key}", values)
@@ -132,12 +137,12 @@ def read(path: Path) -> Experiment:
     return Experiment(where, name, base, grid, follow, variants, table, plots, claim, quick, measure)
 
 
-def _under(path: Path, scenario: Any, base: dict[str, Any]) -> dict[str, Any]:
-    """The base over the settings of a scenario's file, if it names one."""
+def _with_scenario(path: Path, scenario: Any, base: dict[str, Any]) -> dict[str, Any]:
+    """Lay the base over the settings of the named scenario file, if any."""
     if scenario is None:
         return base
     if not isinstance(scenario, str):
-        raise ValueError(f"scenario = {scenario!r}: must be the name of a scenario's file")
+        raise ValueError(f"scenario = {scenario!r}: must be the name of a scenario file")
     beside_it = path.parent / scenario
     named, data = read_toml(beside_it if beside_it.exists() else Path(scenario), "scenario", SCENARIOS)
     if "map" in data:
@@ -147,9 +152,9 @@ def _under(path: Path, scenario: Any, base: dict[str, Any]) -> dict[str, Any]:
 
 
 def lay(data: dict[str, Any], settings: dict[str, Any]) -> None:
-    """Lay settings over others; of tables only the keys that a dotted name names (``options.beta``).
+    """Lay settings over others; a dotted name (``options.beta``) sets one key of a table.
 
-    ValueError if what a dotted name names a key of is no table.
+    ValueError if a dotted name refers to a key of something else than a table.
     """
     for key, value in settings.items():
         table, dot, inner = key.partition(".")
@@ -163,14 +168,14 @@ def lay(data: dict[str, Any], settings: dict[str, Any]) -> None:
 
 
 def seeds(count: Any) -> list[int]:
-    """The seeds 0 to `count` - 1; ValueError if it is no number of seeds."""
+    """The seeds 0 to `count` - 1; ValueError for an invalid count."""
     if type(count) is not int or count < 1:
-        raise ValueError(f"seeds = {count!r}: must be a whole number of seeds, 1 or more")
+        raise ValueError(f"seeds = {count!r}: must be a whole number, 1 or more")
     return list(range(count))
 
 
 def quickened(experiment: Experiment) -> Experiment:
-    """The experiment for a first look: as its ``[quick]`` says, of three seeds if it says nothing of seeds."""
+    """The reduced experiment by its ``[quick]``; three seeds by default."""
     settings = dict(experiment.quick)
     names = settings.pop("variants", list(experiment.variants))
     if "seeds" in settings or "seed" not in settings:
@@ -179,12 +184,12 @@ def quickened(experiment: Experiment) -> Experiment:
 
 
 def settings_of(key: str, value: Any) -> dict[str, Any]:
-    """The keys that one value of the grid sets: its own, or all of a table that names its own among others."""
+    """The settings of one value of the grid: its own key, or all keys of a table that contains its key."""
     return value if isinstance(value, dict) and key in value else {key: value}
 
 
 def choose(experiment: Experiment, names: Sequence[str]) -> Experiment:
-    """The experiment with the variants called `names` only (none: all); ScenarioError if there is no such one."""
+    """The experiment with only the named variants (default: all); ScenarioError for an unknown name."""
     for name in names:
         if name not in experiment.variants:
             known = ", ".join(experiment.variants)
@@ -195,25 +200,26 @@ def choose(experiment: Experiment, names: Sequence[str]) -> Experiment:
     for value in experiment.table.values:
         against = value.partition(RELATIVE)[2]
         if against and against not in chosen:
-            raise ScenarioError(f"{experiment.where}: the table has {value!r}: choose {against!r} as well")
+            raise ScenarioError(
+                f"{experiment.where}: the table needs {against!r} for {value!r}: choose it as well"
+            )
     return replace(experiment, variants=chosen)
 
 
 def override(experiment: Experiment, settings: dict[str, Any]) -> Experiment:
     """The experiment with other values of some keys.
 
-    They replace lists of the grid by the same name (a single value is a list of one), and keys of the base
-    otherwise.
+    The values replace lists of the grid by the same name, or else keys of the base. A single value is a list of one.
 
     Raises
     ------
     ScenarioError
-        A list is empty or has duplicates, or the value would have no effect.
+        A list is empty or has duplicates, or a value has no effect.
     """
     base, grid = dict(experiment.base), dict(experiment.grid)
     for key, value in settings.items():
         if key == VARIANT:
-            raise ScenarioError("--set variant: is no setting; --variant NAME chooses variants")
+            raise ScenarioError("--set variant: is not a setting; --variant NAME chooses variants")
         if key in grid:
             grid[key] = value if isinstance(value, list) else [value]
             try:
@@ -222,7 +228,7 @@ def override(experiment: Experiment, settings: dict[str, Any]) -> Experiment:
                 raise ScenarioError(str(error)) from None
         elif all(key in keys for keys in experiment.variants.values()):
             raise ScenarioError(
-                f"--set {key}: without effect, for each variant of {experiment.where} sets {key} itself"
+                f"--set {key}: has no effect, because each variant of {experiment.where} sets {key}"
             )
         else:
             base[key] = value
@@ -230,18 +236,18 @@ def override(experiment: Experiment, settings: dict[str, Any]) -> Experiment:
 
 
 def _check_values(key: str, values: Any) -> None:
-    """Raise ValueError unless `values` is a list that a grid can run through."""
+    """Raise ValueError unless `values` is a valid list of a grid."""
     if not isinstance(values, list) or not values:
         raise ValueError(f"{key} = {values!r}: must be a list of values, as [3, 5]")
     name = key.rpartition(".")[2].rpartition(" ")[2]
     labels = [settings_of(name, value)[name] for value in values]
     for label in labels:
         if labels.count(label) > 1:
-            raise ValueError(f"{key} = {values!r}: says {label!r} twice")
+            raise ValueError(f"{key} = {values!r}: contains {label!r} twice")
 
 
 def _found(path: Path, value: Any) -> Any:
-    """A map of the grid, looked for as for scenarios."""
+    """A map of the grid, with its path."""
     return (
         value | {"map": beside(path, value["map"])}
         if isinstance(value, dict) and "map" in value
@@ -250,19 +256,17 @@ def _found(path: Path, value: Any) -> Any:
 
 
 def _follow(pairs: dict[str, Any], grid: dict[str, Any]) -> dict[str, str]:
-    """Which key takes whose value; ValueError if the grid has not the one, or has the other."""
+    """Check pairs of a key and the key that it follows; ValueError unless only the second is in the grid."""
     for key, leader in pairs.items():
         if leader not in grid:
-            raise ValueError(
-                f"follow.{key} = {leader!r}: is no key of the grid; there are: {', '.join(grid)}"
-            )
+            raise ValueError(f"follow.{key} = {leader!r}: is not in the grid; there are: {', '.join(grid)}")
         if key in grid:
-            raise ValueError(f"follow.{key}: the grid sets {key} itself; leave it to one of them")
+            raise ValueError(f"follow.{key}: the grid sets {key} as well; remove one of them")
     return dict(pairs)
 
 
 def _variants(entries: Any, grid: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """The keys of each variant, by its name; ValueError if one is unnamed, named twice, or sets the grid's."""
+    """The settings of each variant by its name; ValueError for missing or equal names, or keys of the grid."""
     if not isinstance(entries, list) or not entries:
         raise ValueError(f"{VARIANT} = {entries!r}: must be tables, [[{VARIANT}]]")
     set_by_grid = {
@@ -275,10 +279,12 @@ def _variants(entries: Any, grid: dict[str, Any]) -> dict[str, dict[str, Any]]:
         keys = {key: value for key, value in entry.items() if key != "name"}
         name = str(entry["name"])
         if name in variants:
-            raise ValueError(f"two variants are called {name!r}; each needs a name of its own")
+            raise ValueError(f"two variants are called {name!r}; names must differ")
         for key in keys:
             if key in set_by_grid:
-                raise ValueError(f"variant {name!r} sets {key}, which the grid sets; leave it to one of them")
+                raise ValueError(
+                    f"variant {name!r} sets {key}, which the grid sets as well; remove one of them"
+                )
         variants[name] = keys
     return variants
 
@@ -286,25 +292,25 @@ def _variants(entries: Any, grid: dict[str, Any]) -> dict[str, dict[str, Any]]:
 def _table(
     data: dict[str, Any], grid: dict[str, Any], variants: dict[str, Any], names: Iterable[str]
 ) -> Table:
-    """What to print; ValueError if it is unknown."""
+    """Check a table; ValueError if it is invalid."""
     usual = {"rows": list(grid), "columns": [VARIANT], "values": ["steps", "coverage", "map_accuracy"]}
     flags = {"interval": False, "finished_only": False}
     whole: dict[str, Any] = usual | flags | data
-    for key, said in whole.items():
+    for key, value in whole.items():
         if key not in usual and key not in flags:
-            raise ValueError(f"table.{key} is no part of a table; there are: {', '.join([*usual, *flags])}")
+            raise ValueError(f"table.{key} is not a key of a table; there are: {', '.join([*usual, *flags])}")
         if key in flags:
-            if not isinstance(said, bool):
-                raise ValueError(f"table.{key} = {said!r}: must be true or false")
-        elif not isinstance(said, list) or not all(isinstance(name, str) for name in said):
-            raise ValueError(f"table.{key} = {said!r}: must be a list of names, as {usual[key]}")
+            if not isinstance(value, bool):
+                raise ValueError(f"table.{key} = {value!r}: must be true or false")
+        elif not isinstance(value, list) or not all(isinstance(name, str) for name in value):
+            raise ValueError(f"table.{key} = {value!r}: must be a list of names, as {usual[key]}")
     table = Table(**whole)
     for key in [*table.rows, *table.columns]:
         if key != VARIANT and key not in grid:
-            there_are = ", ".join([*grid, VARIANT])
-            raise ValueError(f"table speaks of {key!r}, which is not in the grid; there are: {there_are}")
+            known = ", ".join([*grid, VARIANT])
+            raise ValueError(f"table names {key!r}, which is not in the grid; there are: {known}")
     if not table.values:
-        raise ValueError("table.values = []: must name a figure at least, as ['steps']")
+        raise ValueError("table.values = []: must name at least one metric, as ['steps']")
     for value in table.values:
         check(value, variants, names)
     return table

@@ -1,4 +1,4 @@
-"""All strategies in one picture: the paths of a team in the same environment.
+"""All strategies in one picture: the paths of a team on the same map.
 
 ``python -m deploy.study.gallery FILE.png [--map NAME] [--robots N] [--seed S]`` draws it (docs/strategies.md).
 """
@@ -21,11 +21,11 @@ from deploy.scenario.scenario import parse
 
 COLUMNS = 4
 PANEL_WIDTH, TITLE_HEIGHT = 3.6, 0.45
-"""Of a panel, in inches."""
+"""Size of a panel in inches."""
 
 
 def draw(path: Path, names: list[str], scenario: dict[str, Any]) -> None:
-    """Run a scenario under each strategy and draw one panel a strategy."""
+    """Run a scenario with each strategy and draw one panel per strategy."""
     plans = {name: plan.make(parse(scenario | {"strategy": name})) for name in names}
     height, width = plans[names[0]].map.cells.shape
     rows = -(-len(names) // COLUMNS)
@@ -47,17 +47,18 @@ def draw(path: Path, names: list[str], scenario: dict[str, Any]) -> None:
 
 def main() -> None:
     """Draw the gallery given on the command line."""
-    parser = argparse.ArgumentParser(description="Draw the ways driven under each strategy.")
+    parser = argparse.ArgumentParser(description="Draw the robots' paths with each strategy.")
     parser.add_argument("file", type=Path, metavar="FILE.png")
     parser.add_argument("--map", default="office-obstacles", help="a generated environment")
     parser.add_argument("--robots", type=int, default=3)
     parser.add_argument("--seed", type=int, default=2)
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     scenario = {
-        "map": asked.map, "robots": asked.robots, "seed": asked.seed, "map_encoding": "scans", "bandwidth": "unlimited",
+        "map": arguments.map, "robots": arguments.robots, "seed": arguments.seed,
+        "map_encoding": "scans", "bandwidth": "unlimited",
         "bus": "memory", "sensor_range": 3.0, "speed": 0.5, "scanner_turn": 72,
     }  # fmt: skip
-    draw(asked.file, list(strategies()), scenario)
+    draw(arguments.file, list(strategies()), scenario)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""What is measured of a case: an exploration, or something else that a case's plan allows to be measured.
+"""Measures: functions from the plan of a case to its metrics.
 
-An experiment names one of `MEASURES`; ``exploration``, the default, runs the scenario on the memory bus. A measure
-takes a plan and returns figures by name, which become columns of the table of runs. A new one is a function in this
-file, its line in `MEASURES`, and the names of its figures in `METRICS`.
+An experiment names one of `MEASURES`; ``exploration``, the default, runs the scenario on the memory bus. The metrics of
+a measure become columns of the table of runs. A new measure is a function in this file, its line in `MEASURES`, and the
+names of its metrics in `METRICS`.
 """
 
 from __future__ import annotations
@@ -21,50 +21,50 @@ from deploy.record.records import Records
 from deploy.record.summary import summarize
 from deploy.run import in_memory
 from deploy.scenario.plan import Plan
-from deploy.scenario.tables import UNLIMITED
 from deploy.study.recovery import recovery
 from netshaper.ledger import KIND_NUMBER
+from protocol.budget import WORD_FOR_UNLIMITED
 from protocol.grid import FREE, UNKNOWN
 from protocol.keyed_random import keyed_random
 
 EXPLORATION = "exploration"
 
-Figures = dict[str, Any]
-Measure = Callable[[Plan], Figures]
+Metrics = dict[str, Any]
+Measure = Callable[[Plan], Metrics]
 
 KNOWN_DISCS = 8
-"""Of the building in which assignments are measured."""
+"""Number of known discs on the map of the assignment measure."""
 
-AFTER_MEETING = 10
-"""Steps after two robots have come into range of each other in which what waited is expected on the air."""
+RENDEZVOUS_STEPS = 10
+"""Steps after two robots have come into range of each other, in which they transmit their backlog."""
 
 SERIES = ("explored", "carried")
-"""Series over the steps: what share of the reachable cells the team has seen, and bytes on the air."""
+"""Series over the steps: share of the reachable cells that the team has seen, and transmitted bytes."""
 
 
-def exploration(plan: Plan) -> Figures:
-    """Run the plan's scenario; return its summary, nested figures with dotted names, and more about its medium."""
+def exploration(plan: Plan) -> Metrics:
+    """Run the plan's scenario; return its summary with dotted names for nested values, series, and channel load."""
     began = time.perf_counter()
     records = in_memory.run(plan)
-    figures: Figures = {}
+    metrics: Metrics = {}
     for name, value in summarize(plan, records, time.perf_counter() - began).items():
         if name in ("lost", "returned", "versions"):
-            figures[name] = json.dumps(value, sort_keys=True)
+            metrics[name] = json.dumps(value, sort_keys=True)
         elif isinstance(value, dict):
-            figures |= {f"{name}.{inner}": number for inner, number in value.items()}
+            metrics |= {f"{name}.{inner}": number for inner, number in value.items()}
         else:
-            figures[name] = value
+            metrics[name] = value
     carried = _carried(records)
-    figures["explored"] = [round(report.seen / report.reachable, 6) for report in records.world]
-    figures["carried"] = carried.tolist()
-    return figures | _load(plan, records, carried)
+    metrics["explored"] = [round(report.seen / report.reachable, 6) for report in records.world]
+    metrics["carried"] = carried.tolist()
+    return metrics | _load(plan, records, carried)
 
 
-def assignment(plan: Plan) -> Figures:
-    """Time that one assignment takes by Algorithms 1 and 2 of Burgard et al., and what the two are worth.
+def assignment(plan: Plan) -> Metrics:
+    """Processor time and value of one assignment by Algorithms 1 and 2 of Burgard et al.
 
-    The team stands in cells drawn from the seed, in a building of which discs of the sensor range around drawn
-    cells are known; all frontier cells are goals. Processor time, the least of three.
+    Robots stand in random cells of a map on which discs of the sensor range around random cells are known. All
+    frontier cells are goals. The time is the minimum of three repetitions.
     """
     scenario, truth = plan.scenario, plan.map.cells
     reachable = np.argwhere(plan.make_world().reachable)
@@ -92,18 +92,18 @@ def assignment(plan: Plan) -> Figures:
 
 
 def _timed(work: Callable[[], Assignment]) -> tuple[Assignment, float]:
-    """The outcome of some work, and the milliseconds of processor time that it took, the least of three times."""
-    took = []
+    """Call a function three times; return its result and the minimum processor time in milliseconds."""
+    times = []
     for _ in range(3):
         began = time.process_time()
         outcome = work()
-        took.append(1000 * (time.process_time() - began))
-    return outcome, min(took)
+        times.append(1000 * (time.process_time() - began))
+    return outcome, min(times)
 
 
-def voronoi(plan: Plan) -> Figures:
-    """Voronoi pixels for each contour pixel of the plan's map, as it is and smoothed (thesis, Table 3.1)."""
-    from deploy.study.voronoi import free_space, pixels, smoothed  # noqa: PLC0415  scipy, which few measures need
+def voronoi(plan: Plan) -> Metrics:
+    """Voronoi pixels per contour pixel of the plan's map, original and smoothed (thesis, Table 3.1)."""
+    from deploy.study.voronoi import free_space, pixels, smoothed  # noqa: PLC0415  scipy, for few measures
 
     free = free_space(plan.map.cells)
     before, after = pixels(free), pixels(smoothed(free))
@@ -123,36 +123,35 @@ MEASURES: dict[str, Measure] = {
 }
 
 METRICS: dict[str, tuple[str, ...]] = {
-    EXPLORATION: ("load.first_quarter", "load.last_quarter", "load.emerging", "load.meeting"),
+    EXPLORATION: ("load.first_quarter", "load.last_quarter", "load.emerging", "load.rendezvous"),
     "assignment": (
         "assignment.greedy_ms", "assignment.optimal_ms", "assignment.greedy_value", "assignment.optimal_value",
     ),
     "voronoi": ("voronoi.ratio", "voronoi.ratio_smoothed", "voronoi.pixels", "voronoi.contour"),
-    "recovery": ("recovery.steps", "recovery.bytes", "recovery.alone", "recovery.again", "recovery.end"),
+    "recovery": ("recovery.steps", "recovery.bytes", "recovery.exclusive", "recovery.reexplored", "recovery.end"),
 }  # fmt: skip
-"""Figures of each measure; `exploration` has those of a summary besides."""
+"""Metrics of each measure; `exploration` has those of a summary as well."""
 
 
 def _carried(records: Records) -> NDArray[np.int64]:
-    """Bytes on the air, by step."""
+    """Transmitted bytes by step."""
     rows = records.ledger()
-    on_air: NDArray[np.int64] = np.zeros(max(records.step + 1, 1), np.int64)
-    np.add.at(on_air, rows["step"], rows["bytes"] * (rows["carried"] == 1))
-    return on_air[1:]
+    sent: NDArray[np.int64] = np.zeros(max(records.step + 1, 1), np.int64)
+    np.add.at(sent, rows["step"], rows["bytes"] * (rows["carried"] == 1))
+    return sent[1:]
 
 
-def _load(plan: Plan, records: Records, carried: NDArray[np.int64]) -> Figures:
-    """Figures of the channel's load: what share of the budget was used in the first and the last quarter of the
-    steps.
+def _load(plan: Plan, records: Records, carried: NDArray[np.int64]) -> Metrics:
+    """Metrics of the channel load: the used share of the budget in the first and the last quarter of the steps.
 
-    ``load.meeting`` is the mean load of the steps just after two robots have come into each other's range, and
-    ``load.emerging`` the mean load of the steps in which most objects emerge (at least half of the most of
-    them, after the first ten steps), each over that of the other steps.
+    ``load.rendezvous`` is the mean load of the steps just after two robots have come into each other's range, relative
+    to all other steps. ``load.emerging`` is the same for the steps with many new objects: at least half of the maximum,
+    after the first ten steps.
     """
     quarter = max(1, len(carried) // 4)
     budget = plan.scenario.bandwidth
-    shares: Figures = dict.fromkeys(METRICS[EXPLORATION])
-    if budget != UNLIMITED and budget and len(carried):
+    shares: Metrics = dict.fromkeys(METRICS[EXPLORATION])
+    if budget != WORD_FOR_UNLIMITED and budget and len(carried):
         shares["load.first_quarter"] = float(carried[:quarter].mean() / int(budget))
         shares["load.last_quarter"] = float(carried[-quarter:].mean() / int(budget))
     rows = records.ledger()
@@ -161,20 +160,20 @@ def _load(plan: Plan, records: Records, carried: NDArray[np.int64]) -> Figures:
     np.add.at(born, chosen["step"], chosen["packets"])
     later, born = carried[10:], born[11:]
     many = born >= max(1, born.max(initial=0) / 2)
-    shares["load.emerging"] = _over_the_rest(later, many)
-    shares["load.meeting"] = _over_the_rest(carried, _meetings(plan, records))
+    shares["load.emerging"] = _relative_to_rest(later, many)
+    shares["load.rendezvous"] = _relative_to_rest(carried, _rendezvous(plan, records))
     return shares
 
 
-def _over_the_rest(values: NDArray[np.int64], chosen: NDArray[np.bool_]) -> float | None:
-    """Mean of the chosen values over that of the others; None if there are none of either, or those are 0."""
+def _relative_to_rest(values: NDArray[np.int64], chosen: NDArray[np.bool_]) -> float | None:
+    """Mean of the chosen values over the mean of the others; None if either set is empty, or the others are 0."""
     if not chosen.any() or chosen.all() or not values[~chosen].any():
         return None
     return float(values[chosen].mean() / values[~chosen].mean())
 
 
-def _meetings(plan: Plan, records: Records) -> NDArray[np.bool_]:
-    """Steps in which two robots have just come into range, and the `AFTER_MEETING` - 1 after each."""
+def _rendezvous(plan: Plan, records: Records) -> NDArray[np.bool_]:
+    """The steps in which two robots come into range, and the `RENDEZVOUS_STEPS` - 1 steps after each."""
     rendezvous = np.zeros(records.step, np.bool_)
     before: set[tuple[int, int]] | None = None
     for number, report in enumerate(records.world):
@@ -184,6 +183,6 @@ def _meetings(plan: Plan, records: Records) -> NDArray[np.bool_]:
         names = poses[:, 0].tolist()
         now = {(names[one], names[other]) for one, other in zip(ones, others, strict=True) if one < other}
         if before is not None and now - before:
-            rendezvous[number : number + AFTER_MEETING] = True
+            rendezvous[number : number + RENDEZVOUS_STEPS] = True
         before = now
     return rendezvous

@@ -1,13 +1,13 @@
-"""Pictures of many runs, as papers draw them: a figure over a key of the grid, boxes, and what is explored over time.
+"""Plots of many runs: a metric over a key of the grid, box plots, and curves over time.
 
-A picture is data, in the experiment's file::
+An experiment's file describes a plot::
 
     [[plot]]
-    kind = "lines"          # means with 95 % intervals; "boxes": five numbers; "curves": a series over the steps
+    kind = "lines"          # means with 95 % intervals; "boxes": quartiles; "curves": a series over the steps
     x = "robots"            # not for curves
     y = "steps"
-    lines = "variant"       # one line, or box, or curve, for each value
-    panels = "map"          # one panel for each value
+    lines = "variant"       # one line, box or curve per value
+    panels = "map"          # one panel per value
     xlabel = "robots"
     ylabel = "exploration time (steps)"
 """
@@ -27,7 +27,7 @@ import numpy as np
 from deploy.study.measures import SERIES
 from deploy.study.results import Results, Row
 from deploy.study.statistics import interval
-from deploy.study.tables import VARIANT, check, figure, has_finished
+from deploy.study.tables import VARIANT, check, has_finished, metric_value
 from worldsim.atomic_files import write_whole
 
 if TYPE_CHECKING:
@@ -41,19 +41,18 @@ PANEL = 4.2, 3.2
 """Width and height of a panel in inches."""
 
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#555555", "#a07000")
-"""Of Okabe and Ito: they can be told apart by colour-blind people."""
+"""The palette of Okabe and Ito, which color-blind readers can distinguish."""
 MARKERS = "osD^vP*X"
 
 SHARES = ("explored", "coverage", "finished")
-"""Of which an axis ends at 1."""
+"""Metrics whose axis ends at 1."""
 
-STEPS_OF_CURVES = 200
-"""Points of a curve."""
+CURVE_POINTS = 200
 
 
 @dataclass(frozen=True)
 class Plot:
-    """What to draw; see the file's head."""
+    """The description of a plot; see the module's description."""
 
     y: str
     x: str = ""
@@ -67,14 +66,14 @@ class Plot:
 
 
 def read_plots(entries: Any, keys: set[str], names: Sequence[str]) -> tuple[Plot, ...]:
-    """Check plots as read from a file; ValueError says what is wrong."""
+    """Check plots as read from a file; ValueError if they are invalid."""
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise ValueError(f"plot = {entries!r}: must be tables, [[plot]]")
     return tuple(_plot(entry, keys, names) for entry in entries)
 
 
 def draw(plot: Plot, rows: Sequence[Row], results: Results) -> Figure:
-    """Draw the runs of an experiment; `results` has their series."""
+    """Draw the runs of an experiment; `results` holds their series."""
     from matplotlib.figure import Figure  # noqa: PLC0415  half a second to import
 
     panels = _values(rows, plot.panels) if plot.panels else [None]
@@ -111,19 +110,19 @@ def draw(plot: Plot, rows: Sequence[Row], results: Results) -> Figure:
 
 
 def save(canvas: Figure, file: Path) -> None:
-    """Write a picture, without anything in it that changes from one writing to the next."""
+    """Write a picture without variable metadata, so that equal pictures have equal files."""
     write_whole(file, lambda out: canvas.savefig(out, format="png", dpi=90, metadata={"Software": None}))
 
 
 def as_html(canvas: Figure) -> str:
-    """A picture for a notebook."""
+    """A picture as HTML for a notebook."""
     file = io.BytesIO()
     canvas.savefig(file, format="png", dpi=80)
     return f'<img src="data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}">'
 
 
 def short(value: object) -> str:
-    """A value of the grid as a label: files by their names."""
+    """A value of the grid as a label; for files the name."""
     return Path(value).stem if isinstance(value, str) and value.endswith((".yaml", ".png")) else str(value)
 
 
@@ -136,7 +135,7 @@ def _lines(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], _
     for n, line in enumerate(lines):
         found = [
             interval(
-                _figures(plot, [row for row in _of(rows, plot.lines, line) if row["place"][plot.x] == level])
+                _metrics(plot, [row for row in _of(rows, plot.lines, line) if row["place"][plot.x] == level])
             )
             for level in levels
         ]
@@ -158,7 +157,7 @@ def _boxes(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], _
     for k, level in enumerate(levels):
         of_level = rows if level is None else [row for row in rows if row["place"][plot.x] == level]
         for n, line in enumerate(lines):
-            values = _figures(plot, _of(of_level, plot.lines, line))
+            values = _metrics(plot, _of(of_level, plot.lines, line))
             place = n if level is None else k + (n - (len(lines) - 1) / 2) * width
             box = panel.boxplot(
                 [values], positions=[place], widths=0.6 if level is None else 0.8 * width, patch_artist=True,
@@ -176,7 +175,7 @@ def _boxes(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], _
 
 
 def _curves(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], results: Results) -> None:
-    """Means with 95 % intervals over the steps; a run that is over keeps its last value."""
+    """Means with 95 % intervals over the steps; a finished run keeps its last value."""
     longest = 0
     for n, line in enumerate(lines):
         found = results.series(plot.y, {row["key"] for row in _of(rows, plot.lines, line)})
@@ -185,7 +184,7 @@ def _curves(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], 
             continue
         steps = max(map(len, series))
         longest = max(longest, steps)
-        at = np.unique(np.linspace(0, steps - 1, STEPS_OF_CURVES).astype(int))
+        at = np.unique(np.linspace(0, steps - 1, CURVE_POINTS).astype(int))
         table = np.array([one[np.minimum(at, len(one) - 1)] for one in series])
         means = [interval(column) for column in table.T]
         color = COLORS[n % len(COLORS)]
@@ -197,9 +196,9 @@ def _curves(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], 
     panel.set_xlim(0, longest or 1)
 
 
-def _figures(plot: Plot, rows: Sequence[Row]) -> list[float]:
+def _metrics(plot: Plot, rows: Sequence[Row]) -> list[float]:
     counted = [row for row in rows if has_finished(row)] if plot.finished_only else rows
-    return [value for row in counted if (value := figure(row, plot.y)) is not None]
+    return [value for row in counted if (value := metric_value(row, plot.y)) is not None]
 
 
 def _of(rows: Sequence[Row], key: str, value: Any) -> list[Row]:
@@ -223,9 +222,9 @@ def _plot(entry: dict[str, Any], keys: set[str], names: Sequence[str]) -> Plot:
     kinds = asdict(Plot(""))
     for key, value in entry.items():
         if key not in kinds:
-            raise ValueError(f"plot.{key} is no part of a plot; there are: {', '.join(kinds)}")
+            raise ValueError(f"plot.{key} is not a key of a plot; there are: {', '.join(kinds)}")
         if type(value) is not type(kinds[key]):
-            raise ValueError(f"plot.{key} = {value!r}: must be of kind {type(kinds[key]).__name__}")
+            raise ValueError(f"plot.{key} = {value!r}: must be a {type(kinds[key]).__name__}")
     plot = Plot(**({"y": ""} | entry))
     if plot.kind not in (LINES, BOXES, CURVES):
         raise ValueError(f"plot.kind = {plot.kind!r}: there are: {LINES}, {BOXES}, {CURVES}")
@@ -236,7 +235,7 @@ def _plot(entry: dict[str, Any], keys: set[str], names: Sequence[str]) -> Plot:
                 f"plot.{key} = {name!r}: is not in the grid; there are: {', '.join(sorted(keys))}"
             )
     if plot.kind == CURVES and plot.y not in SERIES:
-        raise ValueError(f"plot.y = {plot.y!r}: is no series; there are: {', '.join(SERIES)}")
+        raise ValueError(f"plot.y = {plot.y!r}: is not a series; there are: {', '.join(SERIES)}")
     if plot.kind != CURVES:
         check(plot.y, (), names)
     if plot.kind == LINES and not plot.x:

@@ -1,4 +1,4 @@
-"""How far long work is, and how long the rest will take."""
+"""Progress of long work, with an estimate of the remaining time."""
 
 from __future__ import annotations
 
@@ -16,43 +16,44 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-EVERY_S = 60
-"""Where there is no terminal, a line is written this often."""
+INTERVAL_S = 60
+"""Seconds between two lines of output without a terminal."""
 
-Tell = Callable[[int, int], object]
-"""Called with how much is done, and how much there is."""
+Report = Callable[[int, int], object]
+"""Called with the number of finished items and the total."""
 
 
 @contextlib.contextmanager
-def counting(console: Console, what: str) -> Iterator[Tell]:
-    """A progress bar with the time left; lines now and then where `console` is no terminal (nor a notebook)."""
+def counting(console: Console, title: str) -> Iterator[Report]:
+    """Show a progress bar with the remaining time; occasional lines if `console` is no terminal and no notebook."""
     if not (console.is_terminal or console.is_jupyter):
-        yield _Lines(console, what).tell
+        yield _lines(console, title)
         return
     bar = Progress(
         TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(),
         TimeElapsedColumn(), TextColumn("left"),
         TimeRemainingColumn(elapsed_when_finished=False), console=console, transient=True,
     )  # fmt: skip
-    task = bar.add_task(what, total=None)
+    task = bar.add_task(title, total=None)
     with bar:
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
-class _Lines:
-    def __init__(self, console: Console, what: str) -> None:
-        self._console = console
-        self._what = what
-        self._began: tuple[float, int] | None = None
-        self._said = time.monotonic()
+def _lines(console: Console, title: str) -> Report:
+    """Print a line every `INTERVAL_S`."""
+    first: list[tuple[float, int]] = []
+    printed = time.monotonic()
 
-    def tell(self, done: int, total: int) -> None:
-        """Write a line, if it is time to."""
+    def report(done: int, total: int) -> None:
+        nonlocal printed
         now = time.monotonic()
-        if self._began is None:
-            self._began = now, done
-        elif now - self._said >= EVERY_S:
-            began, before = self._began
-            self._said = now
-            left = (now - began) / (done - before) * (total - done) / 60
-            self._console.print(f"{self._what}: {done} of {total}, some {left:.0f} minutes left")
+        if not first:
+            first.append((now, done))
+        elif now - printed >= INTERVAL_S:
+            began, before = first[0]
+            printed = now
+            minutes = (now - began) / (done - before) * (total - done) / 60
+            left = f"{minutes:.0f} minutes" if minutes >= 1 else "less than a minute"
+            console.print(f"{title}: {done} of {total}, {left} left")
+
+    return report

@@ -1,6 +1,6 @@
-"""What a fault costs: how soon a robot that comes back knows what it knew, and what teammates explore again.
+"""The cost of a fault: when a returning robot has its knowledge back, and how much its teammates explore again.
 
-The scenario's first ``kill`` or ``restart`` is measured, whoever else something happens to.
+The measurement concerns the scenario's first ``kill`` or ``restart``; other faults may occur as well.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import ScenarioError
 from protocol.grid import FREE, UNKNOWN, Grid
 
-ENOUGH = 0.97
-"""Part of what a robot knew before that it knows again once it has recovered."""
+RECOVERED = 0.97
+"""Share of its former knowledge that a recovered robot has."""
 
 
 def recovery(plan: Plan) -> dict[str, Any]:
@@ -25,50 +25,52 @@ def recovery(plan: Plan) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``recovery.steps``: those until the robot's new life knows `ENOUGH` of the cells of its old planning grid,
-        None if it never does; ``recovery.bytes``: on the air meanwhile; ``recovery.alone``: free cells that the robot
-        alone had seen; ``recovery.again``: such cells that teammates explored, by robot: they saw them themselves, and
-        had not known of them; ``recovery.end``: steps of the run.
+        - ``recovery.steps``: steps until the robot knows `RECOVERED` of the known cells of its former planning grid;
+          None if it never does
+        - ``recovery.bytes``: bytes transmitted in these steps
+        - ``recovery.exclusive``: free cells that only this robot had seen
+        - ``recovery.reexplored``: these cells as seen again by teammates that did not know them, summed over robots
+        - ``recovery.end``: steps of the run
 
     Raises
     ------
     ScenarioError
-        Nothing is killed or restarted.
+        No robot is killed or restarted.
     """
-    struck = [fault for fault in plan.scenario.fault if fault.kind in ("kill", "restart")]
-    if not struck:
+    faults = [fault for fault in plan.scenario.fault if fault.kind in ("kill", "restart")]
+    if not faults:
         raise ScenarioError("measure = 'recovery': needs a [[fault]] of kind 'kill' or 'restart'")
-    first = min(struck, key=attrgetter("step"))
-    run, whose = MemoryRun(plan), first.robot
-    knew = alone = np.zeros(plan.map.cells.shape, np.bool_)
+    fault = min(faults, key=attrgetter("step"))
+    run, failing = MemoryRun(plan), fault.robot
+    known_before = exclusive = np.zeros(plan.map.cells.shape, np.bool_)
     recovered: int | None = None
-    again = 0
-    known: dict[int, tuple[Grid, Grid]] = {}
+    reexplored = 0
+    previous: dict[int, tuple[Grid, Grid]] = {}
     for step in run.steps():
         robots = {number: agent.robot for number, agent in enumerate(run.agents) if agent.robot is not None}
-        others = robots.keys() - {whose}
-        if step < first.step and whose in robots:
-            knew = robots[whose].planning != UNKNOWN
-            alone = (robots[whose].own == FREE) & ~np.any(
-                [robots[other].own == FREE for other in others], axis=0
-            )
-        if step < first.step - 1:
+        others = robots.keys() - {failing}
+        if step < fault.step and failing in robots:
+            known_before = robots[failing].planning != UNKNOWN
+            seen_by_others = np.any([robots[other].own == FREE for other in others], axis=0)
+            exclusive = (robots[failing].own == FREE) & ~seen_by_others
+        if step < fault.step - 1:
             continue
         for other in others:
             own, planning = robots[other].own, robots[other].planning
-            if other in known:
-                seen, told = known[other]
-                again += int((alone & (own == FREE) & (seen == UNKNOWN) & (told == UNKNOWN)).sum())
-            known[other] = own.copy(), planning.copy()
-        back = first.kind == "restart" and step >= first.step and whose in robots
-        if back and recovered is None and (robots[whose].planning != UNKNOWN)[knew].mean() >= ENOUGH:
-            recovered = step
+            if other in previous:
+                unknown = np.logical_and(*(grid == UNKNOWN for grid in previous[other]))
+                reexplored += int((exclusive & (own == FREE) & unknown).sum())
+            previous[other] = own.copy(), planning.copy()
+        is_back = fault.kind == "restart" and step >= fault.step and failing in robots
+        if is_back and recovered is None:
+            known = (robots[failing].planning != UNKNOWN)[known_before].mean()
+            recovered = step if known >= RECOVERED else None
     rows = run.records.ledger()
-    meanwhile = (rows["step"] >= first.step) & (rows["step"] <= (recovered or 0)) & (rows["carried"] == 1)
+    meanwhile = (rows["step"] >= fault.step) & (rows["step"] <= (recovered or 0)) & (rows["carried"] == 1)
     return {
-        "recovery.steps": None if recovered is None else recovered - first.step + 1,
+        "recovery.steps": None if recovered is None else recovered - fault.step + 1,
         "recovery.bytes": None if recovered is None else int(rows["bytes"][meanwhile].sum()),
-        "recovery.alone": int(alone.sum()),
-        "recovery.again": again,
+        "recovery.exclusive": int(exclusive.sum()),
+        "recovery.reexplored": reexplored,
         "recovery.end": run.records.step,
     }

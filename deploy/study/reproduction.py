@@ -1,8 +1,8 @@
-"""The papers' claims, each with a verdict: what `murmur reproduce` runs and reports.
+"""The papers' claims and their verdicts: the implementation of `murmur reproduce`.
 
-A claim's experiments are the shipped ones whose ``[claim]`` has its name. All their runs go into one table, so that
-what two claims ask for is run once; then each claim is judged by its rules (`deploy.study.claims`), and the report is
-written from two templates. Nothing in it is written by hand but what stands in the experiments' files.
+The shipped experiments name their claim in ``[claim]``. All their runs go into one table, so that a run of several
+claims is made once. The rules of each claim (`deploy.study.claims`) yield its verdict, and two templates yield the
+report. All its content comes from runs and from the experiments' files.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from deploy.study import experiment as experiments
 from deploy.study import plots
 from deploy.study.claims import HOLDS, Claim, Finding, Rule, Verdict, judge
 from deploy.study.experiment import SHIPPED, Experiment
-from deploy.study.progress import Tell
+from deploy.study.progress import Report
 from deploy.study.results import Results, Row, write_table
 from deploy.study.runs import Case, cases, failures, looked_up, make
 from deploy.study.tables import described
@@ -35,7 +35,7 @@ CLAIMS = (
     *(f"M{n}" for n in range(1, 10)), *(f"B{n}" for n in range(1, 6)), *(f"L{n}" for n in range(1, 4)),
     *(f"F{n}" for n in range(1, 5)), *(f"A{n}" for n in range(1, 4)),
 )  # fmt: skip
-"""Of the five papers: M of the thesis, B Burgard's, L of the leaders, F Faigl's, A Al-khawaldah's."""
+"""Claims of five papers: M of the thesis, B of Burgard, L of the leaders, F of Faigl, A of Al-khawaldah."""
 
 TEMPLATES = Path(__file__).with_name("templates")
 RUNS = "runs.parquet"
@@ -43,7 +43,7 @@ RUNS = "runs.parquet"
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """An experiment of a claim, its cases and its runs."""
+    """An experiment of a claim, with its cases and runs."""
 
     experiment: Experiment
     cases: list[Case]
@@ -57,27 +57,27 @@ class Part:
 
     @cached_property
     def settings(self) -> str:
-        """What was run, as TOML; maps by their files' names, wherever they were found."""
+        """The settings of the experiment as TOML, with map files without their folders."""
         grid = self.experiment.grid
         if "map" in grid:
             grid = grid | {
                 "map": [Path(each).name if isinstance(each, str) else each for each in grid["map"]]
             }
-        told = {"base": self.experiment.base, "grid": grid, "follow": self.experiment.follow}
+        tables = {"base": self.experiment.base, "grid": grid, "follow": self.experiment.follow}
         variants = [{"name": name, **keys} for name, keys in self.experiment.variants.items()]
         if len(variants) > 1 or len(variants[0]) > 1:
-            told["variant"] = variants  # type: ignore[assignment]
-        return tomli_w.dumps({name: table for name, table in told.items() if table})
+            tables["variant"] = variants  # type: ignore[assignment]
+        return tomli_w.dumps({name: table for name, table in tables.items() if table})
 
     @cached_property
     def table(self) -> pl.DataFrame:
-        """Means, intervals and five numbers of each cell of the experiment's table."""
+        """Statistics of each cell of the experiment's table."""
         return described(self.experiment.table, self.rows)
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """A claim, its verdict, and the parts that it follows from."""
+    """A claim, its verdict, and its experiments."""
 
     claim: Claim
     verdict: Verdict
@@ -85,49 +85,48 @@ class Judged:
 
     @property
     def runs(self) -> int:
-        """Runs that it rests on."""
+        """Number of its runs."""
         return len({row["key"] for part in self.parts for row in part.rows})
 
     @property
     def explanation(self) -> str:
-        """The remarks of its experiments."""
+        """The explanations of its experiments."""
         return " ".join(part.experiment.claim.explanation for part in self.parts if part.experiment.claim)
 
 
 @dataclass(frozen=True, eq=False)
 class Reproduction:
-    """All claims that were asked for, in the papers' order, and how they were run."""
+    """The requested claims in the papers' order, and the table of their runs."""
 
     claims: list[Judged]
     quick: bool
     results: Results
-    unasked: list[str]
-    """Claims of which no experiment is there."""
+    without_experiment: list[str]
 
     @property
     def all_hold(self) -> bool:
         """Whether every claim holds."""
-        return not self.unasked and all(judged.verdict.word == HOLDS for judged in self.claims)
+        return not self.without_experiment and all(judged.verdict.result == HOLDS for judged in self.claims)
 
 
-def asked(names: Sequence[str], *, quick: bool, settings: dict[str, Any]) -> dict[str, list[Experiment]]:
-    """The experiments of some claims (none named: all), by claim; ScenarioError if there is no such claim."""
+def requested(names: Sequence[str], *, quick: bool, settings: dict[str, Any]) -> dict[str, list[Experiment]]:
+    """The experiments of some claims (default: all) by claim; ScenarioError for an unknown claim."""
     for name in names:
         if name.upper() not in CLAIMS:
             raise ScenarioError(f"no claim is called {name!r}; {there_are(CLAIMS, name)}")
-    wanted = [name for name in CLAIMS if name in {word.upper() for word in names} or not names]
+    wanted = [name for name in CLAIMS if name in {each.upper() for each in names} or not names]
     found: dict[str, list[Experiment]] = {name: [] for name in wanted}
     for path in sorted(SHIPPED.glob("*.toml")):
         experiment = experiments.read(path)
         claim = experiment.claim.id if experiment.claim is not None else None
         if claim in found:
             experiment = experiments.quickened(experiment) if quick else experiment
-            found[claim].append(_on_maps_at_hand(experiments.override(experiment, settings)))
+            found[claim].append(_with_existing_maps(experiments.override(experiment, settings)))
     return found
 
 
-def _on_maps_at_hand(experiment: Experiment) -> Experiment:
-    """The experiment without map files that are not there: real buildings are not shipped. No run decides nothing."""
+def _with_existing_maps(experiment: Experiment) -> Experiment:
+    """The experiment without missing map files, because maps of real buildings are not shipped."""
     maps = experiment.grid.get("map", [])
     there = [each for each in maps if not (str(each).endswith(".yaml") and not Path(str(each)).exists())]
     return experiment if there == maps else replace(experiment, grid=experiment.grid | {"map": there})
@@ -137,34 +136,34 @@ def reproduce(
     found: dict[str, list[Experiment]],
     results: Results,
     workers: Workers,
-    tell: Tell | None = None,
+    report: Report | None = None,
     *,
     quick: bool = False,
     any_code: bool = False,
     retry: bool = False,
 ) -> Reproduction:
-    """Run what the table has not, and judge each claim.
+    """Make the runs that the table lacks, and judge each claim.
 
     Parameters
     ----------
     found : dict of claim to experiments
-        From `asked`.
+        From `requested`.
     quick : bool
-        Whether these are first looks: the report says so.
+        Whether these are reduced experiments; the report mentions it.
     """
     todo = {name: [(each, cases(each)) for each in listed] for name, listed in found.items()}
     every = [case for listed in todo.values() for _, some in listed for case in some]
-    make(every, results, workers, tell, any_code=any_code, retry=retry)
-    judged, unasked = [], []
+    make(every, results, workers, report, any_code=any_code, retry=retry)
+    judged, without_experiment = [], []
     for name, listed in todo.items():
         parts = [Part(each, some, looked_up(some, results), failures(some, results)) for each, some in listed]
         if not parts:
-            unasked.append(name)
+            without_experiment.append(name)
             continue
         claim = parts[0].experiment.claim
         assert claim is not None
         judged.append(Judged(claim, judge(_rules(parts)), parts))
-    return Reproduction(judged, quick, results, unasked)
+    return Reproduction(judged, quick, results, without_experiment)
 
 
 def write(reproduction: Reproduction, out: Path, command: str) -> list[Path]:
@@ -206,7 +205,7 @@ def _rules(parts: Sequence[Part]) -> Iterator[tuple[Sequence[Rule], list[Row]]]:
 
 
 def _effect(finding: Finding) -> str:
-    """What was found, with its interval."""
+    """The effect with its interval, as text."""
     effect = finding.effect
     if not effect.n:
         return "no runs"
@@ -219,5 +218,5 @@ def _p(value: float) -> str:
 
 
 def _cell(cell: dict[str, Any]) -> str:
-    """The cell of a test, in words."""
+    """The cell of a test, as text."""
     return ", ".join(f"{key} {plots.short(value)}" for key, value in cell.items()) or "all runs"

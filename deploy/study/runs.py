@@ -1,6 +1,6 @@
-"""The runs of an experiment: one case each, made where there are processes for it, and its row in the table.
+"""The runs of an experiment: one case per run, executed by worker processes, and its row in the table of runs.
 
-Invalid input is refused before the first run.
+Invalid input is rejected before the first run.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from deploy.scenario.scenario import Scenario, ScenarioError, parse
 from deploy.scenario.thesis import with_thesis
 from deploy.study.experiment import Experiment, lay, settings_of
 from deploy.study.measures import MEASURES
-from deploy.study.progress import Tell
+from deploy.study.progress import Report
 from deploy.study.results import CODE, ERROR, KEY, Results, Row
 from deploy.study.tables import VARIANT
 from worldsim.maps import Map
@@ -37,19 +37,19 @@ from worldsim.maps import Map
 MEMORY = "memory"
 
 PLACE = "place"
-"""Of a row that has been looked up for an experiment: its position there, by keys of the grid, and its variant."""
+"""Key of a row for its position in an experiment: values of the grid's keys, and its variant."""
 
 MOST_STEPS = "most_steps"
-"""The setting `steps`, in rows of which ``steps`` is the exploration time."""
+"""Column of the setting `steps`; the column ``steps`` is the exploration time."""
 
 SPOT_CHECKS = 3
-"""Runs of other code that are made again before any of them are taken."""
+"""Number of runs by other versions of the code that are repeated before any of them is accepted."""
 
-MAKERS = (
+SOURCES = (
     "agent", "netshaper", "protocol", "worldsim", "deploy/scenario", "deploy/record", "deploy/run",
     "deploy/study/measures.py", "deploy/study/recovery.py", "deploy/study/runs.py", "deploy/study/voronoi.py",
 )  # fmt: skip
-"""The sources that a run's figures come from."""
+"""The sources that determine the metrics of a run."""
 
 
 @dataclass(frozen=True)
@@ -62,13 +62,13 @@ class Case:
         Its position in the grid, and its variant.
     scenario : Scenario
     measure : str
-        What is measured (`deploy.study.measures`).
+        Name of the measure (`deploy.study.measures`).
     key : str
-        Sha256 of scenario, measure and map: the run's name in the table.
+        SHA-256 of scenario, measure and map, which identifies the run in the table.
     code : str
-        Sha256 of the sources and versions that are to make it.
+        SHA-256 of the sources and versions.
     world : bytes
-        The map's `content`, compressed, for processes that have not its file; empty for generated maps.
+        Compressed `content` of the map, for processes without its file; empty for generated maps.
     """
 
     place: dict[str, Any]
@@ -82,7 +82,7 @@ class Case:
 def cases(experiment: Experiment) -> list[Case]:
     """All runs of an experiment, in the order of its grid; ScenarioError if one is invalid.
 
-    Of runs that differ in their seeds only, the first is checked on its map; the others would fail as rows.
+    Of runs that differ only in their seeds, the first is checked on its map; the others may fail as rows.
     """
     files: dict[str, bytes] = {}
     checked = set()
@@ -138,60 +138,46 @@ def make(
     todo: Sequence[Case],
     results: Results,
     workers: Workers,
-    tell: Tell | None = None,
+    report: Report | None = None,
     *,
     any_code: bool = False,
     retry: bool = False,
 ) -> None:
-    """Make all runs that the table has not; equal ones once; each is in the table as soon as it is over.
+    """Execute all runs that the table lacks, equal runs once; each run enters the table as soon as it ends.
 
     Parameters
     ----------
-    tell : callable, optional
-        Called with the number of runs that are there, and of all.
+    report : callable, optional
+        Called with the number of finished runs, and the total.
     any_code : bool
-        Whether runs that other versions of the code have made are taken for the same, if some that are made again
-        have the same digests. Settings that the table does not know were not there yet: they count as their defaults.
+        Whether to accept runs by other versions of the code, if some repeated runs have the same digests.
     retry : bool
-        Whether failed runs are made again.
+        Whether to repeat failed runs.
 
     Raises
     ------
     ValueError
-        With `any_code`: a run comes out otherwise now.
+        With `any_code`: a repeated run has a different digest.
     """
     distinct = {case.key: case for case in todo}
     if any_code:
-        results.rename(key_by_settings)
-        _same_as_ever(distinct, results)
+        _check_digests(distinct, results)
     missing = [
         case
         for key, case in distinct.items()
         if not results.knows(key, None if any_code else case.code, retry=retry)
     ]
     done = len(distinct) - len(missing)
-    tell = tell or _nothing
-    tell(done, len(distinct))
+    report = report or (lambda *_: None)
+    report(done, len(distinct))
     for case, row in workers.each(missing, run_case):
         results.add(row if isinstance(row, dict) else _failed(case, row))
         done += 1
-        tell(done, len(distinct))
+        report(done, len(distinct))
 
 
-def key_by_settings(row: Row) -> str:
-    """The key that a row's run would have today; its own if it has a map that is a file, or no such run is possible."""
-    data = {name: row[name] for name in Scenario.model_fields if row.get(name) is not None}
-    data["steps"] = row[MOST_STEPS]
-    tables = ("start", *(name for name, value in data.items() if str(value)[:1] in ("{", "[")))
-    data |= {name: json.loads(data[name]) for name in tables if name in data}
-    try:
-        return row[KEY] if is_file(row["map"]) else identity(parse(data), row["measure"], b"")
-    except ScenarioError:
-        return str(row[KEY])
-
-
-def _same_as_ever(distinct: Mapping[str, Case], results: Results) -> None:
-    """Make some of the runs of other code again; ValueError if one of them has another digest than it had."""
+def _check_digests(distinct: Mapping[str, Case], results: Results) -> None:
+    """Repeat some runs by other versions of the code; ValueError if a digest differs."""
     foreign = [case for key, case in sorted(distinct.items()) if results.knows(key, None)]
     foreign = [case for case in foreign if not results.knows(case.key, case.code)]
     rows = results.rows(case.key for case in foreign)
@@ -200,12 +186,12 @@ def _same_as_ever(distinct: Mapping[str, Case], results: Results) -> None:
         digest = run_case(case).get("digest")
         if digest != rows[case.key]["digest"]:
             raise ValueError(
-                f"--any-code: the run with {case.place} comes out otherwise now than in the table; leave --any-code out"
+                f"--any-code: the run with {case.place} has a different digest now; leave --any-code out"
             )
 
 
 def looked_up(todo: Sequence[Case], results: Results) -> list[Row]:
-    """The rows of all cases that have been run without an error, each with its `PLACE`, in the order of `todo`."""
+    """The rows of all successful cases with their `PLACE`, in the order of `todo`."""
     rows = results.rows({case.key for case in todo})
     return [
         {**rows[case.key], PLACE: case.place}
@@ -215,7 +201,7 @@ def looked_up(todo: Sequence[Case], results: Results) -> list[Row]:
 
 
 def failures(todo: Iterable[Case], results: Results) -> dict[str, int]:
-    """What went wrong, and how often."""
+    """Error messages and their counts."""
     counts: dict[str, int] = {}
     for row in results.rows({case.key for case in todo}).values():
         if row[ERROR] is not None:
@@ -223,22 +209,16 @@ def failures(todo: Iterable[Case], results: Results) -> dict[str, int]:
     return counts
 
 
-def _nothing(done: int, total: int) -> None:
-    """Nobody wants to know how far the runs are."""
-
-
 def run_case(case: Case) -> Row:
-    """Make a run; what goes wrong in it is told in its row."""
+    """Execute a run; an error becomes a column of its row."""
     try:
         if case.code != code_of(case.scenario):
-            raise RuntimeError(
-                "this process has another version of the code than the one that asked for the run"
-            )
+            raise RuntimeError("this process has a different version of the code than the requesting process")
         world = world_of(zlib.decompress(case.world)) if case.world else None
-        figures = MEASURES[case.measure](plans.make(case.scenario, world))
+        metrics = MEASURES[case.measure](plans.make(case.scenario, world))
     except Exception as error:  # a failed run is a row
         return _failed(case, f"{type(error).__name__}: {error}")
-    return figures | _settings(case) | {ERROR: None}
+    return metrics | _settings(case) | {ERROR: None}
 
 
 def _failed(case: Case, why: str) -> Row:
@@ -246,7 +226,7 @@ def _failed(case: Case, why: str) -> Row:
 
 
 def _settings(case: Case) -> Row:
-    """The columns of a case that are known before it is run: settings, tables among them as JSON."""
+    """The columns of a case that are known before its run: settings, with tables as JSON."""
     plain = case.scenario.model_dump(mode="json")
     plain[MOST_STEPS] = plain.pop("steps")
     settings = {
@@ -259,18 +239,18 @@ def _settings(case: Case) -> Row:
 
 
 def identity(scenario: Scenario, measure: str, world: bytes) -> str:
-    """Sha256 over what is run: the settings, what is measured, and the map's `content` if it is a file's."""
+    """SHA-256 of settings, measure, and the `content` of a map file."""
     settings = scenario.model_dump(mode="json")
     if world:
         settings["map"] = Path(scenario.map).name
-    map_id = json.dumps((settings, measure), sort_keys=True)
-    return hashlib.sha256(map_id.encode() + world).hexdigest()
+    text = json.dumps((settings, measure), sort_keys=True)
+    return hashlib.sha256(text.encode() + world).hexdigest()
 
 
 def code_of(scenario: Scenario) -> str:
-    """Sha256 over what runs it: versions, our sources, the strategy's and the exchange's."""
-    theirs = f"{_strategy(scenario.strategy)} {_encoding(scenario.map_encoding)}"
-    return hashlib.sha256(f"{_versions()} {_sources()} {theirs}".encode()).hexdigest()
+    """SHA-256 of versions and sources, including those of a user's strategy and map encoding."""
+    plugins = f"{_strategy(scenario.strategy)} {_encoding(scenario.map_encoding)}"
+    return hashlib.sha256(f"{_versions()} {_sources()} {plugins}".encode()).hexdigest()
 
 
 @cache
@@ -280,22 +260,22 @@ def _versions() -> str:
 
 @cache
 def _strategy(name: str) -> str:
-    """The source of a strategy, which may be somebody's own."""
+    """The source of a strategy, possibly a user's."""
     return inspect.getsource(sys.modules[strategy(name).__module__])
 
 
 @cache
 def _encoding(name: str) -> str:
-    """The source of an exchange, likewise."""
+    """The source of a map encoding, possibly a user's."""
     return inspect.getsource(sys.modules[encoding_class(name).__module__])
 
 
 @cache
 def _sources() -> str:
-    """Sha256 of the sources."""
+    """SHA-256 of the sources."""
     total = hashlib.sha256()
     root = Path(__file__).parents[2]
-    for name in MAKERS:
+    for name in SOURCES:
         path = root / name
         for file in sorted([*path.rglob("*.py"), *path.rglob("*.npz")]) if path.is_dir() else [path]:
             total.update(file.read_bytes())
@@ -303,18 +283,18 @@ def _sources() -> str:
 
 
 def is_file(name: str) -> bool:
-    """Whether a map is that of a file; others are generated."""
+    """Whether the name of a map is that of a file; other maps are generated."""
     return name.endswith(FILES) or Path(name).is_file()
 
 
 def content(world: Map) -> bytes:
-    """A map of a file, for processes that may not have it."""
+    """Serialize the map of a file, for processes without the file."""
     head = json.dumps([world.name, world.resolution, world.origin, world.cells.shape])
     return head.encode() + b"\n" + world.cells.tobytes()
 
 
 def world_of(content: bytes) -> Map:
-    """The map that this is the content of."""
+    """Deserialize the map of a file."""
     head, _, cells = content.partition(b"\n")
     name, resolution, origin, shape = json.loads(head)
     return Map(name, np.frombuffer(cells, np.uint8).reshape(shape).copy(), resolution, tuple(origin))

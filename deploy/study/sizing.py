@@ -1,4 +1,4 @@
-"""How large a team, how much bandwidth and range a building needs: `murmur size`."""
+"""Find the team size, bandwidth and communication range that a building needs: `murmur size`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from deploy.scenario.plan import load_map
-from deploy.scenario.tables import UNLIMITED
 from deploy.study import plots
 from deploy.study.plots import Plot
 from deploy.study.results import Row, write_table
@@ -19,6 +18,7 @@ from deploy.study.runs import Case
 from deploy.study.statistics import Interval, interval, share
 from deploy.study.sweep import Sweep, of_settings, run
 from deploy.study.tables import has_finished
+from protocol.budget import WORD_FOR_UNLIMITED
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,16 +31,16 @@ SEEDS = 5
 
 @dataclass(frozen=True)
 class Option:
-    """A team that was tried.
+    """A tested team.
 
     Attributes
     ----------
     robots, bandwidth, range
         Its settings.
     met : Interval
-        What share of its runs explored in time and with a map that is good enough (Wilson); a run that failed did not.
+        Share of its runs that met the requirements (Wilson); failed runs did not.
     steps : Interval
-        Steps of those that finished.
+        Steps of the finished runs.
     """
 
     robots: int
@@ -52,7 +52,7 @@ class Option:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sizing:
-    """Teams tried in a building. In a notebook it shows its sentence, curves and table.
+    """Tested teams in a building; a notebook shows the answer, curves and table.
 
     Attributes
     ----------
@@ -61,9 +61,9 @@ class Sizing:
     options : list of Option
         By robots, bandwidth and range, ascending.
     deadline : int or None
-        Steps that an exploration may take.
+        Maximum number of steps of an exploration.
     min_map_accuracy : float
-        Share of the building that the first robot's map must have right.
+        Minimum share of correct cells on the first robot's map.
     """
 
     sweep: Sweep
@@ -73,36 +73,36 @@ class Sizing:
 
     @property
     def enough(self) -> Option | None:
-        """The smallest team, then bandwidth, then range, of which all runs met what was asked."""
+        """The smallest team, then bandwidth, then range, of which all runs met the requirements."""
         return next((option for option in self.options if option.met.mean == 1), None)
 
     @property
     def sentence(self) -> str:
-        """The answer."""
-        asked = f"with at least {100 * self.min_map_accuracy:g} % of the map right"
+        """The answer as a sentence."""
+        goal = f"with at least {100 * self.min_map_accuracy:g} % of the map correct"
         if self.deadline is not None:
-            asked = f"within {self.deadline} steps and {asked}"
+            goal = f"within {self.deadline} steps and {goal}"
         best = self.enough
         if best is not None:
             n = best.met.n
             return (
                 f"{_count(best.robots)} with {_bandwidth(best.bandwidth)} and a range of {best.range} explore "
-                f"{self._map} {asked}: in {_steps(best.steps)}, {n} of {n} runs (so in at least "
-                f"{100 * best.met.low:.0f} % of all, with 95 % confidence)."
+                f"{self._map} {goal}: in {_steps(best.steps)}, {n} of {n} runs (at least "
+                f"{100 * best.met.low:.0f} % of all runs, with 95 % confidence)."
             )
         nearest = min(
             self.options, key=lambda option: (-option.met.mean, not option.steps.n, option.steps.mean)
         )
         met = round(nearest.met.mean * nearest.met.n)
         return (
-            f"None of these teams always explores {self._map} {asked}; nearest come {_count(nearest.robots)} with "
+            f"None of these teams always explores {self._map} {goal}; the best has {_count(nearest.robots)} with "
             f"{_bandwidth(nearest.bandwidth)} and a range of {nearest.range}: {met} of {nearest.met.n} runs"
             + (f", in {_steps(nearest.steps)}." if nearest.steps.n else ".")
         )
 
     @property
     def table(self) -> pl.DataFrame:
-        """A row an option."""
+        """A row per option."""
         return pl.DataFrame(
             [
                 {
@@ -116,7 +116,7 @@ class Sizing:
         )  # fmt: skip
 
     def plot(self) -> Figure:
-        """Steps by number of robots, a curve a bandwidth, a panel a range, with 95 % intervals."""
+        """Steps over the number of robots, with a curve per bandwidth, a panel per range, and 95 % intervals."""
         canvas = self.sweep.plot(0)
         if self.deadline is not None:
             for panel in canvas.axes:
@@ -156,27 +156,27 @@ def size(
     progress: bool = True,
     **settings: Any,
 ) -> Sizing:
-    """Try teams in a building; `Sizing.sentence` says which is enough.
+    """Test teams in a building; `Sizing.sentence` names the smallest sufficient one.
 
     Parameters
     ----------
     map : str
-        A map's file, or the name of a generator.
+        A map file, or the name of a generator.
     robots, bandwidth, range : sequences
-        What is tried, in all combinations.
+        The tested values; all combinations are run.
     deadline : int, optional
-        Steps that an exploration may take.
+        Maximum number of steps of an exploration.
     min_map_accuracy : float
-        Share of the building that the first robot's map must have right at the end.
+        Minimum share of correct cells on the first robot's final map.
     seeds : int
-        Runs of each combination.
+        Number of runs of each combination.
     **settings
         Other settings of all runs: ``map_encoding="predictive", dissemination="gossip"``.
 
     Raises
     ------
     ValueError
-        A setting is wrong; nothing has been run.
+        A setting is invalid; nothing has been run.
 
     See Also
     --------
@@ -202,20 +202,17 @@ def size(
 
 
 _counted = range
-"""Python's own; `size` has a setting of that name."""
+"""The builtin; `size` has a parameter of that name."""
 
 
 def _options(done: Sweep, deadline: int | None, min_map_accuracy: float) -> list[Option]:
-    """What came of each team that was tried, in their order."""
+    """The results of each tested team, ascending."""
     diagonal_m = load_map(done.cases[0].scenario).diagonal_m
     teams: dict[tuple[int, float, float], list[Case]] = {}
     for case in done.cases:
-        asked = case.scenario
-        size = (
-            asked.robots,
-            math.inf if asked.bandwidth == UNLIMITED else float(asked.bandwidth),
-            asked.range_m(diagonal_m),
-        )
+        scenario = case.scenario
+        bandwidth = math.inf if scenario.bandwidth == WORD_FOR_UNLIMITED else float(scenario.bandwidth)
+        size = scenario.robots, bandwidth, scenario.range_m(diagonal_m)
         teams.setdefault(size, []).append(case)
     options = []
     for _, cases in sorted(teams.items()):
@@ -237,7 +234,7 @@ def _count(robots: int) -> str:
 
 
 def _bandwidth(bandwidth: int | str) -> str:
-    return "unlimited bandwidth" if isinstance(bandwidth, str) else f"{bandwidth} bytes a step"
+    return "unlimited bandwidth" if isinstance(bandwidth, str) else f"{bandwidth} bytes per step"
 
 
 def _steps(steps: Interval) -> str:

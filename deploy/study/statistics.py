@@ -1,9 +1,8 @@
-"""Statistics of runs: means with intervals, five numbers, and paired tests.
+"""Statistics of runs: means with intervals, quartiles, and paired tests.
 
-Intervals are of 95 %, by Student's t. Runs of compared settings share their seeds, so they are compared in pairs:
-figures that are above 0 by the logarithm of their ratio, whose mean is the (geometric) mean ratio, others by their
-difference. A test asks for evidence on both sides, that what is expected is so and that it is not so, and yields a
-p-value of each.
+Intervals are 95 % intervals by Student's t. Runs of compared settings share their seeds, so tests compare them in
+pairs: positive metrics by the logarithm of their ratio, other metrics by their difference. A test yields two one-sided
+p-values: for the expectation, and against it.
 """
 
 from __future__ import annotations
@@ -39,16 +38,16 @@ class Interval:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What values say about an expectation.
+    """The evidence of values for or against an expectation.
 
     Attributes
     ----------
     effect : Interval
-        Of what is tested: a mean, a mean difference, a geometric mean ratio, or a mean rank correlation.
+        The tested mean, mean difference, geometric mean ratio, or mean rank correlation.
     d : float
         Effect size: the mean's distance from the bound, in standard deviations of the (paired) values.
     p_for, p_against : float
-        One-sided p-values of the evidence that what is expected is so, and that it is not.
+        One-sided p-values of the evidence for the expectation, and against it.
     """
 
     effect: Interval
@@ -71,7 +70,7 @@ def interval(values: Sequence[float] | Values) -> Interval:
 
 
 def five_numbers(values: Sequence[float]) -> tuple[float, float, float, float, float]:
-    """Least, lower quartile, median, upper quartile, largest; NaN for no values."""
+    """Minimum, lower quartile, median, upper quartile, maximum; NaN without values."""
     if not len(values):
         return (math.nan,) * 5
     low, first, median, third, high = (float(q) for q in np.quantile(values, (0, 0.25, 0.5, 0.75, 1)))
@@ -87,9 +86,9 @@ def share(successes: int, n: int) -> Interval:
 
 
 def mean_within(values: Sequence[float] | Values, low: float, high: float) -> Evidence:
-    """Is the mean above `low` and below `high` (either may be infinite)? One-sample t tests.
+    """Test whether the mean is above `low` and below `high`, which may be infinite, by one-sample t tests.
 
-    Of figures that are only ever 0 or 1 exact binomial tests are made instead.
+    If all values are 0 or 1, these are exact binomial tests instead.
     """
     data = np.asarray(values, float)
     if not (len(data) and set(np.unique(data)) <= {0.0, 1.0}):
@@ -101,10 +100,9 @@ def mean_within(values: Sequence[float] | Values, low: float, high: float) -> Ev
 
 
 def difference_within(first: Sequence[float], second: Sequence[float], low: float, high: float) -> Evidence:
-    """Is the mean of the pairs' differences above `low` and below `high`?
+    """Test whether the mean difference of the pairs is above `low` and below `high`.
 
-    Of figures that are only ever 0 or 1 a sign test is made of the pairs that differ (McNemar's, exact), if the
-    bound is 0.
+    If all values are 0 or 1 and a bound is 0, this is an exact sign test of the pairs that differ (McNemar).
     """
     one, other = np.asarray(first, float), np.asarray(second, float)
     differences = one - other
@@ -117,9 +115,9 @@ def difference_within(first: Sequence[float], second: Sequence[float], low: floa
 
 
 def ratio_within(first: Sequence[float], second: Sequence[float], low: float, high: float) -> Evidence:
-    """Is the geometric mean of the pairs' ratios above `low` and below `high`? t tests on the ratios' logarithms.
+    """Test whether the geometric mean ratio of the pairs is above `low` and below `high`, by t tests on logarithms.
 
-    All figures must be above 0.
+    All values must be positive.
     """
     logs = np.log(np.asarray(first, float)) - np.log(np.asarray(second, float))
     test = _t_test(logs, math.log(low) if low > 0 else -math.inf, math.log(high))
@@ -133,10 +131,10 @@ def ratio_within(first: Sequence[float], second: Sequence[float], low: float, hi
 
 
 def trend(blocks: Sequence[Sequence[float]], sign: int) -> Evidence:
-    """Do figures grow (`sign` 1) or fall (-1) over ordered levels? Page's test, a block of levels a row.
+    """Test whether values grow (`sign` 1) or fall (-1) over ordered levels, by Page's test; a row is a block.
 
-    The effect is the mean over the blocks of Spearman's rank correlation with the order of the levels. There must
-    be three levels at least.
+    The effect is Spearman's rank correlation with the order of the levels, averaged over blocks. The test needs at
+    least three levels.
     """
     data = np.asarray(blocks, float)
     if not len(data):
@@ -155,15 +153,15 @@ def trend(blocks: Sequence[Sequence[float]], sign: int) -> Evidence:
     return Evidence(interval(correlations), _size(correlations, 0, math.inf), p_for, p_against)
 
 
-def same_order(values: Sequence[float], wanted: Sequence[float]) -> Evidence:
-    """Do figures have the same order as those that are wanted? Kendall's tau, exact."""
-    up, down = (stats.kendalltau(values, wanted, alternative=side) for side in ("greater", "less"))
+def same_order(values: Sequence[float], reference: Sequence[float]) -> Evidence:
+    """Test whether values have the same order as the reference values, by the exact test of Kendall's tau."""
+    up, down = (stats.kendalltau(values, reference, alternative=side) for side in ("greater", "less"))
     tau = float(up.statistic)
     return Evidence(Interval(len(values), tau, math.nan, math.nan), tau, float(up.pvalue), float(down.pvalue))
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
-    """P-values corrected for how many there are (Holm), in the same order."""
+    """Correct p-values for their number (Holm); keeps the order."""
     corrected = [0.0] * len(p_values)
     largest = 0.0
     for rank, place in enumerate(sorted(range(len(p_values)), key=p_values.__getitem__)):
@@ -180,7 +178,7 @@ def _t_test(data: Values, low: float, high: float) -> Evidence:
 
 
 def _t(data: Values) -> float:
-    """One-sided p-value of a mean above 0; of values without any spread that of a sign test."""
+    """One-sided p-value of a mean above 0; by a sign test if the values have no variance."""
     if len(data) < 2:
         return 1.0
     if data.std() <= 1e-12 * max(1.0, float(np.abs(data).max())):
@@ -189,7 +187,7 @@ def _t(data: Values) -> float:
 
 
 def _binomial(successes: int, n: int, probability: float, side: str) -> float:
-    """Exact one-sided p-value; bounds outside (0, 1) are met or missed for certain."""
+    """Exact one-sided p-value; bounds outside (0, 1) are certainly met or missed."""
     if not 0 < probability < 1:
         met = probability <= 0 if side == "greater" else probability >= 1
         return 0.0 if met and n else 1.0

@@ -23,24 +23,24 @@ from deploy.study.tables import VARIANT, Table, described
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-USUAL = ("steps", "coverage", "map_accuracy")
+DEFAULT_METRICS = ("steps", "coverage", "map_accuracy")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sweep:
-    """The runs of an experiment. In a notebook it shows its table of means.
+    """The runs of an experiment; a notebook shows the table of means.
 
     Attributes
     ----------
     experiment : Experiment
     cases : list of Case
-        All that were to be run, in the order of the grid.
+        All cases in the order of the grid.
     rows : list of dict
-        The runs that did not fail, each with its ``place`` in the grid.
+        The successful runs, each with its ``place`` in the grid.
     results : Results
-        The table that they are in, with their series.
+        The table of runs, which includes their series.
     failures : dict
-        What went wrong, and how often.
+        Error messages and their counts.
     """
 
     experiment: Experiment
@@ -51,7 +51,7 @@ class Sweep:
 
     @property
     def runs(self) -> pl.DataFrame:
-        """A row a run: keys of the grid and the variant first, then all settings and figures."""
+        """A row per run: keys of the grid and the variant first, then all settings and metrics."""
         return pl.DataFrame(
             [
                 {name: plots.short(value) if isinstance(value, str | dict | list) else value
@@ -64,7 +64,7 @@ class Sweep:
 
     @property
     def table(self) -> pl.DataFrame:
-        """Means, 95 % intervals and five numbers of each cell of the experiment's table."""
+        """Means, 95 % intervals and quartiles of each cell of the experiment's table."""
         return described(self.experiment.table, self.rows)
 
     def plot(self, number: int = 0) -> Figure:
@@ -86,7 +86,7 @@ def sweep(
     *,
     base: dict[str, Any] | None = None,
     variants: dict[str, dict[str, Any]] | None = None,
-    figures: Sequence[str] = USUAL,
+    metrics: Sequence[str] = DEFAULT_METRICS,
     quick: bool = False,
     jobs: int | None = None,
     scheduler: str | None = None,
@@ -101,34 +101,34 @@ def sweep(
     experiment : path, name or Experiment, optional
         A file as for `murmur sweep`; `settings` replace values of its grid and base.
     base : dict, optional
-        Without an experiment: settings that all runs share.
+        Without an experiment: settings of all runs.
     variants : dict of name to settings, optional
-        Without an experiment: what is compared, each on the same grid.
-    figures : sequence of str
-        Without an experiment: what `Sweep.table` shows.
+        Without an experiment: variants, each run on the whole grid.
+    metrics : sequence of str
+        Without an experiment: the columns of `Sweep.table`.
     quick : bool
-        Whether to run only what the experiment's ``[quick]`` says.
+        Whether to run the reduced experiment of ``[quick]``.
     jobs : int, optional
-        Processes; one per core if left out.
+        Number of processes; by default one per core.
     scheduler : str, optional
-        Address of a Dask scheduler whose workers make the runs instead.
+        Address of a Dask scheduler; its workers make the runs instead.
     out : Path, optional
-        The table of runs (parquet); those that are in it are not run again.
+        File of the table of runs (parquet); runs in it are not repeated.
     progress : bool
-        Whether to show how far it is, and the time left.
+        Whether to show progress and the remaining time.
     **settings
-        Lists of values, of which all combinations are run, and single values: ``robots=[2, 4], map="office"``.
+        Single values, and lists of which all combinations are run: ``robots=[2, 4], map="office"``.
 
     Raises
     ------
     ValueError
-        A setting, the experiment or `out` is wrong; nothing has been run.
+        A setting, the experiment or `out` is invalid; nothing has been run.
     """
     if experiment is None:
-        read = of_settings("sweep", base or {}, settings, variants or {"plain": {}}, figures)
+        read = of_settings("sweep", base or {}, settings, variants or {"plain": {}}, metrics)
     else:
         if base or variants:
-            raise ScenarioError("base and variants: the experiment has its own; give one or the other")
+            raise ScenarioError("base and variants: only without an experiment, which has its own")
         read = experiment if isinstance(experiment, Experiment) else experiments.read(Path(experiment))
         read = experiments.override(experiments.quickened(read) if quick else read, settings)
     return run(read, jobs=jobs, scheduler=scheduler, out=out, progress=progress)
@@ -152,12 +152,12 @@ def of_settings(
     base: dict[str, Any],
     settings: dict[str, Any],
     variants: dict[str, dict[str, Any]],
-    figures: Sequence[str],
+    metrics: Sequence[str],
 ) -> Experiment:
-    """An experiment of settings: those that are lists make its grid."""
+    """Make an experiment of settings; the lists become its grid."""
     grid = {key: list(values) for key, values in settings.items() if isinstance(values, list | tuple | range)}
     single = {key: value for key, value in settings.items() if key not in grid}
     rows = [key for key in grid if key != "seed"] + ([VARIANT] if len(variants) > 1 else [])
-    table = Table(rows, [], list(figures), interval=True, finished_only=True)
+    table = Table(rows, [], list(metrics), interval=True, finished_only=True)
     made = Experiment(name, name, base | single, {key: [] for key in grid}, {}, variants, table)
     return experiments.override(made, grid)

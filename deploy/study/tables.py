@@ -1,9 +1,9 @@
-"""Figures of runs, and tables of them: what a sweep prints and writes.
+"""Metrics of runs, and the tables of metrics that a sweep prints and writes.
 
-A figure is a name in a row of the table of runs (``steps``), dotted for a value in a table (``bytes.total``), a sum
-of names (``bytes.ins + bytes.del``), or a quotient of two of these (``bytes.conn / bytes.total``). It may be
-followed by ``relative to`` and a variant, by whose figure of the same run it is divided. ``min`` before it means
-the minimum over all runs instead of their mean.
+A metric is a column of the table of runs (``steps``), dotted for a nested value (``bytes.total``); a sum of columns
+(``bytes.ins + bytes.del``); or a quotient of two of these (``bytes.conn / bytes.total``). ``relative to`` and a variant
+divide it by the metric of that variant's run with otherwise equal settings. The prefix ``min`` means the minimum over
+all runs instead of their mean.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from protocol.packets import ALL_KINDS
 VARIANT = "variant"
 
 RELATIVE = " relative to "
-"""Between a figure and the variant whose figure of the same run it is divided by."""
+"""Separates a metric from the variant by whose metric it is divided."""
 
 MIN = "min "
-"""Before a figure of which the minimum is wanted."""
+"""Prefix for the minimum of a metric over all runs."""
 
 MIN_COVERAGE = 0.99
-"""Coverage that a run needs to count as finished, besides reporting so."""
+"""Minimum coverage of a finished run."""
 
 METRICS = (
     "steps", "coverage", "map_accuracy", "t50", "t90", "t99", "overlap", "finished", "first_robot",
@@ -37,31 +37,31 @@ METRICS = (
     "approximation_error", "approximation_error_net", "explored_at", "robots", "seed", "range_m", "raw_scan_bytes",
     "wire_bytes", "over_budget_steps", "protocol_errors", "wall_s", "steps_per_s", "work_us_median",
 )  # fmt: skip
-"""Numbers of a summary (`deploy.record.summary.summarize`)."""
+"""Numeric values of a summary (`deploy.record.summary.summarize`)."""
 
 TABLES = {
     "bytes": (*ALL_KINDS, "total"),
     "packets": (*ALL_KINDS, "total"),
     "undelivered": tuple(cause for cause in CAUSES if cause),
 }
-"""Tables of a summary with the numbers in them; missing ones are 0."""
+"""Nested tables of a summary with their numeric values; missing values are 0."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """What a table shows.
+    """The layout of a table.
 
     Attributes
     ----------
     rows, columns : list of str
-        Keys of the grid, or ``variant``, that label the table's rows and columns; the figures are averaged over
-        the others. Without columns each figure has a column of its own.
+        Keys of the grid, or ``variant``, that label rows and columns; the metrics are averaged over the other keys.
+        Without columns each metric has a column of its own.
     values : list of str
-        Figures.
+        Metrics.
     interval : bool
         Whether means are printed with half their 95 % interval (Student's t).
     finished_only : bool
-        Whether means are over the runs that finished; their number is printed if not all did.
+        Whether means include only finished runs; the table then shows their number if it differs.
     """
 
     rows: list[str]
@@ -72,22 +72,22 @@ class Table:
 
 
 def check(text: str, variants: Iterable[str], names: Iterable[str] = ()) -> None:
-    """Raise ValueError if `text` is no figure, nor one of `names`, or is relative to none of the variants."""
+    """Raise ValueError unless `text` is a metric or one of `names`, relative to none or one of the variants."""
     name, relative, against = text.removeprefix(MIN).partition(RELATIVE)
     if relative and against not in variants:
         raise ValueError(f"{text!r}: no variant is called {against!r}; there are: {', '.join(variants)}")
     parts = name.split(" / ")
     if len(parts) > 2:
-        raise ValueError(f"{text!r}: must be sums of figures with at most one ' / ' between")
+        raise ValueError(f"{text!r}: must be sums of metrics with at most one ' / ' between them")
     for one in (one for part in parts for one in part.split(" + ")):
         table, _, number = one.rpartition(".")
         if one not in names and number not in (TABLES.get(table, ()) if table else METRICS):
             tables = (f"{table}.{'|'.join(numbers)}" for table, numbers in TABLES.items())
-            raise ValueError(f"{one!r} is no figure; there are: {', '.join([*METRICS, *names, *tables])}")
+            raise ValueError(f"{one!r} is not a metric; there are: {', '.join([*METRICS, *names, *tables])}")
 
 
-def figure(row: Row, text: str) -> float | None:
-    """Read a figure, not a relative one, from a run's row; None if it is missing, or a quotient is by 0."""
+def metric_value(row: Row, text: str) -> float | None:
+    """Read a metric, without ``relative to``, from a row; None if it is missing or divided by 0."""
     sums = []
     for part in text.split(" / "):
         found = [_look_up(row, name) for name in part.split(" + ")]
@@ -100,7 +100,7 @@ def figure(row: Row, text: str) -> float | None:
 
 
 def tabulate(table: Table, summaries: Sequence[Row]) -> list[list[str]]:
-    """The lines of a table: a header, then one per row with means over all other keys, and one over all rows."""
+    """The lines of a table: a header, a line per row with means over all other keys, and a line for all rows."""
     twins = {key_of(summary["place"]): summary for summary in summaries}
     heads = _combinations(summaries, table.columns)
     rows = _combinations(summaries, table.rows)
@@ -123,7 +123,7 @@ def tabulate(table: Table, summaries: Sequence[Row]) -> list[list[str]]:
 
 
 def described(table: Table, rows: Sequence[Row], keys: Sequence[str] | None = None) -> pl.DataFrame:
-    """A row a figure and cell of a table: how many runs, how many finished, mean with interval, five numbers.
+    """Statistics of each cell and metric of a table: number of runs, share finished, mean with interval, quartiles.
 
     Cells are the combinations of the table's rows and columns, or of other `keys`.
     """
@@ -137,53 +137,53 @@ def described(table: Table, rows: Sequence[Row], keys: Sequence[str] | None = No
         for name in table.values:
             values = [v for row in counted if (v := _value(row, name.removeprefix(MIN), twins)) is not None]
             mean = interval(values)
-            least, first, median, third, largest = five_numbers(values)
+            low, first, median, third, high = five_numbers(values)
             lines.append(
                 {key: _short(value) for key, value in zip(keys, cell, strict=True)}
                 | {
                     "metric": name, "runs": len(members), "finished": finished.mean, "finished_low": finished.low,
                     "finished_high": finished.high, "n": mean.n, "mean": mean.mean, "low": mean.low, "high": mean.high,
-                    "min": least, "quartile_1": first, "median": median, "quartile_3": third, "max": largest,
+                    "min": low, "quartile_1": first, "median": median, "quartile_3": third, "max": high,
                 }
             )  # fmt: skip
     return pl.DataFrame(lines, infer_schema_length=None)
 
 
 def has_finished(row: Row) -> bool:
-    """Whether a run ended as explored, with sufficient coverage; what is no exploration always has."""
+    """Whether a run ended as explored with sufficient coverage; always true for other measures."""
     return row.get("finished") is None or (bool(row["finished"]) and row["coverage"] >= MIN_COVERAGE)
 
 
 def key_of(place: dict[str, Any]) -> tuple[tuple[str, str], ...]:
-    """A position in a grid, as a key."""
+    """A position in a grid as a hashable key."""
     return tuple(sorted((name, repr(value)) for name, value in place.items()))
 
 
 def _cell(table: Table, runs: Sequence[Row], value: str, twins: dict[Any, Row]) -> str:
-    """One figure of some runs: its mean, or the minimum."""
+    """The mean or minimum of a metric over some runs, as text."""
     name = value.removeprefix(MIN)
     if name != value:
         found = [one for run in runs if (one := _value(run, name, twins)) is not None]
         return f"{min(found):.4f}" if found else "-"
     chosen = [run for run in runs if has_finished(run)] if table.finished_only else runs
     share = "" if len(chosen) == len(runs) else f" ({len(chosen)} of {len(runs)})"
-    figures = [_value(run, name, twins) for run in chosen]
-    return (_mean(figures, interval_too=table.interval) if chosen or not share else "none") + share
+    values = [_value(run, name, twins) for run in chosen]
+    return (_mean(values, interval_too=table.interval) if chosen or not share else "none") + share
 
 
 def _value(summary: Row, text: str, twins: dict[Any, Row]) -> float | None:
-    """A figure, relative to that of another variant's run if the text says so and that run exists."""
+    """A metric, divided by that of another variant's run if the text requests it and that run exists."""
     name, _, against = text.partition(RELATIVE)
-    value = figure(summary, name)
+    value = metric_value(summary, name)
     if not against or value is None:
         return value
     twin = twins.get(key_of(summary["place"] | {VARIANT: against}))
-    other = figure(twin, name) if twin is not None else None
+    other = metric_value(twin, name) if twin is not None else None
     return value / other if other else None
 
 
 def _combinations(summaries: Sequence[Row], keys: list[str]) -> list[tuple[Any, ...]]:
-    """All combinations of some keys' values, in the order of the grid."""
+    """All combinations of the keys' values, in the order of the grid."""
     found = (tuple(summary["place"][key] for key in keys) for summary in summaries)
     return list({repr(values): values for values in found}.values())
 
@@ -197,11 +197,11 @@ def _mean(values: Sequence[float | None], *, interval_too: bool) -> str:
     if not mean.n:
         return "-"
     digits = 0 if abs(mean.mean) >= 10 else 3
-    said = f"{mean.mean:.{digits}f}"
-    return f"{said} ± {mean.half:.{digits}f}" if interval_too and mean.n > 1 else said
+    text = f"{mean.mean:.{digits}f}"
+    return f"{text} ± {mean.half:.{digits}f}" if interval_too and mean.n > 1 else text
 
 
 def _look_up(row: Row, name: str) -> Any:
-    """A figure; of those in tables, which hold only what there was, 0 where it is missing."""
+    """A column of a row; 0 for a missing value of a nested table, which holds only nonzero values."""
     value = row.get(name)
     return 0 if value is None and name.rpartition(".")[0] in TABLES else value

@@ -14,7 +14,7 @@ SETTINGS = Settings(
 )
 
 
-def test_each_life_has_a_map_of_its_own_and_the_home_of_the_first() -> None:
+def test_each_incarnation_has_its_own_map_id_and_the_home_of_the_first() -> None:
     file = BytesIO()
     incarnations = []
     for place in ((4, 5), (9, 9), (0, 1)):
@@ -23,11 +23,11 @@ def test_each_life_has_a_map_of_its_own_and_the_home_of_the_first() -> None:
         identity.settle(*place)
     assert [incarnation.own_map for incarnation in incarnations] == [1, 4, 7]
     assert [incarnation.home for incarnation in incarnations] == [None, (4, 5), (4, 5)]
-    with pytest.raises(JournalError, match="robot 1 has used up its lives: 3"):
+    with pytest.raises(JournalError, match="robot 1 has used up its 3 incarnations"):
         Identity(Journal(file)).begin(SETTINGS)
 
 
-def test_a_life_that_was_torn_off_was_not_begun() -> None:
+def test_a_torn_record_does_not_count_as_an_incarnation() -> None:
     file = BytesIO()
     Identity(Journal(file)).begin(SETTINGS)
     before = len(file.getvalue())
@@ -36,16 +36,16 @@ def test_a_life_that_was_torn_off_was_not_begun() -> None:
     assert Identity(Journal(torn)).begin(SETTINGS).incarnation == 1
 
 
-def test_the_journal_of_another_robot_is_refused() -> None:
+def test_the_journal_of_another_robot_is_rejected() -> None:
     file = BytesIO()
     Identity(Journal(file)).begin(replace(SETTINGS, robot=2))
     with pytest.raises(
-        JournalError, match="life 0 of robot 2 of 3, where life 0 of robot 1 of 3 is the next"
+        JournalError, match="incarnation 0 of robot 2 of 3, expected incarnation 0 of robot 1 of 3"
     ):
         Identity(Journal(file)).begin(SETTINGS)
 
 
-def test_a_home_outside_the_map_is_refused() -> None:
+def test_a_home_outside_the_map_is_rejected() -> None:
     file = BytesIO()
     identity = Identity(Journal(file))
     identity.begin(SETTINGS)
@@ -55,7 +55,7 @@ def test_a_home_outside_the_map_is_refused() -> None:
 
 
 @given(st.lists(st.binary(max_size=30), max_size=4))
-def test_any_records_are_a_journal_or_are_refused_in_words(records: list[bytes]) -> None:
+def test_any_records_are_read_or_rejected_as_a_journal_error(records: list[bytes]) -> None:
     journal = Journal(BytesIO())
     for record in records:
         journal.append(record)

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.journal import MOST, Journal
+from agent.journal import MAX_RECORD, Journal
 
 records = st.lists(st.binary(max_size=40), max_size=6)
 
 
 @given(records)
-def test_what_was_written_is_read_back(written: list[bytes]) -> None:
+def test_written_records_are_read_back(written: list[bytes]) -> None:
     file = BytesIO()
     journal = Journal(file)
     for record in written:
@@ -38,7 +38,7 @@ def test_a_journal_cut_off_anywhere_keeps_all_records_before_and_goes_on(
 
 
 @given(st.binary(max_size=100))
-def test_any_bytes_are_a_journal_whose_nonsense_is_cut_away(data: bytes) -> None:
+def test_opening_any_bytes_truncates_them_to_whole_records(data: bytes) -> None:
     file = BytesIO(data)
     records = Journal(file).records
     assert data.startswith(file.getvalue())
@@ -61,6 +61,6 @@ def test_a_journal_on_disk_is_made_and_reopened(tmp_path: Path) -> None:
     assert Journal.open(path).records == [b"one", b"two"]
 
 
-def test_a_record_that_no_reader_would_take_is_not_written() -> None:
-    with pytest.raises(ValueError, match="at most"):
-        Journal(BytesIO()).append(bytes(MOST + 1))
+def test_a_record_that_is_too_long_is_rejected() -> None:
+    with pytest.raises(ValueError, match="is longer than"):
+        Journal(BytesIO()).append(bytes(MAX_RECORD + 1))

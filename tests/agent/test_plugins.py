@@ -1,4 +1,4 @@
-"""Strategies and exchanges of installed packages: found by name, listed, run, and named where they are broken."""
+"""Strategies and map encodings of installed packages are found by name, listed and run; broken ones are reported."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def python(installed: Path, *words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_strategies_and_exchanges_of_a_package_are_run_by_their_names(installed: Path) -> None:
+def test_strategies_and_encodings_of_a_package_run_by_their_names(installed: Path) -> None:
     run = "from murmur import explore; print(explore(map='em', robots=2, steps=4, bus='memory', keep=False, "
     done = python(
         installed, "-c", run + "strategy='farthest', map_encoding='quiet').summary['map_encoding'])"
@@ -72,7 +72,7 @@ def test_strategies_and_exchanges_of_a_package_are_run_by_their_names(installed:
     assert "no map encoding is called 'quite'; did you mean quiet? There are: polygons," in wrong.stderr
 
 
-def test_strategies_of_a_package_are_listed_those_that_are_broken_too(installed: Path) -> None:
+def test_strategies_of_a_package_are_listed_even_if_their_import_fails(installed: Path) -> None:
     listed = python(installed, "-m", "deploy.commands.main", "strategies")
     assert listed.returncode == 0, listed.stderr
     said = " ".join(listed.stdout.split())

@@ -1,4 +1,4 @@
-"""What a viewer is shown of a robot: all at first, then only what has changed."""
+"""The feed to a viewer: whole maps first, then changed maps alone."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_all_is_shown_first_and_then_only_what_has_changed() -> None:
     assert said.map_id == 2
 
 
-def test_outlines_tell_place_object_and_kind_of_every_vertex() -> None:
+def test_outlines_contain_position_object_and_kind_of_every_vertex() -> None:
     polygons = contours(room(), (2, 2))
     rows = np.frombuffer(outline_bytes(polygons), "<i2").reshape(-1, 4)
     assert len(rows) == len(polygons.x)

@@ -92,16 +92,16 @@ def test_every_packet_is_shown_by_name_and_field(tshark: Tshark, tmp_path: Path)
         assert found == {name: v.hex() if isinstance(v, bytes) else str(v) for name, v in there.items()}
 
 
-def test_the_head_is_shown_field_by_field(tshark: Tshark, tmp_path: Path) -> None:
+def test_the_header_is_shown_field_by_field(tshark: Tshark, tmp_path: Path) -> None:
     file = tmp_path / "head.pcapng"
-    said = [
+    sent = [
         LoggedFrame(1, 70000, DATA, 63, 0, 62, 0, 1 << 63 | 1, b"\xf0"),
         LoggedFrame(0, -1, 3, 4, EVERYONE, -1, 0, 0b101, b"\x00\x00\x00"),
         LoggedFrame(0, -1, 0, 4, -99, -1, 2, 0, b"\xc0\x00"),
         LoggedFrame(0, 3, 2, 255, 64, 200, 0, 1 << 255 | 1 << 64 | 1, b"\xf0"),
         LoggedFrame(0, -1, 0, 4, 100, -1, 2, 0, b"\xc0\x00"),
     ]
-    file.write_bytes(capture.head("a test") + encoded(86401, said))
+    file.write_bytes(capture.head("a test") + encoded(86401, sent))
     names = (
         "step",
         "round",
@@ -152,8 +152,8 @@ def test_the_head_is_shown_field_by_field(tshark: Tshark, tmp_path: Path) -> Non
         ["86401.000004000", "out of range", "86401", "0", "-1", "0", "4", "100", "-1,0", "0", "2", "", "2"],
     ]
     columns = tshark.run("-r", file).splitlines()
-    for words in ("r63", "r0", "MURMUR", "data of map 62: 1 save (1 bytes), carried"):
-        assert words in columns[0]
+    for text in ("r63", "r0", "MURMUR", "data of map 62: 1 save (1 bytes), carried"):
+        assert text in columns[0]
     assert "r4 " in columns[1]
     assert " all " in columns[1]
     assert " unknown " in columns[2]
@@ -172,15 +172,15 @@ def test_the_dissector_accepts_exactly_the_packets_that_the_decoder_reads(
         write(tmp_path / "bad.pcapng", payloads), ["murmur.kind", "murmur.broken", "murmur.spare"]
     )
     for payload, (kinds, broken, spare) in zip(payloads, rows, strict=True):
-        said = []
+        sent = []
         error = ""
         try:
-            said = [packet.name for packet in packets.Decoder().feed(payload)]
+            sent = [packet.name for packet in packets.Decoder().feed(payload)]
             packets.decode(payload)
         except ProtocolError as caught:
             error = str(caught)
         assert bool(broken or spare) == bool(error), (payload.hex(), error)
-        assert kinds[: len(said)] == said, payload.hex()
+        assert kinds[: len(sent)] == sent, payload.hex()
 
 
 def test_a_malformed_header_causes_no_lua_error(tshark: Tshark, tmp_path: Path) -> None:
@@ -200,11 +200,11 @@ def test_a_malformed_header_causes_no_lua_error(tshark: Tshark, tmp_path: Path) 
 
 def test_truncated_frames_are_no_error(tshark: Tshark, tmp_path: Path) -> None:
     payload = packets.encode([Fragment(bytes(50))] * 9)
-    file = tmp_path / "unkept.pcapng"
+    file = tmp_path / "truncated.pcapng"
     file.write_bytes(capture.head("a test") + encoded(1, [captured_frame(payload, BUDGET)]))
     names = ["murmur.bytes", "murmur.truncated", "murmur.kind", "murmur.broken", "murmur.refused"]
-    ((said, unkept, kinds, broken, refused),) = tshark.fields(file, names)
-    assert (said, unkept) == ([str(len(payload))], [str(len(payload) - KEPT)])
+    ((sent, truncated, kinds, broken, refused),) = tshark.fields(file, names)
+    assert (sent, truncated) == ([str(len(payload))], [str(len(payload) - KEPT)])
     assert (kinds, broken) == (["scan"], [])
     assert refused
 
@@ -220,14 +220,14 @@ def test_sums_equal_those_of_the_ledger(tshark: Tshark, tmp_path: Path, map_enco
         ["murmur.verdict", "murmur.bytes", "murmur.kind", "murmur.size", "murmur.broken"],
     )
     sums: Counter[tuple[str, str]] = Counter()
-    for (verdict,), (said,), kinds, sizes, broken in rows:
+    for (verdict,), (sent,), kinds, sizes, broken in rows:
         assert not broken
         if verdict == "0":
             for kind, size in zip(kinds, sizes, strict=True):
                 sums[kind, "packets"] += 1
                 sums[kind, "bytes"] += int(size)
         else:
-            sums[VERDICTS[int(verdict)], "bytes"] += int(said)
+            sums[VERDICTS[int(verdict)], "bytes"] += int(sent)
     wanted: Counter[tuple[str, str]] = Counter()
     for row in ledger:
         if row["carried"]:

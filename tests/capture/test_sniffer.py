@@ -30,7 +30,7 @@ def push(number: int, suffix: str, payload: bytes, *, own: bool = True) -> bytes
 
 
 @given(st.data(), st.binary(min_size=1, max_size=60), st.sampled_from((0, 5, WINDOW - 1, WINDOW - 20)))
-def test_a_stream_comes_out_whole_whatever_the_order_and_the_repeats(
+def test_a_stream_is_reassembled_from_any_order_and_repeats(
     data: st.DataObject, sent: bytes, first: int
 ) -> None:
     cuts = sorted({0, len(sent), *data.draw(st.lists(st.integers(0, len(sent)), max_size=8))})
@@ -47,14 +47,14 @@ def test_a_stream_comes_out_whole_whatever_the_order_and_the_repeats(
     assert stream.bytes == len(sent)
 
 
-def test_a_hole_in_a_stream_is_seen() -> None:
+def test_a_gap_in_a_stream_is_detected() -> None:
     stream = Stream()
     stream.take(Segment(1, 2, 10, SYN, b""))
     assert stream.take(Segment(1, 2, 13, 0, b"later")) == b""
     assert stream.missing
 
 
-def test_keys_are_put_together_from_what_either_end_declared() -> None:
+def test_keys_are_resolved_from_the_declarations_of_both_ends() -> None:
     session = Session()
     up = batch(FRAME, declare(1, "run/radio"), declare(2, "/tx", scope=1), push(2, "/r0", b"hello"))
     assert list(session.feed(0, up)) == [Message("put", "run/radio/tx/r0", b"hello")]
@@ -72,7 +72,7 @@ def test_batches_may_come_in_any_pieces(cuts: list[int]) -> None:
     assert session.pending == 0
 
 
-def test_fragments_of_one_message_are_put_together() -> None:
+def test_fragments_of_one_message_are_joined() -> None:
     whole = push(0, "long", bytes(range(100)))
     session = Session()
     assert not list(session.feed(0, batch(bytes.fromhex("6601"), whole[:40])))
@@ -84,6 +84,6 @@ def test_fragments_of_one_message_are_put_together() -> None:
 
 
 @pytest.mark.parametrize("stray", ["07", "2507ff", "25071c", "25071d0001", "25071e0f00", "25071d000509"])
-def test_bytes_that_are_not_understood_are_never_passed_over(stray: str) -> None:
+def test_unknown_bytes_are_an_error(stray: str) -> None:
     with pytest.raises(WireError):
         list(Session().feed(0, batch(bytes.fromhex(stray))))

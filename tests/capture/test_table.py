@@ -39,25 +39,25 @@ def murmur(*arguments: object, code: int = 0) -> str:
 
 
 def as_json(*arguments: object) -> dict[str, Any]:
-    said: dict[str, Any] = json.loads(murmur(*arguments, "--json"))
-    return said
+    shown: dict[str, Any] = json.loads(murmur(*arguments, "--json"))
+    return shown
 
 
 def test_the_totals_are_those_of_the_run(run: Result) -> None:
     assert run.directory is not None
-    said = as_json(run.directory)
+    shown = as_json(run.directory)
     without_total = [
         {k: n for k, n in run.summary[what].items() if k != "total"} for what in ("bytes", "packets")
     ]
-    assert [said["totals"]["bytes"], said["totals"]["packets"]] == without_total
+    assert [shown["totals"]["bytes"], shown["totals"]["packets"]] == without_total
     ledger = run.records.ledger()
-    for verdict, refused in said["totals"]["refused"].items():
+    for verdict, refused in shown["totals"]["refused"].items():
         assert refused["bytes"] == ledger["bytes"][ledger["cause"] == CAUSES.index(verdict)].sum()
-    assert said["torn"] == 0
-    assert len(said["frames"]) == said["totals"]["frames"]
+    assert shown["torn"] == 0
+    assert len(shown["frames"]) == shown["totals"]["frames"]
 
 
-def test_every_packet_that_was_kept_is_told_by_name_and_field(run: Result) -> None:
+def test_every_captured_packet_is_shown_by_name_and_field(run: Result) -> None:
     for frame in as_json(run.directory)["frames"]:
         if frame["verdict"] == "carried":
             assert frame["kept"] == frame["bytes"]
@@ -69,7 +69,7 @@ def test_every_packet_that_was_kept_is_told_by_name_and_field(run: Result) -> No
 
 
 @pytest.mark.parametrize("kind", ["conn", "targ", "scan"])
-def test_filters_leave_out_what_does_not_fit_and_nothing_else(run: Result, kind: str) -> None:
+def test_filters_leave_out_exactly_the_frames_that_do_not_match(run: Result, kind: str) -> None:
     frames = as_json(run.directory)["frames"]
     by_robot = as_json(run.directory, "--robot", 2)["frames"]
     assert by_robot == [f for f in frames if 2 in (f["sender"], f["receiver"], *f["hearers"])]
@@ -82,7 +82,7 @@ def test_filters_leave_out_what_does_not_fit_and_nothing_else(run: Result, kind:
     assert of_kind["totals"]["bytes"][kind] == run.summary["bytes"][kind]
 
 
-def test_people_read_a_line_a_frame_and_the_sums_below(run: Result) -> None:
+def test_the_table_has_a_line_per_frame_and_totals(run: Result) -> None:
     assert run.directory is not None
     lines = murmur(run.directory).splitlines()
     assert lines[0].split()[3:] == ["from", "to", "map", "frame", "bytes", "packets", "verdict"]
@@ -91,13 +91,13 @@ def test_people_read_a_line_a_frame_and_the_sums_below(run: Result) -> None:
     assert any(line.endswith("cut by budget") for line in lines)
     assert murmur(run.directory / "radio.pcapng", "--step", 1) == murmur(run.directory, "--step", 1)
     with_packets = murmur(run.directory, "--step", 1, "--packets").splitlines()
-    told = next(line.split() for line in with_packets if line.split()[:2] == ["conn", "Offer"])
-    (offer,) = decode(bytes.fromhex("".join(told[2:4])))
+    line = next(line.split() for line in with_packets if line.split()[:2] == ["conn", "Offer"])
+    (offer,) = decode(bytes.fromhex("".join(line[2:4])))
     assert isinstance(offer, Offer)
-    assert told[4:] == ["map", str(offer.map), "block", str(offer.block)]
+    assert line[4:] == ["map", str(offer.map), "block", str(offer.block)]
 
 
-def test_a_capture_that_was_cut_off_is_shown_and_said_to_be(run: Result, tmp_path: Path) -> None:
+def test_an_incomplete_capture_is_shown_with_a_note(run: Result, tmp_path: Path) -> None:
     assert run.directory is not None
     whole = (run.directory / "radio.pcapng").read_bytes()
     cut = tmp_path / "cut.pcapng"
@@ -107,7 +107,7 @@ def test_a_capture_that_was_cut_off_is_shown_and_said_to_be(run: Result, tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "text"),
     [
         ((), "name a run directory"),
         (("nowhere",), "nowhere: No such file or directory"),
@@ -116,8 +116,8 @@ def test_a_capture_that_was_cut_off_is_shown_and_said_to_be(run: Result, tmp_pat
         (("nowhere", "--step", "1-x"), "step = '1-x': must be a step, as 12, or steps, as 10-20"),
     ],
 )
-def test_what_is_wrong_is_said_and_what_would_be_right(arguments: tuple[str, ...], words: str) -> None:
-    assert words in murmur(*arguments, code=2)
+def test_errors_state_the_mistake_and_the_correct_form(arguments: tuple[str, ...], text: str) -> None:
+    assert text in murmur(*arguments, code=2)
 
 
 def test_the_installed_dissector_replaces_only_an_older_version_of_itself(tmp_path: Path) -> None:

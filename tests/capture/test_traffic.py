@@ -30,8 +30,8 @@ from tests.capture.traffic import (
     Traffic,
     frames,
     frames_of,
-    in_exchanges,
-    passed_on,
+    in_rounds,
+    relayed_to,
 )
 
 HERE = Path(__file__).parent
@@ -78,7 +78,7 @@ def said(traffic: Traffic) -> list[CapturedFrame]:
     return frames(traffic.run)
 
 
-def test_nothing_was_missed(traffic: Traffic) -> None:
+def test_the_sniffer_missed_no_bytes(traffic: Traffic) -> None:
     assert traffic.dropped == 0
     assert len(traffic.connections) == len(traffic.processes) - 1
     for connection in traffic.connections.values():
@@ -88,13 +88,13 @@ def test_nothing_was_missed(traffic: Traffic) -> None:
         assert connection.session.pending == 0
 
 
-def test_each_connection_is_that_of_one_process_which_has_no_other_way_out(traffic: Traffic) -> None:
+def test_each_process_has_exactly_one_connection(traffic: Traffic) -> None:
     assert sorted(c.name for c in traffic.connections.values()) == sorted(set(traffic.processes) - {"relay"})
     for name in (f"r{robot}" for robot in traffic.robots):
         held = traffic.processes[name]
         assert held["tcp"] == [[traffic.of(name).port, traffic.hub]]
         assert held["other sockets"] == []
-        assert ("token", f"alive/{name}") in traffic.of(name).told[UP]
+        assert ("token", f"alive/{name}") in traffic.of(name).declared[UP]
 
 
 def test_no_pipe_runs_from_robot_to_robot(traffic: Traffic) -> None:
@@ -103,7 +103,7 @@ def test_no_pipe_runs_from_robot_to_robot(traffic: Traffic) -> None:
     assert not written & {number for number, mode in pipes if mode != os.O_WRONLY}
 
 
-def test_nobody_speaks_but_to_the_hub(traffic: Traffic) -> None:
+def test_all_connections_are_to_the_hub(traffic: Traffic) -> None:
     if not traffic.alone:
         pytest.skip(
             "no right to a network namespace: others share this loopback; run as root on a real machine"
@@ -111,7 +111,7 @@ def test_nobody_speaks_but_to_the_hub(traffic: Traffic) -> None:
     assert traffic.strangers.counts == {}
 
 
-def test_no_connection_carries_what_is_not_its_owners(traffic: Traffic) -> None:
+def test_connections_carry_only_messages_of_their_owner(traffic: Traffic) -> None:
     others = {f"r{robot}" for robot in traffic.robots}
     for connection in traffic.connections.values():
         me = connection.name
@@ -131,16 +131,16 @@ def test_no_connection_carries_what_is_not_its_owners(traffic: Traffic) -> None:
         assert said_of <= allowed_up
         assert heard_of <= allowed_down
         if is_robot:
-            listens = {key for kind, key in connection.told[DOWN] if kind == "subscriber"}
+            listens = {key for kind, key in connection.declared[DOWN] if kind == "subscriber"}
             assert listens == {"*/tx/**", "*/rx/world/**", "*/rx/recorder/**"}, "it learns who else listens"
 
 
-def test_the_relay_got_what_each_robot_said_in_order_and_booked_every_byte(
+def test_the_relay_received_all_frames_of_each_robot_in_order_and_counted_every_byte(
     traffic: Traffic, said: list[CapturedFrame]
 ) -> None:
     for robot in traffic.robots:
         words = traffic.of(f"r{robot}").submitted()
-        for (step, round_number), booked in in_exchanges([frame for frame in said if frame.sender == robot]):
+        for (step, round_number), booked in in_rounds([frame for frame in said if frame.sender == robot]):
             opening = words.pop((step, round_number, "offers"))
             firsts = [frame for frame in booked if FRAMES[frame.frame] in ("broadcast", "offer")]
             # The relay has an order of its own for offers.
@@ -179,14 +179,14 @@ def _is_beforehand(frame: CapturedFrame, replies: Replies) -> bool:
     return any(frame.size <= len(load) and load.startswith(frame.known) for load in replies.loads)
 
 
-def test_each_robot_got_what_was_carried_to_it_in_order_and_nothing_else(
+def test_each_robot_received_exactly_the_carried_frames_in_order(
     traffic: Traffic, said: list[CapturedFrame]
 ) -> None:
     for robot in traffic.robots:
-        assert traffic.of(f"r{robot}").radio(DOWN) == passed_on(said, robot)
+        assert traffic.of(f"r{robot}").radio(DOWN) == relayed_to(said, robot)
 
 
-def test_what_the_wire_carried_is_what_the_ledger_books(traffic: Traffic, said: list[CapturedFrame]) -> None:
+def test_bytes_on_the_wire_are_those_of_the_ledger(traffic: Traffic, said: list[CapturedFrame]) -> None:
     ledger = pyarrow.parquet.read_table(traffic.run / run_directory.LEDGER).to_pylist()
     words = {robot: traffic.of(f"r{robot}").submitted() for robot in traffic.robots}
     asked = sum(
@@ -206,13 +206,13 @@ def test_what_the_wire_carried_is_what_the_ledger_books(traffic: Traffic, said: 
         if not row["carried"] and row["frame"] in PHASES[1:3] and row["cause"] == "budget"
     ]
     assert asked + beforehand == sum(row["bytes"] for row in ledger)
-    assert down == sum(row["bytes"] * row["received_by"] for row in carried) + sum(row["bytes"] for row in told)
+    assert down == sum(row["bytes"] * row["received_by"] for row in carried) + sum(
+        row["bytes"] for row in told
+    )
     assert sum(frame.carried for frame in said) == sum(row["bytes"] for row in carried) > 0
 
 
-def test_long_messages_travel_in_fragments_and_are_put_together(
-    traffic: Traffic, said: list[CapturedFrame]
-) -> None:
+def test_long_messages_are_fragmented_and_joined(traffic: Traffic, said: list[CapturedFrame]) -> None:
     longest = max(frame.carried for frame in said)
     fragmented = sum(traffic.of(f"r{robot}").session.fragmented for robot in traffic.robots)
     maps = len(traffic.robots)
@@ -222,9 +222,7 @@ def test_long_messages_travel_in_fragments_and_are_put_together(
         assert fragmented == maps, "only the maps that are handed in at the end are so long"
 
 
-def test_the_meter_reads_what_was_seen_on_the_wire(
-    traffic: Traffic, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_meter_counts_the_bytes_on_the_wire(traffic: Traffic, capsys: pytest.CaptureFixture[str]) -> None:
     summary = run_directory.read_summary(traffic.run)
     bytes_of = traffic.overhead()
     total = sum(bytes_of.values())

@@ -58,7 +58,7 @@ def test_it_remembers_connections_that_have_ended(hub: socket.socket) -> None:
         assert meter.read() == 540
 
 
-def test_it_leaves_out_the_connections_of_others(hub: socket.socket) -> None:
+def test_connections_of_other_processes_are_not_counted(hub: socket.socket) -> None:
     with socket.create_server(("127.0.0.1", 0)) as elsewhere:
         client, server = _join(elsewhere)
         with client, server:
@@ -66,5 +66,5 @@ def test_it_leaves_out_the_connections_of_others(hub: socket.socket) -> None:
             assert Meter(_endpoint(hub)).read() == 0
 
 
-def test_of_a_hub_on_another_host_it_knows_nothing() -> None:
+def test_a_hub_on_another_host_is_not_counted() -> None:
     assert Meter("tcp/192.0.2.1:7447").read() is None

@@ -1,4 +1,4 @@
-"""What was seen on the wire, connection by connection, and what the capture says should have been there."""
+"""Traffic of a watched run: the messages on each TCP connection, and the frames of its capture."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from netshaper import capture
 from netshaper.capture import Captured
 from netshaper.ledger import EVERYONE, FRAMES
 from netshaper.pcapng import Reader
+from protocol import keys
 from protocol.messages import RobotFrames, unpack
 from tests.capture.sniffer import Segment, Strangers, Stream, segments
 from tests.capture.zenoh_wire import Session
 
 UP, DOWN = 0, 1
 PHASES = tuple(FRAMES.index(name) for name in ("broadcast", "offer", "answer", "data"))
-"""The frames of an exchange in the order in which they are said."""
+"""The kinds of frames in the order of the phases of a round."""
 
 
 def frames_of(message: RobotFrames) -> list[tuple[str, bytes]]:
@@ -35,7 +36,7 @@ def frames_of(message: RobotFrames) -> list[tuple[str, bytes]]:
 
 @dataclass
 class Connection:
-    """One TCP connection to the hub: what was put on it in each direction, in order."""
+    """One TCP connection to the hub: the messages in each direction, in order."""
 
     port: int
     name: str = ""
@@ -44,8 +45,8 @@ class Connection:
     session: Session = field(default_factory=Session)
     puts: tuple[list[tuple[str, bytes]], list[tuple[str, bytes]]] = field(default_factory=lambda: ([], []))
     """(key without ``murmur/<run>/``, payload), up to the hub and down from it."""
-    told: tuple[list[tuple[str, str]], list[tuple[str, str]]] = field(default_factory=lambda: ([], []))
-    """All else that was declared: (kind, key)."""
+    declared: tuple[list[tuple[str, str]], list[tuple[str, str]]] = field(default_factory=lambda: ([], []))
+    """All other declarations: (kind, key)."""
 
     def take(self, way: int, segment: Segment) -> None:
         for message in self.session.feed(way, self.streams[way].take(segment)):
@@ -53,10 +54,10 @@ class Connection:
             if message.kind == "put":
                 self.puts[way].append((key, message.payload))
             else:
-                self.told[way].append((message.kind, key))
+                self.declared[way].append((message.kind, key))
 
     def radio(self, way: int) -> list[tuple[str, bytes]]:
-        """The frames of what was put under a radio key: (the robot at their other end, payload)."""
+        """The frames of messages under radio keys: (robot at the other end, payload)."""
         messages = [unpack(payload) for key, payload in self.puts[way] if key.startswith("radio/")]
         if way == UP:
             return [frame for message in messages for frame in frames_of(message)]
@@ -100,9 +101,9 @@ class Traffic:
             port = segment.source if way == UP else segment.target
             known = self.connections.setdefault(port, Connection(port, names.get(port, "")))
             known.take(way, segment)
-        # A client whom the hub did not let in at once has tried again: what said nothing was no link.
+        # A client that the hub did not accept at once tries again: connections without messages do not count.
         for port, known in list(self.connections.items()):
-            if not (known.name or any(known.puts) or any(known.told)):
+            if not (known.name or any(known.puts) or any(known.declared)):
                 del self.connections[port]
 
     def of(self, name: str) -> Connection:
@@ -112,10 +113,10 @@ class Traffic:
 
     @property
     def robots(self) -> list[int]:
-        return sorted(int(name[1:]) for name in self.processes if name[0] == "r" and name != "relay")
+        return sorted(keys.number(name) for name in self.processes if keys.is_robot(name))
 
     def overhead(self) -> Counter[str]:
-        """Bytes on all connections, by what they are: payload of each plane, and what the bus adds."""
+        """Bytes on all connections: payload of each plane, and overhead of the bus."""
         bytes_of: Counter[str] = Counter()
         for connection in self.connections.values():
             bytes_of["bus"] += connection.bytes
@@ -127,9 +128,9 @@ class Traffic:
 
 @dataclass(frozen=True)
 class CapturedFrame:
-    """A frame as the capture has it, its parts put together.
+    """A frame of the capture, joined from its parts.
 
-    `known` is what was kept of its bytes: at least all that was carried.
+    `known` are its captured bytes: at least all that were carried.
     """
 
     step: int
@@ -143,7 +144,7 @@ class CapturedFrame:
     hearers: tuple[int, ...]
 
     def is_payload(self, payload: bytes) -> bool:
-        """Whether these bytes are this frame's."""
+        """Whether these are the bytes of this frame."""
         return len(payload) == self.size and payload.startswith(self.known)
 
 
@@ -155,7 +156,7 @@ def frames(run: Path) -> list[CapturedFrame]:
 
 
 def _identity(captured: list[Captured]) -> Any:
-    """A key that neighbours share which are one frame; those without a connection are each their own."""
+    """A key that is equal for successive parts of one frame; each part without a connection is a frame of its own."""
     number = {id(item): at for at, item in enumerate(captured)}
 
     def key(item: Captured) -> tuple[int, ...]:
@@ -168,7 +169,7 @@ def _identity(captured: list[Captured]) -> Any:
 
 def _together(parts: list[Captured]) -> CapturedFrame:
     first = parts[0]
-    heard = {robot for part in parts for robot in capture.hearers(part.seen)}
+    received = {robot for part in parts for robot in capture.hearers(part.seen)}
     return CapturedFrame(
         first.step,
         first.seen.round,
@@ -178,31 +179,31 @@ def _together(parts: list[Captured]) -> CapturedFrame:
         sum(part.size for part in parts),
         sum(part.size for part in parts if part.verdict == "carried"),
         b"".join(part.seen.payload for part in parts),
-        tuple(sorted(heard)),
+        tuple(sorted(received)),
     )
 
 
-def in_phases(said: list[CapturedFrame]) -> Iterator[tuple[int, list[CapturedFrame]]]:
-    """Yield the frames phase by phase, as they are said and passed on: (which frame, those of that phase)."""
-    for _, round_number in in_exchanges(said):
+def in_phases(sent: list[CapturedFrame]) -> Iterator[tuple[int, list[CapturedFrame]]]:
+    """Yield the frames phase by phase, as they are sent and relayed: (kind of frame, frames of that phase)."""
+    for _, round_number in in_rounds(sent):
         for phase in PHASES:
             yield phase, [frame for frame in round_number if frame.frame == phase]
 
 
-def in_exchanges(said: list[CapturedFrame]) -> Iterator[tuple[tuple[int, int], list[CapturedFrame]]]:
-    """Yield the frames exchange by exchange, with its step and number."""
-    for name, round_number in groupby(said, lambda frame: (frame.step, frame.round)):
+def in_rounds(sent: list[CapturedFrame]) -> Iterator[tuple[tuple[int, int], list[CapturedFrame]]]:
+    """Yield the frames round by round: ((step, round), frames)."""
+    for name, round_number in groupby(sent, lambda frame: (frame.step, frame.round)):
         yield name, list(round_number)
 
 
-def passed_on(said: list[CapturedFrame], robot: int) -> list[tuple[str, bytes]]:
-    """What a robot must have been handed, in order, as (sender, payload).
+def relayed_to(sent: list[CapturedFrame], robot: int) -> list[tuple[str, bytes]]:
+    """Frames that the relay must have delivered to a robot, in order, as (sender, payload).
 
-    Offers and answers are handed on before the connections are played, so also those that are cut then; of
-    data and broadcasts a robot gets what was carried.
+    Offers and answers are delivered before the connections are processed, including those that are cut then; of data
+    and broadcasts a robot gets the part that was carried.
     """
     result = []
-    for phase, these in in_phases(said):
+    for phase, these in in_phases(sent):
         for frame in these:
             name = f"r{frame.sender}"
             if FRAMES[phase] in ("offer", "answer") and frame.receiver == robot:

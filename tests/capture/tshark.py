@@ -1,4 +1,4 @@
-"""tshark with our dissector, installed in a home of its own, and what it says of a capture."""
+"""tshark with the dissector, installed in a separate home directory, and the fields that it shows of a capture."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Tshark:
     home: Path
 
     def run(self, *arguments: str | Path) -> str:
-        """Run it; a word of Lua among its errors fails the test."""
+        """Run it; an error of Lua fails the test."""
         done = subprocess.run(
             [self.program, *map(str, arguments)],
             env={**os.environ, "HOME": str(self.home)},

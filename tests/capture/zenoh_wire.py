@@ -1,4 +1,4 @@
-"""Zenoh's framing on TCP, read far enough to take out what was put under which key.
+"""Zenoh's framing on TCP, parsed far enough to extract keys and payloads.
 
 A stream is batches, each behind its length (u16, little-endian). A batch is transport messages; of these, a
 frame holds network messages and a fragment a piece of one. Of network messages, a declaration may give a key
@@ -23,12 +23,12 @@ DECLARE_FINAL = 0x1A
 F5, F6, EXTENDED = 1 << 5, 1 << 6, 1 << 7
 MORE = F6
 QOS = 1
-"""The extension that says with which priority a frame or fragment goes."""
+"""The extension with the priority of a frame or fragment."""
 
 
 @dataclass(frozen=True)
 class Message:
-    """What one end told the other: ``put``, ``token`` or ``subscriber``, under which key, what payload."""
+    """A message from one end to the other: kind (``put``, ``token`` or ``subscriber``), key, payload."""
 
     kind: str
     key: str
@@ -57,7 +57,7 @@ class Session:
         self.ways = (_Way(), _Way())
 
     def feed(self, way: int, data: bytes) -> Iterator[Message]:
-        """Take the next bytes of direction 0 or 1; yield what they complete."""
+        """Take the next bytes of direction 0 or 1; yield the messages that they complete."""
         here = self.ways[way]
         here.pending += data
         while len(here.pending) >= 2:

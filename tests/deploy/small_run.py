@@ -28,21 +28,21 @@ def small_plan(**more: object) -> Plan:
 
 
 class Listener:
-    """A watcher that keeps all that it is told."""
+    """A watcher that keeps all that it is reports."""
 
     def __init__(self) -> None:
-        self.told: list[tuple[str, object]] = []
+        self.reports: list[tuple[str, object]] = []
 
-    def take(self, sender: str, said: object) -> None:
-        self.told.append((sender, said))
+    def take(self, sender: str, report: object) -> None:
+        self.reports.append((sender, report))
 
 
 @cache
-def told(**more: object) -> list[tuple[str, object]]:
-    """All that a viewer of the small run is told."""
+def reports(**more: object) -> list[tuple[str, object]]:
+    """All that a viewer of the small run is reports."""
     listener = Listener()
     in_memory.run(small_plan(**more), view=ViewNode([listener]))
-    return listener.told
+    return listener.reports
 
 
 @cache

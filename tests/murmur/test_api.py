@@ -116,7 +116,7 @@ def test_what_is_no_scenario_is_told_how_settings_are_given(given: object) -> No
 
 def test_a_directory_may_be_text_and_is_refused_where_nothing_is_kept(tmp_path: Path) -> None:
     assert explore(out=str(tmp_path / "run"), **SMALL).directory == tmp_path / "run"  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="with keep = False nothing is written"):
+    with pytest.raises(ValueError, match="keep = False writes no directory"):
         explore(out="run", keep=False, **SMALL)  # type: ignore[arg-type]
 
 

@@ -237,7 +237,7 @@ def test_the_relay_is_done_when_all_have_been_sent_home_and_have_left() -> None:
     run.say(WORLD, End(7, "explored", 0))
     run.say(RECORDER, Shutdown())
     for name in (WORLD, RECORDER, "r0", "r1"):
-        assert run.relay.going_home
+        assert run.relay.shutting_down
         assert not run.relay.done
         run.leave(name)
     assert run.relay.done

@@ -28,10 +28,10 @@ def unused(number):
 CALL = "import sums; assert not sums.compiled(); print(sums.four_times(3), sums.loaded(), sums.compiled())"
 
 
-CODE_ONLY = """
+LOAD_ALL = """
 import sums
-from protocol.kernels import load_code
-load_code()
+from protocol.kernels import load_all
+load_all()
 print(sums.four_times(3), sums.loaded(), sums.compiled())
 """
 
@@ -55,10 +55,10 @@ def test_the_first_call_compiles_all_kernels_and_the_next_reads_the_cache(tmp_pa
     assert cached.stderr == ""
 
 
-def test_a_kernel_can_be_compiled_after_the_kernels_that_it_calls_were_stripped(tmp_path: Path) -> None:
+def test_a_kernel_can_be_compiled_after_the_kernels_that_it_calls_were_loaded(tmp_path: Path) -> None:
     (tmp_path / "sums.py").write_text(MODULE)
-    assert call(tmp_path, CODE_ONLY).stdout == "12 0 3\n"
-    assert call(tmp_path, CODE_ONLY).stdout == "12 3 0\n"
+    assert call(tmp_path, LOAD_ALL).stdout == "12 0 3\n"
+    assert call(tmp_path, LOAD_ALL).stdout == "12 3 0\n"
     for file in (tmp_path / "cache").rglob("*four_times*"):
         file.unlink()
-    assert call(tmp_path, CODE_ONLY).stdout == "12 2 1\n"
+    assert call(tmp_path, LOAD_ALL).stdout == "12 2 1\n"

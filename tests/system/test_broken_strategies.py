@@ -54,7 +54,7 @@ def test_an_exception_in_a_strategy_is_told_as_its_author_knows_it(tmp_path: Pat
     )
     assert done.returncode == 3, done.stderr
     told = done.stderr.splitlines()
-    assert told[0] == "r0, r1 died: exit code 1; its last words: Traceback (most recent call last):"
+    assert told[0] == "r0, r1 died: exit code 1; last output: Traceback (most recent call last):"
     frames = [line.strip().split(", ")[-1] for line in told if line.startswith('  File "')]
     assert frames == ["in choose", "in worth"]
     assert f'"{tmp_path / "torn.py"}", line 14' in done.stderr

@@ -222,7 +222,7 @@ def honest_words() -> list[tuple[bytes, object]]:
     settings = a_small_plan().robot_settings[2]
     map_encoding = PolygonEncoding(settings)
     own = np.full((HEIGHT, WIDTH), UNKNOWN, np.uint8)
-    said = []
+    said: list[tuple[bytes, object]] = []
     for step in range(1, 1 + STEPS):
         sense = sensed(step)
         scan = Scan(sense.x, sense.y, np.frombuffer(sense.readings, np.uint16).copy())

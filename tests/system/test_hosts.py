@@ -118,7 +118,7 @@ def test_a_far_robot_that_dies_is_named_with_its_host_and_the_others_finish(
         os.kill(victim, signal.SIGKILL)
         said, faults = run.communicate(timeout=PATIENCE_S)
     assert run.returncode == 3
-    assert "r2 died: on far: killed by SIGKILL, without a word" in faults
+    assert "r2 died: on far: killed by SIGKILL, no output" in faults
     assert "robot 2 was lost: its process ended" in faults
     assert list(json.loads(said)["lost"]) == ["2"]
     assert json.loads(said)["steps"] == STEPS + 10

@@ -31,7 +31,7 @@ def line(map_encoding: str, *, forward_maps: bool) -> dict[str, Any]:
 @pytest.mark.parametrize("map_encoding", ["polygons", "predictive"])
 def test_without_passing_on_b_s_part_is_explored_again_and_with_it_it_is_not(map_encoding: str) -> None:
     lost, kept = line(map_encoding, forward_maps=False), line(map_encoding, forward_maps=True)
-    assert lost["recovery.alone"] == kept["recovery.alone"] > 1000
-    assert lost["recovery.again"] > 0.9 * lost["recovery.alone"]
-    assert kept["recovery.again"] < 0.05 * kept["recovery.alone"]
+    assert lost["recovery.exclusive"] == kept["recovery.exclusive"] > 1000
+    assert lost["recovery.reexplored"] > 0.9 * lost["recovery.exclusive"]
+    assert kept["recovery.reexplored"] < 0.05 * kept["recovery.exclusive"]
     assert kept["recovery.end"] < lost["recovery.end"]

@@ -257,7 +257,7 @@ def test_who_does_not_say_what_is_waited_for_is_given_up_and_the_others_go_on(
     records = in_memory.run(plan(), wrap=wrap)
     assert records.end is not None
     assert records.end.step == STEPS
-    lost = "did not hand in its maps" if kind is messages.Maps else "kept the others waiting"
+    lost = "did not hand in its maps" if kind is messages.Maps else "timed out"
     if kind is not messages.Maps or not after:
         assert list(records.lost) == [1]
         assert lost in records.lost[1]

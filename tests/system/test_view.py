@@ -27,8 +27,8 @@ from tests.system.headless import settled_picture, viewer
 pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'murmur-robots[view]'")
 
 VIEWS = [
-    "The building as it is [m]", "What you see", "On the air [B]", "What for", "Explored [%]",
-    "Untold", "What happens",
+    "True map [m]", "Help", "Transmitted [B]", "Traffic by type", "Explored [%]",
+    "Undelivered packets", "Events",
 ]  # fmt: skip
 
 
@@ -45,7 +45,7 @@ def keep(name: str, png: bytes) -> None:
 
 
 def assert_shows_robots(png: bytes, robots: int) -> None:
-    """The colour of every robot, up to those whose maps are in another tab, is on the dashboard many times over."""
+    """The color of every robot, up to those whose maps are in another tab, is on the dashboard many times over."""
     pixels = np.array(Image.open(io.BytesIO(png)).convert("RGB")).reshape(-1, 3).astype(int)
     for robot in range(min(8, robots)):
         near = np.abs(pixels - robot_color(robot)).max(axis=1) <= 6
@@ -72,7 +72,7 @@ def assert_is_to_be_read(png: bytes, *, light: bool, kinds: int = 4) -> None:
         if len(rows):
             bars += 1
             caption = off[max(0, rows[0] - 3) : rows[-1] + 4, half:] <= 60
-            assert caption.sum() > 20, f"the caption of {group.words} is not beside its bar"
+            assert caption.sum() > 20, f"the caption of {group.label} is not beside its bar"
             assert not caption[:, -3:].any(), "a caption is cut off"
     assert bars >= kinds
 
@@ -117,7 +117,7 @@ def test_a_light_page_shows_the_dashboard_in_a_real_browser(robots: int, tmp_pat
     with Browser(1440, 900) as browser:
         window.open(recording)
         try:
-            assert told == [f"Look at {window.address}  (until Ctrl-C)"]
+            assert told == [f"Dashboard: {window.address}  (until Ctrl-C)"]
             assert window.address.startswith("http://127.0.0.1:")
             browser.open(f"{window.address}&persist=0&renderer=webgl&theme=light")
             png = browser.settled_picture(120.0, least=100_000)

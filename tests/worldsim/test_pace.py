@@ -29,5 +29,5 @@ def test_what_was_late_is_not_made_up_for() -> None:
 
 @pytest.mark.parametrize("slow", [0.0, -1.0, 0.4, float("nan")])
 def test_a_pace_at_which_nobody_could_interrupt_is_refused(slow: float) -> None:
-    with pytest.raises(ValueError, match=r"must be 0.5 steps a second or more"):
+    with pytest.raises(ValueError, match=r"must be 0.5 steps per second or more"):
         Pace(slow)

@@ -45,7 +45,7 @@ def test_hungarian_with_fewer_goals_than_robots_takes_the_cheapest_pair_first() 
     assert hungarian(costs).tolist() == [0, 1, -1]
 
 
-def test_hungarian_gives_no_goal_that_cannot_be_reached_and_all_that_can_be() -> None:
+def test_hungarian_assigns_all_reachable_goals_and_no_other() -> None:
     far = np.inf
     assert hungarian(np.array([[far, far], [3.0, far]])).tolist() == [-1, 0]
     assert hungarian(np.array([[1.0, far], [1.0, 50.0]])).tolist() == [0, 1]

@@ -49,7 +49,7 @@ def appeal_of(rng: np.random.Generator, grid: Grid, range_cells: float, beta: fl
 
 
 @given(floors(), seeds, st.floats(1, 30), st.sampled_from([0.0, 0.1, 1.0, 7.0]))
-def test_it_is_the_one_that_a_look_at_all_finds_and_the_way_is_the_same(
+def test_the_result_equals_that_of_an_exhaustive_search(
     case: tuple[Grid, int, int], seed: int, range_cells: float, beta: float
 ) -> None:
     grid, x, y = case
@@ -79,7 +79,7 @@ def test_a_way_between_two_cells_is_that_of_the_whole_field(case: tuple[Grid, in
 
 
 @given(floors())
-def test_searches_leave_the_memory_that_they_share_as_they_found_it(case: tuple[Grid, int, int]) -> None:
+def test_searches_reset_their_shared_memory(case: tuple[Grid, int, int]) -> None:
     grid, x, y = case
     floor = Floor(grid)
     way_between(floor, (x, y), (0, 0))
@@ -101,5 +101,5 @@ def test_the_frontier_met_while_flooding_is_the_frontier_of_what_is_reached(
 
 def test_without_a_frontier_there_is_none() -> None:
     grid = np.full((4, 5), FREE, np.uint8)
-    nobody = TradeOff(np.empty((0, 2), np.int32), np.empty(0), np.empty(0), 5.0, 1.0)
-    assert best_frontier(Floor(grid), grid, 1, 1, nobody) is None
+    no_robots = TradeOff(np.empty((0, 2), np.int32), np.empty(0), np.empty(0), 5.0, 1.0)
+    assert best_frontier(Floor(grid), grid, 1, 1, no_robots) is None

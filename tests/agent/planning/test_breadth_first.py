@@ -41,7 +41,7 @@ def by_definition(grid: Grid, x: int, y: int) -> bool:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 3))
-def test_the_cell_found_is_the_one_of_fewest_steps_that_no_teammate_is_near(seed: int, count: int) -> None:
+def test_the_result_is_the_cell_of_fewest_steps_away_from_teammates_targets(seed: int, count: int) -> None:
     random = np.random.default_rng(seed)
     grid = random.choice(np.array([0, 1, 2], np.uint8), (12, 17), p=[0.08, 0.77, 0.15])
     x, y = int(random.integers(17)), int(random.integers(12))
@@ -76,6 +76,6 @@ def test_a_diagonal_step_counts_one_and_a_diagonal_neighbor_counts() -> None:
     assert len(found[1]) == 3
 
 
-def test_what_lies_behind_a_corner_of_walls_is_no_frontier() -> None:
+def test_a_cell_behind_a_corner_of_walls_is_no_frontier() -> None:
     assert not is_wide_frontier(drawn("?#", "#."), 1, 1)
     assert is_wide_frontier(drawn("?.", "#."), 1, 1)

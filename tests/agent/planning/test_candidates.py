@@ -104,7 +104,7 @@ def test_k_means_of_two_heaps_are_their_means() -> None:
     assert medoids(points.astype(np.int32), np.array([5]), np.array([2]))[0].tolist() == [[0, 0], [10, 0]]
 
 
-def test_information_gain_counts_unknown_cells_in_a_disc_that_no_teammate_will_see() -> None:
+def test_information_gain_counts_unknown_cells_out_of_range_of_teammates() -> None:
     random = np.random.default_rng(3)
     grid = random.choice(np.array([UNKNOWN, FREE], np.uint8), (20, 25))
     cells, others, reach = np.array([(3, 4), (24, 19), (12, 10)], np.int32), [(10, 10), (20, 4)], 6.5
@@ -123,9 +123,7 @@ def test_information_gain_counts_unknown_cells_in_a_disc_that_no_teammate_will_s
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.5, 20.0))
-def test_thinned_out_nobody_is_near_one_that_stays_and_all_others_are_near_a_longer_edge(
-    seed: int, gap: float
-) -> None:
+def test_thinning_removes_exactly_the_cells_near_a_longer_segment(seed: int, gap: float) -> None:
     random = np.random.default_rng(seed)
     grid = random.choice(np.array([FREE, OCCUPIED], np.uint8), (30, 30), p=[0.9, 0.1])
     ys, xs = np.nonzero(grid == FREE)

@@ -58,7 +58,7 @@ def test_frontier_cells_are_free_reachable_and_beside_the_unknown_row_by_row(
 
 
 @given(known_parts())
-def test_a_cell_is_told_apart_one_by_one_as_well(case: tuple[Grid, int, int]) -> None:
+def test_is_frontier_agrees_for_each_cell(case: tuple[Grid, int, int]) -> None:
     grid, _, _ = case
     height, width = grid.shape
     for cy in range(height):

@@ -1,4 +1,4 @@
-"""What free edges promise: worked by hand, and against beams looked along one by one."""
+"""Expected gain: worked by hand, and against a plain ray cast."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def at(x: int, y: int) -> np.ndarray[tuple[int, int], np.dtype[np.int32]]:
     return np.array([(x, y)], np.int32)
 
 
-def test_nothing_is_promised_where_all_in_sight_is_known() -> None:
+def test_the_expected_gain_is_zero_without_unknown_cells_in_sight() -> None:
     room = drawn("#####", "#...#", "#...#", "#####", "?????")
     assert expected_gain(room, at(2, 1), ONE, 10.0)[0] == 0.0
 
 
-def test_the_whole_disc_unknown_promises_the_more_the_longer_the_edge() -> None:
+def test_the_expected_gain_grows_with_the_length_of_the_segment() -> None:
     grid: Grid = np.full((41, 41), UNKNOWN, np.uint8)
     grid[20, 20] = FREE
     shares = [
@@ -43,7 +43,7 @@ def test_walls_hide_the_unknown_behind_them() -> None:
 
 
 @given(grids(), st.floats(1.0, 9.0), st.integers(0, 2**16))
-def test_the_promise_is_what_beam_after_beam_sees(grid: Grid, range_cells: float, pick: int) -> None:
+def test_the_expected_gain_equals_that_of_a_plain_ray_cast(grid: Grid, range_cells: float, pick: int) -> None:
     y, x = divmod(pick % grid.size, grid.shape[1])
     around = ray_table(range_cells, BEAMS)
     total = 0.0

@@ -41,7 +41,7 @@ def test_weighted_costs_are_those_of_a_plain_search(case: tuple[Grid, int, int])
 
 
 @given(grids_with_a_cell(), grids_with_a_cell(), st.sampled_from(["shortest", "weighted"]))
-def test_planners_that_share_searches_find_what_each_would_alone(
+def test_planners_with_a_shared_cache_give_the_same_results(
     one: tuple[Grid, int, int], other: tuple[Grid, int, int], kind: str
 ) -> None:
     once = MemoCache()
@@ -53,7 +53,7 @@ def test_planners_that_share_searches_find_what_each_would_alone(
 
 
 @given(grids_with_a_cell(), st.sampled_from(["shortest", "weighted"]))
-def test_a_way_is_driven_in_steps_and_costs_what_was_promised(case: tuple[Grid, int, int], kind: str) -> None:
+def test_a_way_consists_of_steps_and_has_the_computed_cost(case: tuple[Grid, int, int], kind: str) -> None:
     grid, x, y = case
     planner = PathPlanner(grid, kind)
     field = planner.costs(x, y)
@@ -110,7 +110,7 @@ def test_without_a_cell_a_disc_keeps_as_far_from_walls_as_before(kind: str) -> N
 
 
 @given(grids_with_a_cell(), st.integers(0, 2**32 - 1))
-def test_the_nearest_frontier_is_the_nearest_of_those_that_nobody_is_near(
+def test_the_nearest_frontier_is_the_nearest_away_from_teammates_targets(
     case: tuple[Grid, int, int], seed: int
 ) -> None:
     grid, x, y = case

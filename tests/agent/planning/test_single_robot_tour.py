@@ -1,4 +1,4 @@
-"""Tours of a robot alone: worked by hand, and never longer than the nearest neighbor's."""
+"""Tours of a single robot: worked by hand, and never longer than the nearest-neighbor tour."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_the_nearer_end_comes_first_though_the_nearest_goal_is_at_the_other() ->
 
 
 @pytest.mark.parametrize(("starts", "tour"), [([], []), ([np.inf], []), ([2.0], [0]), ([np.inf, 2.0], [1])])
-def test_what_cannot_be_reached_is_left_out(starts: list[float], tour: list[int]) -> None:
+def test_unreachable_goals_are_left_out(starts: list[float], tour: list[int]) -> None:
     assert single_robot_tour(np.array(starts), np.zeros((len(starts), len(starts)))) == tour
 
 

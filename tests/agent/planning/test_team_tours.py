@@ -30,13 +30,13 @@ def on_a_line(
     )
 
 
-def test_a_crumb_on_the_way_is_fetched_and_one_behind_is_not() -> None:
+def test_a_small_goal_on_the_way_is_visited_first_and_one_behind_is_not() -> None:
     assert team_tours(on_a_line([0], [10, 1], [1.0, 0.1])) == [[1, 0]]
     assert team_tours(on_a_line([0], [10, -3], [1.0, 0.1])) == [[0, 1]]
 
 
 @pytest.mark.parametrize(("latency_weight", "tour"), [(0.0, [0, 1]), (0.010, [0, 1]), (0.012, [1, 0])])
-def test_a_crumb_behind_is_fetched_first_where_lateness_counts(
+def test_a_small_goal_behind_is_visited_first_with_latency_weight(
     latency_weight: float, tour: list[int]
 ) -> None:
     # There and on: 0.1 x 3 + 16 + (9 + 256) l. On and back: 10 + 0.1 x 23 + (100 + 529) l. Alike at l = 1 / 91.
@@ -44,13 +44,13 @@ def test_a_crumb_behind_is_fetched_first_where_lateness_counts(
 
 
 @pytest.mark.parametrize(("way", "tour"), [(0.0, [0, 1]), (0.56, [0, 1]), (0.58, [1, 0])])
-def test_a_crumb_behind_is_fetched_first_where_the_way_counts(way: float, tour: list[int]) -> None:
+def test_a_small_goal_behind_is_visited_first_if_total_length_counts(way: float, tour: list[int]) -> None:
     # There and on: 0.1 x 3 + 16 + 16 w. On and back: 10 + 0.1 x 23 + 23 w. Alike at w = 4 / 7.
     assert team_tours(on_a_line([0], [10, -3], [1.0, 0.1], way=way)) == [tour]
 
 
 @pytest.mark.parametrize(("last", "tours"), [(0.0, [[0, 1], []]), (2.0, [[0], [1]])])
-def test_a_far_robot_helps_where_the_end_of_the_last_counts(last: float, tours: list[list[int]]) -> None:
+def test_a_far_robot_helps_if_the_longest_tour_counts(last: float, tours: list[list[int]]) -> None:
     # Alone robot 0 is at the second goal at 22, robot 1 would be there at 23, but done with both only then; the
     # arrival costs one more, the end 22 instead of 21 the other way round.
     starts = np.array([[20.0, 22.0], [30.0, 21.0]]) if last else np.array([[20.0, 22.0], [30.0, 23.0]])
@@ -58,7 +58,7 @@ def test_a_far_robot_helps_where_the_end_of_the_last_counts(last: float, tours: 
     assert team_tours(Task(starts, between, np.full(2, 0.1), np.zeros(2), last, 0.0, np.zeros(2))) == tours
 
 
-def test_who_has_much_to_expect_behind_a_goal_gets_less_else() -> None:
+def test_a_robot_with_a_large_load_gets_fewer_other_goals() -> None:
     # The second goal lies a little nearer to robot 0, which has the first to see to.
     starts = np.array([[10.0, 12.0], [40.0, 13.0]])
     between = np.array([[0.0, 2.0], [2.0, 0.0]])
@@ -67,7 +67,7 @@ def test_who_has_much_to_expect_behind_a_goal_gets_less_else() -> None:
     assert team_tours(task._replace(loads=np.array([30.0, 0.0]))) == [[0], [1]]
 
 
-def test_what_nobody_can_reach_is_in_no_tour_and_who_can_reach_nothing_has_none() -> None:
+def test_unreachable_goals_are_in_no_tour_and_enclosed_robots_have_none() -> None:
     starts = np.array([[3.0, np.inf, 1.0], [np.inf, np.inf, np.inf]])
     between = np.array([[0.0, np.inf, 2.0], [np.inf, 0.0, np.inf], [2.0, np.inf, 0.0]])
     assert team_tours(Task(starts, between, np.ones(3), np.ones(3), 1.0, 1.0, np.zeros(3))) == [[2, 0], []]
@@ -93,7 +93,7 @@ def tasks(draw: st.DrawFn) -> Task:
 
 
 @given(tasks())
-def test_the_search_is_the_slow_one_that_drives_along_all_tours(task: Task) -> None:
+def test_the_search_equals_one_that_evaluates_whole_tours(task: Task) -> None:
     found = team_tours(task)
     assert sorted(goal for tour in found for goal in tour) == list(range(len(task[2])))
     assert tours_cost(found, task) == pytest.approx(tours_cost(slow(task), task))

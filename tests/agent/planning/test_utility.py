@@ -66,7 +66,7 @@ def test_a_line_of_sight_is_free_of_obstacles_and_the_same_from_both_ends(scene:
 
 
 @given(st.tuples(st.integers(0, 40), st.integers(0, 40)), st.tuples(st.integers(0, 40), st.integers(0, 40)))
-def test_only_cells_beside_the_straight_line_can_hide_what_is_behind(one: Cell, other: Cell) -> None:
+def test_only_cells_beside_the_straight_line_block_the_line_of_sight(one: Cell, other: Cell) -> None:
     grid = np.full((41, 41), OCCUPIED, np.uint8)
     length = math.dist(one, other)
     ys, xs = np.mgrid[0:41, 0:41]
@@ -109,13 +109,13 @@ def test_a_targets_own_cell_is_worth_nothing_and_one_out_of_range_all() -> None:
     assert utilities(grid, cells, [(5, 0)], 10.0).tolist() == [0.0, 0.5, 1.0, 1.0]
 
 
-def test_a_wall_keeps_what_is_behind_it_worth_going_to() -> None:
+def test_a_wall_keeps_the_utility_of_cells_behind_it() -> None:
     grid = drawn("...#...")
     cells = np.array([[2, 0], [4, 0]], np.int32)
     assert utilities(grid, cells, [(0, 0)], 10.0).tolist() == pytest.approx([0.2, 1.0])
 
 
-def test_what_is_unknown_hides_nothing() -> None:
+def test_unknown_cells_do_not_block_the_line_of_sight() -> None:
     assert in_sight(drawn(".?."), 0, 0, 2, 0)
     assert not in_sight(drawn(".#."), 0, 0, 2, 0)
     assert not in_sight(drawn(".#"), 0, 0, 1, 0)

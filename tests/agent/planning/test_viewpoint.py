@@ -32,13 +32,13 @@ def seen(cells: np.ndarray[tuple[int, int], np.dtype[np.int32]]) -> set[tuple[in
     return {(x, y) for x, y in cells.tolist()}
 
 
-def test_into_a_nook_one_sees_from_before_it_and_not_from_beside() -> None:
+def test_a_nook_is_visible_from_its_front_and_not_from_its_side() -> None:
     assert seen(viewpoint_cells(NOOK, END, BEAMS, 8.0)) == {(4, y) for y in range(1, 7)}
     assert seen(viewpoint_cells(NOOK, END, BEAMS, 2.0)) == {(4, 1), (4, 2)}
 
 
 @given(grids(), st.integers(0, 10**6), st.floats(1.0, 8.0))
-def test_they_are_the_cells_from_which_a_beam_comes_to_what_is_unknown(
+def test_viewpoints_are_the_cells_with_a_beam_to_an_unknown_neighbor(
     grid: Grid, pick: int, reach: float
 ) -> None:
     free = np.argwhere(grid == FREE)
@@ -61,24 +61,24 @@ def test_they_are_the_cells_from_which_a_beam_comes_to_what_is_unknown(
     assert seen(viewpoint_cells(grid, (x, y), BEAMS, reach)) == expected
 
 
-def look(here: tuple[int, int], tour: list[tuple[int, int]], step: float = 1.0, crumbs: int = 1) -> object:
+def look(here: tuple[int, int], tour: list[tuple[int, int]], step: float = 1.0, small: int = 1) -> object:
     goals = np.array(tour, np.int32)
-    views = [viewpoint_cells(NOOK, goal, BEAMS, 8.0) if at < crumbs else None for at, goal in enumerate(tour)]
+    views = [viewpoint_cells(NOOK, goal, BEAMS, 8.0) if at < small else None for at, goal in enumerate(tour)]
     return best_viewpoint(PathPlanner(NOOK), here, views, goals, step)
 
 
-def test_a_robot_that_passes_by_looks_in_from_its_way() -> None:
+def test_the_viewpoint_of_a_passing_robot_is_on_its_way() -> None:
     assert look((0, 6), [END, (8, 6)]) == (4, 6)
     assert look((0, 4), [END, (8, 4)]) == (4, 4)
 
 
-def test_of_ways_of_as_many_steps_the_one_that_leads_on_is_taken() -> None:
+def test_of_ways_of_equal_steps_the_one_toward_the_next_goal_wins() -> None:
     # In single cells (4, 5) is best for both ways; in steps of six (4, 4) is as near, and nearer to what comes next.
     assert look((0, 6), [END, (8, 4)]) == (4, 5)
     assert look((0, 6), [END, (8, 4)], step=6.0) == (4, 4)
 
 
-def test_a_goal_in_sight_from_there_as_well_needs_no_way() -> None:
+def test_a_goal_in_sight_of_the_viewpoint_needs_no_way() -> None:
     tour = np.array([END, (1, 4), (8, 6)], np.int32)
     views = [viewpoint_cells(NOOK, END, BEAMS, 8.0), np.array([(4, 4), (1, 4)], np.int32), None]
     assert best_viewpoint(PathPlanner(NOOK), (4, 3), views, tour, 6.0) is None
@@ -90,11 +90,11 @@ def test_a_goal_in_sight_from_there_as_well_needs_no_way() -> None:
 
 
 @pytest.mark.parametrize("here", [(4, 2), (4, 4), END])
-def test_a_robot_that_stands_where_it_should_have_seen_it_gets_no_other_place(here: tuple[int, int]) -> None:
+def test_a_robot_at_a_viewpoint_gets_no_other(here: tuple[int, int]) -> None:
     assert look(here, [END, (8, 4)]) is None
 
 
-def test_without_a_way_there_is_no_place() -> None:
+def test_without_a_way_there_is_no_viewpoint() -> None:
     grid = NOOK.copy()
     grid[:, 2] = OCCUPIED
     views = [viewpoint_cells(grid, END, BEAMS, 8.0)]

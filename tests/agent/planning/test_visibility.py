@@ -88,12 +88,12 @@ def test_a_robot_that_stands_too_near_to_a_wall_goes_to_the_middle_of_its_cell_f
     assert found.tolist() == [[0, 1000], [2000, 2000]]
 
 
-def test_where_no_way_leads_there_is_none() -> None:
+def test_an_unreachable_goal_has_no_way() -> None:
     assert shortest_way(drawn(".#.", ".#."), (0, 0), np.array([[2, 0]], np.int32), 9.0) is None
 
 
 @pytest.mark.parametrize(("way", "bends"), [("visibility", 2), ("cells", 2)])
-def test_a_leader_drives_the_shortest_way_in_the_plane_where_it_is_told_to(way: str, bends: int) -> None:
+def test_a_leader_follows_the_visibility_graph_if_configured(way: str, bends: int) -> None:
     grid = np.full((20, 30), FREE, np.uint8)
     grid[0:14, 12] = OCCUPIED
     grid[1, 29] = UNKNOWN

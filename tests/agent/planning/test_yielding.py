@@ -1,4 +1,4 @@
-"""GivingWay: past teammates that stand in the way, without running from one to the other for good."""
+"""YieldBehavior: past teammates in the way, without oscillating between them."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_a_cell_that_was_held_long_ago_is_driven_over_again() -> None:
         assert ([1, 3] in route.cells.tolist()) == is_forgotten
 
 
-def test_a_robot_waits_a_little_before_it_looks_for_another_way() -> None:
+def test_a_robot_waits_before_it_takes_a_detour() -> None:
     yielding = YieldBehavior(0, 0, 9.0)
     for step in range(1, WAIT + 1):
         assert not yielding.has_waited
@@ -60,7 +60,7 @@ def test_a_robot_waits_a_little_before_it_looks_for_another_way() -> None:
     assert not yielding.has_waited
 
 
-def test_where_no_other_way_leads_on_a_robot_makes_room_at_random_and_repeatably() -> None:
+def test_without_a_detour_a_robot_yields_to_a_random_but_reproducible_cell() -> None:
     places = set()
     for robot in range(40):
         ends = []
@@ -89,7 +89,7 @@ def farthest_room(asides: int, *, begins_anew: bool = False) -> int:
     return longest
 
 
-def test_each_time_again_it_goes_farther_until_it_has_another_target() -> None:
+def test_the_yield_distance_grows_until_the_next_target() -> None:
     assert [farthest_room(asides) for asides in range(1, FARTHEST + 3)] == [1, 2, 4, 8, 16, 16]
     assert farthest_room(4, begins_anew=True) == 1
 
@@ -102,7 +102,7 @@ def test_a_robot_shut_in_between_teammates_stays_where_it_is() -> None:
     assert not len(route.cells)
 
 
-def test_stopped_in_one_cell_again_and_again_a_robot_gives_its_target_up_and_counts_anew() -> None:
+def test_repeated_stops_in_one_cell_end_in_another_target() -> None:
     yielding = YieldBehavior(0, 0, 3.0)
     for step in range(GIVE_UP):
         assert not yielding.gives_up()

@@ -50,14 +50,14 @@ def test_alone_meier_takes_the_nearest_frontier() -> None:
     assert decide("meier", robot_at(11)).target == (14, 1)
 
 
-def test_meier_leaves_a_frontier_to_whom_it_has_heard_of_and_beta_says_at_what_price() -> None:
+def test_meier_avoids_targets_of_teammates_and_beta_weighs_the_cost() -> None:
     # U: 0 and 1; V: 4 / 5 and 10 / 5 sensor ranges.
     taken = robot_at(4, targets={1: (0, 1)}, target_steps={1: 1})
     assert decide("meier", taken, {"beta": 0.5}).target == (14, 1)
     assert decide("meier", taken, {"beta": 1.0}).target == (0, 1)
 
 
-def test_a_target_heard_long_ago_counts_less_where_targets_age() -> None:
+def test_an_old_target_counts_less_if_targets_age() -> None:
     old = robot_at(4, targets={1: (0, 1)}, target_steps={1: -99})
     assert decide("meier", old, {"beta": 0.5}).target == (14, 1)
     assert decide("meier", old, {"beta": 0.5, "half_life": 20.0}).target == (0, 1)
@@ -69,7 +69,9 @@ def test_a_target_heard_long_ago_counts_less_where_targets_age() -> None:
     ("name", "options"),
     [("meier", {"beta": 0.1}), ("scan-replan", {"herding": True}), ("continuous-replan", {"herding": True})],
 )
-def test_of_two_that_herd_the_higher_numbered_chooses_again_once(name: str, options: dict[str, Any]) -> None:
+def test_of_two_robots_with_close_targets_the_higher_numbered_chooses_again_once(
+    name: str, options: dict[str, Any]
+) -> None:
     for robot, other, expected in ((1, 0, (14, 1)), (0, 1, (0, 1))):
         swarm = mind(name, options, robot=robot)
         assert swarm.decide(robot_at(4)).target == (0, 1)
@@ -89,7 +91,7 @@ def test_a_target_behind_a_wall_is_no_herding() -> None:
         assert swarm.decide(later).target == expected
 
 
-def test_nearest_does_not_care_for_others_and_tells_nothing() -> None:
+def test_nearest_ignores_teammates_and_publishes_no_target() -> None:
     kind = strategy("nearest")
     assert not kind.publishes_target
     assert decide("nearest", robot_at(4, targets={1: (0, 1)}, target_steps={1: 1})).target == (0, 1)
@@ -121,7 +123,7 @@ def test_algorithm_2_counts_costs_squared() -> None:
     assert decide("burgard-optimal", away).target == (0, 1)
 
 
-def test_burgard_assigns_anew_after_a_time_where_that_is_wanted() -> None:
+def test_burgard_replans_periodically_with_every() -> None:
     for every, expected in ((0, (0, 1)), (5, (14, 1))):
         team = mind("burgard", {"every": every})
         assert team.decide(robot_at(4)).target == (0, 1)
@@ -129,7 +131,7 @@ def test_burgard_assigns_anew_after_a_time_where_that_is_wanted() -> None:
         assert team.decide(replace(robot_at(11), step=5)).target == expected
 
 
-def test_burgard_assigns_anew_some_time_and_some_way_after_it_last_did() -> None:
+def test_burgard_replans_after_a_time_and_after_a_distance() -> None:
     for options in ({"after_steps": 5}, {"after_metres": 0.7}):
         team = mind("burgard", options)
         assert team.decide(replace(robot_at(4), step=3)).target == (0, 1)
@@ -138,7 +140,7 @@ def test_burgard_assigns_anew_some_time_and_some_way_after_it_last_did() -> None
         assert team.decide(replace(soon, step=8, traveled={0: 7.0})).target == (14, 1)
 
 
-def test_where_occupancy_is_too_likely_burgard_does_not_drive() -> None:
+def test_burgard_avoids_cells_of_high_occupancy() -> None:
     # A corridor of one cell leads to the left, one of five to the right.
     grid = drawn(*2 * ["######........."], "?.............?", *2 * ["######........."])
     for occ_max, column in ((1.0, 1), (0.5, 13)):
@@ -147,7 +149,7 @@ def test_where_occupancy_is_too_likely_burgard_does_not_drive() -> None:
         assert abs(target[0] - column) <= 1
 
 
-def test_greedy_serves_robots_in_an_order_that_is_drawn_anew_and_alike_in_all_members() -> None:
+def test_greedy_draws_the_same_order_of_robots_in_all_members() -> None:
     # Whoever comes first takes the left goal.
     cells = {0: (5, 1), 1: (6, 1)}
     left = []
@@ -180,7 +182,7 @@ def test_mtsp_with_fewer_goals_than_robots_takes_the_cheapest_pair_first() -> No
         assert decide("mtsp", situation, {"candidates": "rfe"}, robot=robot).target == expected
 
 
-def test_hungarian_depot_spares_who_has_traveled_far() -> None:
+def test_hungarian_depot_assigns_near_goals_to_robots_that_traveled_far() -> None:
     one_frontier = CORRIDOR.copy()
     one_frontier[0, 14] = 2
     cells = {0: (4, 1), 1: (6, 1)}
@@ -193,7 +195,7 @@ def test_hungarian_depot_spares_who_has_traveled_far() -> None:
             assert target == ((0, 1) if robot == expected else None)
 
 
-def test_of_two_members_headed_for_one_cell_the_higher_numbered_chooses_again() -> None:
+def test_of_two_members_with_one_target_the_higher_numbered_chooses_again() -> None:
     for robot, other, expected in ((1, 0, (14, 1)), (0, 1, (0, 1))):
         member = mind("iterative", robot=robot)
         assert member.decide(robot_at(4)).target == (0, 1)
@@ -221,7 +223,7 @@ def test_a_member_that_is_done_makes_the_others_choose_again_once() -> None:
     assert member.decide(replace(robot_at(11, grid=opened, **told), step=4)).target == (14, 1)
 
 
-def test_faigl_s_ways_are_straight() -> None:
+def test_allocation_strategies_straighten_their_routes() -> None:
     grid = np.full((12, 31), FREE, np.uint8)
     grid[10, 30] = UNKNOWN
     path = decide("greedy", robot_at(0, 0, grid=grid), {"candidates": "cells"}, speed_cells=60.0).path
@@ -230,7 +232,7 @@ def test_faigl_s_ways_are_straight() -> None:
     assert max(off_line) <= 0.5
 
 
-def test_a_robot_without_a_goal_relies_on_its_teammates_only_so_long() -> None:
+def test_a_robot_without_a_goal_relies_on_its_teammates_for_a_limited_time() -> None:
     one_frontier = CORRIDOR.copy()
     one_frontier[0, 14] = 2
     waits = robot_at(6, grid=one_frontier, peers=(0,), poses={0: Pose(1, 1, leads=False)})
@@ -328,7 +330,7 @@ def test_a_robot_that_sees_no_way_home_for_long_is_home_where_it_is(name: str) -
     assert len(on_the_way.path)
 
 
-def test_stop_scan_replan_stays_for_a_full_turn_and_then_tells() -> None:
+def test_stop_scan_replan_stays_for_a_full_turn_and_then_publishes() -> None:
     settings: dict[str, Any] = {"scanner_turn": 72.0, "speed_cells": 1.0}
     swarm = mind("stop-scan-replan", **settings)
     decisions = [swarm.decide(robot_at(4)) for _ in range(5)]
@@ -338,19 +340,19 @@ def test_stop_scan_replan_stays_for_a_full_turn_and_then_tells() -> None:
     assert settings_for(CORRIDOR, **settings).turn_steps == 5
 
 
-def test_classical_does_not_look_on_the_way() -> None:
+def test_classical_does_not_scan_on_the_way() -> None:
     swarm = mind("classical", scanner_turn=0.0)
     assert swarm.decide(robot_at(4)).target is not None
     assert not swarm.decide(robot_at(3)).look
 
 
-def test_classical_looks_around_where_a_wall_stops_it_that_it_has_not_seen() -> None:
+def test_classical_scans_where_an_unknown_wall_stops_it() -> None:
     swarm = mind("classical", scanner_turn=0.0)
     assert swarm.decide(robot_at(4)).target is not None
     assert swarm.decide(replace(robot_at(3), blocked="wall")).look
 
 
-def test_a_robot_that_teammates_stop_for_long_tells_what_it_has_seen() -> None:
+def test_a_robot_stopped_for_long_publishes_its_map() -> None:
     swarm = mind("stop-scan-replan")
     assert swarm.decide(robot_at(4)).target == (0, 1)
     told = [swarm.decide(replace(robot_at(3), step=step, blocked="robot")).publish for step in range(2, 14)]
@@ -386,7 +388,7 @@ def test_a_bid_is_that_of_equation_1() -> None:
     np.testing.assert_allclose(
         bids.bids(near, goals, PathPlanner(grid))[1], seen_by_it - 0.5 * 2 / 2 - 0.25 * 2 / 2
     )
-    # So will one that is headed there, of which nobody knows how near it is.
+    # So will one that is headed there, of which no_robots knows how near it is.
     headed = replace(situation, targets={1: (5, 1)})
     np.testing.assert_allclose(bids.bids(headed, goals, PathPlanner(grid))[1], seen_by_it - 0.5 * 2 / 2)
 
@@ -411,7 +413,7 @@ def test_leaders_are_elected_over_a_scripted_sequence_of_meetings() -> None:
     assert not elect(2, False, [], first=1, dynamic=False)
 
 
-def test_a_leader_is_sensed_within_rho_lead_in_radio_range_and_if_it_says_that_it_leads() -> None:
+def test_a_leader_is_sensed_within_rho_lead_and_radio_range() -> None:
     # Cells of a metre, and rho_lead is 4 m: robot 1 becomes a leader itself if it senses none.
     def leads(x: int, *, says: bool = True, in_range: bool = True) -> bool:
         trooper = mind("leaders", robot=1, resolution=1.0)
@@ -425,7 +427,7 @@ def test_a_leader_is_sensed_within_rho_lead_in_radio_range_and_if_it_says_that_i
     assert leads(6, in_range=False)
 
 
-def test_a_trooper_is_pushed_away_by_the_teammates_that_it_hears() -> None:
+def test_teammates_in_radio_range_repel_a_trooper() -> None:
     grid = np.full((41, 41), FREE, np.uint8)
     grid[0, 20] = UNKNOWN
     ends = []
@@ -465,7 +467,7 @@ def test_a_leader_drives_around_a_teammate_that_stops_it() -> None:
 
 
 @pytest.mark.parametrize("name", ["leaders", "meier"])
-def test_a_robot_on_the_frontier_looks_at_what_is_unknown(name: str) -> None:
+def test_a_robot_on_the_frontier_turns_to_the_unknown_cells(name: str) -> None:
     grid = np.full((9, 9), FREE, np.uint8)
     for (x, y), heading in {(5, 4): 0, (4, 5): 2, (3, 4): 4, (4, 3): 6}.items():
         around = grid.copy()
@@ -474,7 +476,7 @@ def test_a_robot_on_the_frontier_looks_at_what_is_unknown(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["leaders", "meier"])
-def test_a_robot_looks_around_where_a_wall_stops_it_that_its_laser_may_not_see(name: str) -> None:
+def test_a_robot_turns_around_where_an_unseen_wall_stops_it(name: str) -> None:
     stopped = replace(robot_at(4), heading=7, blocked="wall")
     assert decide(name, stopped, field_of_view=180.0).heading == 0
     assert decide(name, replace(stopped, heading=0), field_of_view=180.0).heading == 1
@@ -482,7 +484,7 @@ def test_a_robot_looks_around_where_a_wall_stops_it_that_its_laser_may_not_see(n
     assert decide(name, replace(stopped, blocked="robot"), field_of_view=180.0).heading == 7
 
 
-def test_a_robot_that_gets_nowhere_says_that_it_is_stalled() -> None:
+def test_a_robot_without_progress_is_stalled() -> None:
     swarm = mind("potential-field", {}, resolution=0.1)
     # Between two frontier points at the same distance, in a closed corridor.
     stalled = [swarm.decide(replace(robot_at(7), step=step)).stalled for step in range(1, 70)]
@@ -502,14 +504,14 @@ def test_a_slow_leader_that_drives_is_not_stalled() -> None:
     assert not any(leader.decide(situation).stalled for situation in steps)
 
 
-def test_the_settings_say_how_long_a_turn_takes() -> None:
+def test_the_settings_define_the_steps_of_a_full_turn() -> None:
     turns = {0.0: 1, 72.0: 5, 18.0: 20, 100.0: 4, 360.0: 1}
     for degrees, steps in turns.items():
         settings: Settings = settings_for(CORRIDOR, scanner_turn=degrees)
         assert settings.turn_steps == steps
 
 
-def test_of_goals_any_may_be_chosen_as_a_row_too_but_nothing_else() -> None:
+def test_a_strategy_may_choose_any_goal_and_nothing_else() -> None:
     class Own(Nearest):
         chosen: Any = None
 

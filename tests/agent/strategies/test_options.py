@@ -29,13 +29,13 @@ def test_all_strategies_of_the_papers_are_there_with_a_line_and_a_source() -> No
         assert all(line.help for line in entries[name].options)
 
 
-def test_the_words_on_combining_name_every_choice_of_every_part() -> None:
+def test_the_text_on_combining_names_every_choice_of_every_part() -> None:
     for part in Parts.__dataclass_fields__.values():
         assert part.name in COMBINING
         assert all(choice in COMBINING for choice in part.metadata["choices"])
 
 
-def test_an_unknown_strategy_is_refused_with_the_list_of_those_there_are() -> None:
+def test_an_unknown_strategy_is_rejected_with_a_list_of_names() -> None:
     with pytest.raises(ValueError, match=r"no strategy is called 'best'.*burgard, .*stop-scan-replan"):
         strategy("best")
 
@@ -85,7 +85,7 @@ def test_an_unknown_strategy_is_refused_with_the_list_of_those_there_are() -> No
         ),
     ],
 )
-def test_what_does_not_fit_is_refused_and_the_reason_said(
+def test_conflicting_options_are_rejected_with_the_reason(
     name: str, options: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(ValueError, match=message):
@@ -100,7 +100,7 @@ def test_every_number_among_the_options_has_a_bound_or_a_place_in_an_order() -> 
 
 
 @pytest.mark.parametrize(("name", "farthest"), [("leaders", "rho_lead"), ("potential-field", "rho_robots")])
-def test_robots_must_hear_each_other_as_far_as_they_are_felt_or_followed(name: str, farthest: str) -> None:
+def test_the_radio_range_must_cover_the_ranges_of_forces_and_leadership(name: str, farthest: str) -> None:
     kind = strategy(name)
     reach = getattr(kind.options_type(), farthest)
     kind.check_range({}, reach)
@@ -121,9 +121,7 @@ def test_the_defaults_of_every_strategy_fit_together(name: str) -> None:
 @pytest.mark.parametrize("replan", ["at-goal", "at-once"])
 @pytest.mark.parametrize("mission", ["open", "return"])
 @pytest.mark.parametrize("name", ["meier", "burgard", "greedy", "hungarian", "sheng-bid"])
-def test_parts_that_make_sense_together_combine(
-    name: str, candidates: str, replan: str, mission: str
-) -> None:
+def test_compatible_parts_combine(name: str, candidates: str, replan: str, mission: str) -> None:
     chosen = strategy(name).check({"candidates": candidates, "replan": replan, "mission": mission})
     assert (chosen.candidates, chosen.replan, chosen.mission) == (candidates, replan, mission)
 
@@ -165,7 +163,7 @@ def test_a_strategy_from_outside_the_tree_is_one_class_and_explores(
     assert "farthest" in strategies()
 
 
-def test_a_class_that_is_no_strategy_or_cannot_be_imported_is_refused() -> None:
+def test_a_class_that_is_no_strategy_or_cannot_be_imported_is_rejected() -> None:
     with pytest.raises(ValueError, match=r"no_such_module.*PYTHONPATH"):
         strategy("no_such_module:Best")
     with pytest.raises(
@@ -176,7 +174,7 @@ def test_a_class_that_is_no_strategy_or_cannot_be_imported_is_refused() -> None:
         strategy("pathlib:")
 
 
-def test_a_class_that_lacks_its_method_or_a_module_that_ends_the_program_is_refused(
+def test_an_incomplete_class_or_a_module_that_exits_is_rejected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     unfinished = OUTSIDE.partition("    def choose")[0].replace("Farthest", "Unfinished")

@@ -82,7 +82,7 @@ class Line:
         return [mind._strategy.members for mind in self.robot_settings]  # type: ignore[attr-defined]
 
 
-def test_in_a_chain_of_three_all_plan_for_three_where_poses_are_passed_on(
+def test_in_a_chain_of_three_all_plan_for_three_with_relayed_states(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     for sub_team, ends in (("in-range", [(0, 1), (1, 2)]), ("connected", [(0, 1, 2), (0, 1, 2)])):
@@ -101,7 +101,7 @@ def test_in_a_chain_of_three_all_plan_for_three_where_poses_are_passed_on(
     assert told.traveled[0] == 1.0
 
 
-def test_who_is_cut_off_is_no_member_any_more_as_soon_as_its_word_is_too_old(
+def test_a_robot_with_an_outdated_relayed_state_is_no_member(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     line = Line(4, "connected", monkeypatch)
@@ -114,7 +114,7 @@ def test_who_is_cut_off_is_no_member_any_more_as_soon_as_its_word_is_too_old(
     assert line.teams == [(0,), *3 * [(1, 2, 3)]]
 
 
-def test_word_of_a_robot_goes_round_no_longer_than_a_chain_of_all_would_take() -> None:
+def test_a_relayed_state_circulates_no_longer_than_through_a_chain_of_all_robots() -> None:
     one, two = (RelayedState(settings_for(GRID, robot=robot, robots=5)) for robot in (1, 2))
     poses: dict[int, Pose] = {0: Pose(3, 4, leads=False)}
     targets: dict[int, Cell] = {0: (8, 9)}
@@ -125,7 +125,7 @@ def test_word_of_a_robot_goes_round_no_longer_than_a_chain_of_all_would_take() -
         for mind, other in ((one, 2), (two, 1)):
             news = [mind.take(packet, step) for packet in said[other] if isinstance(packet, Passed)]
             assert news == ([True] if (step, other) == (1, 1) else [False] * len(news)), (
-                "nobody's own word is news"
+                "no_robots's own word is news"
             )
         lasted += bool(two.connected(step, [1]))
         said = {
@@ -138,7 +138,7 @@ def test_word_of_a_robot_goes_round_no_longer_than_a_chain_of_all_would_take() -
 @pytest.mark.parametrize("frame", [
     [Passed(9, 1, 3, 4)], [Passed(0, 1, 500, 4)], [Passed(0, 1, 3, 4), Target(900, 9)],
 ])  # fmt: skip
-def test_hearsay_of_no_robot_or_cell_is_a_fault(frame: list[packets.AnyPacket]) -> None:
+def test_a_relayed_state_of_an_unknown_robot_or_cell_is_a_fault(frame: list[packets.AnyPacket]) -> None:
     mind = Robot(settings_for(GRID, robot=2, robots=3, strategy="burgard", map_encoding="scans"))
     mind.receive_broadcast(1, packets.encode(frame))
     assert len(mind.faults) == 1
@@ -149,7 +149,7 @@ def test_hearsay_of_no_robot_or_cell_is_a_fault(frame: list[packets.AnyPacket]) 
     [Passed(1, 1, 3, 4), packets.Pose(1, 1, 0)],
     [Target(1, 1), packets.Pose(1, 1, 0)], [Target(1, 1), Target(1, 1)], [],
 ])  # fmt: skip
-def test_the_radio_puts_no_frame_on_the_air_that_says_a_thing_twice_or_out_of_order(
+def test_the_radio_rejects_broadcasts_with_repeated_or_unordered_packets(
     frame: list[packets.AnyPacket],
 ) -> None:
     assert not is_broadcast(packets.encode(frame))

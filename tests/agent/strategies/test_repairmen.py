@@ -1,4 +1,4 @@
-"""What repairmen decide, worked out by hand on small maps."""
+"""Decisions of `repairmen`, worked by hand on small maps."""
 
 from __future__ import annotations
 
@@ -38,13 +38,15 @@ def target(x: int, options: dict[str, Any] | None = None) -> Any:
     return mind(0, options).decide(robot_at(x, 4)).target
 
 
-def test_what_promises_much_comes_first_and_a_crumb_where_it_is_near() -> None:
+def test_a_goal_of_large_gain_comes_first_unless_a_small_frontier_is_near() -> None:
     assert target(5) == GAP
     assert target(35) == END
 
 
 @pytest.mark.parametrize(("small_frontier", "first"), [(0.0, END), (1.0, GAP)])
-def test_the_weight_of_crumbs_says_how_near(small_frontier: float, first: tuple[int, int]) -> None:
+def test_the_weight_of_small_frontiers_decides_how_near(
+    small_frontier: float, first: tuple[int, int]
+) -> None:
     assert (
         target(
             15,
@@ -59,7 +61,7 @@ def test_the_weight_of_crumbs_says_how_near(small_frontier: float, first: tuple[
     )
 
 
-def test_a_crumb_is_not_left_behind_where_lateness_the_last_robots_end_or_the_way_counts() -> None:
+def test_latency_longest_tour_and_total_length_pull_in_small_frontiers() -> None:
     alone = {"small_frontier": 0.01, "latency_weight": 0.0, "longest_tour": 0.0, "total_length": 0.0}
     assert target(12, alone) == END
     assert target(12, alone | {"latency_weight": 1.0}) == GAP
@@ -68,9 +70,7 @@ def test_a_crumb_is_not_left_behind_where_lateness_the_last_robots_end_or_the_wa
 
 
 @pytest.mark.parametrize(("x", "first"), [(23, GAP), (27, END)])
-def test_a_robot_without_teammates_drives_the_shortest_tour_whatever_goals_promise(
-    x: int, first: tuple[int, int]
-) -> None:
+def test_a_single_robot_drives_the_shortest_tour_whatever_the_gain(x: int, first: tuple[int, int]) -> None:
     robot = Repairmen({"small_frontier": 0.0}, settings_for(HALL, 0, 1, ranges_cells=[10.0]))
     assert robot.decide(robot_at(x, 4)).target == first
     assert target(23, {"small_frontier": 0.0, "longest_tour": 0.0, "total_length": 0.0}) == END
@@ -80,7 +80,7 @@ def both(situations: list[Situation]) -> list[Decision]:
     return [mind(robot).decide(situation) for robot, situation in enumerate(situations)]
 
 
-def test_two_that_hear_each_other_share_what_there_is() -> None:
+def test_two_robots_in_range_divide_the_goals() -> None:
     poses = [Pose(20, 4, leads=False), Pose(22, 4, leads=False)]
     found = both([
         robot_at(*poses[robot][:2], peers=(1 - robot,), poses={1 - robot: poses[1 - robot]})
@@ -89,7 +89,7 @@ def test_two_that_hear_each_other_share_what_there_is() -> None:
     assert [each.target for each in found] == [GAP, END]
 
 
-def test_a_teammate_out_of_range_is_believed_to_be_where_it_was_headed_but_not_for_long() -> None:
+def test_a_teammate_out_of_range_is_assumed_at_its_target_for_some_time() -> None:
     away = robot_at(35, 4, targets={1: (45, 4)}, target_steps={1: 1})
     assert mind().decide(away).target == GAP
     assert mind().decide(replace(away, step=1 + RECALL)).target == GAP
@@ -119,7 +119,7 @@ def test_a_robot_that_waits_does_not_leave_anything_to_a_teammate_that_stands_st
 
 
 @pytest.mark.parametrize(("work", "first"), [(0.0, GAP), (3.0, (32, 1))])
-def test_who_has_much_to_expect_leaves_the_rest_to_others(work: float, first: tuple[int, int]) -> None:
+def test_a_robot_with_much_expected_work_gets_fewer_other_goals(work: float, first: tuple[int, int]) -> None:
     # A crumb is a little out of robot 1's way to the end, and more out of robot 0's to the gap, which is longer.
     grid = HALL.copy()
     grid[0, 32] = UNKNOWN
@@ -127,7 +127,7 @@ def test_who_has_much_to_expect_leaves_the_rest_to_others(work: float, first: tu
     assert mind(grid=grid, options={"expected_work": work, "total_length": 0.0}).decide(here).target == first
 
 
-def test_it_plans_anew_with_all_news_unless_told_otherwise() -> None:
+def test_it_replans_with_every_change_of_the_map_by_default() -> None:
     opened = HALL.copy()
     opened[4, 0] = OCCUPIED
     opened[0, 12] = UNKNOWN
@@ -137,7 +137,7 @@ def test_it_plans_anew_with_all_news_unless_told_otherwise() -> None:
         assert robot.decide(replace(robot_at(5, 4, opened), step=2)).target == expected
 
 
-def test_of_crumbs_in_one_place_one_is_a_goal_and_a_wall_parts_places() -> None:
+def test_close_small_frontiers_are_one_goal_unless_a_wall_is_between() -> None:
     for wall, goals in ((FREE, 2), (OCCUPIED, 3)):
         grid = HALL.copy()
         grid[0, 20] = grid[0, 24] = UNKNOWN
@@ -159,7 +159,7 @@ def test_a_robot_that_drives_around_a_teammate_does_not_turn_back_to_where_it_wa
     assert later.path[: len(around) - 1].tolist() == around[1:].tolist()
 
 
-def test_a_robot_does_not_turn_for_little_and_never_without_news_of_the_map() -> None:
+def test_target_hysteresis_prevents_turns_for_small_gains_or_without_map_changes() -> None:
     # Two gaps in the walls above and below, at the same way from the middle but for a cell.
     grid = HALL.copy()
     grid[4, 0] = OCCUPIED
@@ -182,8 +182,8 @@ def ends(robot: Repairmen, situation: Situation) -> tuple[int, int]:
     return x, y
 
 
-def test_a_crumb_is_looked_at_from_afar_a_long_edge_and_one_looked_at_in_vain_from_near() -> None:
-    # A hall with a nook in its upper wall; nobody knows how deep it is.
+def test_small_frontiers_are_observed_from_viewpoints_unless_that_had_no_effect() -> None:
+    # A hall with a nook in its upper wall; no_robots knows how deep it is.
     grid = np.full((12, 30), OCCUPIED, np.uint8)
     grid[6:-1, 1:-1] = FREE
     grid[2:6, 20] = FREE

@@ -12,7 +12,7 @@ from agent.robot import SURE_AFTER, Robot
 from agent.strategies.base import Decision, Pose, Situation, Strategy
 from protocol import packets
 from protocol.grid import ray_table
-from protocol.messages import RoundReport, Sense
+from protocol.messages import Delivery, RoundReport, SendReport, Sense
 from protocol.scans import NONE
 from tests.agent.planning.planning_references import drawn, settings_for
 
@@ -38,14 +38,14 @@ def said(mind: Robot, peers: list[int]) -> list[str]:
     return [] if frame is None else [packet.name for packet in packets.decode(frame)]
 
 
-def test_only_robots_that_assign_together_tell_their_poses() -> None:
+def test_only_team_strategies_publish_poses() -> None:
     for strategy, expected in (("burgard", ["pose"]), ("leaders", ["pose"]), ("meier", []), ("nearest", [])):
         mind = robot(strategy)
         mind.perceive(sense(1))
         assert said(mind, [1]) == expected
 
 
-def test_a_pose_that_all_have_heard_is_repeated_only_after_a_while_or_for_a_newcomer() -> None:
+def test_a_received_pose_is_repeated_after_a_while_or_for_a_new_peer() -> None:
     mind = robot("burgard", robots=3)
     told = []
     for step in range(1, REPEAT_POSE + 2):
@@ -58,7 +58,7 @@ def test_a_pose_that_all_have_heard_is_repeated_only_after_a_while_or_for_a_newc
     assert said(mind, [1, 2]) == ["pose"]
 
 
-def test_a_pose_that_was_not_carried_is_said_again() -> None:
+def test_a_pose_that_was_not_transmitted_is_sent_again() -> None:
     mind = robot("burgard")
     mind.perceive(sense(1))
     assert said(mind, [1]) == ["pose"]
@@ -79,7 +79,7 @@ def test_a_pose_and_a_target_go_in_one_broadcast_and_are_understood() -> None:
     assert not other.faults
 
 
-def test_a_pose_says_whether_the_robot_leads() -> None:
+def test_a_pose_contains_whether_the_robot_leads() -> None:
     for number, leads in ((0, 1), (1, 0)):
         mind = robot("leaders", number)
         mind.perceive(sense(1))
@@ -103,7 +103,7 @@ class Witness(Strategy):
         return Decision()
 
 
-def test_a_depot_is_where_a_robot_was_first_heard_of_and_ways_are_added_up_from_pose_to_pose() -> None:
+def test_a_depot_is_the_first_received_pose_and_distances_add_up_from_pose_to_pose() -> None:
     mind = robot(f"{__name__}:Witness")
     for step, x, heard in ((1, 10, (3, 4)), (2, 13, (6, 8)), (3, 13, (6, 10))):
         mind.perceive(sense(step, x))
@@ -117,7 +117,7 @@ def test_a_depot_is_where_a_robot_was_first_heard_of_and_ways_are_added_up_from_
     assert told.traveled == {0: 3.0, 1: 5.0 + 2.0}
 
 
-def test_a_broadcast_that_makes_no_sense_is_a_fault_and_nothing_more() -> None:
+def test_a_malformed_broadcast_is_a_fault_and_nothing_more() -> None:
     mind = robot("burgard")
     for frame in (packets.encode([packets.Pose(500, 3, 0)]), packets.encode([packets.Save()]), b"\xff"):
         mind.receive_broadcast(1, frame)
@@ -126,7 +126,7 @@ def test_a_broadcast_that_makes_no_sense_is_a_fault_and_nothing_more() -> None:
     mind.decide()
 
 
-def test_news_wait_until_the_target_is_replaced_where_the_strategy_says_so() -> None:
+def test_map_changes_wait_for_a_new_target_if_the_strategy_defers_them() -> None:
     mind = robot("scan-replan")
     mind.perceive(sense(1))
     mind.decide()
@@ -141,7 +141,7 @@ def test_news_wait_until_the_target_is_replaced_where_the_strategy_says_so() -> 
     assert len(mind.replication.logs[0]) > first
 
 
-def test_a_scanner_that_rests_has_nothing_to_tell() -> None:
+def test_a_resting_scanner_logs_nothing() -> None:
     mind = robot("classical")
     mind.perceive(sense(1))
     mind.decide()
@@ -155,7 +155,7 @@ def test_a_scanner_that_rests_has_nothing_to_tell() -> None:
     ("robots", "map_encoding", "first"),
     [(2, "scans", 1), (2, "polygons", 1 + SURE_AFTER), (1, "polygons", 1)],
 )
-def test_on_a_map_that_holds_guesses_nothing_must_be_left_for_a_while(
+def test_with_inferred_cells_a_robot_is_done_only_after_some_steps(
     robots: int, map_encoding: str, first: int
 ) -> None:
     mind = Robot(
@@ -167,3 +167,38 @@ def test_on_a_map_that_holds_guesses_nothing_must_be_left_for_a_while(
         explored.append(mind.decide().explored)
     assert explored.index(True) + 1 == first
     assert all(explored[first - 1 :])
+
+
+def test_entries_that_a_teammate_claims_to_build_on_but_nobody_received_do_no_harm() -> None:
+    """A forger guesses the entries that the victim has not sent yet; its own entries depend on them."""
+    victim, forger = (
+        Robot(
+            settings_for(
+                GRID, robot=number, map_encoding="predictive", strategy="meier", dissemination="gossip"
+            )
+        )
+        for number in (0, 1)
+    )
+    victim.perceive(sense(1))
+    forger.perceive(sense(1))
+    for each, peer in ((victim, 1), (forger, 0)):
+        each.replication.open_round(0, [peer], None)
+        each.close_round(RoundReport(1, 0, [], [], [], False))
+        each.decide()
+    victim.perceive(sense(2, 12))
+    (unsent,) = victim.replication.open_round(0, [1], None)
+    forger.replication.open_round(0, [0], None)
+    forger.close_round(RoundReport(2, 0, [], [], [Delivery(0, unsent.payload)], False))
+    forger.decide()
+    forger.perceive(sense(3, 14))
+    (forged,) = forger.replication.open_round(0, [0], None)
+    assert len(forger.replication.logs[0])
+    victim.close_round(RoundReport(2, 0, [], [SendReport(0, 0)], [Delivery(1, forged.payload)], False))
+    for step in range(3, 6):
+        victim.decide()
+        victim.perceive(sense(step, 12 + step))
+        (frame,) = victim.replication.open_round(0, [1], None)
+        victim.close_round(RoundReport(step, 0, [], [SendReport(0, len(frame.payload))], [], False))
+    assert not victim.faults
+    victim.decide()
+    assert (victim.planning == victim.own)[victim.own != 0].all()

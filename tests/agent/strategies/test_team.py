@@ -105,7 +105,7 @@ def test_a_wide_robot_is_given_what_it_can_reach() -> None:
         assert mind.decide(view).target == target
 
 
-def test_a_target_takes_away_as_far_as_its_own_robot_sees() -> None:
+def test_a_target_lowers_utilities_within_the_range_of_its_robot() -> None:
     # Three places to go to from (30, 2); a teammate is headed for the one at the left end.
     grid = np.full((5, 80), FREE, np.uint8)
     grid[:, 79] = grid[:, 0] = grid[0, 40] = UNKNOWN

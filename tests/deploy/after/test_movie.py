@@ -110,7 +110,7 @@ def test_the_command_writes_a_gif_and_prints_its_name(tmp_path: Path) -> None:
         (["movie", "RUN", "--mp4", "--gif"], "use either --mp4 or --gif"),
         (["movie", "RUN", "RUN", "RUN"], "movie takes one run directory, or two"),
         (["movie", "RUN", "--rate", "0"], "rate = 0: must be 0.1 to 120 steps per second"),
-        (["movie", "/nowhere"], "/nowhere: no run directory, for it has no scenario.toml"),
+        (["movie", "/nowhere"], "/nowhere: not a run directory: scenario.toml is missing"),
         (
             ["movie", "RUN", "--out", "/nowhere/film.mp4"],
             "out = /nowhere/film.mp4: no such folder: /nowhere",

@@ -148,7 +148,7 @@ def test_panels_without_traffic_begin_at_zero(tmp_path: Path) -> None:
 
 
 def test_other_folders_and_damaged_tables_are_refused(tmp_path: Path, directory: Path) -> None:
-    with pytest.raises(ScenarioError, match=r"no run directory"):
+    with pytest.raises(ScenarioError, match=r"not a run directory"):
         write_report(tmp_path)
     ledger, steps = (directory / name for name in (run_directory.LEDGER, run_directory.STEPS))
     steps.write_bytes(ledger.read_bytes())

@@ -44,7 +44,7 @@ def test_a_replay_lists_changed_settings_first(floor: str) -> None:
     [
         ({"reason": "interrupted"}, "it was interrupted at step 4"),
         ({"reason": "broken off"}, "it was broken off at step 4"),
-        ({"lost": {"1": "its process ended"}}, "robot 1 was lost: its process ended, unasked"),
+        ({"lost": {"1": "its process ended"}}, "robot 1 was lost: its process ended, unexpectedly"),
     ],
 )
 def test_a_run_with_unplanned_events_cannot_be_replayed(floor: str, what: dict[str, Any], why: str) -> None:

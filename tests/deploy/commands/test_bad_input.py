@@ -119,7 +119,7 @@ EXPLORE = {
     "--range nan": "range = 'nan': must be a distance",
     "--strategy leaders --range 3": "range = '3': leaders needs rho_lead <= range, not rho_lead = 4 m with",
     "--strategy leaders --range 5%": "range = '5%': leaders needs rho_lead <= range, not rho_lead = 4 m with a",
-    "--strategy leaders --range 5 --option rho_lead=6": "not rho_lead = 6 m with a range of 5 m: a leader that cannot",
+    "--strategy leaders --range 5 --option rho_lead=6": "not rho_lead = 6 m with a range of 5 m: no robot follows",
     "--range -5%": "range = '-5%': must be a distance",
     "--range far": "range = 'far': must be a distance",
     "--robots 0": "robots = 0: must be greater than or equal to 1",
@@ -129,7 +129,7 @@ EXPLORE = {
     "--strategy best": "no strategy is called 'best'; there are: burgard,",
     "robots=3": "no such file, and no shipped scenario",
     "--strategy agent.strategies.meier:Meyer": "agent.strategies.meier has no Meyer; did you mean Meier?",
-    "--map-encoding radio": "map_encoding = 'radio': no map encoding is called 'radio'; there are: polygons, scans, cells, predictive",
+    "--map-encoding radio": "map_encoding = 'radio': no map encoding is called 'radio'; there are: polygons,",
     "--dissemination never": "dissemination = 'never': must be 'backoff', 'thesis' or 'gossip'",
     "--bus can": "bus = 'can': must be 'zenoh' or 'memory'",
     "--option beta": "option = 'beta': must be NAME=VALUE, as beta=0.5",
@@ -149,7 +149,7 @@ EXPLORE = {
     "--start -50,3": "is not free: robots cannot start there",
     "--start nan,1": "start.0 = nan",
     "--start 3": "start = '3': must be two numbers in meters, as 3.5,12",
-    "--pace 0": "pace = 0: must be 0.5 steps a second or more",
+    "--pace 0": "pace = 0: must be 0.5 steps per second or more",
     "--view-as hologram": "view-as = 'hologram': must be one of auto, native, web, file",
     "--out full": "out = full: already exists; name a new directory, or empty this one",
     "--out file": "out = file: already exists; name a new directory",
@@ -188,9 +188,9 @@ OTHERS = {
     "map show em --png em.xyz": "png = em.xyz: must end in .png",
     "new strategy numpy": "name = 'numpy': would hide the Python module of this name",
     "compare --strategies meier,meier": "two of the scenarios are the same: strategy = meier",
-    "compare --strategies meier,": "there is nothing to compare: give two scenarios or more",
+    "compare --strategies meier,": "there is nothing to compare: give at least two scenarios",
     "compare --strategies meier,nope": "no strategy is called 'nope'",
-    "compare --strategies meier,nearest --map room.yaml --out file": "file: no folder can be made there (File exists)",
+    "compare --strategies meier,nearest --map room.yaml --out file": "file: cannot be created (File exists)",
     "size --set robots=3": "set = 'robots=...': use the flag of this command",
     "compare --strategies meier,nearest --set seed=3": "set = 'seed=...': use the flag of this command",
     "size --robots 0..2": "robots = 0: must be greater than or equal to 1",
@@ -199,23 +199,23 @@ OTHERS = {
     "sweep lossy.toml --out runs.csv": "out = runs.csv: must end in .parquet",
     "chaos --out file": "out = file: is a file; name a directory for the scenarios of failing cases",
     "sweep lossy.toml --table x.txt": "table = x.txt: must end in .csv or .parquet",
-    "replay missing": "missing: no run directory, for it has no scenario.toml",
+    "replay missing": "missing: not a run directory: scenario.toml is missing",
     "replay half": "half: no readable summary.json",
-    "replay other": "other: summary.json is not that of a run, for it has no finished, reason, steps,",
-    "replay whole": "whole: summary.json is not that of a run, for it has no finished, reason, steps,",
+    "replay other": "other: summary.json is not the summary of a run: it lacks finished, reason, steps,",
+    "replay whole": "whole: summary.json is not the summary of a run: it lacks finished, reason, steps,",
     "replay whole --bus can": "bus = 'can': must be 'zenoh' or 'memory'",
-    "report full": "full: no run directory, for it has no scenario.toml",
-    "export full --mcap": "full: no run directory, for it has no scenario.toml",
-    "watch full": "full: no recording (run.rrd), and no run is under way there",
+    "report full": "full: not a run directory: scenario.toml is missing",
+    "export full --mcap": "full: not a run directory: scenario.toml is missing",
+    "watch full": "full: no recording (run.rrd), and no run in progress",
     "capture missing": "missing: No such file or directory",
-    "report [/x]": "[/x]: no run directory, for it has no scenario.toml",
+    "report [/x]": "[/x]: not a run directory: scenario.toml is missing",
     "capture torn.pcapng": "torn.pcapng: not a pcapng file",
     "capture torn.pcapng --json": "torn.pcapng: not a pcapng file",
-    "capture whole --robot 1": "robot = 1: the last one of this run is 0",
+    "capture whole --robot 1": "robot = 1: must be at most 0",
     "capture": "name a run directory, or use --install-dissector",
     "capture full --kind x": "kind = 'x': there are ins, rep, del,",
     "capture full --step x": "step = 'x': must be a step, as 12, or steps, as 10-20",
-    "capture full --step 5-2": "step = '5-2': the first step comes first, as in 10-20",
+    "capture full --step 5-2": "step = '5-2': the first step must not exceed the last, as in 10-20",
     "sweep missing.toml": "experiment missing.toml: no such file, and no shipped experiment; there are:",
     "sweep broken.toml": "experiment broken.toml: not TOML",
     "strategy": "no such command: 'strategy'; did you mean strategies? There are: explore, watch",
@@ -255,11 +255,11 @@ def test_bad_input_is_explained_and_writes_no_file(desk: Path, words: str) -> No
     complaint = OTHERS.get(words) or EXPLORE[words.removeprefix("explore ")]
     before = contents(desk)
     result = murmur(*words.split())
-    said = result.stderr.replace("\n", " ")
-    assert result.exit_code == BAD_INPUT, said
-    assert complaint in said
-    assert "Traceback" not in said
-    assert said.startswith(("murmur: ", "Usage: "))
+    output = result.stderr.replace("\n", " ")
+    assert result.exit_code == BAD_INPUT, output
+    assert complaint in output
+    assert "Traceback" not in output
+    assert output.startswith(("murmur: ", "Usage: "))
     assert contents(desk) == before
 
 

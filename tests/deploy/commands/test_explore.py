@@ -69,8 +69,8 @@ def test_flags_override_the_rules_of_the_thesis(floor: str) -> None:
 
 
 def test_a_run_prints_the_folder_of_its_pictures(floor: str) -> None:
-    said = explore(floor, "--steps", "4", "--out", "run", "--pictures").stdout
-    assert "Results: run (pictures: run/maps.png, run/pictures)" in said
+    output = explore(floor, "--steps", "4", "--out", "run", "--pictures").stdout
+    assert "Results: run (pictures: run/maps.png, run/pictures)" in output
 
 
 def test_any_setting_can_be_set_and_tables_keep_their_other_keys(floor: str) -> None:
@@ -108,7 +108,9 @@ def test_a_picture_with_a_resolution_is_a_map(floor: str) -> None:
 
 
 def test_help_shows_flags_in_groups() -> None:
-    said = murmur("explore", "--help").stdout
-    order = [said.index(f"\n{group}:\n") for group in ("Options", "World", "Robots", "Radio", "Run", "View")]
+    output = murmur("explore", "--help").stdout
+    order = [
+        output.index(f"\n{group}:\n") for group in ("Options", "World", "Robots", "Radio", "Run", "View")
+    ]
     assert order == sorted(order)
-    assert order[2] < said.index("--strategy NAME") < order[3] < said.index("--bandwidth BYTES")
+    assert order[2] < output.index("--strategy NAME") < order[3] < output.index("--bandwidth BYTES")

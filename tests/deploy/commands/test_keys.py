@@ -25,8 +25,8 @@ def test_certificates_are_written_once(tmp_path: Path) -> None:
     folder = tmp_path / "keys"
     result = murmur("keys", str(folder), "--robots", "2", "--address", "hub.example", "--address", "10.0.0.1")
     assert result.exit_code == 0, result.stderr
-    said = " ".join(result.stdout.split())
-    assert f"13 files in {folder}, for a hub at hub.example, 10.0.0.1; valid for 30 days." in said
+    output = " ".join(result.stdout.split())
+    assert f"13 files in {folder}, for a hub at hub.example, 10.0.0.1; valid for 30 days." in output
     again = murmur("keys", str(folder))
     assert again.exit_code == 2
     assert "authority.pem: File exists" in again.stderr
@@ -102,7 +102,7 @@ def test_robots_join_through_a_router_that_was_started_by_hand(
 
 
 @pytest.mark.parametrize(
-    ("said", "message"),
+    ("output", "message"),
     [
         ("", "credential on standard input: not JSON"),
         ("{}", "credential on standard input: needs the texts run, name, hub, password"),
@@ -112,8 +112,8 @@ def test_robots_join_through_a_router_that_was_started_by_hand(
         ),
     ],
 )
-def test_a_robot_s_credential_on_standard_input_is_checked(said: str, message: str) -> None:
-    result = CliRunner().invoke(app, ["run", "agent", "--credential", "-"], input=said)
+def test_a_robot_s_credential_on_standard_input_is_checked(output: str, message: str) -> None:
+    result = CliRunner().invoke(app, ["run", "agent", "--credential", "-"], input=output)
     assert result.exit_code == 2
     assert message in result.stderr
 

@@ -1,4 +1,4 @@
-"""Keys: what is pressed is done to the run, and said; what makes no sense is said as well."""
+"""Keys: what is pressed is done to the run, and output; what makes no sense is output as well."""
 
 from __future__ import annotations
 
@@ -59,11 +59,11 @@ def test_values_are_typed_corrected_and_checked(control: Control) -> None:
     assert press(keys, "\n").startswith("bandwidth 500 B from the next step")
     assert press(keys, "r25%\n") == "range 25% from the next step"
     assert press(keys, "k1\n") == "robot 1 will be killed at the next step"
-    assert press(keys, "k7\n") == "kill: there is no robot 7; the last one is 1"
-    assert press(keys, "kx\n") == "kill: 'x' is no robot's number"
+    assert press(keys, "k7\n") == "kill: unknown robot 7; the last one is 1"
+    assert press(keys, "kx\n") == "kill: 'x' is not a robot number"
     assert "must be a whole number" in press(keys, "bmuch\n")
     assert press(keys, "k1\x1b") == HELP
-    assert control._wishes.qsize() == 3
+    assert control._requests.qsize() == 3
 
 
 @pytest.mark.parametrize("bus", ["memory", "zenoh"])

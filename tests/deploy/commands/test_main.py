@@ -37,23 +37,23 @@ def test_each_command_and_flag_has_help(words: str) -> None:
         result = murmur(*words.split(), flag)
         assert result.exit_code == 0
         assert result.stderr == ""
-    said = " ".join(result.stdout.split())
+    output = " ".join(result.stdout.split())
     assert command.help
-    assert command.help.split(".")[0].split()[0] in said
+    assert command.help.split(".")[0].split()[0] in output
     for parameter in command.params:
         assert getattr(parameter, "help", None), f"{parameter.name} has no help"
         if isinstance(parameter, TyperOption):
-            assert max(parameter.opts, key=len) in said
+            assert max(parameter.opts, key=len) in output
             assert parameter.is_flag or parameter.metavar, f"{parameter.name} shows a type of Python's"
     for name, inner in getattr(command, "commands", {}).items():
-        assert f"{name} {inner.get_short_help_str(sys.maxsize)}" in said
+        assert f"{name} {inner.get_short_help_str(sys.maxsize)}" in output
 
 
 def test_help_has_a_first_command_and_the_exit_codes() -> None:
-    said = " ".join(murmur("--help").stdout.split())
-    assert "Start with: murmur explore --robots 5" in said
-    assert "0 explored, 1 not finished" in said
-    assert "2 bad input, 3 a process died" in said
+    output = " ".join(murmur("--help").stdout.split())
+    assert "Start with: murmur explore --robots 5" in output
+    assert "0 explored, 1 not finished" in output
+    assert "2 bad input, 3 a process died" in output
 
 
 def test_without_arguments_help_is_printed() -> None:
@@ -63,15 +63,15 @@ def test_without_arguments_help_is_printed() -> None:
 
 
 def test_help_of_explore_names_defaults_and_choices() -> None:
-    said = " ".join(murmur("explore", "--help").stdout.split())
+    output = " ".join(murmur("explore", "--help").stdout.split())
     for words in (
         "number of robots (default 3)",
         "map encoding: polygons, scans, cells, predictive, none (default predictive)",
         "bytes per step for the whole team (default 1000)",
         "communication range: meters, or % of the map's diagonal (default 100%)",
     ):
-        assert words in said
-    assert "None" not in said
+        assert words in output
+    assert "None" not in output
 
 
 def test_the_list_of_commands_agrees_with_their_help() -> None:

@@ -30,8 +30,8 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_new_strategy_passes_its_own_test_and_explores_by_the_command_that_it_names() -> None:
-    said = murmur("new", "strategy", "my-way")
-    assert said.exit_code == 0, said.stderr
+    output = murmur("new", "strategy", "my-way")
+    assert output.exit_code == 0, output.stderr
     tested = elsewhere("-m", "pytest", "-q", "-p", "no:cacheprovider", "test_my_way.py")
     assert tested.returncode == 0, tested.stdout
     assert "2 passed" in tested.stdout
@@ -56,11 +56,11 @@ def test_what_is_wrong_in_a_strategy_of_ones_own_is_shown_as_its_own_traceback()
 
 
 @pytest.mark.parametrize(
-    ("name", "said"), [("My Way", "must be lower-case"), ("class", "must be lower-case")]
+    ("name", "output"), [("My Way", "must be lower-case"), ("class", "must be lower-case")]
 )
-def test_a_name_that_is_none_is_refused(name: str, said: str) -> None:
+def test_a_name_that_is_none_is_refused(name: str, output: str) -> None:
     result = murmur("new", "strategy", name)
-    assert result.exit_code == 2 and said in result.stderr
+    assert result.exit_code == 2 and output in result.stderr
     assert list(Path().iterdir()) == []
 
 

@@ -31,9 +31,9 @@ def test_the_list_has_each_strategy_with_its_summary_and_section() -> None:
 
 @pytest.mark.parametrize("name", sorted(strategies()))
 def test_a_strategy_is_shown_with_all_options_their_defaults_and_choices(name: str) -> None:
-    said = murmur("strategies", name).stdout
-    assert max(map(len, said.splitlines())) <= WIDTH
-    one_line = " ".join(said.split())
+    output = murmur("strategies", name).stdout
+    assert max(map(len, output.splitlines())) <= WIDTH
+    one_line = " ".join(output.split())
     shown = entry(name)
     for words in (shown.summary, shown.source, *shown.clashes, *shown.refused.values()):
         assert words in one_line
@@ -50,8 +50,8 @@ def test_the_last_line_runs_the_strategy_that_was_asked_for(name: str) -> None:
 
 
 def test_a_choice_that_does_not_fit_is_named_with_the_reason() -> None:
-    said = " ".join(murmur("strategies", "mtsp").stdout.split())
-    assert "mtsp cannot have candidates = cells: a tour needs the way between every two goals" in said
+    output = " ".join(murmur("strategies", "mtsp").stdout.split())
+    assert "mtsp cannot have candidates = cells: a tour needs the way between every two goals" in output
 
 
 def test_machines_get_the_same_as_json() -> None:
@@ -72,7 +72,7 @@ def test_help_says_how_parts_combine_line_by_line() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "output"),
     [
         ("burgart", "no strategy is called 'burgart'; did you mean burgard or burgard-optimal? There are: burgard,"),
         ("Leader", "did you mean leaders?"),
@@ -80,7 +80,7 @@ def test_help_says_how_parts_combine_line_by_line() -> None:
         ("pathlib:Path", "Path is no subclass of agent.strategies.base.Strategy"),
     ],
 )  # fmt: skip
-def test_an_unknown_name_is_bad_input_and_near_ones_are_named(wrong: str, said: str) -> None:
+def test_an_unknown_name_is_bad_input_and_near_ones_are_named(wrong: str, output: str) -> None:
     result = murmur("strategies", wrong)
     assert (result.exit_code, result.stdout) == (2, "")
-    assert said in " ".join(result.stderr.split())
+    assert output in " ".join(result.stderr.split())

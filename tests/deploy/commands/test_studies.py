@@ -50,7 +50,7 @@ def test_the_command_prints_the_table_and_writes_runs_means_and_pictures(tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "output"),
     [
         (["--out", "/nonexist/a.parquet"], "/nonexist/a.parquet: no such folder: /nonexist"),
         (["--set", "map=nope"], "unknown map 'nope'"),
@@ -62,12 +62,12 @@ def test_the_command_prints_the_table_and_writes_runs_means_and_pictures(tmp_pat
     ],
 )
 def test_bad_input_is_refused_before_the_first_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], said: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], output: str
 ) -> None:
     monkeypatch.setattr("deploy.run.workers.ProcessPoolExecutor.submit", None)
     code, table, errors = command(write(tmp_path, EXPERIMENT), *words)
     assert (code, table, errors.count("\n")) == (2, "", 1)
-    assert said in errors
+    assert output in errors
 
 
 def sweeping_in_a_group(path: Path, out: Path, *words: str) -> subprocess.Popen[str]:
@@ -145,7 +145,7 @@ def test_teams_are_compared_by_the_command(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "output"),
     [
         (["compare"], "give either scenario files, --strategies or --map-encodings"),
         (["compare", "--strategies", "meier,meyer"], "did you mean meier"),
@@ -156,7 +156,7 @@ def test_teams_are_compared_by_the_command(tmp_path: Path) -> None:
         (["sweep", "lossy.toml", "--scheduler", "nowhere"], "scheduler = 'nowhere'"),
     ],
 )
-def test_bad_input_of_the_others_is_refused(tmp_path: Path, words: list[str], said: str) -> None:
+def test_bad_input_of_the_others_is_refused(tmp_path: Path, words: list[str], output: str) -> None:
     out = [] if words[0] == "sweep" else ["--out", tmp_path / "out"]
     code, _, errors = command(*words[1:], *out, of=words[0])
-    assert code == 2 and said in errors and "Traceback" not in errors
+    assert code == 2 and output in errors and "Traceback" not in errors

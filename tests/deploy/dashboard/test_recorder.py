@@ -14,7 +14,7 @@ from deploy.run.exploration import explore
 from deploy.scenario.scenario import parse
 from protocol.grid import FREE
 from protocol.messages import Outlines, RadioReport, RobotStatus, Shutdown, Snapshot, WorldReport
-from tests.deploy.small_run import SETTINGS, small_plan, small_run, told
+from tests.deploy.small_run import SETTINGS, reports, small_plan, small_run
 
 rerun = pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'murmur-robots[view]'")
 
@@ -23,9 +23,9 @@ rerun = pytest.importorskip("rerun", reason="Rerun is not installed: pip install
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("recorded")
     with watching(ViewTask(small_plan(), folder)) as node:
-        for sender, said in told():
+        for sender, report in reports():
             for watcher in node._watchers:
-                watcher.take(sender, said)
+                watcher.take(sender, report)
     return folder
 
 
@@ -45,7 +45,9 @@ def column(recording: Path, entity: str, component: str) -> dict[int, Any]:
 def test_the_explored_share_is_recorded_every_step(recorded: Path) -> None:
     seen = column(recorded / RECORDING, "/explored/team", "scalars")
     truth = {
-        said.step: 100 * said.seen / said.reachable for _, said in told() if isinstance(said, WorldReport)
+        report.step: 100 * report.seen / report.reachable
+        for _, report in reports()
+        if isinstance(report, WorldReport)
     }
     assert {step: value[0] for step, value in seen.items()} == pytest.approx(truth)
 
@@ -60,23 +62,23 @@ def test_each_robots_share_is_that_of_its_planning_map(recorded: Path) -> None:
 
 
 def test_traffic_by_type_adds_up_to_the_load(recorded: Path) -> None:
-    load = column(recorded / RECORDING, "/air/load", "scalars")
-    for _, said in told():
-        if isinstance(said, RadioReport):
-            total, *groups = load[said.step]
-            assert total == said.carried == np.nansum(groups)
-    budget = column(recorded / RECORDING, "/air/budget", "scalars")
+    load = column(recorded / RECORDING, "/traffic/load", "scalars")
+    for _, report in reports():
+        if isinstance(report, RadioReport):
+            total, *groups = load[report.step]
+            assert total == report.carried == np.nansum(groups)
+    budget = column(recorded / RECORDING, "/traffic/budget", "scalars")
     assert set(budget) == set(range(1, 41))
 
 
 def test_maps_outlines_targets_and_events_are_recorded(recorded: Path) -> None:
     file = recorded / RECORDING
     for robot in range(3):
-        pictures = column(file, f"/minds/{robot}/map", "blob")
+        pictures = column(file, f"/robots/{robot}/map", "blob")
         assert len(pictures) >= 6
-        assert column(file, f"/minds/{robot}/outlines/{robot}", "strips")
-        assert column(file, f"/minds/{robot}/target", "positions")
-        assert len(column(file, f"/ways/{robot}", "strips")) == 40
+        assert column(file, f"/robots/{robot}/outlines/{robot}", "strips")
+        assert column(file, f"/robots/{robot}/target", "positions")
+        assert len(column(file, f"/paths/{robot}", "strips")) == 40
     assert any(strips for strips in column(file, "/world/links/busy", "strips").values())
     assert any("heads for" in str(text) for text in column(file, "/events", "text").values())
 
@@ -107,9 +109,9 @@ def test_a_viewer_changes_no_digest(tmp_path: Path) -> None:
 
 
 def test_the_relay_sends_the_capture_to_no_viewer() -> None:
-    kinds = {type(said) for _, said in told()}
+    kinds = {type(report) for _, report in reports()}
     assert {WorldReport, RobotStatus, RadioReport, Snapshot, Outlines, Shutdown} <= kinds
-    assert all(said.frames == b"" for _, said in told() if isinstance(said, RadioReport))
+    assert all(report.frames == b"" for _, report in reports() if isinstance(report, RadioReport))
 
 
 def test_a_missing_display_or_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -129,5 +131,5 @@ def test_a_missing_display_or_package_is_named(monkeypatch: pytest.MonkeyPatch) 
 def test_a_run_that_is_shown_needs_a_directory() -> None:
     with pytest.raises(ValueError, match="needs a directory"):
         explore(parse(SETTINGS), keep=False, window=Window("file"))
-    with pytest.raises(ValueError, match=r"pace = 0.1: must be 0.5 steps a second or more"):
+    with pytest.raises(ValueError, match=r"pace = 0.1: must be 0.5 steps per second or more"):
         explore(parse(SETTINGS), keep=False, pace=0.1)

@@ -1,4 +1,4 @@
-"""The events of a run: what is told of it becomes positions, loads and events."""
+"""The events of a run: what is reports of it becomes positions, loads and events."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy.dashboard.explanation import map_id
+from deploy.dashboard.explanation import explain
 from deploy.dashboard.run_events import RunEvents
 from netshaper.ledger import CAUSES, KIND_NUMBER, ROW
 from protocol.messages import End, Fault, Lost, RadioReport, RobotStatus, WorldReport
-from tests.deploy.small_run import small_plan, told
+from tests.deploy.small_run import reports, small_plan
 from worldsim.maps import to_world
 
 
@@ -20,7 +20,7 @@ def where(step: int, *cells: tuple[int, int] | None, seen: int = 50) -> WorldRep
     return WorldReport(step, np.array(poses, "<i4").tobytes(), [0] * len(cells), seen, 100)
 
 
-def mind(step: int, x: int, y: int, status: str = "driving to the target") -> RobotStatus:
+def status(step: int, x: int, y: int, status: str = "driving to the target") -> RobotStatus:
     return RobotStatus(step, x, y, known=100, error=0, exact_error=-1, backlog=7, status=status, work_us=0)
 
 
@@ -33,8 +33,8 @@ def air(step: int, *rows: dict[str, Any]) -> RadioReport:
     return RadioReport(step, table.tobytes(), int(table["bytes"][table["carried"] == 1].sum()), b"")
 
 
-def texts(events: RunEvents, sender: str, said: object) -> list[str]:
-    return [event.text for event in events.take(sender, said)]
+def texts(events: RunEvents, sender: str, report: object) -> list[str]:
+    return [event.text for event in events.take(sender, report)]
 
 
 @pytest.fixture
@@ -46,36 +46,36 @@ def test_robots_come_into_range_and_are_lost_from_it(events: RunEvents) -> None:
     assert texts(events, "world", where(1, (10, 10), (20, 10), (200, 200))) == []
     assert events.in_range == {(0, 1)}
     assert texts(events, "world", where(2, (10, 10), (200, 210), (200, 200))) == [
-        "robots 0 and 1 are out of touch",
-        "robots 1 and 2 are in touch",
+        "robots 0 and 1 are out of range",
+        "robots 1 and 2 are in range",
     ]
     assert events.seen == 0.5
     assert events.positions[0] == to_world(small_plan().map, 10, 10)
 
 
-def test_a_target_is_told_when_it_is_another_frontier_not_the_same_one_moved_on(events: RunEvents) -> None:
+def test_a_target_is_logged_if_it_is_another_frontier(events: RunEvents) -> None:
     events.take("world", where(1, (10, 10)))
-    assert texts(events, "r0", mind(1, 50, 50)) == ["robot 0 heads for (5.1, 20.0) m"]
-    assert texts(events, "r0", mind(2, 51, 52)) == []
+    assert texts(events, "r0", status(1, 50, 50)) == ["robot 0 heads for (5.1, 20.0) m"]
+    assert texts(events, "r0", status(2, 51, 52)) == []
     assert events.targets[0] == to_world(small_plan().map, 51, 52)
-    assert texts(events, "r0", mind(3, 90, 52)) == ["robot 0 heads for (9.1, 19.8) m"]
-    events.take("r0", mind(4, -1, -1))
+    assert texts(events, "r0", status(3, 90, 52)) == ["robot 0 heads for (9.1, 19.8) m"]
+    events.take("r0", status(4, -1, -1))
     assert 0 not in events.targets
     assert events.backlog == {0: 7}
 
 
-def test_idleness_is_told_once(events: RunEvents) -> None:
+def test_idleness_is_logged_once(events: RunEvents) -> None:
     idle = "idle: no reachable frontier on the planning grid"
-    assert texts(events, "r2", mind(5, -1, -1, idle)) == ["robot 2 is idle: its map is done"]
-    assert texts(events, "r2", mind(6, -1, -1, idle)) == []
-    texts(events, "r2", mind(7, 10, 10))
-    assert len(texts(events, "r2", mind(8, -1, -1, idle))) == 1
+    assert texts(events, "r2", status(5, -1, -1, idle)) == ["robot 2 is idle: its map is complete"]
+    assert texts(events, "r2", status(6, -1, -1, idle)) == []
+    texts(events, "r2", status(7, 10, 10))
+    assert len(texts(events, "r2", status(8, -1, -1, idle))) == 1
 
 
-def test_loads_are_summed_by_what_they_are_for_and_who_talks(events: RunEvents) -> None:
+def test_bytes_are_summed_by_traffic_type_and_link(events: RunEvents) -> None:
     insert, offer, target, new = (KIND_NUMBER[kind] for kind in ("ins", "conn", "targ", "em"))
     waiting = CAUSES.index("budget")
-    said = texts(
+    report = texts(
         events,
         "relay",
         air(
@@ -97,15 +97,15 @@ def test_loads_are_summed_by_what_they_are_for_and_who_talks(events: RunEvents) 
     }
     assert events.traffic.carried == 80
     assert events.traffic.cut == 600
-    assert events.traffic.talks == {(0, 2): 77}
+    assert events.traffic.links == {(0, 2): 77}
     assert events.bytes == {"ins": 60, "conn": 2, "em": 15, "targ": 3}
-    assert said == ["robot 2 reports 2 new objects", "channel full: 600 bytes wait"]
+    assert report == ["robot 2 reports 2 new objects", "channel full: 600 bytes over the budget"]
     assert texts(events, "relay", air(4)) == []
 
 
-def test_losses_faults_and_the_end_are_told(events: RunEvents) -> None:
+def test_losses_protocol_errors_and_the_end_are_logged(events: RunEvents) -> None:
     events.take("world", where(1, (10, 10), (20, 10)))
-    events.take("r1", mind(1, 50, 50))
+    events.take("r1", status(1, 50, 50))
     (lost,) = events.take("relay", Lost(1, "its process ended"))
     assert lost.weight == 2
     assert lost.text == "robot 1 is lost: its process ended"
@@ -115,33 +115,33 @@ def test_losses_faults_and_the_end_are_told(events: RunEvents) -> None:
         "r0 sent a malformed message: spoke out of turn"
     ]
     assert texts(events, "relay", End(9, "explored", 0)) == ["explored; robot 0 finished first"]
-    assert texts(events, "relay", End(9, "out of steps", -1)) == ["the run is over: out of steps"]
+    assert texts(events, "relay", End(9, "out of steps", -1)) == ["the run ended: out of steps"]
 
 
-def test_a_robot_that_breaks_down_is_told_once(events: RunEvents) -> None:
+def test_a_breakdown_is_logged_once(events: RunEvents) -> None:
     events.take("world", where(1, (10, 10), (20, 10)))
     assert texts(events, "world", where(2, (10, 10), None)) == ["robot 1 has broken down"]
     assert texts(events, "world", where(3, (10, 10), None)) == []
 
 
-def test_a_viewer_that_comes_late_can_make_sense_of_any_first_word() -> None:
-    heard = told()
+def test_a_late_viewer_can_start_with_any_report() -> None:
+    heard = reports()
     for first in range(0, 60, 7):
         events = RunEvents(small_plan())
-        for sender, said in heard[first:]:
-            events.take(sender, said)
+        for sender, report in heard[first:]:
+            events.take(sender, report)
         assert events.step == 40
         assert sorted(events.positions) == [0, 1, 2]
 
 
-def test_the_words_that_explain_speak_of_this_run() -> None:
-    words = map_id(small_plan())
-    assert "3 robots" in words
-    assert "1000 bytes a step" in words
-    assert "Faint outlines" in words
-    assert "Red:" in words
-    words = map_id(small_plan(map_encoding="scans", bandwidth="unlimited", range="100%"))
-    assert "unlimited bandwidth" in words
-    assert "outlines" not in words
-    assert "Red:" not in words
-    assert "Circles" not in words
+def test_the_help_text_describes_this_run() -> None:
+    text = explain(small_plan())
+    assert "3 robots" in text
+    assert "1000 bytes per step" in text
+    assert "Pale outlines" in text
+    assert "Red:" in text
+    text = explain(small_plan(map_encoding="scans", bandwidth="unlimited", range="100%"))
+    assert "unlimited bandwidth" in text
+    assert "outlines" not in text
+    assert "Red:" not in text
+    assert "Circles" not in text

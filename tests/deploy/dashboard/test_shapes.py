@@ -1,4 +1,4 @@
-"""Shapes of the dashboard: pictures of maps, axes in metres, numbers, outlines and ways."""
+"""Shapes of the dashboard: pictures of maps, axes in meters, numbers, outlines and ways."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def world(width: int = 30, height: int = 20) -> Map:
 
 
 @given(grids)
-def test_a_map_is_a_picture_whose_pixels_have_the_colours_of_its_cells(grid: Grid) -> None:
+def test_a_map_is_a_picture_whose_pixels_have_the_colors_of_its_cells(grid: Grid) -> None:
     height, width = grid.shape
     cells = grid_to_bytes(grid)
     assert (grid_from_bytes(cells, width, height) == grid).all()
@@ -42,7 +42,7 @@ def test_every_packet_kind_is_in_one_group() -> None:
     assert sorted(kind for group in GROUPS.values() for kind in group.kinds) == sorted(ALL_KINDS)
 
 
-def test_neighbouring_robots_have_different_colours() -> None:
+def test_neighboring_robots_have_different_colors() -> None:
     assert all(robot_color(robot) != robot_color(robot + 1) for robot in range(MAX_ROBOTS))
 
 
@@ -54,7 +54,7 @@ def test_ticks_are_few_evenly_spaced_and_within(first: float, length: float, mos
     assert len({round(b - a, 6) for a, b in pairwise(ticks)}) <= 1
 
 
-def test_axes_count_metres_of_the_maps_own_frame() -> None:
+def test_axes_count_meters_of_the_maps_own_frame() -> None:
     strips, places, labels = axes(world(), most=4)
     assert strips[0] == [(-3.0, -17.0), (-3.0, -7.0), (12.0, -7.0)]
     across = {label: place for label, place in zip(labels, places, strict=True) if place[1] > -7.0}

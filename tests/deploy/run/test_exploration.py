@@ -325,7 +325,7 @@ def test_an_interrupt_ends_a_run_after_its_step_with_everything_written(
             os.kill(os.getpid(), number)
 
     result = exploration.explore(
-        scenario(floor, bus=bus), out=tmp_path / "run", watch=watch, tell=told.append, pace=20
+        scenario(floor, bus=bus), out=tmp_path / "run", watch=watch, notify=told.append, pace=20
     )
     assert result.exit_code == NOT_FINISHED
     assert result.summary["reason"] == "interrupted"

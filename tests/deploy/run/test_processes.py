@@ -9,9 +9,9 @@ import pytest
 TURN = """
 import os
 import threading
-from deploy.run.processes import wait_for_a_turn
+from deploy.run.processes import schedule_as_batch
 
-wait_for_a_turn()
+schedule_as_batch()
 policies = [os.sched_getscheduler(0)]
 thread = threading.Thread(target=lambda: policies.append(os.sched_getscheduler(0)))
 thread.start()

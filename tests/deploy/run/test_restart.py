@@ -44,7 +44,7 @@ def test_a_run_whose_world_or_relay_dies_goes_on_to_the_digest_of_an_undisturbed
     plain = explore(scenario(bus="memory"), keep=False)
     told: list[str] = []
     result = explore(
-        scenario(), out=tmp_path / "run", watch=killing(name, 10), tell=told.append, pace=20, restart=True
+        scenario(), out=tmp_path / "run", watch=killing(name, 10), notify=told.append, pace=20, restart=True
     )
     assert len(told) == 1, result.summary
     assert name in told[0]

@@ -115,7 +115,7 @@ def test_what_far_robots_print_and_how_they_end_comes_back(tmp_path: Path) -> No
         finally:
             hub.close()
     lost = "the connection to the hub was lost"
-    assert deaths == {f"r{n}": f"on h0: exit code 3; its last words: r{n}: {lost}" for n in range(2)}
+    assert deaths == {f"r{n}": f"on h0: exit code 3; last output: r{n}: {lost}" for n in range(2)}
     assert {path.name: path.read_text() for path in logs.iterdir()} == {
         f"r{n}.log": f"r{n}: {lost}\n" for n in range(2)
     }
@@ -169,7 +169,7 @@ def test_a_router_that_dies_is_named_with_the_robots_that_went_with_it(tmp_path:
                 )
             )
             fleet.look(deaths)
-    assert deaths == {"router@h0": "killed by SIGKILL, without a word; with it r0, r1"}
+    assert deaths == {"router@h0": "killed by SIGKILL, no output; with it r0, r1"}
 
 
 def heard(hub: Bus, count: int) -> set[tuple[str, bytes]]:
@@ -227,7 +227,7 @@ def test_a_far_end_that_is_told_nonsense_or_nothing_ends(order: str) -> None:
 
 def test_hosts_and_the_memory_bus_do_not_go_together() -> None:
     scenario = scenarios.parse({"bus": "memory"})
-    with pytest.raises(ScenarioError, match=r"^bus = 'memory': is one process of one host"):
+    with pytest.raises(ScenarioError, match=r"^bus = 'memory': runs in one process"):
         explore(scenario, keep=False, hosts=hosts("true"))
 
 

@@ -53,7 +53,7 @@ def test_a_run_that_is_left_leaves_nothing() -> None:
         for step in run:
             if step.number == 3:
                 break
-        with pytest.raises(RuntimeError, match="no result before the end"):
+        with pytest.raises(RuntimeError, match="the run has not ended"):
             _ = run.result
     assert list(run) == []
     assert threading.active_count() == threads

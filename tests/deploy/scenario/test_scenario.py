@@ -16,7 +16,7 @@ from agent.encodings.polygon_options import PolygonOptions
 from agent.replication.policies import DISSEMINATIONS
 from agent.strategies.meier import Meier
 from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load, parse
-from deploy.scenario.tables import UNLIMITED
+from protocol.budget import WORD_FOR_UNLIMITED
 from protocol.grid import MAX_ROBOTS
 from protocol.packets import MAX_MAPS
 
@@ -41,7 +41,7 @@ def scenarios(draw: st.DrawFn) -> dict[str, Any]:
         "map": st.text(st.characters(codec="utf-8", exclude_characters="\x00"), max_size=20),
         "map_seed": whole,
         "range": meters.map(str) | meters.map(lambda share: f"{share}%") | meters | st.integers(0, 10**6),
-        "bandwidth": whole | st.just(UNLIMITED),
+        "bandwidth": whole | st.just(WORD_FOR_UNLIMITED),
         "sensor_range": meters,
         "field_of_view": st.floats(0.1, 360),
         "beams": st.integers(1, 900).map(lambda quarter: 4 * quarter),
@@ -215,7 +215,7 @@ def test_a_range_is_metres_or_a_share_of_the_diagonal(range_: object, wanted: fl
 
 
 @pytest.mark.parametrize(
-    ("given_", "wanted"), [("1000", 1000), (" 250 ", 250), (0, 0), (UNLIMITED, UNLIMITED)]
+    ("given_", "wanted"), [("1000", 1000), (" 250 ", 250), (0, 0), (WORD_FOR_UNLIMITED, WORD_FOR_UNLIMITED)]
 )
 def test_a_bandwidth_is_a_number_of_bytes_or_unlimited(given_: object, wanted: object) -> None:
     assert parse({"bandwidth": given_}).bandwidth == wanted

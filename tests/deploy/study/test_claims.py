@@ -60,7 +60,7 @@ def test_the_verdict_follows_from_the_tests_of_all_cells(
     tmp_path: Path, factors: dict[int, float], word: str
 ) -> None:
     found = verdict(tmp_path, FASTER, rows(factors=factors))
-    assert found.word == word
+    assert found.result == word
     assert [finding.cell for finding in found.findings] == [{"robots": 1}, {"robots": 2}]
     assert found.findings[0].effect.mean == pytest.approx(factors[1], rel=0.05)
 
@@ -76,8 +76,8 @@ def test_pairs_of_which_one_did_not_finish_are_left_out_and_counted(tmp_path: Pa
 
 def test_without_runs_nothing_is_decided(tmp_path: Path) -> None:
     found = verdict(tmp_path, FASTER, [])
-    assert found.word == UNDECIDED and [finding.effect.n for finding in found.findings] == [0]
-    assert verdict(tmp_path, FASTER, rows(factors={1: 0.7})[:1]).word == UNDECIDED
+    assert found.result == UNDECIDED and [finding.effect.n for finding in found.findings] == [0]
+    assert verdict(tmp_path, FASTER, rows(factors={1: 0.7})[:1]).result == UNDECIDED
 
 
 def test_many_tests_need_more_evidence_than_one(tmp_path: Path) -> None:
@@ -106,24 +106,24 @@ def test_many_tests_need_more_evidence_than_one(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_every_form_of_expectation(tmp_path: Path, rule: str, word: str) -> None:
     runs = rows(factors={1: 0.3, 2: 0.3})
-    assert verdict(tmp_path, f'[[claim.rule]]\nstatement = "so"\n{rule}\n', runs).word == word
+    assert verdict(tmp_path, f'[[claim.rule]]\nstatement = "so"\n{rule}\n', runs).result == word
 
 
 @pytest.mark.parametrize(
     ("rule", "said"),
     [
-        ('metric = "stepz"\nexpect = "value < 3"', "'stepz' is no figure"),
+        ('metric = "stepz"\nexpect = "value < 3"', "'stepz' is not a metric"),
         ('metric = "steps"\nexpect = "is less"', "expect = 'is less': must be one of 'ratio < 1'"),
-        ('metric = "steps"\nexpect = "ratio < 1"', "compare and to say what a ratio"),
-        ('metric = "steps"\nexpect = "value < 1"\ncompare = { seed = 1 }\nto = { seed = 0 }', "compare and to say"),
+        ('metric = "steps"\nexpect = "ratio < 1"', "compare and to are needed for a ratio"),
+        ('metric = "steps"\nexpect = "value < 1"\ncompare = { seed = 1 }\nto = { seed = 0 }', "compare and to are needed"),
         ('metric = "steps"\nexpect = "ratio < 1"\ncompare = { seed = 1 }\nto = { robots = 1 }', "the same keys"),
         ('metric = "steps"\nexpect = "falls over range"', "'range' is not in the grid; there are: robots, seed"),
-        ('metric = "steps"\nexpect = "value < 1"\nby = ["range"]', "speaks of 'range', which is not in the grid"),
+        ('metric = "steps"\nexpect = "value < 1"\nby = ["range"]', "names 'range', which is not in the grid"),
         ('metric = "steps"\nexpect = "value < 1"\nwhere = { seed = 1 }', "must be a list of values"),
-        ('metric = "steps"\nexpect = "order of seed"', "ranks says which order"),
+        ('metric = "steps"\nexpect = "order of seed"', "ranks gives the expected order"),
         ('metric = "steps"', "expect is missing"),
-        ('metric = 3', "metric = 3: must be of kind str"),
-        ('fig = "steps"', "fig is no part of a rule"),
+        ('metric = 3', "metric = 3: must be a str"),
+        ('fig = "steps"', "fig is not a key of a rule"),
         ('metric = "steps"\nexpect = "ratio < 1"\ncompare = { variant = "x" }\nto = { variant = "scans" }',
          "no variant is called 'x'; there are: polygons, scans"),
     ],

@@ -11,18 +11,18 @@ from deploy.commands.main import app
 from deploy.scenario.scenario import ScenarioError
 from deploy.study import measures, reproduction, runs
 from deploy.study.claims import UNDECIDED, judge
-from deploy.study.reproduction import CLAIMS, asked
+from deploy.study.reproduction import CLAIMS, requested
 
 
 def test_there_are_24_claims_and_experiments_name_no_others() -> None:
     assert len(CLAIMS) == 24
-    found = asked([], quick=False, settings={})
+    found = requested([], quick=False, settings={})
     shipped = sorted(reproduction.SHIPPED.glob("claim-*.toml"))
     assert sum(map(len, found.values())) == len(shipped)
 
 
 def test_first_looks_are_smaller_and_of_the_same_claims() -> None:
-    whole, quick = (asked(["B1", "l1"], quick=quick, settings={}) for quick in (False, True))
+    whole, quick = (requested(["B1", "l1"], quick=quick, settings={}) for quick in (False, True))
     assert list(whole) == list(quick) == ["B1", "L1"]
     for name in whole:
         ((one,), (other,)) = whole[name], quick[name]
@@ -33,16 +33,16 @@ def test_a_claim_on_real_buildings_is_undecided_where_their_maps_are_not_at_hand
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("MURMUR_MAPS", "nowhere")
-    ((experiment,),) = asked(["M8"], quick=True, settings={}).values()
+    ((experiment,),) = requested(["M8"], quick=True, settings={}).values()
     assert experiment.grid["map"] == []
     assert runs.cases(experiment) == []
     assert experiment.claim is not None
-    assert judge([(experiment.claim.rules, [])]).word == UNDECIDED
+    assert judge([(experiment.claim.rules, [])]).result == UNDECIDED
 
 
 def test_a_claim_that_there_is_not_is_named() -> None:
     with pytest.raises(ScenarioError, match="no claim is called 'B9'; there are: M1"):
-        asked(["B9"], quick=True, settings={})
+        requested(["B9"], quick=True, settings={})
 
 
 def test_without_leaders_the_team_stalls_where_with_leaders_it_finishes(tmp_path: Path) -> None:
@@ -50,7 +50,7 @@ def test_without_leaders_the_team_stalls_where_with_leaders_it_finishes(tmp_path
     result = CliRunner().invoke(app, ["reproduce", "L1", "--quick", "--jobs", "1", "--out", str(stem)])
     assert result.exit_code == 0 and "L1" in result.stdout and "holds" in result.stdout
     page = stem.with_suffix(".md").read_text()
-    assert "Here: **holds** (3 as expected; a first look)." in page
+    assert "Here: **holds** (3 as expected; reduced)." in page
     assert "![claim-L1](docs/claim-L1-1.png)" in page and "40 of 40 runs of `claim-L1.toml`" in page
     html = stem.with_suffix(".html").read_text()
     assert '<h2 id="L1">' in html and 'src="docs/claim-L1-1.png"' in html
@@ -62,7 +62,7 @@ def test_without_leaders_the_team_stalls_where_with_leaders_it_finishes(tmp_path
 
 
 def test_an_assignment_by_algorithm_2_takes_longer_and_is_worth_more() -> None:
-    ((experiment,),) = asked(["B3"], quick=True, settings={"robots": [8], "seed": 0}).values()
+    ((experiment,),) = requested(["B3"], quick=True, settings={"robots": [8], "seed": 0}).values()
     (case,) = runs.cases(experiment)
     row = runs.run_case(case)
     assert set(measures.METRICS["assignment"]) <= set(row)

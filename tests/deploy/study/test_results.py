@@ -53,7 +53,7 @@ def test_what_a_later_run_has_and_an_earlier_has_not_is_null_and_lists_may_be_mi
 
 def test_a_table_that_is_open_elsewhere_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "a.parquet"
-    with Results(file), pytest.raises(ValueError, match="another process is adding runs to it"):
+    with Results(file), pytest.raises(ValueError, match="another process is adding runs"):
         Results(file)
     with Results(file):
         pass
@@ -63,7 +63,7 @@ def test_a_table_that_is_open_elsewhere_is_refused(tmp_path: Path) -> None:
 def test_a_file_of_something_else_is_refused_and_left_alone(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "notes.txt"
     file.write_bytes(content)
-    with pytest.raises(ValueError, match="holds no table of runs; name a new file"):
+    with pytest.raises(ValueError, match="is not a table of runs; name a new file"):
         Results(file)
     assert file.read_bytes() == content
 
@@ -79,5 +79,5 @@ def test_tables_are_written_by_their_ending(tmp_path: Path) -> None:
     for ending, reader in ((".csv", pl.read_csv), (".parquet", pl.read_parquet)):
         results.write_table(frame, tmp_path / f"t{ending}")
         assert reader(tmp_path / f"t{ending}").equals(frame)
-    with pytest.raises(ValueError, match=r"t\.txt: tables are written as \.csv or \.parquet"):
+    with pytest.raises(ValueError, match=r"t\.txt: must end in \.csv or \.parquet"):
         results.write_table(frame, tmp_path / "t.txt")

@@ -121,27 +121,6 @@ def test_the_code_hash_covers_user_defined_map_encodings(
     assert len(codes) == 3
 
 
-def test_runs_of_other_code_are_taken_by_their_settings_where_there_are_more_of_these_now(
-    tmp_path: Path,
-) -> None:
-    keep, us = tmp_path / "kept.parquet", Ourselves()
-    todo = small(tmp_path, robots=1, seed=0, start=[10.0, 10.0])
-    with Results(keep) as results:
-        runs.make(todo, results, us)
-    old = pl.read_parquet(keep).drop("forward_maps")
-    old = old.with_columns(key=pl.lit("older ") + pl.col("map_encoding"), code=pl.lit("older"))
-    old.write_parquet(keep)
-    with Results(keep) as results:
-        runs.make(todo, results, us, any_code=True)
-        assert len(us.made) == 2 and len(runs.looked_up(todo, results)) == 2
-    old.with_columns(digest=pl.lit("another")).write_parquet(keep)
-    with (
-        Results(keep) as results,
-        pytest.raises(ValueError, match="comes out otherwise now than in the table"),
-    ):
-        runs.make(todo, results, us, any_code=True)
-
-
 def test_a_run_is_another_with_any_other_setting_map_or_measure(tmp_path: Path) -> None:
     (plain, *_), (other, *_), (slow, *_) = (
         small(tmp_path, **settings)

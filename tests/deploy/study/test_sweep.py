@@ -60,7 +60,7 @@ def test_scenarios_of_files_and_objects_are_compared_by_their_names(tmp_path: Pa
     (tmp_path / "slow.toml").write_text('map = "em"\nspeed = 0.2\nsteps = 3\n')
     (tmp_path / "fast.toml").write_text('map = "em"\nspeed = 1.0\nsteps = 3\n')
     done = compare([tmp_path / "slow.toml", tmp_path / "fast.toml"], seeds=2, robots=1, **QUIET)
-    assert done.verdicts == ["slow and fast: no two runs to compare"]
+    assert done.verdicts == ["slow and fast: no pair of runs to compare"]
     objects = [Scenario(map="em", steps=2, robots=1, map_encoding=name) for name in ("none", "predictive")]
     assert "none and predictive" in compare(objects, seeds=2, **QUIET).verdicts[0]
 
@@ -72,7 +72,7 @@ def test_scenarios_of_files_and_objects_are_compared_by_their_names(tmp_path: Pa
         ([ROOMS, ROOMS], {}, "two of the scenarios are the same: map = "),
         ({"a": ROOMS, "b": ROOMS}, {}, "two of the scenarios are the same"),
         ([ROOMS, ROOMS | {"robots": 0}], {}, "robots = 0"),
-        ([ROOMS, ROOMS | {"speed": 2.0}], {"metric": "stepz"}, "'stepz' is no figure"),
+        ([ROOMS, ROOMS | {"speed": 2.0}], {"metric": "stepz"}, "'stepz' is not a metric"),
     ],
 )
 def test_comparisons_that_make_no_sense_are_refused(scenarios: Any, settings: Any, said: str) -> None:
@@ -94,7 +94,7 @@ def test_the_smallest_team_that_is_enough_is_named(tmp_path: Path) -> None:
     assert done.enough is not None and done.enough.robots == 3
     assert (
         done.sentence.startswith("3 robots with ")
-        and "2 of 2 runs (so in at least 34 % of all" in done.sentence
+        and "2 of 2 runs (at least 34 % of all runs" in done.sentence
     )
     assert [file.name for file in done.write(tmp_path)] == ["size.png", "size.csv"]
     assert "<img" in done._repr_html_()

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from deploy.study.tables import METRICS, TABLES, Table, check, described, figure, has_finished, tabulate
+from deploy.study.tables import METRICS, TABLES, Table, check, described, has_finished, metric_value, tabulate
 from tests.deploy.small_run import small_run
 
 VARIANTS = ["polygons", "scans"]
@@ -22,10 +22,10 @@ def runs(totals: tuple[int, ...] = (10, 40, 30, 40)) -> list[dict[str, Any]]:
 
 def test_figures_are_names_sums_and_quotients() -> None:
     summary = {"steps": 4, "t99": None, "bytes.ins": 6, "bytes.del": None, "bytes.conn": 2, "bytes.total": 16}
-    assert figure(summary, "steps") == 4
-    assert figure(summary, "bytes.ins + bytes.del / bytes.total") == 6 / 16
+    assert metric_value(summary, "steps") == 4
+    assert metric_value(summary, "bytes.ins + bytes.del / bytes.total") == 6 / 16
     for absent in ("t99", "t99 / steps", "bytes.conn / bytes.rm"):
-        assert figure(summary, absent) is None
+        assert metric_value(summary, absent) is None
 
 
 def test_figures_are_all_numbers_of_a_summary_and_no_others() -> None:
@@ -38,7 +38,7 @@ def test_figures_are_all_numbers_of_a_summary_and_no_others() -> None:
     assert {*METRICS, *TABLES} <= set(summary)
     for name in (*METRICS, *(f"{table}.{number}" for table, numbers in TABLES.items() for number in numbers)):
         check(name, [])
-        assert figure(row, name) is None or isinstance(figure(row, name), float)
+        assert metric_value(row, name) is None or isinstance(metric_value(row, name), float)
     assert set(summary["bytes"]) <= set(TABLES["bytes"]) and set(summary["undelivered"]) <= set(
         TABLES["undelivered"]
     )
@@ -47,12 +47,12 @@ def test_figures_are_all_numbers_of_a_summary_and_no_others() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("stepz", "'stepz' is no figure; there are: steps, coverage,"),
-        ("map", "'map' is no figure"),
-        ("bytes", "'bytes' is no figure"),
-        ("bytes.inz", "'bytes.inz' is no figure"),
-        ("steps + bytes.totl / seed", "'bytes.totl' is no figure"),
-        ("", "'' is no figure"),
+        ("stepz", "'stepz' is not a metric; there are: steps, coverage,"),
+        ("map", "'map' is not a metric"),
+        ("bytes", "'bytes' is not a metric"),
+        ("bytes.inz", "'bytes.inz' is not a metric"),
+        ("steps + bytes.totl / seed", "'bytes.totl' is not a metric"),
+        ("", "'' is not a metric"),
         ("steps / seed / robots", "at most one ' / '"),
         ("steps relative to ", "no variant is called ''; there are: polygons, scans"),
     ],
