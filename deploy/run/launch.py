@@ -99,40 +99,28 @@ def run(
     ----------
     logs : Path or None
         Directory for the output of the processes; a temporary one if None.
-    watch : callable, optional
-        Called with the records a few times per second.
+    watch, heed : callable, optional
+        Called with the records a few times per second; may end the run early.
     capture : binary file, optional
         Receives the radio frames.
-    heed : callable, optional
-        May end the run early.
-    show : Show, optional
-        Adds a viewer.
     pace, free
         Maximum steps per second, except for the first `free` steps.
     live : Path, optional
         Directory for the file from which a viewer can join (`deploy.dashboard.watch`).
     fleet, rendezvous
         The robots on other hosts; or else where the processes meet, by default on the loopback interface.
-    journals : Path, optional
-        Directory of the journals of robots that may be restarted.
-    revive : bool
-        Whether to restart robots that end unexpectedly.
+    journals, revive
+        Directory of the robots' journals; whether to restart robots that end unexpectedly.
     gate : Gate, optional
         Delays the world before each step, instead of `pace`.
     wrap : callable, optional
         Wraps the bus of world, recorder and robots on this host; picklable.
     """
     world = WorldTask(
-        plan.make_world(),
-        plan.scenario.steps,
-        1000 * plan.map.resolution,
-        pace,
-        free,
-        plan.scenario.reply_timeout_s,
-        revive,
-        gate,
-        plan.incarnations,
-    )
+        plan.make_world(), plan.scenario.steps, 1000 * plan.map.resolution, pace, free,
+        plan.scenario.reply_timeout_s, revive, gate, plan.incarnations,
+    )  # fmt: skip
+    port = show.task.port if show is not None else None
     with contextlib.ExitStack() as stack:
         folder = logs or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         journals = journals or (folder if logs is None else folder.parent) / "journals"
@@ -143,7 +131,6 @@ def run(
         table = _relay_and_world(plan, meeting, world, wrap, captures=capture is not None)
         table |= _robots(plan, meeting, fleet.robots if fleet is not None else set(), journals, wrap)
         supervisor = _Supervisor(processes, table, fleet)
-        port = show.task.port if show is not None else None
         stack.enter_context(announced(live, meeting.credentials[names.VIEW], port))
         supervisor.start()
         if show is not None:

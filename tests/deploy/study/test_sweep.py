@@ -35,7 +35,7 @@ def test_an_experiment_is_swept_with_other_settings(tmp_path: Path) -> None:
     assert len(done.plot().axes) == 1
     with pytest.raises(ValueError, match="there is no plot 1: the experiment has 1"):
         done.plot(1)
-    with pytest.raises(ScenarioError, match="the experiment has its own"):
+    with pytest.raises(ScenarioError, match="only without an experiment"):
         sweep("lossy.toml", base={"robots": 3})
 
 
@@ -119,7 +119,7 @@ def test_ranges_are_tried_from_the_shortest_and_the_nearest_team_is_one_that_has
         (3, "9", 1),
         (3, "100%", 1),
     ]
-    assert "nearest come 3 robots with unlimited bandwidth" in done.sentence
+    assert "the best has 3 robots with unlimited bandwidth" in done.sentence
 
 
 def test_all_of_it_is_exported() -> None:
