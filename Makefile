@@ -1,15 +1,17 @@
 # make demo   sets up what it needs and explores an office with five robots over a radio of 50 bytes a step
 # make test   sets up what it needs and runs format, lint, types, import rules and tests
+# make quick  runs the fast tests, in less than 90 seconds
 # make bench  prints ratios against named yardsticks
-# make fuzz  gives every reader of bytes ten minutes of nonsense
+# make fuzz   gives every parser ten minutes of random and malformed bytes
 # make docs   builds the documentation as a site, in site/
 
 VENV := .venv
 PYTHON ?= python3
 BIN := $(VENV)/bin
+QUICK := tests/agent tests/protocol tests/netshaper tests/worldsim tests/murmur tests/fuzz $(addprefix tests/deploy/,scenario record chaos)
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: setup demo test check bench fuzz docs clean
+.PHONY: setup demo test quick check bench fuzz docs clean
 
 setup: $(VENV)/main.stamp
 
@@ -32,6 +34,10 @@ demo: setup
 
 test: $(VENV)/dev.stamp check
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+# All but the tests of commands, reports, studies, captures and swarms of processes.
+quick: $(VENV)/dev.stamp
+	$(BIN)/python -m pytest -n 2 --dist loadfile $(QUICK)
 
 check: $(VENV)/dev.stamp
 	$(BIN)/ruff format --check .

@@ -1,7 +1,8 @@
-"""What all tests share: how long hypothesis searches, and where the real maps are.
+"""Configuration of all tests: the search of property tests, and the folder of real maps.
 
-Hypothesis tries 30 examples a property by default; ``MURMUR_HYPOTHESIS=thorough`` makes it thousands. The
-examples of a default run are the same each time.
+A default run tries 30 examples of each property, the same ones every time. ``pytest -m long`` also runs all property
+tests, with 300 examples from a fresh random seed; a failure prints the example that reproduces it.
+``MURMUR_HYPOTHESIS=thorough`` tries 3000 examples.
 """
 
 from __future__ import annotations
@@ -19,11 +20,34 @@ settings.register_profile(
 settings.register_profile(
     "thorough", max_examples=3000, deadline=None, suppress_health_check=[HealthCheck.too_slow]
 )
+settings.register_profile(
+    "fresh", max_examples=300, deadline=None, print_blob=True, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.load_profile(os.environ.get("MURMUR_HYPOTHESIS", "default"))
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # Tests that run in the background of a shell would hand down to what they start that it ignores Ctrl-C.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _selects_long(config: pytest.Config) -> bool:
+    """Return whether the marker expression selects tests that are marked `long`."""
+    return "long" in config.option.markexpr and "not long" not in config.option.markexpr
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Search property tests from a fresh seed if long tests are selected."""
+    if _selects_long(config) and "MURMUR_HYPOTHESIS" not in os.environ:
+        settings.load_profile("fresh")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Count property tests among the long ones if these are selected."""
+    if _selects_long(config):
+        for item in items:
+            if getattr(getattr(item, "obj", None), "is_hypothesis_test", False):
+                item.add_marker("long")
 
 
 @pytest.fixture(scope="session")
