@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from agent.announcements import Announcements
+from agent.encodings.base import MapEncoding
 from agent.encodings.catalog import ENCODINGS, make_encoding
 from agent.outline.polygons import Polygons
 from agent.replication.engine import Replication
@@ -61,14 +63,15 @@ class Robot:
         self.planning: Grid = self.own.copy()
         """The planning grid: the self-explored one merged with teammates' maps."""
         self._encoding = make_encoding(settings)
-        self.replication = Replication.from_settings(settings, self._consume, self._encoding.dependencies)
+        self._team = TeamState(settings)
+        consume = partial(_consume, self._encoding, self._team)
+        self.replication = Replication.from_settings(settings, consume, self._encoding.dependencies)
         self.target: Cell | None = None
         self.status = ""
         """Its current activity, as text."""
         self.faults: list[Fault] = []
         self.known_cells = 0
         """Cells of the self-explored grid that are known."""
-        self._team = TeamState(settings)
         self._announcements = Announcements(settings)
         self._ray_table = ray_table(settings.range_cells, settings.beams)
         self._strategy = strategy(settings.strategy)(settings.options, settings)
@@ -158,13 +161,6 @@ class Robot:
         if report.broadcast_sent:
             self._announcements.sent(report.step, self._team.in_range)
 
-    def _consume(self, peer: int, map_id: MapId, frame: bytes) -> Sequence[int]:
-        """Decode entries of a map that a teammate sent; return where in the frame each one ends."""
-        ends = packet_index.ends(frame)
-        self._encoding.apply(map_id.number, frame, step=self._team.step, sender=peer)
-        self._team.infer_pose(map_id.robot, self._encoding.scan_cell(map_id.number))
-        return ends
-
     def decide(self) -> Move:
         """End a step: merge, and let the strategy choose a target and a path."""
         sense = self._sense
@@ -198,3 +194,11 @@ class Robot:
         """Append all withheld entries to the log."""
         self.replication.append(self._withheld)
         self._withheld = []
+
+
+def _consume(encoding: MapEncoding, team: TeamState, peer: int, map_id: MapId, frame: bytes) -> Sequence[int]:
+    """Decode entries of a map that a teammate sent; return where in the frame each one ends."""
+    ends = packet_index.ends(frame)
+    encoding.apply(map_id.number, frame, step=team.step, sender=peer)
+    team.infer_pose(map_id.robot, encoding.scan_cell(map_id.number))
+    return ends

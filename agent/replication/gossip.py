@@ -59,7 +59,7 @@ class Gossip:
         self._neighbors = Neighbors(robot, robots)
         self._meetings = Meetings(robots, settled=first_incarnation)
         self._cursors = BroadcastCursors(robot, robots, known=first_incarnation, reliable=delivery.reliable)
-        self._policy = GossipPolicy(peers, replica.logs, self._neighbors, dependencies, self._add_range)
+        self._policy = GossipPolicy(peers, replica.logs, self._neighbors, dependencies)
         self._step = 0
         self._in_range: list[int] = []
         self._parted = False
@@ -84,10 +84,13 @@ class Gossip:
         if not in_range:
             return []
         self._add_reports(lengths)
-        served = self._policy.serve(self._in_range, self._step, self._delivery.turn)
+        served = self._policy.serve(self._in_range, self._step, self._delivery.turn, self._add_range)
         self._set_priority(served)
         payload = self._builder.payload
-        return [OutgoingFrame(EVERYONE, payload)] if payload else []
+        if not payload:
+            self._builder = FrameBuilder()
+            return []
+        return [OutgoingFrame(EVERYONE, payload)]
 
     def close_round(self, report: RoundReport) -> None:
         """Update the tables by what was on the air, and accept the entries that arrived."""
@@ -106,6 +109,7 @@ class Gossip:
             self._builder.sent(sent)
             if sent:
                 self._idle_since = self._step
+            self._builder = FrameBuilder()  # its handlers refer to this object
         for peer, frame in frames:
             for header, entries in frame.sections:
                 self._read_entries(peer, header, entries)

@@ -62,7 +62,6 @@ class GossipPolicy:
         By map number.
     neighbors : Neighbors
     dependencies : callable
-    broadcast : callable
     """
 
     def __init__(
@@ -71,13 +70,11 @@ class GossipPolicy:
         logs: Sequence[Log],
         neighbors: Neighbors,
         dependencies: Dependencies,
-        broadcast: Broadcast,
     ) -> None:
         self._peers = peers
         self._logs = logs
         self._neighbors = neighbors
         self._dependencies = dependencies
-        self._broadcast = broadcast
         self.lacks = peers.new_table()
         """``lacks[peer, map]``: entries that this robot holds and the peer should not hold yet."""
         self._since = peers.new_table()
@@ -95,7 +92,7 @@ class GossipPolicy:
         current = np.array(self._peers.current, np.int64)
         note_lacks(self._peers.expected, lengths, compared, current, step, self.lacks, self._since)
 
-    def serve(self, in_range: list[int], step: int, turn: int) -> int | None:
+    def serve(self, in_range: list[int], step: int, turn: int, broadcast: Broadcast) -> int | None:
         """Broadcast what peers lack; return the peer that is served first, if any.
 
         `turn` is the number of steps after which the next robot forwards what a peer still lacks.
@@ -112,26 +109,26 @@ class GossipPolicy:
             will_hold[self._peers.current[peer]] = np.iinfo(np.int64).max
             numbers = [number for number, lack in enumerate(lacks) if lack]
             for number in sorted(numbers, key=lambda each: (each != own, lacks[each], each)):
-                self._bring(peer, will_hold, number, lacks[number] + expected.item(peer, number))
+                self._bring(broadcast, peer, will_hold, number, lacks[number] + expected.item(peer, number))
             if served is None and self._sent:
                 served = peer
         return served
 
-    def _bring(self, peer: int, will_hold: list[int], number: int, end: int) -> None:
+    def _bring(self, broadcast: Broadcast, peer: int, will_hold: list[int], number: int, end: int) -> None:
         """Broadcast what a peer lacks of a map before offset `end`, and before each range what it depends on."""
         dependencies = self._dependencies(number)
         for each in dependencies[bisect_right(dependencies, will_hold[number], key=attrgetter("end")) :]:
             if each.first >= end:
                 break
             if any(will_hold[other] < length for other, length in each.requires):
-                self._send(peer, will_hold, number, each.first)
+                self._send(broadcast, peer, will_hold, number, each.first)
                 for other, length in each.requires:
-                    self._bring(peer, will_hold, other, length)
+                    self._bring(broadcast, peer, will_hold, other, length)
                 if any(will_hold[other] < length for other, length in each.requires):
                     return
-        self._send(peer, will_hold, number, end)
+        self._send(broadcast, peer, will_hold, number, end)
 
-    def _send(self, peer: int, will_hold: list[int], number: int, end: int) -> None:
+    def _send(self, broadcast: Broadcast, peer: int, will_hold: list[int], number: int, end: int) -> None:
         """Broadcast what a peer lacks of a map before offset `end`, but not what is in the frame already."""
         first = will_hold[number]
         if first >= end:
@@ -143,7 +140,7 @@ class GossipPolicy:
             end = min(end, low)
         if first < end and (number == self._peers.own or self._is_forwarder(peer, number)):
             first, end = max(first, self._logs[number].start), min(end, len(self._logs[number]))
-            end = self._broadcast(number, first, end)
+            end = broadcast(number, first, end)
             if end > first:
                 low, high = self._sent.get(number, (first, end))
                 self._sent[number] = min(low, first), max(high, end)

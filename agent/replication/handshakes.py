@@ -67,8 +67,7 @@ class Handshakes:
     def open_round(self, round_number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
         """Return this round's offers."""
         self._round.open(round_number, in_range, budget)
-        for of_last_round in (self._offered, self._answered, self._received, self._taking):
-            of_last_round.clear()
+        self._end_round()
         lengths = self._replica.lengths() if in_range else np.empty(0, np.int64)
         if not lengths.any():
             return []
@@ -176,6 +175,12 @@ class Handshakes:
             if self._replica.accept(sender, number, delivery.payload):
                 expected, length = self._peers.expected, len(self._replica.logs[number])
                 expected[sender, number] = max(expected[sender, number], length)
+        self._end_round()
+
+    def _end_round(self) -> None:
+        """Drop all connections; the handlers of their frames refer to this object."""
+        for of_this_round in (self._offered, self._answered, self._received, self._taking):
+            of_this_round.clear()
 
     def delivered(self) -> bool:
         """Return whether all peers in range hold this robot's log, and there are any; see `STUBBORN`."""
